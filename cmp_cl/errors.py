@@ -1,0 +1,29 @@
+"""The errors of cmp_cl. Each message says what came, what was expected and what to do."""
+
+
+class CmpClError(Exception):
+    """Root of every error that cmp_cl raises on purpose."""
+
+
+class ConfigError(CmpClError, ValueError):
+    """A configuration field has a wrong type or a value outside its range."""
+
+
+class ImageError(CmpClError, ValueError):
+    """An image is not what a detector takes: (H, W) uint8 or uint16, row-contiguous."""
+
+
+class CalibrationError(CmpClError, ValueError):
+    """Camera parameters are missing, malformed or degenerate."""
+
+
+class DeviceError(CmpClError, RuntimeError):
+    """The OpenCL device that was asked for is not there or cannot be used."""
+
+
+class KernelBuildError(CmpClError, RuntimeError):
+    """The OpenCL compiler refused a kernel; the message holds its log."""
+
+
+class CapacityError(CmpClError, RuntimeError):
+    """The device has no room; the message names what is needed and what there is."""

@@ -1,0 +1,188 @@
+"""What comes out: corners, the intermediate maps, grids, points, fields."""
+
+import dataclasses
+import enum
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+GreyImage: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+class Method(enum.IntEnum):
+    """How the position of a corner was found."""
+
+    CENTROID = 0  # no refinement was asked for
+    EDGE_LINES = 1
+    EDGE_STEP = 2
+    MIDLINE = 3
+    CUSP = 4
+    KEPT = 5  # refinement refused, the centroid was kept
+
+
+class NodeStatus(enum.IntEnum):
+    """Where the position of a grid node comes from."""
+
+    MISSING = 0
+    DETECTED = 1
+    ATTACHED = 2  # a free detection near the place that its neighbours predict
+    SECOND_LOOK = 3  # found by a second look at the image
+    INTERPOLATED = 4
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Corners:
+    """The corners of one image, rows in (y, x) order of `pixel`.
+
+    xy: (N, 2) float32, x right, y down, px; (0, 0) is the centre of the top-left pixel.
+    pixel: (N, 2) int32, the maximum each came from, (x, y).
+    response: (N,) float32, the response there (Eq. 24 or the spectral response).
+    method: (N,) uint8 of `Method`.
+    sigma: (N,) float32, standard deviation of the position per axis, px; NaN where unknown.
+    edges: (N, 4) float32, the angles of the four boundaries in [-pi, pi], rad, clockwise on
+        screen, the first from white to black; NaN where unknown.
+    doubtful: (N,) bool, corners whose surroundings do not look like the corner model
+        (EdgeStep only, False otherwise).
+    device: what ran, for example "pthread-... (Portable Computing Language)".
+    """
+
+    xy: NDArray[np.float32]
+    pixel: NDArray[np.int32]
+    response: NDArray[np.float32]
+    method: NDArray[np.uint8]
+    sigma: NDArray[np.float32]
+    edges: NDArray[np.float32]
+    doubtful: NDArray[np.bool_]
+    device: str
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def to_opencv(self) -> NDArray[np.float32]:
+        """The positions as OpenCV's functions take them: (N, 1, 2) float32, px."""
+        return self.xy.reshape(-1, 1, 2).copy()
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Maps:
+    """Every intermediate image of a frame, each (H, W) unless said otherwise.
+
+    With three masks the maps up to `contrast` have a leading axis of 3, in the order of
+    the thresholds mean, mean - sigma/2, mean + sigma/2. Maps of stages that the
+    configuration leaves out are None. With a working scale they have its size.
+
+    binary: bool, True where black.
+    inner, outer: uint16 ring masks, bit i is sample i, clockwise from twelve o'clock.
+    inner_transitions, outer_transitions: uint8 (Eqs. 19 and 20).
+    sector_difference: uint8, d2 of Eq. 21; 255 where the inner ring has not four runs.
+    ring_difference: uint8, popcount(inner ^ outer) (Eq. 22).
+    corrosion: int8, Cd of Eq. 23.
+    spectrum_12, spectrum_23: float32, the smaller of |F2| - |F1| and of |F2| - |F3| over
+        the two rings (Eq. 13).
+    correlation: float32, max R / sqrt(n1 n2), 0 where a ring is white (Eq. 17).
+    phase: float32, smallest shift of the best correlation, >= 0, rad.
+    candidate: bool, after the criteria and before the gate.
+    contrast: int32, min(sc1, sc2) of the gate, 0 off candidates.
+    response: int32, R after the gate.
+    score: int32, S, the response under the 5 x 5 tent.
+    maximum: bool, what suppression kept.
+    """
+
+    binary: NDArray[np.bool_]
+    inner: NDArray[np.uint16]
+    outer: NDArray[np.uint16]
+    inner_transitions: NDArray[np.uint8] | None
+    outer_transitions: NDArray[np.uint8] | None
+    sector_difference: NDArray[np.uint8] | None
+    ring_difference: NDArray[np.uint8] | None
+    corrosion: NDArray[np.int8] | None
+    spectrum_12: NDArray[np.float32] | None
+    spectrum_23: NDArray[np.float32] | None
+    correlation: NDArray[np.float32] | None
+    phase: NDArray[np.float32] | None
+    candidate: NDArray[np.bool_]
+    contrast: NDArray[np.int32] | None
+    response: NDArray[np.int32]
+    score: NDArray[np.int32]
+    maximum: NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Grid:
+    """Corners by row and column of the pattern.
+
+    xy: (R, C, 2) float32, px, NaN where missing.
+    status: (R, C) uint8 of `NodeStatus`.
+    sigma: (R, C) float32, standard deviation of the position per axis, px, NaN where unknown.
+    index: (N, 2) int32, (row, column) of each corner it was built from, -1 where unassigned.
+    """
+
+    xy: NDArray[np.float32]
+    status: NDArray[np.uint8]
+    sigma: NDArray[np.float32]
+    index: NDArray[np.int32]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.xy.shape[0], self.xy.shape[1]
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(R, C), where there is a position."""
+        return ~np.isnan(self.xy[..., 0])
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Points3D:
+    """Triangulated nodes, in the frame of the left camera.
+
+    xyz: (R, C, 3) float64, in `unit`, NaN where missing or flagged.
+    error: (R, C) float64, root mean square reprojection error over both views, px.
+    sigma: (R, C) float64, standard deviation along the most uncertain axis, in `unit`,
+        NaN where the corners' own is unknown.
+    valid: (R, C) bool.
+    unit: name of the unit of length.
+    """
+
+    xyz: NDArray[np.float64]
+    error: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+    unit: str
+
+
+def check_image(image: Any) -> GreyImage:
+    """The image itself, if it is (H, W) uint8 or uint16 with contiguous rows.
+
+    Raises ImageError that says what came, what is expected and which call converts it.
+    """
+    from cmp_cl.errors import ImageError
+
+    expected = "expected a NumPy array (H, W) of uint8 or uint16"
+    if not isinstance(image, np.ndarray):
+        raise ImageError(f"{expected}, got {type(image).__name__}; numpy.asarray(image) converts")
+    came = f"got shape {image.shape} of {image.dtype}"
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        code = "cv2.COLOR_BGR2GRAY" if image.shape[2] == 3 else "cv2.COLOR_BGRA2GRAY"
+        raise ImageError(f"{expected}, {came}; cv2.cvtColor(image, {code}) converts")
+    if image.ndim != 2:
+        raise ImageError(
+            f"{expected}, {came}; image.reshape(height, width) or one frame of it converts"
+        )
+    if image.dtype not in (np.uint8, np.uint16):
+        hint = "numpy.clip(numpy.rint(image * gain), 0, 255).astype(numpy.uint8) converts"
+        if image.dtype.kind in "ui" and image.dtype.itemsize == 2:
+            hint = "image.astype(numpy.uint16) converts"
+        raise ImageError(f"{expected}, {came}; {hint}")
+    row, column = image.strides
+    if image.size and (
+        (column != image.itemsize and image.shape[1] > 1)
+        or (image.shape[0] > 1 and (row < image.shape[1] * image.itemsize or row % image.itemsize))
+    ):
+        raise ImageError(
+            f"{expected} with contiguous rows and a positive row step, {came} with strides "
+            f"{image.strides}; numpy.ascontiguousarray(image) converts"
+        )
+    return image
