@@ -1,28 +1,70 @@
-"""Files in and out: written whole or not at all, images read as grey."""
+"""Files in and out: written whole or not at all, images and videos read as grey."""
 
+import contextlib
+import csv
+import dataclasses
 import os
-import tempfile
+import secrets
+from collections.abc import Iterable, Iterator, Sequence
+from io import StringIO
 from os import PathLike
 from pathlib import Path
+from typing import Any, BinaryIO
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import ImageError
+from cmp_cl.results import Corners, GreyImage, Method
+
+IMAGE_SUFFIXES = frozenset(
+    {".bmp", ".gif", ".jp2", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".pnm", ".ppm"}
+    | {".tif", ".tiff", ".webp"}
+)
+VIDEO_SUFFIXES = frozenset(
+    {".avi", ".m4v", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm", ".wmv"}
+)
+
+LONGEST_GAP = 250  # frames
+
+CSV_COLUMNS = (
+    *("image", "frame", "x_px", "y_px", "pixel_x_px", "pixel_y_px", "response", "method"),
+    *("sigma_px", "edge0_rad", "edge1_rad", "edge2_rad", "edge3_rad", "doubtful"),
+)
+
+
+@contextlib.contextmanager
+def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
+    """A file to write that appears under its name only when the block ends without an error.
+
+    It is a temporary file in the same folder, renamed at the end; what stood under the name
+    stays until then. Devices and pipes are written as they are. Raises OSError where the
+    folder is missing or not writable.
+    """
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise IsADirectoryError(f"{str(path)!r} is a folder, not a file")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"there is no folder {str(target.parent)!r} to write to")
+    if target.exists() and not target.is_file():
+        with open(path, "wb") as file:
+            yield file
+        return
+    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
+    try:
+        with open(temporary, "xb") as file:
+            yield file
+        os.replace(temporary, target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def write_bytes(path: str | PathLike[str], data: bytes) -> None:
-    """Write a file whole or not at all: a temporary file in the same folder, then renamed.
-
-    Raises OSError where the folder is missing or not writable.
-    """
-    target = Path(path)
-    if target.is_dir():
-        raise IsADirectoryError(f"{target} is a folder, not a file")
-    handle, name = tempfile.mkstemp(prefix=f".{target.name[:32]}.", dir=target.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(name, _mode(target))
-        os.replace(name, target)
-    except BaseException:
-        os.unlink(name)
-        raise
+    """Write a file whole or not at all; raises OSError."""
+    with whole_file(path) as file:
+        file.write(data)
 
 
 def write_text(path: str | PathLike[str], text: str) -> None:
@@ -30,10 +72,173 @@ def write_text(path: str | PathLike[str], text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def _mode(target: Path) -> int:
-    """Permissions of the file that is replaced, else those that open() would give."""
-    if target.exists():
-        return target.stat().st_mode & 0o777
-    mask = os.umask(0)
-    os.umask(mask)
-    return 0o666 & ~mask
+def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """Write an image in the format of the suffix, whole or not at all.
+
+    image: (H, W) or (H, W, 3) BGR. Raises ImageError for a suffix or pixels that cannot be
+    written, OSError where the folder is missing or not writable.
+    """
+    try:
+        written, data = cv2.imencode(Path(path).suffix, image)
+    except cv2.error as error:
+        raise ImageError(_cannot_write(path, image)) from error
+    if not written:
+        raise ImageError(_cannot_write(path, image))
+    write_bytes(path, data.tobytes())
+
+
+def _cannot_write(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> str:
+    return (
+        f"cannot write {image.dtype} pixels of shape {image.shape} to {str(path)!r}; "
+        "the suffix names the format, .png takes every image"
+    )
+
+
+def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
+    """The files to read: folders replaced by the images and videos in them, by name.
+
+    Raises FileNotFoundError for a path that is not there and for a folder without any.
+    """
+    found: list[Path] = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            inside = [
+                entry
+                for entry in sorted(path.iterdir())
+                if entry.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES and entry.is_file()
+            ]
+            if not inside:
+                raise FileNotFoundError(f"no image and no video in the folder {str(path)!r}")
+            found += inside
+        elif path.exists():
+            found.append(path)
+        else:
+            raise FileNotFoundError(f"there is no file {str(path)!r}")
+    return found
+
+
+def is_video(path: str | PathLike[str]) -> bool:
+    """Whether the name is one of a video."""
+    return Path(path).suffix.lower() in VIDEO_SUFFIXES
+
+
+def read_image(path: str | PathLike[str]) -> GreyImage:
+    """An image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
+
+    Of a file with several pages it is the first. Raises OSError where the file cannot be
+    read, ImageError where it is no image of 8 or 16 bits.
+    """
+    return read_pages(path)[0]
+
+
+def read_pages(path: str | PathLike[str]) -> list[GreyImage]:
+    """The pages of an image file (a TIFF stack, say), each as `read_image` gives it."""
+    data = np.frombuffer(Path(path).read_bytes(), np.uint8)
+    pages: Sequence[NDArray[Any]] = ()
+    if data.size:
+        with contextlib.suppress(cv2.error):
+            pages = cv2.imdecodemulti(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)[1]
+    if not pages:
+        raise ImageError(f"{str(path)!r} is no image that OpenCV can read")
+    for page in pages:
+        if page.dtype not in (np.uint8, np.uint16):
+            raise ImageError(
+                f"{str(path)!r} holds {page.dtype} pixels, expected 8 or 16 bits without sign; "
+                "scale it and save it as PNG"
+            )
+    return list(pages)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of a file.
+
+    index: its number in the file, from 0.
+    image: (H, W) uint8 or uint16, or None where a frame of a video is broken.
+    """
+
+    index: int
+    image: GreyImage | None
+
+
+def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:
+    """The frames of a video, or the pages of an image; colour becomes grey.
+
+    A video ends before its stated number of frames where `LONGEST_GAP` of them in a row
+    cannot be read. Raises OSError where the file cannot be read, ImageError where it is
+    neither an image nor a video.
+    """
+    if not is_video(path):
+        for index, page in enumerate(read_pages(path)):
+            yield Frame(index, page)
+        return
+    with _opened(path) as capture:
+        count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        index = gap = 0
+        while gap < LONGEST_GAP:
+            read, picture = capture.read()
+            if not read and index >= count:
+                return
+            gap = 0 if read else gap + 1
+            yield Frame(index, _grey(picture) if read else None)
+            index += 1
+
+
+def count_frames(path: str | PathLike[str]) -> int | None:
+    """The number of frames that a video states, None for an image or where it states none."""
+    if not is_video(path):
+        return None
+    with _opened(path) as capture:
+        count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    return int(count) if 0 < count < 2**31 else None
+
+
+@contextlib.contextmanager
+def _opened(path: str | PathLike[str]) -> Iterator[cv2.VideoCapture]:
+    with open(path, "rb"):
+        pass
+    # An absolute path is never taken for an address or for a pipeline of commands.
+    capture = cv2.VideoCapture(os.path.abspath(path))
+    try:
+        if not capture.isOpened():
+            raise ImageError(f"{str(path)!r} is no video that OpenCV can read")
+        yield capture
+    finally:
+        capture.release()
+
+
+def _grey(frame: NDArray[Any]) -> GreyImage:
+    return cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.uint8) if frame.ndim == 3 else frame
+
+
+def write_csv(
+    path: str | PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]
+) -> None:
+    """Write a table with its header, whole or not at all; raises OSError."""
+    write_bytes(path, _csv([columns, *rows]))
+
+
+def _csv(rows: Iterable[Iterable[object]]) -> bytes:
+    text = StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode("utf-8", "backslashreplace")
+
+
+class CornersCsv:
+    """Writes corners as CSV: a header with units, one row per corner."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        file.write(_csv([CSV_COLUMNS]))
+
+    def write(self, name: str, frame: int, corners: Corners) -> None:
+        """Append the corners of one frame of the file of that name."""
+        arrays = (
+            *(corners.xy, corners.pixel, corners.response, corners.method),
+            *(corners.sigma, corners.edges, corners.doubtful),
+        )
+        rows = (
+            [name, frame, *xy, *pixel, response, Method(method).name, sigma, *edges, int(doubtful)]
+            for xy, pixel, response, method, sigma, edges, doubtful in zip(*arrays, strict=True)
+        )
+        self._file.write(_csv(rows))
