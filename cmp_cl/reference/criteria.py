@@ -1,0 +1,93 @@
+"""The four rapid criteria (section 3.4, Eqs. 18 to 24) on ring masks."""
+
+import dataclasses
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.config import RapidCriteria
+from cmp_cl.reference import ring
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Rapid:
+    """The quantities of the rapid criteria at every pixel, and what they decide.
+
+    Fields are those of `cmp_cl.results.Maps`; response is before the gate.
+    """
+
+    inner_transitions: NDArray[np.uint8]
+    outer_transitions: NDArray[np.uint8]
+    sector_difference: NDArray[np.uint8]
+    ring_difference: NDArray[np.uint8]
+    corrosion: NDArray[np.int8] | None
+    candidate: NDArray[np.bool_]
+    response: NDArray[np.int32]
+
+
+def rapid(
+    binary: NDArray[np.bool_],
+    inner: NDArray[np.uint16],
+    outer: NDArray[np.uint16],
+    criteria: RapidCriteria,
+) -> Rapid:
+    """The rapid criteria at every pixel of one binary image and its ring masks."""
+    d2 = sector_differences()[inner]
+    inner_count = inner_transitions(inner)
+    outer_count = outer_transitions(outer)
+    difference = ring.popcount(inner ^ outer)
+    candidate = (
+        (inner_count == 4)
+        & (outer_count == 4)
+        & (d2 < criteria.sector_threshold)
+        & (difference < criteria.ring_threshold)
+    )
+    cd = None
+    if criteria.corrosion_threshold is not None:
+        cd = corrosion(binary, outer)
+        candidate &= cd < criteria.corrosion_threshold
+    response = np.where(candidate, criteria.sector_threshold - d2.astype(np.int32), 0)
+    return Rapid(
+        inner_transitions=inner_count,
+        outer_transitions=outer_count,
+        sector_difference=d2,
+        ring_difference=difference,
+        corrosion=cd,
+        candidate=candidate,
+        response=response.astype(np.int32),
+    )
+
+
+def inner_transitions(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Colour changes around the ring (Eq. 19)."""
+    return ring.popcount(mask ^ ring.rotate(mask, 1))
+
+
+def outer_transitions(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Colour changes to a run of two samples or more (Eq. 20)."""
+    return ring.popcount((mask ^ ring.rotate(mask, 1)) & (mask ^ ring.rotate(mask, 2)))
+
+
+def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[np.int8]:
+    """Cd of Eq. 23: the ring and the region must have about as much black, and white.
+
+    With n1 black of 16 samples and nR black of 21 pixels, max(n1 - nR, (16 - n1) - (21 - nR)).
+    """
+    n1 = ring.popcount(outer).astype(np.int64)
+    region = ring.black_in_region(binary)
+    return np.maximum(n1 - region, region - n1 - 5).astype(np.int8)
+
+
+@functools.cache
+def sector_differences() -> NDArray[np.uint8]:
+    """(65536,): d2 = max(|L0 - L2|, |L1 - L3|) of the four runs (Eq. 21), 255 without four."""
+    black = ring.bits(ring.all_masks())
+    starts = black != np.roll(black, 1, axis=1)
+    four = starts.sum(axis=1) == 4
+    position = np.nonzero(starts[four])[1].reshape(-1, 4)
+    length = (np.roll(position, -1, axis=1) - position) % 16
+    d2 = np.abs(length[:, :2] - length[:, 2:]).max(axis=1)
+    table = np.full(1 << 16, 255, np.uint8)
+    table[four] = d2
+    return table

@@ -1,0 +1,51 @@
+"""Non-maximum suppression and the centroid of the response (section 3.5)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+TENT = (1, 2, 3, 2, 1)
+
+
+def score(response: NDArray[np.int32]) -> NDArray[np.int32]:
+    """S: the response convolved with the tent [1 2 3 2 1] x [1 2 3 2 1], 0 outside."""
+    height, width = response.shape
+    padded = np.pad(response, 2)
+    rows = sum(weight * padded[k : k + height] for k, weight in enumerate(TENT))
+    return sum(weight * rows[:, k : k + width] for k, weight in enumerate(TENT))
+
+
+def maxima(response: NDArray[np.int32], score: NDArray[np.int32], radius: int) -> NDArray[np.bool_]:
+    """(H, W): pixels with R > 0 whose key is the largest in their (2 radius + 1)^2 window.
+
+    The key is 10 S + R; among equals the lower raster index is the larger.
+    """
+    height, width = response.shape
+    size = response.size
+    index = np.arange(size).reshape(height, width)
+    key = (10 * score.astype(np.int64) + response) * size + (size - 1 - index)
+    key = np.where(response > 0, key, -1)
+    padded = np.pad(key, radius, constant_values=-1)
+    window = range(2 * radius + 1)
+    rows = np.max([padded[k : k + height] for k in window], axis=0)
+    largest = np.max([rows[:, k : k + width] for k in window], axis=0)
+    return (response > 0) & (key == largest)
+
+
+def centroids(
+    response: NDArray[np.int32], x: NDArray[np.int64], y: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The R-weighted centroid of the 5 x 5 around N maxima, and rounded: (N, 2) each, (x, y).
+
+    Rounded is floor((2 sum(R dx) + sum R) / (2 sum R)) beside the maximum.
+    """
+    padded = np.pad(response.astype(np.int64), 2)
+    offsets = np.arange(-2, 3)
+    patch = padded[y[:, None, None] + 2 + offsets[:, None], x[:, None, None] + 2 + offsets[None, :]]
+    total = patch.sum(axis=(1, 2))
+    moment = np.stack(
+        [(patch * offsets).sum(axis=(1, 2)), (patch * offsets[:, None]).sum(axis=(1, 2))], axis=1
+    )
+    pixel = np.stack([x, y], axis=1)
+    centroid = pixel + moment / total[:, None]
+    rounded = pixel + (2 * moment + total[:, None]) // (2 * total[:, None])
+    return centroid, rounded

@@ -1,0 +1,147 @@
+"""The double-layer sampler (section 3.2) and what can be said of a 16-bit ring mask.
+
+Offsets are (dx, dy), x right, y down, clockwise from twelve o'clock. Bit i of a ring mask
+is sample i, 1 where black. Samples outside the image repeat the border pixel. Tables have
+one entry for each of the 65 536 masks.
+"""
+
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+INNER = (
+    (0, -3),
+    (1, -3),
+    (2, -2),
+    (3, -1),
+    (3, 0),
+    (3, 1),
+    (2, 2),
+    (1, 3),
+    (0, 3),
+    (-1, 3),
+    (-2, 2),
+    (-3, 1),
+    (-3, 0),
+    (-3, -1),
+    (-2, -2),
+    (-1, -3),
+)
+OUTER_5 = (
+    (0, -5),
+    (2, -5),
+    (4, -4),
+    (5, -2),
+    (5, 0),
+    (5, 2),
+    (4, 4),
+    (2, 5),
+    (0, 5),
+    (-2, 5),
+    (-4, 4),
+    (-5, 2),
+    (-5, 0),
+    (-5, -2),
+    (-4, -4),
+    (-2, -5),
+)
+OUTER_4 = (
+    (0, -4),
+    (2, -4),
+    (3, -3),
+    (4, -2),
+    (4, 0),
+    (4, 2),
+    (3, 3),
+    (2, 4),
+    (0, 4),
+    (-2, 4),
+    (-3, 3),
+    (-4, 2),
+    (-4, 0),
+    (-4, -2),
+    (-3, -3),
+    (-2, -4),
+)
+OUTER = {4: OUTER_4, 5: OUTER_5}
+REGION = tuple((dx, dy) for dy in range(-2, 3) for dx in range(-2, 3) if abs(dx) + abs(dy) < 4)
+REACH = 5
+
+
+def ring_mask(
+    binary: NDArray[np.bool_], offsets: tuple[tuple[int, int], ...]
+) -> NDArray[np.uint16]:
+    """(H, W) uint16: the ring mask around every pixel of a binary image."""
+    padded = np.pad(binary, REACH, mode="edge").astype(np.uint16)
+    mask = np.zeros(binary.shape, np.uint16)
+    for bit, offset in enumerate(offsets):
+        mask |= _shifted(padded, offset) << np.uint16(bit)
+    return mask
+
+
+def black_in_region(binary: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(H, W): black pixels of the corrosion region (21 px) around every pixel."""
+    padded = np.pad(binary, REACH, mode="edge").astype(np.int64)
+    count = np.zeros(binary.shape, np.int64)
+    for offset in REGION:
+        count += _shifted(padded, offset)
+    return count
+
+
+def _shifted(padded: NDArray[np.generic], offset: tuple[int, int]) -> NDArray[np.generic]:
+    dx, dy = offset
+    height, width = padded.shape[0] - 2 * REACH, padded.shape[1] - 2 * REACH
+    return padded[REACH + dy : REACH + dy + height, REACH + dx : REACH + dx + width]
+
+
+def ring_greys(
+    image: NDArray[np.generic],
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    offsets: tuple[tuple[int, int], ...],
+) -> NDArray[np.int64]:
+    """(N, samples) int64: the greys of a ring around N pixels."""
+    dx, dy = np.array(offsets).T
+    height, width = image.shape
+    rows = np.clip(y[:, None] + dy, 0, height - 1)
+    columns = np.clip(x[:, None] + dx, 0, width - 1)
+    return image[rows, columns].astype(np.int64)
+
+
+def rotate(mask: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
+    """rot(v, k): sample i + k comes to bit i."""
+    wide = mask.astype(np.uint32)
+    return (wide >> np.uint32(count) | wide << np.uint32(16 - count)).astype(np.uint16)
+
+
+def popcount(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """Number of ones."""
+    return _popcounts()[mask]
+
+
+def bits(mask: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """(..., 16): the samples of each mask, True where black."""
+    return (mask[..., None] >> np.arange(16, dtype=np.uint16) & np.uint16(1)).astype(np.bool_)
+
+
+def all_masks() -> NDArray[np.uint16]:
+    """The 65 536 ring masks in order."""
+    return np.arange(1 << 16).astype(np.uint16)
+
+
+@functools.cache
+def _popcounts() -> NDArray[np.uint8]:
+    return bits(all_masks()).sum(axis=1).astype(np.uint8)
+
+
+def runs(mask: NDArray[np.uint16]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The circular runs of N masks: (N, 16) run number of each sample, (N, 16) its colour.
+
+    Runs are numbered from 0 clockwise from the first sample that differs from the one
+    before it; in a constant mask every sample is in run 0.
+    """
+    black = bits(mask)
+    starts = black != np.roll(black, 1, axis=1)
+    count = np.maximum(starts.sum(axis=1, keepdims=True), 1)
+    return (np.cumsum(starts, axis=1) - 1) % count, black

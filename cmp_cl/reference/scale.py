@@ -1,0 +1,110 @@
+"""The working scale (section 3.2): an image resampled so that the sampler fits its cells.
+
+With the scale s, working pixel x' lies at x = (x' + .5) / s - .5 of the full image.
+"""
+
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.results import GreyImage
+
+ONE = 2048
+
+
+def working_length(length: int, scale: float) -> int:
+    """max(1, floor(length s + .5)), exactly."""
+    return max(1, int(Fraction(scale) * length + Fraction(1, 2)))
+
+
+def to_working(image: GreyImage, scale: float) -> GreyImage:
+    """The image at working size: floor((sum of wy wx I + 2^21) / 2^22), in its own dtype."""
+    if scale == 1:
+        return image
+    rows = _resample(image.astype(np.int64), scale)
+    both = _resample(rows.T, scale).T
+    return ((both + (1 << 21)) >> 22).astype(image.dtype)
+
+
+def _resample(values: NDArray[np.int64], scale: float) -> NDArray[np.int64]:
+    index, weight = weights(values.shape[0], scale)
+    result = np.zeros((len(index), values.shape[1]), np.int64)
+    for tap in range(index.shape[1]):
+        result += weight[:, tap, None] * values[index[:, tap]]
+    return result
+
+
+def weights(length: int, scale: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """What each working pixel of one axis is made of: (n, taps) input pixels and weights.
+
+    Per working pixel x' the weights are integers that sum to 2048. Input pixel i, in
+    ascending order, gets floor(2048 c_i + .5) - floor(2048 c_(i-1) + .5) where c_i is
+
+    s < 1: the share of the interval from x' / s to min(length, (x' + 1) / s) that lies
+        below i + 1, where pixel i covers i to i + 1;
+    s > 1: 1 - f for the pixel floor(x) and 1 for the next, with x = (x' + .5) / s - .5,
+        f = x - floor(x), and both pixel numbers clipped to the image.
+
+    All of it in rational numbers of the exact value of s. Unused taps have weight 0.
+    """
+    p, q = Fraction(scale).as_integer_ratio()
+    taps: list[list[tuple[int, int]]] = []
+    for k in range(working_length(length, scale)):
+        if scale < 1:
+            taps.append(_box(k * q, min(length * p, (k + 1) * q), p))
+        else:
+            floor, rest = divmod((2 * k + 1) * q - p, 2 * p)
+            below = _rounded_share(2 * p - rest, 2 * p)
+            pixels = (min(max(floor + step, 0), length - 1) for step in (0, 1))
+            taps.append(list(zip(pixels, (below, ONE - below), strict=True)))
+    most = max(len(tap) for tap in taps)
+    table = np.zeros((2, len(taps), most), np.int64)
+    for k, tap in enumerate(taps):
+        table[:, k, : len(tap)] = np.transpose(tap)
+    return table[0], table[1]
+
+
+def _box(low: int, high: int, unit: int) -> list[tuple[int, int]]:
+    """The pixels under the interval low..high, a pixel being `unit` wide, and their weights."""
+    taps = []
+    before = 0
+    for pixel in range(low // unit, -(-high // unit)):
+        up_to = _rounded_share(min((pixel + 1) * unit, high) - low, high - low)
+        taps.append((pixel, up_to - before))
+        before = up_to
+    return taps
+
+
+def _rounded_share(part: int, whole: int) -> int:
+    """floor(2048 part / whole + .5)."""
+    return (2 * ONE * part + whole) // (2 * whole)
+
+
+def to_full(position: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+    """Positions at working size as positions in the full image."""
+    return (position + 0.5) / scale - 0.5
+
+
+def nearest(position: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """(N, 2): the pixel (x, y) of an image that is nearest to each position (x, y)."""
+    height, width = shape
+    return np.clip(np.floor(position + 0.5), 0, [width - 1, height - 1]).astype(np.int64)
+
+
+def mask_at_working(mask: NDArray[np.bool_], scale: float) -> NDArray[np.bool_]:
+    """The mask at working size: its value at the full pixel nearest to each working pixel."""
+    if scale == 1:
+        return mask
+    rows, columns = (_nearest_along(length, scale) for length in mask.shape)
+    return mask[rows[:, None], columns]
+
+
+def _nearest_along(length: int, scale: float) -> NDArray[np.int64]:
+    position = to_full(np.arange(working_length(length, scale)).astype(np.float64), scale)
+    return np.clip(np.floor(position + 0.5), 0, length - 1).astype(np.int64)
+
+
+def best_factor(counts: dict[float, int], expected: int) -> float:
+    """The factor whose count is nearest to the expected one; among equals the larger."""
+    return min(counts, key=lambda factor: (abs(counts[factor] - expected), -factor))
