@@ -17,6 +17,10 @@ class CalibrationError(CmpClError, ValueError):
     """Camera parameters are missing, malformed or degenerate."""
 
 
+class FieldError(CmpClError, ValueError):
+    """Grids, points or fields do not fit together: other shapes, units or names."""
+
+
 class DeviceError(CmpClError, RuntimeError):
     """The OpenCL device that was asked for is not there or cannot be used."""
 

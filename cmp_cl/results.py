@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+from os import PathLike
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -29,6 +30,16 @@ class NodeStatus(enum.IntEnum):
     ATTACHED = 2  # a free detection near the place that its neighbours predict
     SECOND_LOOK = 3  # found by a second look at the image
     INTERPOLATED = 4
+
+
+class PointStatus(enum.IntEnum):
+    """Why a triangulated node is there or not."""
+
+    MISSING = 0  # a side has no position
+    VALID = 1
+    PARALLEL = 2  # the rays enclose too small an angle: no disparity, or along the baseline
+    BEHIND = 3  # behind a camera
+    INCONSISTENT = 4  # the two positions do not belong together, or the lens model ends there
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -138,19 +149,92 @@ class Grid:
 class Points3D:
     """Triangulated nodes, in the frame of the left camera.
 
-    xyz: (R, C, 3) float64, in `unit`, NaN where missing or flagged.
-    error: (R, C) float64, root mean square reprojection error over both views, px.
-    sigma: (R, C) float64, standard deviation along the most uncertain axis, in `unit`,
-        NaN where the corners' own is unknown.
-    valid: (R, C) bool.
+    xyz: (R, C, 3) float64, in `unit`, NaN unless the node is valid.
+    error: (R, C) float64, root mean square over both views of the distance between the
+        measured and the reprojected position, px; NaN where a side is missing. Nodes refused
+        for it keep it.
+    covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared: the corners' standard
+        deviations through the geometry, without the calibration's own error; NaN where
+        those are unknown.
+    status: (R, C) uint8 of `PointStatus`.
+    source: (R, C) uint8 of `NodeStatus`, of the two sides the less direct one.
     unit: name of the unit of length.
     """
 
     xyz: NDArray[np.float64]
     error: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-    valid: NDArray[np.bool_]
+    covariance: NDArray[np.float64]
+    status: NDArray[np.uint8]
+    source: NDArray[np.uint8]
     unit: str
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(R, C), where there is a position."""
+        return self.status == PointStatus.VALID
+
+    @property
+    def sigma(self) -> NDArray[np.float64]:
+        """(R, C) float64, standard deviation along the most uncertain axis, in `unit`."""
+        return largest_deviation(self.covariance)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class DisplacementField:
+    """Where each node was at rest, and how far it has moved.
+
+    position: (R, C, 3) float64, at rest, in `unit`, in the frame of the left camera; NaN
+        unless the node is valid.
+    displacement: (R, C, 3) float64, in `unit`, NaN unless the node is valid.
+    sigma: (R, C) float64, standard deviation of the displacement along its most uncertain
+        axis, in `unit`; NaN where unknown.
+    status: (R, C) uint8 of `PointStatus`, of now; of rest where that one is not valid.
+    source: (R, C) uint8 of `NodeStatus`, of the two moments the less direct one.
+    strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12 in the tangent plane of
+        the rest surface, axis 1 along the rows; NaN where too few neighbours are valid;
+        None where it was not asked for (`with_strain`).
+    unit: name of the unit of length.
+    """
+
+    position: NDArray[np.float64]
+    displacement: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    status: NDArray[np.uint8]
+    source: NDArray[np.uint8]
+    strain: NDArray[np.float64] | None
+    unit: str
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(R, C), where there is a displacement."""
+        return self.status == PointStatus.VALID
+
+    def with_strain(self, radius: int = 2) -> "DisplacementField":
+        """The same field with its in-plane strain, smoothed over 2 radius + 1 nodes a side.
+
+        See `cmp_cl.field.green_lagrange`. Raises ConfigError where radius is not 1 to 50.
+        """
+        from cmp_cl.field import green_lagrange
+
+        strain = green_lagrange(self.position, self.position + self.displacement, radius=radius)
+        return dataclasses.replace(self, strain=strain)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the field as .npz, .csv, .ply or .vtp, by suffix, whole or not at all.
+
+        Raises ConfigError on another suffix, OSError where the file cannot be written.
+        """
+        from cmp_cl.field import save
+
+        save(self, path)
+
+
+def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Square root of the largest eigenvalue: (..., 3, 3) -> (...), NaN stays NaN."""
+    known = np.isfinite(covariance).all(axis=(-2, -1))
+    deviation = np.full(known.shape, np.nan)
+    deviation[known] = np.sqrt(np.linalg.eigvalsh(covariance[known])[:, -1].clip(0))
+    return deviation
 
 
 def check_image(image: Any) -> GreyImage:
