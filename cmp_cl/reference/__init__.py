@@ -145,7 +145,7 @@ def _layer(
     """The maps of one binary image by their names, `response` after the gate."""
     inner = ring.ring_mask(binary, ring.INNER)
     outer = ring.ring_mask(binary, ring.OUTER[config.outer_radius])
-    layer = dict.fromkeys(_CRITERIA_MAPS)
+    layer: dict[str, Any] = dict.fromkeys(_CRITERIA_MAPS)
     if isinstance(config.criteria, RapidCriteria):
         layer |= vars(criteria.rapid(binary, inner, outer, config.criteria))
     else:
@@ -164,9 +164,8 @@ def _layer(
 
 def _emptied(found: Maps, shape: tuple[int, ...]) -> Maps:
     """The same maps of an image without pixels."""
-    return Maps(
-        **{
-            name: None if values is None else np.empty(values.shape[:-2] + shape, values.dtype)
-            for name, values in vars(found).items()
-        }
-    )
+    empty: dict[str, Any] = {
+        name: None if values is None else np.empty(values.shape[:-2] + shape, values.dtype)
+        for name, values in vars(found).items()
+    }
+    return Maps(**empty)

@@ -35,4 +35,5 @@ def window_sum(values: NDArray[np.int64], window: int) -> NDArray[np.int64]:
     padded = np.pad(values, window // 2, mode="edge")
     integral = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     rows = integral[window:] - integral[:-window]
-    return rows[:, window:] - rows[:, :-window]
+    total: NDArray[np.int64] = rows[:, window:] - rows[:, :-window]
+    return total

@@ -76,7 +76,8 @@ def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[n
     """
     n1 = ring.popcount(outer).astype(np.int64)
     region = ring.black_in_region(binary)
-    return np.maximum(n1 - region, region - n1 - 5).astype(np.int8)
+    cd: NDArray[np.int8] = np.maximum(n1 - region, region - n1 - 5).astype(np.int8)
+    return cd
 
 
 @functools.cache

@@ -10,8 +10,13 @@ def score(response: NDArray[np.int32]) -> NDArray[np.int32]:
     """S: the response convolved with the tent [1 2 3 2 1] x [1 2 3 2 1], 0 outside."""
     height, width = response.shape
     padded = np.pad(response, 2)
-    rows = sum(weight * padded[k : k + height] for k, weight in enumerate(TENT))
-    return sum(weight * rows[:, k : k + width] for k, weight in enumerate(TENT))
+    rows = np.zeros((height, width + 4), np.int32)
+    total = np.zeros((height, width), np.int32)
+    for k, weight in enumerate(TENT):
+        rows += weight * padded[k : k + height]
+    for k, weight in enumerate(TENT):
+        total += weight * rows[:, k : k + width]
+    return total
 
 
 def maxima(response: NDArray[np.int32], score: NDArray[np.int32], radius: int) -> NDArray[np.bool_]:
@@ -28,7 +33,8 @@ def maxima(response: NDArray[np.int32], score: NDArray[np.int32], radius: int) -
     window = range(2 * radius + 1)
     rows = np.max([padded[k : k + height] for k in window], axis=0)
     largest = np.max([rows[:, k : k + width] for k in window], axis=0)
-    return (response > 0) & (key == largest)
+    kept: NDArray[np.bool_] = (response > 0) & (key == largest)
+    return kept
 
 
 def centroids(

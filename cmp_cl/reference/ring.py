@@ -10,6 +10,8 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.results import GreyImage
+
 INNER = (
     (0, -3),
     (1, -3),
@@ -76,7 +78,7 @@ def ring_mask(
     padded = np.pad(binary, REACH, mode="edge").astype(np.uint16)
     mask = np.zeros(binary.shape, np.uint16)
     for bit, offset in enumerate(offsets):
-        mask |= _shifted(padded, offset) << np.uint16(bit)
+        mask |= padded[_window(binary.shape, offset)] << np.uint16(bit)
     return mask
 
 
@@ -85,18 +87,21 @@ def black_in_region(binary: NDArray[np.bool_]) -> NDArray[np.int64]:
     padded = np.pad(binary, REACH, mode="edge").astype(np.int64)
     count = np.zeros(binary.shape, np.int64)
     for offset in REGION:
-        count += _shifted(padded, offset)
+        count += padded[_window(binary.shape, offset)]
     return count
 
 
-def _shifted(padded: NDArray[np.generic], offset: tuple[int, int]) -> NDArray[np.generic]:
+def _window(shape: tuple[int, ...], offset: tuple[int, int]) -> tuple[slice, slice]:
+    """The part of an image padded by REACH that lies at an offset from the image."""
     dx, dy = offset
-    height, width = padded.shape[0] - 2 * REACH, padded.shape[1] - 2 * REACH
-    return padded[REACH + dy : REACH + dy + height, REACH + dx : REACH + dx + width]
+    return (
+        slice(REACH + dy, REACH + dy + shape[0]),
+        slice(REACH + dx, REACH + dx + shape[1]),
+    )
 
 
 def ring_greys(
-    image: NDArray[np.generic],
+    image: GreyImage,
     x: NDArray[np.int64],
     y: NDArray[np.int64],
     offsets: tuple[tuple[int, int], ...],
@@ -106,7 +111,8 @@ def ring_greys(
     height, width = image.shape
     rows = np.clip(y[:, None] + dy, 0, height - 1)
     columns = np.clip(x[:, None] + dx, 0, width - 1)
-    return image[rows, columns].astype(np.int64)
+    greys: NDArray[np.int64] = image[rows, columns].astype(np.int64)
+    return greys
 
 
 def rotate(mask: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
@@ -132,7 +138,8 @@ def all_masks() -> NDArray[np.uint16]:
 
 @functools.cache
 def _popcounts() -> NDArray[np.uint8]:
-    return bits(all_masks()).sum(axis=1).astype(np.uint8)
+    counts: NDArray[np.uint8] = bits(all_masks()).sum(axis=1).astype(np.uint8)
+    return counts
 
 
 def runs(mask: NDArray[np.uint16]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -24,7 +24,8 @@ def to_working(image: GreyImage, scale: float) -> GreyImage:
         return image
     rows = _resample(image.astype(np.int64), scale)
     both = _resample(rows.T, scale).T
-    return ((both + (1 << 21)) >> 22).astype(image.dtype)
+    rounded = (both + (1 << 21)) >> 22
+    return rounded.astype(np.uint8) if image.dtype == np.uint8 else rounded.astype(np.uint16)
 
 
 def _resample(values: NDArray[np.int64], scale: float) -> NDArray[np.int64]:
