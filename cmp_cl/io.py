@@ -22,6 +22,7 @@ IMAGE_SUFFIXES = frozenset(
     {".bmp", ".gif", ".jp2", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".pnm", ".ppm"}
     | {".tif", ".tiff", ".webp"}
 )
+SUFFIXES_OF_16_BITS = frozenset({".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff"})
 VIDEO_SUFFIXES = frozenset(
     {".avi", ".m4v", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm", ".wmv"}
 )
@@ -42,22 +43,24 @@ def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
     stays until then. Devices and pipes are written as they are. Raises OSError where the
     folder is missing or not writable.
     """
-    target = Path(os.path.realpath(path))
-    if target.is_dir():
+    if os.path.isdir(path):
         raise IsADirectoryError(f"{str(path)!r} is a folder, not a file")
-    if not target.parent.is_dir():
-        raise FileNotFoundError(f"there is no folder {str(target.parent)!r} to write to")
-    if target.exists() and not target.is_file():
+    if os.path.exists(path) and not os.path.isfile(path):
         with open(path, "wb") as file:
             yield file
         return
+    target = Path(os.path.realpath(path))
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"there is no folder {str(target.parent)!r} to write to")
     temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
     try:
         with open(temporary, "xb") as file:
             yield file
         os.replace(temporary, target)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename == str(temporary):
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
 
 
@@ -75,23 +78,22 @@ def write_text(path: str | PathLike[str], text: str) -> None:
 def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
     """Write an image in the format of the suffix, whole or not at all.
 
-    image: (H, W) or (H, W, 3) BGR. Raises ImageError for a suffix or pixels that cannot be
-    written, OSError where the folder is missing or not writable.
+    image: (H, W) or (H, W, 3) BGR. Raises ImageError for a suffix that is no image's or
+    holds no such pixels, OSError where the folder is missing or not writable.
     """
-    try:
-        written, data = cv2.imencode(Path(path).suffix, image)
-    except cv2.error as error:
-        raise ImageError(_cannot_write(path, image)) from error
+    known = IMAGE_SUFFIXES if image.dtype == np.uint8 else SUFFIXES_OF_16_BITS
+    written = Path(path).suffix.lower() in known
+    if written:
+        try:
+            written, data = cv2.imencode(Path(path).suffix, image)
+        except cv2.error:
+            written = False
     if not written:
-        raise ImageError(_cannot_write(path, image))
+        raise ImageError(
+            f"cannot write {image.dtype} pixels of shape {image.shape} to {str(path)!r}; "
+            "the suffix names the format, .png takes 8 and 16 bits"
+        )
     write_bytes(path, data.tobytes())
-
-
-def _cannot_write(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> str:
-    return (
-        f"cannot write {image.dtype} pixels of shape {image.shape} to {str(path)!r}; "
-        "the suffix names the format, .png takes every image"
-    )
 
 
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
@@ -125,14 +127,15 @@ def is_video(path: str | PathLike[str]) -> bool:
 def read_image(path: str | PathLike[str]) -> GreyImage:
     """An image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
-    Of a file with several pages it is the first. Raises OSError where the file cannot be
-    read, ImageError where it is no image of 8 or 16 bits.
+    Of a file with several pages it is the first. Raises ImageError where the file cannot be
+    read or is no image of 8 or 16 bits.
     """
     return read_pages(path)[0]
 
 
 def read_pages(path: str | PathLike[str]) -> list[GreyImage]:
     """The pages of an image file (a TIFF stack, say), each as `read_image` gives it."""
+    _check_readable(path)
     data = np.frombuffer(Path(path).read_bytes(), np.uint8)
     pages: Sequence[NDArray[Any]] = ()
     if data.size:
@@ -165,8 +168,8 @@ def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:
     """The frames of a video, or the pages of an image; colour becomes grey.
 
     A video ends before its stated number of frames where `LONGEST_GAP` of them in a row
-    cannot be read. Raises OSError where the file cannot be read, ImageError where it is
-    neither an image nor a video.
+    cannot be read. Raises ImageError where the file cannot be read or is neither an image
+    nor a video.
     """
     if not is_video(path):
         for index, page in enumerate(read_pages(path)):
@@ -195,8 +198,7 @@ def count_frames(path: str | PathLike[str]) -> int | None:
 
 @contextlib.contextmanager
 def _opened(path: str | PathLike[str]) -> Iterator[cv2.VideoCapture]:
-    with open(path, "rb"):
-        pass
+    _check_readable(path)
     # An absolute path is never taken for an address or for a pipeline of commands.
     capture = cv2.VideoCapture(os.path.abspath(path))
     try:
@@ -205,6 +207,14 @@ def _opened(path: str | PathLike[str]) -> Iterator[cv2.VideoCapture]:
         yield capture
     finally:
         capture.release()
+
+
+def _check_readable(path: str | PathLike[str]) -> None:
+    try:
+        with open(path, "rb"):
+            pass
+    except OSError as error:
+        raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
 
 
 def _grey(frame: NDArray[Any]) -> GreyImage:
@@ -225,10 +235,14 @@ def _csv(rows: Iterable[Iterable[object]]) -> bytes:
 
 
 class CornersCsv:
-    """Writes corners as CSV: a header with units, one row per corner."""
+    """Writes corners as CSV: a header with units, one row per corner.
+
+    rows: the number of corners written.
+    """
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
+        self.rows = 0
         file.write(_csv([CSV_COLUMNS]))
 
     def write(self, name: str, frame: int, corners: Corners) -> None:
@@ -242,3 +256,4 @@ class CornersCsv:
             for xy, pixel, response, method, sigma, edges, doubtful in zip(*arrays, strict=True)
         )
         self._file.write(_csv(rows))
+        self.rows += len(corners)

@@ -1,5 +1,7 @@
 """Pictures of the results."""
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +23,13 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     """The image with a mark on every corner, coloured by how it was refined, and a legend.
 
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR: the image enlarged by a
-    whole factor, pixels as blocks, until a cell is about 32 px or the picture 2400 px, and
-    the legend below it. A circle surrounds each corner and a dot stands on its position.
+    whole factor, pixels as blocks, until a cell is about 32 px and the longer side at least
+    1000 px, but at most 2400 px unless it came larger; the legend stands below it. A circle
+    surrounds each corner and a dot stands on its position.
     """
     cell = _spacing(corners.xy)
-    longest = max(image.shape)
-    factor = max(1, min(round(32 / cell), 2400 // max(longest, 1)))
+    longest = max(*image.shape, 1)
+    factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
     canvas = _enlarged(image, factor)
     radius = max(3.0, 0.3 * cell * factor)
     for xy, method in zip(corners.xy, corners.method, strict=True):
