@@ -321,7 +321,7 @@ class DetectorConfig:
             raise ConfigError(f"cannot read the configuration {str(path)!r}: {error}") from error
         try:
             return cls._from_dict(tomllib.loads(text))
-        except (tomllib.TOMLDecodeError, ConfigError) as error:
+        except (ValueError, RecursionError) as error:
             raise ConfigError(f"{path}: {error}") from error
 
     @classmethod
