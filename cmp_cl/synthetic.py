@@ -12,7 +12,7 @@ import dataclasses
 import enum
 import math
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from cmp_cl.errors import ConfigError
 from cmp_cl.results import GreyImage
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
+Image = NDArray[Any]  # float32 unless said otherwise
 Forward = Callable[[Array], Array]
 
 _DISTANCE = 45.0  # mm from the camera to the gel of a single view
@@ -221,7 +221,7 @@ def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
     focal = _FILL * min(shape) / 32.0 * _DISTANCE
     half = math.atan2(8.0, _DISTANCE)
     matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1.0]])
-    turn = cv2.Rodrigues(np.array([0.0, 2 * half, 0.0]))[0]
+    turn = _turn(0.0, 2 * half, 0.0)
     centre = np.array([0.0, 0.0, math.hypot(8.0, _DISTANCE)])
     return Cameras(
         K1=matrix,
@@ -320,8 +320,13 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
 
 def binocular_frame(left: Rendered, right: Rendered) -> GreyImage:
     """Both views beside each other, (H, 2 W): what a camera behind the mirrors delivers."""
-    frame: GreyImage = np.hstack([left.image, right.image])
+    frame: Image = np.concatenate([left.image, right.image], axis=1)
     return frame
+
+
+def _turn(x: float, y: float, z: float) -> Array:
+    """The rotation matrix of a rotation vector, rad."""
+    return np.asarray(cv2.Rodrigues(np.array([x, y, z]))[0], dtype=np.float64)
 
 
 def _between(turn: Array, shift: Array, distance: float) -> tuple[Array, Array]:
@@ -353,8 +358,8 @@ class _Pose(NamedTuple):
     @classmethod
     def of(cls, scene: Scene, axes: Array, centre: Array, focal: float) -> "_Pose":
         """The scene's own turn and shift within a frame that faces the camera."""
-        tilt = cv2.Rodrigues(np.array([scene.tilt[0], scene.tilt[1], 0.0]))[0]
-        turn = cv2.Rodrigues(np.array([0.0, 0.0, scene.rotation]))[0]
+        tilt = _turn(scene.tilt[0], scene.tilt[1], 0.0)
+        turn = _turn(0.0, 0.0, scene.rotation)
         shift = np.array([scene.position[0], scene.position[1], 0.0]) * centre[2] / focal
         return cls(axes @ tilt @ turn, centre + axes @ shift)
 
@@ -498,8 +503,8 @@ def _inverse(scene: Scene, forward: Forward) -> Array:
     """
     rows, columns = (-(-size // _STEP) * _STEP + 2 * _PAD for size in scene.shape)
     coarse = _pixels(rows // _STEP, columns // _STEP) * _STEP + (_STEP - 1) / 2 - _PAD
-    points = _newton(forward, coarse, _flat_start(scene, forward, coarse))
-    points = cv2.resize(points, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    points = _newton(forward, coarse, _flat_start(scene, forward, coarse), scene.side / 32)
+    points = _resized(points, rows, columns)
     pixels = _pixels(rows, columns) - _PAD
     for _ in range(6):
         residual = forward(points) - pixels
@@ -514,6 +519,11 @@ def _inverse(scene: Scene, forward: Forward) -> Array:
     )
 
 
+def _resized(image: Image, rows: int, columns: int) -> Image:
+    resized: Image = cv2.resize(image, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    return resized
+
+
 def _pixels(rows: int, columns: int) -> Array:
     x, y = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(rows, dtype=np.float64))
     return np.stack([x, y], axis=-1)
@@ -526,37 +536,46 @@ def _flat_start(scene: Scene, forward: Forward, pixels: Array) -> Array:
     plane = cv2.getPerspectiveTransform(
         forward(corners).astype(np.float32), corners.astype(np.float32)
     )
-    return cv2.perspectiveTransform(pixels.reshape(-1, 1, 2), plane).reshape(pixels.shape)
+    start: Image = cv2.perspectiveTransform(pixels.reshape(-1, 1, 2), plane)
+    return start.reshape(pixels.shape)
 
 
-def _newton(forward: Forward, pixels: Array, points: Array) -> Array:
-    step = 1e-5
-    for _ in range(12):
-        seen = forward(points)
-        residual = seen - pixels
+def _newton(forward: Forward, pixels: Array, points: Array, longest: float) -> Array:
+    """Material points that are seen at the pixels, from near ones, by steps up to longest."""
+    for _ in range(20):
+        residual = forward(points) - pixels
         if np.abs(residual).max() < 1e-6:
             break
-        by_u = (forward(points + [step, 0.0]) - seen) / step
-        by_v = (forward(points + [0.0, step]) - seen) / step
+        by_u, by_v = _slopes(forward, points, 1e-5)
         det = by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0]
         move_u = residual[..., 0] * by_v[..., 1] - residual[..., 1] * by_v[..., 0]
         move_v = residual[..., 1] * by_u[..., 0] - residual[..., 0] * by_u[..., 1]
-        points = points - np.stack([move_u, move_v], axis=-1) / det[..., None]
+        move = np.stack([move_u, move_v], axis=-1) / det[..., None]
+        points = points - move.clip(-longest, longest)
     return points
+
+
+def _slopes(map_: Forward, points: Array, step: float) -> tuple[Array, Array]:
+    """The derivatives of a map by u and by v at material points, over that step, mm."""
+    by_u, by_v = (
+        (map_(points + move) - map_(points - move)) / (2 * step)
+        for move in (np.array([step, 0.0]), np.array([0.0, step]))
+    )
+    return by_u, by_v
 
 
 def _picture(scene: Scene, points: Array, cell: float, view: int) -> GreyImage:
     """The grey image of a view from the material point at each (padded) pixel."""
     rows, columns = scene.shape
     reflectance = _reflectance(scene, _supersample(points, scene.shape), cell)
-    grey = cv2.resize(reflectance, (columns, rows), interpolation=cv2.INTER_AREA)
+    grey: Image = cv2.resize(reflectance, (columns, rows), interpolation=cv2.INTER_AREA)
     grey *= _light(scene, points[_PAD : _PAD + rows, _PAD : _PAD + columns])
     if scene.blur > 0:
         grey = cv2.GaussianBlur(grey, (0, 0), scene.blur, borderType=cv2.BORDER_REPLICATE)
     draw = np.random.default_rng([scene.seed, 2, view, round(scene.severity * 1e6)])
     grey += np.float32(scene.noise / 255) * draw.standard_normal(grey.shape, dtype=np.float32)
     full = 2**scene.bits - 1
-    levels = np.clip(np.rint(grey * full), 0, full)
+    levels: Image = np.rint(grey * full).clip(0, full)
     return levels.astype(np.uint8 if scene.bits == 8 else np.uint16)
 
 
@@ -574,10 +593,11 @@ def _supersample(points: Array, shape: tuple[int, int]) -> NDArray[np.float32]:
 
 def _cubic(shift: float) -> Array:
     """Five weights that move a signal by |shift| <= 1/2 sample, exact for quadratics."""
-    t = np.abs(np.arange(-2, 3) - shift)
+    t = np.abs(np.arange(-2.0, 3.0) - shift)
     near = 1.5 * t**3 - 2.5 * t**2 + 1
     far = -0.5 * t**3 + 2.5 * t**2 - 4 * t + 2
-    return np.where(t <= 1, near, np.where(t < 2, far, 0.0))
+    weights: Array = np.select([t <= 1, t < 2], [near, far])
+    return weights
 
 
 def _reflectance(scene: Scene, points: Image, cell: float) -> Image:
@@ -604,7 +624,8 @@ def _to_edge(scene: Scene, x: Image) -> Image:
 
 def _covered(distance: Image) -> Image:
     """The share of a sample inside an edge at that signed distance, px."""
-    return np.clip(distance * _SAMPLES + np.float32(0.5), 0, 1)
+    covered: Image = distance * _SAMPLES + np.float32(0.5)
+    return covered.clip(0, 1)
 
 
 def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
@@ -620,10 +641,10 @@ def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
     cell = _TEXTURE / (scene.markers + 1)
     texel = scene.side / _TEXTURE
     strain, area = _strain(scene)
-    worn = scene.corrosion * (0.12 + 1.0 * strain)
+    worn = scene.corrosion * (0.1 + 2.2 * strain**2 / ((0.15 + strain) * (1 + strain)))
     ragged = np.stack([_grain(draw, 3.0) for _ in range(2)], axis=-1)
     torn = np.stack([_grain(draw, 0.5 * cell) for _ in range(2)], axis=-1)
-    warp = worn[..., None] * (0.35 * ragged + 0.35 * torn)
+    warp = worn[..., None] * 0.5 * ragged + (0.2 * scene.corrosion + 0.4 * worn)[..., None] * torn
     growth = scene.corrosion * area + worn * (
         1.0 * _grain(draw, 0.45 * cell) + 0.5 * _grain(draw, 3.0)
     )
@@ -631,17 +652,17 @@ def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
     smear = 1 + worn * np.abs(_grain(draw, 0.5 * cell))
     place = points / np.float32(texel) + np.float32(_TEXTURE / 2 - 0.5)
     fields = np.dstack([warp, growth, smear]).astype(np.float32)
-    seen = cv2.remap(
-        fields, place, None, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
+    x, y = cv2.split(place)
+    seen = cv2.remap(fields, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return seen[..., :2], seen[..., 2], seen[..., 3]
 
 
 def _grain(draw: np.random.Generator, size: float) -> Image:
     """Smooth noise over the material, of unit deviation and that correlation, texels."""
-    noise = draw.standard_normal((_TEXTURE, _TEXTURE), dtype=np.float32)
+    noise: Image = draw.standard_normal((_TEXTURE, _TEXTURE), dtype=np.float32)
     noise = cv2.GaussianBlur(noise, (0, 0), size / 2, borderType=cv2.BORDER_REFLECT_101)
-    return noise / noise.std()
+    noise /= noise.std()
+    return noise
 
 
 def _strain(scene: Scene) -> tuple[Image, Image]:
@@ -649,20 +670,13 @@ def _strain(scene: Scene) -> tuple[Image, Image]:
     coarse = _TEXTURE // 8
     texel = 8 * scene.side / _TEXTURE
     points = (_pixels(coarse, coarse) - (coarse - 1) / 2) * texel
-    step = 1e-4 * scene.side
-    centre = _surface(scene, points)
-    by_u = (_surface(scene, points + [step, 0.0]) - centre) / step
-    by_v = (_surface(scene, points + [0.0, step]) - centre) / step
-    green = [(a * b).sum(axis=-1) for a, b in ((by_u, by_u), (by_u, by_v), (by_v, by_v))]
-    half = (green[0] + green[2]) / 2
-    radius = np.hypot((green[0] - green[2]) / 2, green[1])
-    stretches = np.sqrt(np.maximum(half + radius, 0)), np.sqrt(np.maximum(half - radius, 0))
-    size = np.hypot(stretches[0] - 1, stretches[1] - 1)
-    area = stretches[0] * stretches[1] - 1
-    return tuple(
-        cv2.resize(field.astype(np.float32), (_TEXTURE, _TEXTURE), interpolation=cv2.INTER_LINEAR)
-        for field in (size, area)
-    )
+    by_u, by_v = _slopes(lambda at: _surface(scene, at), points, 1e-4 * scene.side)
+    stretches = np.linalg.svd(np.stack([by_u, by_v], axis=-1), compute_uv=False)
+    size = np.hypot(stretches[..., 0] - 1, stretches[..., 1] - 1)
+    area = stretches[..., 0] * stretches[..., 1] - 1
+    fields = np.stack([size, area], axis=-1).astype(np.float32)
+    fields = _resized(fields, _TEXTURE, _TEXTURE)
+    return fields[..., 0], fields[..., 1]
 
 
 def _light(scene: Scene, points: Array) -> Image:
@@ -672,7 +686,7 @@ def _light(scene: Scene, points: Array) -> Image:
     angle = draw.uniform(-math.pi, math.pi)
     x, y = math.cos(angle), math.sin(angle)
     few = points[::4, ::4]
-    height = -_surface(scene, few)[..., 2]
+    height: Image = -_surface(scene, few)[..., 2]
     pixel = scene.side / (_FILL * min(scene.shape)) * 4
     by_y, by_x = np.gradient(height, pixel)
     across, down = (
@@ -684,4 +698,4 @@ def _light(scene: Scene, points: Array) -> Image:
     reach = (across**2 + down**2) / (rows**2 + columns**2) * max(rows, columns) ** 2
     fall = 1 / (1 + (scene.vignetting - 1) * reach)
     light = (scene.exposure * uneven * shading * fall).astype(np.float32)
-    return cv2.resize(light, (columns, rows), interpolation=cv2.INTER_LINEAR)
+    return _resized(light, rows, columns)
