@@ -31,7 +31,7 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     longest = max(*image.shape, 1)
     factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
     canvas = _enlarged(image, factor)
-    radius = max(3.0, 0.3 * cell * factor)
+    radius = min(max(3.0, 0.3 * cell * factor), 24.0)
     for xy, method in zip(corners.xy, corners.method, strict=True):
         centre = (np.asarray(xy, np.float64) + 0.5) * factor - 0.5
         colour = METHOD_COLOURS[Method(method)]

@@ -1,0 +1,220 @@
+"""DetectorConfig: every bound, its message, TOML in and out, the presets."""
+
+import dataclasses
+import math
+
+import pytest
+
+from cmp_cl.config import (
+    AdaptiveMean,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Fit,
+    Midlines,
+    Pyramid,
+    RapidCriteria,
+    SectorContrast,
+    SpectralCriteria,
+    window_for_cell,
+)
+from cmp_cl.errors import CmpClError, ConfigError
+
+# part, field, the least and the greatest value allowed, a step beyond them
+BOUNDS = [
+    (AdaptiveMean, "window", 3, 255, 2),
+    (AdaptiveMean, "offset", 0, 65535, 1),
+    (RapidCriteria, "sector_threshold", 1, 16, 1),
+    (RapidCriteria, "ring_threshold", 1, 17, 1),
+    (RapidCriteria, "corrosion_threshold", -4, 17, 1),
+    (SpectralCriteria, "correlation", 0, 1, 1e-3),
+    (SpectralCriteria, "phase", 0, math.pi, 1e-3),
+    (SpectralCriteria, "corrosion_threshold", -4, 17, 1),
+    (SectorContrast, "minimum", 0, 255, 1e-3),
+    (SectorContrast, "relative", 0, 1, 1e-3),
+    (SectorContrast, "noise", 0, 100, 1e-3),
+    (EdgeLines, "max_shift", 0, 5, 1e-3),
+    (EdgeStep, "cell", 4, 1000, 1e-3),
+    (EdgeStep, "sigma0", 0, 5, 1e-3),
+    (Midlines, "max_shift", 0, 5, 1e-3),
+    (DetectorConfig, "nms_radius", 1, 15, 1),
+    (DetectorConfig, "scale", 0.05, 4, 1e-3),
+    (DetectorConfig, "full_scale", 1, 65535, 1),
+    (DetectorConfig, "max_corners", 1, 2**26, 1),
+]
+NAMES = [f"{part.__name__}.{field}" for part, field, *_ in BOUNDS]
+
+
+@pytest.mark.parametrize(("part", "field", "low", "high", "step"), BOUNDS, ids=NAMES)
+def test_bounds_are_allowed_and_a_step_beyond_is_not(part, field, low, high, step):
+    for value in (low, high):
+        assert getattr(part(**{field: value}), field) == value
+    for value in (low - step, high + step):
+        with pytest.raises(ConfigError) as caught:
+            part(**{field: value})
+        message = str(caught.value)
+        assert f"{part.__name__}.{field}" in message
+        assert f"[{low:g}, {high:g}]" in message
+        assert repr(value) in message
+
+
+@pytest.mark.parametrize(("part", "field", "low", "high", "step"), BOUNDS, ids=NAMES)
+@pytest.mark.parametrize("value", ["5", True, math.nan, [5], 5j])
+def test_a_value_that_is_no_number_is_refused(part, field, low, high, step, value):
+    with pytest.raises(ConfigError, match=rf"{part.__name__}\.{field} must be"):
+        part(**{field: value})
+
+
+@pytest.mark.parametrize(
+    ("part", "field"),
+    [(part, field) for part, field, low, _, step in BOUNDS if step in (1, 2)],
+)
+def test_a_fraction_is_refused_where_an_integer_is_needed(part, field):
+    with pytest.raises(ConfigError, match=r"must be an (odd )?integer in .* not 5\.0 \(float\)"):
+        part(**{field: 5.0})
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: AdaptiveMean(window=20), "AdaptiveMean.window must be an odd integer in [3, 255]"),
+        (lambda: AdaptiveMean(masks=2), "AdaptiveMean.masks must be 1 or 3, not 2"),
+        (lambda: AdaptiveMean(masks=True), "AdaptiveMean.masks must be 1 or 3, not True"),
+        (lambda: AdaptiveMean(masks=3, offset=1), "AdaptiveMean.offset must be 0 with masks=3"),
+        (lambda: Midlines(fit="linear"), "Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC"),
+        (lambda: Pyramid(factors=(), expected=1), "Pyramid.factors must be a tuple of at least"),
+        (lambda: Pyramid(factors=[1.0], expected=1), "Pyramid.factors must be a tuple"),
+        (lambda: Pyramid(factors=(0.01,), expected=1), "Pyramid.factors must be a number in"),
+        (lambda: Pyramid(factors=(1.0,), expected=0), "Pyramid.expected must be an integer in"),
+        (lambda: DetectorConfig(outer_radius=3), "DetectorConfig.outer_radius must be 4 or 5"),
+        (lambda: DetectorConfig(threshold=None), "DetectorConfig.threshold must be AdaptiveMean"),
+        (
+            lambda: DetectorConfig(criteria=None),
+            "DetectorConfig.criteria must be RapidCriteria or SpectralCriteria, not None",
+        ),
+        (
+            lambda: DetectorConfig(contrast=20),
+            "DetectorConfig.contrast must be SectorContrast or None, not 20",
+        ),
+        (
+            lambda: DetectorConfig(refinement="edge_lines"),
+            "DetectorConfig.refinement must be EdgeLines or EdgeStep or Midlines or None",
+        ),
+        (lambda: DetectorConfig().replace(window=21), "DetectorConfig has no field 'window'"),
+        (lambda: DetectorConfig.for_grid(25), "20, 30 or 40 markers a side, not 25"),
+        (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),
+        (lambda: DetectorConfig.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),
+    ],
+)
+def test_messages_name_field_value_and_what_is_allowed(make, message):
+    with pytest.raises(ConfigError) as caught:
+        make()
+    assert message in str(caught.value)
+
+
+def test_a_config_error_is_a_value_error_of_this_library():
+    assert issubclass(ConfigError, ValueError)
+    assert issubclass(ConfigError, CmpClError)
+
+
+def test_a_configuration_is_frozen_keyword_only_and_hashable():
+    config = DetectorConfig()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        config.nms_radius = 4
+    with pytest.raises(TypeError):
+        DetectorConfig(AdaptiveMean())
+    assert hash(config) == hash(DetectorConfig())
+
+
+CONFIGS = {
+    "defaults": DetectorConfig(),
+    "parts_left_out": DetectorConfig(
+        contrast=None, refinement=None, criteria=RapidCriteria(corrosion_threshold=None)
+    ),
+    "spectral": DetectorConfig(
+        criteria=SpectralCriteria(correlation=0.7, phase=0.25), refinement=EdgeStep(cell=17.5)
+    ),
+    "pyramid": DetectorConfig(
+        threshold=AdaptiveMean(window=31, masks=3),
+        scale=Pyramid(factors=(1.0, 0.5, 1 / 3), expected=1600),
+        refinement=Midlines(fit=Fit.QUADRATIC, max_shift=1.5),
+        full_scale=4095,
+    ),
+    "scale": DetectorConfig.for_cell(34),
+    "paper": DetectorConfig.paper(20),
+}
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS.keys())
+def test_toml_brings_back_the_same_configuration(config, tmp_path):
+    config.save(tmp_path / "cmp.toml")
+    assert DetectorConfig.load(tmp_path / "cmp.toml") == config
+
+
+def test_keys_left_out_of_toml_keep_their_defaults(tmp_path):
+    (tmp_path / "cmp.toml").write_text("[threshold]\nwindow = 31\n")
+    expected = DetectorConfig(threshold=AdaptiveMean(window=31))
+    assert DetectorConfig.load(tmp_path / "cmp.toml") == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("windoww = 3", "unknown key 'windoww' for DetectorConfig; known: threshold, "),
+        ("[threshold]\nmask = 3", "unknown key 'mask' for AdaptiveMean; known: window, offset"),
+        ("[threshold]\nwindow = 20", "AdaptiveMean.window must be an odd integer"),
+        ("threshold = 21", "threshold must be a table or false, not 21"),
+        ("threshold = false", "DetectorConfig.threshold must be AdaptiveMean, not None"),
+        ("[criteria]\nring_threshold = 5", "criteria must be a table whose key kind is one of"),
+        ("[criteria]\nkind = 'fast'", "kind is one of ['rapid', 'spectral']"),
+        ("[refinement]\nkind = 'edge_lines'\nfit = 'linear'", "unknown key 'fit' for EdgeLines"),
+        ("[refinement]\nkind = 'midlines'\nfit = 'cubic'", "one of ['linear', 'quadratic']"),
+        ("[scale]\nfactors = [1.0]", "expected"),
+        ("[scale]\nfactors = 1.0\nexpected = 9", "Pyramid.factors must be a tuple"),
+        ("nms_radius = nan", "DetectorConfig.nms_radius must be an integer in [1, 15]"),
+        ("nms_radius = ", "Invalid value"),
+        ("nms_radius = 3\nnms_radius = 4", "Cannot overwrite a value"),
+        ("nms_radius = " + "9" * 5000, "4300 digits"),
+        ("x = " + "[" * 100_000, "recursion"),
+    ],
+    ids=lambda value: str(value)[:32],
+)
+def test_a_file_that_is_no_configuration_is_refused_with_its_name(text, message, tmp_path):
+    (tmp_path / "bad.toml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        DetectorConfig.load(tmp_path / "bad.toml")
+    assert message in str(caught.value)
+    assert "bad.toml" in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_a_config_error(tmp_path):
+    (tmp_path / "noise.toml").write_bytes(b"\xff\xfe\x00")
+    for name in ("missing.toml", "noise.toml", "."):
+        with pytest.raises(ConfigError, match="cannot read the configuration"):
+            DetectorConfig.load(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("cell", "window"), [(4, 9), (7, 9), (10, 13), (12, 15), (15, 19), (16, 21), (300, 255)]
+)
+def test_the_window_is_odd_and_about_1_3_cells(cell, window):
+    assert window_for_cell(cell) == window
+
+
+def test_small_cells_get_the_small_ring_and_large_ones_a_scale():
+    small, middle, large = (DetectorConfig.for_cell(cell) for cell in (11.9, 12, 30))
+    assert (small.outer_radius, small.scale) == (4, None)
+    assert (middle.outer_radius, middle.scale) == (5, None)
+    assert (large.outer_radius, large.scale) == (5, 0.5)
+    assert DetectorConfig.for_cell(16).scale is None
+    assert large.threshold.window == window_for_cell(15)
+
+
+@pytest.mark.parametrize(("markers", "window"), [(20, 41), (30, 31), (40, 21)])
+def test_the_presets_hold_the_windows_of_table_2(markers, window):
+    ours, paper = DetectorConfig.for_grid(markers), DetectorConfig.paper(markers)
+    assert ours == DetectorConfig(threshold=AdaptiveMean(window=window))
+    assert paper.threshold == AdaptiveMean(window=window)
+    assert paper.criteria == RapidCriteria(corrosion_threshold=4)
+    assert paper.contrast is None
+    assert paper.refinement == Midlines(fit=Fit.LINEAR)

@@ -1,0 +1,207 @@
+"""Files: written whole or not at all; images and videos read as grey; CSV with units."""
+
+import csv
+import os
+import stat
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_cl import io
+from cmp_cl.errors import ImageError
+from cmp_cl.results import Corners, Method
+
+NOISE = np.random.default_rng(1).integers(0, 256, (48, 64), dtype=np.uint8)
+
+
+def corners_at(xy):
+    xy = np.asarray(xy, np.float32).reshape(-1, 2)
+    count = len(xy)
+    return Corners(
+        xy=xy,
+        pixel=np.rint(xy).astype(np.int32),
+        response=np.full(count, 4, np.float32),
+        method=np.full(count, Method.EDGE_LINES, np.uint8),
+        sigma=np.full(count, np.nan, np.float32),
+        edges=np.tile(np.float32([0, 1.5, 3, -1.5]), (count, 1)),
+        doubtful=np.zeros(count, bool),
+        device="none",
+    )
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
+    target = tmp_path / "corners.csv"
+    io.write_text(target, "old")
+
+    def write_half():
+        with io.whole_file(target) as file:
+            file.write(b"half")
+            file.flush()
+            assert target.read_text() == "old"
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_half()
+    assert target.read_text() == "old"
+    assert os.listdir(tmp_path) == ["corners.csv"]
+
+
+def test_text_is_written_as_utf_8_with_its_own_line_ends(tmp_path):
+    io.write_text(tmp_path / "text", "müde\nLeute\r\n")
+    assert (tmp_path / "text").read_bytes() == b"m\xc3\xbcde\nLeute\r\n"
+
+
+def test_a_new_file_has_the_permissions_of_any_other(tmp_path):
+    io.write_bytes(tmp_path / "ours", b"")
+    (tmp_path / "any").write_bytes(b"")
+    modes = {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ours", "any")}
+    assert len(modes) == 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_a_link_stays_a_link_and_its_target_is_written(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    io.write_text(tmp_path / "link", "here")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "target").read_text() == "here"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no device files on Windows")
+def test_a_device_is_written_and_not_replaced():
+    io.write_text(os.devnull, "nothing")
+    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+
+
+def test_a_missing_folder_and_a_folder_as_a_file_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"there is no folder .*missing"):
+        io.write_text(tmp_path / "missing" / "file", "")
+    with pytest.raises(IsADirectoryError, match="is a folder, not a file"):
+        io.write_text(tmp_path, "")
+
+
+def test_grey_comes_back_as_it_was_written(tmp_path):
+    deep = NOISE.astype(np.uint16) * 16
+    for suffix in (".png", ".tif", ".pgm"):
+        for image in (NOISE, deep):
+            io.write_image(tmp_path / f"a{suffix}", image)
+            read = io.read_image(tmp_path / f"a{suffix}")
+            assert read.dtype == image.dtype
+            np.testing.assert_array_equal(read, image)
+
+
+def test_colour_is_read_as_opencv_reads_it_grey(tmp_path):
+    colour = np.dstack([NOISE, NOISE[::-1], NOISE[:, ::-1]])
+    alpha = np.dstack([colour, NOISE])
+    for name, image in (("c.png", colour), ("c.jpg", colour), ("a.png", alpha)):
+        path = tmp_path / name
+        io.write_image(path, image)
+        read = io.read_image(path)
+        assert read.shape == NOISE.shape
+        np.testing.assert_array_equal(read, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.bmp", "a.xyz", "a"])
+def test_16_bits_are_refused_by_formats_that_would_cut_them(name, tmp_path):
+    with pytest.raises(ImageError, match="cannot write uint16 pixels"):
+        io.write_image(tmp_path / name, NOISE.astype(np.uint16))
+    assert os.listdir(tmp_path) == []
+
+
+def test_what_is_no_image_is_an_image_error_with_its_name(tmp_path):
+    (tmp_path / "text.png").write_text("hello")
+    (tmp_path / "empty.png").write_bytes(b"")
+    io.write_image(tmp_path / "whole.png", NOISE)
+    (tmp_path / "cut.png").write_bytes((tmp_path / "whole.png").read_bytes()[:60])
+    for name in ("text.png", "empty.png", "cut.png"):
+        with pytest.raises(ImageError, match=f"{name}' is no image"):
+            io.read_image(tmp_path / name)
+    with pytest.raises(ImageError, match=r"cannot read .*missing.png"):
+        io.read_image(tmp_path / "missing.png")
+
+
+def test_pixels_of_another_type_are_refused(tmp_path):
+    cv2.imwrite(str(tmp_path / "f.tif"), NOISE.astype(np.float32))
+    with pytest.raises(ImageError, match="holds float32 pixels, expected 8 or 16 bits"):
+        io.read_image(tmp_path / "f.tif")
+
+
+def test_every_page_of_a_stack_is_a_frame(tmp_path):
+    pages = [NOISE, NOISE[::-1].copy(), NOISE[:, ::-1].copy()]
+    assert cv2.imwritemulti(str(tmp_path / "stack.tif"), pages)
+    frames = list(io.read_frames(tmp_path / "stack.tif"))
+    assert [frame.index for frame in frames] == [0, 1, 2]
+    for frame, page in zip(frames, pages, strict=True):
+        np.testing.assert_array_equal(frame.image, page)
+
+
+def write_video(path, frames=8, code="FFV1"):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 25, (64, 48))
+    for index in range(frames):
+        writer.write(np.full((48, 64, 3), 6 * index, np.uint8))
+    writer.release()
+
+
+def test_a_video_gives_its_frames_in_order_as_grey(tmp_path):
+    write_video(tmp_path / "press.avi")
+    frames = list(io.read_frames(tmp_path / "press.avi"))
+    assert io.count_frames(tmp_path / "press.avi") == len(frames) == 8
+    for index, frame in enumerate(frames):
+        assert frame.index == index
+        assert frame.image.shape == (48, 64)
+        assert abs(int(frame.image[0, 0]) - 6 * index) <= 1
+
+
+def test_a_video_cut_off_gives_what_is_left_and_marks_the_rest(tmp_path):
+    write_video(tmp_path / "press.avi", frames=40, code="MJPG")
+    whole = (tmp_path / "press.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(whole[: len(whole) // 2])
+    frames = list(io.read_frames(tmp_path / "cut.avi"))
+    broken = [frame.index for frame in frames if frame.image is None]
+    assert [frame.index for frame in frames] == list(range(40))
+    assert 1 < len(broken) < 39
+    assert broken == list(range(broken[0], 40))
+
+
+def test_a_video_that_is_none_is_an_image_error(tmp_path):
+    (tmp_path / "text.mp4").write_text("hello")
+    for name in ("text.mp4", "missing.mp4"):
+        with pytest.raises(ImageError, match=name):
+            next(io.read_frames(tmp_path / name))
+
+
+def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
+    for name in ("b.png", "a.JPG", "c.avi", "notes.txt", "d.csv"):
+        (tmp_path / name).touch()
+    (tmp_path / "e.png").mkdir()
+    found = io.find_inputs([tmp_path, tmp_path / "notes.txt"])
+    assert [path.name for path in found] == ["a.JPG", "b.png", "c.avi", "notes.txt"]
+    with pytest.raises(FileNotFoundError, match="no image and no video in the folder"):
+        io.find_inputs([tmp_path / "e.png"])
+    with pytest.raises(FileNotFoundError, match="there is no file"):
+        io.find_inputs([tmp_path / "missing.png"])
+
+
+def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
+    corners = corners_at([[1.1, 2.2], [63.000004, 47]])
+    name = 'a "b",\nc.png'
+    with io.whole_file(tmp_path / "c.csv") as file:
+        table = io.CornersCsv(file)
+        table.write(name, 3, corners)
+        assert table.rows == 2
+    with open(tmp_path / "c.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0])[:6] == ["image", "frame", "x_px", "y_px", "pixel_x_px", "pixel_y_px"]
+    assert list(rows[0])[6:9] == ["response", "method", "sigma_px"]
+    assert list(rows[0])[9:] == [f"edge{i}_rad" for i in range(4)] + ["doubtful"]
+    for row, xy, pixel in zip(rows, corners.xy, corners.pixel, strict=True):
+        assert (row["image"], row["frame"], row["method"]) == (name, "3", "EDGE_LINES")
+        assert (np.float32(row["x_px"]), np.float32(row["y_px"])) == tuple(xy)
+        assert (int(row["pixel_x_px"]), int(row["pixel_y_px"])) == tuple(pixel)
+        assert np.isnan(float(row["sigma_px"]))
+
+
+def test_a_name_that_is_no_text_does_not_stop_the_csv(tmp_path):
+    with io.whole_file(tmp_path / "c.csv") as file:
+        io.CornersCsv(file).write(os.fsdecode(b"\xff.png"), 0, corners_at([[1, 2]]))
+    assert (tmp_path / "c.csv").read_text(encoding="utf-8").count("\n") == 2
