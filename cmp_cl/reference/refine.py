@@ -399,7 +399,7 @@ def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats
             u = [u[0] + _cross(gap, tangent[1]) / cross, u[1] + _cross(gap, tangent[0]) / cross]
             least_sin = np.minimum(least_sin, np.abs(cross) / _norm(tangent[0]) / _norm(tangent[1]))
         position = _on_curve(first, along[0], across[0], curves[0], u[0])
-    accepted: Bools = np.isfinite(position).all(axis=1)
+    accepted = np.isfinite(position.sum(axis=1))
     margin = np.where(accepted, least_sin, 0.0)
     return Meeting(
         position=np.where(accepted[:, None], position, 0), accepted=accepted, margin=margin

@@ -1,0 +1,52 @@
+"""Images of black and white corners whose place is known, for tests."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+OVERSAMPLING = 8
+
+
+def corner(
+    x: float, y: float, angle: float, *, opening: float = math.pi / 2, blur: float = 0.7
+) -> NDArray[np.uint8]:
+    """(41, 41): two lines through (x, y) at angle and angle + opening, grey 40 and 200."""
+    u = (np.arange(41 * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5
+    sides = [
+        (u[:, None] - y) * math.cos(a) - (u[None] - x) * math.sin(a)
+        for a in (angle, angle + opening)
+    ]
+    return _pixels(np.where(sides[0] * sides[1] > 0, 40.0, 200.0), blur)
+
+
+def board(
+    rows: int, columns: int, cell: float, *, angle: float = 0.1, blur: float = 0.7
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """A turned checkerboard over a whole image and (N, 2) its corners 6 px inside or more."""
+    height, width = rows, columns
+    x, y = ((np.arange(n * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 for n in (width, height))
+    cos, sin = math.cos(angle) / cell, math.sin(angle) / cell
+    u = cos * x[None] + sin * y[:, None] + 0.37
+    v = cos * y[:, None] - sin * x[None] + 0.21
+    grey = np.where((np.floor(u) + np.floor(v)) % 2 == 0, 40.0, 200.0)
+    most = int((height + width) / cell) + 2
+    i, j = np.meshgrid(np.arange(-most, most), np.arange(-most, most))
+    i, j = i.ravel() - 0.37, j.ravel() - 0.21
+    scale = cell * cell
+    place = np.stack([(cos * i - sin * j) * scale, (sin * i + cos * j) * scale], axis=1)
+    inside = ((place >= 6) & (place <= np.array([width, height]) - 7)).all(axis=1)
+    return _pixels(grey, blur), place[inside]
+
+
+def _pixels(fine: NDArray[np.float64], blur: float) -> NDArray[np.uint8]:
+    fine = cv2.GaussianBlur(fine, (0, 0), blur * OVERSAMPLING, borderType=cv2.BORDER_REPLICATE)
+    height, width = (n // OVERSAMPLING for n in fine.shape)
+    grey = fine.reshape(height, OVERSAMPLING, width, OVERSAMPLING).mean(axis=(1, 3))
+    return np.rint(grey).astype(np.uint8)
+
+
+def noise(shape: tuple[int, int], seed: int = 0) -> NDArray[np.uint8]:
+    """Uniform noise over all grey levels."""
+    return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)

@@ -1,0 +1,117 @@
+"""The contrast gate of the oracle on sectors drawn by hand."""
+
+import numpy as np
+import pytest
+from corner_images import board, corner, noise
+
+from cmp_cl import reference
+from cmp_cl.config import DetectorConfig, SectorContrast
+from cmp_cl.reference import gate, ring
+
+X = np.array([10])
+Y = np.array([10])
+INNER = np.array([0x0F0F], np.uint16)  # samples 0 to 3 and 8 to 11 are black
+
+
+def painted(inner: list[int], outer: list[int]) -> np.ndarray:
+    image = np.full((21, 21), 90, np.uint8)
+    for grey, (dx, dy) in zip(inner, ring.INNER, strict=True):
+        image[10 + dy, 10 + dx] = grey
+    for grey, (dx, dy) in zip(outer, ring.OUTER_5, strict=True):
+        image[10 + dy, 10 + dx] = grey
+    return image
+
+
+def test_contrasts_by_hand():
+    inner = [10, 20, 30, 40, 210, 220, 230, 240, 50, 60, 70, 80, 200, 190, 180, 170]
+    outer = [0, 5, 10, 15, 250, 240, 230, 220, 20, 25, 30, 35, 150, 160, 170, 180]
+    sc1, sc2, sm = gate.sector_contrast(painted(inner, outer), X, Y, INNER, 5)
+    # Inner: the largest of each white run 240 and 200, the smallest of each black 10 and 50.
+    assert sc1[0] == 200 - 50
+    assert sc2[0] == 180 - 20
+    # Sums of both rings: white 1840 and 1400, black 130 and 370, each of length 4.
+    assert sm[0] == 8 * 1400 // 4 - 8 * 370 // 4
+
+
+def test_means_are_rounded_down_per_run():
+    inner = np.array([0x1F07], np.uint16)  # runs of 3 black, 5 white, 5 black, 3 white
+    greys = [1, 1, 1, 7, 7, 7, 7, 7, 2, 2, 2, 2, 3, 7, 7, 8]
+    sm = gate.sector_contrast(painted(greys, greys), X, Y, inner, 5)[2]
+    white = min(8 * 70 // 5, 8 * 44 // 3)
+    black = max(8 * 6 // 3, 8 * 22 // 5)
+    assert sm[0] == white - black == 112 - 35
+
+
+def test_the_bound_takes_rank_9n_plus_9_div_10():
+    contrast = SectorContrast(minimum=0, relative=1)
+    for n, rank in [(1, 1), (2, 2), (9, 9), (10, 9), (11, 10), (20, 18), (100, 90)]:
+        values = np.random.default_rng(n).permutation(np.arange(1, n + 1))
+        assert gate.contrast_bound(values, contrast, 255) == rank
+
+
+def test_the_bound_rounds_up():
+    values = np.array([101])
+    assert gate.contrast_bound(values, SectorContrast(minimum=0), 255) == 21
+    assert gate.contrast_bound(np.array([100]), SectorContrast(minimum=0), 255) == 20
+    assert gate.contrast_bound(values, SectorContrast(minimum=20), 4095) == 322
+    assert gate.contrast_bound(values[:0], SectorContrast(minimum=20.5), 255) == 21
+
+
+def test_noise_amplitude():
+    image = np.zeros((5, 6), np.uint8)
+    image[2, 2] = 9
+    # One pixel answers as 4, four neighbours 2, four diagonals 1, all inside.
+    assert gate.noise_amplitude(image) == (9 * 16, 3 * 4)
+    ramp = (np.arange(6)[None] * 3 + np.arange(5)[:, None] * 7).astype(np.uint8)
+    assert gate.noise_amplitude(ramp) == (0, 12)
+    assert gate.noise_amplitude(image[:2]) == (0, 0)
+    assert gate.noise_amplitude(image[:, :1]) == (0, 0)
+
+
+@pytest.mark.parametrize("sigma", [2, 15])
+def test_noise_amplitude_measures_gaussian_noise(sigma):
+    normal = np.random.default_rng(1).normal(128, sigma, (300, 300))
+    amplitude, pixels = gate.noise_amplitude(np.rint(normal).astype(np.uint8))
+    # Immerkaer: the mean absolute response is 6 sigma sqrt(2 / pi).
+    assert amplitude / pixels / 6 * np.sqrt(np.pi / 2) == pytest.approx(sigma, rel=0.03)
+
+
+@pytest.mark.parametrize(("deviations", "factor"), [(2.5, 17), (3, 20), (0, 0)])
+def test_noise_factor(deviations, factor):
+    assert gate.noise_factor(SectorContrast(noise=deviations)) == factor
+
+
+def count(image: np.ndarray, **changes: float) -> int:
+    config = DetectorConfig(contrast=SectorContrast(**changes), refinement=None)
+    return int((reference.maps(image, config).response > 0).sum())
+
+
+def test_each_condition_decides():
+    faint = (corner(20, 20, 0.4).astype(np.int64) // 8 + 100).astype(np.uint8)
+    assert count(faint, noise=0) == 0
+    assert count(faint, minimum=5, noise=0) > 0
+    both = np.hstack([corner(20, 20, 0.4)] * 12 + [faint])
+    assert count(both, minimum=5, relative=0.9, noise=0) < count(
+        both, minimum=5, relative=0, noise=0
+    )
+    grainy = np.clip(corner(20, 20, 0.4).astype(np.int64) + noise((41, 41)) // 3, 0, 255)
+    assert count(grainy.astype(np.uint8), noise=0) > count(grainy.astype(np.uint8), noise=20) == 0
+
+
+def test_noise_alone_leaves_nothing():
+    normal = np.random.default_rng(2).normal(128, 12, (200, 200))
+    image = np.clip(np.rint(normal), 0, 255).astype(np.uint8)
+    assert count(image) == 0
+    ungated = reference.maps(image, DetectorConfig(contrast=None))
+    assert ungated.maximum.sum() > 10
+    assert ungated.contrast is None
+
+
+def test_twelve_bits_raise_the_floor_and_nothing_else():
+    image, _ = board(80, 90, 12)
+    deep = image.astype(np.uint16) * 16
+    eight = reference.maps(image, DetectorConfig())
+    twelve = reference.maps(deep, DetectorConfig(full_scale=4095))
+    np.testing.assert_array_equal(eight.response, twelve.response)
+    np.testing.assert_array_equal(16 * eight.contrast, twelve.contrast)
+    assert reference.maps(deep, DetectorConfig()).response.sum() == 0

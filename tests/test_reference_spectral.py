@@ -1,0 +1,117 @@
+"""The spectral criteria of the oracle against their formulas."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cmp_cl.config import SpectralCriteria
+from cmp_cl.reference import ring, spectral
+
+MASKS = np.random.default_rng(5).integers(0, 1 << 16, 300).astype(np.uint16)
+OTHERS = np.random.default_rng(6).integers(0, 1 << 16, 300).astype(np.uint16)
+
+
+def samples(mask: int) -> list[int]:
+    return [int(mask) >> i & 1 for i in range(16)]
+
+
+def correlations(inner: int, outer: int) -> list[int]:
+    g1, g2 = samples(outer), samples(inner)
+    return [sum(g1[i] * g2[(i + k) % 16] for i in range(16)) for k in range(16)]
+
+
+def phase(values: list[int]) -> float:
+    """The smallest |centre| of the circular runs of the largest value, samples."""
+    best = [value == max(values) for value in values]
+    if all(best):
+        return 0.0
+    centres = []
+    for start in range(16):
+        if best[start] and not best[start - 1]:
+            length = next(n for n in range(1, 16) if not best[(start + n) % 16])
+            centre = (start + (length - 1) / 2) % 16
+            centres.append(centre if centre <= 8 else centre - 16)
+    return min(map(abs, centres))
+
+
+def test_magnitudes_are_those_of_the_transform():
+    for mask in MASKS[:50]:
+        g = samples(mask)
+        for n in (1, 2, 3):
+            value = sum(g[i] * np.exp(-2j * math.pi * n * i / 16) for i in range(16))
+            assert spectral.magnitudes()[mask, n - 1] == pytest.approx(abs(value), abs=1e-12)
+
+
+def test_correlation_and_phase_by_their_definitions():
+    largest, best = spectral.cross_correlation(MASKS, OTHERS)
+    shift = spectral.smallest_shifts()[best] / 2
+    for k, (inner, outer) in enumerate(zip(MASKS, OTHERS, strict=True)):
+        values = correlations(inner, outer)
+        assert largest[k] == max(values)
+        assert samples(best[k]) == [int(value == max(values)) for value in values]
+        assert shift[k] == phase(values)
+
+
+@pytest.mark.parametrize(
+    ("best", "expected"),
+    [(1, 0), (2, 1), (1 << 15, 1), (1 << 8, 8), (0b11, 0.5), (1 | 1 << 15, 0.5), (0xFFFF, 0)],
+)
+def test_phase_of_simple_runs(best, expected):
+    assert spectral.smallest_shifts()[best] / 2 == expected
+
+
+def test_the_correlation_bound_is_decided_exactly():
+    table = spectral.least_correlations(0.75)
+    for n1 in range(17):
+        for n2 in range(17):
+            for largest in range(min(n1, n2) + 1):
+                passes = 16 * largest**2 > 9 * n1 * n2
+                assert (largest >= table[n1, n2]) == passes
+    assert spectral.least_correlations(1.0)[4, 4] == 5
+
+
+def around(mask: int, criteria: SpectralCriteria, outer: int | None = None) -> spectral.Spectral:
+    inner = np.array([[mask]], np.uint16)
+    other = inner if outer is None else np.array([[outer]], np.uint16)
+    return spectral.spectral(np.zeros((1, 1), np.bool_), inner, other, criteria)
+
+
+def test_a_perfect_corner_passes_and_its_response_is_the_formula():
+    found = around(0x0F0F, SpectralCriteria(corrosion_threshold=None))
+    f1, f2, f3 = spectral.magnitudes()[0x0F0F]
+    assert found.candidate[0, 0]
+    assert found.response[0, 0] == math.floor(64 * f2 * (f2 - max(f1, f3)) + 0.5)
+    assert found.correlation[0, 0] == 1
+    assert found.phase[0, 0] == 0
+    assert found.spectrum_12[0, 0] == np.float32(f2 - f1)
+    assert found.corrosion is None
+
+
+def test_each_bound_decides():
+    free = SpectralCriteria(correlation=0, phase=math.pi, corrosion_threshold=None)
+    turned = int(ring.rotate(np.array([0x0F0F], np.uint16), 1)[0])
+    assert around(0x0F0F, free, turned).candidate[0, 0]
+    assert around(0x0F0F, free, turned).phase[0, 0] == np.float32(math.pi / 8)
+    strict = SpectralCriteria(correlation=0, phase=math.pi / 8, corrosion_threshold=None)
+    assert not around(0x0F0F, strict, turned).candidate[0, 0]
+    exact = SpectralCriteria(correlation=1, corrosion_threshold=None)
+    assert not around(0x0F0F, exact).candidate[0, 0]
+    with_corrosion = SpectralCriteria(corrosion_threshold=8)
+    assert not around(0x0F0F, with_corrosion).candidate[0, 0]  # 8 black around, none within
+    assert around(0x0F0F, SpectralCriteria(corrosion_threshold=9)).candidate[0, 0]
+
+
+@pytest.mark.parametrize("mask", [0, 0xFFFF])
+def test_constant_rings_fail_with_no_correlation_of_white(mask):
+    found = around(mask, SpectralCriteria(correlation=0, corrosion_threshold=None))
+    assert not found.candidate[0, 0]
+    assert found.correlation[0, 0] == (1 if mask else 0)
+    assert found.phase[0, 0] == 0
+
+
+def test_no_response_is_near_a_rounding_tie():
+    minus_1, minus_3 = spectral.spectrum_differences()
+    product = 64 * spectral.magnitudes()[:, 1] * np.minimum(minus_1, minus_3)
+    passing = (minus_1 > 0) & (minus_3 > 0)
+    assert np.abs(product[passing] % 1 - 0.5).min() > 1e-4
