@@ -1,0 +1,423 @@
+"""Two views: what is placed in space is where it is, what cannot be placed says so."""
+
+import math
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from stereo_data import (
+    bumblebee_rig,
+    gel,
+    grid_of,
+    photographs,
+    project,
+    toed_in_rig,
+    truth_grid,
+    upright,
+)
+
+from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
+from cmp_cl.results import NodeStatus, PointStatus
+from cmp_cl.stereo import (
+    BinocularSplit,
+    StereoRig,
+    calibrate,
+    calibrate_camera,
+    triangulate_points,
+    undistort,
+)
+
+K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+
+
+def parallel_rig(baseline=10.0, distortion=()):
+    return StereoRig(K, distortion, K, distortion, np.eye(3), [-baseline, 0, 0])
+
+
+def noisy(xy, sigma, rng):
+    return grid_of(xy + rng.normal(0, sigma, xy.shape), sigma)
+
+
+def sides(points):
+    """Lengths of the edges between neighbouring nodes."""
+    return np.concatenate(
+        [np.linalg.norm(np.diff(points.xyz, axis=axis), axis=2).ravel() for axis in (0, 1)]
+    )
+
+
+def test_exact_views_give_the_exact_points():
+    rig, truth = toed_in_rig(), gel()
+    left, right = project(rig, truth)
+    points = rig.triangulate(grid_of(left), grid_of(right))
+    assert points.valid.all()
+    assert points.unit == "mm"
+    np.testing.assert_allclose(points.xyz, truth, atol=2e-5)  # float32 pixels
+    assert points.error.max() < 1e-4
+    assert np.isnan(points.sigma).all()
+
+
+@pytest.mark.parametrize(("sigma_left", "sigma_right"), [(0.05, 0.05), (0.02, 0.2), (0.3, 0.05)])
+def test_the_covariance_is_that_of_the_errors(sigma_left, sigma_right):
+    rig, truth = toed_in_rig(), gel(40, 40)
+    left, right = project(rig, truth)
+    rng = np.random.default_rng(1)
+    points = rig.triangulate(noisy(left, sigma_left, rng), noisy(right, sigma_right, rng))
+    miss = (points.xyz - truth).reshape(-1, 3)
+    covariance = points.covariance.reshape(-1, 3, 3)
+    chi2 = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(covariance), miss)
+    assert chi2.mean() == pytest.approx(3, rel=0.08)
+    rmse = math.sqrt(np.square(miss).sum(axis=1).mean())
+    assert rmse == pytest.approx(math.sqrt(np.trace(covariance.mean(axis=0))), rel=0.05)
+    largest = np.linalg.eigvalsh(covariance)[:, 2]
+    np.testing.assert_allclose(points.sigma.ravel(), np.sqrt(largest))
+
+
+def test_a_known_sigma_stands_in_where_the_corners_have_none():
+    rig = toed_in_rig()
+    left, right = project(rig, gel())
+    unknown = rig.triangulate(grid_of(left), grid_of(right), sigma=0.1)
+    known = rig.triangulate(grid_of(left, 0.1), grid_of(right, 0.1), sigma=5.0)
+    np.testing.assert_allclose(unknown.sigma, known.sigma, rtol=1e-6)
+    assert np.isnan(rig.triangulate(grid_of(left, 0.1), grid_of(right)).sigma).all()
+
+
+def test_a_node_that_one_side_lacks_is_missing():
+    rig = toed_in_rig()
+    left, right = project(rig, gel())
+    left[3, 4] = right[5, 6] = np.nan
+    points = rig.triangulate(grid_of(left), grid_of(right))
+    assert set(zip(*np.nonzero(~points.valid), strict=True)) == {(3, 4), (5, 6)}
+    for node in ((3, 4), (5, 6)):
+        assert points.status[node] == PointStatus.MISSING
+        assert points.source[node] == NodeStatus.MISSING
+        assert np.isnan(points.xyz[node]).all()
+        assert np.isnan(points.error[node])
+
+
+def test_the_source_is_the_less_direct_of_both_sides():
+    rig = toed_in_rig()
+    left, right = (grid_of(view) for view in project(rig, gel(2, 3)))
+    left.status[0] = NodeStatus.DETECTED, NodeStatus.INTERPOLATED, NodeStatus.ATTACHED
+    right.status[0] = NodeStatus.SECOND_LOOK, NodeStatus.DETECTED, NodeStatus.DETECTED
+    assert rig.triangulate(left, right).source[0].tolist() == [
+        NodeStatus.SECOND_LOOK,
+        NodeStatus.INTERPOLATED,
+        NodeStatus.ATTACHED,
+    ]
+
+
+def test_no_node_in_common_gives_an_empty_result():
+    rig = toed_in_rig()
+    nothing = grid_of(np.full((4, 5, 2), np.nan))
+    points = rig.triangulate(nothing, nothing)
+    assert points.xyz.shape == (4, 5, 3)
+    assert not points.valid.any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_two_points_are_no_special_case(count):
+    rig, truth = toed_in_rig(), gel()[:1, :count]
+    left, right = project(rig, truth)
+    np.testing.assert_allclose(rig.triangulate(grid_of(left), grid_of(right)).xyz, truth, atol=2e-5)
+
+
+def test_points_of_the_wrong_layout_are_refused():
+    with pytest.raises(FieldError, match=r"\(N, 2\)"):
+        triangulate_points(np.eye(3, 4), np.eye(3, 4), np.zeros((2, 7)), np.zeros((2, 7)))
+
+
+def one_node(rig, left, right):
+    return rig.triangulate(grid_of([[left]]), grid_of([[right]]))
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "status"),
+    [
+        ((330, 250), (310, 250), PointStatus.VALID),
+        ((330, 250), (330, 250), PointStatus.PARALLEL),
+        ((330, 250), (329.5, 250), PointStatus.PARALLEL),
+        ((330, 250), (330.5, 250), PointStatus.PARALLEL),
+        ((330, 250), (350, 250), PointStatus.BEHIND),
+        ((330, 250), (310, 262), PointStatus.INCONSISTENT),
+    ],
+)
+def test_what_has_no_depth_is_flagged(left, right, status):
+    points = one_node(parallel_rig(), left, right)
+    assert points.status[0, 0] == status
+    assert np.isnan(points.xyz).all() == (status != PointStatus.VALID)
+    assert np.isnan(points.covariance).all()
+
+
+def test_a_refused_match_keeps_its_error():
+    points = one_node(parallel_rig(), (330, 250), (310, 262))
+    assert points.error[0, 0] == pytest.approx(6, rel=0.01)
+    kept = parallel_rig().triangulate(grid_of([[(330, 250)]]), grid_of([[(310, 262)]]), max_error=7)
+    assert kept.valid.all()
+
+
+def test_rays_along_the_baseline_meet_nowhere():
+    forward = StereoRig(K, [], K, [], np.eye(3), [0, 0, -10])
+    points = one_node(forward, (320, 240), (320, 240))
+    assert points.status[0, 0] == PointStatus.PARALLEL
+    assert np.isnan(points.xyz).all()
+
+
+def test_a_pixel_beyond_the_lens_model_is_flagged():
+    rig = parallel_rig(distortion=[-0.36, 0, 0, 0])
+    points = one_node(rig, (320 + 600, 240), (320 + 560, 240))
+    assert points.status[0, 0] == PointStatus.INCONSISTENT
+    assert np.isnan(points.xyz).all()
+
+
+def test_strong_distortion_is_undone_to_a_thousandth_of_a_pixel():
+    plane = np.stack(np.meshgrid(np.linspace(-0.6, 0.6, 9), np.linspace(-0.7, 0.7, 9)), axis=-1)
+    plane = plane.reshape(-1, 2)
+    distortion = np.array([-0.36, 0.18, 0.001, 0.001, 0.05])
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    seen, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, distortion)
+    ideal, in_model = undistort(seen.reshape(-1, 2), K, distortion)
+    assert in_model.all()
+    np.testing.assert_allclose(ideal * 500, plane * 500, atol=1e-3)
+
+
+def test_grids_of_different_shape_are_refused():
+    with pytest.raises(FieldError, match=r"\(2, 3\) and \(3, 2\)"):
+        toed_in_rig().triangulate(grid_of(np.ones((2, 3, 2))), grid_of(np.ones((3, 2, 2))))
+
+
+def test_a_rig_survives_its_file(tmp_path):
+    rig = toed_in_rig(unit="um")
+    rig.save(tmp_path / "a rig.yaml")
+    again = StereoRig.load(tmp_path / "a rig.yaml")
+    for name in ("K1", "D1", "K2", "D2", "R", "T"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(rig, name))
+    assert again.unit == "um"
+    assert StereoRig.load(tmp_path / "a rig.yaml", unit="m").unit == "m"
+
+
+def write_matrices(path, **matrices):
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, matrix in matrices.items():
+        storage.write(name, np.asarray(matrix))
+    storage.release()
+
+
+@pytest.mark.parametrize("suffix", ["yml", "xml", "json"])
+def test_the_two_files_of_opencvs_stereo_calib_are_read(tmp_path, suffix):
+    rig = toed_in_rig()
+    intrinsics, extrinsics = tmp_path / f"intrinsics.{suffix}", tmp_path / f"extrinsics.{suffix}"
+    write_matrices(intrinsics, M1=rig.K1, D1=rig.D1[None], M2=rig.K2, D2=rig.D2[None])
+    write_matrices(extrinsics, R=rig.R, T=rig.T[:, None], R1=np.eye(3), P1=np.eye(3, 4))
+    again = StereoRig.load(intrinsics, extrinsics)
+    np.testing.assert_array_equal(again.K2, rig.K2)
+    np.testing.assert_array_equal(again.T, rig.T)
+    assert again.unit == "mm"
+    with pytest.raises(CalibrationError, match="no R; no T"):
+        StereoRig.load(intrinsics)
+
+
+def test_two_files_that_contradict_each_other_are_refused(tmp_path):
+    toed_in_rig().save(tmp_path / "a.yaml")
+    write_matrices(tmp_path / "b.yaml", M1=K)
+    with pytest.raises(CalibrationError, match="M1 contradicts"):
+        StereoRig.load(tmp_path / "a.yaml", tmp_path / "b.yaml")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\x00\xff\xfe",
+        b"%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1., 2.",
+        b"%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1. ]\n",
+        b"%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 99999\n   cols: 99999\n   dt: d\n"
+        b"   data: [ 1. ]\n",
+        b"%YAML:1.0\n---\nM1: [1, 2]\n",
+        b"%YAML:1.0\n---\nR: { a: 1 }\n",
+        b"%YAML:1.0\n---\nunit: 3\n",
+        b"# " + b"x" * (1 << 20),
+    ],
+)
+def test_a_damaged_calibration_file_is_refused_with_its_name(tmp_path, content):
+    path = tmp_path / "rig.yaml"
+    path.write_bytes(content)
+    with pytest.raises(CalibrationError, match=r"rig\.yaml"):
+        StereoRig.load(path)
+
+
+def test_a_calibration_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match="cannot read"):
+        StereoRig.load(tmp_path / "none.yaml")
+    with pytest.raises(CalibrationError, match="cannot read"):
+        StereoRig.load(tmp_path)
+
+
+GOOD = {"K1": K, "D1": [], "K2": K, "D2": [], "R": np.eye(3), "T": [-1, 0, 0]}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("T", [0, 0, 0], "T is zero"),
+        ("T", [1, 2], "shape"),
+        ("T", [math.nan, 0, 1], "finite"),
+        ("R", 2 * np.eye(3), "rotation"),
+        ("R", np.diag([1.0, 1, -1]), "rotation"),
+        ("K1", np.zeros((3, 3)), "focal"),
+        ("K2", np.eye(3) + np.eye(3, k=1), "must be"),
+        ("K1", "none", "numbers"),
+        ("D2", [0.1, 0.2, 0.3], "coefficients"),
+        ("unit", "milli metre", "unit"),
+    ],
+)
+def test_an_impossible_rig_is_refused(name, value, words):
+    with pytest.raises(CalibrationError, match=words):
+        StereoRig(**{**GOOD, name: value})
+
+
+def test_a_rig_does_not_change_under_its_user():
+    matrix = K.copy()
+    rig = StereoRig(**{**GOOD, "K1": matrix})
+    matrix[0, 0] = 1
+    assert rig.K1[0, 0] == 500
+    with pytest.raises(ValueError, match="read-only"):
+        rig.K1[0, 0] = 1
+
+
+def test_a_frame_is_split_into_views_of_itself():
+    frame = np.arange(60, dtype=np.uint8).reshape(6, 10)
+    left, right = BinocularSplit.halves(10, 6)(frame)
+    assert np.shares_memory(left, frame)
+    np.testing.assert_array_equal(np.hstack([left, right]), frame)
+    split = BinocularSplit((0, 1, 4, 5), (5, 0, 3, 6), mirror_right=True)
+    left, right = split(frame)
+    np.testing.assert_array_equal(left, frame[1:6, 0:4])
+    np.testing.assert_array_equal(right, frame[0:6, 7:4:-1])
+    assert right.flags.c_contiguous
+
+
+def test_an_odd_frame_loses_its_middle_column():
+    left, right = BinocularSplit.halves(11, 4)(np.tile(np.arange(11, dtype=np.uint8), (4, 1)))
+    assert left[0].tolist() == [0, 1, 2, 3, 4]
+    assert right[0].tolist() == [6, 7, 8, 9, 10]
+
+
+def test_a_split_that_leaves_the_frame_is_refused():
+    with pytest.raises(ImageError, match="leaves the frame of 9 x 6"):
+        BinocularSplit.halves(10, 6)(np.zeros((6, 9), np.uint8))
+
+
+@pytest.mark.parametrize("box", [(0, 0, 0, 5), (-1, 0, 3, 3), (0, 0, 3), (0, 0, 3.5, 3), "half"])
+def test_a_rectangle_that_is_none_is_refused(box):
+    with pytest.raises(ConfigError, match="left must be"):
+        BinocularSplit(box, (0, 0, 1, 1))
+
+
+def boards(rig, rng, count=12, sigma=0.05, tilt=0.5):
+    """Views of a flat board of 7 x 9 nodes, 3 mm apart, in the pose of the gel."""
+    row, column = np.indices((7, 9))
+    flat = np.stack([(column - 4) * 3.0, (row - 3) * 3.0, np.zeros((7, 9))], axis=-1)
+    views = []
+    for _ in range(count):
+        turn = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
+        place = flat @ turn.T + [*rng.uniform(-3, 3, 2), 50 + rng.uniform(-6, 6)]
+        views.append(tuple(noisy(view, sigma, rng) for view in project(rig, place)))
+    return views
+
+
+def test_calibration_finds_the_rig_again():
+    rig, rng = toed_in_rig(), np.random.default_rng(3)
+    found = calibrate(boards(rig, rng), spacing=3, image_size=(800, 1200), unit="mm")
+    assert found.error == pytest.approx(0.05 * math.sqrt(2), rel=0.1)
+    assert found.view_errors.shape == (12, 2)
+    assert found.left.view_errors.shape == (12,)
+    assert found.rig.K1[0, 0] == pytest.approx(rig.K1[0, 0], rel=0.01)
+    assert np.linalg.norm(found.rig.T) == pytest.approx(np.linalg.norm(rig.T), rel=0.01)
+    for left, right in boards(rig, rng, count=3):
+        points = found.rig.triangulate(left, right)
+        assert sides(points).mean() == pytest.approx(3, abs=0.005)
+        assert points.error.mean() < 0.1
+
+
+def test_calibration_takes_partial_views():
+    rig, rng = toed_in_rig(), np.random.default_rng(4)
+    views = boards(rig, rng)
+    for view, (left, right) in enumerate(views):
+        left.xy[: view % 3] = np.nan
+        right.xy[:, : view % 4] = np.nan
+    found = calibrate(views, spacing=3, image_size=(800, 1200))
+    assert np.linalg.norm(found.rig.T) == pytest.approx(np.linalg.norm(rig.T), rel=0.01)
+
+
+def test_views_that_determine_nothing_are_refused():
+    rig, rng = toed_in_rig(), np.random.default_rng(5)
+    views = boards(rig, rng)
+    size = (800, 1200)
+    with pytest.raises(CalibrationError, match="2 views"):
+        calibrate(views[:2], spacing=3, image_size=size)
+    with pytest.raises(CalibrationError, match="spacing"):
+        calibrate(views, spacing=0, image_size=size)
+    empty = grid_of(np.full((7, 9, 2), np.nan))
+    with pytest.raises(CalibrationError, match="view 1 shows 0 nodes"):
+        calibrate_camera([views[0][0], empty, views[1][0]], spacing=3, image_size=size)
+    with pytest.raises(FieldError, match="view 0"):
+        calibrate([(views[0][0], grid_of(np.ones((9, 7, 2))))], spacing=3, image_size=size)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("tilt", [0.0005, 0.01])
+def test_views_all_from_the_front_are_refused(tilt, seed):
+    views = boards(toed_in_rig(), np.random.default_rng(seed), count=4, tilt=tilt)
+    with pytest.raises(CalibrationError, match="uncertain"):
+        calibrate_camera([left for left, _ in views], spacing=3, image_size=(800, 1200))
+
+
+def test_the_focal_length_is_as_certain_as_it_says():
+    rig, deviations = toed_in_rig(), []
+    for seed in range(20):
+        views = boards(rig, np.random.default_rng(seed), count=6, tilt=0.3)
+        found = calibrate_camera([left for left, _ in views], spacing=3, image_size=(800, 1200))
+        deviations.append((found.matrix[0, 0] - rig.K1[0, 0]) / found.focal_sigma)
+    assert 0.6 < np.sqrt(np.mean(np.square(deviations))) < 1.5
+
+
+def test_the_bumblebee_pairs_show_squares_of_30_mm():
+    folder = photographs("stereo_bumblebee2")
+    rig = bumblebee_rig(folder / "stereo.yaml")
+    found = []
+    for pair in range(1, 5):
+        left, right = (
+            upright(truth_grid(folder / f"{side}{pair:02}.json")) for side in ("left", "right")
+        )
+        points = rig.triangulate(left, right)
+        assert points.valid.all()
+        assert points.error.mean() < 0.1
+        found.append(sides(points))
+    lengths = np.concatenate(found)
+    assert lengths.mean() == pytest.approx(30, abs=0.05)
+    assert lengths.std() < 0.14
+
+
+def test_opencvs_pairs_measure_a_board_they_were_not_calibrated_on():
+    folder = photographs("stereo_opencv")
+    views = [
+        tuple(truth_grid(folder / f"{side}{pair:02}.json") for side in ("left", "right"))
+        for pair in range(1, 6)
+    ]
+    for out in (0, 3):
+        others = [view for place, view in enumerate(views) if place != out]
+        found = calibrate(others, spacing=25, image_size=(640, 480))
+        assert found.error < 0.2
+        points = found.rig.triangulate(*views[out])
+        assert points.valid.all()
+        assert sides(points).mean() == pytest.approx(25, abs=0.08)
+        assert sides(points).std() < 0.16
+        assert points.error.mean() < 0.1
+
+
+def test_importing_the_module_imports_no_extra():
+    code = "import sys, cmp_cl.stereo, cmp_cl.field; print('matplotlib' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    assert result.stdout.strip() == b"False"
