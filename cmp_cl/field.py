@@ -49,8 +49,8 @@ def displacement(rest: Points3D, now: Points3D) -> DisplacementField:
     )
     return DisplacementField(
         position=np.where(valid[..., None], rest.xyz, np.nan),
-        displacement=now.xyz - rest.xyz,
-        sigma=largest_deviation(rest.covariance + now.covariance),
+        displacement=np.where(valid[..., None], now.xyz - rest.xyz, np.nan),
+        sigma=np.where(valid, largest_deviation(rest.covariance + now.covariance), np.nan),
         status=status,
         source=source,
         strain=None,
@@ -197,8 +197,8 @@ def _save_ply(field: DisplacementField, path: str | PathLike[str]) -> None:
         len(columns["row"]), [(name, "<i4" if whole else "<f8") for name, whole in properties]
     )
     for key, values in columns.items():
-        for place, name in enumerate(names.get(key, key).split()):
-            vertices[name] = values.reshape(len(vertices), -1)[:, place]
+        for name, column in zip(names.get(key, key).split(), np.atleast_2d(values.T), strict=True):
+            vertices[name] = column
     faces = np.empty(len(quads), [("count", "u1"), ("nodes", "<i4", 4)])
     faces["count"], faces["nodes"] = 4, quads
     header = [

@@ -1,0 +1,408 @@
+"""Displacement, strain and their files."""
+
+import base64
+import csv
+import math
+import os
+import signal
+import struct
+import subprocess
+import sys
+import tracemalloc
+import xml.etree.ElementTree
+import zipfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from stereo_data import gel, grid_of, project, toed_in_rig
+
+from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.field import SeriesWriter, displacement, green_lagrange
+from cmp_cl.results import NodeStatus, Points3D, PointStatus
+
+
+def points(xyz, sigma=0.01, unit="mm"):
+    """Triangulated points without the triangulation; NaN where missing."""
+    xyz = np.asarray(xyz, float)
+    missing = np.isnan(xyz[..., 0])
+    covariance = np.broadcast_to(np.eye(3) * sigma**2, (*missing.shape, 3, 3)).copy()
+    covariance[missing] = np.nan
+    return Points3D(
+        xyz=xyz,
+        error=np.where(missing, np.nan, 0.0),
+        covariance=covariance,
+        status=np.where(missing, PointStatus.MISSING, PointStatus.VALID).astype(np.uint8),
+        source=np.where(missing, NodeStatus.MISSING, NodeStatus.DETECTED).astype(np.uint8),
+        unit=unit,
+    )
+
+
+def pressed():
+    """A field with a press of 2 mm, a twist, and two missing nodes."""
+    rest, now = gel(12, 10, depth=0), gel(12, 10)
+    now[..., :2] += 0.05 * np.stack([-now[..., 1], now[..., 0]], axis=-1)
+    rest[2, 3] = now[7, 8] = np.nan
+    return displacement(points(rest), points(now))
+
+
+def test_the_displacement_is_now_minus_rest():
+    field = pressed()
+    assert (~field.valid).sum() == 2
+    for node in ((2, 3), (7, 8)):
+        assert field.status[node] == PointStatus.MISSING
+        assert field.source[node] == NodeStatus.MISSING
+        assert np.isnan(field.position[node]).all()
+        assert np.isnan(field.displacement[node]).all()
+        assert np.isnan(field.sigma[node])
+    moved = (field.position + field.displacement)[field.valid]
+    now = gel(12, 10)
+    now[..., :2] += 0.05 * np.stack([-now[..., 1], now[..., 0]], axis=-1)
+    np.testing.assert_allclose(moved, now[field.valid], atol=1e-12)
+    np.testing.assert_allclose(field.sigma[field.valid], 0.01 * math.sqrt(2))
+    assert field.strain is None
+
+
+def test_the_sigma_of_a_displacement_is_that_of_its_error():
+    rig, rng = toed_in_rig(), np.random.default_rng(2)
+    truth = gel(40, 40, depth=0), gel(40, 40)
+    seen = [
+        rig.triangulate(
+            *(grid_of(view + rng.normal(0, 0.05, view.shape), 0.05) for view in project(rig, xyz))
+        )
+        for xyz in truth
+    ]
+    field = displacement(*seen)
+    miss = field.displacement - (truth[1] - truth[0])
+    covariance = seen[0].covariance + seen[1].covariance
+    along = np.linalg.eigh(covariance)[1][..., 2]
+    worst = np.einsum("rci,rci->rc", miss, along)
+    assert np.sqrt(np.mean(np.square(worst / field.sigma))) == pytest.approx(1, rel=0.06)
+
+
+def test_the_status_says_which_moment_failed():
+    rest, now = points(gel(2, 2)), points(gel(2, 2))
+    rest.status[0] = PointStatus.PARALLEL, PointStatus.BEHIND
+    now.status[0] = PointStatus.VALID, PointStatus.INCONSISTENT
+    now.source[1, 1] = NodeStatus.INTERPOLATED
+    field = displacement(rest, now)
+    assert field.status.tolist() == [
+        [PointStatus.PARALLEL, PointStatus.INCONSISTENT],
+        [PointStatus.VALID, PointStatus.VALID],
+    ]
+    assert field.source[1].tolist() == [NodeStatus.DETECTED, NodeStatus.INTERPOLATED]
+    assert np.isnan(field.displacement[0]).all()
+
+
+def test_fields_that_do_not_fit_are_refused():
+    with pytest.raises(FieldError, match=r"\(3, 4\)"):
+        displacement(points(gel(3, 4)), points(gel(4, 3)))
+    with pytest.raises(FieldError, match="um"):
+        displacement(points(gel(3, 4)), points(gel(3, 4), unit="um"))
+
+
+def turned(xyz):
+    turn = cv2.Rodrigues(np.array([0.5, -0.3, 0.8]))[0]
+    return xyz @ turn.T + [3, -2, 70]
+
+
+@pytest.mark.parametrize("radius", [1, 2, 3])
+def test_a_homogeneous_deformation_has_its_strain_everywhere(radius):
+    flat = gel(9, 11, depth=0)
+    gradient = np.array([[1.10, 0.06], [-0.02, 0.93]])
+    now = flat.copy()
+    now[..., :2] = flat[..., :2] @ gradient.T
+    expected = (gradient.T @ gradient - np.eye(2)) / 2
+    strain = green_lagrange(turned(flat), turned(turned(now)), radius=radius)
+    inner = ~np.isnan(strain[..., 0])
+    assert inner.sum() == (9 * 11 - (4 if radius == 1 else 0))
+    np.testing.assert_allclose(
+        strain[inner], np.tile(expected[[0, 1, 0], [0, 1, 1]], (inner.sum(), 1)), atol=1e-10
+    )
+
+
+def test_a_turned_bump_has_no_strain():
+    bump = gel(15, 15)
+    np.testing.assert_allclose(green_lagrange(bump, turned(bump)), 0, atol=1e-10)
+
+
+def test_a_cylinder_rolled_from_a_plane_has_hardly_any_strain():
+    flat = gel(30, 30, depth=0) - [0, 0, 46]
+    rolled = np.stack(
+        [20 * np.sin(flat[..., 0] / 20), flat[..., 1], 20 * np.cos(flat[..., 0] / 20)], axis=-1
+    )
+    strain = green_lagrange(flat, rolled, radius=1)
+    assert np.nanmax(np.abs(strain[1:-1, 1:-1])) < 2e-3
+    assert np.nanmax(np.abs(strain[1:-1, 1:-1, 1])) < 1e-12
+
+
+def test_strain_smooths_noise_and_leaves_holes():
+    rng = np.random.default_rng(0)
+    flat = gel(20, 20, depth=0)
+    noisy = flat + rng.normal(0, 0.01, flat.shape)
+    rough, smooth = (green_lagrange(flat, noisy, radius=radius)[4:-4, 4:-4] for radius in (1, 3))
+    assert smooth.std() < rough.std() / 3
+    noisy[5, 6] = np.nan
+    assert np.isnan(green_lagrange(flat, noisy)[5, 6]).all()
+    assert not np.isnan(green_lagrange(flat, noisy)[5, 7]).any()
+    line = np.full_like(flat, np.nan)
+    line[3] = flat[3]
+    assert np.isnan(green_lagrange(line, line)).all()
+    point = np.ones_like(flat)
+    assert np.isnan(green_lagrange(point, point)).all()
+
+
+@pytest.mark.parametrize("radius", [0, 51, 2.0, True])
+def test_an_impossible_radius_is_refused(radius):
+    with pytest.raises(ConfigError, match="radius"):
+        pressed().with_strain(radius)
+
+
+def test_npz_holds_the_field(tmp_path):
+    field = pressed().with_strain()
+    field.save(tmp_path / "press.npz")
+    with np.load(tmp_path / "press.npz", allow_pickle=False) as data:
+        for name in ("position", "displacement", "sigma", "status", "source", "strain"):
+            np.testing.assert_array_equal(data[name], getattr(field, name))
+        assert data["unit"] == "mm"
+
+
+def test_csv_names_its_units_and_loses_no_digit(tmp_path):
+    field = pressed().with_strain()
+    field.save(tmp_path / "press.csv")
+    with open(tmp_path / "press.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == [
+        *("row", "column", "x_mm", "y_mm", "z_mm", "ux_mm", "uy_mm", "uz_mm", "sigma_mm"),
+        *("status", "source", "e11", "e22", "e12"),
+    ]
+    assert len(rows) == 120
+    for row in rows:
+        node = int(row["row"]), int(row["column"])
+        read = [float(row[f"{name}_mm"]) for name in ("ux", "uy", "uz")]
+        np.testing.assert_array_equal(read, field.displacement[node])
+        np.testing.assert_equal(float(row["e12"]), field.strain[node][2])
+    assert rows[2 * 10 + 3]["status"] == rows[2 * 10 + 3]["source"] == "MISSING"
+    assert rows[2 * 10 + 3]["x_mm"] == "nan"
+    assert rows[0]["source"] == "DETECTED"
+
+
+def read_vtp(path):
+    """Arrays of a .vtp by name."""
+    arrays = {}
+    for array in xml.etree.ElementTree.parse(path).getroot().iter("DataArray"):
+        raw = base64.b64decode(array.text.strip(), validate=True)
+        assert struct.unpack("<Q", raw[:8])[0] == len(raw) - 8
+        dtype = {"Int32": "<i4", "Float64": "<f8"}[array.get("type")]
+        values = np.frombuffer(raw[8:], dtype)
+        arrays[array.get("Name")] = values.reshape(-1, int(array.get("NumberOfComponents")))
+    return arrays
+
+
+def read_ply(path):
+    """Vertices and faces of a binary .ply."""
+    header, body = path.read_bytes().split(b"end_header\n", 1)
+    lines = header.decode().split("\n")
+    dtype = [
+        (line.split()[2], {"int": "<i4", "double": "<f8"}[line.split()[1]])
+        for line in lines
+        if line.startswith("property") and "list" not in line
+    ]
+    vertices, faces = (int(line.split()[2]) for line in lines if line.startswith("element"))
+    nodes = np.frombuffer(body, dtype, count=vertices)
+    quads = np.frombuffer(body[nodes.nbytes :], [("count", "u1"), ("nodes", "<i4", 4)])
+    assert len(quads) == faces
+    assert (quads["count"] == 4).all()
+    return nodes, quads["nodes"]
+
+
+def check_mesh(field, row, column, quads):
+    """Each quadrilateral surrounds one cell, and every cell with four valid nodes has one."""
+    assert list(zip(row, column, strict=True)) == list(zip(*np.nonzero(field.valid), strict=True))
+    full = field.valid[:-1, :-1] & field.valid[1:, 1:] & field.valid[1:, :-1] & field.valid[:-1, 1:]
+    assert len(quads) == full.sum()
+    for quad in quads:
+        assert sorted(row[quad] - row[quad].min()) == [0, 0, 1, 1]
+        assert sorted(column[quad] - column[quad].min()) == [0, 0, 1, 1]
+        steps = np.abs(np.diff(row[quad])) + np.abs(np.diff(column[quad]))
+        assert (steps == 1).all()
+
+
+@pytest.mark.parametrize("strained", [False, True])
+def test_vtp_holds_the_surface(tmp_path, strained):
+    field = pressed().with_strain() if strained else pressed()
+    field.save(tmp_path / "press.vtp")
+    arrays = read_vtp(tmp_path / "press.vtp")
+    assert ("strain" in arrays) == strained
+    np.testing.assert_array_equal(arrays["Points"], field.position[field.valid])
+    np.testing.assert_array_equal(arrays["displacement"], field.displacement[field.valid])
+    quads = arrays["connectivity"].reshape(-1, 4)
+    np.testing.assert_array_equal(arrays["offsets"].ravel(), 4 * np.arange(1, len(quads) + 1))
+    check_mesh(field, arrays["row"].ravel(), arrays["column"].ravel(), quads)
+
+
+@pytest.mark.parametrize("strained", [False, True])
+def test_ply_holds_the_surface(tmp_path, strained):
+    field = pressed().with_strain() if strained else pressed()
+    field.save(tmp_path / "press.PLY")
+    nodes, quads = read_ply(tmp_path / "press.PLY")
+    np.testing.assert_array_equal(
+        np.stack([nodes["ux"], nodes["uy"], nodes["uz"]], axis=1), field.displacement[field.valid]
+    )
+    assert ("e12" in nodes.dtype.names) == strained
+    check_mesh(field, nodes["row"], nodes["column"], quads)
+
+
+@pytest.mark.parametrize("suffix", ["vtp", "ply"])
+def test_vtk_reads_the_surface(tmp_path, suffix):
+    pyvista = pytest.importorskip("pyvista", reason="pyvista is not installed")
+    field = pressed().with_strain()
+    field.save(tmp_path / f"press.{suffix}")
+    mesh = pyvista.read(tmp_path / f"press.{suffix}")
+    np.testing.assert_allclose(mesh.points, field.position[field.valid], rtol=1e-6)
+    assert mesh.n_cells == 11 * 9 - 8
+    if suffix == "vtp":
+        np.testing.assert_array_equal(mesh["displacement"], field.displacement[field.valid])
+
+
+@pytest.mark.parametrize("suffix", ["npz", "csv", "ply", "vtp"])
+def test_a_field_without_a_valid_node_is_a_file_too(tmp_path, suffix):
+    nothing = np.full((3, 4, 3), np.nan)
+    path = tmp_path / f"none.{suffix}"
+    displacement(points(nothing), points(nothing)).with_strain().save(path)
+    if suffix == "vtp":
+        assert len(read_vtp(path)["Points"]) == 0
+    elif suffix == "ply":
+        assert len(read_ply(path)[0]) == 0
+    assert path.stat().st_size > 0
+
+
+def test_an_unknown_suffix_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"\.npz, \.csv, \.ply, \.vtp"):
+        pressed().save(tmp_path / "press.stl")
+    with pytest.raises(OSError, match="no folder"):
+        pressed().save(tmp_path / "none" / "press.vtp")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_series_is_one_file_of_stacked_arrays(tmp_path):
+    field = pressed()
+    path = tmp_path / "a press.npz"
+    with SeriesWriter(path, position=field.position, unit=field.unit) as series:
+        for frame in (0, 1, 5):
+            series.append(
+                index=frame,
+                time_ms=frame * 33.3,
+                displacement=frame * field.displacement,
+                status=field.status,
+            )
+        assert len(series) == 3
+        assert not path.exists()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a press.npz"]
+    with np.load(path, allow_pickle=False) as data:
+        assert data["index"].tolist() == [0, 1, 5]
+        np.testing.assert_allclose(data["time_ms"], [0, 33.3, 166.5])
+        assert data["displacement"].shape == (3, 12, 10, 3)
+        np.testing.assert_array_equal(data["displacement"][2], 5 * field.displacement)
+        np.testing.assert_array_equal(data["status"][1], field.status)
+        np.testing.assert_array_equal(data["position"], field.position)
+        assert data["unit"] == "mm"
+    assert zipfile.ZipFile(path).testzip() is None
+
+
+def test_a_series_of_no_frame_is_a_file_too(tmp_path):
+    with SeriesWriter(tmp_path / "none.npz", unit="mm"):
+        pass
+    with np.load(tmp_path / "none.npz") as data:
+        assert data["index"].shape == data["time_ms"].shape == (0,)
+
+
+def test_an_error_in_the_loop_keeps_the_frames_before_it(tmp_path):
+    with pytest.raises(ZeroDivisionError), SeriesWriter(tmp_path / "a.npz") as series:  # noqa: PT012
+        series.append(index=0, time_ms=0, value=np.ones(3))
+        series.append(index=1, time_ms=1 / 0, value=np.ones(3))
+    with np.load(tmp_path / "a.npz") as data:
+        assert data["index"].tolist() == [0]
+
+
+def test_a_frame_unlike_the_first_is_refused_and_leaves_no_trace(tmp_path):
+    with SeriesWriter(tmp_path / "a.npz", unit="mm") as series:
+        series.append(index=0, time_ms=0, value=np.ones(3))
+        for other in (
+            {"value": np.ones(4)},
+            {"value": np.ones(3, np.float32)},
+            {"value": np.ones(3), "more": 1},
+            {},
+        ):
+            with pytest.raises(FieldError, match="the first frame had"):
+                series.append(index=1, time_ms=1, **other)
+        series.append(index=2, time_ms=2, value=np.zeros(3))
+    with np.load(tmp_path / "a.npz") as data:
+        assert data["index"].tolist() == [0, 2]
+        assert data["value"].tolist() == [[1, 1, 1], [0, 0, 0]]
+    with pytest.raises(FieldError, match="closed"):
+        series.append(index=3, time_ms=3, value=np.zeros(3))
+
+
+def test_a_series_refuses_names_and_things_it_cannot_keep(tmp_path):
+    with SeriesWriter(tmp_path / "a.npz", unit="mm") as series:
+        with pytest.raises(FieldError, match="constants"):
+            series.append(index=0, time_ms=0, unit=np.ones(3))
+        with pytest.raises(FieldError, match="numbers"):
+            series.append(index=0, time_ms=0, value=np.array([None]))
+        assert len(series) == 0
+    with pytest.raises(OSError, match="none"):
+        SeriesWriter(tmp_path / "none" / "a.npz")
+    with pytest.raises(IsADirectoryError):
+        SeriesWriter(tmp_path)
+
+
+def test_memory_does_not_grow_with_the_recording(tmp_path):
+    frame = np.zeros((100, 100, 3))
+    tracemalloc.start()
+    try:
+        with SeriesWriter(tmp_path / "long.npz") as series:
+            for index in range(100):
+                series.append(index=index, time_ms=index, value=frame)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert (tmp_path / "long.npz").stat().st_size > 100 * frame.nbytes
+    assert peak < 20 * frame.nbytes
+
+
+INTERRUPTED = """
+import sys, time
+import numpy as np
+from cmp_cl.field import SeriesWriter
+with SeriesWriter(sys.argv[1]) as series:
+    for index in range(10**6):
+        series.append(index=index, time_ms=index, value=np.full((20, 20), index))
+        if index == 3:
+            print("running", flush=True)
+        time.sleep(0.001)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends POSIX signals")
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
+def test_ctrl_c_keeps_the_frames_and_a_kill_leaves_nothing_half_written(tmp_path, kind):
+    path = tmp_path / "press.npz"
+    root = Path(__file__).resolve().parents[1]
+    with subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, path],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": str(root)},
+    ) as program:
+        assert program.stdout.readline() == b"running\n"
+        program.send_signal(kind)
+        program.wait(timeout=60)
+    if kind == signal.SIGKILL:
+        assert not path.exists()
+        return
+    with np.load(path) as data:
+        assert len(data["index"]) >= 4
+        np.testing.assert_array_equal(data["value"][:, 3, 4], data["index"])
+    assert [entry.name for entry in tmp_path.iterdir()] == ["press.npz"]
