@@ -118,8 +118,8 @@ def refine(
     else:
         shift, method, margin = edge_lines(points, max_shift / scale)
     method = np.where(enough, method, Method.KEPT).astype(np.uint8)
-    if isinstance(refinement, EdgeStep):
-        lines = np.nonzero(method == Method.EDGE_LINES)[0]
+    lines = np.nonzero(method == Method.EDGE_LINES)[0]
+    if isinstance(refinement, EdgeStep) and len(lines):
         step = edge_step(
             image, start[lines], shift[lines], _chosen(points, lines), refinement, scale
         )
@@ -458,15 +458,6 @@ def edge_step(
     parts = [
         _step_terms(image, start[rows], shift[rows], n1[rows], n2[rows], radius) for rows in blocks
     ]
-    if not parts:
-        empty = np.zeros(0)
-        return Step(
-            position=np.zeros((0, 2)),
-            accepted=empty.astype(np.bool_),
-            sigma=empty,
-            doubtful=empty.astype(np.bool_),
-            margin=empty,
-        )
     step, solvable, variance, correlation, near = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )

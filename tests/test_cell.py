@@ -1,0 +1,66 @@
+"""The cell size from the image alone."""
+
+import cv2
+import numpy as np
+import pytest
+from corner_images import board, noise
+
+from cmp_cl.cell import estimate_cell
+from cmp_cl.config import DetectorConfig
+from cmp_cl.errors import ImageError
+
+
+def by_definition(image: np.ndarray) -> float:
+    """Window 63, the runs of 3 px and more between two changes along rows and columns."""
+    padded = np.pad(image.astype(np.int64), 31, mode="edge")
+    total = cv2.integral(padded.astype(np.float64))
+    total = total[63:, 63:] - total[:-63, 63:] - total[63:, :-63] + total[:-63, :-63]
+    black = image.astype(np.int64) * 63 * 63 < total
+    lengths = []
+    for line in [*black, *black.T]:
+        changes = np.flatnonzero(line[1:] != line[:-1])
+        lengths += [int(n) for n in np.diff(changes) if n >= 3]
+    lengths.sort()
+    covered = 0
+    for length in lengths:
+        covered += length
+        if 2 * covered >= sum(lengths):
+            return float(length)
+    return 24.0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (3, 90), (80, 97)])
+def test_by_definition(shape):
+    for image in (noise(shape), noise(shape) // 64, noise(shape).astype(np.uint16) * 257):
+        assert estimate_cell(image) == by_definition(image)
+
+
+@pytest.mark.parametrize("cell", [7, 10, 14.5, 20, 31])
+@pytest.mark.parametrize("angle", [0.0, 0.1, 0.5])
+def test_boards(cell, angle):
+    image, _ = board(180, 200, cell, angle=angle)
+    assert 0.9 * cell <= estimate_cell(image) <= 1.25 * cell
+    assert estimate_cell(image) == by_definition(image)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (40, 40)])
+def test_24_where_there_is_nothing_to_measure(shape):
+    assert estimate_cell(np.full(shape, 200, np.uint8)) == 24
+
+
+def test_a_row_step_makes_no_difference():
+    image, _ = board(90, 100, 12)
+    wide = np.full((90, 130), 77, np.uint8)
+    wide[:, :100] = image
+    assert estimate_cell(wide[:, :100]) == estimate_cell(image)
+
+
+def test_the_image_is_checked():
+    with pytest.raises(ImageError, match="uint8"):
+        estimate_cell(np.zeros((5, 5), np.float32))
+
+
+def test_for_image_uses_it():
+    image, _ = board(180, 200, 10)
+    assert DetectorConfig.for_image(image) == DetectorConfig.for_cell(estimate_cell(image))
+    assert DetectorConfig.for_image(image).outer_radius == 4

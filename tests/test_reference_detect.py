@@ -1,0 +1,222 @@
+"""The oracle as a whole: symmetries, borders, tiny and flat images, masks."""
+
+import math
+
+import numpy as np
+import pytest
+from corner_images import board, corner, noise
+
+from cmp_cl import reference
+from cmp_cl.config import (
+    AdaptiveMean,
+    DetectorConfig,
+    EdgeLines,
+    Midlines,
+    RapidCriteria,
+    SectorContrast,
+    SpectralCriteria,
+)
+from cmp_cl.errors import ImageError
+
+IMAGE, TRUTH = board(110, 120, 12)
+CONFIGS = {
+    "default": DetectorConfig(),
+    "radius 4": DetectorConfig(outer_radius=4),
+    "three masks": DetectorConfig(threshold=AdaptiveMean(masks=3)),
+    "spectral": DetectorConfig(criteria=SpectralCriteria()),
+    "no gate": DetectorConfig(contrast=None),
+    "paper": DetectorConfig.paper(40),
+}
+TURNS = {
+    "quarter turn": lambda image: np.rot90(image),
+    "half turn": lambda image: np.rot90(image, 2),
+    "mirror": lambda image: np.fliplr(image),
+    "transpose": lambda image: image.T,
+}
+LAYERED = ("binary", "candidate", "contrast")
+SINGLE = ("response", "score")
+INVARIANT = (
+    "inner_transitions",
+    "outer_transitions",
+    "sector_difference",
+    "ring_difference",
+    "corrosion",
+    "spectrum_12",
+    "spectrum_23",
+    "correlation",
+    "phase",
+)
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+def test_every_corner_of_a_board_is_found(config):
+    corners = reference.detect(IMAGE, config)
+    distance = np.linalg.norm(corners.xy[:, None] - TRUTH, axis=2)
+    assert (distance.min(axis=0) < 0.6).all()
+    inside = ((corners.xy >= 6) & (corners.xy <= np.array([113, 103]) - 0.0)).all(axis=1)
+    assert (distance.min(axis=1)[inside] < 0.6).all()
+    assert corners.device == "NumPy"
+    order = corners.pixel[:, 1] * 1000 + corners.pixel[:, 0]
+    assert (np.diff(order) > 0).all()
+
+
+@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+@pytest.mark.parametrize("image", [IMAGE, noise((50, 61))], ids=["board", "noise"])
+def test_maps_turn_with_the_image(turn, config, image):
+    before, after = (reference.maps(each, config) for each in (image, turn(image).copy()))
+    for name in (*LAYERED, *INVARIANT, *SINGLE):
+        values = getattr(before, name)
+        if values is None:
+            assert getattr(after, name) is None
+            continue
+        layers = values if values.ndim == 3 else values[None]
+        turned = getattr(after, name)
+        turned_layers = turned if turned.ndim == 3 else turned[None]
+        for one, other in zip(layers, turned_layers, strict=True):
+            np.testing.assert_array_equal(turn(one), other, err_msg=name)
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+def test_inverting_keeps_the_corners(config):
+    config = config.replace(refinement=EdgeLines())  # centrelines are those of black sectors
+    normal, inverted = (reference.detect(each, config).xy for each in (IMAGE, 255 - IMAGE))
+    distance = np.linalg.norm(normal[:, None] - inverted, axis=2)
+    assert len(normal) == len(inverted)
+    assert distance.min(axis=0).max() < 0.3
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+@pytest.mark.parametrize("level", [0, 130, 255])
+def test_flat_images_have_no_corner(config, level):
+    for shape in [(1, 1), (2, 2), (1, 40), (40, 1), (30, 33)]:
+        for dtype in (np.uint8, np.uint16):
+            image = np.full(shape, level, dtype)
+            assert len(reference.detect(image, config)) == 0
+            assert not reference.maps(image, config).candidate.any()
+
+
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+@pytest.mark.parametrize("shape", [(0, 0), (0, 7), (7, 0)])
+def test_images_without_pixels(config, shape):
+    image = np.zeros(shape, np.uint8)
+    corners = reference.detect(image, config)
+    assert corners.xy.shape == corners.pixel.shape == (0, 2)
+    assert corners.edges.shape == (0, 4)
+    maps = reference.maps(image, config)
+    assert maps.response.shape == shape
+    assert maps.binary.shape[-2:] == shape
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 2), (3, 3), (5, 4), (11, 10)])
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+def test_images_smaller_than_ring_and_window(config, shape):
+    image = noise(shape, seed=3)
+    maps = reference.maps(image, config)
+    assert maps.maximum.shape == shape
+    assert np.isfinite(reference.detect(image, config).xy).all()
+
+
+@pytest.mark.parametrize("inside", range(1, 6))
+def test_corners_near_the_border_are_found(inside):
+    image = corner(20, 20, 0.35)
+    cut = image[20 - inside :, :]
+    corners = reference.detect(cut, DetectorConfig())
+    assert np.linalg.norm(corners.xy - [20, inside], axis=1).min() < 1.5
+
+
+def test_a_mask_limits_centres_and_not_samples():
+    mask = np.zeros(IMAGE.shape, np.bool_)
+    mask[40:70, 30:80] = True
+    everything = reference.maps(IMAGE, DetectorConfig())
+    part = reference.maps(IMAGE, DetectorConfig(), mask)
+    np.testing.assert_array_equal(part.candidate, everything.candidate & mask)
+    np.testing.assert_array_equal(part.inner, everything.inner)
+    corners = reference.detect(IMAGE, DetectorConfig(), mask)
+    assert 0 < len(corners) < len(reference.detect(IMAGE))
+    assert mask[corners.pixel[:, 1], corners.pixel[:, 0]].all()
+    assert len(reference.detect(IMAGE, DetectorConfig(), np.zeros_like(mask))) == 0
+
+
+def test_candidates_outside_the_mask_do_not_raise_the_bound():
+    faint = (corner(20, 20, 0.4) // 4 + 100).astype(np.uint8)
+    image = np.hstack([faint, *[corner(20, 20, 0.4)] * 3])
+    config = DetectorConfig(contrast=SectorContrast(relative=0.9))
+    mask = np.zeros(image.shape, np.bool_)
+    mask[:, :41] = True
+    assert not reference.maps(image, config).response[:, 10:30].any()
+    assert reference.maps(image, config, mask).response[:, 10:30].any()
+
+
+def test_a_mask_follows_the_working_scale():
+    image, _ = board(120, 130, 24)
+    mask = np.zeros(image.shape, np.bool_)
+    mask[:, :65] = True
+    corners = reference.detect(image, DetectorConfig(scale=0.5), mask)
+    assert len(corners) > 3
+    assert corners.pixel[:, 0].max() <= 65
+
+
+@pytest.mark.parametrize("mask", [np.ones((2, 2), np.bool_), np.ones(IMAGE.shape), "all"])
+def test_a_wrong_mask_is_refused(mask):
+    with pytest.raises(ImageError, match="mask"):
+        reference.detect(IMAGE, DetectorConfig(), mask)
+
+
+def test_three_masks_weigh_two_one_one():
+    config = DetectorConfig(threshold=AdaptiveMean(masks=3))
+    maps = reference.maps(IMAGE, config)
+    assert maps.binary.shape == maps.contrast.shape == (3, *IMAGE.shape)
+    single = reference.maps(IMAGE, DetectorConfig())
+    np.testing.assert_array_equal(maps.binary[0], single.binary)
+    np.testing.assert_array_equal(maps.contrast[0], single.contrast)
+    others = maps.response - 2 * single.response
+    assert others.min() == 0
+    assert others.max() == 10
+
+
+def test_a_map_that_is_left_out_is_none():
+    rapid = reference.maps(IMAGE, DetectorConfig(criteria=RapidCriteria(corrosion_threshold=None)))
+    assert rapid.corrosion is None
+    assert rapid.spectrum_12 is None
+    assert rapid.sector_difference is not None
+    spectral = reference.maps(IMAGE, CONFIGS["spectral"])
+    assert spectral.inner_transitions is None
+    assert spectral.corrosion is not None
+    assert spectral.phase.dtype == spectral.correlation.dtype == np.float32
+
+
+def test_sixteen_bits_find_what_eight_find():
+    deep = reference.detect(IMAGE.astype(np.uint16) * 257, DetectorConfig())
+    plain = reference.detect(IMAGE, DetectorConfig())
+    np.testing.assert_array_equal(deep.pixel, plain.pixel)
+    np.testing.assert_allclose(deep.xy, plain.xy, atol=1e-4)
+
+
+def test_without_a_configuration_the_image_gives_one():
+    found = reference.detect(IMAGE)
+    told = reference.detect(IMAGE, DetectorConfig.for_image(IMAGE))
+    np.testing.assert_array_equal(found.xy, told.xy)
+
+
+def test_refinement_does_not_change_what_is_found():
+    lines, middle, none = (
+        reference.detect(IMAGE, DetectorConfig(refinement=each))
+        for each in (EdgeLines(), Midlines(), None)
+    )
+    for other in (middle, none):
+        np.testing.assert_array_equal(lines.pixel, other.pixel)
+        np.testing.assert_array_equal(lines.response, other.response)
+    assert (lines.response == 5).any()
+
+
+@pytest.mark.parametrize("count", [20, 30, 40])
+def test_salt_and_pepper_is_gated(count):
+    image = IMAGE.copy()
+    rng = np.random.default_rng(count)
+    hit = rng.random(IMAGE.shape) < 0.5
+    image[hit] = np.where(rng.random(hit.sum()) < 0.5, 0, 255)
+    config = DetectorConfig.for_grid(count)
+    assert reference.maps(image, config).response.sum() == 0
+    assert reference.maps(image, config).candidate.sum() > 0
+    assert math.isfinite(float(reference.maps(image, config).contrast.sum()))

@@ -1,0 +1,308 @@
+"""Refinement of the oracle on perfect corners at known places."""
+
+import math
+
+import numpy as np
+import pytest
+from corner_images import board, corner, noise
+
+from cmp_cl import reference
+from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines
+from cmp_cl.reference import refine, ring
+from cmp_cl.results import Corners, Method
+
+RNG = np.random.default_rng(11)
+PLACES = [
+    (20 + dx, 20 + dy, a) for dx, dy, a in RNG.uniform((-0.5, -0.5, 0), (0.5, 0.5, 3.1), (8, 3))
+]
+
+
+def found(image: np.ndarray, refinement: object, **changes: object) -> Corners:
+    return reference.detect(image, DetectorConfig(refinement=refinement, **changes))
+
+
+def one(image: np.ndarray, refinement: object, **changes: object) -> Corners:
+    corners = found(image, refinement, **changes)
+    assert len(corners) == 1
+    return corners
+
+
+@pytest.mark.parametrize(("radius", "points"), [(3, 16), (4, 24), (5, 28)])
+def test_circles(radius, points):
+    circle = refine.circle(radius)
+    assert len(circle) == len(set(circle)) == points
+    assert circle[0] == (0, -radius)
+    assert circle[points // 4] == (radius, 0)
+    assert all(abs(math.hypot(*point) - radius) <= 0.5 for point in circle)
+
+
+def test_the_inner_circle_is_that_of_the_sampler():
+    assert refine.circle(3) == ring.INNER
+
+
+@pytest.mark.parametrize(
+    ("refinement", "method", "bound"),
+    [
+        (None, Method.CENTROID, 0.6),
+        (EdgeLines(), Method.EDGE_LINES, 0.06),
+        (EdgeStep(), Method.EDGE_STEP, 0.03),
+        (Midlines(), Method.CUSP, 0.3),
+    ],
+)
+@pytest.mark.parametrize("scale", [None, 0.7, 1.5])
+def test_a_perfect_corner_is_found_where_it_is(refinement, method, bound, scale):
+    bound *= 1.5 if refinement is None and scale == 0.7 else 1
+    for x, y, angle in PLACES:
+        corners = one(corner(x, y, angle), refinement, scale=scale)
+        assert math.dist(corners.xy[0], (x, y)) < bound
+        assert corners.method[0] == method
+
+
+@pytest.mark.parametrize("opening", [70, 110])
+def test_a_slanted_corner_is_found_where_it_is(opening):
+    for x, y, angle in PLACES:
+        image = corner(x, y, angle, opening=math.radians(opening))
+        assert math.dist(one(image, EdgeLines()).xy[0], (x, y)) < 0.08
+        assert math.dist(one(image, EdgeStep()).xy[0], (x, y)) < 0.03
+
+
+def test_edges_point_along_the_lines_from_white_to_black_first():
+    for x, y, angle in PLACES:
+        image = corner(x, y, angle)
+        corners = one(image, EdgeLines())
+        edges = corners.edges[0].astype(np.float64)
+        assert np.abs(np.sin(2 * (edges - angle))).max() < 0.5  # seen from the rounded start
+        turns = np.diff([*edges, edges[0]]) % math.tau
+        assert turns.sum() == pytest.approx(math.tau)
+        for k, edge in enumerate(edges):
+            # A quarter of a turn clockwise on screen is towards larger angles.
+            after = edge + (edges[(k + 1) % 4] - edge) % math.tau / 2
+            row, column = round(y + 5 * math.sin(after)), round(x + 5 * math.cos(after))
+            assert (image[row, column] < 120) == (k % 2 == 0)
+
+
+def test_a_step_brings_edge_lines_nearer():
+    image, truth = board(150, 160, 11)
+    errors = {}
+    for refinement in (EdgeLines(), EdgeStep(cell=11)):
+        corners = found(image, refinement)
+        distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2)
+        assert (distance.min(axis=0) < 0.2).all()
+        errors[type(refinement)] = np.sqrt((distance.min(axis=0) ** 2).mean())
+    assert errors[EdgeStep] < errors[EdgeLines] / 2 < 0.02
+
+
+def test_sigma_and_doubt_come_with_the_step_only():
+    image, truth = board(150, 160, 11)
+    image[60:66, 60:90] = 120  # a torn place
+    corners = found(image, EdgeStep(cell=11, sigma0=0.025))
+    stepped = corners.method == Method.EDGE_STEP
+    assert stepped.sum() > 0.8 * len(truth)
+    assert (corners.sigma[stepped] >= 0.025).all()
+    assert np.isnan(corners.sigma[~stepped]).all()
+    assert 0 < corners.doubtful.sum() < 0.2 * len(corners)
+    torn = np.linalg.norm(corners.xy - np.array([75, 63]), axis=1) < 25
+    whole = ((corners.xy > 9) & (corners.xy < np.array([150, 140]))).all(axis=1)
+    assert not (corners.doubtful & whole & ~torn).any()
+    assert corners.sigma[corners.doubtful].min() > np.median(corners.sigma[stepped])
+    worn = found(image, EdgeStep(cell=11, sigma0=0.2))
+    assert (worn.sigma[stepped] > 0.2).all()
+    lines = found(image, EdgeLines())
+    assert np.isnan(lines.sigma).all()
+    assert not lines.doubtful.any()
+
+
+def test_sigma_grows_with_noise():
+    rng = np.random.default_rng(4)
+    image, truth = board(120, 130, 11)
+    medians = []
+    for level in (0, 4, 12):
+        noisy = np.clip(np.rint(image + rng.normal(0, level, image.shape)), 0, 255)
+        corners = found(noisy.astype(np.uint8), EdgeStep(cell=11, sigma0=0))
+        distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2).min(axis=1)
+        inside = distance < 1
+        medians.append(float(np.nanmedian(corners.sigma[inside])))
+        if level == 12:
+            error = np.sqrt((distance[inside] ** 2).mean() / 2)
+            assert 0.5 < error / medians[-1] < 2
+    assert medians == sorted(medians)
+
+
+def test_the_cell_sets_how_much_the_step_sees():
+    image, _ = board(80, 80, 11)
+    wide = np.clip(image.astype(np.int64) + noise(image.shape) // 12, 0, 255).astype(np.uint8)
+    near, far = (found(wide, EdgeStep(cell=cell)).xy for cell in (6, 12))
+    assert len(near) == len(far)
+    assert not np.array_equal(near, far)
+    same = found(wide, EdgeStep(cell=1000)).xy
+    np.testing.assert_array_equal(far, same)  # 0.75 cell is at most 9 px
+
+
+def test_refused_corners_keep_their_centroid():
+    image = corner(20.3, 20.4, 0.7)
+    kept = one(image, EdgeLines(max_shift=0))
+    plain = one(image, None)
+    assert kept.method[0] == Method.KEPT
+    np.testing.assert_array_equal(kept.xy, plain.xy)
+    assert np.isfinite(kept.edges).all()
+    assert np.isnan(plain.edges).all()
+    assert one(image, Midlines(max_shift=0)).method[0] == Method.KEPT
+
+
+def at_centre(image: np.ndarray, refinement: object) -> refine.Refined:
+    height, width = image.shape
+    start = np.array([[width // 2, height // 2]])
+    return refine.refine(image, start, start + 0.25, refinement, 1.0)
+
+
+@pytest.mark.parametrize(
+    "refinement", [EdgeLines(), EdgeStep(), Midlines(), Midlines(fit=Fit.QUADRATIC)]
+)
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.full((21, 21), 9, np.uint8),
+        np.full((1, 1), 9, np.uint8),
+        np.tile(np.array([0, 255], np.uint8), (21, 10)),
+        np.tile(np.repeat(np.array([0, 255], np.uint8), 3), (21, 4)),
+        np.tile(np.arange(0, 210, 10, dtype=np.uint8), (21, 1)),
+        np.where(noise((21, 21)) < 128, 0, 255).astype(np.uint8),
+        noise((21, 21), seed=5),
+    ],
+    ids=["flat", "pixel", "comb", "stripes", "ramp", "saturated noise", "noise"],
+)
+def test_nothing_ends_in_nan(image, refinement):
+    result = at_centre(image, refinement)
+    assert np.isfinite(result.xy).all()
+    assert np.linalg.norm(result.xy - np.array(image.shape[::-1]) // 2) < 2.5
+    if result.method[0] == Method.KEPT:
+        assert (result.xy == np.array(image.shape[::-1]) // 2 + 0.25).all()
+
+
+def test_parallel_centrelines_of_a_perfect_board_fall_back_to_cusps():
+    y, x = np.mgrid[-20:21, -20:21]
+    image = np.where(x * y > 0, 40, np.where(x * y < 0, 200, 120)).astype(np.uint8)
+    for fit in Fit:
+        result = at_centre(image, Midlines(fit=fit))
+        assert result.method[0] == Method.CUSP
+        np.testing.assert_allclose(result.xy, [[20, 20]], atol=1e-12)
+
+
+def bent(sharpness: float) -> np.ndarray:
+    """A corner whose two black sectors point in different directions."""
+    y, x = np.mgrid[-20.5:20.5:328j, -20.5:20.5:328j]
+    angle = np.arctan2(y, x)
+    first = np.abs(np.angle(np.exp(1j * (angle - 0.2)))) < 0.7
+    second = np.abs(np.angle(np.exp(1j * (angle - 0.2 - sharpness)))) < 0.7
+    fine = np.where(first | second, 30, 220)
+    return fine.reshape(41, 8, 41, 8).mean(axis=(1, 3)).astype(np.uint8)
+
+
+def test_bent_sectors_have_centrelines_that_meet():
+    for fit in Fit:
+        result = at_centre(bent(2.2), Midlines(fit=fit))
+        assert result.method[0] == Method.MIDLINE
+        assert np.linalg.norm(result.xy - [20, 20]) < 1.2
+    linear, curved = (at_centre(bent(2.2), Midlines(fit=fit)).xy for fit in Fit)
+    assert not np.array_equal(linear, curved)
+
+
+def rays(angles: list[float]) -> refine.EdgePoints:
+    """Edge points where four rays from the start meet circles of 3, 4 and 5 px."""
+    unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    point = np.array([3.0, 4.0, 5.0])[:, None, None] * unit
+    return refine.EdgePoints(
+        point=point[None],
+        valid=np.ones((1, 3), np.bool_),
+        direction=3 * unit[None],
+        margin=np.full(1, np.inf),
+    )
+
+
+def test_the_midpoints_of_rays_meet_where_the_rays_do():
+    for fit in Fit:
+        shift, method, _ = refine.midlines(rays([-0.5, 0.9, 1.7, 2.9]), fit, 2.0)
+        assert method[0] == Method.MIDLINE
+        np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
+    shift, method, _ = refine.midlines(rays([-0.5, 0.9, 2.64, 4.04]), Fit.LINEAR, 2.0)
+    assert method[0] == Method.CUSP
+    np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
+
+
+def test_lines_at_a_small_angle_are_refused():
+    for angle, expected in [(0.16, Method.KEPT), (0.18, Method.EDGE_LINES)]:
+        points = rays([0.0, angle, math.pi, math.pi + angle])
+        assert refine.edge_lines(points, 2.0)[1][0] == expected
+
+
+def test_quadratic_centrelines_meet_where_parabolas_meet():
+    middle = np.zeros((1, 3, 2, 2))
+    t = np.array([3.0, 4.0, 5.0])
+    middle[0, :, 0] = np.stack([t, 0.1 * t * t], axis=1)  # y = x^2 / 10
+    middle[0, :, 1] = np.stack([0.1 * t * t, -t], axis=1)  # x = y^2 / 10
+    lines = [refine.fit_lines(middle[:, :, k], np.ones((1, 3), np.bool_)) for k in (0, 1)]
+    straight = refine.intersect(*lines)
+    curved = refine._intersect_curves(*lines, middle, straight.position)
+    # Not the origin exactly: v is quadratic along a turned axis.
+    assert np.linalg.norm(curved.position) < np.linalg.norm(straight.position) / 3
+
+
+@pytest.mark.parametrize("far", [4000, 16000])
+def test_far_from_the_origin_a_corner_moves_by_exactly_that(far):
+    image = corner(20.3, 19.8, 0.7)
+    wide = np.pad(image, ((0, 0), (far, 0)), mode="edge")
+    start = np.array([[20, 20]])
+    for refinement in (EdgeLines(), EdgeStep(), Midlines()):
+        near = refine.refine(image, start, start + 0.0, refinement, 1.0)
+        there = start + np.array([[far, 0]])
+        moved = refine.refine(wide, there, there + 0.0, refinement, 1.0)
+        np.testing.assert_allclose(moved.xy - there, near.xy - start, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("radius", [3, 5])
+def test_a_ring_with_a_speck_is_mended_by_a_majority(radius):
+    image = corner(20, 20, 0.4)
+    clean = one(image, EdgeLines()).xy
+    x, y = next(
+        (dx, dy) for dx, dy in refine.circle(radius) if image[20 + dy, 20 + dx] > 170 and dx > 0
+    )
+    image[20 + y, 20 + x] = 40
+    start = np.array([[20, 20]])
+    points = refine.edge_points(image, start, 1.0)
+    assert points.valid.all()
+    result = refine.refine(image, start, start + 0.0, EdgeLines(), 1.0)
+    np.testing.assert_allclose(result.xy, clean, atol=0.3)
+
+
+def test_the_margin_tells_how_near_a_guard_is():
+    image = corner(20.3, 20.4, 0.7)
+    shift = np.linalg.norm(one(image, EdgeLines()).xy[0] - np.array([20, 20]))
+    _, wide = reference.detect_with_margin(image, DetectorConfig(refinement=EdgeLines()))
+    near = DetectorConfig(refinement=EdgeLines(max_shift=float(shift) * 1.001))
+    corners, margin = reference.detect_with_margin(image, near)
+    assert corners.method[0] == Method.EDGE_LINES
+    assert margin[0] == pytest.approx(1e-3, rel=0.05)
+    assert wide[0] > 0.1
+    _, none = reference.detect_with_margin(image, DetectorConfig(refinement=None))
+    assert np.isinf(none).all()
+
+
+def test_radii_follow_the_working_scale():
+    image = corner(20.3, 20.4, 0.7)
+    offsets, greys = refine.ring_samples(image, np.array([[20, 20]]), 3, 0.5)
+    assert greys.shape == (1, 32)
+    np.testing.assert_allclose(np.hypot(*offsets.T), 6)
+    np.testing.assert_allclose(offsets[[0, 8]], [[0, -6], [6, 0]], atol=1e-12)
+    assert greys[0, 8] == image[20, 26]
+
+
+def test_bilinear_by_hand():
+    image = np.array([[0, 100], [50, 250]], np.uint8)
+    x, y = np.array([0.25, 0.5, -3.0, 1.0]), np.array([0.0, 0.5, 0.0, 9.0])
+    np.testing.assert_allclose(refine.bilinear(image, x, y), [25, 100, 0, 250])
+
+
+def test_the_threshold_lies_between_the_quarters():
+    greys = np.array([[*range(10, 18), *range(100, 108)]], np.float64)
+    expected = ((10 + 11 + 12 + 13) / 4 + (104 + 105 + 106 + 107) / 4) / 2
+    assert refine.threshold(greys)[0] == expected

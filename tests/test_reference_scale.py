@@ -1,0 +1,129 @@
+"""The working scale of the oracle."""
+
+import cv2
+import numpy as np
+import pytest
+from corner_images import board, noise
+
+from cmp_cl import reference
+from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeLines, Pyramid
+from cmp_cl.reference import scale
+
+
+@pytest.mark.parametrize("factor", [0.05, 0.3, 0.5, 0.75, 1.1, 2.0, 3.7])
+@pytest.mark.parametrize("length", [1, 2, 7, 100])
+def test_weights_are_shares_of_2048_of_pixels_in_the_image(factor, length):
+    index, weight = scale.weights(length, factor)
+    assert len(index) == max(1, int(length * factor + 0.5))
+    assert (weight >= 0).all()
+    assert (weight.sum(axis=1) == 2048).all()
+    assert index.min() >= 0
+    assert index.max() < length
+
+
+def test_half_scale_is_the_mean_of_four():
+    index, weight = scale.weights(6, 0.5)
+    assert index.tolist() == [[0, 1], [2, 3], [4, 5]]
+    assert (weight == 1024).all()
+    image = np.array([[10, 20], [30, 41]], np.uint8)
+    assert scale.to_working(image, 0.5).tolist() == [[25]]
+
+
+def test_weights_at_three_quarters_by_hand():
+    index, weight = scale.weights(4, 0.75)
+    # Intervals 0..4/3, 4/3..8/3, 8/3..4: shares 3/4 1/4, 1/2 1/2, 1/4 3/4.
+    assert index.tolist() == [[0, 1], [1, 2], [2, 3]]
+    assert weight.tolist() == [[1536, 512], [1024, 1024], [512, 1536]]
+
+
+def test_weights_at_double_scale_by_hand():
+    index, weight = scale.weights(2, 2.0)
+    # Positions -1/4, 1/4, 3/4, 5/4; the border pixel is repeated.
+    assert index.tolist() == [[0, 0], [0, 1], [0, 1], [1, 1]]
+    assert weight.tolist() == [[512, 1536], [1536, 512], [512, 1536], [1536, 512]]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("factor", [0.5, 0.25])
+def test_shrinking_agrees_with_opencv(dtype, factor):
+    image = noise((40, 48)).astype(dtype)
+    peer = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    found = scale.to_working(image, factor)
+    assert found.dtype == dtype
+    assert np.abs(found.astype(np.int64) - peer).max() <= 1
+
+
+@pytest.mark.parametrize("factor", [2.0, 1.5])
+def test_stretching_agrees_with_opencv(factor):
+    image = noise((40, 48))
+    peer = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+    assert np.abs(scale.to_working(image, factor).astype(np.int64) - peer).max() <= 1
+
+
+@pytest.mark.parametrize("factor", [0.05, 0.31, 0.99, 1.01, 4.0])
+def test_flat_stays_flat_and_full_scale_stays_full(factor):
+    for level in (0, 1, 65535):
+        image = np.full((9, 30), level, np.uint16)
+        assert (scale.to_working(image, factor) == level).all()
+
+
+def test_scale_one_is_the_image():
+    image = noise((9, 9))
+    assert scale.to_working(image, 1.0) is image
+    config = DetectorConfig(threshold=AdaptiveMean(window=9))
+    plain, scaled = reference.maps(image, config), reference.maps(image, config.replace(scale=1.0))
+    for name, values in vars(plain).items():
+        np.testing.assert_array_equal(values, getattr(scaled, name))
+
+
+def test_working_pixels_lie_where_the_mapping_says():
+    np.testing.assert_allclose(scale.to_full(np.array([0.0, 1.0]), 0.5), [0.5, 2.5])
+    ramp = np.tile(np.arange(0, 200, 2, dtype=np.uint8), (20, 1))
+    for factor in (0.4, 0.5, 1.7):
+        working = scale.to_working(ramp, factor)[5].astype(np.float64)
+        place = scale.to_full(np.arange(len(working)), factor)
+        inner = (place > 2) & (place < 97)
+        assert np.abs(working - 2 * place)[inner].max() < 0.6
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.62])
+def test_large_cells_are_found_at_a_smaller_scale(factor):
+    image, truth = board(240, 260, 30)
+    config = DetectorConfig(scale=factor, refinement=EdgeLines())
+    corners = reference.detect(image, config)
+    distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2)
+    assert (distance.min(axis=0) < 0.2).all()
+    pixel = np.linalg.norm(corners.pixel[:, None] - truth, axis=2)
+    assert (pixel.min(axis=0) < 4).all()
+    working = reference.maps(image, config)
+    assert working.maximum.shape == (round(240 * factor), round(260 * factor))
+    y, x = np.nonzero(working.maximum)
+    place = np.floor(scale.to_full(np.stack([x, y], axis=1).astype(float), factor) + 0.5)
+    np.testing.assert_array_equal(corners.pixel, place)
+
+
+def test_the_pyramid_takes_the_nearest_count_and_the_larger_of_equals():
+    assert scale.best_factor({0.5: 10, 1.0: 14, 2.0: 7}, 11) == 0.5
+    assert scale.best_factor({0.5: 10, 1.0: 12, 2.0: 7}, 11) == 1.0
+    image, _ = board(200, 210, 28)
+    counts = {
+        factor: len(reference.detect(image, DetectorConfig(scale=factor)))
+        for factor in (0.2, 0.5, 1.0)
+    }
+    for count in counts.values():
+        same = [other for other in counts if counts[other] == count]
+        pyramid = DetectorConfig(scale=Pyramid(factors=(0.2, 0.5, 1.0), expected=max(count, 1)))
+        best = reference.detect(image, pyramid)
+        single = reference.detect(image, DetectorConfig(scale=max(same)))
+        np.testing.assert_array_equal(best.xy, single.xy)
+        assert reference.maps(image, pyramid).maximum.shape[0] == round(200 * max(same))
+    assert counts[0.2] < counts[0.5] == counts[1.0]
+
+
+@pytest.mark.parametrize("factor", [0.05, 0.6, 3.0])
+def test_tiny_images_at_a_scale(factor):
+    for shape in [(1, 1), (2, 5), (9, 1)]:
+        corners = reference.detect(noise(shape), DetectorConfig(scale=factor))
+        assert np.isfinite(corners.xy).all()
+        assert (corners.pixel >= 0).all()
+        assert (corners.pixel < shape[::-1]).all()
