@@ -31,3 +31,7 @@ class KernelBuildError(CmpClError, RuntimeError):
 
 class CapacityError(CmpClError, RuntimeError):
     """The device has no room; the message names what is needed and what there is."""
+
+
+class GridError(CmpClError, ValueError):
+    """Corners do not make one grid: no edges, two patterns, or hardly a pattern."""

@@ -30,6 +30,7 @@ class NodeStatus(enum.IntEnum):
     ATTACHED = 2  # a free detection near the place that its neighbours predict
     SECOND_LOOK = 3  # found by a second look at the image
     INTERPOLATED = 4
+    VIRTUAL = 5  # a marker on the edge between two neighbours
 
 
 class PointStatus(enum.IntEnum):
@@ -127,12 +128,14 @@ class Grid:
     status: (R, C) uint8 of `NodeStatus`.
     sigma: (R, C) float32, standard deviation of the position per axis, px, NaN where unknown.
     index: (N, 2) int32, (row, column) of each corner it was built from, -1 where unassigned.
+    parity: 0 where the cell between nodes (0, 0) and (1, 1) is black, 1 where it is white.
     """
 
     xy: NDArray[np.float32]
     status: NDArray[np.uint8]
     sigma: NDArray[np.float32]
     index: NDArray[np.int32]
+    parity: int = 0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -144,6 +147,17 @@ class Grid:
         """(R, C), where there is a position."""
         return ~np.isnan(self.xy[..., 0])
 
+    def with_virtual_markers(self, count: int) -> "Grid":
+        """The grid with `count` points on every edge between two neighbouring nodes.
+
+        They lie on cubic curves through the nodes. Node (r, c) is at ((count + 1) r,
+        (count + 1) c) of the result, ((R - 1)(count + 1) + 1, (C - 1)(count + 1) + 1), whose
+        places inside the cells are MISSING. Raises GridError where count is below 1.
+        """
+        from cmp_cl.markers import virtual_markers
+
+        return virtual_markers(self, count)
+
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Points3D:
@@ -151,8 +165,7 @@ class Points3D:
 
     xyz: (R, C, 3) float64, in `unit`, NaN unless the node is valid.
     error: (R, C) float64, root mean square over both views of the distance between the
-        measured and the reprojected position, px; NaN where a side is missing. Nodes refused
-        for it keep it.
+        measured and the reprojected position, px; INCONSISTENT nodes may keep it.
     covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared: the corners' standard
         deviations through the geometry, without the calibration's own error; NaN where
         those are unknown.
@@ -171,7 +184,7 @@ class Points3D:
     @property
     def valid(self) -> NDArray[np.bool_]:
         """(R, C), where there is a position."""
-        return self.status == PointStatus.VALID
+        return np.equal(self.status, PointStatus.VALID)
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -207,7 +220,7 @@ class DisplacementField:
     @property
     def valid(self) -> NDArray[np.bool_]:
         """(R, C), where there is a displacement."""
-        return self.status == PointStatus.VALID
+        return np.equal(self.status, PointStatus.VALID)
 
     def with_strain(self, radius: int = 2) -> "DisplacementField":
         """The same field with its in-plane strain, smoothed over 2 radius + 1 nodes a side.

@@ -1,0 +1,491 @@
+"""Corners to rows and columns: numbering, orientation, holes, second look."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import GridError
+from cmp_cl.lattice import Lattice, lattice
+from cmp_cl.results import Corners, GreyImage, Grid, NodeStatus, check_image
+from cmp_cl.second_look import second_look
+
+Points = NDArray[np.complex128]  # x + 1j y, px, NaN where there is none
+Index = NDArray[np.int64]
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+NOWHERE = complex(np.nan, np.nan)
+SMALL = 0.1  # least share of the corners that the pattern must hold
+RIVAL = 0.5  # a second component of this share of the first is a second pattern
+NEAR = 0.3  # cells: how far from its prediction a node may be
+WHOLE = 1024  # weight of a corner with straight boundaries
+WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
+SAMPLE = 160  # nodes whose place is looked up in the rest grid
+
+
+def build_grid(
+    corners: Corners,
+    image: GreyImage | None = None,
+    shape: tuple[int, int] | None = None,
+    like: Grid | None = None,
+    region: tuple[float, float, float, float] | None = None,
+) -> Grid:
+    """Number the corners of a checkerboard by row and column (section 4.3 of the paper).
+
+    image: where the second look at missing nodes looks, (H, W) uint8 or uint16; None skips it.
+    shape: rows and columns of the pattern's inner corners. The grid then has this shape, the
+        fullest such window of the lattice; without it, the shape of what is seen.
+    like: a grid of the same pattern, usually at rest. The result has its shape, orientation
+        and origin; without it row 0 is at the top and column 0 at the left of the image.
+    region: (x0, y0, x1, y1), px; corners outside belong to no node.
+
+    Nodes that are not seen are NaN and MISSING; those between measured nodes are INTERPOLATED.
+    Where no closed cell is found the grid is empty, (0, 0) or of the known shape.
+
+    Raises GridError where the corners have no edge angles, where two patterns are seen, where
+    the largest lattice is small against the number of corners, where `like` is empty or
+    contradicts `shape`; ImageError for an image that is not one.
+    """
+    if image is not None:
+        check_image(image)
+    shape = _known_shape(shape, like)
+    inside = _inside(corners, region)
+    if len(inside) < 4:
+        return _empty(len(corners), shape)
+    edges = corners.edges[inside]
+    if np.isnan(edges).all():
+        raise GridError(
+            "the corners have no edge angles, which the grid is built from; "
+            "detect them with a refinement (EdgeLines, EdgeStep or Midlines)"
+        )
+    z = (corners.xy[inside, 0] + 1j * corners.xy[inside, 1]).astype(np.complex64)
+    found = lattice(z, edges)
+    if not len(found.size):
+        return _empty(len(corners), shape)
+    if found.size[0] < SMALL * len(inside):
+        raise GridError(
+            f"the largest lattice has {found.size[0]} of {len(inside)} corners, "
+            f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
+        )
+    nodes = _placed(z, found, shape, like)
+    _fill(nodes, z.astype(np.complex128), edges, image, growing=shape is None)
+    _refuse_rival(found, nodes, z)
+    return _result(corners, inside, nodes)
+
+
+class _Nodes:
+    """A grid in the making.
+
+    at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
+    status: (R, C) uint8 of NodeStatus; looked: (R, C) weight of the prediction at the last
+    second look; parity: as in Grid; free: (N,) bool, corners that have not been in the grid.
+    """
+
+    def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
+        self.at: Points = np.full(shape, NOWHERE)
+        self.owner: Index = np.full(shape, -1)
+        self.status: NDArray[np.uint8] = np.zeros(shape, np.uint8)
+        self.looked: Float = np.zeros(shape)
+        self.parity = parity
+        self.free = free
+
+    def put(self, row: Index, column: Index, at: Points, status: NodeStatus) -> None:
+        self.at[row, column] = at
+        self.status[row, column] = status
+
+    def drop(self, row: Index, column: Index) -> None:
+        self.put(row, column, np.full(len(row), NOWHERE), NodeStatus.MISSING)
+        self.owner[row, column] = -1
+
+    def pad(self) -> None:
+        """A ring of missing nodes around; the parity of node (0, 0) stays."""
+        self.at = np.pad(self.at, 1, constant_values=NOWHERE)
+        self.owner = np.pad(self.owner, 1, constant_values=-1)
+        self.status = np.pad(self.status, 1)
+        self.looked = np.pad(self.looked, 1)
+
+    def crop(self) -> None:
+        """Without the empty rows and columns around."""
+        seen = self.status != NodeStatus.MISSING
+        rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
+        box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        self.at, self.owner = self.at[box], self.owner[box]
+        self.status, self.looked = self.status[box], self.looked[box]
+        self.parity = (self.parity + int(rows[0]) + int(columns[0])) % 2
+
+
+def _known_shape(shape: tuple[int, int] | None, like: Grid | None) -> tuple[int, int] | None:
+    if shape is not None and (
+        len(shape) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in shape)
+    ):
+        raise GridError(f"shape must be (rows, columns), each at least 1, not {shape!r}")
+    if like is None:
+        return shape
+    if not like.valid.any():
+        raise GridError("the grid given as `like` has no nodes; give one that has been found")
+    if shape is not None and tuple(shape) != like.shape:
+        raise GridError(f"shape is {shape}, but the grid given as `like` has {like.shape}")
+    return like.shape
+
+
+def _inside(corners: Corners, region: tuple[float, float, float, float] | None) -> Index:
+    if region is None:
+        return np.arange(len(corners))
+    x0, y0, x1, y1 = region
+    if not (x0 < x1 and y0 < y1):
+        raise GridError(f"region must be (x0, y0, x1, y1) with x0 < x1 and y0 < y1, not {region}")
+    x, y = corners.xy.T
+    return np.flatnonzero((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
+
+
+def _empty(corners: int, shape: tuple[int, int] | None) -> Grid:
+    rows, columns = shape or (0, 0)
+    return Grid(
+        xy=np.full((rows, columns, 2), np.nan, np.float32),
+        status=np.zeros((rows, columns), np.uint8),
+        sigma=np.full((rows, columns), np.nan, np.float32),
+        index=np.full((corners, 2), -1, np.int32),
+    )
+
+
+def _placed(
+    z: NDArray[np.complex64], found: Lattice, shape: tuple[int, int] | None, like: Grid | None
+) -> _Nodes:
+    """The largest component, turned, and cut to the window where the shape is known."""
+    member = np.flatnonzero(found.component == 0)
+    member = member[np.argsort(found.support[member], kind="stable")]
+    upright = round(float(np.angle(found.axis[0])) / (np.pi / 2))
+    if like is not None:
+        places = [_turned(found, member, quarter) for quarter in range(4)]
+        place, origin = _like_rest(z[member], places, like)
+    else:
+        place, origin = _turned(found, member, upright), (0, 0)
+        if shape is None:
+            shape = int(place.row.max()) + 1, int(place.column.max()) + 1
+        else:
+            places = [place]
+            if shape[0] != shape[1]:
+                residual = float(np.angle(found.axis[0] * 1j ** (-upright % 4)))
+                places.append(_turned(found, member, upright + (1 if residual > 0 else -1)))
+            place, origin = _fullest(places, shape)
+    rows, columns = like.shape if like is not None else shape  # type: ignore[misc]
+    row, column = place.row - origin[0], place.column - origin[1]
+    kept = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    free = np.ones(len(z), np.bool_)
+    free[member] = False
+    nodes = _Nodes((rows, columns), (place.parity + origin[0] + origin[1]) % 2, free)
+    nodes.owner[row[kept], column[kept]] = member[kept]  # the best supported is last and stays
+    row, column = np.nonzero(nodes.owner >= 0)
+    at = z[nodes.owner[row, column]].astype(np.complex128)
+    nodes.put(row, column, at, NodeStatus.DETECTED)
+    return nodes
+
+
+class _Place(NamedTuple):
+    """Rows and columns of the members from 0, their weights, the parity of node (0, 0)."""
+
+    row: Index
+    column: Index
+    weight: Index
+    parity: int
+
+
+def _turned(found: Lattice, member: Index, quarters: int) -> _Place:
+    """The members' rows and columns after that many clockwise quarter turns of the lattice."""
+    unit = (1, 1j, -1, -1j)[quarters % 4]
+    node, turn = found.node[member] * unit, found.turn[member] * unit
+    row, column = node.imag.astype(np.int64), node.real.astype(np.int64)
+    row -= row.min()
+    column -= column.min()
+    odd = ((turn.imag != 0) + row + column) % 2
+    weight = WHOLE - (WHOLE / 4 * found.bend[member]).astype(np.int64)
+    return _Place(row, column, weight, int(2 * np.count_nonzero(odd) > len(odd)))
+
+
+def _window_weights(place: _Place, shape: tuple[int, int]) -> tuple[Index, Index, Index]:
+    """The weight of the members in each window of that shape, its first row and column.
+
+    A member weighs less the less its boundaries are straight, as they are not where the
+    outermost cells meet the surroundings. Returns (K, L) weights, (K,) rows, (L,) columns.
+    """
+    seen = np.zeros((int(place.row.max()) + 1, int(place.column.max()) + 1), np.int64)
+    seen[place.row, place.column] = place.weight
+    rows, columns = shape
+    total = np.pad(seen, ((rows, rows), (columns, columns))).cumsum(0).cumsum(1)
+    total = np.pad(total, ((1, 0), (1, 0)))
+    counts = (total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns]) + total[
+        :-rows, :-columns
+    ]
+    return counts, np.arange(len(counts)) - rows, np.arange(counts.shape[1]) - columns
+
+
+def _fullest(places: list[_Place], shape: tuple[int, int]) -> tuple[_Place, tuple[int, int]]:
+    """The first place with the fullest window, and the window nearest to its top left corner."""
+    windows = [_window_weights(place, shape) for place in places]
+    best = int(np.argmax([weights.max() for weights, _, _ in windows]))
+    weights, rows, columns = windows[best]
+    full = np.argwhere(weights == weights.max())
+    away = np.abs(rows[full[:, 0]]) + np.abs(columns[full[:, 1]])
+    row, column = full[np.argmin(away)]
+    return places[best], (int(rows[row]), int(columns[column]))
+
+
+def _like_rest(
+    z: NDArray[np.complex64], places: list[_Place], like: Grid
+) -> tuple[_Place, tuple[int, int]]:
+    """The turn and the window that agree with the rest grid.
+
+    Some members vote for the numbers of the rest node nearest to them: most of a pressed
+    gel stays near its place, whatever the rest does. The turn with the most common
+    vote wins. Among its windows of the right checker colour, those that hold about as many
+    members as the fullest compete, and the votes decide.
+    """
+    some = np.linspace(0, len(z) - 1, min(SAMPLE, len(z))).astype(np.int64)
+    rest_row, rest_column = np.nonzero(like.valid)
+    rest = like.xy[rest_row, rest_column]
+    here = z[some]
+    away = (here.real[:, None] - rest[None, :, 0]) ** 2 + (here.imag[:, None] - rest[:, 1]) ** 2
+    nearest = away.argmin(1)
+    found = []
+    for place in places:
+        weights, rows, columns = _window_weights(place, like.shape)
+        row = place.row[some] - rest_row[nearest] - rows[0]
+        column = place.column[some] - rest_column[nearest] - columns[0]
+        votes = np.zeros_like(weights)
+        cast = (row >= 0) & (row < len(rows)) & (column >= 0) & (column < len(columns))
+        np.add.at(votes, (row[cast], column[cast]), 1)
+        colour = (place.parity + rows[:, None] + columns) % 2 == like.parity
+        weights, votes = np.where(colour, weights, 0), np.where(colour, votes, 0)
+        rival = weights >= weights.max() - WHOLE * min(like.shape) / 2
+        choice = np.where(rival, votes * (WHOLE * len(z) + 1) + weights, -1)
+        row, column = np.unravel_index(int(choice.argmax()), choice.shape)
+        found.append((int(votes.max()), place, (int(rows[row]), int(columns[column]))))
+    return max(found, key=lambda each: each[0])[1:]
+
+
+# ((weight), ((row, column, factor), ...)) of each prediction of a node from its neighbours
+def _predictors() -> list[tuple[float, tuple[tuple[int, int, float], ...]]]:
+    found: list[tuple[float, tuple[tuple[int, int, float], ...]]] = []
+    for r, c in ((0, 1), (1, 0)):
+        found.append(
+            (12, ((-r, -c, 4 / 6), (r, c, 4 / 6), (-2 * r, -2 * c, -1 / 6), (2 * r, 2 * c, -1 / 6)))
+        )
+        found.append((4, ((-r, -c, 0.5), (r, c, 0.5))))
+    for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        found.append((1.5, ((r, 0, 1), (0, c, 1), (r, c, -1))))
+    for r, c in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+        found.append((0.7, ((r, c, 2), (2 * r, 2 * c, -1))))
+        found.append((0.7, ((r, c, 3), (2 * r, 2 * c, -3), (3 * r, 3 * c, 1))))
+    return found
+
+
+PREDICTORS = _predictors()
+
+
+def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
+    """Where nodes should be by their neighbours, and the weight of the prediction.
+
+    Along a row or column (4 (L + R) - (LL + RR)) / 6 with weight 12 and (L + R) / 2 with 4,
+    the parallelograms with 1.5, linear and quadratic extrapolation with 0.7 each.
+    """
+    padded = np.pad(at, 3, constant_values=complex(np.nan, np.nan))
+    flat, width = padded.ravel(), padded.shape[1]
+    here = (row + 3) * width + column + 3
+    steps = sorted({(r, c) for _, terms in PREDICTORS for r, c, _ in terms})
+    near = {step: flat[here + step[0] * width + step[1]] for step in steps}
+    total = np.zeros(len(here), np.complex128)
+    weights = np.zeros(len(here))
+    for weight, terms in PREDICTORS:
+        value = sum(factor * near[r, c] for r, c, factor in terms)
+        known = ~np.isnan(value.real)
+        total[known] += weight * value[known]
+        weights += weight * known
+    with np.errstate(invalid="ignore"):
+        return total / weights, weights
+
+
+def mean_steps(at: Points) -> tuple[Points, Points, Float]:
+    """The step to the next column, to the next row, and the cell, each (R, C), px.
+
+    Means over the 3 x 3 nodes around; NaN where there are none.
+    """
+    means: list[Points] = []
+    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        total = np.zeros(at.shape, np.complex128)
+        count = np.zeros(at.shape)
+        step = at[b] - at[a]
+        known = ~np.isnan(step.real)
+        step[~known] = 0
+        for side in (a, b):
+            total[side] += step
+            count[side] += known
+        with np.errstate(invalid="ignore"):
+            means.append(_box(total) / _box(count))
+    along, down = means
+    lengths: Float = np.abs(np.stack(means))
+    lengths = np.where(np.isnan(lengths), lengths[::-1], lengths)
+    cell: Float = lengths.mean(0)
+    return along, down, cell
+
+
+def _box(values: NDArray[Any]) -> NDArray[Any]:
+    """Sums over 3 x 3 nodes."""
+    padded = np.pad(values, 1)
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    total: NDArray[Any] = rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
+    return total
+
+
+def _fill(
+    nodes: _Nodes,
+    z: Points,
+    edges: NDArray[np.float32],
+    image: GreyImage | None,
+    *,
+    growing: bool,
+) -> None:
+    """Drop misfits, attach free corners, look again, interpolate."""
+    _drop_misfits(nodes)
+    while True:
+        if growing:
+            nodes.pad()
+        changed = _attach(nodes, z, edges)
+        if growing:
+            nodes.crop()
+        if not changed and image is not None:
+            changed = _look_again(nodes, image, WEAK if not growing else BRACKETED)
+        if not changed:
+            break
+        _drop_misfits(nodes)
+    _interpolate(nodes)
+
+
+def _drop_misfits(nodes: _Nodes) -> None:
+    """Drop nodes far from a well supported prediction, the worst of each neighbourhood first."""
+    cell = mean_steps(nodes.at)[2]
+    while True:
+        row, column = np.nonzero(nodes.status != NodeStatus.MISSING)
+        prediction, weight = predict(nodes.at, row, column)
+        off = np.abs(nodes.at[row, column] - prediction) / cell[row, column]
+        off[weight < STRONG] = 0
+        if not (off > NEAR).any():
+            return
+        padded = np.zeros((nodes.at.shape[0] + 2, nodes.at.shape[1] + 2))
+        padded[row + 1, column + 1] = off
+        around = [padded[row + r, column + c] for r in range(3) for c in range(3)]
+        worst = (off > NEAR) & (off >= np.max(around, axis=0))
+        nodes.drop(row[worst], column[worst])
+
+
+def _expected(nodes: _Nodes, least: float) -> tuple[Index, Index, Points, Float, Float, Points]:
+    """Missing nodes whose prediction has at least that weight.
+
+    Returns rows, columns, predictions, their weights, cells, and the direction in which the
+    boundaries e0 and e2 should lie.
+    """
+    row, column = np.nonzero(nodes.status == NodeStatus.MISSING)
+    if not len(row):
+        return row, column, nodes.at[:0, 0], np.zeros(0), np.zeros(0), nodes.at[:0, 0]
+    at, weight = predict(nodes.at, row, column)
+    along, down, cell = mean_steps(nodes.at)
+    kept = (weight >= least) & ~np.isnan(cell[row, column])
+    row, column, at, weight = row[kept], column[kept], at[kept], weight[kept]
+    level = (nodes.parity + row + column) % 2 == 0
+    line = np.where(level, along[row, column], down[row, column])
+    line[np.isnan(line)] = 0
+    line /= np.maximum(np.abs(line), 1e-6)
+    return row, column, at, weight, cell[row, column], line
+
+
+def _attach(nodes: _Nodes, z: Points, edges: NDArray[np.float32]) -> bool:
+    """Take free corners near the predictions of missing nodes; whether there were any.
+
+    A corner whose boundaries lie the other way round is another one.
+    """
+    free = np.flatnonzero(nodes.free)
+    if not len(free):
+        return False
+    row, column, at, _, cell, line = _expected(nodes, WEAK)
+    near, corner = _nearest(at, z[free], NEAR * cell)
+    corner = free[corner]
+    first, third = np.exp(1j * edges[corner, 0]), np.exp(1j * edges[corner, 2])
+    along = np.abs(((first - third) * line[near].conj()).real)
+    near, corner = near[~(along < 1)], corner[~(along < 1)]
+    nodes.put(row[near], column[near], z[corner], NodeStatus.ATTACHED)
+    nodes.owner[row[near], column[near]] = corner
+    nodes.free[corner] = False
+    return len(near) > 0
+
+
+def _nearest(at: Points, z: Points, reach: Float) -> tuple[Index, Index]:
+    """Places in `at` and in `z` that are each other's nearest and within reach."""
+    order = np.argsort(z.real, kind="stable")
+    x = z.real[order]
+    begin = np.searchsorted(x, at.real - reach)
+    count = np.searchsorted(x, at.real + reach, side="right") - begin
+    here = np.repeat(np.arange(len(at)), count)
+    skipped = np.cumsum(count) - count
+    there = order[np.arange(len(here)) + np.repeat(begin - skipped, count)]
+    away = np.abs(at[here] - z[there])
+    close = away < reach[here]
+    here, there, away = here[close], there[close], away[close]
+    best = np.full(len(at), np.inf)
+    best_there = np.full(len(z), np.inf)
+    np.minimum.at(best, here, away)
+    np.minimum.at(best_there, there, away)
+    mutual = (away == best[here]) & (away == best_there[there])
+    here, there = here[mutual], there[mutual]
+    here, once = np.unique(here, return_index=True)
+    there, twice = np.unique(there[once], return_index=True)
+    return here[twice], there
+
+
+def _look_again(nodes: _Nodes, image: GreyImage, least: float) -> bool:
+    """Refine at the predictions of missing nodes; whether any was found."""
+    row, column, at, weight, cell, line = _expected(nodes, least)
+    new = weight > nodes.looked[row, column]
+    row, column, at, cell, line = row[new], column[new], at[new], cell[new], line[new]
+    nodes.looked[row, column] = weight[new]
+    seen = second_look(image, at, cell, line)
+    found = ~np.isnan(seen.real)
+    nodes.put(row[found], column[found], seen[found], NodeStatus.SECOND_LOOK)
+    return bool(found.any())
+
+
+def _interpolate(nodes: _Nodes) -> None:
+    """Fill missing nodes that measured neighbours bracket."""
+    row, column, at, *_ = _expected(nodes, BRACKETED)
+    nodes.put(row, column, at, NodeStatus.INTERPOLATED)
+
+
+def _refuse_rival(found: Lattice, nodes: _Nodes, z: NDArray[np.complex64]) -> None:
+    """Raise GridError where another component is comparable and was not joined."""
+    if len(found.size) < 2 or found.size[1] < RIVAL * found.size[0]:
+        return
+    second = (found.component == 1) & nodes.free
+    if np.count_nonzero(second) < RIVAL * found.size[0]:
+        return
+    boxes = []
+    for member in (found.component == 0, second):
+        x, y = z[member].real, z[member].imag
+        boxes.append(f"({x.min():.0f}, {y.min():.0f}, {x.max():.0f}, {y.max():.0f})")
+    raise GridError(
+        f"two patterns are seen, of {found.size[0]} and {found.size[1]} corners, within "
+        f"{boxes[0]} and {boxes[1]}; say which is meant with region=(x0, y0, x1, y1)"
+    )
+
+
+def _result(corners: Corners, inside: Index, nodes: _Nodes) -> Grid:
+    owned = nodes.owner >= 0
+    index = np.full((len(corners), 2), -1, np.int32)
+    index[inside[nodes.owner[owned]]] = np.argwhere(owned)
+    sigma = np.full(nodes.at.shape, np.nan, np.float32)
+    sigma[owned] = corners.sigma[inside[nodes.owner[owned]]]
+    return Grid(
+        xy=np.stack([nodes.at.real, nodes.at.imag], axis=-1).astype(np.float32),
+        status=nodes.status,
+        sigma=sigma,
+        index=index,
+        parity=nodes.parity,
+    )

@@ -1,0 +1,289 @@
+"""From corners to a lattice: links between neighbours, closed cells, consistent numbers.
+
+A corner sees four boundaries, e0..e3 clockwise, e0 from white to black. A half-edge is one
+boundary of one corner, numbered 4 * corner + boundary. Directions on the lattice are units of
+the complex plane: 1 along a row, 1j (down, clockwise) along a column, so a turn by one boundary
+is a factor 1j. Positions in the image are complex too, x + 1j y.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Complex = NDArray[np.complexfloating[Any, Any]]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+COSINE = 0.75  # least cosine between a boundary and the way to the neighbour
+BEND = 0.6  # largest distance between a boundary's unit and the opposite one's mirror image
+SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, of the squares of its diagonals
+UNITS = np.array([1, 1j, -1, -1j], np.complex64)
+
+
+class Lattice(NamedTuple):
+    """Every corner's place in the lattice of its component.
+
+    component: (N,) int64, 0 for the largest, then by size; -1 for corners in no closed cell.
+    size: (K,) int64, corners of each component.
+    node: (N,) complex64, column + 1j row, whole numbers, from an arbitrary origin.
+    turn: (N,) complex64, boundary e0 points along this unit of the lattice.
+    support: (N,) int64, consistent links of the corner.
+    bend: (N,) float32, how far opposite boundaries are from one line, 0 to 2; NaN if unknown.
+    axis: (K,) complex64, mean step of the image along +1 of the lattice, px.
+    """
+
+    component: Index
+    size: Index
+    node: Complex
+    turn: Complex
+    support: Index
+    bend: NDArray[np.float32]
+    axis: Complex
+
+
+def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
+    """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad."""
+    order, first, second = near_pairs(z)
+    lines, bend = _lines(edges)
+    lines[~(bend < BEND)] = np.nan  # no such corner is a saddle
+    half, other = _links(z[order], lines[order], first, second)
+    cells = _cells(z[order], half, other)
+    alone = _Trees(
+        root=np.arange(len(z)),
+        node=np.zeros(len(z), np.complex64),
+        turn=np.ones(len(z), np.complex64),
+    )
+    trees = _join(alone, half[cells == 2], other[cells == 2])
+    half, other = half[cells > 0], other[cells > 0]
+    trees = _join(trees, half, other)
+    return _arranged(z, bend, order, half, other, trees)
+
+
+def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
+    """Pairs of points about two cells or less apart.
+
+    Returns an order of the points and the pairs as places in that order, each pair once.
+    The cell is taken from the density of the points where most of them are.
+    """
+    x, y = z.real.astype(np.float64), z.imag.astype(np.float64)
+    x -= x.min()
+    y -= y.min()
+    extent = max(float(x.max()), float(y.max()), 1.0)
+    tile = max(np.sqrt(max(float(x.max()), 1.0) * max(float(y.max()), 1.0) * 8 / len(z)), 1.0)
+    tile = max(tile, extent / 1024)
+    key = _bucket(x, y, tile)[0]
+    crowd = np.bincount(key)[key]
+    crowd.partition(len(z) // 10)
+    reach = max(1.7 * tile / np.sqrt(crowd[len(z) // 10]), extent / 1024)
+
+    key, width = _bucket(x, y, reach)
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    start = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=key[-1] + width + 3))])
+    place = np.arange(len(z))
+    begin = np.concatenate([place + 1, start[key + width - 1]])
+    end = np.concatenate([start[key + 2], start[key + width + 2]])
+    count = end - begin
+    first = np.repeat(np.concatenate([place, place]), count)
+    skipped = np.cumsum(count) - count
+    second = np.arange(len(first)) + np.repeat(begin - skipped, count)
+    step = z[order]
+    step = step[second] - step[first]
+    near = np.flatnonzero(step.real**2 + step.imag**2 < reach**2)
+    return order, first[near], second[near]
+
+
+def _bucket(x: NDArray[np.float64], y: NDArray[np.float64], side: float) -> tuple[Index, int]:
+    """The number of each point's square bucket, and the buckets in a row, one spare each side."""
+    column = (x / side).astype(np.int64) + 1
+    width = int(column.max()) + 2
+    return ((y / side).astype(np.int64) + 1) * width + column, width
+
+
+def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
+    """The corner's two lines, (N, 2) units along e0 - e2 and e1 - e3, and its bend."""
+    x, y = np.cos(edges), np.sin(edges)
+    off = (x[:, :2] + x[:, 2:]) ** 2 + (y[:, :2] + y[:, 2:]) ** 2
+    bend = np.sqrt(np.maximum(off[:, 0], off[:, 1]))
+    x, y = x[:, :2] - x[:, 2:], y[:, :2] - y[:, 2:]
+    length = np.maximum(np.sqrt(x * x + y * y), np.float32(1e-6))
+    lines = np.empty(x.shape, np.complex64)
+    lines.real, lines.imag = x / length, y / length
+    return lines, bend
+
+
+def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Index, Index]:
+    """The links: pairs of half-edges that choose each other.
+
+    A corner looks along that half of its two lines which is nearest to the way to the other
+    corner. On a checkerboard one of two neighbours crosses from white to black there and the
+    other from black to white, so the sum of the boundaries' numbers is odd. The choice is by
+    length * (1 + 4 (1 - cos)) of both ends.
+    """
+    step = z[second] - z[first]
+    length = np.sqrt(step.real**2 + step.imag**2)
+    step /= np.maximum(length, np.float32(1e-6))
+    k, cos_ahead = _boundary(lines, first, step)
+    m, cos_back = _boundary(lines, second, -step)
+    fits = (cos_ahead > COSINE) & (cos_back > COSINE) & ((k ^ m) & 1 == 1)
+    kept = np.flatnonzero(fits)
+    half = 4 * first[kept] + k[kept]
+    other = 4 * second[kept] + m[kept]
+    cost = length[kept] * (5 - 4 * cos_ahead[kept]) * (5 - 4 * cos_back[kept])
+    best = np.full(4 * len(z), np.inf, cost.dtype)
+    np.minimum.at(best, half, cost)
+    np.minimum.at(best, other, cost)
+    chosen = np.flatnonzero((best[half] == cost) & (best[other] == cost))
+    return half[chosen], other[chosen]
+
+
+def _boundary(
+    lines: Complex, corner: Index, way: Complex
+) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """The number of the boundary nearest to that way, and the cosine between."""
+    lines, way = lines[corner], way.conj()
+    even, odd = (lines[:, 0] * way).real, (lines[:, 1] * way).real
+    size_even, size_odd = np.abs(even), np.abs(odd)
+    is_odd = size_odd > size_even
+    number = is_odd + 2 * (np.where(is_odd, odd, even) < 0)
+    return number.astype(np.int8), np.maximum(size_even, size_odd)
+
+
+def _cells(z: Complex, half: Index, other: Index) -> Index:
+    """How many closed cells each link bounds, 0 to 2.
+
+    A cell is closed if four steps, each turning left, lead back to the start, and if it is
+    near enough to a parallelogram.
+    """
+    nowhere = 4 * len(z)
+    across = np.full(nowhere + 1, nowhere)
+    across[half] = other
+    across[other] = half
+    onward = across - across % 4 + (across + 3) % 4
+    onward[nowhere] = nowhere
+    onward[across == nowhere] = nowhere
+    twice = onward[onward]
+    cell = twice[twice] == np.arange(nowhere + 1)
+    cell[nowhere] = False
+    start = np.flatnonzero(cell)
+    a, b, c, d = (z[h // 4] for h in (start, onward[start], twice[start], onward[twice[start]]))
+    first, second = a - c, b - d
+    skew, first, second = (v.real**2 + v.imag**2 for v in (a + c - b - d, first, second))
+    cell[start] = skew < SKEW * (first + second)
+    # a later link of the same cost may have taken the place of an earlier one
+    held = (across[half] == other) & (across[other] == half)
+    return np.where(held, cell[half] * 1 + cell[other], 0)
+
+
+class _Trees(NamedTuple):
+    """A forest over the corners: each one's root and its place in the root's frame."""
+
+    root: Index
+    node: Complex
+    turn: Complex
+
+
+def _join(trees: _Trees, half: Index, other: Index) -> _Trees:
+    """Join trees along links until no link lies between two trees.
+
+    In every pass each tree hooks to that tree of a lower root for which most links agree on
+    how the two frames lie to each other; pointer jumping flattens the result. The number of
+    passes grows with the logarithm of the size of the lattice.
+    """
+    corners = len(trees.root)
+    a, b = half // 4, other // 4
+    step, twist = UNITS[half % 4], -UNITS[(half - other) % 4]
+    while True:
+        apart = np.flatnonzero(trees.root[a] != trees.root[b])
+        if not len(apart):
+            return trees
+        a, b, step, twist = a[apart], b[apart], step[apart], twist[apart]
+        child, parent, spin, shift = _hooks(trees, a, b, step, twist)
+        above = np.arange(corners)
+        above[child] = parent
+        offset = np.zeros(corners, np.complex64)
+        offset[child] = shift
+        spun = np.ones(corners, np.complex64)
+        spun[child] = spin
+        while True:
+            higher = above[above]
+            if np.array_equal(higher, above):
+                break
+            offset = offset[above] + spun[above] * offset
+            spun = spun[above] * spun
+            above = higher
+        root = trees.root
+        trees = _Trees(
+            root=above[root],
+            node=offset[root] + spun[root] * trees.node,
+            turn=spun[root] * trees.turn,
+        )
+
+
+def _hooks(
+    trees: _Trees, a: Index, b: Index, step: Complex, twist: Complex
+) -> tuple[Index, Index, Complex, Complex]:
+    """For each tree that has a neighbour of lower root: itself, that root, its frame there."""
+    spin = trees.turn[a] * twist * trees.turn[b].conj()
+    shift = trees.node[a] + trees.turn[a] * step - spin * trees.node[b]
+    ra, rb = trees.root[a], trees.root[b]
+    down = ra < rb
+    child, parent = np.where(down, rb, ra), np.where(down, ra, rb)
+    shift = np.where(down, shift, -spin.conj() * shift)
+    spin = np.where(down, spin, spin.conj())
+    quarter = (spin.imag != 0) + 2 * (spin.real + spin.imag < 0)
+    reach = int(max(np.abs(shift.real).max(), np.abs(shift.imag).max())) + 1
+    key = (child * len(trees.root) + parent) * 4 + quarter
+    key = key * (2 * reach) + (shift.real.astype(np.int64) + reach)
+    key = key * (2 * reach) + (shift.imag.astype(np.int64) + reach)
+    order = np.argsort(key)  # equal keys are equal hooks
+    key, sorted_child = key[order], child[order]
+    start = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
+    votes = np.diff(np.append(start, len(key)))
+    group = sorted_child[start]
+    first = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
+    rank = votes * len(start) + np.arange(len(start))[::-1]
+    winner = len(start) - 1 - np.maximum.reduceat(rank, first) % len(start)
+    best = order[start[winner]]
+    return child[best], parent[best], spin[best], shift[best]
+
+
+def _arranged(
+    z: Complex,
+    bend: NDArray[np.float32],
+    order: Index,
+    half: Index,
+    other: Index,
+    trees: _Trees,
+) -> Lattice:
+    """The components by size, in the corners' own order."""
+    root, node, turn = trees
+    a, b = half // 4, other // 4
+    way = turn[a] * UNITS[half % 4]
+    agree = (node[a] + way == node[b]) & (turn[b] * UNITS[other % 4] == -way)
+    support = np.bincount(a[agree], minlength=len(z)) + np.bincount(b[agree], minlength=len(z))
+    linked = np.zeros(len(z), np.bool_)
+    linked[a] = linked[b] = True
+    count = np.bincount(root[linked], minlength=len(z))
+    largest = np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
+    label = np.full(len(z), -1)
+    label[largest] = np.arange(len(largest))
+    label = np.where(linked, label[root], -1)
+
+    along = (z[order[b]] - z[order[a]]) * way.conj()
+    links = np.bincount(label[a], minlength=len(largest))
+    axis = np.bincount(label[a], along.real, len(largest)) + 1j * np.bincount(
+        label[a], along.imag, len(largest)
+    )
+    back = np.empty_like(order)
+    back[order] = np.arange(len(order))
+    return Lattice(
+        component=label[back],
+        size=count[largest],
+        node=node[back],
+        turn=turn[back],
+        support=support[back],
+        bend=bend,
+        axis=(axis / np.maximum(links, 1)).astype(np.complex64),
+    )

@@ -1,0 +1,167 @@
+"""A second look at places where a corner should be: edge lines on several sets of rings."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.results import GreyImage
+
+Points = NDArray[np.complex128]
+Float = NDArray[np.float64]
+
+RADII = (3, 4, 5, 6)
+RINGS = np.array(  # which of the radii each look uses
+    [[1, 1, 1, 0], [0, 1, 1, 0], [0, 0, 1, 1], [0, 1, 1, 1], [1, 1, 0, 0]], np.bool_
+)
+STARTS = np.array([0, 1.5, -1.5, 1.5j, -1.5j])  # px from the prediction
+LOOKS = 3  # the last may move by less than STILL
+STILL = 0.5  # px
+NEAR = 0.25  # cells from the prediction
+LEAST_SINE = 0.17  # below it two edge lines have no intersection worth the name
+SINE = 0.3  # least |sin| of the angle between the edge lines
+ALONG = 0.7  # least |cos| between the line of e0 and e2 and its expected direction
+
+
+def second_look(image: GreyImage, at: Points, cell: Float, line: Points) -> Points:
+    """The corners at these places, (M,) complex px; NaN where none is accepted.
+
+    cell: (M,) px, how large cells are there. line: (M,) unit, along the boundaries e0 and e2.
+
+    The first accepted look counts, in the order of the sets of rings, then of the starts.
+    """
+    found = _look(image, at, at, RINGS[:1].repeat(len(at), 0), cell, line)
+    left = np.flatnonzero(np.isnan(found.real))
+    rings = np.repeat(RINGS, len(STARTS), 0)
+    starts = np.tile(STARTS, len(RINGS))
+    each = left.repeat(len(starts))
+    seen = _look(
+        image,
+        at[each],
+        at[each] + np.tile(starts, len(left)),
+        np.tile(rings, (len(left), 1)),
+        cell[each],
+        line[each],
+    ).reshape(len(left), len(starts))
+    first = (~np.isnan(seen.real)).argmax(axis=1)
+    found[left] = seen[np.arange(len(left)), first]
+    return found
+
+
+def _look(
+    image: GreyImage,
+    at: Points,
+    start: Points,
+    rings: NDArray[np.bool_],
+    cell: Float,
+    line: Points,
+) -> Points:
+    here = start
+    for _ in range(LOOKS):
+        before = here
+        here, along, sine = edge_lines(image, before, rings)
+    good = (
+        (np.abs(here - at) < NEAR * cell)
+        & (np.abs(here - before) < STILL)
+        & (np.abs(sine) > SINE)
+        & (np.abs((along * line.conj()).real) > ALONG)
+    )
+    return np.where(good, here, complex(np.nan, np.nan))
+
+
+def ring(radius: int) -> NDArray[np.complex128]:
+    """Points (x, round(sqrt(r^2 - x^2))), 0 <= x <= y, reflected, clockwise from twelve."""
+    octant = [(x, round(math.sqrt(radius * radius - x * x))) for x in range(radius + 1)]
+    points = {
+        complex(sx * a, sy * b)
+        for x, y in octant
+        if x <= y
+        for a, b in ((x, y), (y, x))
+        for sx in (1, -1)
+        for sy in (1, -1)
+    }
+    return np.array(sorted(points, key=lambda p: math.atan2(p.real, -p.imag) % (2 * math.pi)))
+
+
+OFFSETS = tuple(ring(radius) for radius in RADII)
+
+
+def edge_lines(
+    image: GreyImage, at: Points, rings: NDArray[np.bool_]
+) -> tuple[Points, Points, Float]:
+    """Where the two edge lines around each place meet (EDGE_LINES).
+
+    at: (M,) complex, px. rings: (M, 4), which of RADII to use. The threshold comes from the
+    smallest ring used.
+
+    Returns the intersection, the direction of the line through e0 and e2, and the sine of the
+    angle between the lines; NaN where fewer than two rings have four boundaries.
+    """
+    known = ~np.isnan(at.real)
+    middle = np.rint(np.where(known, at, 0))
+    threshold = np.full(len(at), np.nan)
+    count = np.zeros(len(at))
+    sums = np.zeros((4, len(at)), np.complex128)  # p and p^2 of e0 e2, of e1 e3
+    for used, offsets in zip(rings.T, OFFSETS, strict=True):
+        some = np.flatnonzero(used & known)
+        samples = _samples(image, middle[some], offsets)
+        first = np.isnan(threshold[some])
+        threshold[some[first]] = _threshold(samples[first])
+        valid, edges = _edge_points(samples - threshold[some][:, None], offsets)
+        some = some[valid]
+        count[some] += 1
+        for k in (0, 1):
+            pair = edges[:, k::2]
+            sums[2 * k, some] += pair.sum(1)
+            sums[2 * k + 1, some] += (pair**2).sum(1)
+    points = 2 * np.maximum(count, 1)
+    mean, spread = sums[::2] / points, sums[1::2] - sums[::2] ** 2 / points
+    first, second = np.sqrt(spread / np.maximum(np.abs(spread), 1e-12))
+    sine = (first.conj() * second).imag
+    enough = (count >= 2) & (np.abs(sine) > LEAST_SINE)
+    gap = (mean[1] - mean[0]).conj() * second
+    meet = middle + mean[0] + gap.imag / np.where(enough, sine, 1) * first
+    return np.where(enough, meet, complex(np.nan, np.nan)), first, sine
+
+
+def _samples(image: GreyImage, middle: Points, offsets: Points) -> Float:
+    """Grey levels around each place, (M, n); beyond the image its border is repeated."""
+    points = middle[:, None] + offsets
+    x = np.clip(points.real, 0, image.shape[1] - 1).astype(np.int64)
+    y = np.clip(points.imag, 0, image.shape[0] - 1).astype(np.int64)
+    return image[y, x].astype(np.float64)
+
+
+def _threshold(samples: Float) -> Float:
+    """Mean of the mean of the lowest and of the highest quarter."""
+    ordered = np.sort(samples, axis=1)
+    quarter = samples.shape[1] // 4
+    level: Float = (ordered[:, :quarter].mean(1) + ordered[:, -quarter:].mean(1)) / 2
+    return level
+
+
+def _edge_points(depth: Float, offsets: Points) -> tuple[NDArray[np.bool_], Points]:
+    """Which rings have four boundaries, and e0..e3 of those, relative to the middle.
+
+    depth: (M, n) grey levels above the threshold. A ring without four boundaries gets one
+    majority of three.
+    """
+    black = depth < 0
+    odd = _transitions(black).sum(1) != 4
+    majority = black.astype(np.int64) + np.roll(black, 1, 1) + np.roll(black, -1, 1) >= 2
+    black = np.where(odd[:, None], majority, black)
+    change = _transitions(black)
+    valid = change.sum(1) == 4
+    row, k = np.nonzero(change & valid[:, None])
+    after = (k + 1) % len(offsets)
+    d, d_after = depth[row, k], depth[row, after]
+    part = np.clip(d / np.where(d == d_after, 1, d - d_after), 0, 1)
+    part[d == d_after] = 0.5
+    point = (offsets[k] + part * (offsets[after] - offsets[k])).reshape(-1, 4)
+    to_white = black[row, k].reshape(-1, 4)[:, 0]
+    return valid, np.where(to_white[:, None], np.roll(point, -1, 1), point)
+
+
+def _transitions(black: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    change: NDArray[np.bool_] = black != np.roll(black, -1, 1)
+    return change
