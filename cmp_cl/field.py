@@ -164,7 +164,7 @@ def _save_csv(field: DisplacementField, path: str | PathLike[str]) -> None:
     write_csv(path, columns, rows)
 
 
-def _mesh(field: DisplacementField) -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
+def mesh(field: DisplacementField) -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
     """Columns of the valid nodes, and the quadrilaterals between them, (Q, 4) numbers of nodes."""
     valid = field.valid
     row, column = np.nonzero(valid)
@@ -186,7 +186,7 @@ def _mesh(field: DisplacementField) -> tuple[dict[str, NDArray[Any]], NDArray[np
 
 
 def _save_ply(field: DisplacementField, path: str | PathLike[str]) -> None:
-    columns, quads = _mesh(field)
+    columns, quads = mesh(field)
     names = {"position": "x y z", "displacement": "ux uy uz", "strain": "e11 e22 e12"}
     properties = [
         (name, values.dtype.kind == "i")
@@ -216,7 +216,7 @@ def _save_ply(field: DisplacementField, path: str | PathLike[str]) -> None:
 
 
 def _save_vtp(field: DisplacementField, path: str | PathLike[str]) -> None:
-    columns, quads = _mesh(field)
+    columns, quads = mesh(field)
     position = columns.pop("position")
     data = "".join(_vtk_array(name, values) for name, values in columns.items())
     text = f"""<?xml version="1.0"?>

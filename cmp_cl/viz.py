@@ -1,12 +1,23 @@
 """Pictures of the results."""
 
+import contextlib
+import enum
 import math
+from os import PathLike
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.results import Corners, GreyImage, Method
+from cmp_cl.errors import FieldError
+from cmp_cl.field import mesh
+from cmp_cl.io import whole_file
+from cmp_cl.results import Corners, DisplacementField, GreyImage, Grid, Method, NodeStatus
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 METHOD_COLOURS = {  # BGR
     Method.CENTROID: (0, 215, 255),
@@ -15,6 +26,14 @@ METHOD_COLOURS = {  # BGR
     Method.MIDLINE: (255, 80, 255),
     Method.CUSP: (0, 140, 255),
     Method.KEPT: (60, 60, 255),
+}
+STATUS_COLOURS = {  # BGR
+    NodeStatus.MISSING: (128, 128, 128),
+    NodeStatus.DETECTED: (60, 230, 60),
+    NodeStatus.ATTACHED: (255, 200, 0),
+    NodeStatus.SECOND_LOOK: (0, 215, 255),
+    NodeStatus.INTERPOLATED: (255, 80, 255),
+    NodeStatus.VIRTUAL: (255, 255, 255),
 }
 _FRACTION_BITS = 4
 
@@ -90,6 +109,13 @@ def _with_legend(canvas: NDArray[np.uint8], corners: Corners) -> NDArray[np.uint
         for method in Method
         if count[method]
     ]
+    return _with_strip(canvas, entries)
+
+
+def _with_strip(
+    canvas: NDArray[np.uint8], entries: list[tuple[str, tuple[int, int, int]]]
+) -> NDArray[np.uint8]:
+    """The picture with coloured words below it."""
     font, size, gap = cv2.FONT_HERSHEY_SIMPLEX, 0.6, 24
     widths = [cv2.getTextSize(text, font, size, 1)[0][0] for text, _ in entries]
     width = max(canvas.shape[1], sum(widths) + gap * (len(entries) + 1))
@@ -101,3 +127,294 @@ def _with_legend(canvas: NDArray[np.uint8], corners: Corners) -> NDArray[np.uint
         cv2.putText(picture, text, origin, font, size, colour, 1, cv2.LINE_AA)
         x += advance + gap
     return picture
+
+
+def grid_overlay(image: GreyImage, grid: Grid) -> NDArray[np.uint8]:
+    """The image with the lines of the grid, a dot on every node by status, and a legend.
+
+    image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR, enlarged like
+    `corner_overlay`. The first row is drawn in red and the first column in blue.
+    """
+    xy = grid.xy[grid.valid]
+    cell = _spacing(xy)
+    longest = max(*image.shape, 1)
+    factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
+    canvas = _enlarged(image, factor)
+    nodes = (grid.xy.astype(np.float64) + 0.5) * factor - 0.5
+    for along_row, lines in ((True, nodes), (False, nodes.transpose(1, 0, 2))):
+        for place, line in enumerate(lines):
+            colour = (220, 160, 60)
+            if place == 0:
+                colour = (60, 60, 255) if along_row else (255, 80, 40)
+            _polyline(canvas, line, colour)
+    radius = min(max(2.0, 0.1 * cell * factor), 8.0)
+    for centre, status in zip(nodes[grid.valid], grid.status[grid.valid], strict=True):
+        _circle(canvas, centre, radius, STATUS_COLOURS[NodeStatus(status)], thickness=cv2.FILLED)
+    count = np.bincount(grid.status.ravel(), minlength=len(NodeStatus))
+    entries = [(f"{grid.shape[0]} x {grid.shape[1]} nodes", (255, 255, 255))]
+    entries += [
+        (f"{status.name} {count[status]}", STATUS_COLOURS[status])
+        for status in NodeStatus
+        if count[status]
+    ]
+    return _with_strip(canvas, entries)
+
+
+def _polyline(
+    canvas: NDArray[np.uint8], line: NDArray[np.float64], colour: tuple[int, int, int]
+) -> None:
+    """Segments between successive points, (N, 2) px; none at a NaN."""
+    unit = 1 << _FRACTION_BITS
+    segments = np.stack([line[:-1], line[1:]], axis=1)
+    segments = segments[~np.isnan(segments).any(axis=(1, 2))]
+    fixed = np.rint(segments * unit).astype(np.int32)
+    cv2.polylines(canvas, list(fixed), False, colour, 1, cv2.LINE_AA, _FRACTION_BITS)
+
+
+def arrow_figure(
+    image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
+) -> "Figure":
+    """Arrows on the image from where each node was to where it is, to scale, both px.
+
+    image: (H, W), the frame of now. The colour is the arrow's length in px, or, with field,
+    the length of the displacement in space. Needs matplotlib. `save_figure` writes it.
+
+    Raises FieldError where the grids or the field have different shapes.
+    """
+    from matplotlib.figure import Figure
+
+    if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
+        raise FieldError(f"rest, now and field must have one shape, not {rest.shape}, {now.shape}")
+    shift = (now.xy - rest.xy).astype(np.float64)
+    length, unit = np.linalg.norm(shift, axis=2), "px"
+    if field is not None:
+        length, unit = np.linalg.norm(field.displacement, axis=2), field.unit
+    seen = ~np.isnan(shift).any(axis=2) & ~np.isnan(length)
+
+    rows, columns = image.shape
+    figure = Figure(figsize=(9, max(7.2 * rows / columns, 2) + 0.7), layout="constrained")
+    axes = figure.add_subplot()
+    axes.imshow(image, cmap="gray", interpolation="nearest", alpha=0.6)
+    arrows = axes.quiver(
+        *rest.xy[seen].T,
+        *shift[seen].T,
+        length[seen],
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        width=2.5e-3,
+        cmap="plasma",
+        clim=(0, _top(length[seen])),
+    )
+    axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="x / px", ylabel="y / px")
+    figure.colorbar(arrows, ax=axes, label=f"displacement / {unit}", shrink=0.8)
+    return figure
+
+
+def _top(lengths: NDArray[np.float64]) -> float:
+    """Upper end of a colour scale."""
+    return float(lengths.max(initial=0)) or 1.0
+
+
+class Projection(enum.Enum):
+    """How a surface in space is drawn."""
+
+    PERSPECTIVE = "persp"
+    ORTHOGRAPHIC = "ortho"
+
+
+def surface_figure(
+    field: DisplacementField, *, projection: Projection = Projection.PERSPECTIVE
+) -> "Figure":
+    """The surface as it is now, coloured by displacement, with arrows from the rest positions.
+
+    Axes: along the rows, along the columns, and towards the cameras out of the plane that
+    fits the rest positions best; the height is stretched to a fifth of the width, the
+    label says how much. Needs matplotlib.
+
+    Raises FieldError where fewer than three nodes are valid.
+    """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    axes_of_plane, origin = rest_plane(field)
+    rest = (field.position - origin) @ axes_of_plane.T
+    shift = field.displacement @ axes_of_plane.T
+    now = rest + shift
+    length = np.linalg.norm(shift, axis=2)
+    colours = ScalarMappable(Normalize(0, _top(length[field.valid])), "plasma")
+
+    cells = np.stack([now[:-1, :-1], now[:-1, 1:], now[1:, 1:], now[1:, :-1]], axis=2)
+    corner = [length[:-1, :-1], length[:-1, 1:], length[1:, 1:], length[1:, :-1]]
+    whole = ~np.isnan(cells).any(axis=(2, 3))
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    axes = figure.add_subplot(projection="3d", proj_type=projection.value, computed_zorder=False)
+    faces = colours.to_rgba(np.mean(corner, axis=0)[whole])
+    axes.add_collection3d(
+        Poly3DCollection(
+            cells[whole], facecolors=faces, edgecolors=(0, 0, 0, 0.3), linewidths=0.3, zorder=1
+        )
+    )
+    step = max(1, round(max(field.status.shape) / 22))
+    some = np.zeros_like(field.valid)
+    some[::step, ::step] = field.valid[::step, ::step]
+    axes.quiver(
+        *rest[some].T,
+        *shift[some].T,
+        color="black",
+        linewidths=0.8,
+        arrow_length_ratio=0.3,
+        zorder=2,
+    )
+    points = np.concatenate([rest[field.valid], now[field.valid]])
+    low, high = points.min(axis=0), points.max(axis=0)
+    span = np.maximum(high - low, 1e-3 * (high - low).max())
+    low, high = (low + high - span) / 2, (low + high + span) / 2
+    stretch = max(1.0, 0.2 * float(span[:2].max() / span[2]))
+    axes.set(
+        xlim=(low[0], high[0]),
+        ylim=(high[1], low[1]),
+        zlim=(low[2], high[2]),
+        xlabel=f"along rows / {field.unit}",
+        ylabel=f"along columns / {field.unit}",
+        zlabel=f"towards cameras / {field.unit} (stretched {stretch:.2g} x)",
+    )
+    axes.zaxis.set_major_locator(MaxNLocator(4))
+    axes.set_box_aspect(span * [1, 1, stretch], zoom=0.95)
+    axes.view_init(elev=32, azim=-60)
+    figure.colorbar(colours, ax=axes, label=f"displacement / {field.unit}", shrink=0.6, pad=0.12)
+    return figure
+
+
+def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The plane that fits the rest positions best: (3, 3) axes as rows, (3,) origin.
+
+    The first axis runs along the rows, the second along the columns, the third towards the
+    cameras (a left-handed frame, as on a picture with y down and height towards the viewer).
+
+    Raises FieldError where fewer than three nodes are valid, or all lie on a line.
+    """
+    points = field.position[field.valid]
+    if len(points) < 3:
+        raise FieldError(f"{len(points)} nodes are valid, at least 3 are needed to draw a surface")
+    origin = points.mean(axis=0)
+    _, spread, directions = np.linalg.svd(points - origin, full_matrices=False)
+    if spread[1] < 1e-9 * spread[0] or not spread[0]:
+        raise FieldError("all valid nodes lie on a line: they make no surface")
+    normal = directions[2] if directions[2] @ origin < 0 else -directions[2]
+    row, column = np.nonzero(field.valid)
+    slopes = np.linalg.lstsq(
+        np.column_stack([column, row, np.ones(len(row))]), points - origin, rcond=None
+    )[0]
+    along = slopes[0] if slopes[0].any() else directions[0]
+    along = along - (along @ normal) * normal
+    along = along / np.linalg.norm(along)
+    across = np.cross(normal, along)
+    if across @ slopes[1] < 0:
+        across = -across
+    return np.stack([along, across, normal]), origin
+
+
+def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) -> None:
+    """Write a figure as PNG, whole or not at all; raises OSError."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    with whole_file(path) as file:
+        figure.savefig(file, format="png", dpi=dpi)
+
+
+class RerunLog:
+    """Shows frames in Rerun: in its viewer, or recorded to a .rrd file for it.
+
+    path: the file, None to open the viewer. Needs rerun-sdk. The file appears when the
+    `with` block ends, also by an exception or Ctrl-C.
+    """
+
+    def __init__(self, path: str | PathLike[str] | None = None) -> None:
+        import rerun
+
+        self._rerun = rerun
+        self._stream = rerun.RecordingStream("cmp_cl")
+        self._file = contextlib.ExitStack()
+        self._top = 0.0
+        if path is None:
+            self._stream.spawn()
+        else:
+            self._stream.save(self._file.enter_context(whole_file(path)).name)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def frame(
+        self,
+        *,
+        index: int,
+        time_ms: float,
+        image: GreyImage | None = None,
+        grid: Grid | None = None,
+        field: DisplacementField | None = None,
+    ) -> None:
+        """Show a frame: its picture, its grid on it, its surface with the displacements."""
+        rerun, stream = self._rerun, self._stream
+        stream.set_time("frame", sequence=index)
+        stream.set_time("time", duration=time_ms / 1000)
+        if image is not None:
+            stream.log("view", rerun.Image(image, color_model="L"))
+        if grid is not None:
+            colours = [
+                STATUS_COLOURS[NodeStatus(status)][::-1] for status in grid.status[grid.valid]
+            ]
+            stream.log("view/nodes", rerun.Points2D(grid.xy[grid.valid], colors=colours, radii=1.5))
+            stream.log("view/lines", rerun.LineStrips2D(_segments(grid), radii=0.4))
+        if field is not None:
+            self._surface(field)
+
+    def _surface(self, field: DisplacementField) -> None:
+        """The surface now and arrows from rest, coloured up to the largest so far."""
+        columns, quads = mesh(field)
+        rest, shift = columns["position"], columns["displacement"]
+        length = np.linalg.norm(shift, axis=1)
+        self._top = max(self._top, float(length.max(initial=0)), 1e-12)
+        levels = np.rint(255 * length / self._top).astype(np.uint8).reshape(-1, 1)
+        colours = np.empty((0, 3), np.uint8)
+        if len(levels):
+            colours = cv2.applyColorMap(levels, cv2.COLORMAP_PLASMA)[:, 0, ::-1]
+        extent = float(np.ptp(rest, axis=0).max()) if len(rest) else 1.0
+        surface = self._rerun.Mesh3D(
+            vertex_positions=rest + shift,
+            triangle_indices=np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]),
+            vertex_colors=colours,
+        )
+        arrows = self._rerun.Arrows3D(
+            origins=rest, vectors=shift, colors=colours, radii=extent / 800
+        )
+        self._stream.log("gel/surface", surface)
+        self._stream.log("gel/displacement", arrows)
+
+    def close(self) -> None:
+        """Finish the recording; closing again does nothing."""
+        self._stream.disconnect()
+        self._file.close()
+
+
+def _segments(grid: Grid) -> NDArray[np.float32]:
+    """Lines between neighbouring nodes, (S, 2, 2) px."""
+    xy = grid.xy
+    pairs = [
+        np.stack([xy[:, :-1], xy[:, 1:]], axis=2).reshape(-1, 2, 2),
+        np.stack([xy[:-1], xy[1:]], axis=2).reshape(-1, 2, 2),
+    ]
+    lines = np.concatenate(pairs)
+    return lines[~np.isnan(lines).any(axis=(1, 2))]

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_cl.results import Grid, NodeStatus
+from cmp_cl.field import displacement
+from cmp_cl.results import DisplacementField, Grid, NodeStatus, Points3D, PointStatus
 from cmp_cl.stereo import StereoRig
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -105,3 +106,24 @@ def gel(rows: int = 20, columns: int = 20, depth: float = 2.0) -> np.ndarray:
     y, x = np.meshgrid(np.linspace(-15, 15, rows), np.linspace(-15, 15, columns), indexing="ij")
     press = depth * np.exp(-((x - 2) ** 2 + (y + 1) ** 2) / 30)
     return np.stack([x, y, 46 - press], axis=-1)
+
+
+def points(xyz: np.ndarray, sigma: float = 0.01, unit: str = "mm") -> Points3D:
+    """Triangulated points without the triangulation; NaN where missing."""
+    xyz = np.asarray(xyz, float)
+    missing = np.isnan(xyz[..., 0])
+    covariance = np.broadcast_to(np.eye(3) * sigma**2, (*missing.shape, 3, 3)).copy()
+    covariance[missing] = np.nan
+    return Points3D(
+        xyz=xyz,
+        error=np.where(missing, np.nan, 0.0),
+        covariance=covariance,
+        status=np.where(missing, PointStatus.MISSING, PointStatus.VALID).astype(np.uint8),
+        source=np.where(missing, NodeStatus.MISSING, NodeStatus.DETECTED).astype(np.uint8),
+        unit=unit,
+    )
+
+
+def field_of(rest: np.ndarray, now: np.ndarray) -> DisplacementField:
+    """The displacement between two sets of positions (R, C, 3), mm."""
+    return displacement(points(rest), points(now))

@@ -16,27 +16,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from stereo_data import gel, grid_of, project, toed_in_rig
+from stereo_data import gel, grid_of, points, project, toed_in_rig
 
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.field import SeriesWriter, displacement, green_lagrange
-from cmp_cl.results import NodeStatus, Points3D, PointStatus
-
-
-def points(xyz, sigma=0.01, unit="mm"):
-    """Triangulated points without the triangulation; NaN where missing."""
-    xyz = np.asarray(xyz, float)
-    missing = np.isnan(xyz[..., 0])
-    covariance = np.broadcast_to(np.eye(3) * sigma**2, (*missing.shape, 3, 3)).copy()
-    covariance[missing] = np.nan
-    return Points3D(
-        xyz=xyz,
-        error=np.where(missing, np.nan, 0.0),
-        covariance=covariance,
-        status=np.where(missing, PointStatus.MISSING, PointStatus.VALID).astype(np.uint8),
-        source=np.where(missing, NodeStatus.MISSING, NodeStatus.DETECTED).astype(np.uint8),
-        unit=unit,
-    )
+from cmp_cl.results import NodeStatus, PointStatus
 
 
 def pressed():

@@ -1,10 +1,27 @@
 """Pictures: every corner is marked where it is, in the colour of its method."""
 
+import subprocess
+import sys
+
+import cv2
 import numpy as np
 import pytest
+from stereo_data import field_of, gel, grid_of
 
-from cmp_cl.results import Corners, Method
-from cmp_cl.viz import METHOD_COLOURS, corner_overlay
+from cmp_cl.errors import FieldError
+from cmp_cl.results import Corners, Method, NodeStatus
+from cmp_cl.viz import (
+    METHOD_COLOURS,
+    STATUS_COLOURS,
+    Projection,
+    RerunLog,
+    arrow_figure,
+    corner_overlay,
+    grid_overlay,
+    rest_plane,
+    save_figure,
+    surface_figure,
+)
 
 
 def corners_at(xy, method):
@@ -74,3 +91,144 @@ def test_small_cells_are_enlarged_until_they_can_be_judged():
     corners = corners_at(np.column_stack([x.ravel(), y.ravel()]), Method.EDGE_LINES)
     picture = corner_overlay(np.zeros((400, 600), np.uint8), corners)
     assert picture.shape[:2] == (400 * 4 + 36, 600 * 4)
+
+
+def lattice(rows=4, columns=5, step=20.0):
+    row, column = np.indices((rows, columns))
+    return np.stack([30 + step * column, 25 + step * row], axis=-1)
+
+
+def test_nodes_have_the_colour_of_their_status_and_lines_join_neighbours():
+    xy = lattice()
+    xy[1, 2] = np.nan
+    grid = grid_of(xy)
+    grid.status[2] = list(NodeStatus)[1:]
+    picture = grid_overlay(np.full((125, 250), 128, np.uint8), grid)
+    factor = 4
+
+    def pixel(x, y):
+        return tuple(picture[round((y + 0.5) * factor), round((x + 0.5) * factor)].tolist())
+
+    for (row, column), status in np.ndenumerate(grid.status):
+        x, y = lattice()[row, column]
+        if status != NodeStatus.MISSING:
+            assert pixel(x, y) == STATUS_COLOURS[status]
+    grey = (128, 128, 128)
+    assert pixel(70, 45) == grey  # the missing node
+    assert pixel(60, 45) == pixel(70, 35) == pixel(70, 55) == grey  # no line to it
+    assert pixel(40, 45) != grey
+    assert pixel(40, 25) != pixel(40, 45)  # the first row is marked
+    assert pixel(30, 35) != pixel(50, 35)  # and the first column
+
+
+def test_an_empty_grid_is_a_picture_too():
+    picture = grid_overlay(np.zeros((40, 40), np.uint16), grid_of(np.full((2, 2, 2), np.nan)))
+    assert picture.ndim == 3
+
+
+def test_arrows_go_from_rest_to_now(tmp_path):
+    rest, now = lattice(), lattice() + np.array([3, -4])
+    now[1, 1] = np.nan
+    image = np.full((100, 140), 128, np.uint8)
+    figure = arrow_figure(image, grid_of(rest), grid_of(now))
+    arrows = figure.axes[0].collections[0]
+    assert arrows.N == 19
+    np.testing.assert_allclose(arrows.U, 3, atol=1e-5)
+    np.testing.assert_allclose(arrows.V, -4, atol=1e-5)
+    np.testing.assert_allclose(arrows.get_array(), 5, atol=1e-5)
+    assert figure.axes[1].get_ylabel() == "displacement / px"
+    save_figure(tmp_path / "a picture.png", figure)
+    picture = cv2.imread(str(tmp_path / "a picture.png"))
+    assert picture.shape[1] == 1080
+    assert (picture != 255).any()
+
+
+def test_arrows_are_coloured_by_the_displacement_in_space():
+    field = field_of(gel(4, 5, depth=0), gel(4, 5, depth=0) + np.array([0, 3, 4]))
+    image = np.zeros((100, 140), np.uint8)
+    figure = arrow_figure(image, grid_of(lattice()), grid_of(lattice()), field=field)
+    np.testing.assert_allclose(figure.axes[0].collections[0].get_array(), 5)
+    assert figure.axes[1].get_ylabel() == "displacement / mm"
+    with pytest.raises(FieldError, match="one shape"):
+        arrow_figure(image, grid_of(lattice()), grid_of(lattice(3, 5)))
+
+
+def tilted(xyz):
+    return xyz @ cv2.Rodrigues(np.array([0.2, -0.1, 0.05]))[0].T
+
+
+def test_the_plane_of_rest_follows_rows_columns_and_cameras():
+    rest = gel(9, 9, depth=0)
+    axes, origin = rest_plane(field_of(tilted(rest), tilted(rest)))
+    local = (tilted(rest) - origin) @ axes.T
+    np.testing.assert_allclose(local[..., 0], rest[..., 0], atol=1e-9)
+    np.testing.assert_allclose(local[..., 1], rest[..., 1], atol=1e-9)
+    np.testing.assert_allclose(local[..., 2], 0, atol=1e-9)
+    assert (np.zeros(3) - origin) @ axes[2] > 0
+
+
+def test_the_surface_shows_every_whole_cell_and_the_displacement(tmp_path):
+    now = gel(9, 8)
+    now[3, 3] = np.nan
+    figure = surface_figure(field_of(gel(9, 8, depth=0), now))
+    save_figure(tmp_path / "surface.png", figure)
+    surface, arrows = figure.axes[0].collections
+    assert len(surface.get_facecolor()) == 8 * 7 - 4
+    assert len(arrows.get_segments()) == 3 * (9 * 8 - 1)
+    height = np.nanmax(46 - now[..., 2])
+    assert figure.axes[0].get_zlim()[1] == pytest.approx(height, rel=0.01)
+
+
+def test_the_two_projections_differ(tmp_path):
+    field = field_of(gel(6, 6, depth=0), gel(6, 6))
+    pictures = []
+    for projection in Projection:
+        figure = surface_figure(field, projection=projection)
+        save_figure(tmp_path / f"{projection.name}.png", figure)
+        pictures.append(cv2.imread(str(tmp_path / f"{projection.name}.png")))
+    assert (pictures[0] != pictures[1]).mean() > 0.01
+
+
+def test_a_field_that_makes_no_surface_is_refused():
+    nothing = np.full((3, 4, 3), np.nan)
+    with pytest.raises(FieldError, match="0 nodes"):
+        surface_figure(field_of(nothing, nothing))
+    with pytest.raises(FieldError, match="line"):
+        surface_figure(field_of(gel(1, 5, depth=0), gel(1, 5)))
+
+
+def test_no_movement_is_a_picture_too(tmp_path):
+    field = field_of(gel(3, 4, depth=0), gel(3, 4, depth=0))
+    save_figure(tmp_path / "still.png", surface_figure(field))
+    still = grid_of(lattice())
+    save_figure(tmp_path / "arrows.png", arrow_figure(np.zeros((9, 9), np.uint8), still, still))
+
+
+def test_a_recording_for_rerun_appears_whole(tmp_path):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    path = tmp_path / "press.rrd"
+    now = gel(4, 5)
+    now[1, 1] = np.nan
+    with pytest.raises(KeyboardInterrupt), RerunLog(path) as log:  # noqa: PT012
+        for index in range(3):
+            log.frame(
+                index=index,
+                time_ms=index * 33.3,
+                image=np.zeros((100, 140), np.uint8),
+                grid=grid_of(lattice()),
+                field=field_of(gel(4, 5, depth=0), now),
+            )
+        assert not path.exists()
+        raise KeyboardInterrupt
+    assert path.read_bytes()[:3] == b"RRF"
+    assert path.stat().st_size > 3000
+    assert [entry.name for entry in tmp_path.iterdir()] == ["press.rrd"]
+
+
+def test_importing_the_module_imports_no_extra():
+    code = (
+        "import sys, cmp_cl.viz; print([name for name in ('matplotlib', 'rerun', 'pyvista') "
+        "if name in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    assert result.stdout.strip() == b"[]"
