@@ -54,6 +54,14 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
     assert first.truth.tobytes() == other.truth.tobytes()
 
 
+def test_the_seed_decides_where_the_print_is_torn():
+    quiet = Scene(markers=20, shape=(160, 160), noise=0.0, light=0.0)
+    image, other = (
+        synthetic.render(dataclasses.replace(quiet, seed=seed)).image.astype(int) for seed in (0, 1)
+    )
+    assert np.abs(image - other).max() > 20
+
+
 @pytest.mark.parametrize("markers", [20, 44])
 @pytest.mark.parametrize(
     ("indenter", "mode"), [(Indenter.BALL, Mode.TWIST), (Indenter.CUBE, Mode.SHEAR)]
@@ -266,7 +274,7 @@ def test_a_twelve_bit_picture_has_the_levels_of_a_twelve_bit_camera():
 
 def test_wear_grows_with_the_strain():
     def wear(severity):
-        scene = Scene(markers=20, indenter=Indenter.TORUS, severity=severity, noise=0.0, blur=0.0)
+        scene = Scene(markers=20, mode=Mode.TWIST, severity=severity, noise=0.0, blur=0.0)
         worn, fresh = (
             synthetic.render(dataclasses.replace(scene, corrosion=corrosion)).image.astype(float)
             for corrosion in (1.0, 0.0)
@@ -275,7 +283,7 @@ def test_wear_grows_with_the_strain():
 
     rest, mild, strong = wear(0.0), wear(0.5), wear(1.5)
     assert 0 < rest < mild < strong
-    assert strong > 2 * rest
+    assert strong > 1.5 * rest
 
 
 @pytest.mark.parametrize(
