@@ -53,6 +53,18 @@ def test_the_largest_sums_fit():
     np.testing.assert_array_equal(binarize(image, threshold), by_definition(image, threshold))
 
 
+def test_a_grey_on_the_outer_threshold_is_white():
+    image = np.array([[2, 0, 1], [0, 0, 0], [0, 0, 0]], np.uint8)
+    # S = 3 and Q = 5, so that 4 d^2 = 36 = 9 Q - S^2: the centre lies at mean - sigma / 2.
+    _, more, less = binarize(image, AdaptiveMean(window=3, masks=3))
+    assert more[1, 1]
+    assert not less[1, 1]
+    # Inverted, it lies at mean + sigma / 2.
+    _, more, less = binarize(2 - image, AdaptiveMean(window=3, masks=3))
+    assert not more[1, 1]
+    assert not less[1, 1]
+
+
 def test_offset():
     image = noise((11, 12))
     threshold = AdaptiveMean(window=5, offset=20)

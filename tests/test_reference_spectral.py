@@ -102,6 +102,30 @@ def test_each_bound_decides():
     assert around(0x0F0F, SpectralCriteria(corrosion_threshold=9)).candidate[0, 0]
 
 
+def test_candidates_by_definition():
+    criteria = SpectralCriteria(corrosion_threshold=None)
+    four = ring.all_masks()[ring.popcount(ring.all_masks() ^ ring.rotate(ring.all_masks(), 1)) == 4]
+    rng = np.random.default_rng(8)
+    inner = rng.choice(four, 2000)
+    flips = (1 << rng.integers(0, 16, (4, 2000))).astype(np.uint16)
+    outer = inner ^ np.bitwise_or.reduce(flips, axis=0)
+    found = spectral.spectral(np.zeros((1, 2000), np.bool_), inner[None], outer[None], criteria)
+    on_the_bound = 0
+    for k in range(2000):
+        values = correlations(inner[k], outer[k])
+        product = sum(samples(inner[k])) * sum(samples(outer[k]))
+        on_the_bound += 16 * max(values) ** 2 == 9 * product > 0
+        spectra = [spectral.magnitudes()[mask] for mask in (inner[k], outer[k])]
+        passes = (
+            all(f2 > f1 + 1e-9 and f2 > f3 + 1e-9 for f1, f2, f3 in spectra)
+            and 16 * max(values) ** 2 > 9 * product
+            and phase(values) * 22.5 < 20
+        )
+        assert found.candidate[0, k] == passes
+    assert on_the_bound > 0
+    assert 100 < found.candidate.sum() < 1900
+
+
 @pytest.mark.parametrize("mask", [0, 0xFFFF])
 def test_constant_rings_fail_with_no_correlation_of_white(mask):
     found = around(mask, SpectralCriteria(correlation=0, corrosion_threshold=None))

@@ -450,9 +450,7 @@ def edge_step(
     Its radius is clamp(0.75 cell s, 4.5, 9) / s with the working scale s.
     """
     radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
-    first, second = _both_lines(points)
-    n1 = _normal(first, points.direction[:, 1] - points.direction[:, 3])
-    n2 = _normal(second, points.direction[:, 0] - points.direction[:, 2])
+    n1, n2 = (_normal(line) for line in _both_lines(points))
     at_once = max(1, 2_000_000 // math.ceil(2 * radius + 1) ** 2)
     blocks = [slice(k, k + at_once) for k in range(0, len(start), at_once)]
     parts = [
@@ -493,11 +491,9 @@ def lower_median(values: Floats) -> float:
     return float(np.sort(values)[(len(values) - 1) // 2])
 
 
-def _normal(line: Lines, towards: Floats) -> Floats:
-    """(N, 2): the unit normal of each line on the side of a vector."""
-    along = _along(line)
-    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    return np.where((_dot(normal, towards) < 0)[:, None], -normal, normal)
+def _normal(line: Lines) -> Floats:
+    """(N, 2): a unit normal of each line; its sign drops out, with that of c."""
+    return np.stack([-np.sin(line.angle), np.cos(line.angle)], axis=1)
 
 
 def _step_terms(
@@ -559,7 +555,7 @@ def _step_terms(
             axis=1,
         )
         rho2 = np.maximum(0, sii - m * si - c * spi) / s1 / (c * c)
-        variance = rho2 * (saa + sbb - 2 * sab * _dot(n1, n2)) / (d * cross * cross)
+        variance = rho2 * (saa + sbb + 2 * sab * _dot(n1, n2)) / (d * cross * cross)
         r = (grey - m[:, None, None] - c[:, None, None] * p) / c[:, None, None]
         pair = np.where(inside[:, :, :-1] & inside[:, :, 1:], w[:, :, :-1], 0)
         neighbours = np.where(pair > 0, r[:, :, :-1] * r[:, :, 1:], 0)
