@@ -40,7 +40,8 @@ def build_grid(
         and origin; without it row 0 is at the top and column 0 at the left of the image.
     region: (x0, y0, x1, y1), px; corners outside belong to no node.
 
-    Nodes that are not seen are NaN and MISSING; those between measured nodes are INTERPOLATED.
+    Nodes that are not seen are NaN and MISSING; those that measured nodes bracket, in holes
+    of the pattern, are INTERPOLATED.
     Where no closed cell is found the grid is empty, (0, 0) or of the known shape.
 
     Raises GridError where the corners have no edge angles, where two patterns are seen, where
@@ -454,9 +455,15 @@ def _look_again(nodes: _Nodes, image: GreyImage, least: float) -> bool:
 
 
 def _interpolate(nodes: _Nodes) -> None:
-    """Fill missing nodes that measured neighbours bracket."""
+    """Fill missing nodes that measured neighbours bracket, inside the pattern only."""
+    seen = nodes.status != NodeStatus.MISSING
+    inside = np.ones_like(seen)
+    for axis in (0, 1):
+        inside &= np.logical_or.accumulate(seen, axis)
+        inside &= np.flip(np.logical_or.accumulate(np.flip(seen, axis), axis), axis)
     row, column, at, *_ = _expected(nodes, BRACKETED)
-    nodes.put(row, column, at, NodeStatus.INTERPOLATED)
+    kept = inside[row, column]
+    nodes.put(row[kept], column[kept], at[kept], NodeStatus.INTERPOLATED)
 
 
 def _refuse_rival(found: Lattice, nodes: _Nodes, z: NDArray[np.complex64]) -> None:

@@ -1,12 +1,16 @@
 """Virtual markers: points on the edges between neighbouring nodes (section 4.3 of the paper)."""
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
+import pyopencl as cl
 from numpy.typing import NDArray
 
+from cmp_cl import program
+from cmp_cl.device import Device, select_device
 from cmp_cl.errors import GridError
-from cmp_cl.results import Grid, NodeStatus
+from cmp_cl.results import GreyImage, Grid, NodeStatus, check_image
 
 Float = NDArray[np.float64]
 
@@ -114,3 +118,59 @@ def profiles(dense: Grid, count: int) -> Profiles:
         line=np.concatenate([at - pixel, normal], axis=1).astype(np.float32),
         reach=np.minimum(REACH / 2 * times * length, LONGEST_REACH).astype(np.float32),
     )
+
+
+def refine_markers(
+    dense: Grid,
+    count: int,
+    image: GreyImage,
+    device: Device | None = None,
+    contrast: float = 20,
+) -> Grid:
+    """The dense grid with its virtual markers moved across their edges, to where these are.
+
+    dense: what `grid.with_virtual_markers(count)` gave. image: (H, W) uint8 or uint16.
+    device: None stands for `select_device()`. contrast: grey levels by which the two sides of
+    an edge must differ; where they do not, the marker stays.
+
+    On soft or worn edges the curve through the nodes is the better estimate, as it is on
+    rendered gels. Raises ImageError, DeviceError, KernelBuildError.
+    """
+    check_image(image)
+    at = profiles(dense, count)
+    if not len(at.place) or not image.size:
+        return dense
+    shift = _shifts(image, at, device or select_device(), contrast)
+    shift = np.where(np.isnan(shift), 0, shift)
+    xy = dense.xy.copy()
+    xy[at.place[:, 0], at.place[:, 1]] += shift[:, None] * at.line[:, 2:]
+    return dataclasses.replace(dense, xy=xy)
+
+
+def _shifts(image: GreyImage, at: Profiles, device: Device, contrast: float) -> NDArray[np.float32]:
+    """(M,) px along the normals, NaN where no edge is found, from kernels/markers.cl."""
+    context = cl.Context([device.handle])
+    pixel = "uchar" if image.dtype == np.uint8 else "ushort"
+    kernels = program.build(context, ["markers"], {"PIXEL": pixel, "PAD": 0, "OUTER_RADIUS": 5})
+    read = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    inputs = [
+        cl.Buffer(context, read, hostbuf=np.ascontiguousarray(values))
+        for values in (image, at.pixel, at.line, at.reach)
+    ]
+    shift = np.empty(len(at.place), np.float32)
+    output = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, shift.nbytes)
+    rows, columns = image.shape
+    kernel = kernels.bind(
+        "refine_markers",
+        *inputs,
+        np.uint32(columns),
+        np.int32(rows),
+        np.int32(columns),
+        np.int32(len(shift)),
+        np.float32(contrast),
+        output,
+    )
+    with cl.CommandQueue(context) as queue:
+        cl.enqueue_nd_range_kernel(queue, kernel, (-(-len(shift) // 64) * 64,), (64,))
+        cl.enqueue_copy(queue, shift, output)
+    return shift

@@ -1,0 +1,362 @@
+"""Corners to rows and columns."""
+
+import dataclasses
+import json
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from lattices import board, joined
+
+from cmp_cl import reference, synthetic
+from cmp_cl.config import DetectorConfig
+from cmp_cl.errors import GridError, ImageError
+from cmp_cl.grid import build_grid, predict
+from cmp_cl.lattice import lattice
+from cmp_cl.results import Grid, NodeStatus
+from cmp_cl.second_look import ring, second_look
+
+DATA = Path(__file__).parents[2] / "shared" / "data"
+MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
+
+
+def right(grid: Grid, index: np.ndarray) -> np.ndarray:
+    """Which true corners in the grid have their own row and column."""
+    there = (grid.index[:, 0] >= 0) & (index[:, 0] >= 0)
+    return (grid.index == index).all(1)[there]
+
+
+@pytest.mark.parametrize("shape", [None, (44, 40)])
+def test_a_warped_board_is_numbered(shape):
+    corners, index, truth = board(44, 40)
+    grid = build_grid(corners, shape=shape)
+    np.testing.assert_array_equal(grid.index, index)
+    assert grid.shape == (44, 40)
+    assert (grid.status == NodeStatus.DETECTED).all()
+    assert np.abs(grid.xy @ [1, 1j] - truth).max() < 1.5
+    np.testing.assert_array_equal(grid.xy[tuple(index.T)], corners.xy)
+    np.testing.assert_array_equal(grid.sigma[tuple(index.T)], corners.sigma)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_lost_and_false_corners_do_not_shift_the_numbers(seed):
+    corners, index, _ = board(44, 44, lost=0.03, false=0.1, seed=seed)
+    grid = build_grid(corners, shape=(44, 44))
+    assert right(grid, index).all()
+    assert len(right(grid, index)) > 0.99 * (index[:, 0] >= 0).sum()
+    assert (index[grid.index[:, 0] >= 0, 0] < 0).sum() < 5
+
+
+def test_a_tenth_lost_and_half_as_many_false_again():
+    corners, index, _ = board(30, 30, lost=0.1, false=0.5, seed=1)
+    grid = build_grid(corners, shape=(30, 30))
+    assert right(grid, index).mean() > 0.98
+    assert len(right(grid, index)) > 0.9 * (index[:, 0] >= 0).sum()
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_rows_run_down_and_columns_right_however_the_camera_is_turned(quarters):
+    corners, index, _ = board(12, 9, turn=0.1 + quarters * np.pi / 2)
+    grid = build_grid(corners)
+    row, column = index.T
+    row, column = [
+        (row, column),
+        (column, 11 - row),
+        (11 - row, 8 - column),
+        (8 - column, row),
+    ][quarters]
+    np.testing.assert_array_equal(grid.index, np.stack([row, column], axis=1))
+
+
+@pytest.mark.parametrize("black", [True, False])
+def test_the_parity_is_the_colour_of_the_first_cell(black):
+    assert build_grid(board(8, 8, black=black).corners).parity == (not black)
+    corners, index, _ = board(8, 8, black=black)
+    rest = keep(corners, index[:, 0] > 0)
+    assert build_grid(rest).parity == black
+
+
+def keep(corners, which):
+    fields = {
+        field.name: getattr(corners, field.name)[which]
+        for field in dataclasses.fields(corners)
+        if field.name != "device"
+    }
+    return dataclasses.replace(corners, **fields)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_part_of_a_pressed_pattern_is_numbered_as_at_rest(seed):
+    rest = build_grid(board(24, 24, pull=0, twist=0, black=False).corners)
+    corners, index, _ = board(24, 24, pull=2.5, black=False, lost=0.05, false=0.1, seed=seed)
+    seen = (index[:, 0] >= 3 + seed) & (index[:, 1] < 20)
+    grid = build_grid(keep(corners, seen), like=rest)
+    assert grid.shape == (24, 24)
+    assert right(grid, index[seen]).all()
+    assert (grid.status[: 3 + seed] == NodeStatus.MISSING).all()
+    assert np.isnan(grid.xy[: 3 + seed]).all()
+    assert grid.parity == rest.parity
+
+
+def test_a_whole_pattern_that_moved_by_cells_keeps_its_numbers():
+    rest = build_grid(board(10, 10, pull=0, twist=0).corners)
+    corners, index, _ = board(10, 10, pull=0, twist=0, origin=60 + 50j + 13 * (2 + 2j))
+    np.testing.assert_array_equal(build_grid(corners, like=rest).index, index)
+
+
+def test_a_turned_rest_grid_gives_its_orientation():
+    sideways = build_grid(board(10, 14, turn=0.6).corners)
+    now = board(10, 14, turn=0.9, pull=0.5)
+    by_axes = build_grid(now.corners)
+    assert by_axes.shape == (14, 10)
+    grid = build_grid(now.corners, like=sideways)
+    assert grid.shape == (10, 14)
+    np.testing.assert_array_equal(grid.index, now.index)
+
+
+def test_a_shape_laid_across_turns_the_numbers():
+    corners, index, _ = board(6, 9)
+    grid = build_grid(corners, shape=(9, 6))
+    assert grid.valid.all()
+    turned = np.stack([8 - index[:, 1], index[:, 0]], axis=1)
+    other = np.stack([index[:, 1], 5 - index[:, 0]], axis=1)
+    assert (grid.index == turned).all() or (grid.index == other).all()
+
+
+def test_a_hole_is_filled_by_its_neighbours_and_says_so():
+    corners, index, truth = board(12, 12, jitter=0.0)
+    lost = (index == [5, 6]).all(1) | (index == [8, 3]).all(1)
+    grid = build_grid(keep(corners, ~lost))
+    assert (grid.status == NodeStatus.INTERPOLATED).sum() == 2
+    for row, column in ((5, 6), (8, 3)):
+        assert grid.status[row, column] == NodeStatus.INTERPOLATED
+        assert abs(grid.xy[row, column] @ [1, 1j] - truth[row, column]) < 0.6
+        assert np.isnan(grid.sigma[row, column])
+
+
+def test_nothing_is_invented_beyond_the_pattern():
+    corners, index, _ = board(12, 12)
+    seen = index.sum(1) >= 6
+    grid = build_grid(keep(corners, seen), shape=(12, 12))
+    row, column = np.indices((12, 12))
+    np.testing.assert_array_equal(grid.status == NodeStatus.MISSING, row + column < 6)
+    np.testing.assert_array_equal(grid.valid, row + column >= 6)
+
+
+def test_a_corner_without_edges_is_attached_by_its_place():
+    corners, index, _ = board(12, 12)
+    blind = (index == [5, 6]).all(1)
+    corners.edges[blind] = np.nan
+    grid = build_grid(corners)
+    np.testing.assert_array_equal(grid.index, index)
+    assert grid.status[5, 6] == NodeStatus.ATTACHED
+    assert grid.sigma[5, 6] == corners.sigma[blind]
+
+
+def test_a_corner_of_the_other_colour_is_not_attached():
+    corners, index, _ = board(12, 12)
+    other = (index == [5, 6]).all(1)
+    corners.edges[other] = corners.edges[other][:, [1, 2, 3, 0]]
+    grid = build_grid(corners)
+    assert grid.status[5, 6] == NodeStatus.INTERPOLATED
+    assert (grid.index[other] == -1).all()
+
+
+def test_a_corner_far_from_its_neighbours_prediction_is_dropped():
+    corners, index, truth = board(12, 12, jitter=0.0)
+    strayed = (index == [5, 6]).all(1)
+    corners.xy[strayed] += [4.5, 2.0]
+    grid = build_grid(corners)
+    assert (grid.index[strayed] == -1).all()
+    assert (grid.index[~strayed] == index[~strayed]).all()
+    assert abs(grid.xy[5, 6] @ [1, 1j] - truth[5, 6]) < 0.6
+
+
+def test_two_boards_are_refused_unless_a_region_says_which():
+    first = board(9, 9, pull=0)
+    second = board(8, 9, pull=0, origin=260 + 50j)
+    both = joined(first, second)
+    with pytest.raises(GridError, match="two patterns are seen, of 81 and 72 corners"):
+        build_grid(both)
+    assert build_grid(both, region=(30, 0, 210, 400)).shape == (9, 9)
+    grid = build_grid(both, region=(230, 0, 500, 400))
+    assert grid.shape == (8, 9)
+    assert (grid.index[both.xy[:, 0] < 230] == -1).all()
+
+
+def test_a_small_second_board_falls_away():
+    both = joined(board(12, 12, pull=0), board(4, 4, pull=0, origin=300 + 50j))
+    grid = build_grid(both)
+    assert grid.shape == (12, 12)
+    assert (grid.index >= 0).all(1).sum() == 144
+
+
+def test_a_lattice_that_is_small_against_the_corners_is_refused():
+    corners = board(3, 3, false=60.0, seed=3).corners
+    with pytest.raises(GridError, match="corners, expected at least 10%"):
+        build_grid(corners)
+
+
+def test_nothing_found_is_an_empty_grid_or_one_of_the_known_shape():
+    corners, index, _ = board(9, 9)
+    for some in (index[:, 0] < 0, index[:, 0] == 4, (index == 4).all(1)):
+        grid = build_grid(keep(corners, some))
+        assert grid.shape == (0, 0)
+        assert grid.index.shape == (some.sum(), 2)
+        assert (grid.index == -1).all()
+        known = build_grid(keep(corners, some), shape=(9, 9))
+        assert known.shape == (9, 9)
+        assert not known.valid.any()
+
+
+def test_requests_that_make_no_sense_are_refused():
+    corners = board(6, 6).corners
+    rest = build_grid(corners)
+    with pytest.raises(GridError, match="shape must be"):
+        build_grid(corners, shape=(0, 6))
+    with pytest.raises(GridError, match="has \\(6, 6\\)"):
+        build_grid(corners, shape=(5, 6), like=rest)
+    with pytest.raises(GridError, match="region must be"):
+        build_grid(corners, region=(50, 0, 40, 10))
+    with pytest.raises(GridError, match="has no nodes"):
+        build_grid(corners, like=build_grid(keep(corners, corners.xy[:, 0] < 0)))
+    with pytest.raises(ImageError):
+        build_grid(corners, np.zeros((10, 10)))
+    corners.edges[:] = np.nan
+    with pytest.raises(GridError, match="no edge angles"):
+        build_grid(corners)
+
+
+def test_a_prediction_is_exact_on_a_cubic():
+    t = np.arange(7.0)
+    line = t**3 + 1j * (t**2 - t)
+    row = np.tile(line, (7, 1)) + 1j * np.arange(7)[:, None] * 9
+    at, weight = predict(row, np.array([3]), np.array([3]))
+    assert weight[0] == pytest.approx(12 + 12 + 4 + 4 + 4 * 1.5 + 4 * 1.4)
+    alone = np.full((7, 7), complex(np.nan, np.nan))
+    alone[3, [1, 2, 4, 5]] = line[[1, 2, 4, 5]]
+    at, weight = predict(alone, np.array([3]), np.array([3]))
+    cubic = (4 * (line[2] + line[4]) - line[1] - line[5]) / 6
+    assert abs(cubic - line[3]) < 1e-12
+    sides = [(line[2] + line[4]) / 2, 2 * line[2] - line[1], 2 * line[4] - line[5]]
+    expected = (12 * cubic + 4 * sides[0] + 0.7 * (sides[1] + sides[2])) / 17.4
+    assert abs(at[0] - expected) < 1e-12
+    assert weight[0] == pytest.approx(17.4)
+
+
+def test_the_same_corners_give_the_same_bytes():
+    corners, _, _ = board(20, 20, lost=0.05, false=0.2)
+    first, second = build_grid(corners), build_grid(corners)
+    assert first.xy.tobytes() == second.xy.tobytes()
+    assert first.index.tobytes() == second.index.tobytes()
+
+
+def test_numbering_is_quick():
+    corners, _, _ = board(44, 44)
+    z = (corners.xy @ np.array([1, 1j])).astype(np.complex64)
+    times = []
+    for _ in range(60):
+        start = time.perf_counter()
+        lattice(z, corners.edges)
+        times.append(time.perf_counter() - start)
+    assert min(times) < 6e-3  # about 2.7 ms; a loop over corners would take 20
+
+
+def test_rings_are_the_refinements():
+    assert [len(ring(radius)) for radius in (4, 5)] == [24, 28]
+    assert ring(4)[0] == -4j
+    assert (np.abs(np.abs(ring(6)) - 6) < 0.6).all()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_second_look_finds_the_corner_and_refuses_the_other_colour(dtype):
+    scene = synthetic.Scene(markers=20, severity=0.5, noise=2.0, seed=4)
+    rendered = synthetic.render(scene)
+    image = rendered.image.astype(dtype) * (257 if dtype == np.uint16 else 1)
+    truth = (rendered.truth @ [1, 1j])[5:15, 5:15]
+    draw = np.random.default_rng(0)
+    at = (truth + draw.uniform(-1.5, 1.5, truth.shape) * (1 + 1j)).ravel()
+    grid = build_grid(reference.detect(rendered.image), shape=(20, 20))
+    level = (np.indices(truth.shape).sum(0).ravel() + grid.parity) % 2 == 0
+    line = np.where(level, 1, 1j)
+    cell = np.full(len(at), rendered.cell)
+    found = second_look(image, at, cell, line)
+    assert (~np.isnan(found.real)).mean() > 0.95
+    assert np.nanmedian(np.abs(found - truth.ravel())) < 0.5
+    assert np.isnan(second_look(image, at, cell, line * 1j).real).all()
+    blank = np.full_like(image, 90)
+    assert np.isnan(second_look(blank, at, cell, line).real).all()
+
+
+@pytest.mark.parametrize("markers", [20, 40])
+@pytest.mark.parametrize("severity", [0.5, 1.0])
+def test_every_index_of_a_pressed_gel_is_right(markers, severity):
+    scene = synthetic.random_scene(17 * markers, markers=markers, severity=severity)
+    rendered = synthetic.render(scene)
+    corners = reference.detect(rendered.image, DetectorConfig.for_grid(markers))
+    corners = keep(corners, np.arange(len(corners)) % 50 != 7)
+    grid = build_grid(corners, rendered.image, shape=(markers, markers))
+    error = np.hypot(*(grid.xy - rendered.truth).transpose(2, 0, 1))
+    assert np.isin(grid.status, MEASURED).all()
+    assert (grid.status == NodeStatus.SECOND_LOOK).sum() > markers * markers / 60
+    assert error.max() < min(3, 0.35 * rendered.cell)
+
+
+def photograph(name: str) -> tuple[np.ndarray, dict]:
+    path = DATA / f"{name}.json"
+    if not path.exists():
+        pytest.skip(f"the shared photographs are not at {DATA}")
+    listed = json.loads(path.read_text())
+    return cv2.imread(str(path.with_name(listed["image"])), cv2.IMREAD_GRAYSCALE), listed
+
+
+def agreeing(grid: Grid, listed: dict) -> tuple[int, int]:
+    """Measured nodes at listed corners, and how many have one lattice's indices for both."""
+    corners = np.array([(c["x"], c["y"], c["i"], c["j"]) for c in listed["corners"]])
+    row, column = np.nonzero(np.isin(grid.status, MEASURED))
+    node = grid.xy[row, column]
+    reach = min(3.0, 0.25 * listed["cell_px"]["median"])
+    pairs = []
+    for start in range(0, len(node), 256):
+        part = node[start : start + 256]
+        away = np.hypot(*(part[:, None] - corners[None, :, :2]).transpose(2, 0, 1))
+        pairs.append(np.argwhere(away < reach) + np.array([start, 0]))
+    pairs = np.concatenate(pairs)
+    here = column[pairs[:, 0]] + 1j * row[pairs[:, 0]]
+    there = corners[pairs[:, 1], 2] + 1j * corners[pairs[:, 1], 3]
+    best = 0
+    for mirrored in (here, here.conj()):
+        for quarter in range(4):
+            shift = np.rint(mirrored * 1j**quarter - there)
+            best = max(best, np.unique(shift, return_counts=True)[1].max())
+    return len(pairs), int(best)
+
+
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [
+        ("water/reference_df", 10990),
+        ("water/ellipse_10", 6600),
+        ("puzzleboard/example1", 255),
+        ("curved/curve_4", 85),
+    ],
+)
+def test_photographs_get_one_consistent_lattice(name, least):
+    image, listed = photograph(name)
+    config = DetectorConfig.for_cell(listed["cell_px"]["median"])
+    grid = build_grid(reference.detect(image, config), image)
+    found, same = agreeing(grid, listed)
+    assert found >= least
+    assert same == found
+
+
+@pytest.mark.parametrize("name", ["left01", "right04", "right02"])
+def test_boards_in_a_room_are_found_whole(name):
+    image, listed = photograph(f"stereo_opencv/{name}")
+    config = DetectorConfig.for_cell(listed["cell_px"]["median"])
+    grid = build_grid(reference.detect(image, config), image, shape=(6, 9))
+    found, same = agreeing(grid, listed)
+    assert np.isin(grid.status, MEASURED).all()
+    assert found == same >= 53
