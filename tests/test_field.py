@@ -19,7 +19,7 @@ import pytest
 from stereo_data import gel, grid_of, points, project, toed_in_rig
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.field import SeriesWriter, displacement, green_lagrange
+from cmp_cl.field import SeriesWriter, _Column, displacement, green_lagrange
 from cmp_cl.results import NodeStatus, PointStatus
 
 
@@ -133,6 +133,8 @@ def test_strain_smooths_noise_and_leaves_holes():
     line = np.full_like(flat, np.nan)
     line[3] = flat[3]
     assert np.isnan(green_lagrange(line, line)).all()
+    collapsed = flat * [1, 0, 1]
+    assert np.isnan(green_lagrange(collapsed, flat)).all()
     point = np.ones_like(flat)
     assert np.isnan(green_lagrange(point, point)).all()
 
@@ -327,6 +329,26 @@ def test_a_frame_unlike_the_first_is_refused_and_leaves_no_trace(tmp_path):
         assert data["value"].tolist() == [[1, 1, 1], [0, 0, 0]]
     with pytest.raises(FieldError, match="closed"):
         series.append(index=3, time_ms=3, value=np.zeros(3))
+
+
+def test_a_frame_that_was_interrupted_is_written_over(tmp_path, monkeypatch):
+    write = _Column.write
+
+    def interrupted(column, frame, value):
+        write(column, frame, value)
+        raise KeyboardInterrupt
+
+    with SeriesWriter(tmp_path / "a.npz") as series:
+        for frame in range(3):
+            if frame:
+                monkeypatch.setattr(_Column, "write", interrupted)
+                with pytest.raises(KeyboardInterrupt):
+                    series.append(index=10, time_ms=10, value=np.full(3, 10.0))
+                monkeypatch.setattr(_Column, "write", write)
+            series.append(index=frame, time_ms=frame, value=np.full(3, float(frame)))
+    with np.load(tmp_path / "a.npz") as data:
+        assert data["index"].tolist() == [0, 1, 2]
+        assert data["value"].tolist() == [[0] * 3, [1] * 3, [2] * 3]
 
 
 def test_a_series_refuses_names_and_things_it_cannot_keep(tmp_path):

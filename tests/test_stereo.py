@@ -129,7 +129,7 @@ def test_points_of_the_wrong_layout_are_refused():
 
 
 def one_node(rig, left, right):
-    return rig.triangulate(grid_of([[left]]), grid_of([[right]]))
+    return rig.triangulate(grid_of([[left]], 0.1), grid_of([[right]], 0.1))
 
 
 @pytest.mark.parametrize(
@@ -146,8 +146,20 @@ def one_node(rig, left, right):
 def test_what_has_no_depth_is_flagged(left, right, status):
     points = one_node(parallel_rig(), left, right)
     assert points.status[0, 0] == status
-    assert np.isnan(points.xyz).all() == (status != PointStatus.VALID)
-    assert np.isnan(points.covariance).all()
+    for values in (points.xyz, points.covariance, points.sigma):
+        assert np.isnan(values).all() == (status != PointStatus.VALID)
+
+
+def test_cameras_that_look_at_each_others_side_see_far_points_as_parallel():
+    rig = toed_in_rig()
+    far = np.array([[[-2e4, 0, 1e5], [-2e4, 0, 1e3]]])
+    points = rig.triangulate(*(grid_of(view) for view in project(rig, far)))
+    assert points.status.tolist() == [[PointStatus.PARALLEL, PointStatus.PARALLEL]]
+    far[..., 2] = 200
+    far[..., 0] = -20, 0
+    points = rig.triangulate(*(grid_of(view) for view in project(rig, far)))
+    assert points.valid.all()
+    np.testing.assert_allclose(points.xyz, far, atol=1e-3)
 
 
 def test_a_refused_match_keeps_its_error():
@@ -225,25 +237,27 @@ def test_two_files_that_contradict_each_other_are_refused(tmp_path):
         StereoRig.load(tmp_path / "a.yaml", tmp_path / "b.yaml")
 
 
+HEAD = b"%YAML:1.0\n---\nM1: !!opencv-matrix\n   dt: d\n"
+
+
 @pytest.mark.parametrize(
-    "content",
+    ("content", "words"),
     [
-        b"",
-        b"\x00\xff\xfe",
-        b"%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1., 2.",
-        b"%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 1. ]\n",
-        b"%YAML:1.0\n---\nM1: !!opencv-matrix\n   rows: 99999\n   cols: 99999\n   dt: d\n"
-        b"   data: [ 1. ]\n",
-        b"%YAML:1.0\n---\nM1: [1, 2]\n",
-        b"%YAML:1.0\n---\nR: { a: 1 }\n",
-        b"%YAML:1.0\n---\nunit: 3\n",
-        b"# " + b"x" * (1 << 20),
+        (b"", "neither"),
+        (b"\x00\xff\xfe", "utf-8"),
+        (HEAD + b"   rows: 3\n   cols: 3\n   data: [ 1., 2.", "neither"),
+        (HEAD + b"   rows: 3\n   cols: 3\n   data: [ 1. ]\n", "M1 is a damaged matrix"),
+        (HEAD + b"   rows: 99999\n   cols: 99999\n   data: [ 1. ]\n", "M1 must be a small"),
+        (b"%YAML:1.0\n---\nM1: [1, 2]\n", "M1 must be a small matrix"),
+        (b"%YAML:1.0\n---\nR: { a: 1 }\n", "R is a damaged matrix"),
+        (b"%YAML:1.0\n---\nunit: 3\n", "no K1 or M1"),
+        (b"%YAML:1.0\n---\n# " + b"x" * (1 << 20), "over 1048576 bytes"),
     ],
 )
-def test_a_damaged_calibration_file_is_refused_with_its_name(tmp_path, content):
+def test_a_damaged_calibration_file_is_refused_with_its_name(tmp_path, content, words):
     path = tmp_path / "rig.yaml"
     path.write_bytes(content)
-    with pytest.raises(CalibrationError, match=r"rig\.yaml"):
+    with pytest.raises(CalibrationError, match=rf"rig\.yaml.*{words}"):
         StereoRig.load(path)
 
 
