@@ -1,0 +1,317 @@
+"""Detector: from frames to corners, on one OpenCL device."""
+
+import os
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.config import DetectorConfig, Pyramid
+from cmp_cl.device import Device, describe_handle, select_device
+from cmp_cl.errors import ConfigError, DeviceError, ImageError
+from cmp_cl.plan import Overflow, Plan
+from cmp_cl.results import Corners, GreyImage, Maps, check_image
+
+_EDGES = slice(2, 6)
+
+
+class Detector:
+    """Finds the corners of frames of one shape and pixel type.
+
+    Use it in a with statement, or call `close`. Buffers and kernels are made once; nothing is
+    allocated on the device per frame. One thread may use it at a time: a second one waits.
+
+    shape: (H, W) of every frame. dtype: uint8 or uint16.
+    config: what to do; the defaults of DetectorConfig where None.
+    device: a Device, a text for `select_device`, or None for the default device.
+    queue: a pyopencl queue to use instead of one of its own; then `device` must be None.
+    mask: (H, W) bool, where corners may be centred; pixels outside are still looked at.
+    profile: keep the times of the stages of the last frame, see `times`.
+
+    Raises ImageError (shape, dtype, mask), ConfigError, DeviceError, KernelBuildError and
+    CapacityError.
+    """
+
+    def __init__(
+        self,
+        *,
+        shape: tuple[int, int],
+        dtype: Any = np.uint8,
+        config: DetectorConfig | None = None,
+        device: Device | str | None = None,
+        queue: cl.CommandQueue | None = None,
+        mask: NDArray[np.bool_] | None = None,
+        profile: bool = False,
+    ) -> None:
+        self.shape = _checked_shape(shape)
+        self.dtype = np.dtype(dtype)
+        if self.dtype not in (np.uint8, np.uint16):
+            raise ImageError(f"dtype must be uint8 or uint16, not {self.dtype}")
+        self.config = DetectorConfig() if config is None else config
+        if not isinstance(self.config, DetectorConfig):
+            raise ConfigError(f"config must be a DetectorConfig, not {config!r}")
+        self._mask = None if mask is None else _checked_mask(mask, self.shape)
+        if queue is not None and device is not None:
+            raise DeviceError("give a device or a queue, not both")
+        if queue is not None:
+            self.device = describe_handle(queue.device)
+        else:
+            self.device = device if isinstance(device, Device) else select_device(device)
+        context = queue.context if queue is not None else cl.Context([self.device.handle])
+        flags = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
+        self._queue = queue or cl.CommandQueue(context, properties=flags)
+        self._profile = profile
+        self._uploads = cl.CommandQueue(context)
+        self._lock = threading.RLock()
+        self._process = os.getpid()
+        self._plans: dict[tuple[int, int, float | None], Plan] = {}
+        self._closed = False
+        self.regrown = 0  # times that a list was too short and a frame was done again
+        if self.shape[0] and self.shape[1]:
+            for factor in self._factors:
+                self._plan(factor)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the device's memory back; the detector cannot be used afterwards."""
+        with self._lock:
+            for plan in self._plans.values():
+                plan.release()
+            self._plans.clear()
+            self._closed = True
+
+    @property
+    def memory(self) -> int:
+        """Bytes allocated on the device."""
+        return sum(sum(plan.sizes.values()) for plan in self._plans.values())
+
+    @property
+    def times(self) -> dict[str, float]:
+        """Milliseconds of each stage of the last frame; empty unless made with profile=True."""
+        spent: dict[str, float] = {}
+        for plan in self._plans.values():
+            for stage, event in plan.events:
+                event.wait()
+                ms = (event.profile.end - event.profile.start) * 1e-6
+                spent[stage] = spent.get(stage, 0.0) + ms
+        return spent
+
+    def __call__(self, frame: GreyImage) -> Corners:
+        """The corners of one frame, (H, W); raises ImageError where the frame does not fit."""
+        self._check(frame)
+        if not frame.size:
+            return _no_corners(str(self.device))
+        with self._lock:
+            self._check_alive()
+            return self._best([self._whole(self._plan(factor), [frame]) for factor in self._factors])[0]
+
+    def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
+        """The corners of each frame, in order.
+
+        The next frame is uploaded while the kernels of this one run. A frame may be
+        overwritten as soon as the next one is asked for.
+        """
+        if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
+            yield from map(self, frames)
+            return
+        waiting: Plan | None = None
+        slot = 0
+        for frame in frames:
+            self._check(frame)
+            with self._lock:
+                self._check_alive()
+                plan = self._plan(self._factors[0], slot=slot)
+                self._start(plan, frame)
+                done = None if waiting is None else self._finish(waiting)
+            waiting, slot = plan, 1 - slot
+            if done is not None:
+                yield done[0]
+        if waiting is not None:
+            with self._lock:
+                self._check_alive()
+                done = self._finish(waiting)
+            yield done[0]
+
+    def batch(self, stack: NDArray[Any] | Sequence[GreyImage]) -> list[Corners]:
+        """The corners of each frame of (B, H, W), one launch per stage for all of them."""
+        frames = list(stack)
+        for frame in frames:
+            self._check(frame)
+        if not frames or not (self.shape[0] and self.shape[1]):
+            return [_no_corners(str(self.device)) for _ in frames]
+        with self._lock:
+            self._check_alive()
+            results = []
+            for factor in self._factors:
+                results.append(self._whole(self._plan(factor, frames=len(frames)), frames))
+            return self._best(results)
+
+    def maps(self, frame: GreyImage) -> Maps:
+        """Every intermediate image of a frame; with a Pyramid those of its first factor."""
+        from cmp_cl.maps import read_maps
+
+        self._check(frame)
+        with self._lock:
+            self._check_alive()
+            plan = self._plan(self._factors[0])
+            self._whole(plan, [frame])  # makes room
+            return read_maps(plan)
+
+    @property
+    def _factors(self) -> list[float | None]:
+        scale = self.config.scale
+        if isinstance(scale, Pyramid):
+            return sorted(scale.factors, reverse=True)
+        return [scale]
+
+    def _plan(self, factor: float | None, frames: int = 1, slot: int = 0) -> Plan:
+        key = (frames, slot, factor)
+        if key not in self._plans:
+            if frames > 1:  # room for one size of batch
+                for old in [old for old in self._plans if old[0] > 1 and old[0] != frames]:
+                    self._plans.pop(old).release()
+            self._plans[key] = Plan(
+                self._queue,
+                self.device,
+                self.shape,
+                self.dtype,
+                self.config,
+                factor,
+                self._mask,
+                frames,
+            )
+        return self._plans[key]
+
+    def _start(self, plan: Plan, *frames: GreyImage) -> None:
+        plan.events.clear()
+        plan.upload(self._uploads, frames)
+        plan.launch(plan.front)
+
+    def _finish(self, plan: Plan) -> list[Corners]:
+        while True:
+            try:
+                counts = plan.counts()
+                break
+            except Overflow as overflow:
+                self._grow(plan, overflow)
+        return _corners(plan.refine(counts), counts, plan)
+
+    def _whole(self, plan: Plan, frames: Sequence[GreyImage]) -> list[Corners]:
+        self._start(plan, *frames)
+        return self._finish(plan)
+
+    def _grow(self, plan: Plan, overflow: Overflow) -> None:
+        """Make room and run the front stages again on the frames that are on the device."""
+        self.regrown += 1
+        plan.grow(overflow)
+        plan.launch(plan.front)
+
+    def _best(self, results: list[list[Corners]]) -> list[Corners]:
+        """Of the results of all factors, for each frame the one with the nearest count."""
+        scale = self.config.scale
+        if not isinstance(scale, Pyramid):
+            return results[0]
+        expected = scale.expected
+        return [min(choice, key=lambda found: abs(len(found) - expected)) for choice in zip(*results, strict=True)]
+
+    def _check(self, frame: Any) -> None:
+        check_image(frame)
+        if frame.shape != self.shape or frame.dtype != self.dtype:
+            raise ImageError(
+                f"this detector takes {self.shape} {self.dtype}, got {frame.shape} {frame.dtype}; "
+                "make a Detector for that shape and dtype"
+            )
+
+    def _check_alive(self) -> None:
+        if self._closed:
+            raise DeviceError("this detector is closed; make a new one")
+        if os.getpid() != self._process:
+            raise DeviceError(
+                "this detector was made before a fork, and OpenCL does not survive one; make it "
+                "in the child, or start processes with multiprocessing.get_context('spawn')"
+            )
+
+
+def detect(
+    image: GreyImage,
+    config: DetectorConfig | None = None,
+    device: Device | str | None = None,
+) -> Corners:
+    """The corners of one image, (H, W) uint8 or uint16.
+
+    Makes a Detector, runs it and releases it; for many images of one shape make a Detector.
+    config None means DetectorConfig.for_image(image).
+    Raises what Detector raises.
+    """
+    check_image(image)
+    if config is None:
+        config = DetectorConfig.for_image(image)
+    with Detector(shape=image.shape, dtype=image.dtype, config=config, device=device) as detector:
+        return detector(image)
+
+
+def _corners(words: NDArray[np.float32], counts: NDArray[np.uint32], plan: Plan) -> list[Corners]:
+    """The results of each frame, from the columns that the refinement kernels wrote."""
+    found = []
+    end = np.cumsum(counts)
+    for first, last in zip(end - counts, end, strict=True):
+        own = words[:, first:last]
+        found.append(
+            Corners(
+                xy=np.ascontiguousarray(own[0:2].T),
+                pixel=np.ascontiguousarray(own[7:9].view(np.int32).T),
+                response=own[6].copy(),
+                method=own[9].astype(np.uint8),
+                sigma=own[10].copy(),
+                edges=np.ascontiguousarray(own[_EDGES].T),
+                doubtful=own[11] > 0,
+                device=str(plan.device),
+            )
+        )
+    return found
+
+
+def _no_corners(device: str) -> Corners:
+    return Corners(
+        xy=np.empty((0, 2), np.float32),
+        pixel=np.empty((0, 2), np.int32),
+        response=np.empty(0, np.float32),
+        method=np.empty(0, np.uint8),
+        sigma=np.empty(0, np.float32),
+        edges=np.empty((0, 4), np.float32),
+        doubtful=np.empty(0, np.bool_),
+        device=device,
+    )
+
+
+def _checked_shape(shape: Any) -> tuple[int, int]:
+    try:
+        rows, columns = (int(n) for n in shape)
+    except (TypeError, ValueError) as error:
+        raise ImageError(f"shape must be (H, W), not {shape!r}") from error
+    if rows < 0 or columns < 0:
+        raise ImageError(f"shape must be (H, W), not {shape!r}")
+    return rows, columns
+
+
+def _checked_mask(mask: ArrayLike, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    array = np.asarray(mask)
+    if array.dtype != np.bool_ or array.shape != shape:
+        raise ImageError(
+            f"mask must be {shape} of bool, not {array.shape} of {array.dtype}; mask > 0 converts"
+        )
+    return array

@@ -1,0 +1,127 @@
+"""OpenCL devices: what there is, and which one is meant."""
+
+import dataclasses
+import enum
+import os
+
+import pyopencl as cl
+
+from cmp_cl.errors import DeviceError
+
+DEVICE_VARIABLE = "CMP_CL_DEVICE"
+
+_INSTALL_HINT = (
+    "install an OpenCL implementation: pip install 'pyopencl[pocl]' runs on any CPU, a GPU needs "
+    "its vendor's driver; `cmp-cl devices` says more"
+)
+
+
+class DeviceKind(enum.Enum):
+    """What sort of processor a device is."""
+
+    CPU = "cpu"
+    GPU = "gpu"
+    ACCELERATOR = "accelerator"
+
+
+@dataclasses.dataclass(frozen=True)
+class Device:
+    """An OpenCL device.
+
+    index: "platform:device", as `select_device` takes it.
+    name, platform, driver: as the implementation reports them.
+    kind: what sort of processor it is.
+    memory: global memory, bytes.
+    handle: the device as pyopencl knows it.
+    """
+
+    index: str
+    name: str
+    platform: str
+    driver: str
+    kind: DeviceKind
+    memory: int
+    handle: cl.Device = dataclasses.field(repr=False)
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.platform})"
+
+
+def list_devices() -> list[Device]:
+    """All OpenCL devices, in the order of the platforms; empty where there is no platform."""
+    return [
+        _describe(handle, f"{p}:{d}")
+        for p, platform in enumerate(_platforms())
+        for d, handle in enumerate(_devices(platform))
+    ]
+
+
+def select_device(text: str | None = None) -> Device:
+    """The device that is meant by "0:0" (platform:device), "cpu", "gpu", or a part of its name
+    or its platform's name, case ignored; the first in `list_devices` of those that match.
+
+    None means the variable CMP_CL_DEVICE if it is set, else the first GPU, else the first
+    CPU, else the first device.
+
+    Raises DeviceError, which lists what there is, where nothing matches.
+    """
+    devices = list_devices()
+    wanted = text if text is not None else os.environ.get(DEVICE_VARIABLE)
+    if not devices:
+        raise DeviceError(f"no OpenCL device found; {_INSTALL_HINT}")
+    if wanted is None:
+        ranks = {DeviceKind.GPU: 0, DeviceKind.CPU: 1, DeviceKind.ACCELERATOR: 2}
+        return min(devices, key=lambda device: ranks[device.kind])
+    matches = [device for device in devices if _matches(device, wanted.strip().lower())]
+    if not wanted.strip() or not matches:
+        known = "; ".join(f"{device.index} {device}" for device in devices)
+        source = "" if text is not None else f" (from {DEVICE_VARIABLE})"
+        raise DeviceError(f"no OpenCL device matches {wanted!r}{source}; there is: {known}")
+    return matches[0]
+
+
+def describe_handle(handle: cl.Device) -> Device:
+    """The Device of a pyopencl device."""
+    for device in list_devices():
+        if device.handle == handle:
+            return device
+    return _describe(handle, "")
+
+
+def _matches(device: Device, wanted: str) -> bool:
+    if wanted in (device.index, device.kind.value):
+        return True
+    if wanted in [kind.value for kind in DeviceKind] or ":" in wanted:
+        return False
+    return wanted in device.name.lower() or wanted in device.platform.lower()
+
+
+def _platforms() -> list[cl.Platform]:
+    try:
+        return list(cl.get_platforms())
+    except cl.Error:  # the loader found no implementation
+        return []
+
+
+def _devices(platform: cl.Platform) -> list[cl.Device]:
+    try:
+        return list(platform.get_devices())
+    except cl.Error:  # a platform without a device
+        return []
+
+
+def _describe(handle: cl.Device, index: str) -> Device:
+    kind = DeviceKind.ACCELERATOR
+    if handle.type & cl.device_type.GPU:
+        kind = DeviceKind.GPU
+    elif handle.type & cl.device_type.CPU:
+        kind = DeviceKind.CPU
+    return Device(
+        index=index,
+        name=handle.name.strip(),
+        platform=handle.platform.name.strip(),
+        driver=handle.driver_version.strip(),
+        kind=kind,
+        memory=int(handle.global_mem_size),
+        handle=handle,
+    )

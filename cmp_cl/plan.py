@@ -1,0 +1,571 @@
+"""The plan of a detector: buffers and bound kernels for frames of one shape.
+
+A plan is fixed to a shape, a pixel type and a number of frames; it allocates once, and a
+frame costs its upload, its launches and the download of its corners.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from cmp_cl import spectrum
+from cmp_cl.config import (
+    AdaptiveMean,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Fit,
+    Midlines,
+    RapidCriteria,
+    SectorContrast,
+    SpectralCriteria,
+)
+from cmp_cl.device import Device, DeviceKind
+from cmp_cl.errors import CapacityError
+from cmp_cl.program import Kernels, build, sum_of_terms
+from cmp_cl.resampling import resampling_weights, working_shape
+from cmp_cl.results import GreyImage
+
+REACH = 16  # columns on either side of the pixels, at least: what rings and tents need
+GROUP = 64  # work-items of a group over a list
+CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
+RESULT_FIELDS = 12  # of kernels/refine.cl
+POINT_FIELDS = 27
+NORMAL_FIELDS = 12
+BINS = 256
+
+
+class Launch(NamedTuple):
+    """A kernel with its arguments, which must outlive it, and the work-items it runs over."""
+
+    stage: str
+    kernel: cl.Kernel
+    items: tuple[int, ...]
+    group: tuple[int, ...] | None
+    arguments: tuple[Any, ...]
+
+
+class Overflow(Exception):
+    """A list was too short; holds the largest counts that were seen."""
+
+    def __init__(self, candidates: int, corners: int) -> None:
+        super().__init__(f"{candidates} candidates, {corners} corners")
+        self.candidates = candidates
+        self.corners = corners
+
+
+class Plan:
+    """Buffers and bound kernels for `frames` frames of one shape at one working scale.
+
+    scale: the working scale, or None for the image as it is.
+    mask: (H, W) bool, where candidates may be centred, or None.
+    rooms: entries of the list of candidates and of corners of a frame, or None for a guess.
+    """
+
+    def __init__(
+        self,
+        queue: cl.CommandQueue,
+        device: Device,
+        shape: tuple[int, int],
+        dtype: np.dtype[Any],
+        config: DetectorConfig,
+        scale: float | None,
+        mask: NDArray[np.bool_] | None,
+        frames: int,
+    ) -> None:
+        self.queue = queue
+        self.device = device
+        self.shape = shape
+        self.dtype = dtype
+        self.config = config
+        self.scale = None if scale == 1 else scale
+        self.frames = frames
+        self.masks = config.threshold.masks
+        self.working = shape if self.scale is None else working_shape(shape, self.scale)
+        self.pad = _multiple(max(REACH, config.threshold.window // 2), REACH)
+        self.step = _multiple(self.working[1] + 2 * self.pad, GROUP)
+        self.full_step = _multiple(shape[1] + 2 * self.pad, GROUP)
+        self.events: list[tuple[str, cl.Event]] = []
+        self._mask = mask
+        pixels = self.working[0] * self.working[1]
+        self._candidate_room = _multiple(pixels // 12 + 1, GROUP)
+        self._corner_room = _multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
+        self.buffers: dict[str, cl.Buffer] = {}
+        self.kernels = self._build()
+        self._allocate()
+        self._bind()
+
+    # What is compiled
+
+    def _build(self) -> Kernels:
+        rapid = isinstance(self.config.criteria, RapidCriteria)
+        deep = self.dtype == np.uint16
+        defines: dict[str, str | int] = {
+            "PAD": self.pad,
+            "PIXEL": "ushort" if deep else "uchar",
+            "PIXEL_BITS": 16 if deep else 8,
+            "MASKS": self.masks,
+            "OUTER_RADIUS": self.config.outer_radius,
+            "RAPID": int(rapid),
+            "CORROSION": int(self.config.criteria.corrosion_threshold is not None),
+            "COLUMN": "uint" if deep else "ushort",
+            "LEVEL": "ulong" if deep and self.config.threshold.offset else "uint",
+            "SQUARE": "ulong" if deep else "uint",
+            "NOISE": "ulong" if deep else "uint",
+            "CONTRAST": "int" if deep else "short",
+            "SUM": "uint" if deep else "ushort",
+            "MEANS": "int" if deep else "short",
+            "RESPONSE": "uchar" if rapid else "int",
+            "SCORE": "ushort" if rapid else "int",
+            "SCALED": int(self.scale is not None),
+            "REFINED": int(self.config.refinement is not None),
+            "EDGE_STEP": int(isinstance(self.config.refinement, EdgeStep)),
+            "MIDLINES": int(isinstance(self.config.refinement, Midlines)),
+            "QUADRATIC": int(
+                isinstance(self.config.refinement, Midlines)
+                and self.config.refinement.fit is Fit.QUADRATIC
+            ),
+        }
+        half = self.config.threshold.window // 2
+        distances = range(1, self.config.nms_radius + 1)
+        macros = {
+            "WINDOW_SUM(T, F)": sum_of_terms(range(-half, half + 1), "T"),
+            "OVER_SUPPRESSION(F)": " ".join(f"F({d})" for d in distances),
+        }
+        return build(self.queue.context, self.stages, defines, macros)
+
+    @property
+    def stages(self) -> list[str]:
+        """The kernel files that the configuration needs."""
+        stages = ["binarize"]
+        if self.scale is not None:
+            stages.append("scale")
+        rapid = isinstance(self.config.criteria, RapidCriteria)
+        stages.append("criteria" if rapid else "spectral")
+        if self.config.contrast is not None:
+            stages.append("gate")
+        return [*stages, "nms", "collect", "refine"]
+
+    # What is allocated
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Bytes of every buffer."""
+        planes = self.frames * self.masks
+        plane = self.working[0] * self.step
+        spare = 2 * self.step
+        pixel = self.dtype.itemsize
+        rapid = isinstance(self.config.criteria, RapidCriteria)
+        response, score = (1, 2) if rapid else (4, 4)
+        room, rows = planes * self._candidate_room, self.frames * self._corner_room
+        length = _multiple(rows, GROUP)
+        column = 2 * pixel * (self.frames * plane + spare)
+        keys = 2 * score * (self.frames * plane + spare)
+        gate = self.config.contrast is not None
+        samples = CHANNELS * pixel * room if gate and rapid else 0
+        sizes = {
+            "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
+            "mask": plane + spare,
+            "binary": planes * plane + spare,
+            "responses": response * (planes * plane + spare),
+            "work": max(column, keys, samples),
+            "row_counts": 4 * planes * self.working[0],
+            "totals": 4 * (planes + self.frames),
+            "corners": 8 * rows,
+            "starts": 4 * self.frames,
+            "start": 16 * length,
+            "result": 4 * RESULT_FIELDS * length,
+        }
+        if self.scale is not None:
+            sizes["working"] = (self.frames * plane + spare) * pixel
+        if self.masks == 3:
+            sizes["squares"] = 4 * pixel * (self.frames * plane + spare)
+            sizes["response"] = response * (self.frames * plane + spare)
+        if gate:
+            sizes["candidates"] = 8 * room
+            sizes["contrasts"] = 3 * 2 * pixel * room
+            sizes["noise"] = 8 * self.frames * self.working[0]
+            sizes["bins"] = 4 * planes * self._parts * BINS
+            sizes["found"] = 8 * planes
+            sizes["bounds"] = 8 * planes
+        if self.config.refinement is not None:
+            sizes["points"] = 4 * POINT_FIELDS * length
+            sizes["normals"] = 4 * NORMAL_FIELDS * length
+        return sizes
+
+    @property
+    def _parts(self) -> int:
+        return 16 if self.device.kind is DeviceKind.CPU else 256
+
+    def _allocate(self) -> None:
+        needed = sum(self.sizes.values())
+        if needed > self.device.memory:
+            raise CapacityError(
+                f"the plan needs {needed} bytes, {self.device} has {self.device.memory}; "
+                "use smaller images, fewer frames at a time or a mask of the active area"
+            )
+        try:
+            for name, size in self.sizes.items():
+                if name not in self.buffers:
+                    buffer = cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, max(size, 4))
+                    cl.enqueue_fill_buffer(self.queue, buffer, np.uint8(0), 0, buffer.size)
+                    self.buffers[name] = buffer
+            self.queue.finish()
+        except (cl.MemoryError, cl.RuntimeError) as error:
+            raise CapacityError(
+                f"{self.device} refused a plan of {needed} bytes, it has {self.device.memory}: {error}"
+            ) from error
+        self._upload_mask()
+
+    def _constant(self, table: NDArray[Any]) -> cl.Buffer:
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self.queue.context, flags, hostbuf=np.ascontiguousarray(table))
+
+    def _upload_mask(self) -> None:
+        rows, columns = self.working
+        allowed = np.ones(self.working, np.bool_)
+        if self._mask is not None:
+            y = np.minimum(((np.arange(rows) + 0.5) / (self.scale or 1)).astype(int), self.shape[0] - 1)
+            x = np.minimum(((np.arange(columns) + 0.5) / (self.scale or 1)).astype(int), self.shape[1] - 1)
+            allowed = self._mask[np.ix_(y, x)]
+        plane = np.zeros((rows + 2, self.step), np.uint8)
+        plane[1:-1, self.pad : self.pad + columns] = allowed
+        cl.enqueue_copy(self.queue, self.buffers["mask"], plane)
+
+    def release(self) -> None:
+        """Give the device's memory back."""
+        for buffer in self.buffers.values():
+            buffer.release()
+        self.buffers.clear()
+
+    # What is launched
+
+    def _bind(self) -> None:
+        self.front = [*self._scale_stage(), *self._binarize_stages(), *self._criteria_stage()]
+        if self.config.contrast is not None:
+            self.front += self._gate_stages(self.config.contrast)
+        self.front += self._suppression_stages()
+        self._refined_length = 0
+        self._totals = np.empty(self.frames * (self.masks + 1), np.uint32)
+
+    def _stage(
+        self, name: str, items: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any
+    ) -> Launch:
+        return Launch(name, self.kernels.bind(name, *arguments), items, group, arguments)
+
+    def _dense(self, name: str, planes: int, *arguments: Any) -> Launch:
+        """A kernel with one work-item per pixel."""
+        items = (self.step, self.working[0], planes)
+        return self._stage(name, items, (self._width, 1, 1), *arguments)
+
+    @property
+    def _width(self) -> int:
+        """Work-items of a group of a dense kernel: a share of the row, pads included."""
+        most = min(self.device.handle.max_work_group_size, 1024)
+        if self.device.kind is not DeviceKind.CPU:
+            most = min(most, 128)
+        units = self.step // GROUP
+        return max(GROUP * n for n in range(1, units + 1) if units % n == 0 and GROUP * n <= max(most, GROUP))
+
+    def _rows(self, name: str, rows: int, planes: int, *arguments: Any) -> Launch:
+        """A kernel with one work-item per row."""
+        group = (1, 1) if self.device.kind is DeviceKind.CPU else None
+        return self._stage(name, (rows, planes), group, *arguments)
+
+    def _list(self, name: str, *arguments: Any) -> Launch:
+        """A kernel with one work-item per entry of the list of candidates."""
+        items = (self._candidate_room, self.frames * self.masks)
+        return self._stage(name, items, (GROUP, 1), *arguments)
+
+    def _scale_stage(self) -> list[Launch]:
+        if self.scale is None:
+            self.image = self.buffers["image"]
+            return []
+        self.image = self.buffers["working"]
+        tables = []
+        for size, working in zip(self.shape, self.working, strict=True):
+            first, weights = resampling_weights(size, working, self.scale)
+            tables += [self._constant(first.astype(np.int32)), self._constant(weights.astype(np.int32))]
+            tables.append(np.uint32(weights.shape[1]))
+        arguments = [
+            self.buffers["image"],
+            *tables,
+            *(np.uint32(n) for n in self.shape),
+            np.uint32(self.full_step),
+            np.uint32(self.working[0]),
+            np.uint32(self.step),
+            self.image,
+        ]
+        items = (self.working[1], self.working[0], self.frames)
+        return [self._stage("resample", items, None, *arguments)]
+
+    def _binarize_stages(self) -> list[Launch]:
+        threshold: AdaptiveMean = self.config.threshold
+        rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
+        deep = self.dtype == np.uint16
+        column = np.uint32 if deep else np.uint16
+        level = np.uint64 if deep and threshold.offset else np.uint32
+        count = threshold.window**2
+        b = self.buffers
+        planes = self.frames * self.masks
+        stages = [
+            self._rows(
+                "repeat_border", self.frames * self.working[0], 1, rows, columns, step, self.image
+            ),
+            self._dense("column_sums", self.frames, self.image, rows, step, column(0), b["work"]),
+        ]
+        if self.masks == 1:
+            arguments = (self.image, b["work"], rows, step, level(count), level(threshold.offset))
+            stages.append(
+                self._dense("binarize", self.frames, *arguments, np.uint32(0), b["binary"])
+            )
+        else:
+            zero = np.uint64(0) if deep else np.uint32(0)
+            arguments = (self.image, b["work"], b["squares"], rows, step, np.uint64(count))
+            stages += [
+                self._dense(
+                    "column_squares", self.frames, self.image, rows, step, zero, b["squares"]
+                ),
+                self._dense(
+                    "binarize_three", self.frames, *arguments, np.uint64(0), b["binary"]
+                ),
+            ]
+        border = (rows, columns, step, b["binary"])
+        stages.append(self._rows("repeat_border_binary", planes * self.working[0], 1, *border))
+        return stages
+
+    def _criteria_stage(self) -> list[Launch]:
+        rows, step = np.uint32(self.working[0]), np.uint32(self.step)
+        criteria = self.config.criteria
+        corrosion = criteria.corrosion_threshold
+        b = self.buffers
+        planes = self.frames * self.masks
+        bound = np.int8(0 if corrosion is None else corrosion)
+        if isinstance(criteria, RapidCriteria):
+            thresholds = (np.uint8(criteria.sector_threshold), np.uint8(criteria.ring_threshold))
+            arguments = (b["binary"], b["mask"], rows, step, *thresholds, bound, np.uint8(0))
+            return [self._dense("rapid_criteria", planes, *arguments, b["responses"])]
+        return [self._dense("spectral_criteria", planes, *self._spectral(criteria, bound))]
+
+    def _spectral(self, criteria: SpectralCriteria, corrosion: np.int8) -> Sequence[Any]:
+        inner, outer = spectrum.response_tables()
+        return (
+            self.buffers["binary"],
+            self.buffers["mask"],
+            self._constant(inner),
+            self._constant(outer),
+            self._constant(spectrum.least_correlation(criteria.correlation)),
+            np.uint32(self.working[0]),
+            np.uint32(self.step),
+            np.int32(spectrum.phase_bound(criteria.phase)),
+            corrosion,
+            self.buffers["responses"],
+        )
+
+    def _lists(self, what: str, planes: int, image: cl.Buffer, room: int, place: int) -> list[Launch]:
+        """The two stages that list the pixels of an image that are not 0."""
+        rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
+        b = self.buffers
+        counts = (image, rows, columns, step, b["row_counts"])
+        listed = (image, b["row_counts"], rows, columns, step, np.uint32(room), np.uint32(place))
+        return [
+            self._rows(f"count_{what}", self.working[0], planes, *counts),
+            self._rows(
+                f"list_{what}",
+                self.working[0],
+                planes,
+                *listed,
+                b["candidates" if what == "candidates" else "corners"],
+                b["totals"],
+            ),
+        ]
+
+    def _gate_stages(self, gate: SectorContrast) -> list[Launch]:
+        rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
+        b, room = self.buffers, np.uint32(self._candidate_room)
+        planes = self.frames * self.masks
+        deep = self.dtype == np.uint16
+        pixel = np.uint16 if deep else np.uint8
+        size = planes * self._candidate_room
+        contrast = [
+            b["contrasts"].get_sub_region(k * size * 2 * self.dtype.itemsize, size * 2 * self.dtype.itemsize)
+            for k in range(3)
+        ]
+        levels = np.arange(2**16 if deep else 2**8)
+        floor = math.ceil(gate.minimum * self.config.grey_levels(self.dtype) / 255)
+        limit = self._constant(
+            np.maximum(np.ceil(np.float64(gate.relative) * levels), floor).astype(np.int32)
+        )
+        factor = math.floor(6.68 * (gate.noise if self.masks == 1 else max(gate.noise, 3)) + 0.5)
+        parts = np.uint32(self._parts)
+        noise = (self.image, rows, columns, step, b["noise"])
+        stages = [self._rows("noise", self.working[0], self.frames, *noise)]
+        stages += self._lists("candidates", planes, b["responses"], self._candidate_room, 0)
+        listed = (b["candidates"], b["totals"])
+        if isinstance(self.config.criteria, RapidCriteria):
+            stages += [
+                self._list(
+                    "sample_rings", self.image, b["binary"], *listed, rows, step, room, b["work"]
+                ),
+                self._list("sector_contrast", b["work"], room, pixel(0), *contrast),
+            ]
+        else:
+            arguments = (self.image, b["binary"], *listed, rows, step, room, *contrast)
+            stages.append(self._list("sector_contrast_any", *arguments))
+        for shift in (8, 0) if deep else (0,):
+            bits = np.uint32(shift)
+            histogram = (contrast[0], b["totals"], b["found"], room, bits, parts, b["bins"])
+            percentile = (b["bins"], b["totals"], b["noise"], limit, rows, columns, room, bits)
+            stages += [
+                self._rows("histogram", self._parts, planes, *histogram),
+                self._rows(
+                    "percentile", planes, 1, *percentile, parts, np.uint32(factor), b["found"], b["bounds"]
+                ),
+            ]
+        keep = (*contrast[1:], *listed, b["bounds"], rows, step, room, b["responses"])
+        return [*stages, self._list("keep", *keep)]
+
+    def _suppression_stages(self) -> list[Launch]:
+        rows, step = np.uint32(self.working[0]), np.uint32(self.step)
+        rapid = isinstance(self.config.criteria, RapidCriteria)
+        zero = np.uint16(0) if rapid else np.int32(0)
+        b = self.buffers
+        stages = []
+        self.response = b["responses"]
+        if self.masks == 3:
+            self.response = b["response"]
+            stages.append(
+                self._dense("combine", self.frames, b["responses"], rows, step, self.response)
+            )
+        size = (2 if rapid else 4) * (self.frames * self.working[0] + 2) * self.step
+        key = b["work"].get_sub_region(0, size)
+        rest = b["work"].get_sub_region(size, size)
+        common = (rows, step, zero)
+        # What the binary image was needed for is over: the maxima take its place.
+        return [
+            *stages,
+            self._dense("tent_rows", self.frames, self.response, *common, rest),
+            self._dense("score", self.frames, self.response, rest, *common, key),
+            self._dense("row_maximum", self.frames, key, *common, rest),
+            self._dense("maximum", self.frames, key, rest, *common, b["binary"]),
+            *self._lists("maxima", self.frames, b["binary"], self._corner_room, self.frames * self.masks),
+        ]
+
+    def _refinement_stages(self, length: int) -> list[Launch]:
+        """From the maxima to positions, for `length` rows of the results."""
+        refinement = self.config.refinement
+        rows, step, count = np.uint32(self.working[0]), np.uint32(self.step), np.uint32(length)
+        scale = np.float32(self.scale or 1)
+        b = self.buffers
+        place = np.uint32(self.frames * self.masks)
+        lists = (b["corners"], b["totals"], b["starts"], rows, step, np.uint32(self._corner_room))
+        arguments = (self.response, *lists, place, count, scale, b["start"], b["result"])
+        items = (self._corner_room, self.frames)
+        stages = [self._stage("centroid", items, (GROUP, 1), *arguments)]
+        if refinement is None:
+            return stages
+        full = (np.uint32(self.shape[0]), np.uint32(self.shape[1]), np.uint32(self.full_step))
+        grey = (b["image"], b["start"], *full, count)
+        points = (*grey, scale, np.uint32(0), b["points"])
+        stages.append(self._corners("edge_points", length, *points))
+        largest = np.float32(
+            (2.0 if isinstance(refinement, EdgeStep) else refinement.max_shift) / scale
+        )
+        lines = (b["points"], b["start"], count, largest, b["normals"], b["result"])
+        name = "midlines" if isinstance(refinement, Midlines) else "edge_lines"
+        stages.append(self._corners(name, length, *lines))
+        if isinstance(refinement, EdgeStep):
+            radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
+            step_arguments = (np.float32(radius), np.float32(2 / scale), b["normals"], b["result"])
+            stages.append(self._corners("edge_step", length, *grey, *step_arguments))
+        return stages
+
+    def _corners(self, name: str, length: int, *arguments: Any) -> Launch:
+        """A kernel with one work-item per corner."""
+        return self._stage(name, (length,), (GROUP,), *arguments)
+
+    # What happens in a frame
+
+    def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> None:
+        """Copy the frames to the device; they may be changed afterwards."""
+        size = self.dtype.itemsize
+        for n, frame in enumerate(frames):
+            if frame.size == 0:
+                continue
+            pitch = frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * size
+            host = frame if frame.flags.c_contiguous else _flat(frame, pitch)
+            cl.enqueue_copy(
+                queue,
+                self.buffers["image"],
+                host,
+                buffer_origin=(self.pad * size, n * self.shape[0] + 1, 0),
+                host_origin=(0, 0, 0),
+                region=(self.shape[1] * size, self.shape[0], 1),
+                buffer_pitches=(self.full_step * size, 0),
+                host_pitches=(pitch, 0),
+                is_blocking=True,
+            )
+
+    def launch(self, stages: Sequence[Launch]) -> None:
+        """Enqueue the stages in order."""
+        queue, enqueue = self.queue, cl.enqueue_nd_range_kernel
+        if not queue.properties & cl.command_queue_properties.PROFILING_ENABLE:
+            for _, kernel, items, group, _ in stages:
+                enqueue(queue, kernel, items, group)
+            return
+        for stage, kernel, items, group, _ in stages:
+            self.events.append((stage, enqueue(queue, kernel, items, group)))
+
+    def counts(self) -> NDArray[np.uint32]:
+        """Corners of each frame, once the front stages are done; raises Overflow."""
+        cl.enqueue_copy(self.queue, self._totals, self.buffers["totals"])
+        planes = self.frames * self.masks
+        candidates = int(self._totals[:planes].max()) if self.config.contrast is not None else 0
+        corners = self._totals[planes:]
+        if candidates > self._candidate_room or corners.max() > self._corner_room:
+            raise Overflow(candidates, int(corners.max()))
+        return corners
+
+    def refine(self, counts: NDArray[np.uint32]) -> NDArray[np.float32]:
+        """Refine the corners and fetch them: (fields, corners of all frames) float32."""
+        total = int(counts.sum())
+        length = _multiple(total, GROUP)
+        result = np.empty((RESULT_FIELDS, length), np.float32)
+        if total == 0:
+            return result
+        if self.frames > 1:
+            starts = (np.cumsum(counts) - counts).astype(np.uint32)
+            cl.enqueue_copy(self.queue, self.buffers["starts"], starts)
+        if length != self._refined_length:
+            self._refinement = self._refinement_stages(length)
+            self._refined_length = length
+        self.launch(self._refinement)
+        cl.enqueue_copy(self.queue, result, self.buffers["result"])
+        return result[:, :total]
+
+    def grow(self, overflow: Overflow) -> None:
+        """Make room for what did not fit; the frames stay on the device."""
+        if overflow.candidates > self._candidate_room:
+            self._candidate_room = _multiple(overflow.candidates * 5 // 4, GROUP)
+        if overflow.corners > self._corner_room:
+            self._corner_room = _multiple(overflow.corners * 5 // 4, GROUP)
+        image = self.buffers.pop("image")
+        self.release()
+        self.buffers["image"] = image
+        self._allocate()
+        self._bind()
+
+
+def _multiple(value: int, of: int) -> int:
+    """The least multiple that is not below the value, and not 0."""
+    return max(-(-value // of), 1) * of
+
+
+def _flat(frame: GreyImage, pitch: int) -> NDArray[Any]:
+    """The memory from the first to the last pixel of rows that lie apart, as it is."""
+    count = ((frame.shape[0] - 1) * pitch + frame.shape[1] * frame.itemsize) // frame.itemsize
+    return np.lib.stride_tricks.as_strided(frame, (count,), (frame.itemsize,), writeable=False)

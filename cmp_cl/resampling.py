@@ -1,0 +1,59 @@
+"""The working scale (section 3.2: the sampler has one size): sizes and weights.
+
+Pixel x of an image maps to (x + 0.5) s - 0.5 of the image scaled by s. Everything is counted
+in whole numbers of the exact ratio s, so that it is the same everywhere.
+"""
+
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+WEIGHT_SUM = 2048  # of the integer weights of an output pixel along one axis
+
+
+def working_shape(shape: tuple[int, int], scale: float) -> tuple[int, int]:
+    """(H, W) of an image of that shape at a working scale, at least (1, 1)."""
+    exact = Fraction(scale)
+    rows, columns = (max(1, int(n * exact + Fraction(1, 2))) for n in shape)
+    return rows, columns
+
+
+def resampling_weights(
+    size: int, working: int, scale: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """What each output pixel of one axis is made of: (working,) first inputs, (working, taps)
+    integer weights that sum to WEIGHT_SUM.
+
+    Below scale 1 an output pixel is the mean over its area, above it is interpolated linearly
+    with the border repeated. A weight is the difference of the rounded cumulative shares.
+    """
+    up, down = Fraction(scale).as_integer_ratio()
+    first, shares = zip(
+        *(
+            _area(n, size, up, down) if scale < 1 else _between(n, size, up, down)
+            for n in range(working)
+        ),
+        strict=True,
+    )
+    taps = max(len(share) for share in shares)
+    weights = np.zeros((working, taps), np.int32)
+    for row, share in zip(weights, shares, strict=True):
+        rounded = [(2 * WEIGHT_SUM * part + whole) // (2 * whole) for part, whole in share]
+        row[: len(share)] = np.diff([0, *rounded])
+    return np.array(first, np.int32), weights
+
+
+def _area(n: int, size: int, up: int, down: int) -> tuple[int, list[tuple[int, int]]]:
+    """First input and cumulative shares of the area of output n; lengths count 1 / up pixels."""
+    low, high = n * down, min((n + 1) * down, size * up)
+    first, last = low // up, (high - 1) // up
+    return first, [(min((i + 1) * up, high) - low, high - low) for i in range(first, last + 1)]
+
+
+def _between(n: int, size: int, up: int, down: int) -> tuple[int, list[tuple[int, int]]]:
+    """The same for the two inputs around the centre of output n."""
+    whole = 2 * up
+    place = min(max((2 * n + 1) * down - up, 0), (size - 1) * whole)
+    first = min(place // whole, max(size - 2, 0))
+    return first, [(whole - (place - first * whole), whole), (whole, whole)]

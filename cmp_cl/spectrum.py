@@ -1,0 +1,49 @@
+"""Tables of the spectral criteria (section 3.3), by ring mask."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+MASKS = 1 << 16
+TIE = 1e-9  # magnitudes that differ by less are equal
+HALF_SAMPLE = math.radians(11.25)
+
+
+def magnitudes() -> NDArray[np.float64]:
+    """(65536, 3) magnitudes |F1|, |F2|, |F3| of the DFT of every ring mask (Eq. 13)."""
+    samples = (np.arange(MASKS)[:, None] >> np.arange(16)) & 1
+    turns = np.exp(-2j * np.pi * np.outer(np.arange(16), [1, 2, 3]) / 16)
+    return np.abs(samples @ turns)
+
+
+def margins() -> NDArray[np.float64]:
+    """(65536, 2) differences |F2| - |F1| and |F2| - |F3|, exactly 0 where they are ties."""
+    f1, f2, f3 = magnitudes().T
+    difference = np.stack([f2 - f1, f2 - f3], axis=1)
+    return np.where(np.abs(difference) <= TIE, 0, difference)
+
+
+def response_tables() -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+    """The response of every inner mask, 0 where it fails, and whether an outer mask passes."""
+    f1, f2, f3 = magnitudes().T
+    passes = (margins() > 0).all(axis=1)
+    response = np.floor(64 * f2 * (f2 - np.maximum(f1, f3)) + 0.5).astype(np.int32)
+    return np.where(passes, np.maximum(response, 1), 0).astype(np.int32), passes.astype(np.uint8)
+
+
+def least_correlation(bound: float) -> NDArray[np.uint8]:
+    """(257,) by n1 n2: the least max R with max R / sqrt(n1 n2) > bound, 17 where none (Eq. 17)."""
+    square = Fraction(bound) ** 2
+    least = np.full(257, 17, np.uint8)
+    for product in range(1, 257):
+        reached = [r for r in range(17) if r * r > square * product]
+        if reached:
+            least[product] = reached[0]
+    return least
+
+
+def phase_bound(bound: float) -> int:
+    """The number of half samples from 0 on whose phase is below the bound, rad."""
+    return sum(half * HALF_SAMPLE < bound for half in range(17))

@@ -1,0 +1,37 @@
+/* Lists of the pixels that are not 0, in (y, x) order whatever the order of the work-items.
+ *
+ * The list of plane p has `room` entries; its count, at place + p, runs past the room. */
+
+#define LISTS(COUNT, LIST, T)                                                       \
+  /* Pixels of each row that are not 0. One work-item per row. */                   \
+  __kernel void COUNT(__global const T *restrict image, const uint rows,            \
+                      const uint columns, const uint step,                          \
+                      __global uint *restrict counts) {                             \
+    const size_t y = get_global_id(0), p = get_global_id(1);                        \
+    __global const T *row = image + ROW(p, y) + PAD;                                \
+    uint count = 0;                                                                 \
+    for (uint x = 0; x < columns; ++x) count += row[x] != 0;                        \
+    counts[p * rows + y] = count;                                                   \
+  }                                                                                 \
+  /* Their positions and the count of the plane. One work-item per row. */          \
+  __kernel void LIST(__global const T *restrict image,                              \
+                     __global const uint *restrict counts, const uint rows,         \
+                     const uint columns, const uint step, const uint room,          \
+                     const uint place, __global int2 *restrict list,                \
+                     __global uint *restrict totals) {                              \
+    const size_t y = get_global_id(0), p = get_global_id(1);                        \
+    __global const T *row = image + ROW(p, y) + PAD;                                \
+    const uint count = counts[p * rows + y];                                        \
+    uint n = 0;                                                                     \
+    for (uint k = 0; k < y; ++k) n += counts[p * rows + k];                         \
+    const uint end = n + count;                                                     \
+    if (y == rows - 1) totals[place + p] = end;                                             \
+    for (uint x = 0; n < end; ++x)                                                  \
+      if (row[x] != 0) {                                                            \
+        if (n < room) list[p * room + n] = (int2)((int)x, (int)y);                  \
+        ++n;                                                                        \
+      }                                                                             \
+  }
+
+LISTS(count_candidates, list_candidates, RESPONSE)
+LISTS(count_maxima, list_maxima, uchar)

@@ -1,0 +1,255 @@
+/* The contrast gate: does a candidate have four sectors of clearly different grey?
+ *
+ * The four sectors are the runs of the inner ring; sample i of either ring belongs to the
+ * sector of inner sample i. With h = grey where white and the complement where black, the
+ * contrast of a ring is min(M0, M2) + min(M1, M3) - FULL for the largest h of each run: the
+ * smallest white maximum minus the largest black minimum, whichever colour run 0 has. */
+
+#define FULL ((PIXEL)(-1)) /* the complement of g is FULL - g = g ^ FULL */
+
+/* Noise: sum of |[1 -2 1]^T [1 -2 1] * I| over the inner pixels of a row. One work-item per row. */
+__kernel void noise(__global const PIXEL *restrict image, const uint rows, const uint columns,
+                    const uint step, __global ulong *restrict sums) {
+  const size_t y = get_global_id(0), p = get_global_id(1);
+  NOISE sum = 0;
+  if (y > 0 && y + 1 < rows) {
+    __global const PIXEL *here = image + ROW(p, y) + PAD;
+    __global const PIXEL *above = here - step, *below = here + step;
+    for (uint x = 1; x + 1 < columns; ++x) {
+      const int left = above[x - 1] - 2 * here[x - 1] + below[x - 1];
+      const int middle = above[x] - 2 * here[x] + below[x];
+      const int right = above[x + 1] - 2 * here[x + 1] + below[x + 1];
+      const int v = left - 2 * middle + right;
+      sum += (NOISE)(v < 0 ? -v : v);
+    }
+  }
+  sums[p * rows + y] = sum;
+}
+
+#if RAPID
+
+/* Copy what the rings of a candidate see into columns, so that neighbouring work-items of the
+ * next kernel read neighbouring bytes: 16 inner greys, 16 outer greys, and the inner ring as
+ * 0 where white and FULL where black. One work-item per candidate. */
+__kernel void sample_rings(__global const PIXEL *restrict image,
+                           __global const uchar *restrict binary,
+                           __global const int2 *restrict list,
+                           __global const uint *restrict total, const uint rows,
+                           const uint step, const uint room,
+                           __global PIXEL *restrict samples) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= min(total[p], room)) return;
+  const int x = list[p * room + n].x + PAD, y = list[p * room + n].y;
+  const size_t frame = p / MASKS;
+  __global PIXEL *column = samples + p * 48 * room + n;
+#define COPY_INNER(i, dx, dy)                                                       \
+  column[(size_t)(i) * room] = image[NEAR_ROW(frame, y + (dy)) + x + (dx)];         \
+  column[(size_t)(i + 32) * room] = (PIXEL)(0 - binary[NEAR_ROW(p, y + (dy)) + x + (dx)]);
+  INNER_RING(COPY_INNER)
+#define COPY_OUTER(i, dx, dy) \
+  column[(size_t)(i + 16) * room] = image[NEAR_ROW(frame, y + (dy)) + x + (dx)];
+  OUTER_RING(COPY_OUTER)
+}
+
+#define CHANNEL(k) samples[first + (size_t)(k) * room]
+#undef RUN_INDEX /* that of bytes, in criteria.cl */
+#define RUN_INDEX(i, before)                                                        \
+  const PIXEL lo##i = a##i ^ a0;                                                    \
+  const PIXEL hi##i = hi##before ^ ((a##i ^ a##before) & lo##before);
+#define LOAD(i, j, k)                                                               \
+  const PIXEL g##i = CHANNEL(i), q##i = CHANNEL(i + 16), a##i = CHANNEL(i + 32);
+
+/* The samples of one sector, 0 elsewhere. */
+#define IN_RUN_0(i) (PIXEL)(~(lo##i | hi##i))
+#define IN_RUN_1(i) (PIXEL)(lo##i & ~hi##i)
+#define IN_RUN_2(i) (PIXEL)(hi##i & ~lo##i)
+#define IN_RUN_3(i) (PIXEL)(lo##i & hi##i)
+#define INNER_0(i) (PIXEL)((g##i ^ a##i) & IN_RUN_0(i))
+#define INNER_1(i) (PIXEL)((g##i ^ a##i) & IN_RUN_1(i))
+#define INNER_2(i) (PIXEL)((g##i ^ a##i) & IN_RUN_2(i))
+#define INNER_3(i) (PIXEL)((g##i ^ a##i) & IN_RUN_3(i))
+#define OUTER_0(i) (PIXEL)((q##i ^ a##i) & IN_RUN_0(i))
+#define OUTER_1(i) (PIXEL)((q##i ^ a##i) & IN_RUN_1(i))
+#define OUTER_2(i) (PIXEL)((q##i ^ a##i) & IN_RUN_2(i))
+#define OUTER_3(i) (PIXEL)((q##i ^ a##i) & IN_RUN_3(i))
+/* Sums over the samples with lo, with hi and with both give those of the four runs. */
+#define GREYS(i) (SUM)((SUM)g##i + (SUM)q##i)
+#define WIDE(mask) ((SUM)0 - (SUM)((mask) & 1))
+#define GREYS_LO(i) (SUM)(GREYS(i) & WIDE(lo##i))
+#define GREYS_HI(i) (SUM)(GREYS(i) & WIDE(hi##i))
+#define GREYS_BOTH(i) (SUM)(GREYS(i) & WIDE(lo##i & hi##i))
+#define ONE_LO(i) (PIXEL)(lo##i & 1)
+#define ONE_HI(i) (PIXEL)(hi##i & 1)
+#define ONE_BOTH(i) (PIXEL)(lo##i & hi##i & 1)
+
+/* floor(8 s / n), exactly. A byte's quotient lies at least 0.5 / 16 from where rounding could
+ * change its floor; a longer one is put right by its remainder. */
+MEANS mean_of_run(const SUM s, const PIXEL n) {
+  const int count = n > 0 ? n : 1;
+#if PIXEL_BITS == 8
+  return (MEANS)(((float)(int)(8 * s) + 0.5f) / (float)count);
+#else
+  const int sum = (int)(8 * s);
+  const int quotient = (int)((float)sum / (float)count);
+  const int rest = sum - quotient * count;
+  return quotient + (rest >= count) - (rest < 0);
+#endif
+}
+
+/* Contrast of the inner ring, the smaller one of both rings, and the difference of the sector
+ * means in eighths of twice a grey level. One work-item per candidate; the entries past the
+ * last candidate hold nothing and are never used. */
+__kernel void sector_contrast(__global const PIXEL *restrict samples, const uint room,
+                              const PIXEL zero, __global CONTRAST *restrict inner_contrast,
+                              __global CONTRAST *restrict contrast,
+                              __global CONTRAST *restrict mean_difference) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  const size_t first = p * 48 * room + n;
+  AROUND(LOAD)
+  const PIXEL lo0 = 0, hi0 = 0;
+  RUN_INDEX(1, 0) RUN_INDEX(2, 1) RUN_INDEX(3, 2) RUN_INDEX(4, 3) RUN_INDEX(5, 4)
+  RUN_INDEX(6, 5) RUN_INDEX(7, 6) RUN_INDEX(8, 7) RUN_INDEX(9, 8) RUN_INDEX(10, 9)
+  RUN_INDEX(11, 10) RUN_INDEX(12, 11) RUN_INDEX(13, 12) RUN_INDEX(14, 13) RUN_INDEX(15, 14)
+
+  const PIXEL m0 = LARGEST_RING(PIXEL, INNER_0), m1 = LARGEST_RING(PIXEL, INNER_1);
+  const PIXEL m2 = LARGEST_RING(PIXEL, INNER_2), m3 = LARGEST_RING(PIXEL, INNER_3);
+  const PIXEL n0 = LARGEST_RING(PIXEL, OUTER_0), n1 = LARGEST_RING(PIXEL, OUTER_1);
+  const PIXEL n2 = LARGEST_RING(PIXEL, OUTER_2), n3 = LARGEST_RING(PIXEL, OUTER_3);
+  const CONTRAST inner = (CONTRAST)SMALLER(m0, m2) + (CONTRAST)(SMALLER(m1, m3) ^ zero) - FULL;
+  const CONTRAST outer = (CONTRAST)(SMALLER(n0, n2) ^ zero) + (CONTRAST)SMALLER(n1, n3) - FULL;
+
+  const SUM s3 = SUM_RING(SUM, GREYS_BOTH);
+  const SUM s1 = (SUM)(SUM_RING(SUM, GREYS_LO) - s3);
+  const SUM s2 = (SUM)((SUM_RING(SUM, GREYS_HI) ^ zero) - s3);
+  const SUM s0 = (SUM)(SUM_RING(SUM, GREYS) - s1 - s2 - s3);
+  const PIXEL l3 = SUM_RING(PIXEL, ONE_BOTH);
+  const PIXEL l1 = (PIXEL)(SUM_RING(PIXEL, ONE_LO) - l3);
+  const PIXEL l2 = (PIXEL)((SUM_RING(PIXEL, ONE_HI) ^ zero) - l3);
+  const PIXEL l0 = (PIXEL)(16 - l1 - l2 - l3);
+  const MEANS e0 = mean_of_run(s0, l0), e2 = mean_of_run(s2, l2), o1 = mean_of_run(s1, l1), o3 = mean_of_run(s3, l3);
+  /* Run 0 is white where a0 is 0. */
+  const MEANS even_above = SMALLER(e0, e2) - LARGER(o1, o3);
+  const MEANS odd_above = SMALLER(o1, o3) - LARGER(e0, e2);
+
+  const size_t i = p * room + n;
+  inner_contrast[i] = inner;
+  contrast[i] = SMALLER(inner, outer);
+  mean_difference[i] = (CONTRAST)(a0 ? odd_above : even_above);
+}
+
+#else
+
+/* The same for candidates with any number of runs, two or more. One work-item per candidate. */
+__kernel void sector_contrast_any(__global const PIXEL *restrict image,
+                                  __global const uchar *restrict binary,
+                                  __global const int2 *restrict list,
+                                  __global const uint *restrict total, const uint rows,
+                                  const uint step, const uint room,
+                                  __global CONTRAST *restrict inner_contrast,
+                                  __global CONTRAST *restrict contrast,
+                                  __global CONTRAST *restrict mean_difference) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= min(total[p], room)) return;
+  const int x = list[p * room + n].x + PAD, y = list[p * room + n].y;
+  const size_t frame = p / MASKS;
+#define GREY_AT(i, dx, dy) image[NEAR_ROW(frame, y + (dy)) + x + (dx)],
+#define BLACK_AT(i, dx, dy) binary[NEAR_ROW(p, y + (dy)) + x + (dx)],
+  const int inner[] = {INNER_RING(GREY_AT)}, outer[] = {OUTER_RING(GREY_AT)};
+  const int black[] = {INNER_RING(BLACK_AT)};
+  int start = 0;
+  while (black[start] == black[(start + 15) & 15]) ++start;
+
+  int white_inner = FULL, white_outer = FULL, white_mean = INT_MAX;
+  int black_inner = 0, black_outer = 0, black_mean = INT_MIN;
+  for (int k = 0; k < 16;) {
+    const int colour = black[(start + k) & 15];
+    const int first = inner[(start + k) & 15], second = outer[(start + k) & 15];
+    int low = first, high = first, outer_low = second, outer_high = second;
+    int sum = 0, length = 0;
+    for (; k < 16 && black[(start + k) & 15] == colour; ++k, ++length) {
+      const int g = inner[(start + k) & 15], q = outer[(start + k) & 15];
+      low = min(low, g);
+      high = max(high, g);
+      outer_low = min(outer_low, q);
+      outer_high = max(outer_high, q);
+      sum += g + q;
+    }
+    if (colour) {
+      black_inner = max(black_inner, low);
+      black_outer = max(black_outer, outer_low);
+      black_mean = max(black_mean, 8 * sum / length);
+    } else {
+      white_inner = min(white_inner, high);
+      white_outer = min(white_outer, outer_high);
+      white_mean = min(white_mean, 8 * sum / length);
+    }
+  }
+  const size_t i = p * room + n;
+  inner_contrast[i] = (CONTRAST)(white_inner - black_inner);
+  contrast[i] = (CONTRAST)min(white_inner - black_inner, white_outer - black_outer);
+  mean_difference[i] = (CONTRAST)(white_mean - black_mean);
+}
+
+#endif
+
+/* The 90th percentile of the inner contrasts: eight bits of it at a time, the highest first.
+ * What a level leaves to the next is (the bits found, the rank within them). */
+#define BINS 256
+
+__kernel void histogram(__global const CONTRAST *restrict inner_contrast,
+                        __global const uint *restrict total,
+                        __global const uint2 *restrict found, const uint room,
+                        const uint shift, const uint parts, __global uint *restrict counts) {
+  const size_t part = get_global_id(0), p = get_global_id(1);
+  __global uint *bins = counts + (p * parts + part) * BINS;
+  for (uint b = 0; b < BINS; ++b) bins[b] = 0;
+  const uint n = min(total[p], room), share = (n + parts - 1) / parts;
+  const uint high = found[p].x, end = min((uint)(part + 1) * share, n);
+  for (uint k = part * share; k < end; ++k) {
+    const uint value = (uint)max((int)inner_contrast[p * room + k], 0);
+    if (value >> shift >> 8 == high) ++bins[value >> shift & 255];
+  }
+}
+
+/* Find the next eight bits; at the last level, the bounds of the gate:
+ * contrast >= limit[P90] and 2 N sm >= F A. One work-item per plane. */
+__kernel void percentile(__global const uint *restrict counts,
+                         __global const uint *restrict total,
+                         __global const ulong *restrict noise_sums,
+                         __global const int *restrict limit, const uint rows,
+                         const uint columns, const uint room, const uint shift,
+                         const uint parts, const uint noise_factor,
+                         __global uint2 *restrict found, __global int2 *restrict bounds) {
+  const size_t p = get_global_id(0);
+  const uint n = min(total[p], room);
+  const bool first = shift + 8 == PIXEL_BITS;
+  uint rank = first ? (9 * n + 9) / 10 : found[p].y;
+  uint bin = 0;
+  for (; bin < BINS - 1; ++bin) {
+    uint count = 0;
+    for (uint part = 0; part < parts; ++part) count += counts[(p * parts + part) * BINS + bin];
+    if (count >= rank) break;
+    rank -= count;
+  }
+  const uint value = (first ? 0 : found[p].x << 8) | bin;
+  found[p] = (uint2)(shift == 0 ? 0 : value, rank);
+  if (shift > 0) return;
+  ulong noise = 0;
+  for (uint y = 0; y < rows; ++y) noise += noise_sums[p / MASKS * rows + y];
+  const ulong twice = 2 * (ulong)(rows > 2 ? rows - 2 : 0) * (columns > 2 ? columns - 2 : 0);
+  const ulong bound = twice ? (noise_factor * noise + twice - 1) / twice : 0;
+  bounds[p] = (int2)(limit[value], twice ? (int)min(bound, (ulong)INT_MAX) : INT_MIN);
+}
+
+/* Take the response from the candidates that do not pass. One work-item per candidate. */
+__kernel void keep(__global const CONTRAST *restrict contrast,
+                   __global const CONTRAST *restrict mean_difference,
+                   __global const int2 *restrict list, __global const uint *restrict total,
+                   __global const int2 *restrict bounds, const uint rows, const uint step,
+                   const uint room, __global RESPONSE *restrict response) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= min(total[p], room)) return;
+  const size_t i = p * room + n;
+  if (contrast[i] < bounds[p].x || mean_difference[i] < bounds[p].y)
+    response[ROW(p, list[i].y) + list[i].x + PAD] = 0;
+}

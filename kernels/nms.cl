@@ -1,0 +1,77 @@
+/* Non-maximum suppression (section 3.5): S is the response under the tent [1 2 3 2 1] in x
+ * and y; a candidate is kept iff its key 10 S + R is the largest of its window, the earlier
+ * pixel in raster order winning a tie. The response is 0 outside the image.
+ *
+ * OVER_SUPPRESSION(F) is F(1) .. F(r) with r the radius of the window. */
+
+#ifndef OVER_SUPPRESSION
+#error "OVER_SUPPRESSION must list the distances 1 to the radius"
+#endif
+
+#define RESPONSE_AT(dx) (SCORE)response[i + (dx)]
+
+/* The tent along x. */
+__kernel void tent_rows(__global const RESPONSE *restrict response, const uint rows,
+                        const uint step, const SCORE zero, __global SCORE *restrict tent) {
+  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
+  const size_t i = ROW(p, y) + x;
+  const SCORE near = SUM3(SCORE, RESPONSE_AT(-1), RESPONSE_AT(1), RESPONSE_AT(0));
+  tent[i] = SUM3(SCORE, SUM3(SCORE, RESPONSE_AT(-2), RESPONSE_AT(2), RESPONSE_AT(0)),
+                 near, near);
+}
+
+#define TENT_AT(dy) \
+  (SCORE)((int)y + (dy) >= 0 && (int)y + (dy) < (int)rows ? 1 : 0) * tent[NEAR_ROW(p, (int)y + (dy)) + x]
+
+/* The tent along y, and the key; the key is 0 where there is no response. */
+__kernel void score(__global const RESPONSE *restrict response,
+                    __global const SCORE *restrict tent, const uint rows, const uint step,
+                    const SCORE zero, __global SCORE *restrict key) {
+  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
+  const size_t i = ROW(p, y) + x;
+  const SCORE near = SUM3(SCORE, TENT_AT(-1), TENT_AT(1), tent[i]);
+  const SCORE s = SUM3(SCORE, SUM3(SCORE, TENT_AT(-2), TENT_AT(2), tent[i]), near, near);
+  const SCORE r = (SCORE)response[i];
+  key[i] = (SCORE)(r != 0 ? 10 * s + r : 0);
+}
+
+/* The largest key of the window's row. */
+__kernel void row_maximum(__global const SCORE *restrict key, const uint rows, const uint step,
+                          const SCORE zero, __global SCORE *restrict largest) {
+  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
+  const size_t i = ROW(p, y) + x;
+  SCORE m = key[i];
+#define EITHER_SIDE(d) m = LARGEST3(SCORE, key[i - (d)], key[i + (d)], m);
+  OVER_SUPPRESSION(EITHER_SIDE)
+  largest[i] = m;
+}
+
+/* A key that is above all earlier ones and not below any later one is kept. */
+__kernel void maximum(__global const SCORE *restrict key, __global const SCORE *restrict largest,
+                      const uint rows, const uint step, const SCORE zero,
+                      __global uchar *restrict maxima) {
+  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
+  const size_t i = ROW(p, y) + x;
+#define LARGEST_AT(dy) \
+  (SCORE)((int)y + (dy) >= 0 && (int)y + (dy) < (int)rows ? 1 : 0) * largest[NEAR_ROW(p, (int)y + (dy)) + x]
+  SCORE earlier = 0, later = largest[i];
+#define EARLIER(d) earlier = LARGEST3(SCORE, key[i - (d)], LARGEST_AT(-(d)), earlier);
+  OVER_SUPPRESSION(EARLIER)
+#define LATER(d) later = (SCORE)LARGER((SCORE)LARGEST_AT(d), later) ^ zero;
+  OVER_SUPPRESSION(LATER)
+  const SCORE k = key[i];
+  maxima[i] = (uchar)((k > earlier) & (k >= later));
+}
+
+#if MASKS == 3
+
+/* The responses of the three masks together: 2 R(0) + R(-1/2) + R(+1/2). */
+__kernel void combine(__global const RESPONSE *restrict responses, const uint rows,
+                      const uint step, __global RESPONSE *restrict response) {
+  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
+  response[ROW(p, y) + x] =
+      (RESPONSE)(2 * responses[ROW(3 * p, y) + x] + responses[ROW(3 * p + 1, y) + x] +
+                 responses[ROW(3 * p + 2, y) + x]);
+}
+
+#endif

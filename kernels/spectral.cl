@@ -1,0 +1,76 @@
+/* Double-layer sampling and the spectral criteria (section 3.3, Eqs. 13 and 17).
+ *
+ * The tables hold, by ring mask, the response of an inner mask whose |F2| is above |F1| and
+ * |F3|, 0 for the others, and whether an outer mask is such. Masks have bit i for sample i. */
+
+#define RING_BIT(i, dx, dy) \
+  | ((uint)binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] << (i))
+#define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
+
+/* The largest correlation of the two masks over all turns, and the smallest |centre| of the runs
+ * of turns that reach it, in half samples; 0 where all turns do. */
+uint2 best_turn(const uint g1, const uint g2) {
+  uint best = 0, turns = 0;
+  for (uint k = 0; k < 16; ++k) {
+    const uint r = popcount(g1 & ROTATE(g2, k));
+    turns = r > best ? 1u << k : r == best ? turns | 1u << k : turns;
+    best = max(best, r);
+  }
+  if (turns == 0xffffu) return (uint2)(best, 0);
+  uint smallest = 16;
+  for (uint left = turns & ~((turns << 1 | turns >> 15) & 0xffffu); left; left &= left - 1) {
+    const uint first = 31 - clz(left & (0u - left));
+    uint length = 1;
+    while (turns >> ((first + length) & 15) & 1) ++length;
+    const uint twice = (2 * first + length - 1) & 31;
+    smallest = min(smallest, twice > 16 ? 32 - twice : twice);
+  }
+  return (uint2)(best, smallest);
+}
+
+/* Response of the inner ring where all criteria hold and the mask is set, 0 elsewhere. */
+__kernel void spectral_criteria(__global const uchar *restrict binary,
+                                __global const uchar *restrict mask,
+                                __global const int *restrict inner_response,
+                                __global const uchar *restrict outer_passes,
+                                __global const uchar *restrict least_correlation,
+                                const uint rows, const uint step, const int phase_bound,
+                                const char corrosion_threshold,
+                                __global int *restrict response) {
+  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
+  const size_t i = ROW(p, y) + x;
+  response[i] = 0;
+  if (!mask[ROW(0, y) + x]) return;
+  const uint g2 = 0 INNER_RING(RING_BIT);
+  const int r = inner_response[g2];
+  if (r == 0) return;
+  const uint g1 = 0 OUTER_RING(RING_BIT);
+  if (!outer_passes[g1]) return;
+#if CORROSION
+  const int n1 = (int)popcount(g1), nr = (int)popcount(0u REGION(RING_BIT));
+  if (max(n1 - nr, nr - n1 - 5) >= corrosion_threshold) return;
+#endif
+  const uint2 turn = best_turn(g1, g2);
+  if (turn.x < least_correlation[popcount(g1) * popcount(g2)]) return;
+  if ((int)turn.y >= phase_bound) return;
+  response[i] = r;
+}
+
+/* Ring masks, corrosion, best correlation and phase in half samples, at every pixel. */
+__kernel void spectral_maps(__global const uchar *restrict binary, const uint rows,
+                            const uint step, __global ushort *restrict inner,
+                            __global ushort *restrict outer, __global char *restrict corrosion,
+                            __global uchar *restrict correlation,
+                            __global uchar *restrict phase) {
+  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
+  const size_t i = ROW(p, y) + x;
+  const uint g2 = 0 INNER_RING(RING_BIT);
+  const uint g1 = 0 OUTER_RING(RING_BIT);
+  const int n1 = (int)popcount(g1), nr = (int)popcount(0u REGION(RING_BIT));
+  const uint2 turn = best_turn(g1, g2);
+  inner[i] = (ushort)g2;
+  outer[i] = (ushort)g1;
+  corrosion[i] = (char)max(n1 - nr, nr - n1 - 5);
+  correlation[i] = (uchar)turn.x;
+  phase[i] = (uchar)turn.y;
+}
