@@ -573,7 +573,7 @@ def _picture(scene: Scene, points: Array, cell: float, view: int) -> GreyImage:
     grey += np.float32(scene.noise / 255) * draw.standard_normal(grey.shape, dtype=np.float32)
     full = 2**scene.bits - 1
     levels: Image = np.rint(grey * full).clip(0, full)
-    return levels.astype(np.uint8 if scene.bits == 8 else np.uint16)
+    return levels.astype(np.uint8) if scene.bits == 8 else levels.astype(np.uint16)
 
 
 def _supersample(points: Array, shape: tuple[int, int]) -> NDArray[np.float32]:
@@ -599,16 +599,15 @@ def _cubic(shift: float) -> Array:
 
 def _reflectance(scene: Scene, points: Image, pixel: float) -> Image:
     """What the material at points (H, W, 2) reflects, 0 to 1; points and pixel in mm."""
-    pixel = np.float32(pixel)
     warp, growth, smear = _wear(scene, points)
-    x, y = (points[..., k] + warp[..., k] * pixel for k in (0, 1))
+    x, y = (points[..., k] + warp[..., k] * np.float32(pixel) for k in (0, 1))
     inside = np.float32(scene.side / 2) - np.maximum(np.abs(x), np.abs(y))
     x, y = _to_edge(scene, x), _to_edge(scene, y)
     edge = x * y / np.sqrt(x * x + y * y + np.float32(1e-12))  # mm, > 0 in a white cell
-    white = _covered((edge / pixel + growth) / smear)
+    white = _covered((edge / np.float32(pixel) + growth) / smear)
     pattern = _BLACK + (_WHITE - _BLACK) * white
     surround = np.float32(_SURROUND[scene.surround])
-    return surround + (pattern - surround) * _covered(inside / pixel)
+    return surround + (pattern - surround) * _covered(inside / np.float32(pixel))
 
 
 def _to_edge(scene: Scene, x: Image) -> Image:
@@ -659,9 +658,9 @@ def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
 def _grain(draw: np.random.Generator, size: float) -> Image:
     """Smooth noise over the material, of unit deviation and that correlation, texels."""
     noise: Image = draw.standard_normal((_TEXTURE, _TEXTURE), dtype=np.float32)
-    noise = cv2.GaussianBlur(noise, (0, 0), size / 2, borderType=cv2.BORDER_REFLECT_101)
-    noise /= noise.std()
-    return noise
+    smooth: Image = cv2.GaussianBlur(noise, (0, 0), size / 2, borderType=cv2.BORDER_REFLECT_101)
+    unit: Image = smooth / smooth.std()
+    return unit
 
 
 def _strain(scene: Scene) -> tuple[Image, Image]:
