@@ -21,7 +21,7 @@ import cmp_cl
 from cmp_cl import io
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
-from cmp_cl.device import Device
+from cmp_cl.device import DEVICE_VARIABLE, Device
 from cmp_cl.errors import CmpClError, ConfigError, ImageError, KernelBuildError
 from cmp_cl.results import Corners, GreyImage
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
@@ -29,18 +29,18 @@ from cmp_cl.viz import corner_overlay
 
 INSTALL = """\
 What to install for a device:
-  Linux x86-64     pip install "cmp-cl[pocl]": PoCL, runs on every CPU, needs no rights
-  Linux, any CPU   apt install pocl-opencl-icd (Debian, Ubuntu), dnf install pocl (Fedora)
-  NVIDIA           the NVIDIA driver; on Linux also its OpenCL part (libnvidia-compute-*, or
-                   nvidia-opencl-icd on Debian); in a container NVIDIA_DRIVER_CAPABILITIES=compute
-  Intel GPU        apt install intel-opencl-icd; on Windows the graphics driver
-  Intel CPU        Intel's CPU Runtime for OpenCL (Linux, Windows)
-  AMD              ROCm (rocm-opencl-runtime) or apt install mesa-opencl-icd with
-                   RUSTICL_ENABLE=radeonsi; on Windows the graphics driver
-  Windows          the graphics driver of NVIDIA, AMD or Intel, or Intel's CPU Runtime
-  macOS            OpenCL is part of the system; PoCL for the CPU: conda install -c conda-forge pocl
-  Jetson           NVIDIA's driver there has no OpenCL: apt install pocl-opencl-icd (CPU)
-On Linux a driver is found by its file in /etc/OpenCL/vendors; `clinfo -l` lists the same."""
+  Linux, x86-64      pip install "pyopencl[pocl]": PoCL, runs on every such CPU, needs no rights
+  Linux, other CPUs  apt install pocl-opencl-icd (Debian, Ubuntu) or dnf install pocl (Fedora)
+  Windows            the graphics driver of NVIDIA, AMD or Intel, or Intel's CPU Runtime for OpenCL
+  macOS              conda install -c conda-forge pyopencl pocl; for Apple's own OpenCL
+                     ocl_icd_wrapper_apple in the place of pocl
+  Jetson             NVIDIA ships no OpenCL there: apt install pocl-opencl-icd, for its CPU
+  NVIDIA             the driver; on Debian also nvidia-opencl-icd; in a container
+                     NVIDIA_DRIVER_CAPABILITIES=compute,utility and a file
+                     /etc/OpenCL/vendors/nvidia.icd that says libnvidia-opencl.so.1
+  Intel              GPU: apt install intel-opencl-icd; CPU: Intel's CPU Runtime for OpenCL
+  AMD                ROCm's rocm-opencl-runtime, or apt install mesa-opencl-icd and
+                     RUSTICL_ENABLE=radeonsi"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -117,17 +117,36 @@ def _add_devices(commands: Any) -> None:
 def _devices(arguments: argparse.Namespace) -> int:
     devices = cmp_cl.list_devices()
     if not devices:
-        print("cmp-cl: no OpenCL device was found", file=sys.stderr)
+        print(f"cmp-cl: no OpenCL device was found: {_why_none()}", file=sys.stderr)
         print(INSTALL, file=sys.stderr)
         return 1
     rows = [("index", "name", "platform", "driver", "kind", "memory MB")]
-    rows += [(d.index, d.name, d.platform, d.driver, d.kind, str(d.memory >> 20)) for d in devices]
+    rows += [
+        (d.index, d.name, d.platform, d.driver, d.kind.value, str(d.memory >> 20)) for d in devices
+    ]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         print(
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         )
+    chosen = cmp_cl.select_device()
+    wanted = os.environ.get(DEVICE_VARIABLE)
+    why = f"the first {chosen.kind.value.upper()}"
+    if wanted is not None:
+        why = f"{DEVICE_VARIABLE} is {wanted!r}"
+    print(f"used by default: {chosen.index}, {chosen}: {why}")
     return 0
+
+
+def _why_none() -> str:
+    place = os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors")
+    if os.path.isdir(place):
+        drivers = sorted(name for name in os.listdir(place) if name.endswith(".icd"))
+    else:
+        drivers = [place] if os.path.isfile(place) else []
+    if drivers:
+        return f"{', '.join(drivers)} in {place} cannot be loaded or have no device"
+    return f"no driver is registered in {place}"
 
 
 # detect

@@ -64,7 +64,16 @@ def test_devices_lists_what_there_is_and_which_is_used(run):
         assert device.platform in out
         assert device.driver in out
     assert "memory MB" in out
-    assert "by default" in out
+    assert f"used by default: {cmp_cl.select_device().index}, " in out
+
+
+def test_devices_says_why_a_device_is_the_default(run, monkeypatch):
+    monkeypatch.setenv("CMP_CL_DEVICE", "0:0")
+    assert run("devices")[1].endswith(": CMP_CL_DEVICE is '0:0'\n")
+    monkeypatch.delenv("CMP_CL_DEVICE")
+    assert run("devices")[1].endswith((": the first CPU\n", ": the first GPU\n"))
+    monkeypatch.setenv("CMP_CL_DEVICE", "no such device")
+    fails_in_one_line(run("devices"), "no such device", "CMP_CL_DEVICE")
 
 
 def test_without_a_device_devices_says_what_to_install(run, monkeypatch):
@@ -73,6 +82,14 @@ def test_without_a_device_devices_says_what_to_install(run, monkeypatch):
     assert (status, out) == (1, "")
     places = ("Linux", "Windows", "macOS", "Jetson", "NVIDIA", "Intel", "AMD")
     assert all(place in err for place in places)
+
+
+def test_devices_says_why_none_was_found(run, monkeypatch, tmp_path):
+    monkeypatch.setattr(cmp_cl, "list_devices", list)
+    monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path))
+    assert f"no driver is registered in {tmp_path}\n" in run("devices")[2]
+    (tmp_path / "broken.icd").write_text("libmissing.so")
+    assert f"broken.icd in {tmp_path} cannot be loaded or have no device\n" in run("devices")[2]
 
 
 def test_the_board_is_found_where_opencv_finds_it(run):
