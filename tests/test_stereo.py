@@ -28,6 +28,7 @@ from cmp_cl.stereo import (
     triangulate_points,
     undistort,
 )
+from cmp_cl.synthetic import default_rig, random_scene, render_stereo
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
 
@@ -429,6 +430,14 @@ def test_opencvs_pairs_measure_a_board_they_were_not_calibrated_on():
         assert sides(points).mean() == pytest.approx(25, abs=0.08)
         assert sides(points).std() < 0.16
         assert points.error.mean() < 0.1
+
+
+def test_a_rendered_pair_lies_where_it_was_rendered():
+    rig = StereoRig(*default_rig((300, 200)))
+    scene = random_scene(5, markers=20, shape=(300, 200))
+    left, right, truth = render_stereo(scene, rig)
+    points = rig.triangulate(grid_of(left.truth), grid_of(right.truth))
+    np.testing.assert_allclose(points.xyz, truth, atol=2e-4)  # mm, of float32 pixels
 
 
 def test_importing_the_module_imports_no_extra():
