@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -314,6 +315,16 @@ def test_the_first_command_of_the_readme_ends_in_corners_and_overlays(run, monke
     for name in ("board-corners.png", "gel-corners.png"):
         overlay = cv2.imread(name)
         assert (overlay == (60, 230, 60)).all(axis=2).sum() > 1000
+
+
+def test_the_python_in_the_readme_runs(capsys, monkeypatch):
+    monkeypatch.chdir(PROJECT)
+    text = (PROJECT / "README.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    exec(compile(block, "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"54 corners on {cmp_cl.select_device()}"
+    assert [line for line in lines if line.startswith("54 corners, sigma [0.")] == lines[-2:]
 
 
 def test_ci_runs_the_readmes_test_command():
