@@ -116,7 +116,8 @@ class SectorContrast:
 
     minimum: least contrast of a candidate, in 1/255 of full scale, 0 to 255.
     relative: least contrast as a share of the 90th percentile of the frame, 0 to 1.
-    noise: least difference of the sector means, standard deviations of the noise, 0 to 100.
+    noise: least difference of the sector means, standard deviations of the noise, 0 to 100;
+        with three masks at least 3 are asked for, whatever it says.
     """
 
     minimum: float = 20

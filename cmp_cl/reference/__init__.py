@@ -154,7 +154,13 @@ def _layer(
     contrast = None
     if config.contrast is not None:
         contrast, kept = gate.gate(
-            image, inner, kept, config.outer_radius, config.contrast, full_scale
+            image,
+            inner,
+            kept,
+            config.outer_radius,
+            config.contrast,
+            full_scale,
+            config.threshold.masks,
         )
     response = np.where(kept, layer["response"], 0)
     return layer | dict(

@@ -17,16 +17,18 @@ def gate(
     outer_radius: int,
     contrast: SectorContrast,
     full_scale: int,
+    masks: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """(H, W) contrast min(sc1, sc2), 0 off candidates, and (H, W) bool what is kept.
 
+    masks: how many the candidates' binary image is one of, 1 or 3.
     Inner masks of candidates are never constant: both forms of the criteria exclude it.
     """
     y, x = np.nonzero(candidate)
     sc1, sc2, sm = sector_contrast(image, x, y, inner[y, x], outer_radius)
     least = contrast_bound(sc1, contrast, full_scale)
     amplitude, pixels = noise_amplitude(image)
-    factor = noise_factor(contrast)
+    factor = noise_factor(contrast, masks)
     both = np.minimum(sc1, sc2)
     kept = (both >= least) & (2 * pixels * sm >= factor * amplitude)
     contrast_map = np.zeros(image.shape, np.int32)
@@ -95,6 +97,8 @@ def noise_amplitude(image: GreyImage) -> tuple[int, int]:
     return int(np.abs(second).sum()), second.size
 
 
-def noise_factor(contrast: SectorContrast) -> int:
-    """F = floor(6.68 k + .5) for k standard deviations of the noise, in float64."""
-    return math.floor(6.68 * contrast.noise + 0.5)
+def noise_factor(contrast: SectorContrast, masks: int) -> int:
+    """F = floor(6.68 k + .5) for k standard deviations of the noise, at least 3 with three
+    masks, in float64."""
+    deviations = contrast.noise if masks == 1 else max(contrast.noise, 3)
+    return math.floor(6.68 * deviations + 0.5)
