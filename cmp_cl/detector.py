@@ -10,11 +10,13 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.config import DetectorConfig, Pyramid
+from cmp_cl.config import DetectorConfig, EdgeStep, Pyramid
 from cmp_cl.device import Device, describe_handle, select_device
 from cmp_cl.errors import ConfigError, DeviceError, ImageError
 from cmp_cl.plan import Overflow, Plan
-from cmp_cl.results import Corners, GreyImage, Maps, check_image
+from cmp_cl.results import Corners, GreyImage, Maps, Method, check_image
+
+DOUBTFUL_EXCESS = 0.010  # of the autocorrelation of what the corner model leaves
 
 _EDGES = slice(2, 6)
 
@@ -270,19 +272,39 @@ def _corners(words: NDArray[np.float32], counts: NDArray[np.uint32], plan: Plan)
     end = np.cumsum(counts)
     for first, last in zip(end - counts, end, strict=True):
         own = words[:, first:last]
+        sigma, doubtful = _deviation(own, plan.config)
         found.append(
             Corners(
                 xy=np.ascontiguousarray(own[0:2].T),
                 pixel=np.ascontiguousarray(own[7:9].view(np.int32).T),
                 response=own[6].copy(),
                 method=own[9].astype(np.uint8),
-                sigma=own[10].copy(),
+                sigma=sigma,
                 edges=np.ascontiguousarray(own[_EDGES].T),
-                doubtful=own[11] > 0,
+                doubtful=doubtful,
                 device=str(plan.device),
             )
         )
     return found
+
+
+def _deviation(
+    words: NDArray[np.float32], config: DetectorConfig
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Standard deviation of each position, px, and which corners do not look like one: where
+    what the model leaves is more correlated than in the middle one of the frame's corners."""
+    count = words.shape[1]
+    if not isinstance(config.refinement, EdgeStep):
+        return np.full(count, np.nan, np.float32), np.zeros(count, np.bool_)
+    accepted = words[9] == Method.EDGE_STEP
+    correlation = words[11]
+    excess = np.zeros(count, np.float32)
+    if accepted.any():
+        middle = (np.count_nonzero(accepted) - 1) // 2
+        typical = np.partition(correlation[accepted], middle)[middle]
+        excess[accepted] = np.maximum(correlation[accepted] - typical, 0)
+    variance = config.refinement.sigma0**2 + np.maximum(words[10], 0) + 1000 * excess**2
+    return np.sqrt(variance), excess > DOUBTFUL_EXCESS
 
 
 def _no_corners(device: str) -> Corners:

@@ -35,7 +35,7 @@ GROUP = 64  # work-items of a group over a list
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
 RESULT_FIELDS = 12  # of kernels/refine.cl
 POINT_FIELDS = 27
-NORMAL_FIELDS = 12
+NORMAL_FIELDS = 6
 BINS = 256
 
 
@@ -92,8 +92,8 @@ class Plan:
         self.events: list[tuple[str, cl.Event]] = []
         self._mask = mask
         pixels = self.working[0] * self.working[1]
-        self._candidate_room = _multiple(pixels // 12 + 1, GROUP)
-        self._corner_room = _multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
+        self.candidate_room = _multiple(pixels // 12 + 1, GROUP)
+        self.corner_room = _multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
         self.buffers: dict[str, cl.Buffer] = {}
         self.kernels = self._build()
         self._allocate()
@@ -161,7 +161,7 @@ class Plan:
         pixel = self.dtype.itemsize
         rapid = isinstance(self.config.criteria, RapidCriteria)
         response, score = (1, 2) if rapid else (4, 4)
-        room, rows = planes * self._candidate_room, self.frames * self._corner_room
+        room, rows = planes * self.candidate_room, self.frames * self.corner_room
         length = _multiple(rows, GROUP)
         column = 2 * pixel * (self.frames * plane + spare)
         keys = 2 * score * (self.frames * plane + spare)
@@ -278,7 +278,7 @@ class Plan:
 
     def _list(self, name: str, *arguments: Any) -> Launch:
         """A kernel with one work-item per entry of the list of candidates."""
-        items = (self._candidate_room, self.frames * self.masks)
+        items = (self.candidate_room, self.frames * self.masks)
         return self._stage(name, items, (GROUP, 1), *arguments)
 
     def _scale_stage(self) -> list[Launch]:
@@ -386,11 +386,11 @@ class Plan:
 
     def _gate_stages(self, gate: SectorContrast) -> list[Launch]:
         rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
-        b, room = self.buffers, np.uint32(self._candidate_room)
+        b, room = self.buffers, np.uint32(self.candidate_room)
         planes = self.frames * self.masks
         deep = self.dtype == np.uint16
         pixel = np.uint16 if deep else np.uint8
-        size = planes * self._candidate_room
+        size = planes * self.candidate_room
         contrast = [
             b["contrasts"].get_sub_region(k * size * 2 * self.dtype.itemsize, size * 2 * self.dtype.itemsize)
             for k in range(3)
@@ -404,7 +404,7 @@ class Plan:
         parts = np.uint32(self._parts)
         noise = (self.image, rows, columns, step, b["noise"])
         stages = [self._rows("noise", self.working[0], self.frames, *noise)]
-        stages += self._lists("candidates", planes, b["responses"], self._candidate_room, 0)
+        stages += self._lists("candidates", planes, b["responses"], self.candidate_room, 0)
         listed = (b["candidates"], b["totals"])
         if isinstance(self.config.criteria, RapidCriteria):
             stages += [
@@ -452,7 +452,7 @@ class Plan:
             self._dense("score", self.frames, self.response, rest, *common, key),
             self._dense("row_maximum", self.frames, key, *common, rest),
             self._dense("maximum", self.frames, key, rest, *common, b["binary"]),
-            *self._lists("maxima", self.frames, b["binary"], self._corner_room, self.frames * self.masks),
+            *self._lists("maxima", self.frames, b["binary"], self.corner_room, self.frames * self.masks),
         ]
 
     def _refinement_stages(self, length: int) -> list[Launch]:
@@ -462,9 +462,9 @@ class Plan:
         scale = np.float32(self.scale or 1)
         b = self.buffers
         place = np.uint32(self.frames * self.masks)
-        lists = (b["corners"], b["totals"], b["starts"], rows, step, np.uint32(self._corner_room))
+        lists = (b["corners"], b["totals"], b["starts"], rows, step, np.uint32(self.corner_room))
         arguments = (self.response, *lists, place, count, scale, b["start"], b["result"])
-        items = (self._corner_room, self.frames)
+        items = (self.corner_room, self.frames)
         stages = [self._stage("centroid", items, (GROUP, 1), *arguments)]
         if refinement is None:
             return stages
@@ -480,7 +480,7 @@ class Plan:
         stages.append(self._corners(name, length, *lines))
         if isinstance(refinement, EdgeStep):
             radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
-            step_arguments = (np.float32(radius), np.float32(2 / scale), b["normals"], b["result"])
+            step_arguments = (np.float32(radius), scale, b["normals"], b["result"])
             stages.append(self._corners("edge_step", length, *grey, *step_arguments))
         return stages
 
@@ -526,7 +526,7 @@ class Plan:
         planes = self.frames * self.masks
         candidates = int(self._totals[:planes].max()) if self.config.contrast is not None else 0
         corners = self._totals[planes:]
-        if candidates > self._candidate_room or corners.max() > self._corner_room:
+        if candidates > self.candidate_room or corners.max() > self.corner_room:
             raise Overflow(candidates, int(corners.max()))
         return corners
 
@@ -549,10 +549,10 @@ class Plan:
 
     def grow(self, overflow: Overflow) -> None:
         """Make room for what did not fit; the frames stay on the device."""
-        if overflow.candidates > self._candidate_room:
-            self._candidate_room = _multiple(overflow.candidates * 5 // 4, GROUP)
-        if overflow.corners > self._corner_room:
-            self._corner_room = _multiple(overflow.corners * 5 // 4, GROUP)
+        if overflow.candidates > self.candidate_room:
+            self.candidate_room = _multiple(overflow.candidates * 5 // 4, GROUP)
+        if overflow.corners > self.corner_room:
+            self.corner_room = _multiple(overflow.corners * 5 // 4, GROUP)
         image = self.buffers.pop("image")
         self.release()
         self.buffers["image"] = image

@@ -35,6 +35,18 @@ __kernel void score(__global const RESPONSE *restrict response,
   key[i] = (SCORE)(r != 0 ? 10 * s + r : 0);
 }
 
+/* S at every pixel, where there is no response too. */
+__kernel void score_map(__global const RESPONSE *restrict response, const uint rows,
+                        const uint step, __global int *restrict scores) {
+  const int x = (int)get_global_id(0), y = (int)get_global_id(1);
+  int s = 0;
+  for (int dy = -2; dy <= 2; ++dy)
+    for (int dx = -2; dx <= 2; ++dx)
+      if (y + dy >= 0 && y + dy < (int)rows)
+        s += (3 - abs(dx)) * (3 - abs(dy)) * response[ROW(0, y + dy) + PAD + x + dx];
+  scores[(size_t)y * get_global_size(0) + x] = s;
+}
+
 /* The largest key of the window's row. */
 __kernel void row_maximum(__global const SCORE *restrict key, const uint rows, const uint step,
                           const SCORE zero, __global SCORE *restrict largest) {

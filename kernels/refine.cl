@@ -4,7 +4,7 @@
  *
  * Corner n of plane p has row starts[p] + n of every array. Arrays have `length` rows, a
  * multiple of the work-group, of which the last ones hold no corner and are never used.
- * `result` has a column per field; see RESULT_FIELDS in cmp_cl/detector.py. */
+ * `result` has a column per field. */
 
 #define FIELD(k) result[(size_t)(k) * length + row]
 #define RESULT_X 0
@@ -402,5 +402,225 @@ __kernel void edge_lines(__global const float *restrict points,
   normals[5 * (size_t)length + row] = y;
 #endif
 }
+
+#if MIDLINES
+
+typedef struct {
+  float2 mean, direction, normal;
+} Line;
+
+/* The total-least-squares line through the points of the valid rings. */
+Line fit_line(const float2 *point, const float *valid) {
+  float2 mean = 0;
+  float count = 0, sxx = 0, sxy = 0, syy = 0;
+  for (int r = 0; r < RINGS; ++r) {
+    mean += valid[r] * point[r];
+    count += valid[r];
+  }
+  mean /= count;
+  for (int r = 0; r < RINGS; ++r) {
+    const float2 d = point[r] - mean;
+    sxx += valid[r] * d.x * d.x;
+    sxy += valid[r] * d.x * d.y;
+    syy += valid[r] * d.y * d.y;
+  }
+  float cx, cy;
+  LINE_DIRECTION(cx, cy, sxx, sxy, syy)
+  Line line = {mean, (float2)(cx, cy), (float2)(-cy, cx)};
+  return line;
+}
+
+float cross_product(const float2 a, const float2 b) { return a.x * b.y - a.y * b.x; }
+
+/* Where a.p = h and b.p = k. */
+float2 solve(const float2 a, const float h, const float2 b, const float k) {
+  return (float2)(h * b.y - k * a.y, k * a.x - h * b.x) / cross_product(a, b);
+}
+
+float2 intersection(const Line *a, const Line *b) {
+  return solve(a->normal, dot(a->normal, a->mean), b->normal, dot(b->normal, b->mean));
+}
+
+#if QUADRATIC
+
+/* Coefficients a, b, c of v = a + b u + c u u through three points in the frame of a line. */
+float3 fit_parabola(const float2 *point, const Line *line) {
+  float u[RINGS], v[RINGS];
+  for (int r = 0; r < RINGS; ++r) {
+    u[r] = dot(line->direction, point[r] - line->mean);
+    v[r] = dot(line->normal, point[r] - line->mean);
+  }
+  const float slope = (v[1] - v[0]) / (u[1] - u[0]);
+  const float c = ((v[2] - v[1]) / (u[2] - u[1]) - slope) / (u[2] - u[0]);
+  const float b = slope - c * (u[0] + u[1]);
+  return (float3)(v[0] - u[0] * (b + c * u[0]), b, c);
+}
+
+/* How far a point lies off a parabola, and the gradient of that. */
+float off_parabola(const float3 fit, const Line *line, const float2 p, float2 *gradient) {
+  const float u = dot(line->direction, p - line->mean);
+  *gradient = line->normal - (fit.y + 2 * fit.z * u) * line->direction;
+  return dot(line->normal, p - line->mean) - (fit.x + u * (fit.y + u * fit.z));
+}
+
+#endif
+
+/* MIDLINE: the intersection of the centrelines of the black sectors e0 e1 and e2 e3. Where they
+ * are nearly one line or meet too far away, CUSP: per black sector the intersection of its own
+ * two edge lines, and the midpoint of the two cusps. */
+__kernel void midlines(__global const float *restrict points, __global const int4 *restrict start,
+                       const uint length, const float max_shift,
+                       __global float *restrict normals, __global float *restrict result) {
+  const size_t row = get_global_id(0);
+  MATCHED_RINGS
+  EDGE_ANGLE(0)
+  EDGE_ANGLE(1)
+  EDGE_ANGLE(2)
+  EDGE_ANGLE(3)
+  if (valid_rings < 2) return;
+  const float valid[] = {valid0, valid1, valid2};
+  const float2 edge[4][RINGS] = {{(float2)(x00, y00), (float2)(x10, y10), (float2)(x20, y20)},
+                                 {(float2)(x01, y01), (float2)(x11, y11), (float2)(x21, y21)},
+                                 {(float2)(x02, y02), (float2)(x12, y12), (float2)(x22, y22)},
+                                 {(float2)(x03, y03), (float2)(x13, y13), (float2)(x23, y23)}};
+  Line centre[2], side[4];
+  float2 middle[2][RINGS];
+  for (int s = 0; s < 2; ++s) {
+    for (int r = 0; r < RINGS; ++r) middle[s][r] = (edge[2 * s][r] + edge[2 * s + 1][r]) / 2;
+    centre[s] = fit_line(middle[s], valid);
+  }
+  float2 position = intersection(&centre[0], &centre[1]);
+#if QUADRATIC
+  if (valid_rings == RINGS) {
+    const float3 first = fit_parabola(middle[0], &centre[0]);
+    const float3 second = fit_parabola(middle[1], &centre[1]);
+    for (int k = 0; k < 4; ++k) {
+      float2 a, b;
+      const float h = off_parabola(first, &centre[0], position, &a);
+      const float g = off_parabola(second, &centre[1], position, &b);
+      position -= solve(a, h, b, g);
+    }
+  }
+#endif
+  int method = METHOD_MIDLINE;
+  if (!(fabs(cross_product(centre[0].direction, centre[1].direction)) > 0.17f &&
+        dot(position, position) <= max_shift * max_shift)) {
+    for (int e = 0; e < 4; ++e) side[e] = fit_line(edge[e], valid);
+    position = (intersection(&side[0], &side[1]) + intersection(&side[2], &side[3])) / 2;
+    const int open = fabs(cross_product(side[0].direction, side[1].direction)) > 0.17f &&
+                     fabs(cross_product(side[2].direction, side[3].direction)) > 0.17f;
+    if (!(open && dot(position, position) <= max_shift * max_shift)) return;
+    method = METHOD_CUSP;
+  }
+  FIELD(RESULT_X) = (float)start[row].x + position.x;
+  FIELD(RESULT_Y) = (float)start[row].y + position.y;
+  FIELD(RESULT_METHOD) = method;
+}
+
+#endif
+
+#if EDGE_STEP
+
+/* EDGE_STEP: one weighted least-squares step from EDGE_LINES' result, in the corner model
+ * I = m + c P, P = f(a) f(b), f(a) = a / sqrt(1 + a a), a and b the distances from the two
+ * edges in units of the blur. */
+#define BLUR 1.2f
+#define LARGEST_STEP 0.3f
+#define SMALL 1e-3f
+
+/* The model at offset u from the corner: weight (0 outside), P, and its slopes A and B. */
+#define CORNER_MODEL(ux, uy)                                                        \
+  const float r2 = (ux) * (ux) + (uy) * (uy);                                       \
+  const float w = fmax(0.0f, 1 - r2 * inverse_radius_2) * fmin(1.0f, r2 * inverse_core_2); \
+  const float a = (n1x * (ux) + n1y * (uy)) / BLUR, b = (n2x * (ux) + n2y * (uy)) / BLUR; \
+  const float qa = rsqrt(1 + a * a), qb = rsqrt(1 + b * b);                         \
+  const float f = a * qa, g = b * qb, P = f * g;
+
+__kernel void edge_step(__global const PIXEL *restrict image, __global const int4 *restrict start,
+                        const uint rows, const uint columns, const uint step,
+                        const uint length, const float radius, const float scale,
+                        __global const float *restrict normals, __global float *restrict result) {
+  const size_t row = get_global_id(0);
+  if (FIELD(RESULT_METHOD) != METHOD_EDGE_LINES) return;
+  const int4 from = start[row];
+  const int frame = from.z;
+  const float n1x = normals[row], n1y = normals[length + row];
+  const float n2x = normals[2 * (size_t)length + row], n2y = normals[3 * (size_t)length + row];
+  const float x = normals[4 * (size_t)length + row], y = normals[5 * (size_t)length + row];
+  const float core = fmin(4.0f, radius / 2);
+  const float inverse_radius_2 = 1 / (radius * radius), inverse_core_2 = 1 / (core * core);
+  const int left = (int)ceil(x - radius), right = (int)floor(x + radius);
+  const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);
+#define GREY_NEAR(i, j)                                                             \
+  ((float)image[CLAMPED_ROW(from.y + (j)) + (size_t)clamp(from.x + (i), 0, (int)columns - 1)] - \
+   centre)
+  const float centre =
+      (float)image[CLAMPED_ROW(from.y) + (size_t)clamp(from.x, 0, (int)columns - 1)];
+
+  float s1 = 0, sp = 0, spp = 0, si = 0, spi = 0, sii = 0, sa = 0, sb = 0, saa = 0, sab = 0;
+  float sbb = 0, sap = 0, sbp = 0, sai = 0, sbi = 0;
+  for (int j = top; j <= bottom; ++j) {
+    const float uy = (float)j - y;
+    for (int i = left; i <= right; ++i) {
+      const float ux = (float)i - x;
+      CORNER_MODEL(ux, uy)
+      const float A = qa * qa * qa * g / BLUR, B = f * qb * qb * qb / BLUR;
+      const float I = GREY_NEAR(i, j);
+      const float wP = w * P, wA = w * A, wB = w * B, wI = w * I;
+      s1 += w;
+      sp += wP;
+      spp += wP * P;
+      si += wI;
+      spi += wP * I;
+      sii += wI * I;
+      sa += wA;
+      sb += wB;
+      saa += wA * A;
+      sab += wA * B;
+      sbb += wB * B;
+      sap += wA * P;
+      sbp += wB * P;
+      sai += wA * I;
+      sbi += wB * I;
+    }
+  }
+  const float spread = s1 * spp - sp * sp;
+  const float c = (s1 * spi - sp * si) / spread, m = (si - c * sp) / s1;
+  const float ba = sai - m * sa - c * sap, bb = sbi - m * sb - c * sbp;
+  const float d = saa * sbb - sab * sab;
+  const float ha = -(sbb * ba - sab * bb) / (d * c), hb = -(saa * bb - sab * ba) / (d * c);
+  const float sine = n1x * n2y - n1y * n2x;
+  const float tx = (ha * n2y - hb * n1y) / sine, ty = (hb * n1x - ha * n2x) / sine;
+  const float largest = LARGEST_STEP / scale, farthest = 2 / scale;
+  if (!(fabs(c) > SMALL && d > SMALL * saa * sbb && spread > SMALL * s1 * spp &&
+        tx * tx + ty * ty <= largest * largest &&
+        (x + tx) * (x + tx) + (y + ty) * (y + ty) <= farthest * farthest))
+    return;
+
+  /* Autocorrelation of what the model leaves, between horizontal neighbours. */
+  float products = 0, weights = 0;
+  for (int j = top; j <= bottom; ++j) {
+    const float uy = (float)j - y;
+    float before = 0, weight_before = 0;
+    for (int i = left; i <= right; ++i) {
+      const float ux = (float)i - x;
+      CORNER_MODEL(ux, uy)
+      const float residual = (GREY_NEAR(i, j) - m - c * P) / c;
+      const int inside = r2 < radius * radius;
+      products += inside ? weight_before * before * residual : 0.0f;
+      weights += inside ? weight_before : 0.0f;
+      before = residual;
+      weight_before = inside ? w : 0.0f;
+    }
+  }
+  FIELD(RESULT_X) = (float)from.x + (x + tx);
+  FIELD(RESULT_Y) = (float)from.y + (y + ty);
+  FIELD(RESULT_METHOD) = METHOD_EDGE_STEP;
+  const float trace = (saa + sbb + 2 * sab * (n1x * n2x + n1y * n2y)) / (d * sine * sine);
+  FIELD(RESULT_SIGMA) = 0.25f * trace * (sii - m * si - c * spi) / (s1 * c * c);
+  FIELD(RESULT_DOUBTFUL) = products / weights;
+}
+
+#endif
 
 #endif

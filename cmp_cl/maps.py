@@ -1,0 +1,126 @@
+"""Detector.maps: the intermediate images of a frame, read from the device."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from cmp_cl import spectrum
+from cmp_cl.config import RapidCriteria
+from cmp_cl.plan import Plan
+from cmp_cl.results import Maps
+
+_RAPID_MAPS = (
+    ("inner_transitions", np.uint8),
+    ("outer_transitions", np.uint8),
+    ("sector_difference", np.uint8),
+    ("ring_difference", np.uint8),
+    ("corrosion", np.int8),
+)
+
+
+def read_maps(plan: Plan) -> Maps:
+    """Run the stages on the frame that is on the device, and read each result before a later
+    stage takes its place."""
+    rapid = isinstance(plan.config.criteria, RapidCriteria)
+    response = np.uint8 if rapid else np.int32
+    values: dict[str, Any] = {}
+    values["contrast"] = None
+    for launch in plan.front:
+        plan.launch([launch])
+        if launch.stage == "repeat_border_binary":
+            values["binary"] = _plane(plan, plan.buffers["binary"], np.uint8) > 0
+            values |= _rapid_maps(plan) if rapid else _spectral_maps(plan)
+        elif launch.stage in ("rapid_criteria", "spectral_criteria"):
+            values["candidate"] = _plane(plan, plan.buffers["responses"], response) > 0
+        elif launch.stage == "keep":
+            values["contrast"] = _contrast(plan)
+        elif launch.stage == "tent_rows":
+            kept = _plane(plan, plan.response, response, masks=False)
+            values["response"] = kept.astype(np.int32)
+            values["score"] = _score_map(plan)
+        elif launch.stage == "maximum":
+            values["maximum"] = _plane(plan, plan.buffers["binary"], np.uint8, masks=False) > 0
+    return Maps(**values)
+
+
+def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any, *, masks: bool = True) -> NDArray[Any]:
+    """The planes of a buffer without their pads: (H, W), or (3, H, W) with three masks."""
+    planes = plan.masks if masks else 1
+    rows, columns = plan.working
+    padded = np.empty((planes * rows + 2, plan.step), dtype)
+    cl.enqueue_copy(plan.queue, padded, buffer)
+    inside = padded[1:-1, plan.pad : plan.pad + columns].reshape(planes, rows, columns)
+    return np.ascontiguousarray(inside[0] if planes == 1 else inside)
+
+
+def _per_pixel(plan: Plan, name: str, outputs: list[Any], *inputs: Any) -> list[NDArray[Any]]:
+    """Run a kernel that writes maps with one work-item per pixel of every mask."""
+    rows = plan.working[0]
+    size = (plan.masks * rows + 2) * plan.step
+    buffers = [
+        cl.Buffer(plan.queue.context, cl.mem_flags.WRITE_ONLY, size * np.dtype(dtype).itemsize)
+        for dtype in outputs
+    ]
+    kernel = plan.kernels.bind(name, *inputs, np.uint32(rows), np.uint32(plan.step), *buffers)
+    cl.enqueue_nd_range_kernel(plan.queue, kernel, (plan.step, rows, plan.masks), None)
+    return [_plane(plan, buffer, dtype) for buffer, dtype in zip(buffers, outputs, strict=True)]
+
+
+def _rapid_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
+    dtypes = [np.uint16, np.uint16, *(dtype for _, dtype in _RAPID_MAPS)]
+    inner, outer, *rest = _per_pixel(plan, "ring_maps", dtypes, plan.buffers["binary"])
+    values: dict[str, NDArray[Any] | None] = {"inner": inner, "outer": outer}
+    values |= {name: values for (name, _), values in zip(_RAPID_MAPS, rest, strict=True)}
+    return values | dict.fromkeys(("spectrum_12", "spectrum_23", "correlation", "phase"))
+
+
+def _spectral_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
+    dtypes = [np.uint16, np.uint16, np.int8, np.uint8, np.uint8]
+    inner, outer, corrosion, best, half_samples = _per_pixel(
+        plan, "spectral_maps", dtypes, plan.buffers["binary"]
+    )
+    margins = spectrum.margins()
+    smaller = np.minimum(margins[inner], margins[outer]).astype(np.float32)
+    black = np.bitwise_count(np.stack([inner, outer])).astype(np.float64)
+    product = np.sqrt(black[0] * black[1])
+    correlation = np.divide(best, product, out=np.zeros_like(product), where=product > 0)
+    return {
+        **dict.fromkeys(name for name, _ in _RAPID_MAPS),
+        "inner": inner,
+        "outer": outer,
+        "corrosion": corrosion,
+        "spectrum_12": smaller[..., 0],
+        "spectrum_23": smaller[..., 1],
+        "correlation": correlation.astype(np.float32),
+        "phase": (half_samples * math.radians(11.25)).astype(np.float32),
+    }
+
+
+def _contrast(plan: Plan) -> NDArray[np.int32]:
+    """The smaller contrast of every candidate in its place, 0 elsewhere."""
+    room, planes = plan.candidate_room, plan.masks
+    totals = np.empty(plan.frames * (planes + 1), np.uint32)
+    positions = np.empty((planes, room, 2), np.int32)
+    contrast = np.empty((3, planes, room), np.int16 if plan.dtype == np.uint8 else np.int32)
+    cl.enqueue_copy(plan.queue, totals, plan.buffers["totals"])
+    cl.enqueue_copy(plan.queue, positions, plan.buffers["candidates"])
+    cl.enqueue_copy(plan.queue, contrast, plan.buffers["contrasts"])
+    image = np.zeros((planes, *plan.working), np.int32)
+    for plane in range(planes):
+        x, y = positions[plane, : totals[plane]].T
+        image[plane, y, x] = contrast[1, plane, : totals[plane]]
+    return image[0] if planes == 1 else image
+
+
+def _score_map(plan: Plan) -> NDArray[np.int32]:
+    rows, columns = plan.working
+    scores = cl.Buffer(plan.queue.context, cl.mem_flags.WRITE_ONLY, 4 * rows * columns)
+    sizes = (np.uint32(rows), np.uint32(plan.step))
+    kernel = plan.kernels.bind("score_map", plan.response, *sizes, scores)
+    cl.enqueue_nd_range_kernel(plan.queue, kernel, (columns, rows), None)
+    image = np.empty((rows, columns), np.int32)
+    cl.enqueue_copy(plan.queue, image, scores)
+    return image
