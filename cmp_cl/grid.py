@@ -1,6 +1,6 @@
 """Corners to rows and columns: numbering, orientation, holes, second look."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ RIVAL = 0.5  # a second component of this share of the first is a second pattern
 NEAR = 0.3  # cells: how far from its prediction a node may be
 WHOLE = 1024  # weight of a corner with straight boundaries
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
-SAMPLE = 160  # nodes whose place is looked up in the rest grid
+VOTERS = 96  # nodes that are looked up in the rest grid
 
 
 def build_grid(
@@ -69,8 +69,15 @@ def build_grid(
             f"the largest lattice has {found.size[0]} of {len(inside)} corners, "
             f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
         )
-    nodes = _placed(z, found, shape, like)
-    _fill(nodes, z.astype(np.complex128), edges, image, growing=shape is None)
+    nodes = _boxed(z, found)
+    z = z.astype(np.complex128)
+    _drop_misfits(nodes)
+    _grow(nodes, z, edges)
+    if like is not None:
+        nodes = _like_rest(nodes, found.bend, like)
+    elif shape is not None:
+        nodes = _fullest(nodes, found.bend, shape)
+    _fill(nodes, z, edges, image, BRACKETED if shape is None else WEAK)
     _refuse_rival(found, nodes, z)
     return _result(corners, inside, nodes)
 
@@ -115,6 +122,25 @@ class _Nodes:
         self.status, self.looked = self.status[box], self.looked[box]
         self.parity = (self.parity + int(rows[0]) + int(columns[0])) % 2
 
+    def turned(self, quarters: int) -> "_Nodes":
+        """The same nodes with the numbers turned: row 0 is the last column, and so on."""
+        first = (0, self.at.shape[1], sum(self.at.shape), self.at.shape[0])[quarters]
+        turned = _Nodes(self.at.shape, (self.parity + first) % 2, self.free)
+        turned.at, turned.owner = np.rot90(self.at, quarters), np.rot90(self.owner, quarters)
+        turned.status = np.rot90(self.status, quarters)
+        turned.looked = np.rot90(self.looked, quarters)
+        return turned
+
+    def window(self, top: int, left: int, shape: tuple[int, int]) -> "_Nodes":
+        """The nodes from that row and column on."""
+        cut = _Nodes(shape, (self.parity + top + left) % 2, self.free)
+        row, column = np.nonzero(self.status != NodeStatus.MISSING)
+        kept = (row >= top) & (row < top + shape[0]) & (column >= left) & (column < left + shape[1])
+        row, column = row[kept], column[kept]
+        for name in ("at", "owner", "status", "looked"):
+            getattr(cut, name)[row - top, column - left] = getattr(self, name)[row, column]
+        return cut
+
 
 def _known_shape(shape: tuple[int, int] | None, like: Grid | None) -> tuple[int, int] | None:
     if shape is not None and (
@@ -150,119 +176,103 @@ def _empty(corners: int, shape: tuple[int, int] | None) -> Grid:
     )
 
 
-def _placed(
-    z: NDArray[np.complex64], found: Lattice, shape: tuple[int, int] | None, like: Grid | None
-) -> _Nodes:
-    """The largest component, turned, and cut to the window where the shape is known."""
+def _boxed(z: NDArray[np.complex64], found: Lattice) -> _Nodes:
+    """The largest component in the box that holds it, rows down and columns right."""
     member = np.flatnonzero(found.component == 0)
     member = member[np.argsort(found.support[member], kind="stable")]
-    upright = round(float(np.angle(found.axis[0])) / (np.pi / 2))
-    if like is not None:
-        places = [_turned(found, member, quarter) for quarter in range(4)]
-        place, origin = _like_rest(z[member], places, like)
-    else:
-        place, origin = _turned(found, member, upright), (0, 0)
-        if shape is None:
-            shape = int(place.row.max()) + 1, int(place.column.max()) + 1
-        else:
-            places = [place]
-            if shape[0] != shape[1]:
-                residual = float(np.angle(found.axis[0] * 1j ** (-upright % 4)))
-                places.append(_turned(found, member, upright + (1 if residual > 0 else -1)))
-            place, origin = _fullest(places, shape)
-    rows, columns = like.shape if like is not None else shape  # type: ignore[misc]
-    row, column = place.row - origin[0], place.column - origin[1]
-    kept = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    free = np.ones(len(z), np.bool_)
-    free[member] = False
-    nodes = _Nodes((rows, columns), (place.parity + origin[0] + origin[1]) % 2, free)
-    nodes.owner[row[kept], column[kept]] = member[kept]  # the best supported is last and stays
-    row, column = np.nonzero(nodes.owner >= 0)
-    at = z[nodes.owner[row, column]].astype(np.complex128)
-    nodes.put(row, column, at, NodeStatus.DETECTED)
-    return nodes
-
-
-class _Place(NamedTuple):
-    """Rows and columns of the members from 0, their weights, the parity of node (0, 0)."""
-
-    row: Index
-    column: Index
-    weight: Index
-    parity: int
-
-
-def _turned(found: Lattice, member: Index, quarters: int) -> _Place:
-    """The members' rows and columns after that many clockwise quarter turns of the lattice."""
-    unit = (1, 1j, -1, -1j)[quarters % 4]
+    unit = (1, 1j, -1, -1j)[round(float(np.angle(found.axis[0])) / (np.pi / 2)) % 4]
     node, turn = found.node[member] * unit, found.turn[member] * unit
     row, column = node.imag.astype(np.int64), node.real.astype(np.int64)
     row -= row.min()
     column -= column.min()
     odd = ((turn.imag != 0) + row + column) % 2
-    weight = WHOLE - (WHOLE / 4 * found.bend[member]).astype(np.int64)
-    return _Place(row, column, weight, int(2 * np.count_nonzero(odd) > len(odd)))
+    free = np.ones(len(z), np.bool_)
+    free[member] = False
+    parity = int(2 * np.count_nonzero(odd) > len(odd))
+    nodes = _Nodes((int(row.max()) + 1, int(column.max()) + 1), parity, free)
+    nodes.owner[row, column] = member  # the best supported is last and stays
+    row, column = np.nonzero(nodes.owner >= 0)
+    nodes.put(row, column, z[nodes.owner[row, column]].astype(np.complex128), NodeStatus.DETECTED)
+    return nodes
 
 
-def _window_weights(place: _Place, shape: tuple[int, int]) -> tuple[Index, Index, Index]:
-    """The weight of the members in each window of that shape, its first row and column.
+def _window_weights(nodes: _Nodes, bend: NDArray[np.float32], shape: tuple[int, int]) -> Index:
+    """The weight of the nodes in every window of that shape that can hold any.
 
-    A member weighs less the less its boundaries are straight, as they are not where the
-    outermost cells meet the surroundings. Returns (K, L) weights, (K,) rows, (L,) columns.
+    Returns (R + rows + 1, C + columns + 1); entry (i, j) is of the window whose first row is
+    i - rows and whose first column is j - columns. A node weighs less the less the corner's
+    boundaries are straight, as they are not where the outermost cells meet the surroundings.
     """
-    seen = np.zeros((int(place.row.max()) + 1, int(place.column.max()) + 1), np.int64)
-    seen[place.row, place.column] = place.weight
     rows, columns = shape
+    weight = WHOLE - (WHOLE / 4 * np.nan_to_num(bend, nan=1.0)).astype(np.int64)
+    seen = np.where(nodes.owner >= 0, weight[nodes.owner], 0)
     total = np.pad(seen, ((rows, rows), (columns, columns))).cumsum(0).cumsum(1)
     total = np.pad(total, ((1, 0), (1, 0)))
-    counts = (total[rows:, columns:] - total[:-rows, columns:] - total[rows:, :-columns]) + total[
-        :-rows, :-columns
-    ]
-    return counts, np.arange(len(counts)) - rows, np.arange(counts.shape[1]) - columns
+    here = total[rows:, columns:] - total[:-rows, columns:]
+    windows: Index = here - total[rows:, :-columns] + total[:-rows, :-columns]
+    return windows
 
 
-def _fullest(places: list[_Place], shape: tuple[int, int]) -> tuple[_Place, tuple[int, int]]:
-    """The first place with the fullest window, and the window nearest to its top left corner."""
-    windows = [_window_weights(place, shape) for place in places]
-    best = int(np.argmax([weights.max() for weights, _, _ in windows]))
-    weights, rows, columns = windows[best]
-    full = np.argwhere(weights == weights.max())
-    away = np.abs(rows[full[:, 0]]) + np.abs(columns[full[:, 1]])
-    row, column = full[np.argmin(away)]
-    return places[best], (int(rows[row]), int(columns[column]))
+def _fullest(nodes: _Nodes, bend: NDArray[np.float32], shape: tuple[int, int]) -> _Nodes:
+    """The fullest window, of several the nearest to the top left corner of what is seen.
+
+    A shape that fits better across is taken so, by the quarter turn that leaves the columns
+    nearest to the image's x axis.
+    """
+    if nodes.at.shape[0] <= shape[0] and nodes.at.shape[1] <= shape[1]:
+        return nodes.window(0, 0, shape)
+    turned = [nodes]
+    if shape[0] != shape[1]:
+        falling = float(np.nansum((nodes.at[:, 1:] - nodes.at[:, :-1]).imag)) > 0
+        turned.append(nodes.turned(3 if falling else 1))
+    windows = [_window_weights(each, bend, shape) for each in turned]
+    best = int(np.argmax([weights.max() for weights in windows]))
+    full = np.argwhere(windows[best] == windows[best].max()) - shape
+    row, column = full[np.argmin(np.abs(full).sum(1))]
+    return turned[best].window(int(row), int(column), shape)
 
 
-def _like_rest(
-    z: NDArray[np.complex64], places: list[_Place], like: Grid
-) -> tuple[_Place, tuple[int, int]]:
+def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
     """The turn and the window that agree with the rest grid.
 
-    Some members vote for the numbers of the rest node nearest to them: most of a pressed
-    gel stays near its place, whatever the rest does. The turn with the most common
-    vote wins. Among its windows of the right checker colour, those that hold about as many
-    members as the fullest compete, and the votes decide.
+    Some nodes vote for the numbers of the nearest rest node of their checker colour: most of
+    a pressed gel stays near its place, whatever the rest does. The turn with the most common
+    vote wins. Among its windows of the right colour, those that hold about as much as the
+    fullest compete, and the votes decide.
     """
-    some = np.linspace(0, len(z) - 1, min(SAMPLE, len(z))).astype(np.int64)
     rest_row, rest_column = np.nonzero(like.valid)
     rest = like.xy[rest_row, rest_column]
-    here = z[some]
-    away = (here.real[:, None] - rest[None, :, 0]) ** 2 + (here.imag[:, None] - rest[:, 1]) ** 2
-    nearest = away.argmin(1)
-    found = []
-    for place in places:
-        weights, rows, columns = _window_weights(place, like.shape)
-        row = place.row[some] - rest_row[nearest] - rows[0]
-        column = place.column[some] - rest_column[nearest] - columns[0]
+    rest_colour = (like.parity + rest_row + rest_column) % 2
+    voters = np.flatnonzero(nodes.owner >= 0)
+    voters = voters[np.linspace(0, len(voters) - 1, min(VOTERS, len(voters))).astype(np.int64)]
+    here = nodes.at.ravel()[voters]
+    away = (here.real[:, None] - rest[:, 0]) ** 2 + (here.imag[:, None] - rest[:, 1]) ** 2
+    nearest = [np.where(rest_colour == colour, away, np.inf).argmin(1) for colour in (0, 1)]
+    name = np.full(nodes.at.size, -1)
+    name[voters] = np.arange(len(voters))
+    best = -1
+    for quarters in range(4):
+        turned = nodes.turned(quarters)
+        names = np.rot90(name.reshape(nodes.at.shape), quarters)
+        row, column = np.nonzero(names >= 0)
+        voter = names[row, column]
+        colour = (turned.parity + row + column) % 2
+        chosen_rest = np.where(colour == 0, nearest[0][voter], nearest[1][voter])
+        weights = _window_weights(turned, bend, like.shape)
+        row = row - rest_row[chosen_rest] + like.shape[0]
+        column = column - rest_column[chosen_rest] + like.shape[1]
+        cast = (row >= 0) & (row < weights.shape[0]) & (column >= 0) & (column < weights.shape[1])
         votes = np.zeros_like(weights)
-        cast = (row >= 0) & (row < len(rows)) & (column >= 0) & (column < len(columns))
         np.add.at(votes, (row[cast], column[cast]), 1)
-        colour = (place.parity + rows[:, None] + columns) % 2 == like.parity
-        weights, votes = np.where(colour, weights, 0), np.where(colour, votes, 0)
+        first = np.indices(weights.shape).sum(0) + sum(like.shape)
+        weights = np.where((turned.parity + first) % 2 == like.parity, weights, 0)
         rival = weights >= weights.max() - WHOLE * min(like.shape) / 2
-        choice = np.where(rival, votes * (WHOLE * len(z) + 1) + weights, -1)
-        row, column = np.unravel_index(int(choice.argmax()), choice.shape)
-        found.append((int(votes.max()), place, (int(rows[row]), int(columns[column]))))
-    return max(found, key=lambda each: each[0])[1:]
+        choice = np.where(rival, votes * (WHOLE * turned.at.size + 1) + weights, -1)
+        if int(votes.max()) > best:
+            best = int(votes.max())
+            top, left = np.unravel_index(int(choice.argmax()), choice.shape)
+            found = turned.window(int(top) - like.shape[0], int(left) - like.shape[1], like.shape)
+    return found
 
 
 # ((weight), ((row, column, factor), ...)) of each prediction of a node from its neighbours
@@ -338,27 +348,29 @@ def _box(values: NDArray[Any]) -> NDArray[Any]:
     return total
 
 
+def _grow(nodes: _Nodes, z: Points, edges: NDArray[np.float32]) -> None:
+    """Attach free corners, beyond the box too, as long as there are any."""
+    while nodes.free.any():
+        nodes.pad()
+        attached = _attach(nodes, z, edges)
+        nodes.crop()
+        if not attached:
+            return
+        _drop_misfits(nodes)
+
+
 def _fill(
     nodes: _Nodes,
     z: Points,
     edges: NDArray[np.float32],
     image: GreyImage | None,
-    *,
-    growing: bool,
+    least: float,
 ) -> None:
-    """Drop misfits, attach free corners, look again, interpolate."""
-    _drop_misfits(nodes)
-    while True:
-        if growing:
-            nodes.pad()
-        changed = _attach(nodes, z, edges)
-        if growing:
-            nodes.crop()
-        if not changed and image is not None:
-            changed = _look_again(nodes, image, WEAK if not growing else BRACKETED)
-        if not changed:
-            break
+    """Look again where predictions have at least that weight, attach, and interpolate."""
+    while image is not None and _look_again(nodes, image, least):
         _drop_misfits(nodes)
+        while _attach(nodes, z, edges):
+            _drop_misfits(nodes)
     _interpolate(nodes)
 
 

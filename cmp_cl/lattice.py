@@ -16,7 +16,6 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 COSINE = 0.75  # least cosine between a boundary and the way to the neighbour
-BEND = 0.6  # largest distance between a boundary's unit and the opposite one's mirror image
 SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, of the squares of its diagonals
 UNITS = np.array([1, 1j, -1, -1j], np.complex64)
 
@@ -46,7 +45,6 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad."""
     order, first, second = near_pairs(z)
     lines, bend = _lines(edges)
-    lines[~(bend < BEND)] = np.nan  # no such corner is a saddle
     half, other = _links(z[order], lines[order], first, second)
     cells = _cells(z[order], half, other)
     alone = _Trees(

@@ -56,6 +56,19 @@ def test_a_tenth_lost_and_half_as_many_false_again():
     assert len(right(grid, index)) > 0.9 * (index[:, 0] >= 0).sum()
 
 
+@pytest.mark.parametrize("seed", [2, 35])
+def test_false_cells_do_not_join_what_does_not_belong_together(seed):
+    corners, index, _ = board(
+        36, 36, lost=0.1, false=0.4, seed=seed, jitter=0.4, twist=0.5, pull=2.0
+    )
+    found = lattice((corners.xy @ np.array([1, 1j])).astype(np.complex64), corners.edges)
+    member = (found.component == 0) & (index[:, 0] >= 0)
+    assert member.sum() > 300
+    place = index[member] @ np.array([1j, 1])
+    shifts = [found.node[member] * 1j**quarter - place for quarter in range(4)]
+    assert min(len(np.unique(np.rint(shift))) for shift in shifts) == 1
+
+
 @pytest.mark.parametrize("quarters", range(4))
 def test_rows_run_down_and_columns_right_however_the_camera_is_turned(quarters):
     corners, index, _ = board(12, 9, turn=0.1 + quarters * np.pi / 2)
@@ -106,6 +119,22 @@ def test_a_whole_pattern_that_moved_by_cells_keeps_its_numbers():
     np.testing.assert_array_equal(build_grid(corners, like=rest).index, index)
 
 
+def test_the_checker_colour_decides_where_a_view_is_shifted_by_most_of_a_cell():
+    rest = build_grid(board(12, 12, pull=0, twist=0, turn=0).corners)
+    corners, index, _ = board(12, 12, pull=0, twist=0, turn=0, origin=60 + 50j + 0.7 * 13)
+    seen = (index[:, 1] > 0) & (index[:, 1] < 9)
+    grid = build_grid(keep(corners, seen), like=rest)
+    np.testing.assert_array_equal(grid.index, index[seen])
+
+
+def test_junctions_with_the_surroundings_do_not_shift_the_window():
+    corners, index, _ = board(8, 8, pull=0, twist=0)
+    rim = index[:, 0] == 0
+    corners.edges[rim, 1] += 0.9
+    grid = build_grid(corners, shape=(7, 8))
+    np.testing.assert_array_equal(grid.index[~rim], index[~rim] - [1, 0])
+
+
 def test_a_turned_rest_grid_gives_its_orientation():
     sideways = build_grid(board(10, 14, turn=0.6).corners)
     now = board(10, 14, turn=0.9, pull=0.5)
@@ -123,6 +152,13 @@ def test_a_shape_laid_across_turns_the_numbers():
     turned = np.stack([8 - index[:, 1], index[:, 0]], axis=1)
     other = np.stack([index[:, 1], 5 - index[:, 0]], axis=1)
     assert (grid.index == turned).all() or (grid.index == other).all()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_known_shape_keeps_its_numbers_beyond_half_a_quarter_turn(sign):
+    before, after = (board(6, 9, turn=sign * turn, twist=0) for turn in (0.74, 0.84))
+    np.testing.assert_array_equal(build_grid(before.corners, shape=(6, 9)).index, before.index)
+    np.testing.assert_array_equal(build_grid(after.corners, shape=(6, 9)).index, after.index)
 
 
 def test_a_hole_is_filled_by_its_neighbours_and_says_so():
@@ -286,6 +322,9 @@ def test_a_second_look_finds_the_corner_and_refuses_the_other_colour(dtype):
     assert (~np.isnan(found.real)).mean() > 0.95
     assert np.nanmedian(np.abs(found - truth.ravel())) < 0.5
     assert np.isnan(second_look(image, at, cell, line * 1j).real).all()
+    aside = at + 0.4 * cell
+    astray = second_look(image, aside, cell, line)
+    assert not (np.abs(astray - aside) > 0.25 * cell).any()
     blank = np.full_like(image, 90)
     assert np.isnan(second_look(blank, at, cell, line).real).all()
 
