@@ -17,12 +17,12 @@
 static float bilinear(__global const PIXEL *image, const uint step, const int rows,
                       const int columns, const int2 pixel, const float x, const float y) {
   const float fx = floor(x), fy = floor(y);
-  const int x0 = clamp(pixel.x + (int)fx, 0, columns - 1), x1 = clamp(pixel.x + (int)fx + 1, 0, columns - 1);
-  const int y0 = clamp(pixel.y + (int)fy, 0, rows - 1), y1 = clamp(pixel.y + (int)fy + 1, 0, rows - 1);
-  const float ax = x - fx, ay = y - fy;
-  const float top = mix((float)image[(size_t)y0 * step + x0], (float)image[(size_t)y0 * step + x1], ax);
-  const float bottom = mix((float)image[(size_t)y1 * step + x0], (float)image[(size_t)y1 * step + x1], ax);
-  return mix(top, bottom, ay);
+  const int left = pixel.x + (int)fx, top = pixel.y + (int)fy;
+  const int x0 = clamp(left, 0, columns - 1), x1 = clamp(left + 1, 0, columns - 1);
+  __global const PIXEL *upper = image + (size_t)clamp(top, 0, rows - 1) * step;
+  __global const PIXEL *lower = image + (size_t)clamp(top + 1, 0, rows - 1) * step;
+  return mix(mix((float)upper[x0], (float)upper[x1], x - fx),
+             mix((float)lower[x0], (float)lower[x1], x - fx), y - fy);
 }
 
 /* shift: px along the normal to the crossing nearest to the marker; NaN where the white side is

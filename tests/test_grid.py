@@ -119,6 +119,14 @@ def test_a_whole_pattern_that_moved_by_cells_keeps_its_numbers():
     np.testing.assert_array_equal(build_grid(corners, like=rest).index, index)
 
 
+def test_the_checker_colour_decides_what_is_unseen_of_a_board_that_moved_far():
+    rest = build_grid(board(10, 10, pull=0, twist=0).corners)
+    corners, index, _ = board(10, 10, pull=0, twist=0, origin=60 + 50j + 13 * (6 + 6j))
+    for seen in (index[:, 0] > 0, index[:, 0] < 9, index[:, 1] > 0, index[:, 1] < 9):
+        grid = build_grid(keep(corners, seen), like=rest)
+        np.testing.assert_array_equal(grid.index, index[seen])
+
+
 def test_the_checker_colour_decides_where_a_view_is_shifted_by_most_of_a_cell():
     rest = build_grid(board(12, 12, pull=0, twist=0, turn=0).corners)
     corners, index, _ = board(12, 12, pull=0, twist=0, turn=0, origin=60 + 50j + 0.7 * 13)
@@ -135,13 +143,14 @@ def test_junctions_with_the_surroundings_do_not_shift_the_window():
     np.testing.assert_array_equal(grid.index[~rim], index[~rim] - [1, 0])
 
 
-def test_a_turned_rest_grid_gives_its_orientation():
-    sideways = build_grid(board(10, 14, turn=0.6).corners)
-    now = board(10, 14, turn=0.9, pull=0.5)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_turned_rest_grid_gives_its_orientation(sign):
+    sideways = build_grid(board(9, 14, turn=sign * 0.6).corners)
+    now = board(9, 14, turn=sign * 0.9, pull=0.5, twist=0.1)
     by_axes = build_grid(now.corners)
-    assert by_axes.shape == (14, 10)
+    assert by_axes.shape == (14, 9)
     grid = build_grid(now.corners, like=sideways)
-    assert grid.shape == (10, 14)
+    assert grid.shape == (9, 14)
     np.testing.assert_array_equal(grid.index, now.index)
 
 
