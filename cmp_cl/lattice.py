@@ -15,6 +15,7 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+REACH = 1.6  # cells: how far a neighbour may be; the cell is that of the sparser parts
 COSINE = 0.75  # least cosine between a boundary and the way to the neighbour
 SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, of the squares of its diagonals
 UNITS = np.array([1, 1j, -1, -1j], np.complex64)
@@ -59,10 +60,10 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
 
 
 def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
-    """Pairs of points about two cells or less apart.
+    """Pairs of points that are at most REACH cells apart.
 
     Returns an order of the points and the pairs as places in that order, each pair once.
-    The cell is taken from the density of the points where most of them are.
+    The cell is taken from the density of the points, where all but a tenth are denser.
     """
     x, y = z.real.astype(np.float64), z.imag.astype(np.float64)
     x -= x.min()
@@ -73,23 +74,33 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
     key = _bucket(x, y, tile)[0]
     crowd = np.bincount(key)[key]
     crowd.partition(len(z) // 10)
-    reach = max(1.7 * tile / np.sqrt(crowd[len(z) // 10]), extent / 1024)
+    reach = max(REACH * tile / np.sqrt(crowd[len(z) // 10]), extent / 1024)
 
     key, width = _bucket(x, y, reach)
     order = np.argsort(key, kind="stable")
     key = key[order]
     start = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=key[-1] + width + 3))])
     place = np.arange(len(z))
-    begin = np.concatenate([place + 1, start[key + width - 1]])
-    end = np.concatenate([start[key + 2], start[key + width + 2]])
+    z = z[order]
+    pairs = [
+        _near(z, begin, end, reach)
+        for begin, end in (
+            (place + 1, start[key + 2]),
+            (start[key + width - 1], start[key + width + 2]),
+        )
+    ]
+    first, second = (np.concatenate(each) for each in zip(*pairs, strict=True))
+    return order, first, second
+
+
+def _near(z: Complex, begin: Index, end: Index, reach: float) -> tuple[Index, Index]:
+    """Pairs within reach of each point and those from its begin to its end."""
     count = end - begin
-    first = np.repeat(np.concatenate([place, place]), count)
-    skipped = np.cumsum(count) - count
-    second = np.arange(len(first)) + np.repeat(begin - skipped, count)
-    step = z[order]
-    step = step[second] - step[first]
+    first = np.repeat(np.arange(len(z)), count)
+    second = np.arange(len(first)) + np.repeat(begin - np.cumsum(count) + count, count)
+    step = z[second] - z[first]
     near = np.flatnonzero(step.real**2 + step.imag**2 < reach**2)
-    return order, first[near], second[near]
+    return first[near], second[near]
 
 
 def _bucket(x: NDArray[np.float64], y: NDArray[np.float64], side: float) -> tuple[Index, int]:
