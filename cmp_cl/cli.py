@@ -40,7 +40,8 @@ What to install for a device:
                      /etc/OpenCL/vendors/nvidia.icd that says libnvidia-opencl.so.1
   Intel              GPU: apt install intel-opencl-icd; CPU: Intel's CPU Runtime for OpenCL
   AMD                ROCm's rocm-opencl-runtime, or apt install mesa-opencl-icd and
-                     RUSTICL_ENABLE=radeonsi"""
+                     RUSTICL_ENABLE=radeonsi
+PoCL is not found where it cannot write its cache: XDG_CACHE_HOME names another folder."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

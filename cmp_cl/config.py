@@ -199,8 +199,12 @@ class Pyramid:
 
 
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
-_CRITERIA = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
-_REFINEMENTS = {"edge_lines": EdgeLines, "edge_step": EdgeStep, "midlines": Midlines}
+_CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
+_REFINEMENTS: dict[str, type] = {
+    "edge_lines": EdgeLines,
+    "edge_step": EdgeStep,
+    "midlines": Midlines,
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
