@@ -1,0 +1,67 @@
+"""What a result was measured with: device, driver, versions, commit, and how busy it was."""
+
+import datetime
+import os
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+import cmp_cl
+
+RESULTS = Path(__file__).with_name("results")
+_PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "chess_corners", "libCBDetect")
+
+
+def environment() -> dict[str, Any]:
+    """Everything that a reader needs to judge a figure, as plain values for JSON."""
+    device = cmp_cl.select_device()
+    packages = {"opencv": cv2.__version__, "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            packages[name] = version(name)
+        except PackageNotFoundError:
+            packages[name] = "not installed"
+    return {
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "commit": _commit(),
+        "device": str(device),
+        "driver": device.driver,
+        "cpu": _cpu(),
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.release()}",
+        "threads_opencv": cv2.getNumThreads(),
+        "packages": packages,
+        "load": [round(load, 2) for load in os.getloadavg()] if hasattr(os, "getloadavg") else None,
+    }
+
+
+def _commit() -> str:
+    """The commit of the tree, marked where kernels or package differ from it."""
+    here = Path(__file__).parent
+    try:
+        commit = _git(here, "rev-parse", "--short", "HEAD")
+        changed = _git(here, "status", "--porcelain", "--", "../cmp_cl", "../kernels")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return commit + ("+changes" if changed else "")
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    answer = subprocess.run(
+        ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True
+    )
+    return answer.stdout.strip()
+
+
+def _cpu() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

@@ -1,0 +1,476 @@
+"""The methods that cmp_cl is compared with, one small adapter each.
+
+A peer is told what its own documentation asks for: how many corners the pattern has.
+Everything else is in its settings, which `search.py` finds on scenes of their own and keeps
+in results/peer_settings.json.
+
+`PEERS[name].make(settings, pattern)` gives a function image -> (N, 2) positions, px; it
+raises Unavailable with the reason where what it needs is not installed.
+"""
+
+import importlib
+import itertools
+import json
+import os
+import struct
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+Detect = Callable[[np.ndarray], np.ndarray]
+Settings = dict[str, Any]
+FOUND_SETTINGS = Path(__file__).with_name("results") / "peer_settings.json"
+
+
+class Unavailable(Exception):
+    """This peer cannot run here; says why."""
+
+
+class Pattern(NamedTuple):
+    """markers: inner corners a side. views: pictures of the pattern in the image."""
+
+    markers: int
+    views: int = 1
+
+
+class Peer(NamedTuple):
+    """label: as tables show it. make: settings and pattern -> detect. search: the values that
+    each setting is tried at, the first being the usual one. slow: takes more than 50 ms."""
+
+    label: str
+    make: Callable[[Settings, Pattern], Detect]
+    search: dict[str, list[Any]]
+    version: Callable[[], str]
+    slow: bool = False
+
+    def settings(self, markers: int) -> Settings:
+        """What the search found for that density, or the usual values where there was none."""
+        usual = {name: values[0] for name, values in self.search.items()}
+        if FOUND_SETTINGS.is_file():
+            found = json.loads(FOUND_SETTINGS.read_text())["settings"]
+            usual |= found.get(NAMES[self.label], {}).get(str(markers), {})
+        return usual
+
+    def grid(self) -> list[Settings]:
+        """Every combination of the searched values."""
+        names = list(self.search)
+        return [
+            dict(zip(names, values, strict=True))
+            for values in itertools.product(*self.search.values())
+        ]
+
+
+def _opencv_version() -> str:
+    return f"opencv {cv2.__version__}"
+
+
+# OpenCV
+
+
+def _good_features(settings: Settings, pattern: Pattern) -> Detect:
+    # The paper's Table 2: the corners and, where the pattern ends, its junctions.
+    count = pattern.views * (pattern.markers + settings["margin"]) ** 2
+
+    def detect(image: np.ndarray) -> np.ndarray:
+        quality, distance = settings["quality"], settings["distance"]
+        block, gradient = settings["block"], settings["gradient"]
+        xy = cv2.goodFeaturesToTrack(
+            image, count, quality, distance, mask=None, blockSize=block, gradientSize=gradient
+        )
+        return np.empty((0, 2), np.float32) if xy is None else xy.reshape(-1, 2)
+
+    return detect
+
+
+def _good_features_refined(settings: Settings, pattern: Pattern) -> Detect:
+    coarse = _good_features(settings, pattern)
+    window = (settings["window"], settings["window"])
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, settings["rounds"], 0.01)
+
+    def detect(image: np.ndarray) -> np.ndarray:
+        xy = coarse(image)
+        if not len(xy):
+            return xy
+        start = np.ascontiguousarray(xy.reshape(-1, 1, 2))
+        return cv2.cornerSubPix(image, start, window, (-1, -1), criteria).reshape(-1, 2)
+
+    return detect
+
+
+def _harris(settings: Settings, pattern: Pattern) -> Detect:
+    size = 2 * settings["radius"] + 1
+    window = np.ones((size, size), np.uint8)
+
+    def detect(image: np.ndarray) -> np.ndarray:
+        response = cv2.cornerHarris(image, settings["block"], settings["aperture"], settings["k"])
+        peak = response >= cv2.dilate(response, window)
+        y, x = np.nonzero(peak & (response > settings["quality"] * response.max()))
+        return np.stack([x, y], axis=1).astype(np.float32)
+
+    return detect
+
+
+def _find_chessboard(settings: Settings, pattern: Pattern) -> Detect:
+    size = (pattern.markers, pattern.markers)
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH * settings["adaptive"]
+    flags |= cv2.CALIB_CB_NORMALIZE_IMAGE * settings["normalize"]
+
+    def detect(image: np.ndarray) -> np.ndarray:
+        _, xy = cv2.findChessboardCorners(image, size, flags=flags)
+        return np.empty((0, 2), np.float32) if xy is None else xy.reshape(-1, 2)
+
+    return detect
+
+
+def _find_chessboard_sb(settings: Settings, pattern: Pattern) -> Detect:
+    size = (pattern.markers, pattern.markers)
+    flags = cv2.CALIB_CB_NORMALIZE_IMAGE * settings["normalize"]
+    flags |= cv2.CALIB_CB_EXHAUSTIVE * settings["exhaustive"]
+    flags |= cv2.CALIB_CB_ACCURACY * settings["accuracy"]
+
+    def detect(image: np.ndarray) -> np.ndarray:
+        _, xy = cv2.findChessboardCornersSB(image, size, flags=flags)
+        return np.empty((0, 2), np.float32) if xy is None else xy.reshape(-1, 2)
+
+    return detect
+
+
+# ChESS and Zhang's spectrum, written from the papers
+
+_RING = [(0, -5), (2, -5), (4, -4), (5, -2), (5, 0), (5, 2), (4, 4), (2, 5)]
+RING = _RING + [(-x, -y) for x, y in _RING]  # 16 samples, clockwise from twelve o'clock
+_PAD = 8
+_MARGIN = 7  # px at the border that Bennett's code does not fill
+
+
+def ring_samples(image: np.ndarray, sigma: float) -> list[np.ndarray]:
+    """The 16 samples of every pixel, each (H, W) float32, of the smoothed image."""
+    rows, columns = image.shape
+    grey = image.astype(np.float32)
+    if sigma:
+        grey = cv2.GaussianBlur(grey, (0, 0), sigma)
+    wide = cv2.copyMakeBorder(grey, _PAD, _PAD, _PAD, _PAD, cv2.BORDER_REPLICATE)
+    return [wide[_PAD + y : _PAD + y + rows, _PAD + x : _PAD + x + columns] for x, y in RING]
+
+
+def chess_response(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Bennett and Lasenby, 2013: sum response, difference response, mean response."""
+    ring = ring_samples(image, sigma)
+    total = np.zeros(image.shape, np.float32)
+    difference = np.zeros(image.shape, np.float32)
+    for n in range(4):
+        total += np.abs(ring[n] + ring[n + 8] - ring[n + 4] - ring[n + 12])
+    for n in range(8):
+        difference += np.abs(ring[n] - ring[n + 8])
+    around = sum(ring[1:], ring[0]) / 16
+    cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.float32) / 5
+    local = cv2.filter2D(image.astype(np.float32), -1, cross, borderType=cv2.BORDER_REPLICATE)
+    return total - difference - 16 * np.abs(around - local)
+
+
+def spectrum_response(image: np.ndarray, sigma: float, weight: float) -> np.ndarray:
+    """Circular sampling and its Fourier transform: the second harmonic against its neighbours.
+
+    |F2| - weight (|F1| + |F3|), after Zhang and Xiong (ICIRA 2017) as the CMP paper uses it.
+    """
+    ring = ring_samples(image, sigma)
+    size = []
+    for k in (1, 2, 3):
+        real = np.zeros(image.shape, np.float32)
+        imaginary = np.zeros(image.shape, np.float32)
+        for n, sample in enumerate(ring):
+            real += np.float32(np.cos(np.pi * k * n / 8)) * sample
+            imaginary += np.float32(np.sin(np.pi * k * n / 8)) * sample
+        size.append(cv2.magnitude(real, imaginary))
+    return size[1] - np.float32(weight) * (size[0] + size[2])
+
+
+def peaks(response: np.ndarray, threshold: float, radius: int) -> np.ndarray:
+    """Local maxima above a threshold, at the centre of mass of the 5 x 5 around: (N, 2), px."""
+    size = 2 * radius + 1
+    highest = response >= cv2.dilate(response, np.ones((size, size), np.uint8))
+    y, x = np.nonzero(highest & (response > threshold))
+    wide = np.pad(np.maximum(response, 0), 2)
+    mass, moment = np.zeros(len(x)), np.zeros((len(x), 2))
+    for dy in range(-2, 3):
+        for dx in range(-2, 3):
+            weight = wide[y + 2 + dy, x + 2 + dx]
+            mass += weight
+            moment += weight[:, None] * (dx, dy)
+    return np.stack([x, y], axis=1) + moment / np.maximum(mass, 1e-9)[:, None]
+
+
+def _chess(settings: Settings, pattern: Pattern) -> Detect:
+    def detect(image: np.ndarray) -> np.ndarray:
+        response = chess_response(image, settings["sigma"])
+        return peaks(response, settings["threshold"] * response.max(), settings["radius"])
+
+    return detect
+
+
+def _spectrum(settings: Settings, pattern: Pattern) -> Detect:
+    def detect(image: np.ndarray) -> np.ndarray:
+        response = spectrum_response(image, settings["sigma"], settings["weight"])
+        return peaks(response, settings["threshold"] * response.max(), settings["radius"])
+
+    return detect
+
+
+# chess-corners, PyPI
+
+
+def _module(name: str, install: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise Unavailable(f"not installed; {install}") from error
+
+
+def _chess_corners_version() -> str:
+    from importlib.metadata import version
+
+    return f"chess_corners {version('chess_corners')}"
+
+
+def _chess_corners(refiner: str | None) -> Callable[[Settings, Pattern], Detect]:
+    def make(settings: Settings, pattern: Pattern) -> Detect:
+        package = _module("chess_corners", "pip install chess_corners")
+        config = package.DetectorConfig()
+        if refiner is not None:
+            config = (
+                config.with_threshold(settings["threshold"])
+                .without_orientation()
+                .with_uncertainty(package.Uncertainty.OFF)
+                .with_chess(refiner=getattr(package.ChessRefiner, refiner)())
+            )
+        detector = package.Detector(config)
+
+        def detect(image: np.ndarray) -> np.ndarray:
+            return detector.detect(image).xy
+
+        return detect
+
+    return make
+
+
+# libcbdetect (Geiger), PyPI; its upstream is under the GPL
+
+
+def _libcbdetect_version() -> str:
+    from importlib.metadata import version
+
+    return f"libCBDetect {version('libCBDetect')}"
+
+
+def _libcbdetect(settings: Settings, pattern: Pattern) -> Detect:
+    package = _module("libCBDetect", "pip install libcbdetect (GPL)")
+    detector = package.Checkerboard()
+    detector.show_processing = False
+    detector.norm = settings["norm"]
+    detector.init_loc_thr = settings["start"]
+    detector.score_thr = settings["score"]
+
+    def detect(image: np.ndarray) -> np.ndarray:
+        detector.array_to_image(image.astype(np.float64).ravel(), *image.shape)
+        detector.find_corners()
+        detector.refine_corners()
+        xy = np.zeros((2, detector.number_of_corners))
+        detector.get_corners(xy[0], xy[1])
+        return xy.T.copy()
+
+    return detect
+
+
+# mrgingham, Debian: its binding belongs to the system's Python, so it runs in a process of its own
+
+_WORKER = """
+import struct, sys, time
+import mrgingham, numpy
+read, write = sys.stdin.buffer, sys.stdout.buffer
+while True:
+    head = read.read(17)
+    if len(head) < 17:
+        break
+    response, rows, columns = struct.unpack("<?qq", head)
+    image = numpy.frombuffer(read.read(rows * columns), numpy.uint8).reshape(rows, columns)
+    find = mrgingham.ChESS_response_5 if response else mrgingham.find_chessboard_corners
+    start = time.perf_counter()
+    answer = find(image)
+    spent = time.perf_counter() - start
+    answer = numpy.ascontiguousarray(answer, dtype=numpy.float64)
+    write.write(struct.pack("<dq", spent, answer.size) + answer.tobytes())
+    write.flush()
+"""
+
+
+class _Mrgingham:
+    """A process that runs mrgingham. `seconds`: the time of the last call, taken inside it."""
+
+    def __init__(self) -> None:
+        python = os.environ.get("MRGINGHAM_PYTHON", "/usr/bin/python3")
+        try:
+            check = subprocess.run([python, "-c", "import mrgingham"], capture_output=True)
+        except OSError as error:
+            raise Unavailable(f"no {python} to run mrgingham in: {error}") from error
+        if check.returncode:
+            raise Unavailable("not installed; apt-get install python3-mrgingham")
+        self._process = subprocess.Popen(
+            [python, "-c", _WORKER], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        self.seconds = 0.0
+
+    def ask(self, image: np.ndarray, *, response: bool) -> np.ndarray:
+        to, back = self._process.stdin, self._process.stdout
+        if to is None or back is None:
+            raise Unavailable("mrgingham's process has no pipes")
+        to.write(struct.pack("<?qq", response, *image.shape) + image.tobytes())
+        to.flush()
+        self.seconds, size = struct.unpack("<dq", back.read(16))
+        return np.frombuffer(back.read(8 * size), np.float64)
+
+
+class _MrginghamCorners(_Mrgingham):
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        return self.ask(image, response=False).reshape(-1, 2)
+
+
+class _ChessReference(_Mrgingham):
+    """Bennett's own C code for the response, as mrgingham ships it; then our `peaks`."""
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__()
+        self._settings = settings
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        start = time.perf_counter()
+        sigma = self._settings["sigma"]
+        smooth = cv2.GaussianBlur(image, (0, 0), sigma) if sigma else image
+        before = time.perf_counter() - start
+        raw = self.ask(smooth, response=True).reshape(image.shape)
+        start = time.perf_counter()
+        inside = np.s_[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]  # the code leaves the border undefined
+        response = np.zeros(image.shape, np.float32)
+        response[inside] = raw[inside]
+        threshold = self._settings["threshold"] * response.max()
+        xy = peaks(response, threshold, self._settings["radius"])
+        self.seconds += before + time.perf_counter() - start
+        return xy
+
+
+def _debian_version(package: str) -> Callable[[], str]:
+    def version() -> str:
+        ask = ["dpkg-query", "-W", "-f", "${Package} ${Version}", package]
+        try:
+            return subprocess.run(ask, capture_output=True, text=True).stdout or "unknown"
+        except OSError:
+            return "unknown"
+
+    return version
+
+
+_FEATURES: dict[str, list[Any]] = {
+    "margin": [2, 0],
+    "quality": [0.01, 0.05, 0.15],
+    "distance": [8, 6, 4],
+    "block": [3, 5, 7],
+    "gradient": [3, 5],
+}
+_CHESS: dict[str, list[Any]] = {
+    "threshold": [0.2, 0.05, 0.1, 0.15, 0.3, 0.4],
+    "sigma": [0.0, 0.7, 1.0, 1.3],
+    "radius": [3, 2, 4],
+}
+
+PEERS: dict[str, Peer] = {
+    "good_features": Peer("goodFeaturesToTrack", _good_features, _FEATURES, _opencv_version),
+    "good_features_refined": Peer(
+        "goodFeaturesToTrack + cornerSubPix",
+        _good_features_refined,
+        {**_FEATURES, "window": [3, 2, 4, 5], "rounds": [20, 5]},
+        _opencv_version,
+    ),
+    "harris": Peer(
+        "cornerHarris",
+        _harris,
+        {
+            "block": [3, 5, 7],
+            "aperture": [3, 5],
+            "k": [0.04, 0.1, 0.15],
+            "quality": [0.01, 0.05, 0.15],
+            "radius": [3, 2, 4],
+        },
+        _opencv_version,
+    ),
+    "find_chessboard": Peer(
+        "findChessboardCorners",
+        _find_chessboard,
+        {"adaptive": [True], "normalize": [True, False]},
+        _opencv_version,
+        slow=True,
+    ),
+    "find_chessboard_sb": Peer(
+        "findChessboardCornersSB",
+        _find_chessboard_sb,
+        {"normalize": [False, True], "exhaustive": [False, True], "accuracy": [False, True]},
+        _opencv_version,
+        slow=True,
+    ),
+    "chess": Peer("ChESS, NumPy", _chess, _CHESS, _opencv_version),
+    "chess_reference": Peer(
+        "ChESS, reference C",
+        lambda settings, pattern: _ChessReference(settings),
+        _CHESS,
+        _debian_version("python3-mrgingham"),
+    ),
+    "spectrum": Peer(
+        "Zhang's spectrum, NumPy",
+        _spectrum,
+        {**_CHESS, "weight": [1.0, 0.5, 0.75]},
+        _opencv_version,
+    ),
+    "chess_corners": Peer(
+        "chess-corners, defaults", _chess_corners(None), {}, _chess_corners_version
+    ),
+    "chess_corners_lean": Peer(
+        "chess-corners, lean, centre of mass",
+        _chess_corners("center_of_mass"),
+        {"threshold": [100.0, 10.0, 20.0, 30.0, 50.0, 200.0]},
+        _chess_corners_version,
+    ),
+    "chess_corners_saddle": Peer(
+        "chess-corners, lean, saddle",
+        _chess_corners("saddle_point"),
+        {"threshold": [100.0, 10.0, 20.0, 30.0, 50.0, 200.0]},
+        _chess_corners_version,
+    ),
+    "mrgingham": Peer(
+        "mrgingham, corners only",
+        lambda settings, pattern: _MrginghamCorners(),
+        {},
+        _debian_version("python3-mrgingham"),
+    ),
+    "libcbdetect": Peer(
+        "libcbdetect",
+        _libcbdetect,
+        {"norm": [False, True], "start": [0.01, 0.003, 0.03], "score": [0.01, 0.003, 0.03]},
+        _libcbdetect_version,
+        slow=True,
+    ),
+}
+NAMES = {peer.label: name for name, peer in PEERS.items()}
+
+
+def available() -> tuple[list[str], dict[str, str]]:
+    """The names of the peers that run here, and the reasons of the others."""
+    reasons: dict[str, str] = {}
+    for name, peer in PEERS.items():
+        try:
+            peer.make(peer.settings(40), Pattern(40))
+        except Unavailable as reason:
+            reasons[name] = str(reason)
+    return [name for name in PEERS if name not in reasons], reasons

@@ -1,0 +1,218 @@
+"""Wall time of cmp_cl and its peers in one run, each row's answer checked in that run.
+
+    python bench/speed.py --quick       two scenes, the peers that matter, under two minutes
+    python bench/speed.py               everything; writes results/speed.json
+
+Methods take turns: in each round each method does a few frames in a row, of which the first
+is not counted. The time is from an image in host memory to positions in host memory.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from environment import RESULTS, environment
+from peers import PEERS, Detect, Pattern, available
+from scenes import TEST_SEED, Frame, vga, wide
+
+import cmp_cl
+from cmp_cl import AdaptiveMean, Detector, DetectorConfig, EdgeStep
+from cmp_cl.scoring import total
+
+DEFAULT = "cmp_cl, default"
+QUICK_PEERS = (
+    "good_features",
+    "good_features_refined",
+    "chess_corners_lean",
+    "chess_corners_saddle",
+    "chess_reference",
+)
+SCENES: dict[str, Callable[[int], Frame]] = {"vga": vga, "wide": wide}
+
+
+class Method(NamedTuple):
+    """A row of the table: what runs, and with which settings."""
+
+    name: str
+    settings: str
+    detect: Detect
+    slow: bool = False
+
+
+def own_configs(cell: float) -> dict[str, DetectorConfig]:
+    """Our own rows: the default, and what each option adds."""
+    default = DetectorConfig()
+    return {
+        DEFAULT: default,
+        "cmp_cl, EDGE_STEP": default.replace(refinement=EdgeStep(cell=cell)),
+        "cmp_cl, centroids": default.replace(refinement=None),
+        "cmp_cl, no gate": default.replace(contrast=None),
+        "cmp_cl, three masks": default.replace(threshold=AdaptiveMean(masks=3)),
+        "cmp_cl, for_cell": DetectorConfig.for_cell(cell),
+    }
+
+
+def own_method(name: str, config: DetectorConfig, shape: tuple[int, int]) -> Method:
+    """One of our configurations as a row."""
+    detector = Detector(shape=shape, config=config)
+    return Method(name, repr(config), lambda image: detector(image).xy)
+
+
+def peer_method(name: str, pattern: Pattern) -> Method:
+    """A peer as a row, at the settings that the search found for that density."""
+    peer = PEERS[name]
+    settings = peer.settings(pattern.markers)
+    return Method(peer.label, json.dumps(settings), peer.make(settings, pattern), peer.slow)
+
+
+def measure(
+    methods: Sequence[Method], frames: Sequence[Frame], rounds: int, block: int = 8
+) -> list[dict[str, Any]]:
+    """Time the methods in turns, and score the very answers that were timed."""
+    times: dict[str, list[float]] = {method.name: [] for method in methods}
+    answers: dict[str, dict[int, np.ndarray]] = {method.name: {} for method in methods}
+    for round_ in range(rounds):
+        for method in methods:
+            count = 1 if method.slow else block
+            if method.slow and round_ >= max(3, rounds // 8):
+                continue
+            for k in range(count + 1):
+                which = (round_ * count + k) % len(frames)
+                start = time.perf_counter()
+                xy = method.detect(frames[which].image)
+                spent = time.perf_counter() - start
+                if k or method.slow:
+                    spent = getattr(method.detect, "seconds", spent)
+                    times[method.name].append(spent * 1e3)
+                    answers[method.name][which] = xy
+    rows = []
+    for method in methods:
+        checked = answers[method.name].items()
+        answer = total(frames[which].score(xy) for which, xy in checked)
+        spent = np.array(times[method.name])
+        rows.append(
+            {
+                "method": method.name,
+                "settings": method.settings,
+                "ms": float(np.median(spent)),
+                "ms_p95": float(np.percentile(spent, 95)),
+                "ms_least": float(spent.min()),
+                "samples": len(spent),
+                **answer.summary(),
+            }
+        )
+    return rows
+
+
+def stages(config: DetectorConfig, frame: Frame, repeats: int = 40) -> dict[str, Any]:
+    """Median ms of each kernel, of all of them, and of the host and transfers around them."""
+    with Detector(shape=frame.image.shape, config=config, profile=True) as detector:
+        walls, kernels = [], []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            detector(frame.image)
+            walls.append((time.perf_counter() - start) * 1e3)
+            kernels.append(detector.times)
+        memory = detector.memory
+    middle = {
+        name: float(np.median([spent.get(name, 0.0) for spent in kernels[5:]]))
+        for name in kernels[-1]
+    }
+    busy = float(np.median([sum(spent.values()) for spent in kernels[5:]]))
+    wall = float(np.median(walls[5:]))
+    return {
+        "stages": middle,
+        "kernels": busy,
+        "host_and_transfers": wall - busy,
+        "wall_profiled": wall,
+        "bytes_per_pixel": memory / frame.image.size,
+    }
+
+
+def compare(
+    scene: str, names: Sequence[str], own: Sequence[str] | None, count: int, rounds: int
+) -> dict[str, Any]:
+    """One scene class: our rows and the peers' in turns, ratios to our default."""
+    frames = [SCENES[scene](TEST_SEED + k) for k in range(count)]
+    first = frames[0]
+    configs = own_configs(first.cell)
+    kept = {name: configs[name] for name in (own or configs)}
+    methods = [own_method(name, config, first.image.shape) for name, config in kept.items()]
+    methods += [peer_method(name, Pattern(first.markers, first.views)) for name in names]
+    rows = measure(methods, frames, rounds)
+    base = next(row["ms"] for row in rows if row["method"] == DEFAULT)
+    for row in rows:
+        row["times_default"] = row["ms"] / base
+        if row["method"] in kept:
+            row |= stages(kept[row["method"]], first)
+    return {
+        "scene": scene,
+        "shape": list(first.image.shape),
+        "corners": len(first.truth),
+        "cell": first.cell,
+        "seeds": [TEST_SEED + k for k in range(count)],
+        "rows": rows,
+    }
+
+
+def show(result: dict[str, Any]) -> None:
+    """Print a scene class as a table."""
+    print(
+        f"\n{result['scene']}: {result['shape'][1]} x {result['shape'][0]}, "
+        f"{result['corners']} corners, cells of {result['cell']:.1f} px"
+    )
+    print(f"{'method':38}{'ms':>8}{'p95':>8}{'times':>7}{'missed':>8}{'false':>7}{'rmse':>7}")
+    for row in result["rows"]:
+        rmse = "-" if row["rmse"] is None else f"{row['rmse']:.3f}"
+        print(
+            f"{row['method']:38}{row['ms']:8.2f}{row['ms_p95']:8.2f}{row['times_default']:7.2f}"
+            f"{row['missed']:8}{row['false']:7}{rmse:>7}"
+        )
+    for row in result["rows"]:
+        if row["method"] == DEFAULT:
+            print(
+                f"default, profiled: {row['wall_profiled']:.2f} ms = kernels {row['kernels']:.2f} "
+                f"+ host and transfers {row['host_and_transfers']:.2f}; "
+                f"{row['bytes_per_pixel']:.1f} bytes a pixel on the device"
+            )
+            longest = sorted(row["stages"].items(), key=lambda stage: -stage[1])
+            print("  " + ", ".join(f"{name} {ms:.3f}" for name, ms in longest))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="under two minutes")
+    parser.add_argument("--scene", choices=list(SCENES), help="only this one")
+    parser.add_argument("--rounds", type=int, help="turns of each method")
+    parser.add_argument("--out", type=Path, help="the JSON to write")
+    arguments = parser.parse_args(argv)
+
+    found, reasons = available()
+    for name, reason in reasons.items():
+        print(f"left out: {PEERS[name].label}: {reason}")
+    names = [name for name in found if not arguments.quick or name in QUICK_PEERS]
+    own = [DEFAULT, "cmp_cl, EDGE_STEP", "cmp_cl, three masks"] if arguments.quick else None
+    count, rounds = (2, 8) if arguments.quick else (4, 30)
+    rounds = arguments.rounds or rounds
+    around = environment()
+    print(f"{around['device']}, driver {around['driver']}, commit {around['commit']}")
+    print(f"load before: {around['load']}")
+    results = []
+    for scene in [arguments.scene] if arguments.scene else list(SCENES):
+        results.append(compare(scene, names, own, count, rounds))
+        show(results[-1])
+    out = arguments.out or (None if arguments.quick else RESULTS / "speed.json")
+    if out is not None:
+        whole = {"kind": "speed", "environment": around, "unavailable": reasons, "scenes": results}
+        out.write_text(json.dumps(whole, indent=1) + "\n")
+        print(f"wrote {out}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

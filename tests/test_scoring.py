@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from cmp_cl.scoring import match, reach, score, total
+
+
+def test_reach_is_a_share_of_a_cell_and_at_most_three_pixels():
+    assert reach(6) == pytest.approx(2.1)
+    assert reach(60) == 3
+
+
+def test_the_nearest_pair_is_made_first():
+    truth = [(0, 0), (2, 0)]
+    assert list(match([(1.2, 0), (0.9, 0)], truth, 3)) == [1, 0]
+    assert list(match([(0.9, 0), (0.1, 0)], truth, 3)) == [1, 0]
+    assert list(match([(0.9, 0), (0.1, 0)], [(0, 0)], 3)) == [-1, 0]
+
+
+def test_the_distance_is_a_strict_bound():
+    assert list(match([(3, 0)], [(0, 0)], 3)) == [-1]
+    assert list(match([(2.999, 0)], [(0, 0)], 3)) == [0]
+
+
+def test_a_perfect_answer_succeeds():
+    truth = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1) * 10
+    answer = score(truth[::-1] + np.array([0.3, 0.4]), truth, 10)
+    assert (answer.expected, answer.found, answer.missed, answer.false) == (12, 12, 0, 0)
+    assert answer.success == answer.frames == 1
+    assert answer.rmse == pytest.approx(0.5)
+    assert answer.p95 == pytest.approx(0.5)
+    assert answer.per_thousand == 0
+
+
+def test_missed_and_false_corners_are_counted():
+    answer = score([(0, 0), (50, 50)], [(0, 0), (10, 0), (20, 0)], 10)
+    assert (answer.found, answer.missed, answer.false, answer.success) == (1, 2, 1, 0)
+    assert answer.recall == pytest.approx(1 / 3)
+    assert answer.precision == pytest.approx(1 / 2)
+    assert answer.per_thousand == pytest.approx(1000)
+
+
+def test_a_second_detection_of_a_corner_is_false():
+    answer = score([(0, 0), (1, 0)], [(0, 0)], 10)
+    assert (answer.found, answer.false) == (1, 1)
+
+
+def test_detections_at_junctions_do_not_count():
+    answer = score([(0, 0), (30, 1)], [(0, 0)], 10, ignored=[(30, 0)])
+    assert (answer.false, answer.success) == (0, 1)
+    assert score([(0, 0), (30, 4)], [(0, 0)], 10, ignored=[(30, 0)]).false == 1
+
+
+def test_a_place_that_is_nan_is_neither_truth_nor_detection():
+    answer = score([(np.nan, 0), (0, 0)], [(0, 0), (np.nan, np.nan)], 10)
+    assert (answer.expected, answer.found, answer.false) == (1, 1, 0)
+
+
+def test_nothing_found_has_no_error():
+    answer = score(np.empty((0, 2)), [(0, 0)], 10)
+    assert (answer.missed, answer.false) == (1, 0)
+    assert answer.summary()["rmse"] is None
+    assert answer.summary()["precision"] is None
+
+
+def test_frames_add_up():
+    both = total([score([(0, 0)], [(0, 0)], 10), score([], [(5, 5)], 10)])
+    assert (both.frames, both.success, both.expected, both.missed) == (2, 1, 2, 1)
+    assert len(both.errors) == 1
+
+
+def test_total_of_none_is_empty():
+    assert total([]).frames == 0
