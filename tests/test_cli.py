@@ -208,11 +208,14 @@ def test_a_video_is_searched_frame_by_frame(run):
     assert (status, err) == (0, "")
     assert "press.avi: 4 frames, 0 to " in out
     assert sorted(os.listdir("seen")) == [f"press-corners-{index:06}.png" for index in range(4)]
-    frames = [row["frame"] for row in rows_of("c.csv")]
+    rows = rows_of("c.csv")
+    frames = [row["frame"] for row in rows]
     count = {frame: frames.count(frame) for frame in "0123"}
     assert count["0"] == 0
-    assert count["1"] == count["3"] == 54
-    assert count["2"] == 54
+    assert count["1"] == count["2"] == count["3"] == 54
+    second = list(io.read_frames("press.avi"))[1].image
+    xy = [[np.float32(row["x_px"]), np.float32(row["y_px"])] for row in rows if row["frame"] == "1"]
+    np.testing.assert_array_equal(xy, cmp_cl.detect(second).xy)  # the black frame set no cell
 
 
 def test_broken_frames_are_reported_and_skipped(run):
