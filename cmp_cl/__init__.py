@@ -16,31 +16,74 @@ from cmp_cl.config import (
 )
 from cmp_cl.detector import Detector, detect
 from cmp_cl.device import Device, DeviceKind, list_devices, select_device
-from cmp_cl.results import Corners, Grid, Maps, Method, NodeStatus, Points3D
+from cmp_cl.errors import (
+    CalibrationError,
+    CapacityError,
+    CmpClError,
+    ConfigError,
+    DeviceError,
+    FieldError,
+    GridError,
+    ImageError,
+    KernelBuildError,
+)
+from cmp_cl.field import SeriesWriter, displacement
+from cmp_cl.grid import build_grid
+from cmp_cl.markers import refine_markers
+from cmp_cl.results import (
+    Corners,
+    DisplacementField,
+    Grid,
+    Maps,
+    Method,
+    NodeStatus,
+    Points3D,
+    PointStatus,
+)
+from cmp_cl.stereo import BinocularSplit, StereoRig, calibrate, calibrate_camera
 
 __all__ = [
     "AdaptiveMean",
+    "BinocularSplit",
+    "CalibrationError",
+    "CapacityError",
+    "CmpClError",
+    "ConfigError",
     "Corners",
     "Detector",
     "DetectorConfig",
     "Device",
+    "DeviceError",
     "DeviceKind",
+    "DisplacementField",
     "EdgeLines",
     "EdgeStep",
+    "FieldError",
     "Fit",
     "Grid",
+    "GridError",
+    "ImageError",
+    "KernelBuildError",
     "Maps",
     "Method",
     "Midlines",
     "NodeStatus",
+    "PointStatus",
     "Points3D",
     "Pyramid",
     "RapidCriteria",
     "SectorContrast",
+    "SeriesWriter",
     "SpectralCriteria",
+    "StereoRig",
+    "build_grid",
+    "calibrate",
+    "calibrate_camera",
     "detect",
+    "displacement",
     "estimate_cell",
     "list_devices",
     "reference",
+    "refine_markers",
     "select_device",
 ]

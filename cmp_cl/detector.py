@@ -14,7 +14,7 @@ from cmp_cl.config import DetectorConfig, EdgeStep, Pyramid
 from cmp_cl.device import Device, describe_handle, select_device
 from cmp_cl.errors import ConfigError, DeviceError, ImageError
 from cmp_cl.plan import Overflow, Plan
-from cmp_cl.results import Corners, GreyImage, Maps, Method, check_image
+from cmp_cl.results import Corners, Grid, GreyImage, Maps, Method, check_image
 
 DOUBTFUL_EXCESS = 0.010  # of the autocorrelation of what the corner model leaves
 
@@ -172,6 +172,19 @@ class Detector:
             plan = self._plan(self._factors[0])
             self._whole(plan, [frame])  # makes room
             return read_maps(plan)
+
+    def grid(
+        self,
+        frame: GreyImage,
+        *,
+        shape: tuple[int, int] | None = None,
+        like: Grid | None = None,
+    ) -> tuple[Corners, Grid]:
+        """The corners of a frame and their numbering, see `build_grid`."""
+        from cmp_cl.grid import build_grid
+
+        corners = self(frame)
+        return corners, build_grid(corners, frame, shape=shape, like=like)
 
     @property
     def _factors(self) -> list[float | None]:

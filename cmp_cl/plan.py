@@ -35,7 +35,8 @@ GROUP = 64  # work-items of a group over a list
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
 RESULT_FIELDS = 12  # of kernels/refine.cl
 POINT_FIELDS = 27
-NORMAL_FIELDS = 6
+LINE_FIELDS = 6
+EDGE_SAMPLES = 68  # of the three rings
 BINS = 256
 
 
@@ -116,6 +117,9 @@ class Plan:
             "LEVEL": "ulong" if deep and self.config.threshold.offset else "uint",
             "SQUARE": "ulong" if deep else "uint",
             "NOISE": "ulong" if deep else "uint",
+            "CURVATURE": "int" if deep else "short",
+            "GROUP": GROUP,
+            "LANES": self._lanes,
             "CONTRAST": "int" if deep else "short",
             "SUM": "uint" if deep else "ushort",
             "MEANS": "int" if deep else "short",
@@ -177,7 +181,7 @@ class Plan:
             "totals": 4 * (planes + self.frames),
             "corners": 8 * rows,
             "starts": 4 * self.frames,
-            "start": 16 * length,
+            "start": 12 * length,
             "result": 4 * RESULT_FIELDS * length,
         }
         if self.scale is not None:
@@ -194,8 +198,15 @@ class Plan:
             sizes["bounds"] = 8 * planes
         if self.config.refinement is not None:
             sizes["points"] = 4 * POINT_FIELDS * length
-            sizes["normals"] = 4 * NORMAL_FIELDS * length
+            sizes["samples"] = 4 * EDGE_SAMPLES * length if self.scale is None else 0
+            sizes["lines"] = 4 * LINE_FIELDS * length
         return sizes
+
+    @property
+    def _lanes(self) -> int:
+        """Corners that a work-item of refinement takes: what a vector holds on CPUs."""
+        whole = self.scale is not None or isinstance(self.config.refinement, Midlines)
+        return 1 if whole or self.device.kind is not DeviceKind.CPU else 8
 
     @property
     def _parts(self) -> int:
@@ -470,23 +481,30 @@ class Plan:
             return stages
         full = (np.uint32(self.shape[0]), np.uint32(self.shape[1]), np.uint32(self.full_step))
         grey = (b["image"], b["start"], *full, count)
-        points = (*grey, scale, np.uint32(0), b["points"])
-        stages.append(self._corners("edge_points", length, *points))
-        largest = np.float32(
-            (2.0 if isinstance(refinement, EdgeStep) else refinement.max_shift) / scale
-        )
-        lines = (b["points"], b["start"], count, largest, b["normals"], b["result"])
-        name = "midlines" if isinstance(refinement, Midlines) else "edge_lines"
-        stages.append(self._corners(name, length, *lines))
+        lanes = self._lanes
+        if self.scale is None:
+            stages += [
+                self._corners("sample_edges", length, *grey, b["samples"]),
+                self._corners("edge_points", length // lanes, b["samples"], count, b["points"]),
+            ]
+        else:
+            stages.append(self._corners("edge_points", length, *grey, scale, b["points"]))
+        start = (b["points"], b["start"], count)
+        if isinstance(refinement, Midlines):
+            largest = np.float32(refinement.max_shift / scale)
+            return [*stages, self._corners("midlines", length, *start, largest, b["result"])]
+        largest = np.float32((2 if isinstance(refinement, EdgeStep) else refinement.max_shift) / scale)
+        lines = (*start, largest, b["lines"], b["result"])
+        stages.append(self._corners("edge_lines", length // lanes, *lines))
         if isinstance(refinement, EdgeStep):
             radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
-            step_arguments = (np.float32(radius), scale, b["normals"], b["result"])
-            stages.append(self._corners("edge_step", length, *grey, *step_arguments))
+            arguments = (b["image"], b["start"], b["lines"], *full, count, np.float32(radius), scale)
+            stages.append(self._corners("edge_step", length, *arguments, b["result"]))
         return stages
 
-    def _corners(self, name: str, length: int, *arguments: Any) -> Launch:
-        """A kernel with one work-item per corner."""
-        return self._stage(name, (length,), (GROUP,), *arguments)
+    def _corners(self, name: str, items: int, *arguments: Any) -> Launch:
+        """A kernel with one work-item per corner, or per lanes of corners."""
+        return self._stage(name, (items,), (min(items, GROUP // self._lanes),), *arguments)
 
     # What happens in a frame
 

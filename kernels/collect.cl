@@ -1,6 +1,6 @@
 /* Lists of the pixels that are not 0, in (y, x) order whatever the order of the work-items.
  *
- * The list of plane p has `room` entries; its count, at place + p, runs past the room. */
+ * Pads hold 0, and rows are aligned to 64 bits. The list of plane p has `room` entries; its count, at place + p, runs past the room. */
 
 #define LISTS(COUNT, LIST, T)                                                       \
   /* Pixels of each row that are not 0. One work-item per row. */                   \
@@ -26,11 +26,16 @@
     for (uint k = 0; k < y; ++k) n += counts[p * rows + k];                         \
     const uint end = n + count;                                                     \
     if (y == rows - 1) totals[place + p] = end;                                             \
-    for (uint x = 0; n < end; ++x)                                                  \
-      if (row[x] != 0) {                                                            \
-        if (n < room) list[p * room + n] = (int2)((int)x, (int)y);                  \
-        ++n;                                                                        \
-      }                                                                             \
+    __global const ulong *words = (__global const ulong *)row;                      \
+    for (uint word = 0; n < end; ++word) {                                          \
+      if (words[word] == 0) continue;                                               \
+      const uint first = word * (sizeof(ulong) / sizeof(T));                        \
+      for (uint x = first; x < first + sizeof(ulong) / sizeof(T); ++x)              \
+        if (row[x] != 0) {                                                          \
+          if (n < room) list[p * room + n] = (int2)((int)x, (int)y);                \
+          ++n;                                                                      \
+        }                                                                           \
+    }                                                                               \
   }
 
 LISTS(count_candidates, list_candidates, RESPONSE)

@@ -15,11 +15,9 @@ __kernel void noise(__global const PIXEL *restrict image, const uint rows, const
   if (y > 0 && y + 1 < rows) {
     __global const PIXEL *here = image + ROW(p, y) + PAD;
     __global const PIXEL *above = here - step, *below = here + step;
+#define ACROSS(x) (CURVATURE)(above[x] - 2 * here[x] + below[x])
     for (uint x = 1; x + 1 < columns; ++x) {
-      const int left = above[x - 1] - 2 * here[x - 1] + below[x - 1];
-      const int middle = above[x] - 2 * here[x] + below[x];
-      const int right = above[x + 1] - 2 * here[x + 1] + below[x + 1];
-      const int v = left - 2 * middle + right;
+      const CURVATURE v = (CURVATURE)(ACROSS(x - 1) - 2 * ACROSS(x) + ACROSS(x + 1));
       sum += (NOISE)(v < 0 ? -v : v);
     }
   }
@@ -28,9 +26,12 @@ __kernel void noise(__global const PIXEL *restrict image, const uint rows, const
 
 #if RAPID
 
-/* Copy what the rings of a candidate see into columns, so that neighbouring work-items of the
- * next kernel read neighbouring bytes: 16 inner greys, 16 outer greys, and the inner ring as
- * 0 where white and FULL where black. One work-item per candidate. */
+/* Copy what the rings of a candidate see, so that neighbouring work-items of the next kernel
+ * read neighbouring bytes: in blocks of GROUP candidates 16 inner greys, 16 outer greys, and the
+ * inner ring as 0 where white and FULL where black. One work-item per candidate. */
+#define CHANNELS 48
+#define BLOCK(n, p) (((size_t)(p) * room + (n) / GROUP * GROUP) * CHANNELS + (n) % GROUP)
+
 __kernel void sample_rings(__global const PIXEL *restrict image,
                            __global const uchar *restrict binary,
                            __global const int2 *restrict list,
@@ -38,20 +39,23 @@ __kernel void sample_rings(__global const PIXEL *restrict image,
                            const uint step, const uint room,
                            __global PIXEL *restrict samples) {
   const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= min(total[p], room)) return;
+  if (n >= total[p] || n >= room) return;
   const int x = list[p * room + n].x + PAD, y = list[p * room + n].y;
-  const size_t frame = p / MASKS;
-  __global PIXEL *column = samples + p * 48 * room + n;
+  __global const PIXEL *grey = image + ROW(p / MASKS, 0) + x;
+  __global const uchar *black = binary + ROW(p, 0) + x;
+  __global PIXEL *column = samples + BLOCK(n, p);
+#define LINE(dy) ((size_t)SMALLER(LARGER(y + (dy), 0), (int)rows - 1) * step)
+  const size_t line[] = {LINE(-5), LINE(-4), LINE(-3), LINE(-2), LINE(-1), LINE(0),
+                         LINE(1),  LINE(2),  LINE(3),  LINE(4),  LINE(5)};
 #define COPY_INNER(i, dx, dy)                                                       \
-  column[(size_t)(i) * room] = image[NEAR_ROW(frame, y + (dy)) + x + (dx)];         \
-  column[(size_t)(i + 32) * room] = (PIXEL)(0 - binary[NEAR_ROW(p, y + (dy)) + x + (dx)]);
+  column[(i) * GROUP] = grey[line[(dy) + REACH] + (dx)];                            \
+  column[((i) + 32) * GROUP] = (PIXEL)(0 - black[line[(dy) + REACH] + (dx)]);
   INNER_RING(COPY_INNER)
-#define COPY_OUTER(i, dx, dy) \
-  column[(size_t)(i + 16) * room] = image[NEAR_ROW(frame, y + (dy)) + x + (dx)];
+#define COPY_OUTER(i, dx, dy) column[((i) + 16) * GROUP] = grey[line[(dy) + REACH] + (dx)];
   OUTER_RING(COPY_OUTER)
 }
 
-#define CHANNEL(k) samples[first + (size_t)(k) * room]
+#define CHANNEL(k) samples[first + (k) * GROUP]
 #undef RUN_INDEX /* that of bytes, in criteria.cl */
 #define RUN_INDEX(i, before)                                                        \
   const PIXEL lo##i = a##i ^ a0;                                                    \
@@ -104,7 +108,7 @@ __kernel void sector_contrast(__global const PIXEL *restrict samples, const uint
                               __global CONTRAST *restrict contrast,
                               __global CONTRAST *restrict mean_difference) {
   const size_t n = get_global_id(0), p = get_global_id(1);
-  const size_t first = p * 48 * room + n;
+  const size_t first = (p * room + get_group_id(0) * GROUP) * CHANNELS + get_local_id(0);
   AROUND(LOAD)
   const PIXEL lo0 = 0, hi0 = 0;
   RUN_INDEX(1, 0) RUN_INDEX(2, 1) RUN_INDEX(3, 2) RUN_INDEX(4, 3) RUN_INDEX(5, 4)
@@ -126,10 +130,11 @@ __kernel void sector_contrast(__global const PIXEL *restrict samples, const uint
   const PIXEL l1 = (PIXEL)(SUM_RING(PIXEL, ONE_LO) - l3);
   const PIXEL l2 = (PIXEL)((SUM_RING(PIXEL, ONE_HI) ^ zero) - l3);
   const PIXEL l0 = (PIXEL)(16 - l1 - l2 - l3);
-  const MEANS e0 = mean_of_run(s0, l0), e2 = mean_of_run(s2, l2), o1 = mean_of_run(s1, l1), o3 = mean_of_run(s3, l3);
+  const MEANS e0 = mean_of_run(s0, l0), o1 = mean_of_run(s1, l1) ^ (MEANS)zero;
+  const MEANS e2 = mean_of_run(s2, l2) + (MEANS)zero, o3 = mean_of_run(s3, l3) | (MEANS)zero;
   /* Run 0 is white where a0 is 0. */
-  const MEANS even_above = SMALLER(e0, e2) - LARGER(o1, o3);
-  const MEANS odd_above = SMALLER(o1, o3) - LARGER(e0, e2);
+  const MEANS even_above = (MEANS)(SMALLER(e0, e2) - LARGER(o1, o3));
+  const MEANS odd_above = (MEANS)(SMALLER(o1, o3) - LARGER(e0, e2)) ^ (MEANS)zero;
 
   const size_t i = p * room + n;
   inner_contrast[i] = inner;

@@ -20,8 +20,9 @@ __kernel void tent_rows(__global const RESPONSE *restrict response, const uint r
                  near, near);
 }
 
-#define TENT_AT(dy) \
-  (SCORE)((int)y + (dy) >= 0 && (int)y + (dy) < (int)rows ? 1 : 0) * tent[NEAR_ROW(p, (int)y + (dy)) + x]
+/* What lies at a distance in y; 0 outside the image. */
+#define INSIDE(dy) (SCORE)((int)y + (dy) >= 0 && (int)y + (dy) < (int)rows ? -1 : 0)
+#define AT(image, dy) ((SCORE)(image[NEAR_ROW(p, (int)y + (dy)) + x] & INSIDE(dy)))
 
 /* The tent along y, and the key; the key is 0 where there is no response. */
 __kernel void score(__global const RESPONSE *restrict response,
@@ -29,8 +30,8 @@ __kernel void score(__global const RESPONSE *restrict response,
                     const SCORE zero, __global SCORE *restrict key) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
   const size_t i = ROW(p, y) + x;
-  const SCORE near = SUM3(SCORE, TENT_AT(-1), TENT_AT(1), tent[i]);
-  const SCORE s = SUM3(SCORE, SUM3(SCORE, TENT_AT(-2), TENT_AT(2), tent[i]), near, near);
+  const SCORE near = SUM3(SCORE, AT(tent, -1), AT(tent, 1), tent[i]);
+  const SCORE s = SUM3(SCORE, SUM3(SCORE, AT(tent, -2), AT(tent, 2), tent[i]), near, near);
   const SCORE r = (SCORE)response[i];
   key[i] = (SCORE)(r != 0 ? 10 * s + r : 0);
 }
@@ -64,12 +65,10 @@ __kernel void maximum(__global const SCORE *restrict key, __global const SCORE *
                       __global uchar *restrict maxima) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
   const size_t i = ROW(p, y) + x;
-#define LARGEST_AT(dy) \
-  (SCORE)((int)y + (dy) >= 0 && (int)y + (dy) < (int)rows ? 1 : 0) * largest[NEAR_ROW(p, (int)y + (dy)) + x]
   SCORE earlier = 0, later = largest[i];
-#define EARLIER(d) earlier = LARGEST3(SCORE, key[i - (d)], LARGEST_AT(-(d)), earlier);
+#define EARLIER(d) earlier = LARGEST3(SCORE, key[i - (d)], AT(largest, -(d)), earlier);
   OVER_SUPPRESSION(EARLIER)
-#define LATER(d) later = (SCORE)LARGER((SCORE)LARGEST_AT(d), later) ^ zero;
+#define LATER(d) later = (SCORE)LARGER(AT(largest, d), later) ^ zero;
   OVER_SUPPRESSION(LATER)
   const SCORE k = key[i];
   maxima[i] = (uchar)((k > earlier) & (k >= later));

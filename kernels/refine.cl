@@ -6,7 +6,8 @@
  * multiple of the work-group, of which the last ones hold no corner and are never used.
  * `result` has a column per field. */
 
-#define FIELD(k) result[(size_t)(k) * length + row]
+#define COLUMN_OF(array, k) array[(size_t)(k) * length + row]
+#define FIELD(k) COLUMN_OF(result, k)
 #define RESULT_X 0
 #define RESULT_Y 1
 #define RESULT_EDGES 2
@@ -31,7 +32,7 @@ __kernel void centroid(__global const RESPONSE *restrict response,
                        __global const uint *restrict starts, const uint rows, const uint step,
                        const uint room, const uint place, const uint length,
                        const float scale,
-                       __global int4 *restrict start, __global float *restrict result) {
+                       __global float *restrict start, __global float *restrict result) {
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
   const size_t row = starts[p] + n;
@@ -51,20 +52,22 @@ __kernel void centroid(__global const RESPONSE *restrict response,
 #if SCALED
   const float x = ((float)pixel.x + offset_x + 0.5f) / scale - 0.5f;
   const float y = ((float)pixel.y + offset_y + 0.5f) / scale - 0.5f;
-  start[row] = (int4)((int)floor(x + 0.5f), (int)floor(y + 0.5f), (int)p, 0);
+  const int2 from = (int2)((int)floor(x + 0.5f), (int)floor(y + 0.5f));
   const int2 full = (int2)((int)floor(((float)pixel.x + 0.5f) / scale),
                            (int)floor(((float)pixel.y + 0.5f) / scale));
 #else
   const float x = (float)pixel.x + offset_x, y = (float)pixel.y + offset_y;
   /* floor((2 sum_x + sum) / (2 sum)) lies in -2 .. 2. */
   const int twice_x = 2 * sum_x + sum, twice_y = 2 * sum_y + sum;
-  start[row] = (int4)(pixel.x - 2 + (twice_x >= -2 * sum) + (twice_x >= 0) +
-                          (twice_x >= 2 * sum) + (twice_x >= 4 * sum),
-                      pixel.y - 2 + (twice_y >= -2 * sum) + (twice_y >= 0) +
-                          (twice_y >= 2 * sum) + (twice_y >= 4 * sum),
-                      (int)p, 0);
+  const int2 from = pixel - 2 + (int2)((twice_x >= -2 * sum) + (twice_x >= 0) +
+                                           (twice_x >= 2 * sum) + (twice_x >= 4 * sum),
+                                       (twice_y >= -2 * sum) + (twice_y >= 0) +
+                                           (twice_y >= 2 * sum) + (twice_y >= 4 * sum));
   const int2 full = pixel;
 #endif
+  start[row] = (float)from.x;
+  start[length + row] = (float)from.y;
+  start[2 * (size_t)length + row] = (float)p;
   FIELD(RESULT_X) = x;
   FIELD(RESULT_Y) = y;
   FIELD(RESULT_RESPONSE) = (float)response[ROW(p, pixel.y) + PAD + pixel.x];
@@ -81,8 +84,31 @@ __kernel void centroid(__global const RESPONSE *restrict response,
 /* The edge points: on each of three rings the four boundaries of black and white, e0 to e3
  * clockwise, e0 from white to black. A ring has nine columns of `points`: x and y of each, and
  * whether it has four boundaries. */
-#define POINT(ring, k) points[(size_t)((ring) * 9 + (k)) * length + row]
+#define POINT(ring, k) COLUMN_OF(points, (ring) * 9 + (k))
 #define RINGS 3
+
+/* A work-item of the kernels below takes LANES corners: one, or on CPUs the eight that a vector
+ * holds. LANE(array, k) is their part of column k. */
+#if LANES == 1
+typedef float REAL;
+typedef uint BITS;
+#define AS_BITS(v) as_uint(v)
+#define AS_REAL(v) as_float(v)
+#define WHERE(condition) (0u - (uint)(condition))
+#elif LANES == 8
+typedef float8 REAL;
+typedef uint8 BITS;
+#define AS_BITS(v) as_uint8(v)
+#define AS_REAL(v) as_float8(v)
+#define WHERE(condition) as_uint8(condition)
+#else
+#error "LANES must be 1 or 8"
+#endif
+#define LANE(array, k) \
+  *(__global REAL *)(array + (size_t)(k) * length + get_global_id(0) * LANES)
+#define CONST_LANE(array, k) \
+  *(__global const REAL *)(array + (size_t)(k) * length + get_global_id(0) * LANES)
+#define CHOOSE(mask, a, b) AS_REAL((AS_BITS(a) & (mask)) | (AS_BITS(b) & ~(mask)))
 
 #define ONES_2(v) ((v) - ((v) >> 1 & 0x55555555u))
 #define ONES_4(v) (((v) & 0x33333333u) + ((v) >> 2 & 0x33333333u))
@@ -91,33 +117,36 @@ __kernel void centroid(__global const RESPONSE *restrict response,
 #define LAST_SAMPLE(v, count) (((v) << 1 | (v) >> ((count) - 1)) & ALL(count))
 #define ALL(count) (0xffffffffu >> (32 - (count)))
 
-uint ones(const uint v) {
-  const uint twos = ONES_2(v), fours = ONES_4(twos);
+BITS ones(const BITS v) {
+  const BITS twos = ONES_2(v), fours = ONES_4(twos);
   return ONES_8(fours) * 0x01010101u >> 24;
 }
 
 /* Where the ring's samples change colour, after one pass of majority of three where there are
  * not four places; `black` becomes the colours that were used. */
-uint changes(uint *black, const uint count) {
-  const uint last = LAST_SAMPLE(*black, count), next = NEXT_SAMPLE(*black, count);
-  const uint majority = (*black & last) | (*black & next) | (last & next);
-  *black = ones(*black ^ next) == 4 ? *black : majority;
+BITS changes(BITS *black, const uint count) {
+  const BITS last = LAST_SAMPLE(*black, count), next = NEXT_SAMPLE(*black, count);
+  const BITS majority = (*black & last) | (*black & next) | (last & next);
+  const BITS four = WHERE(ones(*black ^ next) == 4);
+  *black = (*black & four) | (majority & ~four);
   return *black ^ NEXT_SAMPLE(*black, count);
 }
 
 /* Bits of the changes that are e0, e1, e2 and e3. */
 #define FIRST_BIT(v) ((v) & (0u - (v)))
 #define BOUNDARIES                                                                  \
-  const uint to_black = change & ~black, to_white = change & black;                 \
-  const uint e0 = FIRST_BIT(to_black), e2 = to_black ^ e0;                          \
-  const uint first_white = FIRST_BIT(to_white), other_white = to_white ^ first_white; \
-  const uint e1 = (black & 1) ? other_white : first_white, e3 = to_white ^ e1;
+  const BITS to_black = change & ~black, to_white = change & black;                 \
+  const BITS e0 = FIRST_BIT(to_black), e2 = to_black ^ e0;                          \
+  const BITS first_white = FIRST_BIT(to_white), other_white = to_white ^ first_white; \
+  const BITS swap = 0u - (black & 1);                                               \
+  const BITS e1 = (other_white & swap) | (first_white & ~swap), e3 = to_white ^ e1;
 
 /* The share of the way from one sample to the next at which the grey crosses the threshold. */
-float crossing(const float here, const float next) {
-  const float f = here / (here - next);
-  const float clipped = f < 0 ? 0.0f : f > 1 ? 1.0f : f;
-  return here == next ? 0.5f : clipped;
+REAL crossing(const REAL here, const REAL next) {
+  const REAL f = here / (here - next);
+  const REAL raised = CHOOSE(WHERE(f < 0), (REAL)(0.0f), f);
+  const REAL clipped = CHOOSE(WHERE(raised > 1), (REAL)(1.0f), raised);
+  return CHOOSE(WHERE(here == next), (REAL)(0.5f), clipped);
 }
 
 /* Row y of the plane a corner lies in, y held inside the image. */
@@ -126,52 +155,82 @@ float crossing(const float here, const float next) {
 
 #if !SCALED
 
-#define GREY_AT(dx, dy) \
-  (float)image[CLAMPED_ROW(y + (dy)) + (size_t)(x + (dx))]
-#define SAMPLE(k, dx, dy, next, next_x, next_y) const float d##k = GREY_AT(dx, dy) - threshold;
-#define COLOUR(k, dx, dy, next, next_x, next_y) \
-  black = (black | (uint)(d##k < 0) << (k)) ^ zero;
+/* Copy the greys of the three rings into columns. One work-item per corner. */
+__kernel void sample_edges(__global const PIXEL *restrict image,
+                           __global const float *restrict start, const uint rows,
+                           const uint columns, const uint step, const uint length,
+                           __global float *restrict samples) {
+  const size_t row = get_global_id(0);
+  const int x = (int)COLUMN_OF(start, 0), y = (int)COLUMN_OF(start, 1);
+  const int frame = (int)COLUMN_OF(start, 2);
+  const size_t line[] = {CLAMPED_ROW(y - 5), CLAMPED_ROW(y - 4), CLAMPED_ROW(y - 3),
+                         CLAMPED_ROW(y - 2), CLAMPED_ROW(y - 1), CLAMPED_ROW(y),
+                         CLAMPED_ROW(y + 1), CLAMPED_ROW(y + 2), CLAMPED_ROW(y + 3),
+                         CLAMPED_ROW(y + 4), CLAMPED_ROW(y + 5)};
+  __global float *to = samples + row;
+#define COPY(k, dx, dy, next, next_x, next_y) \
+  to[(size_t)(FIRST_OF_RING + (k)) * length] = (float)image[line[(dy) + 5] + (size_t)(x + (dx))];
+#define FIRST_OF_RING 0
+  EDGE_RING_3(COPY)
+#undef FIRST_OF_RING
+#define FIRST_OF_RING 16
+  EDGE_RING_4(COPY)
+#undef FIRST_OF_RING
+#define FIRST_OF_RING 40
+  EDGE_RING_5(COPY)
+#undef FIRST_OF_RING
+}
+
+/* One ring; d0, d1, ... are grey minus threshold. */
+#define SAMPLE(k, dx, dy, next, next_x, next_y) \
+  const REAL d##k = CONST_LANE(samples, first + (k)) - threshold;
+#define COLOUR(k, dx, dy, next, next_x, next_y) black |= WHERE(d##k < 0) & (1u << (k));
 #define EDGE_POINT(k, dx, dy, next, next_x, next_y)                                 \
   {                                                                                 \
-    const float f = crossing(d##k, d##next);                                        \
-    const float px = (float)(dx) + f * (float)((next_x) - (dx));                    \
-    const float py = (float)(dy) + f * (float)((next_y) - (dy));                    \
-    x0 += (e0 >> (k) & 1) ? px : 0.0f;                                              \
-    y0 += (e0 >> (k) & 1) ? py : 0.0f;                                              \
-    x1 += (e1 >> (k) & 1) ? px : 0.0f;                                              \
-    y1 += (e1 >> (k) & 1) ? py : 0.0f;                                              \
-    x2 += (e2 >> (k) & 1) ? px : 0.0f;                                              \
-    y2 += (e2 >> (k) & 1) ? py : 0.0f;                                              \
-    x3 += (e3 >> (k) & 1) ? px : 0.0f;                                              \
-    y3 += (e3 >> (k) & 1) ? py : 0.0f;                                              \
+    const REAL f = crossing(d##k, d##next);                                         \
+    const BITS px = AS_BITS((float)(dx) + f * (float)((next_x) - (dx)));            \
+    const BITS py = AS_BITS((float)(dy) + f * (float)((next_y) - (dy)));            \
+    const BITS is_e0 = 0u - (e0 >> (k) & 1), is_e1 = 0u - (e1 >> (k) & 1);          \
+    const BITS is_e2 = 0u - (e2 >> (k) & 1), is_e3 = 0u - (e3 >> (k) & 1);          \
+    x0 |= px & is_e0;                                                               \
+    y0 |= py & is_e0;                                                               \
+    x1 |= px & is_e1;                                                               \
+    y1 |= py & is_e1;                                                               \
+    x2 |= px & is_e2;                                                               \
+    y2 |= py & is_e2;                                                               \
+    x3 |= px & is_e3;                                                               \
+    y3 |= py & is_e3;                                                               \
   }
-#define EDGE_RING(ring, SAMPLES, count)                                             \
+#define EDGE_RING(ring, SAMPLES, count, first_sample)                               \
   {                                                                                 \
+    const int first = first_sample;                                                 \
     SAMPLES(SAMPLE)                                                                 \
-    uint black = 0;                                                                 \
+    BITS black = 0;                                                                 \
     SAMPLES(COLOUR)                                                                 \
-    const uint change = changes(&black, count);                                     \
+    const BITS change = changes(&black, count);                                     \
     BOUNDARIES                                                                      \
-    float x0 = 0, y0 = 0, x1 = 0, y1 = 0, x2 = 0, y2 = 0, x3 = 0, y3 = 0;           \
+    BITS x0 = 0, y0 = 0, x1 = 0, y1 = 0, x2 = 0, y2 = 0, x3 = 0, y3 = 0;            \
     SAMPLES(EDGE_POINT)                                                             \
-    POINT(ring, 0) = x0;                                                            \
-    POINT(ring, 1) = y0;                                                            \
-    POINT(ring, 2) = x1;                                                            \
-    POINT(ring, 3) = y1;                                                            \
-    POINT(ring, 4) = x2;                                                            \
-    POINT(ring, 5) = y2;                                                            \
-    POINT(ring, 6) = x3;                                                            \
-    POINT(ring, 7) = y3;                                                            \
-    POINT(ring, 8) = ones(change) == 4 ? 1.0f : 0.0f;                               \
+    const BITS four = WHERE(ones(change) == 4);                                     \
+    LANE(points, 9 * (ring)) = AS_REAL(x0 & four); \
+    LANE(points, 9 * (ring) + 1) = AS_REAL(y0 & four); \
+    LANE(points, 9 * (ring) + 2) = AS_REAL(x1 & four); \
+    LANE(points, 9 * (ring) + 3) = AS_REAL(y1 & four); \
+    LANE(points, 9 * (ring) + 4) = AS_REAL(x2 & four); \
+    LANE(points, 9 * (ring) + 5) = AS_REAL(y2 & four); \
+    LANE(points, 9 * (ring) + 6) = AS_REAL(x3 & four); \
+    LANE(points, 9 * (ring) + 7) = AS_REAL(y3 & four); \
+    LANE(points, 9 * (ring) + 8) = CHOOSE(four, (REAL)(1.0f), (REAL)(0.0f)); \
   }
 
 /* The threshold: mean of the means of the lowest and of the highest quarter, from a sorting
  * network (Batcher's) on the inner ring. */
 #define IN_ORDER(i, j)                                                              \
   {                                                                                 \
-    const float a = s##i, b = s##j;                                                 \
-    s##i = a < b ? a : b;                                                           \
-    s##j = a < b ? b : a;                                                           \
+    const REAL a = s##i, b = s##j;                                                  \
+    const BITS ordered = WHERE(a < b);                                              \
+    s##i = CHOOSE(ordered, a, b);                                                   \
+    s##j = CHOOSE(ordered, b, a);                                                   \
   }
 #define SORT_16                                                                     \
   IN_ORDER(0, 1) IN_ORDER(2, 3) IN_ORDER(0, 2) IN_ORDER(1, 3) IN_ORDER(1, 2)        \
@@ -187,20 +246,16 @@ float crossing(const float here, const float next) {
   IN_ORDER(3, 11) IN_ORDER(7, 15) IN_ORDER(7, 11) IN_ORDER(3, 5) IN_ORDER(7, 9)     \
   IN_ORDER(11, 13) IN_ORDER(1, 2) IN_ORDER(3, 4) IN_ORDER(5, 6) IN_ORDER(7, 8)      \
   IN_ORDER(9, 10) IN_ORDER(11, 12) IN_ORDER(13, 14)
-#define SORTED(k, dx, dy, next, next_x, next_y) float s##k = GREY_AT(dx, dy);
+#define SORTED(k, dx, dy, next, next_x, next_y) REAL s##k = CONST_LANE(samples, k);
 
-__kernel void edge_points(__global const PIXEL *restrict image,
-                          __global const int4 *restrict start, const uint rows,
-                          const uint columns, const uint step, const uint length,
-                          const float scale, const uint zero, __global float *restrict points) {
-  const size_t row = get_global_id(0);
-  const int x = start[row].x, y = start[row].y, frame = start[row].z;
+__kernel void edge_points(__global const float *restrict samples, const uint length,
+                          __global float *restrict points) {
   EDGE_RING_3(SORTED)
   SORT_16
-  const float threshold = (s0 + s1 + s2 + s3 + s12 + s13 + s14 + s15) * 0.125f;
-  EDGE_RING(0, EDGE_RING_3, 16)
-  EDGE_RING(1, EDGE_RING_4, 24)
-  EDGE_RING(2, EDGE_RING_5, 28)
+  const REAL threshold = (s0 + s1 + s2 + s3 + s12 + s13 + s14 + s15) * 0.125f;
+  EDGE_RING(0, EDGE_RING_3, 16, 0)
+  EDGE_RING(1, EDGE_RING_4, 24, 16)
+  EDGE_RING(2, EDGE_RING_5, 28, 40)
 }
 
 #else
@@ -223,11 +278,12 @@ float grey_between(__global const PIXEL *restrict image, const uint rows, const 
 }
 
 __kernel void edge_points(__global const PIXEL *restrict image,
-                          __global const int4 *restrict start, const uint rows,
+                          __global const float *restrict start, const uint rows,
                           const uint columns, const uint step, const uint length,
-                          const float scale, const uint zero, __global float *restrict points) {
+                          const float scale, __global float *restrict points) {
   const size_t row = get_global_id(0);
-  const int4 from = start[row];
+  const float x = COLUMN_OF(start, 0), y = COLUMN_OF(start, 1);
+  const int frame = (int)COLUMN_OF(start, 2);
   float threshold = 0;
   for (int ring = 0; ring < RINGS; ++ring) {
     const float radius = (float)(3 + ring) / scale;
@@ -235,8 +291,7 @@ __kernel void edge_points(__global const PIXEL *restrict image,
     for (int k = 0; k < SAMPLES; ++k) {
       px[k] = radius * sinpi((float)k / 16);
       py[k] = -radius * cospi((float)k / 16);
-      d[k] = grey_between(image, rows, columns, step, from.z, (float)from.x + px[k],
-                          (float)from.y + py[k]);
+      d[k] = grey_between(image, rows, columns, step, frame, x + px[k], y + py[k]);
     }
     if (ring == 0) {
       float sorted[SAMPLES];
@@ -272,21 +327,22 @@ __kernel void edge_points(__global const PIXEL *restrict image,
 /* The edge points of a corner in the order of the smallest valid ring: a ring whose first
  * black sector lies on the other side swaps its pairs of boundaries. */
 #define LOAD_RING(r)                                                                \
-  float valid##r = POINT(r, 8);                                                     \
-  float x##r##0 = POINT(r, 0), y##r##0 = POINT(r, 1), x##r##1 = POINT(r, 2);        \
-  float y##r##1 = POINT(r, 3), x##r##2 = POINT(r, 4), y##r##2 = POINT(r, 5);        \
-  float x##r##3 = POINT(r, 6), y##r##3 = POINT(r, 7);                               \
-  const float ax##r = x##r##0 + x##r##1 - x##r##2 - x##r##3;                        \
-  const float ay##r = y##r##0 + y##r##1 - y##r##2 - y##r##3;
+  const REAL valid##r = CONST_LANE(points, 9 * r + 8);                              \
+  REAL x##r##0 = CONST_LANE(points, 9 * r), y##r##0 = CONST_LANE(points, 9 * r + 1); \
+  REAL x##r##1 = CONST_LANE(points, 9 * r + 2), y##r##1 = CONST_LANE(points, 9 * r + 3); \
+  REAL x##r##2 = CONST_LANE(points, 9 * r + 4), y##r##2 = CONST_LANE(points, 9 * r + 5); \
+  REAL x##r##3 = CONST_LANE(points, 9 * r + 6), y##r##3 = CONST_LANE(points, 9 * r + 7); \
+  const REAL ax##r = x##r##0 + x##r##1 - x##r##2 - x##r##3;                         \
+  const REAL ay##r = y##r##0 + y##r##1 - y##r##2 - y##r##3;
 #define EXCHANGE(a, b, when)                                                        \
   {                                                                                 \
-    const float first = a, second = b;                                              \
-    a = (when) ? second : first;                                                    \
-    b = (when) ? first : second;                                                    \
+    const REAL one = a, other = b;                                                  \
+    a = CHOOSE(when, other, one);                                                   \
+    b = CHOOSE(when, one, other);                                                   \
   }
 #define MATCH_RING(r, from_x, from_y)                                               \
   {                                                                                 \
-    const int turned = ax##r * (from_x) + ay##r * (from_y) < 0;                     \
+    const BITS turned = WHERE(ax##r * (from_x) + ay##r * (from_y) < 0);             \
     EXCHANGE(x##r##0, x##r##2, turned)                                              \
     EXCHANGE(y##r##0, y##r##2, turned)                                              \
     EXCHANGE(x##r##1, x##r##3, turned)                                              \
@@ -294,55 +350,60 @@ __kernel void edge_points(__global const PIXEL *restrict image,
   }
 #define MATCHED_RINGS                                                               \
   LOAD_RING(0) LOAD_RING(1) LOAD_RING(2)                                            \
-  const float valid_rings = valid0 + valid1 + valid2;                               \
-  MATCH_RING(1, valid0 > 0 ? ax0 : ax1, valid0 > 0 ? ay0 : ay1)                     \
-  MATCH_RING(2, valid0 > 0 ? ax0 : valid1 > 0 ? ax1 : ax2,                          \
-             valid0 > 0 ? ay0 : valid1 > 0 ? ay1 : ay2)
+  const REAL valid_rings = valid0 + valid1 + valid2;                                \
+  const BITS has0 = WHERE(valid0 > 0), has1 = WHERE(valid1 > 0);                    \
+  MATCH_RING(1, CHOOSE(has0, ax0, ax1), CHOOSE(has0, ay0, ay1))                     \
+  MATCH_RING(2, CHOOSE(has0, ax0, CHOOSE(has1, ax1, ax2)),                          \
+             CHOOSE(has0, ay0, CHOOSE(has1, ay1, ay2)))
+
+#define MAGNITUDE(v) AS_REAL(AS_BITS(v) & 0x7fffffffu)
+#define SIGN_OF(v) (AS_BITS(v) & 0x80000000u)
 
 /* atan2 to 3e-7 rad, without a call. */
-float angle_of(const float y, const float x) {
-  const float ax = x < 0 ? -x : x, ay = y < 0 ? -y : y;
-  const float large = ax > ay ? ax : ay, small = ax > ay ? ay : ax;
-  const float q = large > 0 ? small / large : 0.0f;
+REAL angle_of(const REAL y, const REAL x) {
+  const REAL ax = MAGNITUDE(x), ay = MAGNITUDE(y);
+  const BITS steep = WHERE(ay > ax);
+  const REAL large = CHOOSE(steep, ay, ax), small = CHOOSE(steep, ax, ay);
+  const REAL q = CHOOSE(WHERE(large > 0), small / large, (REAL)(0.0f));
   /* atan q = pi/4 + atan((q - 1) / (q + 1)) for q above tan(pi/8). */
-  const int above = q > 0.41421357f;
-  const float t = above ? (q - 1) / (q + 1) : q;
-  const float z = t * t;
-  const float series = t + t * z * (-0.333333234f + z * (0.199985147f + z * (-0.142353371f +
-                       z * (0.106387258f - z * 0.0676628f))));
-  const float octant = (above ? 0.785398185f : 0.0f) + series;
-  const float quadrant = ay > ax ? 1.57079637f - octant : octant;
-  const float half_plane = x < 0 ? 3.14159274f - quadrant : quadrant;
-  return y < 0 ? -half_plane : half_plane;
+  const BITS above = WHERE(q > 0.41421357f);
+  const REAL t = CHOOSE(above, (q - 1) / (q + 1), q);
+  const REAL z = t * t;
+  const REAL series = t + t * z * (-0.333333234f + z * (0.199985147f + z * (-0.142353371f +
+                      z * (0.106387258f - z * 0.0676628f))));
+  const REAL octant = CHOOSE(above, 0.785398185f + series, series);
+  const REAL quadrant = CHOOSE(steep, 1.57079637f - octant, octant);
+  const REAL half_plane = CHOOSE(WHERE(x < 0), 3.14159274f - quadrant, quadrant);
+  return AS_REAL(AS_BITS(half_plane) | SIGN_OF(y));
 }
 
 /* Direction of boundary e: the sum of the unit vectors to its points on all rings. */
 #define UNIT(r, e)                                                                  \
   {                                                                                 \
-    const float norm = sqrt(x##r##e * x##r##e + y##r##e * y##r##e);                 \
-    const float weight = norm > 0 ? valid##r / norm : 0.0f;                         \
+    const REAL norm = sqrt(x##r##e * x##r##e + y##r##e * y##r##e);                  \
+    const REAL weight = CHOOSE(WHERE(norm > 0), valid##r / norm, (REAL)(0.0f));     \
     ux += weight * x##r##e;                                                         \
     uy += weight * y##r##e;                                                         \
   }
 #define EDGE_ANGLE(e)                                                               \
   {                                                                                 \
-    float ux = 0, uy = 0;                                                           \
+    REAL ux = 0, uy = 0;                                                            \
     UNIT(0, e) UNIT(1, e) UNIT(2, e)                                                \
-    FIELD(RESULT_EDGES + e) = valid_rings >= 2 ? angle_of(uy, ux) : NAN;            \
+    LANE(result, RESULT_EDGES + e) =                                                \
+        CHOOSE(WHERE(valid_rings >= 2), angle_of(uy, ux), (REAL)(NAN));             \
   }
 
 /* The unit direction of the total-least-squares line with these central moments: half the
  * angle of (sxx - syy, 2 sxy), from the half whose root does not cancel. */
-#define LINE_DIRECTION(cx, cy, sxx, sxy, syy)                                       \
+#define LINE_DIRECTION(T, cx, cy, sxx, sxy, syy)                                    \
   {                                                                                 \
-    const float difference = (sxx) - (syy), twice = 2 * (sxy);                      \
-    const float length_2 = sqrt(difference * difference + twice * twice);           \
-    const float cosine = length_2 > 0 ? difference / length_2 : 1.0f;               \
-    const float sine = length_2 > 0 ? twice / length_2 : 0.0f;                      \
-    const float larger = sqrt(0.5f + 0.5f * (cosine < 0 ? -cosine : cosine));       \
-    const float smaller = sine / (2 * larger);                                      \
-    cx = cosine < 0 ? (smaller < 0 ? -smaller : smaller) : larger;                  \
-    cy = cosine < 0 ? (sine < 0 ? -larger : larger) : smaller;                      \
+    const T difference = (sxx) - (syy), twice = 2 * (sxy);                          \
+    const T norm = sqrt(difference * difference + twice * twice) + FLT_MIN;         \
+    const T cosine = difference / norm, sine = twice / norm;                        \
+    const T larger = sqrt(0.5f + 0.5f * fabs(cosine));                              \
+    const T smaller = 0.5f * fabs(sine) / larger;                                   \
+    cx = cosine < 0 ? smaller : larger;                                             \
+    cy = copysign(cosine < 0 ? larger : smaller, sine);                             \
   }
 
 #define MOMENTS(r, e)                                                               \
@@ -354,13 +415,13 @@ float angle_of(const float y, const float x) {
 /* The line through the points of boundaries e and f on all rings: unit normal and distance. */
 #define EDGE_LINE(e, f, nx, ny, distance)                                           \
   {                                                                                 \
-    float mx = 0, my = 0, sxx = 0, sxy = 0, syy = 0, cx, cy;                        \
+    REAL mx = 0, my = 0, sxx = 0, sxy = 0, syy = 0, cx, cy;                         \
     MOMENTS(0, e) MOMENTS(1, e) MOMENTS(2, e)                                       \
     MOMENTS(0, f) MOMENTS(1, f) MOMENTS(2, f)                                       \
-    const float weight = valid_rings > 0 ? 0.5f / valid_rings : 0.0f;               \
+    const REAL weight = CHOOSE(WHERE(valid_rings > 0), 0.5f / valid_rings, (REAL)(0.0f)); \
     mx *= weight;                                                                   \
     my *= weight;                                                                   \
-    LINE_DIRECTION(cx, cy, sxx * weight - mx * mx, sxy * weight - mx * my,          \
+    LINE_DIRECTION(REAL, cx, cy, sxx * weight - mx * mx, sxy * weight - mx * my,    \
                    syy * weight - my * my)                                          \
     nx = -cy;                                                                       \
     ny = cx;                                                                        \
@@ -368,38 +429,34 @@ float angle_of(const float y, const float x) {
   }
 
 /* EDGE_LINES: the intersection of the line through e0 and e2 and the line through e1 and e3.
- * `normals` gets the unit normals, n1 towards e1 and n2 towards e0. */
+ * `lines` gets their unit normals and the intersection relative to the start. */
 __kernel void edge_lines(__global const float *restrict points,
-                         __global const int4 *restrict start, const uint length,
-                         const float max_shift, __global float *restrict normals,
+                         __global const float *restrict start, const uint length,
+                         const float max_shift, __global float *restrict lines,
                          __global float *restrict result) {
-  const size_t row = get_global_id(0);
   MATCHED_RINGS
   EDGE_ANGLE(0)
   EDGE_ANGLE(1)
   EDGE_ANGLE(2)
   EDGE_ANGLE(3)
-  float n1x, n1y, h1, n2x, n2y, h2;
+  REAL n1x, n1y, h1, n2x, n2y, h2;
   EDGE_LINE(0, 2, n1x, n1y, h1)
   EDGE_LINE(1, 3, n2x, n2y, h2)
-  const float sine = n1x * n2y - n1y * n2x;
-  const float x = (h1 * n2y - h2 * n1y) / sine, y = (h2 * n1x - h1 * n2x) / sine;
-  const int good = (sine < 0 ? -sine : sine) > 0.17f && valid_rings >= 2 &&
-                   x * x + y * y <= max_shift * max_shift;
-  FIELD(RESULT_X) = good ? (float)start[row].x + x : FIELD(RESULT_X);
-  FIELD(RESULT_Y) = good ? (float)start[row].y + y : FIELD(RESULT_Y);
-  FIELD(RESULT_METHOD) = good ? METHOD_EDGE_LINES : METHOD_KEPT;
+  const REAL sine = n1x * n2y - n1y * n2x;
+  const REAL x = (h1 * n2y - h2 * n1y) / sine, y = (h2 * n1x - h1 * n2x) / sine;
+  const BITS good = WHERE(MAGNITUDE(sine) > 0.17f) & WHERE(valid_rings >= 2) &
+                    WHERE(x * x + y * y <= max_shift * max_shift);
+  LANE(result, RESULT_X) = CHOOSE(good, CONST_LANE(start, 0) + x, LANE(result, RESULT_X));
+  LANE(result, RESULT_Y) = CHOOSE(good, CONST_LANE(start, 1) + y, LANE(result, RESULT_Y));
+  LANE(result, RESULT_METHOD) =
+      CHOOSE(good, (REAL)(METHOD_EDGE_LINES), (REAL)(METHOD_KEPT));
 #if EDGE_STEP
-  const float side1 = n1x * (valid0 * x01 + valid1 * x11 + valid2 * x21) +
-                      n1y * (valid0 * y01 + valid1 * y11 + valid2 * y21) - valid_rings * h1;
-  const float side2 = n2x * (valid0 * x00 + valid1 * x10 + valid2 * x20) +
-                      n2y * (valid0 * y00 + valid1 * y10 + valid2 * y20) - valid_rings * h2;
-  normals[row] = side1 < 0 ? -n1x : n1x;
-  normals[length + row] = side1 < 0 ? -n1y : n1y;
-  normals[2 * (size_t)length + row] = side2 < 0 ? -n2x : n2x;
-  normals[3 * (size_t)length + row] = side2 < 0 ? -n2y : n2y;
-  normals[4 * (size_t)length + row] = x;
-  normals[5 * (size_t)length + row] = y;
+  LANE(lines, 0) = n1x;
+  LANE(lines, 1) = n1y;
+  LANE(lines, 2) = n2x;
+  LANE(lines, 3) = n2y;
+  LANE(lines, 4) = x;
+  LANE(lines, 5) = y;
 #endif
 }
 
@@ -425,7 +482,7 @@ Line fit_line(const float2 *point, const float *valid) {
     syy += valid[r] * d.y * d.y;
   }
   float cx, cy;
-  LINE_DIRECTION(cx, cy, sxx, sxy, syy)
+  LINE_DIRECTION(float, cx, cy, sxx, sxy, syy)
   Line line = {mean, (float2)(cx, cy), (float2)(-cy, cx)};
   return line;
 }
@@ -468,9 +525,9 @@ float off_parabola(const float3 fit, const Line *line, const float2 p, float2 *g
 /* MIDLINE: the intersection of the centrelines of the black sectors e0 e1 and e2 e3. Where they
  * are nearly one line or meet too far away, CUSP: per black sector the intersection of its own
  * two edge lines, and the midpoint of the two cusps. */
-__kernel void midlines(__global const float *restrict points, __global const int4 *restrict start,
-                       const uint length, const float max_shift,
-                       __global float *restrict normals, __global float *restrict result) {
+__kernel void midlines(__global const float *restrict points,
+                       __global const float *restrict start, const uint length,
+                       const float max_shift, __global float *restrict result) {
   const size_t row = get_global_id(0);
   MATCHED_RINGS
   EDGE_ANGLE(0)
@@ -512,8 +569,8 @@ __kernel void midlines(__global const float *restrict points, __global const int
     if (!(open && dot(position, position) <= max_shift * max_shift)) return;
     method = METHOD_CUSP;
   }
-  FIELD(RESULT_X) = (float)start[row].x + position.x;
-  FIELD(RESULT_Y) = (float)start[row].y + position.y;
+  FIELD(RESULT_X) = COLUMN_OF(start, 0) + position.x;
+  FIELD(RESULT_Y) = COLUMN_OF(start, 1) + position.y;
   FIELD(RESULT_METHOD) = method;
 }
 
@@ -536,26 +593,27 @@ __kernel void midlines(__global const float *restrict points, __global const int
   const float qa = rsqrt(1 + a * a), qb = rsqrt(1 + b * b);                         \
   const float f = a * qa, g = b * qb, P = f * g;
 
-__kernel void edge_step(__global const PIXEL *restrict image, __global const int4 *restrict start,
-                        const uint rows, const uint columns, const uint step,
-                        const uint length, const float radius, const float scale,
-                        __global const float *restrict normals, __global float *restrict result) {
+__kernel void edge_step(__global const PIXEL *restrict image,
+                        __global const float *restrict start,
+                        __global const float *restrict lines, const uint rows,
+                        const uint columns, const uint step, const uint length,
+                        const float radius, const float scale, __global float *restrict result) {
   const size_t row = get_global_id(0);
   if (FIELD(RESULT_METHOD) != METHOD_EDGE_LINES) return;
-  const int4 from = start[row];
-  const int frame = from.z;
-  const float n1x = normals[row], n1y = normals[length + row];
-  const float n2x = normals[2 * (size_t)length + row], n2y = normals[3 * (size_t)length + row];
-  const float x = normals[4 * (size_t)length + row], y = normals[5 * (size_t)length + row];
+  const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
+  const int frame = (int)COLUMN_OF(start, 2);
+  const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
+  const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
+  const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
   const float core = fmin(4.0f, radius / 2);
   const float inverse_radius_2 = 1 / (radius * radius), inverse_core_2 = 1 / (core * core);
   const int left = (int)ceil(x - radius), right = (int)floor(x + radius);
   const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);
 #define GREY_NEAR(i, j)                                                             \
-  ((float)image[CLAMPED_ROW(from.y + (j)) + (size_t)clamp(from.x + (i), 0, (int)columns - 1)] - \
+  ((float)image[CLAMPED_ROW(from_y + (j)) + (size_t)clamp(from_x + (i), 0, (int)columns - 1)] - \
    centre)
   const float centre =
-      (float)image[CLAMPED_ROW(from.y) + (size_t)clamp(from.x, 0, (int)columns - 1)];
+      (float)image[CLAMPED_ROW(from_y) + (size_t)clamp(from_x, 0, (int)columns - 1)];
 
   float s1 = 0, sp = 0, spp = 0, si = 0, spi = 0, sii = 0, sa = 0, sb = 0, saa = 0, sab = 0;
   float sbb = 0, sap = 0, sbp = 0, sai = 0, sbi = 0;
@@ -613,8 +671,8 @@ __kernel void edge_step(__global const PIXEL *restrict image, __global const int
       weight_before = inside ? w : 0.0f;
     }
   }
-  FIELD(RESULT_X) = (float)from.x + (x + tx);
-  FIELD(RESULT_Y) = (float)from.y + (y + ty);
+  FIELD(RESULT_X) = (float)from_x + (x + tx);
+  FIELD(RESULT_Y) = (float)from_y + (y + ty);
   FIELD(RESULT_METHOD) = METHOD_EDGE_STEP;
   const float trace = (saa + sbb + 2 * sab * (n1x * n2x + n1y * n2y)) / (d * sine * sine);
   FIELD(RESULT_SIGMA) = 0.25f * trace * (sii - m * si - c * spi) / (s1 * c * c);
