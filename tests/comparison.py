@@ -1,0 +1,78 @@
+"""A detector held against the oracle."""
+
+import dataclasses
+
+import numpy as np
+import tolerances
+from numpy.typing import NDArray
+
+from cmp_cl import Corners, Detector, Maps, reference
+
+FIELDS = tuple(field.name for field in dataclasses.fields(Maps))
+FLOATS = ("spectrum_12", "spectrum_23", "correlation", "phase")
+RAPID = ("inner_transitions", "outer_transitions", "sector_difference", "ring_difference")
+
+
+def assert_maps_equal(
+    detector: Detector,
+    image: np.ndarray,
+    *,
+    fields: tuple[str, ...] = FIELDS,
+    mask: NDArray[np.bool_] | None = None,
+) -> Maps:
+    """The maps of an image are the oracle's; returns them."""
+    found = detector.maps(image)
+    expected = reference.maps(image, detector.config, mask)
+    for name in fields:
+        one, other = getattr(found, name), getattr(expected, name)
+        if other is None:
+            assert one is None, name
+            continue
+        assert one is not None, name
+        assert one.dtype == other.dtype, name
+        if name in FLOATS:
+            np.testing.assert_allclose(
+                one, other, rtol=0, atol=tolerances.CORRELATION, err_msg=name
+            )
+        else:
+            np.testing.assert_array_equal(one, other, err_msg=name)
+    return found
+
+
+def assert_corners_equal(
+    detector: Detector, image: np.ndarray, *, mask: NDArray[np.bool_] | None = None
+) -> Corners:
+    """The corners of an image are the oracle's within the tolerances; returns them.
+
+    Corners whose guards lie within the margin are few, and are not compared.
+    """
+    found = detector(image)
+    expected, margin = reference.detect_with_margin(image, detector.config, mask)
+    np.testing.assert_array_equal(found.pixel, expected.pixel)
+    np.testing.assert_array_equal(found.response, expected.response)
+    decided = margin > tolerances.MARGIN
+    assert (~decided).sum() <= 1 + tolerances.UNDECIDED * len(decided)
+    np.testing.assert_array_equal(found.method[decided], expected.method[decided])
+    np.testing.assert_array_equal(found.doubtful[decided], expected.doubtful[decided])
+    np.testing.assert_allclose(
+        found.xy[decided], expected.xy[decided], rtol=0, atol=tolerances.POSITION
+    )
+    np.testing.assert_allclose(
+        found.sigma[decided], expected.sigma[decided], rtol=tolerances.SIGMA, atol=0
+    )
+    turn = np.remainder(found.edges - expected.edges + np.pi, 2 * np.pi) - np.pi
+    np.testing.assert_array_equal(np.isnan(found.edges[decided]), np.isnan(expected.edges[decided]))
+    assert not (np.abs(turn[decided]) > tolerances.ANGLE).any()
+    return found
+
+
+def assert_same_bytes(one: Corners, other: Corners) -> None:
+    """Two results are identical, NaN included."""
+    for field in dataclasses.fields(Corners):
+        values, others = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(values, np.ndarray):
+            assert values.dtype == others.dtype
+            assert values.shape == others.shape, field.name
+            assert values.tobytes() == others.tobytes(), field.name
+        else:
+            assert values == others

@@ -1,0 +1,73 @@
+"""kernels/binarize.cl: black and white, equal to the oracle at every pixel."""
+
+import images
+import numpy as np
+import pytest
+from comparison import assert_maps_equal
+
+from cmp_cl import AdaptiveMean, DetectorConfig
+
+EIGHT = images.eight_bits()
+DEEP = images.sixteen_bits()
+
+
+def check(detector_for, image, **threshold):
+    config = DetectorConfig(threshold=AdaptiveMean(**threshold), contrast=None, refinement=None)
+    return assert_maps_equal(detector_for(image, config), image, fields=("binary",)).binary
+
+
+@pytest.mark.parametrize("window", [3, 21, 41, 255])
+@pytest.mark.parametrize("name", EIGHT)
+def test_every_window(detector_for, name, window):
+    check(detector_for, EIGHT[name], window=window)
+
+
+@pytest.mark.parametrize("window", [21, 255])
+@pytest.mark.parametrize("name", DEEP)
+def test_sixteen_bits(detector_for, name, window):
+    check(detector_for, DEEP[name], window=window)
+
+
+@pytest.mark.parametrize("window", [21, 255])
+@pytest.mark.parametrize("name", EIGHT)
+def test_three_masks(detector_for, name, window):
+    check(detector_for, EIGHT[name], masks=3, window=window)
+
+
+@pytest.mark.parametrize("window", [21, 255])
+@pytest.mark.parametrize("name", DEEP)
+def test_three_masks_of_sixteen_bits(detector_for, name, window):
+    check(detector_for, DEEP[name], masks=3, window=window)
+
+
+@pytest.mark.parametrize("offset", [1, 7, 300, 65535])
+def test_an_offset(detector_for, offset):
+    image = EIGHT["scene"]
+    assert check(detector_for, image, offset=offset).sum() < check(detector_for, image).sum()
+
+
+@pytest.mark.parametrize("offset", [1, 700, 65535])
+@pytest.mark.parametrize("name", DEEP)
+def test_an_offset_of_sixteen_bits(detector_for, name, offset):
+    check(detector_for, DEEP[name], offset=offset)
+
+
+def test_an_offset_beyond_32_bits(detector_for):
+    image = DEEP["white"]
+    assert not check(detector_for, image, offset=65535, window=255).any()
+
+
+def test_the_mean_itself_is_white(detector_for):
+    image = np.full(images.SHAPE, 100, np.uint8)
+    image[20, 20] = 99
+    black = check(detector_for, image)
+    assert black[20, 20]
+    assert black.sum() == 1
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 2), (5, 3), (13, 17), (31, 29)])
+@pytest.mark.parametrize("masks", [1, 3])
+def test_shapes_smaller_than_the_window(detector_for, shape, masks):
+    image = np.random.default_rng(3).integers(0, 256, shape, dtype=np.uint8)
+    check(detector_for, image, masks=masks)
+    check(detector_for, image, window=41)

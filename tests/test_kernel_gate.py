@@ -1,0 +1,124 @@
+"""kernels/gate.cl: the contrast gate, equal to the oracle."""
+
+import images
+import numpy as np
+import pytest
+from comparison import assert_maps_equal
+from corner_images import corner, noise
+
+from cmp_cl import (
+    AdaptiveMean,
+    DetectorConfig,
+    RapidCriteria,
+    SectorContrast,
+    SpectralCriteria,
+)
+
+EIGHT = images.eight_bits()
+DEEP = images.sixteen_bits()
+FIELDS = ("candidate", "contrast", "response")
+
+
+def check(detector_for, image, **changes):
+    config = DetectorConfig(refinement=None).replace(**changes)
+    return assert_maps_equal(detector_for(image, config), image, fields=FIELDS)
+
+
+@pytest.mark.parametrize("outer_radius", [4, 5])
+@pytest.mark.parametrize("name", EIGHT)
+def test_eight_bits(detector_for, name, outer_radius):
+    check(detector_for, EIGHT[name], outer_radius=outer_radius)
+
+
+@pytest.mark.parametrize("full_scale", [None, 4095])
+@pytest.mark.parametrize("name", DEEP)
+def test_sixteen_bits(detector_for, name, full_scale):
+    check(detector_for, DEEP[name], full_scale=full_scale)
+
+
+@pytest.mark.parametrize("name", EIGHT)
+def test_three_masks(detector_for, name):
+    check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
+
+
+@pytest.mark.parametrize("name", ["texture", "12-bit scene", "two levels"])
+def test_three_masks_of_sixteen_bits(detector_for, name):
+    check(detector_for, DEEP[name], threshold=AdaptiveMean(masks=3))
+
+
+@pytest.mark.parametrize("name", ["noise", "two levels", "near levels", "worn scene", "texture"])
+def test_any_number_of_sectors(detector_for, name):
+    """The spectral form lets masks with two, six and more runs through."""
+    check(detector_for, EIGHT[name], criteria=SpectralCriteria(correlation=0))
+
+
+@pytest.mark.parametrize("name", ["texture", "12-bit scene", "bright"])
+def test_any_number_of_sectors_of_sixteen_bits(detector_for, name):
+    check(detector_for, DEEP[name], criteria=SpectralCriteria(correlation=0))
+
+
+@pytest.mark.parametrize(
+    "contrast",
+    [
+        {"minimum": 0, "relative": 0, "noise": 0},
+        {"minimum": 0, "relative": 1, "noise": 0},
+        {"minimum": 120.5, "relative": 0, "noise": 0},
+        {"minimum": 0, "relative": 0, "noise": 1.3},
+        {"minimum": 255, "relative": 0, "noise": 0},
+        {"minimum": 0, "relative": 0.7, "noise": 0.5},
+        {"minimum": 20, "relative": 0.2, "noise": 100},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("name", ["texture", "noise", "worn scene"])
+def test_each_condition(detector_for, name, contrast):
+    # Sector thresholds this wide leave candidates whose contrast is 0 or less.
+    criteria = RapidCriteria(sector_threshold=12, ring_threshold=9, corrosion_threshold=12)
+    check(detector_for, EIGHT[name], contrast=SectorContrast(**contrast), criteria=criteria)
+
+
+def test_each_condition_decides(detector_for):
+    def kept(image, **contrast):
+        maps = check(detector_for, image, contrast=SectorContrast(**contrast))
+        return int((maps.response > 0).sum())
+
+    weak = EIGHT["faint board"]
+    assert kept(weak, minimum=60) < kept(weak, minimum=20)
+    mixed = EIGHT["texture"]
+    assert kept(mixed, relative=1) < kept(mixed, relative=0.2)
+    grainy = EIGHT["texture"]
+    assert kept(grainy, noise=20) < kept(grainy, noise=0)
+
+
+def test_three_masks_ask_for_three_deviations(detector_for):
+    three = AdaptiveMean(masks=3)
+    kept = [
+        check(
+            detector_for,
+            EIGHT["texture"],
+            threshold=three,
+            contrast=SectorContrast(noise=deviations),
+        ).response
+        for deviations in (0, 3, 20)
+    ]
+    np.testing.assert_array_equal(kept[0], kept[1])
+    assert (kept[2] > 0).sum() < (kept[1] > 0).sum()
+
+
+def test_without_the_gate(detector_for):
+    image = EIGHT["texture"]
+    maps = check(detector_for, image, contrast=None)
+    assert maps.contrast is None
+    np.testing.assert_array_equal(maps.response > 0, maps.candidate)
+
+
+def test_one_candidate_sets_the_percentile(detector_for):
+    image = np.full(images.SHAPE, 200, np.uint8)
+    image[10:51, 20:61] = corner(20, 20, 0.4)
+    contrast = SectorContrast(minimum=0, relative=1, noise=0)
+    assert check(detector_for, image, contrast=contrast).response.any()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (2, 31), (31, 2), (3, 3)])
+def test_images_without_an_inner_pixel(detector_for, shape):
+    check(detector_for, noise(shape, seed=4))

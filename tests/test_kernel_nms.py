@@ -1,0 +1,77 @@
+"""kernels/nms.cl: suppression by the smoothed response, equal to the oracle."""
+
+import images
+import numpy as np
+import pytest
+from comparison import assert_maps_equal
+from corner_images import noise
+
+from cmp_cl import AdaptiveMean, DetectorConfig, RapidCriteria, SpectralCriteria
+
+EIGHT = images.eight_bits()
+FIELDS = ("response", "score", "maximum")
+DENSE = DetectorConfig(
+    contrast=None,
+    refinement=None,
+    criteria=RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17),
+)
+
+
+def check(detector_for, image, config=DENSE, **changes):
+    config = config.replace(**changes)
+    return assert_maps_equal(detector_for(image, config), image, fields=FIELDS)
+
+
+@pytest.mark.parametrize("radius", [1, 2, 3, 7])
+@pytest.mark.parametrize("name", EIGHT)
+def test_every_radius(detector_for, name, radius):
+    check(detector_for, EIGHT[name], nms_radius=radius)
+
+
+def test_a_larger_radius_keeps_fewer(detector_for):
+    kept = [
+        check(detector_for, EIGHT["texture"], nms_radius=radius).maximum.sum()
+        for radius in (1, 2, 3, 7)
+    ]
+    assert kept == sorted(kept, reverse=True)
+    assert kept[0] > kept[-1] > 0
+
+
+@pytest.mark.parametrize("name", ["texture", "worn scene", "board"])
+def test_the_responses_of_three_masks_together(detector_for, name):
+    maps = check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
+    assert maps.response.shape == maps.maximum.shape == images.SHAPE
+
+
+def test_the_largest_scores(detector_for):
+    """Plateaus of the response 16 under the whole tent, four times over."""
+    bars = np.kron(np.indices((8, 11)).sum(0) % 2, np.ones((8, 8)))[:61, :83] * 255
+    maps = check(detector_for, bars.astype(np.uint8), threshold=AdaptiveMean(masks=3))
+    assert maps.response.max() > 50
+
+
+@pytest.mark.parametrize("name", ["texture", "noise", "worn scene", "stripes 3"])
+def test_spectral_responses(detector_for, name):
+    criteria = SpectralCriteria(correlation=0, corrosion_threshold=None)
+    maps = check(detector_for, EIGHT[name], criteria=criteria)
+    if name != "stripes 3":
+        assert maps.response.max() > 255
+
+
+def test_a_plateau_has_one_winner_the_first_in_raster_order(detector_for):
+    tile = np.zeros((16, 16))
+    tile[:8, :8] = tile[8:, 8:] = 1
+    image = (200 - 160 * np.tile(tile, (4, 6))[:61, :83]).astype(np.uint8)
+    maps = check(detector_for, image)
+    y, x = np.nonzero(maps.maximum)
+    inside = (y > 10) & (y < 50) & (x > 10) & (x < 70)
+    # One in every 8 x 8, at the same place in each of a colour.
+    assert len(set(zip(y[inside] % 8, x[inside] % 8, strict=True))) <= 2
+    near = (maps.score == maps.score[y[0], x[0]])[y[0] : y[0] + 4, x[0] : x[0] + 4]
+    assert near.sum() > 1
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 31), (31, 1), (3, 2), (5, 4), (29, 31)])
+@pytest.mark.parametrize("radius", [3, 7])
+def test_windows_larger_than_the_image(detector_for, shape, radius):
+    check(detector_for, noise(shape, seed=6), nms_radius=radius)

@@ -1,0 +1,76 @@
+"""kernels/spectral.cl: the four spectral criteria, equal to the oracle."""
+
+import math
+
+import images
+import numpy as np
+import pytest
+from comparison import FLOATS, assert_maps_equal
+
+from cmp_cl import AdaptiveMean, DetectorConfig, SpectralCriteria
+
+EIGHT = images.eight_bits()
+FIELDS = ("inner", "outer", *FLOATS, "corrosion", "candidate", "response")
+
+
+def check(detector_for, image, config=None, **criteria):
+    config = config or DetectorConfig(criteria=SpectralCriteria(**criteria), contrast=None)
+    config = config.replace(refinement=None)
+    return assert_maps_equal(detector_for(image, config), image, fields=FIELDS)
+
+
+@pytest.mark.parametrize("name", EIGHT)
+def test_every_map(detector_for, name):
+    check(detector_for, EIGHT[name])
+
+
+@pytest.mark.parametrize("name", ["noise", "texture", "worn scene", "fine board"])
+def test_with_the_gate_and_the_smaller_ring(detector_for, name):
+    check(detector_for, EIGHT[name], DetectorConfig(criteria=SpectralCriteria(), outer_radius=4))
+
+
+@pytest.mark.parametrize("name", ["texture", "worn scene"])
+def test_three_masks(detector_for, name):
+    threshold = AdaptiveMean(masks=3)
+    check(
+        detector_for,
+        EIGHT[name],
+        DetectorConfig(criteria=SpectralCriteria(), threshold=threshold, contrast=None),
+    )
+
+
+@pytest.mark.parametrize(
+    "criteria",
+    [
+        {"correlation": 0.0},
+        {"correlation": 0.5},
+        {"correlation": 0.9},
+        {"correlation": 1.0},
+        {"phase": 0.0},
+        {"phase": math.radians(11)},
+        {"phase": math.pi},
+        {"corrosion_threshold": 0},
+        {"corrosion_threshold": None},
+    ],
+    ids=str,
+)
+def test_each_bound_decides(detector_for, criteria):
+    image = EIGHT["texture"]
+    usual = check(detector_for, image)
+    other = check(detector_for, image, **criteria)
+    assert other.candidate.sum() != usual.candidate.sum()
+
+
+def test_a_correlation_at_the_bound_fails(detector_for):
+    image = EIGHT["texture"]
+    maps = check(detector_for, image, correlation=0.75, phase=math.pi)
+    square = np.rint(np.float64(maps.correlation) ** 2 * 65536) / 65536
+    assert (square == 0.5625).any()
+    assert not maps.candidate[square == 0.5625].any()
+
+
+def test_left_out_maps(detector_for):
+    maps = check(detector_for, EIGHT["noise"], corrosion_threshold=None)
+    assert maps.corrosion is None
+    assert maps.inner_transitions is None
+    assert maps.contrast is None
