@@ -33,6 +33,8 @@ def read_maps(plan: Plan) -> Maps:
         if launch.stage == "repeat_border_binary":
             values["binary"] = _plane(plan, plan.buffers["binary"], np.uint8) > 0
             values |= _rapid_maps(plan) if rapid else _spectral_maps(plan)
+            if plan.config.criteria.corrosion_threshold is None:
+                values["corrosion"] = None
         elif launch.stage in ("rapid_criteria", "spectral_criteria"):
             values["candidate"] = _plane(plan, plan.buffers["responses"], response) > 0
         elif launch.stage == "keep":
