@@ -513,11 +513,10 @@ float3 fit_parabola(const float2 *point, const Line *line) {
   return (float3)(v[0] - u[0] * (b + c * u[0]), b, c);
 }
 
-/* How far a point lies off a parabola, and the gradient of that. */
-float off_parabola(const float3 fit, const Line *line, const float2 p, float2 *gradient) {
-  const float u = dot(line->direction, p - line->mean);
-  *gradient = line->normal - (fit.y + 2 * fit.z * u) * line->direction;
-  return dot(line->normal, p - line->mean) - (fit.x + u * (fit.y + u * fit.z));
+/* The point of a parabola at u, and its tangent there. */
+float2 on_parabola(const float3 fit, const Line *line, const float u, float2 *tangent) {
+  *tangent = line->direction + (fit.y + 2 * fit.z * u) * line->normal;
+  return line->mean + u * line->direction + (fit.x + u * (fit.y + u * fit.z)) * line->normal;
 }
 
 #endif
@@ -551,12 +550,17 @@ __kernel void midlines(__global const float *restrict points,
   if (valid_rings == RINGS) {
     const float3 first = fit_parabola(middle[0], &centre[0]);
     const float3 second = fit_parabola(middle[1], &centre[1]);
-    for (int k = 0; k < 4; ++k) {
-      float2 a, b;
-      const float h = off_parabola(first, &centre[0], position, &a);
-      const float g = off_parabola(second, &centre[1], position, &b);
-      position -= solve(a, h, b, g);
+    float u = dot(centre[0].direction, position - centre[0].mean);
+    float v = dot(centre[1].direction, position - centre[1].mean);
+    float2 a, b;
+    for (int k = 0; k < 4; ++k) { /* Newton's steps */
+      const float2 from = on_parabola(first, &centre[0], u, &a);
+      const float2 gap = on_parabola(second, &centre[1], v, &b) - from;
+      const float sine = cross_product(a, b);
+      u += cross_product(gap, b) / sine;
+      v += cross_product(gap, a) / sine;
     }
+    position = on_parabola(first, &centre[0], u, &a);
   }
 #endif
   int method = METHOD_MIDLINE;
