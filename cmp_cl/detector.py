@@ -14,6 +14,7 @@ from cmp_cl.config import DetectorConfig, EdgeStep, Pyramid
 from cmp_cl.device import Device, describe_handle, select_device
 from cmp_cl.errors import ConfigError, DeviceError, ImageError
 from cmp_cl.plan import Overflow, Plan
+from cmp_cl.resampling import full_pixels
 from cmp_cl.results import Corners, Grid, GreyImage, Maps, Method, check_image
 
 DOUBTFUL_EXCESS = 0.010  # of the autocorrelation of what the corner model leaves
@@ -286,10 +287,13 @@ def _corners(words: NDArray[np.float32], counts: NDArray[np.uint32], plan: Plan)
     for first, last in zip(end - counts, end, strict=True):
         own = words[:, first:last]
         sigma, doubtful = _deviation(own, plan.config)
+        pixel = own[7:9].T.astype(np.int32)
+        if plan.scale is not None:
+            pixel = full_pixels(pixel, plan.shape, plan.scale)
         found.append(
             Corners(
                 xy=np.ascontiguousarray(own[0:2].T),
-                pixel=np.ascontiguousarray(own[7:9].view(np.int32).T),
+                pixel=np.ascontiguousarray(pixel),
                 response=own[6].copy(),
                 method=own[9].astype(np.uint8),
                 sigma=sigma,

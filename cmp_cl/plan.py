@@ -474,12 +474,13 @@ class Plan:
         b = self.buffers
         place = np.uint32(self.frames * self.masks)
         lists = (b["corners"], b["totals"], b["starts"], rows, step, np.uint32(self.corner_room))
-        arguments = (self.response, *lists, place, count, scale, b["start"], b["result"])
+        size = (np.uint32(self.shape[0]), np.uint32(self.shape[1]))
+        full = (*size, np.uint32(self.full_step))
+        arguments = (self.response, *lists, place, count, scale, *size, b["start"], b["result"])
         items = (self.corner_room, self.frames)
         stages = [self._stage("centroid", items, (GROUP, 1), *arguments)]
         if refinement is None:
             return stages
-        full = (np.uint32(self.shape[0]), np.uint32(self.shape[1]), np.uint32(self.full_step))
         grey = (b["image"], b["start"], *full, count)
         lanes = self._lanes
         if self.scale is None:

@@ -4,7 +4,7 @@
  *
  * Corner n of plane p has row starts[p] + n of every array. Arrays have `length` rows, a
  * multiple of the work-group, of which the last ones hold no corner and are never used.
- * `result` has a column per field. */
+ * `result` has a column per field; its pixel is that of the working image. */
 
 #define COLUMN_OF(array, k) array[(size_t)(k) * length + row]
 #define FIELD(k) COLUMN_OF(result, k)
@@ -31,7 +31,7 @@ __kernel void centroid(__global const RESPONSE *restrict response,
                        __global const int2 *restrict list, __global const uint *restrict totals,
                        __global const uint *restrict starts, const uint rows, const uint step,
                        const uint room, const uint place, const uint length,
-                       const float scale,
+                       const float scale, const uint full_rows, const uint full_columns,
                        __global float *restrict start, __global float *restrict result) {
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
@@ -52,9 +52,8 @@ __kernel void centroid(__global const RESPONSE *restrict response,
 #if SCALED
   const float x = ((float)pixel.x + offset_x + 0.5f) / scale - 0.5f;
   const float y = ((float)pixel.y + offset_y + 0.5f) / scale - 0.5f;
-  const int2 from = (int2)((int)floor(x + 0.5f), (int)floor(y + 0.5f));
-  const int2 full = (int2)((int)floor(((float)pixel.x + 0.5f) / scale),
-                           (int)floor(((float)pixel.y + 0.5f) / scale));
+  const int2 from = (int2)(clamp((int)floor(x + 0.5f), 0, (int)full_columns - 1),
+                           clamp((int)floor(y + 0.5f), 0, (int)full_rows - 1));
 #else
   const float x = (float)pixel.x + offset_x, y = (float)pixel.y + offset_y;
   /* floor((2 sum_x + sum) / (2 sum)) lies in -2 .. 2. */
@@ -63,7 +62,6 @@ __kernel void centroid(__global const RESPONSE *restrict response,
                                            (twice_x >= 2 * sum) + (twice_x >= 4 * sum),
                                        (twice_y >= -2 * sum) + (twice_y >= 0) +
                                            (twice_y >= 2 * sum) + (twice_y >= 4 * sum));
-  const int2 full = pixel;
 #endif
   start[row] = (float)from.x;
   start[length + row] = (float)from.y;
@@ -71,8 +69,8 @@ __kernel void centroid(__global const RESPONSE *restrict response,
   FIELD(RESULT_X) = x;
   FIELD(RESULT_Y) = y;
   FIELD(RESULT_RESPONSE) = (float)response[ROW(p, pixel.y) + PAD + pixel.x];
-  FIELD(RESULT_PIXEL_X) = as_float(full.x);
-  FIELD(RESULT_PIXEL_Y) = as_float(full.y);
+  FIELD(RESULT_PIXEL_X) = (float)pixel.x;
+  FIELD(RESULT_PIXEL_Y) = (float)pixel.y;
   FIELD(RESULT_METHOD) = (float)(REFINED ? METHOD_KEPT : CENTROID);
   FIELD(RESULT_SIGMA) = NAN;
   FIELD(RESULT_DOUBTFUL) = 0;
