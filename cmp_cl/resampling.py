@@ -19,7 +19,9 @@ def working_shape(shape: tuple[int, int], scale: float) -> tuple[int, int]:
     return rows, columns
 
 
-def full_pixels(pixel: NDArray[np.int32], shape: tuple[int, int], scale: float) -> NDArray[np.int32]:
+def full_pixels(
+    pixel: NDArray[np.int32], shape: tuple[int, int], scale: float
+) -> NDArray[np.int32]:
     """(N, 2) (x, y): the pixels of an image of that shape nearest to pixels of the scaled one."""
     nearest = np.floor((pixel + 0.5) / scale)
     return np.clip(nearest, 0, [shape[1] - 1, shape[0] - 1]).astype(np.int32)
