@@ -2,17 +2,31 @@
 
 `build(context, stages, defines)` compiles some of the files in kernels/ into one program;
 `Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be launched.
+
+Some implementations keep what they compiled, others take seconds each time. For those the
+binaries are kept in the user's cache folder, a file each: whole or not there, checked before
+use, and written anew where they do not fit. Without a folder to write to it takes longer.
 """
 
+import contextlib
+import hashlib
+import os
+import threading
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import platformdirs
 import pyopencl as cl
+from pyopencl.characterize import has_src_build_cache
 
 from cmp_cl.errors import KernelBuildError
+from cmp_cl.io import write_bytes
 
 _HEADERS = ("plane.clh", "ring.clh")
+_NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
+_WARNINGS = threading.Lock()  # the filters of warnings are those of the whole process
 
 
 def kernel_folder() -> Path:
@@ -60,14 +74,58 @@ def build(
 ) -> Kernels:
     """Compile the stages; raises KernelBuildError with the compiler's log."""
     options = ["-cl-std=CL1.2", *(f"-D{name}={value}" for name, value in defines.items())]
-    program = cl.Program(context, source(stages, macros))
-    try:
-        return Kernels(program.build(options=options))
-    except cl.Error as error:
-        names = ", ".join(device.name for device in context.devices)
-        raise KernelBuildError(
-            f"the kernels {', '.join(stages)} do not compile on {names}; the compiler says:\n{error}"
-        ) from error
+    text = source(stages, macros)
+    kept = _place(context, text, options)
+    program = None if kept is None else _loaded(context, kept, options)
+    if program is None:
+        try:
+            program = _built(cl.Program(context, text), options)
+        except cl.Error as error:
+            names = ", ".join(device.name for device in context.devices)
+            raise KernelBuildError(
+                f"the kernels {', '.join(stages)} do not compile on {names}; "
+                f"the compiler says:\n{error}"
+            ) from error
+        if kept is not None:
+            _keep(kept, program)
+    return Kernels(program)
+
+
+def _built(program: cl.Program, options: list[str]) -> cl.Program:
+    """Compile or link; what a compiler says about what it could do is not the user's concern."""
+    with _WARNINGS, warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        build: Any = program.build  # whose stub does not know that False means none
+        build(options=options, cache_dir=False)
+    return program
+
+
+def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
+    """Where the binary of a program is kept; None where the implementation keeps it itself."""
+    device = context.devices[0]
+    switched_off = os.environ.get(_NO_CACHE_VARIABLE, "").lower() in ("1", "true", "on", "yes")
+    if switched_off or len(context.devices) > 1 or has_src_build_cache(device):
+        return None
+    names = (device.platform.name, device.platform.version, device.name, device.driver_version)
+    key = hashlib.sha256("\0".join([*names, *options, text]).encode()).hexdigest()
+    return platformdirs.user_cache_path("cmp_cl", appauthor=False) / f"{key}.bin"
+
+
+def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:
+    """The program kept there, if there is a whole one that the device takes."""
+    with contextlib.suppress(OSError, cl.Error):
+        data = path.read_bytes()
+        digest, binary = data[:32], data[32:]
+        if hashlib.sha256(binary).digest() == digest:
+            return _built(cl.Program(context, context.devices, [binary]), options)
+    return None
+
+
+def _keep(path: Path, program: cl.Program) -> None:
+    with contextlib.suppress(OSError, cl.Error):
+        (binary,) = program.binaries
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, hashlib.sha256(binary).digest() + binary)
 
 
 def sum_of_terms(terms: Sequence[int], kind: str) -> str:
