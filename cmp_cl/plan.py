@@ -562,6 +562,9 @@ class Plan:
         if length != self._refined_length:
             self._refinement = self._refinement_stages(length)
             self._refined_length = length
+            # Rows past the last corner hold an earlier frame's start; its columns lay elsewhere.
+            start = self.buffers["start"]
+            cl.enqueue_fill_buffer(self.queue, start, np.uint8(0), 0, start.size)
         self.launch(self._refinement)
         cl.enqueue_copy(self.queue, result, self.buffers["result"])
         return result[:, :total]
