@@ -22,6 +22,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+import cmp_cl
+
 Detect = Callable[[np.ndarray], np.ndarray]
 Settings = dict[str, Any]
 FOUND_SETTINGS = Path(__file__).with_name("results") / "peer_settings.json"
@@ -47,13 +49,14 @@ class Peer(NamedTuple):
     search: dict[str, list[Any]]
     version: Callable[[], str]
     slow: bool = False
+    same_as: str | None = None  # another form of this peer, whose settings it shares
 
     def settings(self, markers: int) -> Settings:
         """What the search found for that density, or the usual values where there was none."""
         usual = {name: values[0] for name, values in self.search.items()}
         if FOUND_SETTINGS.is_file():
             found = json.loads(FOUND_SETTINGS.read_text())["settings"]
-            usual |= found.get(NAMES[self.label], {}).get(str(markers), {})
+            usual |= found.get(self.same_as or NAMES[self.label], {}).get(str(markers), {})
         return usual
 
     def grid(self) -> list[Settings]:
@@ -219,6 +222,16 @@ def _spectrum(settings: Settings, pattern: Pattern) -> Detect:
         return peaks(response, settings["threshold"] * response.max(), settings["radius"])
 
     return detect
+
+
+def _ring_peer(settings: Settings, pattern: Pattern) -> Detect:
+    from opencl_peers import RingPeer
+
+    return RingPeer(settings)
+
+
+def _opencl_version() -> str:
+    return f"bench/ring_peers.cl on {cmp_cl.select_device()}"
 
 
 # chess-corners, PyPI
@@ -427,11 +440,19 @@ PEERS: dict[str, Peer] = {
         _CHESS,
         _debian_version("python3-mrgingham"),
     ),
+    "chess_opencl": Peer("ChESS, OpenCL", _ring_peer, _CHESS, _opencl_version, same_as="chess"),
     "spectrum": Peer(
         "Zhang's spectrum, NumPy",
         _spectrum,
         {**_CHESS, "weight": [1.0, 0.5, 0.75]},
         _opencv_version,
+    ),
+    "spectrum_opencl": Peer(
+        "Zhang's spectrum, OpenCL",
+        _ring_peer,
+        {**_CHESS, "weight": [1.0, 0.5, 0.75]},
+        _opencl_version,
+        same_as="spectrum",
     ),
     "chess_corners": Peer(
         "chess-corners, defaults", _chess_corners(None), {}, _chess_corners_version

@@ -1,10 +1,16 @@
 """The frames that speed and error are measured on: rendered from seeds, with exact truth."""
 
 import functools
+import hashlib
+import inspect
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from cmp_cl import synthetic
 from cmp_cl.results import GreyImage
 from cmp_cl.scoring import Score, score
 from cmp_cl.synthetic import (
@@ -37,21 +43,46 @@ class Frame(NamedTuple):
         return score(xy, self.truth, self.cell, self.junctions)
 
 
-def single(scene: Scene) -> Frame:
-    """A frame with one view of the gel."""
-    return _frame(render(scene), scene.markers)
+def rendered(scene: Scene) -> Frame:
+    """A frame with one view of the gel; kept in the folder for temporary files."""
+    return _kept(f"one {scene}", lambda: _frame(render(scene), scene.markers))
 
 
-@functools.cache
 def vga(seed: int) -> Frame:
     """640 x 480 with 44 x 44 corners."""
-    return single(random_scene(seed, markers=44, **MILD))
+    return rendered(random_scene(seed, markers=44, **MILD))
 
 
-@functools.cache
 def wide(seed: int) -> Frame:
     """1600 x 1200 with two views of 40 x 40 corners beside each other."""
     scene = random_scene(seed, markers=40, shape=(1200, 800), **MILD)
+    return _kept(f"two {scene}", lambda: _binocular(scene))
+
+
+@functools.cache
+def _folder() -> Path:
+    """Where rendered scenes are kept; another one for another renderer."""
+    version = hashlib.sha256(inspect.getsource(synthetic).encode()).hexdigest()[:12]
+    folder = Path(tempfile.gettempdir()) / f"cmp_cl-scenes-{version}"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def _kept(key: str, make: Callable[[], Frame]) -> Frame:
+    path = _folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.npz"
+    if path.is_file():
+        with np.load(path) as kept:
+            values = {name: kept[name] for name in Frame._fields}
+        numbers = {name: values[name].item() for name in ("cell", "markers", "views")}
+        return Frame(**(values | numbers))
+    frame = make()
+    unfinished = path.with_suffix(".part.npz")
+    np.savez(unfinished, **frame._asdict())
+    unfinished.replace(path)
+    return frame
+
+
+def _binocular(scene: Scene) -> Frame:
     left, right, _ = render_stereo(scene, default_rig((1200, 800)))
     shift = (left.image.shape[1], 0)
     return Frame(

@@ -12,72 +12,38 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import cv2
+import methods
 import numpy as np
 from environment import RESULTS, environment
-from peers import PEERS, Detect, Pattern, available
+from methods import DEFAULT, STEP, Method
+from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, vga, wide
 
-import cmp_cl
-from cmp_cl import AdaptiveMean, Detector, DetectorConfig, EdgeStep
+from cmp_cl import Detector, DetectorConfig
 from cmp_cl.scoring import total
 
-DEFAULT = "cmp_cl, default"
 QUICK_PEERS = (
     "good_features",
     "good_features_refined",
     "chess_corners_lean",
     "chess_corners_saddle",
     "chess_reference",
+    "chess_opencl",
+    "spectrum_opencl",
 )
 SCENES: dict[str, Callable[[int], Frame]] = {"vga": vga, "wide": wide}
 
 
-class Method(NamedTuple):
-    """A row of the table: what runs, and with which settings."""
-
-    name: str
-    settings: str
-    detect: Detect
-    slow: bool = False
-
-
-def own_configs(cell: float) -> dict[str, DetectorConfig]:
-    """Our own rows: the default, and what each option adds."""
-    default = DetectorConfig()
-    return {
-        DEFAULT: default,
-        "cmp_cl, EDGE_STEP": default.replace(refinement=EdgeStep(cell=cell)),
-        "cmp_cl, centroids": default.replace(refinement=None),
-        "cmp_cl, no gate": default.replace(contrast=None),
-        "cmp_cl, three masks": default.replace(threshold=AdaptiveMean(masks=3)),
-        "cmp_cl, for_cell": DetectorConfig.for_cell(cell),
-    }
-
-
-def own_method(name: str, config: DetectorConfig, shape: tuple[int, int]) -> Method:
-    """One of our configurations as a row."""
-    detector = Detector(shape=shape, config=config)
-    return Method(name, repr(config), lambda image: detector(image).xy)
-
-
-def peer_method(name: str, pattern: Pattern) -> Method:
-    """A peer as a row, at the settings that the search found for that density."""
-    peer = PEERS[name]
-    settings = peer.settings(pattern.markers)
-    return Method(peer.label, json.dumps(settings), peer.make(settings, pattern), peer.slow)
-
-
 def measure(
-    methods: Sequence[Method], frames: Sequence[Frame], rounds: int, block: int = 8
+    rows_of: Sequence[Method], frames: Sequence[Frame], rounds: int, block: int = 8
 ) -> list[dict[str, Any]]:
     """Time the methods in turns, and score the very answers that were timed."""
-    times: dict[str, list[float]] = {method.name: [] for method in methods}
-    answers: dict[str, dict[int, np.ndarray]] = {method.name: {} for method in methods}
+    times: dict[str, list[float]] = {method.name: [] for method in rows_of}
+    answers: dict[str, dict[int, np.ndarray]] = {method.name: {} for method in rows_of}
     for round_ in range(rounds):
-        for method in methods:
+        for method in rows_of:
             count = 1 if method.slow else block
             if method.slow and round_ >= max(3, rounds // 8):
                 continue
@@ -91,7 +57,7 @@ def measure(
                     times[method.name].append(spent * 1e3)
                     answers[method.name][which] = xy
     rows = []
-    for method in methods:
+    for method in rows_of:
         checked = answers[method.name].items()
         answer = total(frames[which].score(xy) for which, xy in checked)
         spent = np.array(times[method.name])
@@ -140,11 +106,12 @@ def compare(
     """One scene class: our rows and the peers' in turns, ratios to our default."""
     frames = [SCENES[scene](TEST_SEED + k) for k in range(count)]
     first = frames[0]
-    configs = own_configs(first.cell)
+    cell = 0.92 * 480 / 45 if scene == "vga" else 0.92 * 800 / 41  # at rest
+    configs = methods.configs(first.markers, cell)
     kept = {name: configs[name] for name in (own or configs)}
-    methods = [own_method(name, config, first.image.shape) for name, config in kept.items()]
-    methods += [peer_method(name, Pattern(first.markers, first.views)) for name in names]
-    rows = measure(methods, frames, rounds)
+    rows_of = [methods.own(name, config, first.image.shape) for name, config in kept.items()]
+    rows_of += [methods.peer(name, Pattern(first.markers, first.views)) for name in names]
+    rows = measure(rows_of, frames, rounds)
     base = next(row["ms"] for row in rows if row["method"] == DEFAULT)
     for row in rows:
         row["times_default"] = row["ms"] / base
@@ -196,7 +163,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, reason in reasons.items():
         print(f"left out: {PEERS[name].label}: {reason}")
     names = [name for name in found if not arguments.quick or name in QUICK_PEERS]
-    own = [DEFAULT, "cmp_cl, EDGE_STEP", "cmp_cl, three masks"] if arguments.quick else None
+    own = [DEFAULT, STEP, "cmp_cl, three masks"] if arguments.quick else None
     count, rounds = (2, 8) if arguments.quick else (4, 30)
     rounds = arguments.rounds or rounds
     around = environment()

@@ -1,0 +1,147 @@
+"""The rows of the tables: our configurations, the ladder of optional stages, the peers, and
+both with the grid step behind them."""
+
+import contextlib
+import dataclasses
+import json
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from peers import PEERS, Detect, Pattern
+
+from cmp_cl import (
+    AdaptiveMean,
+    Corners,
+    Detector,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Midlines,
+    NodeStatus,
+    SpectralCriteria,
+)
+from cmp_cl.errors import GridError
+from cmp_cl.grid import build_grid
+from cmp_cl.reference import refine
+from cmp_cl.results import GreyImage
+
+DEFAULT = "cmp_cl, default"
+STEP = "cmp_cl, EDGE_STEP"
+PAPER = "cmp_cl, paper's preset"
+FULL = "cmp_cl, full with grid"
+_MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
+
+
+class Method(NamedTuple):
+    """A row of a table: its name, its settings in words, and what runs."""
+
+    name: str
+    settings: str
+    detect: Detect
+    slow: bool = False
+    grid: bool = False
+
+
+def configs(markers: int, cell: float) -> dict[str, DetectorConfig]:
+    """Our configurations by the name of their row: presets, then each option alone.
+
+    cell: side of a cell at rest, px.
+    """
+    default = DetectorConfig()
+    table_2 = 40 if markers > 40 else markers
+    three = AdaptiveMean(masks=3)
+    for_cell = DetectorConfig.for_cell(cell)
+    full = for_cell.replace(
+        threshold=dataclasses.replace(for_cell.threshold, masks=3), refinement=EdgeStep(cell=cell)
+    )
+    paper = DetectorConfig.paper(table_2)
+    return {
+        DEFAULT: default,
+        STEP: default.replace(refinement=EdgeStep(cell=cell)),
+        PAPER: paper,
+        "cmp_cl, paper's preset + gate": paper.replace(contrast=default.contrast),
+        "cmp_cl, Table 2 windows": DetectorConfig.for_grid(table_2),
+        "cmp_cl, for_cell": for_cell,
+        "cmp_cl, three masks": default.replace(threshold=three),
+        "cmp_cl, full": full,
+        "cmp_cl, no gate": default.replace(contrast=None),
+        "cmp_cl, corrosion below 4": default.replace(
+            criteria=dataclasses.replace(default.criteria, corrosion_threshold=4)
+        ),
+        "cmp_cl, no corrosion criterion": default.replace(
+            criteria=dataclasses.replace(default.criteria, corrosion_threshold=None)
+        ),
+        "cmp_cl, outer radius 4": default.replace(outer_radius=4),
+        "cmp_cl, spectral": default.replace(criteria=SpectralCriteria()),
+        "cmp_cl, centroids": default.replace(refinement=None),
+        "cmp_cl, midlines": default.replace(refinement=Midlines()),
+    }
+
+
+def own(name: str, config: DetectorConfig, shape: tuple[int, int]) -> Method:
+    """One of our configurations as a row."""
+    detector = Detector(shape=shape, config=config)
+    return Method(name, repr(config), lambda image: detector(image).xy)
+
+
+def own_with_grid(name: str, config: DetectorConfig, frame: Any) -> Method:
+    """One of our configurations and the grid step; only nodes that were measured count."""
+    detector = Detector(shape=frame.image.shape, config=config)
+    size = (frame.markers, frame.markers)
+
+    def detect(image: GreyImage) -> np.ndarray:
+        return _measured(detector(image), image, size)
+
+    return Method(name, f"{config!r}, build_grid(shape={size})", detect, grid=True)
+
+
+def peer(name: str, pattern: Pattern) -> Method:
+    """A peer as a row, at the settings that the search found for that density."""
+    entry = PEERS[name]
+    settings = entry.settings(pattern.markers)
+    detect = entry.make(settings, pattern)
+    return Method(entry.label, json.dumps(settings), detect, entry.slow)
+
+
+def peer_with_grid(name: str, pattern: Pattern) -> Method:
+    """A peer and our grid step. The edge angles that the step needs are taken at the peer's
+    positions, in NumPy: right, but no fair time."""
+    plain = peer(name, pattern)
+    size = (pattern.markers, pattern.markers)
+
+    def detect(image: GreyImage) -> np.ndarray:
+        return _measured(_with_edges(plain.detect(image), image), image, size)
+
+    return Method(f"{plain.name} + our grid", plain.settings, detect, plain.slow, grid=True)
+
+
+def _with_edges(xy: np.ndarray, image: GreyImage) -> Corners:
+    rows, columns = image.shape
+    pixel = np.clip(np.rint(xy).astype(np.int64), 0, (columns - 1, rows - 1))
+    order = np.lexsort((pixel[:, 0], pixel[:, 1]))
+    xy, pixel = xy[order], pixel[order]
+    seen = refine.refine(image, pixel, xy.astype(np.float64), EdgeLines(), 1.0)
+    return Corners(
+        xy=xy.astype(np.float32),
+        pixel=pixel.astype(np.int32),
+        response=np.ones(len(xy), np.float32),
+        method=seen.method,
+        sigma=seen.sigma.astype(np.float32),
+        edges=seen.edges.astype(np.float32),
+        doubtful=seen.doubtful,
+        device="NumPy",
+    )
+
+
+def _measured(corners: Corners, image: GreyImage, size: tuple[int, int]) -> np.ndarray:
+    with contextlib.suppress(GridError):
+        grid = build_grid(corners, image, shape=size)
+        return grid.xy[np.isin(grid.status, _MEASURED)]
+    return np.empty((0, 2), np.float32)
+
+
+def warm(methods: Sequence[Method], image: GreyImage) -> None:
+    """Run each method once: some compile or allocate only then."""
+    for method in methods:
+        method.detect(image)

@@ -1,0 +1,169 @@
+"""Real photographs with truth: recall, precision, and difference from the listed positions.
+
+    python bench/photographs.py         writes results/photographs.json
+
+The pictures lie in ../shared/data beside the repository and are not part of it. Their truth
+is a saddle fit to the grey image: differences below 0.2 px between methods say nothing.
+Peers have the settings of the density with the nearest cell, found on rendered scenes.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import methods
+import numpy as np
+from environment import RESULTS, environment
+from peers import PEERS, Pattern, available
+
+from cmp_cl import Detector, DetectorConfig, EdgeStep
+from cmp_cl.config import window_for_cell
+from cmp_cl.results import GreyImage
+from cmp_cl.scoring import match
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+PICTURES = ("water/reference_df", "water/ellipse_10", "puzzleboard/example1", "curved/curve_4")
+CELLS = {20: 21.0, 30: 14.2, 40: 10.8, 44: 9.8}  # px, of the densities that were searched
+AT_ONCE = ("find_chessboard", "find_chessboard_sb")  # ask for whole boards of known size
+
+
+class Photograph(NamedTuple):
+    """image; truth (N, 2) px; sure (N,) bool, the others are not scored as missed; region
+    (H, W) bool, where a detection that is no listed corner is false; cell, px."""
+
+    name: str
+    image: GreyImage
+    truth: np.ndarray
+    sure: np.ndarray
+    region: np.ndarray
+    cell: float
+
+    @classmethod
+    def read(cls, name: str) -> "Photograph":
+        listed = json.loads((DATA / name).with_suffix(".json").read_text())
+        picture = (DATA / name).with_name(listed["image"])
+        region = cv2.imread(str(DATA / f"{name}.region.png"), cv2.IMREAD_GRAYSCALE)
+        corners = listed["corners"]
+        return cls(
+            name=name,
+            image=cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE),
+            truth=np.array([(corner["x"], corner["y"]) for corner in corners]),
+            sure=np.array([corner.get("sure", True) for corner in corners]),
+            region=region > 0,
+            cell=listed["cell_px"]["median"],
+        )
+
+    def answer(self, xy: np.ndarray) -> dict[str, Any]:
+        """Missed, false and distances; matched within a quarter of a cell, at most 3 px."""
+        partner = match(xy, self.truth, min(3, self.cell / 4))
+        hit = partner >= 0
+        missed = np.ones(len(self.truth), np.bool_)
+        missed[partner[hit]] = False
+        rows, columns = self.region.shape
+        x, y = np.rint(xy[~hit]).astype(int).T
+        x, y = x.clip(0, columns - 1), y.clip(0, rows - 1)
+        false = int(self.region[y, x].sum())
+        apart = np.hypot(*(xy[hit] - self.truth[partner[hit]]).T)
+        return {
+            "expected": int(self.sure.sum()),
+            "missed": int((missed & self.sure).sum()),
+            "false": false,
+            "outside": int(len(xy) - hit.sum()) - false,
+            "recall": 1 - float((missed & self.sure).sum() / self.sure.sum()),
+            "precision": float(hit.sum() / max(hit.sum() + false, 1)),
+            "median": float(np.median(apart)) if hit.any() else None,
+            "p95": float(np.percentile(apart, 95)) if hit.any() else None,
+        }
+
+
+def own_rows(photograph: Photograph) -> dict[str, DetectorConfig]:
+    """Our configurations: the default, what the library chooses itself, both outer radii."""
+    cell = photograph.cell
+    default = DetectorConfig()
+    window = default.replace(threshold=methods.AdaptiveMean(window=window_for_cell(cell)))
+    return {
+        "cmp_cl, default": default,
+        "cmp_cl, for_image": DetectorConfig.for_image(photograph.image),
+        "cmp_cl, for_cell": DetectorConfig.for_cell(cell),
+        "cmp_cl, for_cell, EDGE_STEP": DetectorConfig.for_cell(cell).replace(
+            refinement=EdgeStep(cell=cell)
+        ),
+        "cmp_cl, window of 1.3 cells, outer radius 5": window,
+        "cmp_cl, window of 1.3 cells, outer radius 4": window.replace(outer_radius=4),
+    }
+
+
+def rows(photograph: Photograph, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Every method on one photograph."""
+    count = round(len(photograph.truth) ** 0.5)
+    nearest = min(CELLS, key=lambda markers: abs(CELLS[markers] - photograph.cell))
+    table = []
+    detectors = []
+    for name, config in own_rows(photograph).items():
+        detector = Detector(shape=photograph.image.shape, config=config)
+        detectors.append((name, repr(config), lambda image, run=detector: run(image).xy))
+    for name in names:
+        peer = PEERS[name]
+        settings = peer.settings(nearest)
+        detectors.append((peer.label, json.dumps(settings), peer.make(settings, Pattern(count))))
+    for label, settings, detect in detectors:
+        spent = []
+        for _ in range(1 if label in ("libcbdetect",) else 4):
+            start = time.perf_counter()
+            xy = np.asarray(detect(photograph.image))
+            spent.append(getattr(detect, "seconds", time.perf_counter() - start) * 1e3)
+        table.append(
+            {
+                "photograph": photograph.name,
+                "method": label,
+                "settings": settings,
+                "ms": float(np.median(spent[1:] or spent)),
+                **photograph.answer(xy),
+            }
+        )
+    return table
+
+
+def show(table: list[dict[str, Any]]) -> None:
+    print(f"\n{table[0]['photograph']}: {table[0]['expected']} corners")
+    print(f"{'method':46}{'missed':>8}{'false':>7}{'outside':>9}{'median':>8}{'p95':>7}{'ms':>9}")
+    for row in table:
+        median = "-" if row["median"] is None else f"{row['median']:.3f}"
+        p95 = "-" if row["p95"] is None else f"{row['p95']:.3f}"
+        print(
+            f"{row['method']:46}{row['missed']:8}{row['false']:7}{row['outside']:9}"
+            f"{median:>8}{p95:>7}{row['ms']:9.2f}"
+        )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=RESULTS / "photographs.json")
+    arguments = parser.parse_args(argv)
+    if not DATA.is_dir():
+        print(f"there are no photographs: {DATA} is missing")
+        return 2
+    found, reasons = available()
+    whole = []
+    for name in PICTURES:
+        table = rows(Photograph.read(name), [peer for peer in found if peer not in AT_ONCE])
+        show(table)
+        whole += table
+    result = {
+        "kind": "photographs",
+        "environment": environment(),
+        "unavailable": reasons,
+        "not_asked": {PEERS[name].label: "finds only boards of a known size" for name in AT_ONCE},
+        "rows": whole,
+    }
+    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
+    print(f"wrote {arguments.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
