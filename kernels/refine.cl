@@ -246,7 +246,7 @@ __kernel void sample_edges(__global const PIXEL *restrict image,
   IN_ORDER(9, 10) IN_ORDER(11, 12) IN_ORDER(13, 14)
 #define SORTED(k, dx, dy, next, next_x, next_y) REAL s##k = CONST_LANE(samples, k);
 
-__kernel void edge_points(__global const float *restrict samples, const uint length,
+__attribute__((vec_type_hint(REAL))) __kernel void edge_points(__global const float *restrict samples, const uint length,
                           __global float *restrict points) {
   EDGE_RING_3(SORTED)
   SORT_16
@@ -428,7 +428,7 @@ REAL angle_of(const REAL y, const REAL x) {
 
 /* EDGE_LINES: the intersection of the line through e0 and e2 and the line through e1 and e3.
  * `lines` gets their unit normals and the intersection relative to the start. */
-__kernel void edge_lines(__global const float *restrict points,
+__attribute__((vec_type_hint(REAL))) __kernel void edge_lines(__global const float *restrict points,
                          __global const float *restrict start, const uint length,
                          const float max_shift, __global float *restrict lines,
                          __global float *restrict result) {
