@@ -1,0 +1,69 @@
+"""kernels/collect.cl: lists in (y, x) order, whose counts run past their room."""
+
+import images
+import numpy as np
+import pytest
+from comparison import assert_corners_equal, assert_same_bytes
+from corner_images import noise
+
+from cmp_cl import DetectorConfig, RapidCriteria, SpectralCriteria, reference
+
+EIGHT = images.eight_bits()
+PLAIN = DetectorConfig(refinement=None)
+DENSE = PLAIN.replace(
+    contrast=None,
+    nms_radius=1,
+    criteria=RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17),
+)
+
+
+@pytest.mark.parametrize("config", [PLAIN, DENSE], ids=["gate", "dense"])
+@pytest.mark.parametrize("name", EIGHT)
+def test_every_maximum_is_listed_once_in_raster_order(detector_for, name, config):
+    image = EIGHT[name]
+    corners = detector_for(image, config)(image)
+    y, x = np.nonzero(reference.maps(image, config).maximum)
+    np.testing.assert_array_equal(corners.pixel, np.stack([x, y], axis=1))
+
+
+def test_maxima_in_the_corners_of_the_image(detector_for):
+    """Cut so that corners lie on the first and last row and column."""
+    image = images.texture((61, 83))
+    seen = set()
+    for dy, dx in np.ndindex(4, 4):
+        part = np.ascontiguousarray(image[dy : 40 + dy, dx : 60 + dx])
+        corners = assert_corners_equal(detector_for(part, DENSE), part)
+        x, y = corners.pixel.T
+        seen |= {("top", (y == 0).any()), ("bottom", (y == 39).any())}
+        seen |= {("left", (x == 0).any()), ("right", (x == 59).any())}
+    assert {(side, True) for side in ("top", "bottom", "left", "right")} <= seen
+
+
+@pytest.mark.parametrize("shape", [(1, 31), (31, 1), (2, 3), (23, 29)])
+def test_small_shapes(detector_for, shape):
+    image = noise(shape, seed=8)
+    assert_corners_equal(detector_for(image, DENSE), image)
+
+
+@pytest.mark.parametrize("config", [PLAIN, DENSE], ids=["gate", "dense"])
+def test_more_than_the_room_is_counted_and_done_again(detector_for, config):
+    image = images.texture((300, 60), seed=9)
+    small = config.replace(max_corners=3)
+    detector = detector_for(image, small)
+    plan = detector._plan(None)
+    plan.candidate_room = plan.corner_room = 64
+    plan._allocate()
+    plan._bind()
+    corners = assert_corners_equal(detector, image)
+    assert len(corners) > 64
+    assert detector.regrown > 0
+    times = detector.regrown
+    assert_same_bytes(detector(image), corners)
+    assert detector.regrown == times
+
+
+def test_spectral_responses_are_listed_by_being_not_zero(detector_for):
+    image = EIGHT["texture"]
+    config = DENSE.replace(criteria=SpectralCriteria(correlation=0))
+    corners = assert_corners_equal(detector_for(image, config), image)
+    assert corners.response.max() > 255

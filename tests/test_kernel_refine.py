@@ -1,0 +1,189 @@
+"""kernels/refine.cl: positions in float32, within the tolerances of the oracle in float64."""
+
+import images
+import numpy as np
+import pytest
+import tolerances
+from comparison import assert_corners_equal
+from corner_images import board, corner
+
+from cmp_cl import (
+    AdaptiveMean,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Fit,
+    Method,
+    Midlines,
+    SpectralCriteria,
+    reference,
+)
+
+EIGHT = images.eight_bits()
+DEEP = images.sixteen_bits()
+REFINEMENTS = {
+    "centroid": None,
+    "edge lines": EdgeLines(),
+    "edge step": EdgeStep(),
+    "midlines": Midlines(),
+    "quadratic midlines": Midlines(fit=Fit.QUADRATIC),
+}
+METHODS = {
+    "centroid": {Method.CENTROID},
+    "edge lines": {Method.EDGE_LINES, Method.KEPT},
+    "edge step": {Method.EDGE_STEP, Method.EDGE_LINES, Method.KEPT},
+    "midlines": {Method.MIDLINE, Method.CUSP, Method.KEPT},
+    "quadratic midlines": {Method.MIDLINE, Method.CUSP, Method.KEPT},
+}
+refinements = pytest.mark.parametrize("refinement", REFINEMENTS)
+
+
+def check(detector_for, image, refinement, **changes):
+    config = DetectorConfig(refinement=REFINEMENTS[refinement]).replace(**changes)
+    return assert_corners_equal(detector_for(image, config), image)
+
+
+@refinements
+@pytest.mark.parametrize("name", EIGHT)
+def test_eight_bits(detector_for, name, refinement):
+    corners = check(detector_for, EIGHT[name], refinement)
+    assert set(corners.method) <= METHODS[refinement]
+    assert np.isfinite(corners.xy).all()
+
+
+@refinements
+@pytest.mark.parametrize("name", DEEP)
+def test_sixteen_bits(detector_for, name, refinement):
+    corners = check(detector_for, DEEP[name], refinement, full_scale=4095)
+    assert np.isfinite(corners.xy).all()
+
+
+@refinements
+def test_whatever_has_four_sectors(detector_for, refinement):
+    """Without the gate: noise and texture, of which refinement refuses most."""
+    image = np.vstack([EIGHT["texture"], EIGHT["noise"], EIGHT["worn scene"], EIGHT["near levels"]])
+    corners = check(detector_for, image, refinement, contrast=None, nms_radius=1)
+    assert len(corners) > 60
+    if refinement != "centroid":
+        assert (corners.method == Method.KEPT).any()
+        assert (corners.method != Method.KEPT).any()
+
+
+@refinements
+@pytest.mark.parametrize("severity", [0.5, 1.5])
+def test_scenes(detector_for, refinement, severity):
+    image = images.scene(severity, seed=3).image
+    corners = check(detector_for, image, refinement)
+    assert len(corners) >= 30
+
+
+@pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
+@pytest.mark.parametrize("kind", [EdgeLines, Midlines])
+def test_the_largest_shift(detector_for, kind, max_shift):
+    image = images.scene(1.5, seed=3).image
+    config = DetectorConfig(refinement=kind(max_shift=max_shift))
+    corners = assert_corners_equal(detector_for(image, config), image)
+    kept = (corners.method == Method.KEPT).sum()
+    usual = (check(detector_for, image, "edge lines").method == Method.KEPT).sum()
+    assert kept == len(corners) if max_shift == 0 else kept > usual if max_shift < 1 else True
+
+
+@pytest.mark.parametrize("cell", [4.0, 8.0, 12.0, 30.0])
+def test_the_cell_sets_the_radius_of_the_step(detector_for, cell):
+    image = board(*images.SHAPE, 12)[0]
+    config = DetectorConfig(refinement=EdgeStep(cell=cell))
+    assert_corners_equal(detector_for(image, config), image)
+
+
+def test_the_step_says_how_sure_it_is(detector_for):
+    image = images.scene(1.5, seed=3).image
+    corners = check(detector_for, image, "edge step")
+    stepped = corners.method == Method.EDGE_STEP
+    assert (corners.sigma[stepped] >= np.float32(0.025)).all()
+    assert np.isnan(corners.sigma[~stepped]).all()
+    assert 0 < corners.doubtful.sum() < len(corners)
+    floor = DetectorConfig(refinement=EdgeStep(sigma0=0.2))
+    higher = assert_corners_equal(detector_for(image, floor), image)
+    assert (higher.sigma[stepped] >= np.float32(0.2)).all()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"criteria": SpectralCriteria()}, {"threshold": AdaptiveMean(masks=3)}, {"outer_radius": 4}],
+    ids=["spectral", "three masks", "radius 4"],
+)
+def test_after_every_kind_of_response(detector_for, changes):
+    corners = check(detector_for, EIGHT["scene"], "edge lines", **changes)
+    assert (corners.method == Method.EDGE_LINES).sum() > 5
+
+
+@refinements
+@pytest.mark.parametrize("inside", [0, 1, 3, 5])
+def test_at_the_border(detector_for, refinement, inside):
+    image = np.ascontiguousarray(np.tile(corner(20, 20, 0.35), 2)[20 - inside :])
+    check(detector_for, image, refinement)
+    check(detector_for, np.ascontiguousarray(image.T), refinement)
+
+
+@pytest.mark.parametrize("steep", [1, 20])
+@refinements
+def test_clipped_profiles(detector_for, refinement, steep):
+    """Saturated black and white: edges of two grey levels, equal neighbours everywhere."""
+    grey = (EIGHT["board"].astype(np.float64) - 120) * steep + 120
+    image = np.where(grey < 0, 0, np.where(grey > 255, 255, grey)).astype(np.uint8)
+    check(detector_for, image, refinement)
+
+
+@refinements
+def test_perfect_squares_have_parallel_centrelines(detector_for, refinement):
+    y, x = np.indices(images.SHAPE)
+    image = np.where((x // 12 + y // 12) % 2 == 0, 40, 200).astype(np.uint8)
+    corners = check(detector_for, image, refinement)
+    assert len(corners) == 30
+    assert np.isfinite(corners.xy).all()
+    if refinement == "midlines":
+        assert (corners.method != Method.MIDLINE).all()
+
+
+@pytest.mark.parametrize(
+    ("refinement", "columns"),
+    [
+        ("edge lines", 4000),
+        ("edge step", 4000),
+        ("midlines", 4000),
+        ("edge lines", 16000),
+        ("edge step", 16000),
+    ],
+)
+def test_far_columns_are_as_exact(detector_for, refinement, columns):
+    """The same corners at x + columns move by exactly that, up to float32's grid."""
+    image = board(*images.SHAPE, 12)[0]
+    shift = columns - images.SHAPE[1]
+    wide = np.pad(image, ((0, 0), (shift, 0)), mode="edge")
+    config = DetectorConfig(refinement=REFINEMENTS[refinement])
+    near = reference.detect(image, config)
+    far = detector_for(wide, config)(wide)
+    clear = near.pixel[:, 0] > 20
+    same = far.pixel[:, 0] > shift + 20
+    np.testing.assert_array_equal(far.pixel[same], near.pixel[clear] + [shift, 0])
+    grid = np.spacing(np.float32(columns)) / 2
+    moved = far.xy[same].astype(np.float64) - [shift, 0]
+    np.testing.assert_allclose(moved, near.xy[clear], rtol=0, atol=grid + tolerances.POSITION / 10)
+
+
+def test_positions_are_near_the_truth(detector_for):
+    image, truth = board(121, 83, 12)
+    for refinement, error in [("edge lines", 0.03), ("edge step", 0.03), ("centroid", 0.7)]:
+        corners = check(detector_for, image, refinement)
+        distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2).min(axis=0)
+        assert distance.mean() < error
+
+
+def test_noise_is_refined_as_the_oracle_does(detector_for):
+    rng = np.random.default_rng(0)
+    board_image = board(121, 83, 12)[0].astype(np.float64)
+    for sigma in (5, 15, 25):
+        grey = board_image + rng.normal(0, sigma, board_image.shape)
+        image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+        for refinement in REFINEMENTS:
+            check(detector_for, image, refinement)
