@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_cl import spectrum
 from cmp_cl.config import RapidCriteria
-from cmp_cl.plan import Plan
+from cmp_cl.plan import RING_REACH, Plan
 from cmp_cl.results import Maps
 
 _RAPID_MAPS = (
@@ -37,6 +37,8 @@ def read_maps(plan: Plan) -> Maps:
                 values["corrosion"] = None
         elif launch.stage in ("rapid_criteria", "spectral_criteria"):
             values["candidate"] = _plane(plan, plan.buffers["responses"], response) > 0
+        elif launch.stage == "rapid_criteria_words":
+            values["candidate"] = _candidate_words(plan)
         elif launch.stage == "keep":
             values["contrast"] = _contrast(plan)
         elif launch.stage == "tent_rows":
@@ -106,7 +108,7 @@ def _contrast(plan: Plan) -> NDArray[np.int32]:
     room, planes = plan.candidate_room, plan.masks
     totals = np.empty(plan.frames * (planes + 1), np.uint32)
     positions = np.empty((planes, room, 2), np.int32)
-    contrast = np.empty((3, planes, room), np.int16 if plan.dtype == np.uint8 else np.int32)
+    contrast = np.empty((4, planes, room), np.int16 if plan.dtype == np.uint8 else np.int32)
     cl.enqueue_copy(plan.queue, totals, plan.buffers["totals"])
     cl.enqueue_copy(plan.queue, positions, plan.buffers["candidates"])
     cl.enqueue_copy(plan.queue, contrast, plan.buffers["contrasts"])
@@ -115,6 +117,18 @@ def _contrast(plan: Plan) -> NDArray[np.int32]:
         x, y = positions[plane, : totals[plane]].T
         image[plane, y, x] = contrast[1, plane, : totals[plane]]
     return image[0] if planes == 1 else image
+
+
+def _candidate_words(plan: Plan) -> NDArray[np.bool_]:
+    """The planes of candidates as pixels: bit k of word i is pixel 32 i + k."""
+    rows, columns = plan.working
+    words = np.empty((plan.masks, plan.plane_words), "<u4")
+    cl.enqueue_copy(plan.queue, words, plan.buffers["candidate_words"])
+    bits = np.unpackbits(words.view(np.uint8), axis=1, bitorder="little")
+    height = rows + 2 * RING_REACH
+    padded = bits[:, : height * plan.step].reshape(plan.masks, height, plan.step)
+    inside = padded[:, RING_REACH:-RING_REACH, plan.pad : plan.pad + columns] > 0
+    return inside[0] if plan.masks == 1 else inside
 
 
 def _score_map(plan: Plan) -> NDArray[np.int32]:

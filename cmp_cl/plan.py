@@ -30,6 +30,7 @@ from cmp_cl.program import Kernels, build, sum_of_terms
 from cmp_cl.resampling import resampling_weights, working_shape
 from cmp_cl.results import GreyImage
 
+RING_REACH = 5  # rows and columns that the outer ring looks at
 REACH = 16  # columns on either side of the pixels, at least: what rings and tents need
 GROUP = 64  # work-items of a group over a list
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
@@ -100,6 +101,22 @@ class Plan:
         self._allocate()
         self._bind()
 
+    @property
+    def _in_words(self) -> bool:
+        """Whether the criteria take 32 pixels in a word: what is fastest on CPUs."""
+        rapid = isinstance(self.config.criteria, RapidCriteria)
+        return rapid and self.device.kind is DeviceKind.CPU
+
+    @property
+    def plane_words(self) -> int:
+        """Words of a plane, with the rows above and below."""
+        return _multiple((self.working[0] + 2 * RING_REACH) * self.step // 32, 8)
+
+    @property
+    def _words_margin(self) -> int:
+        """Words before and after the planes that rings may look at."""
+        return _multiple(RING_REACH * self.step // 32 + 8, 32)
+
     # What is compiled
 
     def _build(self) -> Kernels:
@@ -112,6 +129,8 @@ class Plan:
             "MASKS": self.masks,
             "OUTER_RADIUS": self.config.outer_radius,
             "RAPID": int(rapid),
+            "WORDS_MARGIN": self._words_margin,
+            "GATE": int(self.config.contrast is not None),
             "CORROSION": int(self.config.criteria.corrosion_threshold is not None),
             "COLUMN": "uint" if deep else "ushort",
             "LEVEL": "ulong" if deep and self.config.threshold.offset else "uint",
@@ -150,6 +169,8 @@ class Plan:
             stages.append("scale")
         rapid = isinstance(self.config.criteria, RapidCriteria)
         stages.append("criteria" if rapid else "spectral")
+        if self._in_words:
+            stages.append("criteria_words")
         if self.config.contrast is not None:
             stages.append("gate")
         return [*stages, "nms", "collect", "refine"]
@@ -173,7 +194,7 @@ class Plan:
         samples = CHANNELS * pixel * room if gate and rapid else 0
         sizes = {
             "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
-            "mask": plane + spare,
+            "mask": 4 * self.plane_words if self._in_words else plane + spare,
             "binary": planes * plane + spare,
             "responses": response * (planes * plane + spare),
             "work": max(column, keys, samples),
@@ -184,14 +205,18 @@ class Plan:
             "start": 12 * length,
             "result": 4 * RESULT_FIELDS * length,
         }
+        if self._in_words:
+            sizes["words"] = 4 * (planes * self.plane_words + 2 * self._words_margin)
+            sizes["candidate_words"] = 4 * planes * self.plane_words
         if self.scale is not None:
             sizes["working"] = (self.frames * plane + spare) * pixel
         if self.masks == 3:
             sizes["squares"] = 4 * pixel * (self.frames * plane + spare)
             sizes["response"] = response * (self.frames * plane + spare)
-        if gate:
+        if gate or self._in_words:
             sizes["candidates"] = 8 * room
-            sizes["contrasts"] = 3 * 2 * pixel * room
+        if gate:
+            sizes["contrasts"] = 4 * 2 * pixel * room
             sizes["noise"] = 8 * self.frames * self.working[0]
             sizes["bins"] = 4 * planes * self._parts * BINS
             sizes["found"] = 8 * planes
@@ -243,8 +268,14 @@ class Plan:
             y = np.minimum(((np.arange(rows) + 0.5) / (self.scale or 1)).astype(int), self.shape[0] - 1)
             x = np.minimum(((np.arange(columns) + 0.5) / (self.scale or 1)).astype(int), self.shape[1] - 1)
             allowed = self._mask[np.ix_(y, x)]
-        plane = np.zeros((rows + 2, self.step), np.uint8)
-        plane[1:-1, self.pad : self.pad + columns] = allowed
+        if self._in_words:
+            bits = np.zeros(self.plane_words * 32, np.bool_)
+            image = bits[: (rows + 2 * RING_REACH) * self.step].reshape(-1, self.step)
+            image[RING_REACH:-RING_REACH, self.pad : self.pad + columns] = allowed
+            plane = np.packbits(bits, bitorder="little")
+        else:
+            plane = np.zeros((rows + 2, self.step), np.uint8)
+            plane[1:-1, self.pad : self.pad + columns] = allowed
         cl.enqueue_copy(self.queue, self.buffers["mask"], plane)
 
     def release(self) -> None:
@@ -256,7 +287,7 @@ class Plan:
     # What is launched
 
     def _bind(self) -> None:
-        self.front = [*self._scale_stage(), *self._binarize_stages(), *self._criteria_stage()]
+        self.front = [*self._scale_stage(), *self._binarize_stages(), *self._criteria_stages()]
         if self.config.contrast is not None:
             self.front += self._gate_stages(self.config.contrast)
         self.front += self._suppression_stages()
@@ -349,18 +380,82 @@ class Plan:
         stages.append(self._rows("repeat_border_binary", planes * self.working[0], 1, *border))
         return stages
 
-    def _criteria_stage(self) -> list[Launch]:
+    def _criteria_stages(self) -> list[Launch]:
         rows, step = np.uint32(self.working[0]), np.uint32(self.step)
         criteria = self.config.criteria
-        corrosion = criteria.corrosion_threshold
+        corrosion = criteria.corrosion_threshold or 0
         b = self.buffers
         planes = self.frames * self.masks
-        bound = np.int8(0 if corrosion is None else corrosion)
-        if isinstance(criteria, RapidCriteria):
-            thresholds = (np.uint8(criteria.sector_threshold), np.uint8(criteria.ring_threshold))
-            arguments = (b["binary"], b["mask"], rows, step, *thresholds, bound, np.uint8(0))
-            return [self._dense("rapid_criteria", planes, *arguments, b["responses"])]
-        return [self._dense("spectral_criteria", planes, *self._spectral(criteria, bound))]
+        if isinstance(criteria, SpectralCriteria):
+            arguments = self._spectral(criteria, np.int8(corrosion))
+            stages = [self._dense("spectral_criteria", planes, *arguments)]
+        elif self._in_words:
+            return self._word_stages(criteria)
+        else:
+            thresholds = (
+                np.uint8(criteria.sector_threshold),
+                np.uint8(criteria.ring_threshold),
+                np.int8(corrosion),
+            )
+            images = (b["binary"], b["mask"], rows, step)
+            stages = [
+                self._dense(
+                    "rapid_criteria", planes, *images, *thresholds, np.uint8(0), b["responses"]
+                )
+            ]
+        if self.config.contrast is not None:
+            stages += self._lists("candidates", planes, b["responses"], self.candidate_room, 0)
+        return stages
+
+    def _word_stages(self, criteria: RapidCriteria) -> list[Launch]:
+        """The criteria on words, and the list of their candidates."""
+        rows, step, words = (np.uint32(n) for n in (self.working[0], self.step, self.plane_words))
+        room = np.uint32(self.candidate_room)
+        planes = self.frames * self.masks
+        b = self.buffers
+        width, height = self.step // 32, self.working[0] + 2 * RING_REACH
+        thresholds = (
+            np.int32(criteria.sector_threshold),
+            np.int32(criteria.ring_threshold),
+            np.int32(criteria.corrosion_threshold or 0),
+        )
+        found = (b["candidate_words"], rows, step, words)
+        counted = (b["candidate_words"], b["row_counts"], rows, step, words, room)
+        stages = [
+            self._stage(
+                "pack", (width, height, planes), None, b["binary"], rows, step, words, b["words"]
+            ),
+            self._stage(
+                "rapid_criteria_words",
+                (self.plane_words // 8, planes),
+                None,
+                b["words"],
+                b["mask"],
+                step,
+                words,
+                *thresholds,
+                b["candidate_words"],
+            ),
+            self._rows(
+                "count_candidate_words", self.working[0], planes, *found, b["row_counts"]
+            ),
+            self._rows(
+                "list_candidate_words",
+                self.working[0],
+                planes,
+                *counted,
+                b["candidates"],
+                b["totals"],
+            ),
+            self._rows(
+                "clear_responses", planes * self.working[0], 1, rows, step, b["responses"]
+            ),
+        ]
+        if self.config.contrast is None:
+            listed = (b["binary"], b["candidates"], b["totals"], rows, step, room)
+            threshold = np.uint32(criteria.sector_threshold)
+            stages.append(self._list("sector_response", *listed, threshold, b["responses"]))
+        return stages
 
     def _spectral(self, criteria: SpectralCriteria, corrosion: np.int8) -> Sequence[Any]:
         inner, outer = spectrum.response_tables()
@@ -404,7 +499,7 @@ class Plan:
         size = planes * self.candidate_room
         contrast = [
             b["contrasts"].get_sub_region(k * size * 2 * self.dtype.itemsize, size * 2 * self.dtype.itemsize)
-            for k in range(3)
+            for k in range(4)
         ]
         levels = np.arange(2**16 if deep else 2**8)
         floor = math.ceil(gate.minimum * self.config.grey_levels(self.dtype) / 255)
@@ -415,17 +510,19 @@ class Plan:
         parts = np.uint32(self._parts)
         noise = (self.image, rows, columns, step, b["noise"])
         stages = [self._rows("noise", self.working[0], self.frames, *noise)]
-        stages += self._lists("candidates", planes, b["responses"], self.candidate_room, 0)
         listed = (b["candidates"], b["totals"])
-        if isinstance(self.config.criteria, RapidCriteria):
+        criteria = self.config.criteria
+        if isinstance(criteria, RapidCriteria):
+            signed = np.int32 if deep else np.int16
+            threshold = signed(criteria.sector_threshold)
             stages += [
                 self._list(
                     "sample_rings", self.image, b["binary"], *listed, rows, step, room, b["work"]
                 ),
-                self._list("sector_contrast", b["work"], room, pixel(0), *contrast),
+                self._list("sector_contrast", b["work"], room, threshold, pixel(0), *contrast),
             ]
         else:
-            arguments = (self.image, b["binary"], *listed, rows, step, room, *contrast)
+            arguments = (self.image, b["binary"], *listed, rows, step, room, *contrast[:3])
             stages.append(self._list("sector_contrast_any", *arguments))
         for shift in (8, 0) if deep else (0,):
             bits = np.uint32(shift)
@@ -543,7 +640,7 @@ class Plan:
         """Corners of each frame, once the front stages are done; raises Overflow."""
         cl.enqueue_copy(self.queue, self._totals, self.buffers["totals"])
         planes = self.frames * self.masks
-        candidates = int(self._totals[:planes].max()) if self.config.contrast is not None else 0
+        candidates = int(self._totals[:planes].max())
         corners = self._totals[planes:]
         if candidates > self.candidate_room or corners.max() > self.corner_room:
             raise Overflow(candidates, int(corners.max()))

@@ -88,6 +88,20 @@ __kernel void rapid_criteria(__global const uchar *restrict binary,
   | ((uint)binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] << (i))
 #define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
 
+/* d2 of Eq. 21; 255 where there are not four runs. */
+uint run_difference(const uint mask) {
+  uint left = mask ^ ROTATE(mask, 1), end[4];
+  if (popcount(left) != 4) return 255;
+  /* Sample k ends a run where bit k is set. */
+  for (int k = 0; k < 4; ++k) {
+    end[k] = 31 - clz(left & (0u - left));
+    left &= left - 1;
+  }
+  const int l0 = 16 - (int)(end[3] - end[0]), l1 = (int)(end[1] - end[0]);
+  const int l2 = (int)(end[2] - end[1]), l3 = (int)(end[3] - end[2]);
+  return max(abs(l0 - l2), abs(l1 - l3));
+}
+
 /* Everything the criteria look at, at every pixel. */
 __kernel void ring_maps(__global const uchar *restrict binary, const uint rows,
                         const uint step, __global ushort *restrict inner,
@@ -104,25 +118,11 @@ __kernel void ring_maps(__global const uchar *restrict binary, const uint rows,
   const int nr = (int)popcount(0u REGION(RING_BIT));
   const int n1 = (int)popcount(g1);
 
-  const uint changes = g2 ^ ROTATE(g2, 1);
-  uint difference = 255;
-  if (popcount(changes) == 4) {
-    /* Ends of the runs: sample k ends a run where bit k of changes is set. */
-    uint left = changes, end[4];
-    for (int k = 0; k < 4; ++k) {
-      end[k] = 31 - clz(left & (0u - left));
-      left &= left - 1;
-    }
-    const int l0 = 16 - (int)(end[3] - end[0]);
-    const int l1 = (int)(end[1] - end[0]), l2 = (int)(end[2] - end[1]);
-    const int l3 = (int)(end[3] - end[2]);
-    difference = max(abs(l0 - l2), abs(l1 - l3));
-  }
   inner[i] = (ushort)g2;
   outer[i] = (ushort)g1;
-  inner_transitions[i] = (uchar)popcount(changes);
+  inner_transitions[i] = (uchar)popcount(g2 ^ ROTATE(g2, 1));
   outer_transitions[i] = (uchar)popcount((g1 ^ ROTATE(g1, 1)) & (g1 ^ ROTATE(g1, 2)));
-  sector_difference[i] = (uchar)difference;
+  sector_difference[i] = (uchar)run_difference(g2);
   ring_difference[i] = (uchar)popcount(g1 ^ g2);
   corrosion[i] = (char)max(n1 - nr, nr - n1 - 5);
 }

@@ -100,13 +100,15 @@ MEANS mean_of_run(const SUM s, const PIXEL n) {
 #endif
 }
 
-/* Contrast of the inner ring, the smaller one of both rings, and the difference of the sector
- * means in eighths of twice a grey level. One work-item per candidate; the entries past the
+/* Contrast of the inner ring, the smaller one of both rings, the difference of the sector means
+ * in eighths of twice a grey level, and the response (Eqs. 21 and 24). One work-item per candidate; the entries past the
  * last candidate hold nothing and are never used. */
 __kernel void sector_contrast(__global const PIXEL *restrict samples, const uint room,
-                              const PIXEL zero, __global CONTRAST *restrict inner_contrast,
+                              const CONTRAST sector_threshold, const PIXEL zero,
+                              __global CONTRAST *restrict inner_contrast,
                               __global CONTRAST *restrict contrast,
-                              __global CONTRAST *restrict mean_difference) {
+                              __global CONTRAST *restrict mean_difference,
+                              __global CONTRAST *restrict responses) {
   const size_t n = get_global_id(0), p = get_global_id(1);
   const size_t first = (p * room + get_group_id(0) * GROUP) * CHANNELS + get_local_id(0);
   AROUND(LOAD)
@@ -140,6 +142,9 @@ __kernel void sector_contrast(__global const PIXEL *restrict samples, const uint
   inner_contrast[i] = inner;
   contrast[i] = SMALLER(inner, outer);
   mean_difference[i] = (CONTRAST)(a0 ? odd_above : even_above);
+  const PIXEL even = (PIXEL)(LARGER(l0, l2) - SMALLER(l0, l2));
+  const PIXEL odd = (PIXEL)((LARGER(l1, l3) ^ zero) - SMALLER(l1, l3));
+  responses[i] = (CONTRAST)(sector_threshold - (CONTRAST)LARGER(even, odd));
 }
 
 #else
@@ -246,15 +251,20 @@ __kernel void percentile(__global const uint *restrict counts,
   bounds[p] = (int2)(limit[value], twice ? (int)min(bound, (ulong)INT_MAX) : INT_MIN);
 }
 
-/* Take the response from the candidates that do not pass. One work-item per candidate. */
+/* The response of the candidates: 0 for those that do not pass. One work-item per candidate. */
 __kernel void keep(__global const CONTRAST *restrict contrast,
                    __global const CONTRAST *restrict mean_difference,
+                   __global const CONTRAST *restrict responses,
                    __global const int2 *restrict list, __global const uint *restrict total,
                    __global const int2 *restrict bounds, const uint rows, const uint step,
                    const uint room, __global RESPONSE *restrict response) {
   const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= min(total[p], room)) return;
-  const size_t i = p * room + n;
-  if (contrast[i] < bounds[p].x || mean_difference[i] < bounds[p].y)
-    response[ROW(p, list[i].y) + list[i].x + PAD] = 0;
+  if (n >= total[p] || n >= room) return;
+  const size_t i = p * room + n, pixel = ROW(p, list[i].y) + list[i].x + PAD;
+  const int passes = contrast[i] >= bounds[p].x && mean_difference[i] >= bounds[p].y;
+#if RAPID
+  response[pixel] = passes ? (RESPONSE)responses[i] : 0;
+#else
+  if (!passes) response[pixel] = 0;
+#endif
 }
