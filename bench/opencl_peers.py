@@ -30,7 +30,7 @@ class RingPeer:
         if image.shape != self._shape:
             self._prepare(image.shape)
         queue = self._queue
-        rows, columns = image.shape
+        _rows, columns = image.shape
         around = (PAD, PAD, PAD, self._padded.shape[1] - columns - PAD)
         cv2.copyMakeBorder(image, *around, cv2.BORDER_REPLICATE, dst=self._padded)
         cl.enqueue_copy(queue, self._grey, self._padded, is_blocking=False)
