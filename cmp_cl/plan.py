@@ -33,6 +33,7 @@ from cmp_cl.results import GreyImage
 RING_REACH = 5  # rows and columns that the outer ring looks at
 REACH = 16  # columns on either side of the pixels, at least: what rings and tents need
 GROUP = 64  # work-items of a group over a list
+NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
 RESULT_FIELDS = 12  # of kernels/refine.cl
 POINT_FIELDS = 27
@@ -91,6 +92,7 @@ class Plan:
         self.pad = _multiple(max(REACH, config.threshold.window // 2), REACH)
         self.step = _multiple(self.working[1] + 2 * self.pad, GROUP)
         self.full_step = _multiple(shape[1] + 2 * self.pad, GROUP)
+        self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
         self._mask = mask
         pixels = self.working[0] * self.working[1]
@@ -135,7 +137,9 @@ class Plan:
             "COLUMN": "uint" if deep else "ushort",
             "LEVEL": "ulong" if deep and self.config.threshold.offset else "uint",
             "SQUARE": "ulong" if deep else "uint",
-            "NOISE": "ulong" if deep else "uint",
+            "NOISE": "uint" if deep else "ushort",
+            "NOISE_BAND": NOISE_BAND,
+            "BAND_NOISE": "ulong" if deep else "uint",
             "CURVATURE": "int" if deep else "short",
             "GROUP": GROUP,
             "LANES": self._lanes,
@@ -153,13 +157,27 @@ class Plan:
                 and self.config.refinement.fit is Fit.QUADRATIC
             ),
         }
-        half = self.config.threshold.window // 2
         distances = range(1, self.config.nms_radius + 1)
         macros = {
-            "WINDOW_SUM(T, F)": sum_of_terms(range(-half, half + 1), "T"),
+            **self._window_sums(),
             "OVER_SUPPRESSION(F)": " ".join(f"F({d})" for d in distances),
         }
         return build(self.queue.context, self.stages, defines, macros)
+
+    def _window_sums(self) -> dict[str, str]:
+        """The macros of binarize.cl: the sum over the window, and the one of sums of columns,
+        as many of which are added in their own type as it can hold."""
+        window = self.config.threshold.window
+        terms = [f"F({k})" for k in range(-(window // 2), window // 2 + 1)]
+        fits = window if self.dtype == np.uint16 else 65535 // (255 * window)
+        groups = [
+            f"(T)({sum_of_terms(terms[start : start + fits], 'COLUMN')})"
+            for start in range(0, window, fits)
+        ]
+        return {
+            "WINDOW_SUM(T, F)": sum_of_terms(terms, "T"),
+            "WIDE_SUM(T, F)": sum_of_terms(groups, "T"),
+        }
 
     @property
     def stages(self) -> list[str]:
@@ -191,13 +209,14 @@ class Plan:
         column = 2 * pixel * (self.frames * plane + spare)
         keys = 2 * score * (self.frames * plane + spare)
         gate = self.config.contrast is not None
+        noise = 2 * pixel * self.frames * self._bands * self.step if gate else 0
         samples = CHANNELS * pixel * room if gate and rapid else 0
         sizes = {
             "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
             "mask": 4 * self.plane_words if self._in_words else plane + spare,
             "binary": planes * plane + spare,
             "responses": response * (planes * plane + spare),
-            "work": max(column, keys, samples),
+            "work": max(column, keys, noise, samples),
             "row_counts": 4 * planes * self.working[0],
             "totals": 4 * (planes + self.frames),
             "corners": 8 * rows,
@@ -217,7 +236,7 @@ class Plan:
             sizes["candidates"] = 8 * room
         if gate:
             sizes["contrasts"] = 4 * 2 * pixel * room
-            sizes["noise"] = 8 * self.frames * self.working[0]
+            sizes["noise"] = 8 * self.frames * self._bands
             sizes["bins"] = 4 * planes * self._parts * BINS
             sizes["found"] = 8 * planes
             sizes["bounds"] = 8 * planes
@@ -226,6 +245,11 @@ class Plan:
             sizes["samples"] = 4 * EDGE_SAMPLES * length if self.scale is None else 0
             sizes["lines"] = 4 * LINE_FIELDS * length
         return sizes
+
+    @property
+    def _bands(self) -> int:
+        """Bands of rows of the noise estimate."""
+        return -(-self.working[0] // NOISE_BAND)
 
     @property
     def _lanes(self) -> int:
@@ -508,8 +532,15 @@ class Plan:
         )
         factor = math.floor(6.68 * (gate.noise if self.masks == 1 else max(gate.noise, 3)) + 0.5)
         parts = np.uint32(self._parts)
-        noise = (self.image, rows, columns, step, b["noise"])
-        stages = [self._rows("noise", self.working[0], self.frames, *noise)]
+        bands = self._bands
+        curvature = np.int32 if deep else np.int16
+        noise = (self.image, rows, step, curvature(0), b["work"])
+        stages = [
+            self._stage("noise", (self.step, bands, self.frames), (self._width, 1, 1), *noise),
+            self._rows(
+                "noise_of_band", bands, self.frames, b["work"], columns, step, b["noise"]
+            ),
+        ]
         listed = (b["candidates"], b["totals"])
         criteria = self.config.criteria
         if isinstance(criteria, RapidCriteria):
@@ -527,11 +558,12 @@ class Plan:
         for shift in (8, 0) if deep else (0,):
             bits = np.uint32(shift)
             histogram = (contrast[0], b["totals"], b["found"], room, bits, parts, b["bins"])
-            percentile = (b["bins"], b["totals"], b["noise"], limit, rows, columns, room, bits)
+            percentile = (b["bins"], b["totals"], b["noise"], limit, rows, columns)
+            sizes = (np.uint32(bands), room, bits, parts, np.uint32(factor))
             stages += [
                 self._rows("histogram", self._parts, planes, *histogram),
                 self._rows(
-                    "percentile", planes, 1, *percentile, parts, np.uint32(factor), b["found"], b["bounds"]
+                    "percentile", planes, 1, *percentile, *sizes, b["found"], b["bounds"]
                 ),
             ]
         keep = (*contrast[1:], *listed, b["bounds"], rows, step, room, b["responses"])

@@ -128,10 +128,10 @@ def _keep(path: Path, program: cl.Program) -> None:
         write_bytes(path, hashlib.sha256(binary).digest() + binary)
 
 
-def sum_of_terms(terms: Sequence[int], kind: str) -> str:
-    """The sum of F(k) over the terms, nested three at a time as SUM3 in plane.clh."""
+def sum_of_terms(terms: Sequence[str], kind: str) -> str:
+    """The sum of the terms in a type, nested three at a time as SUM3 in plane.clh."""
     if len(terms) == 1:
-        return f"F({terms[0]})"
+        return terms[0]
     third = -(-len(terms) // 3)
     parts = [sum_of_terms(terms[i : i + third], kind) for i in range(0, len(terms), third)]
     return f"SUM3({kind}, {', '.join(parts + ['0'] * (3 - len(parts)))})"

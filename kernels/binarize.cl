@@ -1,7 +1,8 @@
 /* Binarization (section 3.1): black iff (I + C) n < S, with S the sum of the n = w w pixels
  * of the window, border repeated.
  *
- * WINDOW_SUM(T, F) adds F(-w/2) .. F(w/2) in type T. */
+ * WINDOW_SUM(T, F) adds F(-w/2) .. F(w/2) in type T; WIDE_SUM(T, F) adds as many of them in type
+ * COLUMN as it can hold, and these sums in type T. */
 
 #ifndef WINDOW_SUM
 #error "WINDOW_SUM must add over the window"
@@ -37,8 +38,8 @@ __kernel void binarize(__global const PIXEL *restrict image,
                        const uint zero, __global uchar *restrict binary) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
   const size_t i = ROW(p, y) + x;
-#define TERM(k) (uint)sums[i + (k)]
-  binary[i] = (uchar)(((LEVEL)image[i] + offset) * count < (LEVEL)WINDOW_SUM(uint, TERM));
+#define TERM(k) sums[i + (k)]
+  binary[i] = (uchar)(((LEVEL)image[i] + offset) * count < (LEVEL)WIDE_SUM(uint, TERM));
 #undef TERM
 }
 

@@ -7,21 +7,38 @@
 
 #define FULL ((PIXEL)(-1)) /* the complement of g is FULL - g = g ^ FULL */
 
-/* Noise: sum of |[1 -2 1]^T [1 -2 1] * I| over the inner pixels of a row. One work-item per row. */
-__kernel void noise(__global const PIXEL *restrict image, const uint rows, const uint columns,
-                    const uint step, __global ulong *restrict sums) {
-  const size_t y = get_global_id(0), p = get_global_id(1);
-  NOISE sum = 0;
-  if (y > 0 && y + 1 < rows) {
-    __global const PIXEL *here = image + ROW(p, y) + PAD;
-    __global const PIXEL *above = here - step, *below = here + step;
-#define ACROSS(x) (CURVATURE)(above[x] - 2 * here[x] + below[x])
-    for (uint x = 1; x + 1 < columns; ++x) {
-      const CURVATURE v = (CURVATURE)(ACROSS(x - 1) - 2 * ACROSS(x) + ACROSS(x + 1));
-      sum += (NOISE)(v < 0 ? -v : v);
-    }
-  }
-  sums[p * rows + y] = sum;
+/* Noise: sums of |[1 -2 1]^T [1 -2 1] * I| over the inner pixels, NOISE_BAND rows of a column at
+ * a time. One work-item per column of a band. */
+__kernel void noise(__global const PIXEL *restrict image, const uint rows, const uint step,
+                    const CURVATURE zero, __global NOISE *restrict sums) {
+  const size_t x = get_global_id(0), band = get_global_id(1), p = get_global_id(2);
+  const int y = (int)band * NOISE_BAND;
+#define ACROSS(k)                                                                   \
+  (CURVATURE)(image[NEAR_ROW(p, y + (k)) + x - 1] - 2 * image[NEAR_ROW(p, y + (k)) + x] + \
+              image[NEAR_ROW(p, y + (k)) + x + 1])
+  const CURVATURE before = ACROSS(-1), h0 = ACROSS(0) ^ zero, h1 = ACROSS(1), h2 = ACROSS(2) ^ zero;
+  const CURVATURE h3 = ACROSS(3), h4 = ACROSS(4) ^ zero, h5 = ACROSS(5), h6 = ACROSS(6) ^ zero;
+  const CURVATURE h7 = ACROSS(7), after = ACROSS(8) ^ zero;
+#define INNER_ROW(k) (CURVATURE)(y + (k) > 0 && y + (k) + 1 < (int)rows ? -1 : 0)
+#define CURVED(above, here, below) (CURVATURE)((above) - 2 * (here) + (below))
+#define ABSOLUTE(v) (NOISE)((v) < 0 ? -(v) : (v))
+#define AT_ROW(k, above, here, below) (ABSOLUTE(CURVED(above, here, below)) & (NOISE)INNER_ROW(k))
+  sums[(p * get_global_size(1) + band) * step + x] =
+      SUM3(NOISE,
+           SUM3(NOISE, AT_ROW(0, before, h0, h1), AT_ROW(1, h0, h1, h2), AT_ROW(2, h1, h2, h3)),
+           SUM3(NOISE, AT_ROW(3, h2, h3, h4), AT_ROW(4, h3, h4, h5), AT_ROW(5, h4, h5, h6)),
+           SUM3(NOISE, AT_ROW(6, h5, h6, h7), AT_ROW(7, h6, h7, after), 0));
+}
+
+/* Their sum over the inner columns. One work-item per band. */
+__kernel void noise_of_band(__global const NOISE *restrict sums, const uint columns,
+                            const uint step, __global ulong *restrict totals) {
+  const size_t band = get_global_id(0), p = get_global_id(1);
+  const size_t row = p * get_global_size(0) + band;
+  __global const NOISE *sum = sums + row * step + PAD;
+  BAND_NOISE total = 0;
+  for (uint x = 1; x + 1 < columns; ++x) total += sum[x];
+  totals[row] = total;
 }
 
 #if RAPID
@@ -225,9 +242,10 @@ __kernel void histogram(__global const CONTRAST *restrict inner_contrast,
  * contrast >= limit[P90] and 2 N sm >= F A. One work-item per plane. */
 __kernel void percentile(__global const uint *restrict counts,
                          __global const uint *restrict total,
-                         __global const ulong *restrict noise_sums,
+                         __global const ulong *restrict noise_totals,
                          __global const int *restrict limit, const uint rows,
-                         const uint columns, const uint room, const uint shift,
+                         const uint columns, const uint bands, const uint room,
+                         const uint shift,
                          const uint parts, const uint noise_factor,
                          __global uint2 *restrict found, __global int2 *restrict bounds) {
   const size_t p = get_global_id(0);
@@ -245,7 +263,7 @@ __kernel void percentile(__global const uint *restrict counts,
   found[p] = (uint2)(shift == 0 ? 0 : value, rank);
   if (shift > 0) return;
   ulong noise = 0;
-  for (uint y = 0; y < rows; ++y) noise += noise_sums[p / MASKS * rows + y];
+  for (uint band = 0; band < bands; ++band) noise += noise_totals[p / MASKS * bands + band];
   const ulong twice = 2 * (ulong)(rows > 2 ? rows - 2 : 0) * (columns > 2 ? columns - 2 : 0);
   const ulong bound = twice ? (noise_factor * noise + twice - 1) / twice : 0;
   bounds[p] = (int2)(limit[value], twice ? (int)min(bound, (ulong)INT_MAX) : INT_MIN);
