@@ -126,28 +126,33 @@ class Detector:
         """The corners of each frame, in order.
 
         The next frame is uploaded while the kernels of this one run. A frame may be
-        overwritten as soon as the next one is asked for.
+        overwritten as soon as the next one is asked for. Calls and other streams may come
+        in between.
         """
         if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
             yield from map(self, frames)
             return
         waiting: Plan | None = None
-        slot = 0
-        for frame in frames:
-            self._check(frame)
-            with self._lock:
-                self._check_alive()
-                plan = self._plan(self._factors[0], slot=slot)
-                self._start(plan, frame)
-                done = None if waiting is None else self._finish(waiting)
-            waiting, slot = plan, 1 - slot
-            if done is not None:
-                yield done[0]
-        if waiting is not None:
-            with self._lock:
-                self._check_alive()
-                done = self._finish(waiting)
-            yield done[0]
+        try:
+            for frame in frames:
+                self._check(frame)
+                with self._lock:
+                    self._check_alive()
+                    plan = self._plan(self._factors[0])
+                    self._start(plan, frame)
+                    plan.awaited = True
+                    ready, waiting = waiting, plan
+                    done = [] if ready is None else self._finish(ready)
+                yield from done
+            if waiting is not None:
+                with self._lock:
+                    self._check_alive()
+                    ready, waiting = waiting, None
+                    done = self._finish(ready)
+                yield from done
+        finally:
+            if waiting is not None:
+                waiting.awaited = False
 
     def batch(self, stack: NDArray[Any] | Sequence[GreyImage]) -> list[Corners]:
         """The corners of each frame of (B, H, W), one launch per stage for all of them."""
@@ -165,11 +170,13 @@ class Detector:
 
     def maps(self, frame: GreyImage) -> Maps:
         """Every intermediate image of a frame; with a Pyramid those of its first factor."""
-        from cmp_cl.maps import read_maps
+        from cmp_cl.maps import no_maps, read_maps
 
         self._check(frame)
         with self._lock:
             self._check_alive()
+            if not frame.size:
+                return no_maps(self.shape, self.config)
             plan = self._plan(self._factors[0])
             self._whole(plan, [frame])  # makes room
             return read_maps(plan)
@@ -194,7 +201,11 @@ class Detector:
             return sorted(scale.factors, reverse=True)
         return [scale]
 
-    def _plan(self, factor: float | None, frames: int = 1, slot: int = 0) -> Plan:
+    def _plan(self, factor: float | None, frames: int = 1) -> Plan:
+        """A plan whose results no stream is waiting for."""
+        slot = 0
+        while (frames, slot, factor) in self._plans and self._plans[frames, slot, factor].awaited:
+            slot += 1
         key = (frames, slot, factor)
         if key not in self._plans:
             if frames > 1:  # room for one size of batch
@@ -218,6 +229,7 @@ class Detector:
         plan.launch(plan.front)
 
     def _finish(self, plan: Plan) -> list[Corners]:
+        plan.awaited = False
         while True:
             try:
                 counts = plan.counts()
@@ -353,4 +365,4 @@ def _checked_mask(mask: ArrayLike, shape: tuple[int, int]) -> NDArray[np.bool_]:
         raise ImageError(
             f"mask must be {shape} of bool, not {array.shape} of {array.dtype}; mask > 0 converts"
         )
-    return array
+    return array.copy()

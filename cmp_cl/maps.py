@@ -1,5 +1,6 @@
 """Detector.maps: the intermediate images of a frame, read from the device."""
 
+import dataclasses
 import math
 from typing import Any
 
@@ -8,7 +9,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl import spectrum
-from cmp_cl.config import RapidCriteria
+from cmp_cl.config import DetectorConfig, RapidCriteria
 from cmp_cl.plan import RING_REACH, Plan
 from cmp_cl.results import Maps
 
@@ -19,6 +20,7 @@ _RAPID_MAPS = (
     ("ring_difference", np.uint8),
     ("corrosion", np.int8),
 )
+_SPECTRAL_MAPS = ("spectrum_12", "spectrum_23", "correlation", "phase")
 
 
 def read_maps(plan: Plan) -> Maps:
@@ -50,6 +52,25 @@ def read_maps(plan: Plan) -> Maps:
     return Maps(**values)
 
 
+def no_maps(shape: tuple[int, int], config: DetectorConfig) -> Maps:
+    """The maps of an image of that shape, which has no pixel."""
+    layers = (3, *shape) if config.threshold.masks == 3 else shape
+    dtypes: dict[str, Any] = {"binary": np.bool_, "inner": np.uint16, "outer": np.uint16}
+    dtypes["candidate"] = np.bool_
+    if isinstance(config.criteria, RapidCriteria):
+        dtypes |= dict(_RAPID_MAPS)
+    else:
+        dtypes |= {name: np.float32 for name in _SPECTRAL_MAPS} | {"corrosion": np.int8}
+    if config.criteria.corrosion_threshold is None:
+        del dtypes["corrosion"]
+    if config.contrast is not None:
+        dtypes["contrast"] = np.int32
+    values: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Maps))
+    values |= {name: np.empty(layers, dtype) for name, dtype in dtypes.items()}
+    values |= {name: np.empty(shape, np.int32) for name in ("response", "score")}
+    return Maps(**values | {"maximum": np.empty(shape, np.bool_)})
+
+
 def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any, *, masks: bool = True) -> NDArray[Any]:
     """The planes of a buffer without their pads: (H, W), or (3, H, W) with three masks."""
     planes = plan.masks if masks else 1
@@ -78,7 +99,7 @@ def _rapid_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
     inner, outer, *rest = _per_pixel(plan, "ring_maps", dtypes, plan.buffers["binary"])
     values: dict[str, NDArray[Any] | None] = {"inner": inner, "outer": outer}
     values |= {name: values for (name, _), values in zip(_RAPID_MAPS, rest, strict=True)}
-    return values | dict.fromkeys(("spectrum_12", "spectrum_23", "correlation", "phase"))
+    return values | dict.fromkeys(_SPECTRAL_MAPS)
 
 
 def _spectral_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
