@@ -1,0 +1,709 @@
+"""Detector and detect: what users call, on the device under test."""
+
+import dataclasses
+import gc
+import os
+import threading
+import time
+from pathlib import Path
+
+import images
+import numpy as np
+import pyopencl as cl
+import pytest
+from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from corner_images import board, noise
+
+import cmp_cl
+from cmp_cl import (
+    AdaptiveMean,
+    Detector,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Fit,
+    Method,
+    Midlines,
+    Pyramid,
+    RapidCriteria,
+    SectorContrast,
+    SpectralCriteria,
+    reference,
+)
+from cmp_cl.errors import CapacityError, CmpClError, ConfigError, DeviceError, ImageError
+
+VECTORS = sorted((Path(__file__).resolve().parents[2] / "shared" / "vectors").glob("*.npz"))
+EIGHT = images.eight_bits()
+SCENE = images.scene().image
+BOARD, TRUTH = board(*images.SHAPE, 12)
+FRAMES = [EIGHT[name] for name in ("scene", "board", "texture", "black", "worn scene")]
+
+
+@pytest.fixture
+def detector(detector_for) -> Detector:
+    """The default detector for images.SHAPE."""
+    return detector_for(BOARD)
+
+
+# --- the same as the oracle ----------------------------------------------------------------
+
+SHAPES = [(1, 1), (1, 7), (7, 1), (2, 2), (5, 3), (11, 13), (31, 29), (97, 131), (480, 640)]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_every_shape(detector_for, shape):
+    for image in (noise(shape, seed=1), images.texture(shape) if min(shape) > 1 else noise(shape)):
+        detector = detector_for(image)
+        assert_maps_equal(detector, image)
+        assert_corners_equal(detector, image)
+
+
+def test_a_large_odd_shape(device):
+    image = images.texture((1201, 1601))
+    image[300:361, 500:583] = BOARD
+    image[-61:, -83:] = BOARD
+    with Detector(shape=image.shape, device=device) as detector:
+        assert_maps_equal(detector, image)
+        assert len(assert_corners_equal(detector, image)) > 1000
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_cropped_and_padded_buffers(detector_for, dtype):
+    buffer = np.tile(images.texture((100, 120)), 1).astype(dtype)
+    plain = buffer[7:68, 5:88].copy()
+    detector = detector_for(plain, DetectorConfig(full_scale=255))
+    expected = detector(plain)
+    for view in (buffer[7:68, 5:88], np.pad(plain, ((0, 0), (0, 45)))[:, :83]):
+        assert not view.flags.c_contiguous
+        assert_same_bytes(detector(view), expected)
+    every_other = np.repeat(plain, 2, axis=0)[::2]
+    assert every_other.strides[0] == 2 * 83 * plain.itemsize
+    assert_same_bytes(detector(every_other), expected)
+    assert len(expected) > 5
+
+
+def test_the_last_row_of_a_crop_may_end_the_buffer(detector):
+    buffer = np.tile(BOARD, (1, 2))
+    assert_same_bytes(detector(buffer[:, 83:]), detector(BOARD))
+
+
+def test_read_only_and_fortran_like_arrays(detector):
+    frozen = BOARD.copy()
+    frozen.flags.writeable = False
+    assert_same_bytes(detector(frozen), detector(BOARD))
+    assert_same_bytes(detector(BOARD.view(np.recarray).view(np.ndarray)), detector(BOARD))
+
+
+@pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
+def test_the_test_vectors(device, path):
+    with np.load(path) as file:
+        vector = dict(file)
+    gate = [float(value) for value in vector["gate"]]
+    config = DetectorConfig(
+        threshold=AdaptiveMean(window=int(vector["window"])),
+        outer_radius=int(vector["outer_radius"]),
+        criteria=RapidCriteria(corrosion_threshold=int(vector["corrosion_threshold"])),
+        contrast=SectorContrast(minimum=gate[0], relative=gate[1], noise=gate[2]) if gate else None,
+        full_scale=int(vector["full_scale"]),
+    )
+    image = vector["image"]
+    with Detector(shape=image.shape, dtype=image.dtype, config=config, device=device) as detector:
+        maps = detector.maps(image)
+        for field in dataclasses.fields(maps):
+            if field.name in vector and getattr(maps, field.name) is not None:
+                values = getattr(maps, field.name)
+                assert values.dtype == vector[field.name].dtype
+                np.testing.assert_array_equal(values, vector[field.name], err_msg=field.name)
+        np.testing.assert_array_equal(detector(image).pixel, vector["pixel"])
+
+
+@pytest.mark.skipif(bool(VECTORS), reason="the test vectors are there")
+def test_without_the_test_vectors():
+    pytest.skip("the folder of test vectors is not beside the repository")
+
+
+@pytest.mark.slow
+def test_an_enormous_image_on_tiles(device):
+    """8192 x 8192: the tile and its surroundings alone give the corners of the tile."""
+    tile = images.texture((256, 256))
+    tile[40:101, 60:143] = BOARD
+    image = np.tile(tile, (32, 32))
+    reach = 40
+    config = DetectorConfig(contrast=SectorContrast(relative=0), max_corners=2**20)
+    with Detector(shape=image.shape, config=config, device=device) as detector:
+        found = detector(image)
+    rng = np.random.default_rng(0)
+    places = [(0, 0), (0, 7936), (7936, 0), (7936, 7936), *rng.integers(0, 7936, (6, 2)).tolist()]
+    for top, left in places:
+        box = [max(top - reach, 0), max(left - reach, 0)]
+        part = image[box[0] : top + 256 + reach, box[1] : left + 256 + reach].copy()
+        expected = reference.detect(part, config)
+
+        def inside(pixel, top=top, left=left):
+            x, y = pixel.T
+            return (x >= left) & (x < left + 256) & (y >= top) & (y < top + 256)
+
+        chosen = inside(expected.pixel + np.array([box[1], box[0]]))
+        mine = inside(found.pixel)
+        np.testing.assert_array_equal(found.pixel[mine], expected.pixel[chosen] + [box[1], box[0]])
+        np.testing.assert_allclose(
+            found.xy[mine] - [box[1], box[0]], expected.xy[chosen], atol=2e-3
+        )
+        assert mine.sum() > 100
+
+
+# --- the result ----------------------------------------------------------------------------
+
+
+def test_the_result(detector, device):
+    corners = detector(BOARD)
+    count = len(corners)
+    assert count > 20
+    expected = {
+        "xy": ((count, 2), np.float32),
+        "pixel": ((count, 2), np.int32),
+        "response": ((count,), np.float32),
+        "method": ((count,), np.uint8),
+        "sigma": ((count,), np.float32),
+        "edges": ((count, 4), np.float32),
+        "doubtful": ((count,), np.bool_),
+    }
+    for name, (shape, dtype) in expected.items():
+        values = getattr(corners, name)
+        assert values.shape == shape, name
+        assert values.dtype == dtype, name
+        assert values.flags.c_contiguous, name
+        assert values.flags.writeable, name
+    assert corners.device == str(device)
+    assert corners.to_opencv().shape == (count, 1, 2)
+    assert np.isnan(corners.sigma).all()
+    x, y = corners.pixel.T
+    assert (np.diff(y * 83 + x) > 0).all()
+    distance = np.linalg.norm(corners.xy[:, None] - TRUTH, axis=2)
+    assert (distance.min(axis=0) < 0.1).all()
+
+
+def test_a_result_is_yours_to_keep(detector):
+    first = detector(BOARD)
+    copy = dataclasses.replace(first, xy=first.xy.copy(), edges=first.edges.copy())
+    detector(EIGHT["texture"])
+    detector(BOARD).xy[:] = 0
+    assert_same_bytes(first, copy)
+
+
+def test_nothing_is_a_result(detector):
+    corners = detector(EIGHT["black"])
+    assert len(corners) == 0
+    assert corners.xy.shape == corners.pixel.shape == (0, 2)
+    assert corners.edges.shape == (0, 4)
+    assert corners.to_opencv().shape == (0, 1, 2)
+
+
+def test_detect(device):
+    config = DetectorConfig()
+    corners = cmp_cl.detect(BOARD, config, device)
+    assert_same_bytes(corners, cmp_cl.detect(BOARD, config=config, device=device.index))
+    chosen = cmp_cl.detect(SCENE, device=device)
+    told = cmp_cl.detect(SCENE, DetectorConfig.for_image(SCENE), device)
+    assert_same_bytes(chosen, told)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 7), (7, 0)])
+def test_images_without_pixels(device, shape):
+    image = np.zeros(shape, np.uint8)
+    assert len(cmp_cl.detect(image, device=device)) == 0
+    with Detector(shape=shape, device=device) as detector:
+        assert len(detector(image)) == 0
+        assert [len(corners) for corners in detector.stream([image] * 3)] == [0, 0, 0]
+        assert [len(corners) for corners in detector.batch([image] * 3)] == [0, 0, 0]
+        assert_maps_equal(detector, image)
+
+
+# --- stream and batch ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("refinement", [EdgeLines(), EdgeStep(), None])
+@pytest.mark.parametrize("scale", [None, 0.63])
+def test_alone_in_a_stream_and_in_a_batch_alike(detector_for, refinement, scale):
+    config = DetectorConfig(refinement=refinement, scale=scale)
+    detector = detector_for(BOARD, config)
+    alone = [detector(frame) for frame in FRAMES]
+    for corners, frame in zip(alone, FRAMES, strict=True):
+        assert_same_bytes(corners, detector(frame))
+    for results in (
+        list(detector.stream(FRAMES)),
+        detector.batch(FRAMES),
+        detector.batch(np.stack(FRAMES)),
+        [*detector.batch(FRAMES[:3]), *detector.batch(FRAMES[3:])],
+    ):
+        assert len(results) == len(alone)
+        for one, other in zip(results, alone, strict=True):
+            assert_same_bytes(one, other)
+    assert any(len(corners) for corners in alone)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        DetectorConfig(threshold=AdaptiveMean(masks=3)),
+        DetectorConfig(criteria=SpectralCriteria()),
+        DetectorConfig(contrast=None, refinement=Midlines()),
+        DetectorConfig(scale=Pyramid(factors=(1.0, 0.63), expected=25)),
+    ],
+    ids=["three masks", "spectral", "no gate", "pyramid"],
+)
+def test_a_batch_equals_the_loop(detector_for, config):
+    detector = detector_for(BOARD, config)
+    for one, frame in zip(detector.batch(FRAMES), FRAMES, strict=True):
+        assert_same_bytes(one, detector(frame))
+    for one, frame in zip(detector.stream(FRAMES), FRAMES, strict=True):
+        assert_same_bytes(one, detector(frame))
+
+
+def test_a_batch_of_sixteen_bits(detector_for):
+    deep = list(images.sixteen_bits().values())
+    config = DetectorConfig(full_scale=4095)
+    detector = detector_for(deep[0], config)
+    for corners, frame in zip(detector.batch(deep), deep, strict=True):
+        assert_same_bytes(corners, detector(frame))
+
+
+def test_a_batch_of_views(detector):
+    buffer = np.tile(images.texture((200, 120)), 1)
+    views = [buffer[k : k + 61, k : k + 83] for k in (0, 10, 37)]
+    for corners, view in zip(detector.batch(views), views, strict=True):
+        assert_same_bytes(corners, detector(view))
+
+
+def test_empty_streams_and_batches(detector):
+    assert list(detector.stream([])) == []
+    assert detector.batch([]) == []
+    assert detector.batch(np.empty((0, *images.SHAPE), np.uint8)) == []
+
+
+def test_a_stream_may_reuse_its_buffer(detector):
+    buffer = np.empty(images.SHAPE, np.uint8)
+
+    def camera():
+        for frame in FRAMES:
+            buffer[:] = frame
+            yield buffer
+
+    for corners, frame in zip(detector.stream(camera()), FRAMES, strict=True):
+        assert_same_bytes(corners, detector(frame))
+
+
+def test_a_stream_is_lazy_by_one_frame(detector):
+    taken = []
+
+    def camera():
+        for number, frame in enumerate(FRAMES):
+            taken.append(number)
+            yield frame
+
+    stream = detector.stream(camera())
+    assert taken == []
+    next(stream)
+    assert taken == [0, 1]
+    stream.close()
+    assert_same_bytes(detector(BOARD), detector(BOARD))
+
+
+def test_streams_and_calls_may_alternate(detector):
+    alone = [detector(frame) for frame in FRAMES]
+    for k, (one, other) in enumerate(
+        zip(detector.stream(FRAMES), detector.stream(FRAMES[::-1]), strict=True)
+    ):
+        assert_same_bytes(one, alone[k])
+        assert_same_bytes(detector(EIGHT["texture"]), alone[2])
+        assert_same_bytes(detector.batch(FRAMES[:2])[1], alone[1])
+        detector.maps(EIGHT["noise"])
+        assert_same_bytes(other, alone[-1 - k])
+
+
+def test_a_wrong_frame_in_a_stream(detector):
+    stream = detector.stream([BOARD, BOARD[:-1], BOARD])
+    with pytest.raises(ImageError, match="takes"):
+        list(stream)
+    assert len(detector(BOARD)) > 20
+
+
+# --- masks ---------------------------------------------------------------------------------
+
+
+def test_a_mask_says_where_candidates_are_centred(detector_for, device):
+    mask = np.zeros(images.SHAPE, np.bool_)
+    mask[15:45, 20:70] = True
+    image = EIGHT["texture"]
+    detector = detector_for(image, DetectorConfig(), mask)
+    assert_maps_equal(detector, image, mask=mask)
+    corners = assert_corners_equal(detector, image, mask=mask)
+    assert 0 < len(corners) < len(detector_for(image)(image))
+    for one, other in zip(detector.batch([image] * 3), [corners] * 3, strict=True):
+        assert_same_bytes(one, other)
+    mine = mask.copy()
+    with Detector(shape=mask.shape, device=device, mask=mine) as other:
+        mine[:] = False
+        plan = other._plan(None)
+        plan.corner_room = 64
+        other._grow(plan, cmp_cl.plan.Overflow(0, 100))
+        plan.queue.finish()
+        assert_same_bytes(other(image), corners)
+
+
+@pytest.mark.parametrize(
+    "mask", [np.ones((2, 2), np.bool_), np.ones(images.SHAPE), np.ones(3, np.bool_), "all"]
+)
+def test_a_wrong_mask(device, mask):
+    with pytest.raises(ImageError, match=r"mask must be \(61, 83\) of bool"):
+        Detector(shape=images.SHAPE, device=device, mask=mask)
+
+
+# --- queues, profiles, closing -------------------------------------------------------------
+
+
+def test_your_own_queue(device, detector):
+    context = cl.Context([device.handle])
+    with cl.CommandQueue(context) as queue:
+        with Detector(shape=images.SHAPE, queue=queue) as own:
+            assert own.device == device
+            assert_same_bytes(own(BOARD), detector(BOARD))
+        queue.finish()
+        with pytest.raises(DeviceError, match="not both"):
+            Detector(shape=images.SHAPE, queue=queue, device=device)
+
+
+def test_times_of_the_stages(device, detector):
+    assert detector.times == {}
+    with Detector(shape=images.SHAPE, device=device, profile=True) as profiled:
+        assert_same_bytes(profiled(BOARD), detector(BOARD))
+        stages = {launch.stage for launch in profiled._plan(None).front}
+        assert set(profiled.times) >= stages | {"centroid", "edge_lines"}
+        assert all(ms >= 0 for ms in profiled.times.values())
+        first = sum(profiled.times.values())
+        for _ in range(20):
+            profiled(BOARD)
+        assert sum(profiled.times.values()) < 10 * first  # of the last frame alone
+
+
+def test_a_closed_detector(device):
+    detector = Detector(shape=images.SHAPE, device=device)
+    stream = detector.stream([BOARD] * 3)
+    next(stream)
+    assert detector.memory > 0
+    detector.close()
+    detector.close()
+    assert detector.memory == 0
+    for use in (
+        lambda: detector(BOARD),
+        lambda: next(stream),
+        lambda: list(detector.stream([BOARD])),
+        lambda: detector.batch([BOARD]),
+        lambda: detector.maps(BOARD),
+    ):
+        with pytest.raises(DeviceError, match="closed"):
+            use()
+
+
+def test_an_exception_in_the_loop_leaves_the_detector_usable(detector):
+    def loop():
+        for _ in detector.stream(FRAMES):
+            raise RuntimeError("the user's")
+
+    for _ in range(3):
+        with pytest.raises(RuntimeError, match="user's"):
+            loop()
+    gc.collect()
+    assert len(detector._plans) < 8
+    assert len(detector(BOARD)) > 20
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_after_a_fork_it_says_so(detector):
+    """OpenCL does not survive a fork; the child gets an error and does not hang."""
+    detector(BOARD)
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            detector(BOARD)
+            os.write(write, b"corners")
+        except BaseException as error:
+            os.write(write, f"{type(error).__name__}: {error}".encode())
+        finally:
+            os._exit(0)
+    os.close(write)
+    deadline = time.monotonic() + 20
+    while os.waitpid(child, os.WNOHANG)[0] == 0:
+        if time.monotonic() > deadline:
+            os.kill(child, 9)
+            os.waitpid(child, 0)
+            pytest.fail("the child hangs")
+        time.sleep(0.01)
+    with os.fdopen(read, "rb") as pipe:
+        message = pipe.read().decode()
+    assert message.startswith("DeviceError")
+    assert "fork" in message
+    assert "spawn" in message
+    assert len(detector(BOARD)) > 20
+
+
+def test_threads_wait_for_one_another(detector):
+    expected = [detector(frame) for frame in FRAMES]
+    failures = []
+
+    def work():
+        try:
+            for _ in range(5):
+                for frame, corners in zip(FRAMES, expected, strict=True):
+                    assert_same_bytes(detector(frame), corners)
+        except BaseException as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=work) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failures == []
+
+
+# --- room ----------------------------------------------------------------------------------
+
+
+EVERYTHING = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
+
+
+def test_more_corners_than_room_are_found_all_the_same(device):
+    image = images.salt_and_pepper((400, 80), 0.9)
+    config = DetectorConfig(contrast=None, nms_radius=1, max_corners=1, criteria=EVERYTHING)
+    with (
+        Detector(shape=image.shape, config=config, device=device) as small,
+        Detector(
+            shape=image.shape, config=config.replace(max_corners=65536), device=device
+        ) as large,
+    ):
+        before = small.memory
+        corners = assert_corners_equal(small, image)
+        assert small.regrown == 1
+        assert len(corners) > 100
+        assert small.memory > before
+        assert_same_bytes(large(image), corners)
+        assert_same_bytes(small(image), corners)
+        assert small.regrown == 1
+        assert small.memory <= large.memory * 2
+
+
+def test_a_batch_and_a_stream_grow_too(device):
+    image = images.salt_and_pepper((400, 80), 0.9)
+    calm = np.full_like(image, 128)
+    config = DetectorConfig(contrast=None, nms_radius=1, max_corners=1, criteria=EVERYTHING)
+    with Detector(shape=image.shape, config=config, device=device) as detector:
+        results = detector.batch([calm, image, image[::-1].copy()])
+        assert detector.regrown == 1
+        streamed = list(detector.stream([image, calm, image, image]))
+        assert_same_bytes(streamed[0], detector(image))
+        assert_same_bytes(streamed[2], streamed[0])
+        assert_same_bytes(results[1], streamed[0])
+        assert len(streamed[1]) == len(results[0]) == 0
+
+
+def test_nothing_is_allocated_per_frame(detector):
+    detector(BOARD)
+    memory, plans = detector.memory, len(detector._plans)
+    buffers = {name: buffer.int_ptr for name, buffer in detector._plan(None).buffers.items()}
+    for frame in FRAMES:
+        detector(frame)
+    assert (detector.memory, len(detector._plans)) == (memory, plans)
+    after = {name: buffer.int_ptr for name, buffer in detector._plan(None).buffers.items()}
+    assert after == buffers
+
+
+def test_memory_is_stated_before_it_is_taken(device):
+    tiny = dataclasses.replace(device, memory=1000)
+    with pytest.raises(CapacityError, match=r"needs \d+ bytes.* has 1000"):
+        Detector(shape=images.SHAPE, device=tiny)
+
+
+# --- wrong images --------------------------------------------------------------------------
+
+
+class Claims:
+    """Not an array."""
+
+
+WRONG = {
+    "float": (BOARD.astype(np.float32), r"uint8.*float32.*astype"),
+    "NaN": (np.full(images.SHAPE, np.nan), r"float64.*astype"),
+    "bool": (BOARD > 100, r"bool.*astype"),
+    "int16": (BOARD.astype(np.int16), r"astype\(numpy.uint16\)"),
+    "big endian": (BOARD.astype(">u2"), r"astype\(numpy.uint16\)"),
+    "colour": (np.dstack([BOARD] * 3), r"cvtColor\(image, cv2.COLOR_BGR2GRAY\)"),
+    "alpha": (np.dstack([BOARD] * 4), r"COLOR_BGRA2GRAY"),
+    "stack": (np.stack([BOARD] * 7), r"one frame of it"),
+    "row": (BOARD[0], r"reshape"),
+    "scalar": (np.uint8(3), r"numpy.asarray"),
+    "list": (BOARD.tolist(), r"got list; numpy.asarray"),
+    "text": ("frame.png", r"got str"),
+    "None": (None, r"got NoneType"),
+    "object": (Claims(), r"got Claims"),
+    "upside down": (BOARD[::-1], r"numpy.ascontiguousarray"),
+    "mirrored": (BOARD[:, ::-1], r"numpy.ascontiguousarray"),
+    "every other column": (np.tile(BOARD, 2)[:, ::2], r"numpy.ascontiguousarray"),
+    "transposed": (np.ascontiguousarray(BOARD.T).T, r"numpy.ascontiguousarray"),
+    "one row repeated": (np.broadcast_to(BOARD[0], images.SHAPE), r"numpy.ascontiguousarray"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_image_is_refused_with_the_remedy(detector, name):
+    image, message = WRONG[name]
+    for use in (
+        lambda: detector(image),
+        lambda: list(detector.stream([image])),
+        lambda: detector.batch([image]),
+        lambda: detector.maps(image),
+        lambda: cmp_cl.detect(image),
+    ):
+        with pytest.raises(ImageError, match=message):
+            use()
+
+
+@pytest.mark.parametrize(
+    "image", [BOARD[:-1], BOARD[:, :-1], np.zeros((0, 0), np.uint8), BOARD.astype(np.uint16)]
+)
+def test_an_image_of_another_plan(detector, image):
+    with pytest.raises(ImageError, match=r"takes \(61, 83\) uint8, got .* make a Detector"):
+        detector(image)
+
+
+@pytest.mark.parametrize("shape", [(3,), (3, 4, 5), "ab", None, (-1, 4), (4.5, "x")])
+def test_a_wrong_shape(device, shape):
+    with pytest.raises(ImageError, match="shape must be"):
+        Detector(shape=shape, device=device)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.int16, bool, ">u2"])
+def test_a_wrong_dtype(device, dtype):
+    with pytest.raises(ImageError, match="uint8 or uint16"):
+        Detector(shape=images.SHAPE, dtype=dtype, device=device)
+
+
+def test_a_wrong_configuration(device):
+    with pytest.raises(ConfigError, match="DetectorConfig"):
+        Detector(shape=images.SHAPE, config="paper", device=device)
+
+
+def test_errors_have_one_root():
+    for error in (CapacityError, ConfigError, DeviceError, ImageError):
+        assert issubclass(error, CmpClError)
+    assert issubclass(ImageError, ValueError)
+    assert issubclass(CapacityError, RuntimeError)
+
+
+# --- the configuration ---------------------------------------------------------------------
+
+D = DetectorConfig
+TEXTURE = EIGHT["texture"]
+WORN = images.scene(1.5, seed=3).image
+DEEP = images.sixteen_bits()["12-bit board"]
+WIDE = RapidCriteria(corrosion_threshold=17)
+CHANGES = {
+    "threshold": (TEXTURE, D(), D(threshold=AdaptiveMean(window=9))),
+    "outer_radius": (TEXTURE, D(), D(outer_radius=4)),
+    "criteria": (TEXTURE, D(), D(criteria=SpectralCriteria())),
+    "contrast": (EIGHT["noise"], D(), D(contrast=None)),
+    "nms_radius": (TEXTURE, D(), D(nms_radius=1)),
+    "refinement": (BOARD, D(), D(refinement=None)),
+    "scale": (TEXTURE, D(), D(scale=0.63)),
+    "full_scale": (DEEP, D(), D(full_scale=4095)),
+    "AdaptiveMean.window": (TEXTURE, D(), D(threshold=AdaptiveMean(window=9))),
+    "AdaptiveMean.offset": (TEXTURE, D(), D(threshold=AdaptiveMean(offset=20))),
+    "AdaptiveMean.masks": (TEXTURE, D(), D(threshold=AdaptiveMean(masks=3))),
+    "RapidCriteria.sector_threshold": (TEXTURE, D(), D(criteria=RapidCriteria(sector_threshold=2))),
+    "RapidCriteria.ring_threshold": (TEXTURE, D(), D(criteria=RapidCriteria(ring_threshold=2))),
+    "RapidCriteria.corrosion_threshold": (TEXTURE, D(), D(criteria=WIDE)),
+    "SpectralCriteria.correlation": (
+        TEXTURE,
+        D(criteria=SpectralCriteria()),
+        D(criteria=SpectralCriteria(correlation=0.95)),
+    ),
+    "SpectralCriteria.phase": (
+        TEXTURE,
+        D(criteria=SpectralCriteria(correlation=0)),
+        D(criteria=SpectralCriteria(correlation=0, phase=0.1)),
+    ),
+    "SpectralCriteria.corrosion_threshold": (
+        TEXTURE,
+        D(criteria=SpectralCriteria()),
+        D(criteria=SpectralCriteria(corrosion_threshold=1)),
+    ),
+    "SectorContrast.minimum": (EIGHT["faint board"], D(), D(contrast=SectorContrast(minimum=60))),
+    "SectorContrast.relative": (TEXTURE, D(), D(contrast=SectorContrast(relative=1))),
+    "SectorContrast.noise": (TEXTURE, D(), D(contrast=SectorContrast(noise=30))),
+    "EdgeLines.max_shift": (WORN, D(), D(refinement=EdgeLines(max_shift=0.3))),
+    "EdgeStep.cell": (WORN, D(refinement=EdgeStep()), D(refinement=EdgeStep(cell=6.0))),
+    "EdgeStep.sigma0": (BOARD, D(refinement=EdgeStep()), D(refinement=EdgeStep(sigma0=0.2))),
+    "Midlines.fit": (WORN, D(refinement=Midlines()), D(refinement=Midlines(fit=Fit.QUADRATIC))),
+    "Midlines.max_shift": (
+        WORN,
+        D(refinement=Midlines()),
+        D(refinement=Midlines(max_shift=0.3)),
+    ),
+    "Pyramid.factors": (
+        BOARD,
+        D(scale=Pyramid(factors=(1.0, 0.63), expected=1000)),
+        D(scale=Pyramid(factors=(0.5, 0.63), expected=1000)),
+    ),
+    "Pyramid.expected": (
+        TEXTURE,
+        D(scale=Pyramid(factors=(1.0, 0.5), expected=1000)),
+        D(scale=Pyramid(factors=(1.0, 0.5), expected=1)),
+    ),
+}
+
+
+def test_every_field_has_a_change():
+    parts = (
+        AdaptiveMean,
+        RapidCriteria,
+        SpectralCriteria,
+        SectorContrast,
+        EdgeLines,
+        EdgeStep,
+        Midlines,
+        Pyramid,
+    )
+    names = {field.name for field in dataclasses.fields(DetectorConfig)}
+    names |= {
+        f"{part.__name__}.{field.name}" for part in parts for field in dataclasses.fields(part)
+    }
+    assert set(CHANGES) == names - {"max_corners"}  # that is tested with the room
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_changing_a_field_changes_the_corners(detector_for, name):
+    image, before, after = CHANGES[name]
+    one, other = detector_for(image, before)(image), detector_for(image, after)(image)
+    same = len(one) == len(other) and all(
+        np.array_equal(getattr(one, part), getattr(other, part), equal_nan=True)
+        for part in ("xy", "response", "sigma", "edges")
+    )
+    assert not same
+
+
+def test_max_corners_is_the_room_at_the_start(device):
+    shape = (300, 80)
+    with (
+        Detector(shape=shape, config=D(max_corners=1), device=device) as small,
+        Detector(shape=shape, config=D(), device=device) as large,
+    ):
+        assert small.memory < large.memory
+
+
+def test_the_papers_configuration(detector_for):
+    for config in (D.for_grid(20), D.paper(40)):
+        corners = assert_corners_equal(detector_for(SCENE, config), SCENE)
+        assert len(corners) > 30
+    assert {Method.MIDLINE, Method.CUSP} & set(corners.method)
