@@ -153,7 +153,8 @@ REAL crossing(const REAL here, const REAL next) {
 
 #if !SCALED
 
-/* Copy the greys of the three rings into columns. One work-item per corner. */
+/* Copy the greys of the three rings, in blocks of GROUP corners. One work-item per corner. */
+#define EDGE_SAMPLES 68
 __kernel void sample_edges(__global const PIXEL *restrict image,
                            __global const float *restrict start, const uint rows,
                            const uint columns, const uint step, const uint length,
@@ -165,9 +166,9 @@ __kernel void sample_edges(__global const PIXEL *restrict image,
                          CLAMPED_ROW(y - 2), CLAMPED_ROW(y - 1), CLAMPED_ROW(y),
                          CLAMPED_ROW(y + 1), CLAMPED_ROW(y + 2), CLAMPED_ROW(y + 3),
                          CLAMPED_ROW(y + 4), CLAMPED_ROW(y + 5)};
-  __global float *to = samples + row;
+  __global float *to = samples + row / GROUP * GROUP * EDGE_SAMPLES + row % GROUP;
 #define COPY(k, dx, dy, next, next_x, next_y) \
-  to[(size_t)(FIRST_OF_RING + (k)) * length] = (float)image[line[(dy) + 5] + (size_t)(x + (dx))];
+  to[(FIRST_OF_RING + (k)) * GROUP] = (float)image[line[(dy) + 5] + (size_t)(x + (dx))];
 #define FIRST_OF_RING 0
   EDGE_RING_3(COPY)
 #undef FIRST_OF_RING
@@ -179,9 +180,11 @@ __kernel void sample_edges(__global const PIXEL *restrict image,
 #undef FIRST_OF_RING
 }
 
+#define SAMPLE_LANE(k) *(__global const REAL *)(block + (k) * GROUP)
+
 /* One ring; d0, d1, ... are grey minus threshold. */
 #define SAMPLE(k, dx, dy, next, next_x, next_y) \
-  const REAL d##k = CONST_LANE(samples, first + (k)) - threshold;
+  const REAL d##k = SAMPLE_LANE(first + (k)) - threshold;
 #define COLOUR(k, dx, dy, next, next_x, next_y) black |= WHERE(d##k < 0) & (1u << (k));
 #define EDGE_POINT(k, dx, dy, next, next_x, next_y)                                 \
   {                                                                                 \
@@ -244,10 +247,13 @@ __kernel void sample_edges(__global const PIXEL *restrict image,
   IN_ORDER(3, 11) IN_ORDER(7, 15) IN_ORDER(7, 11) IN_ORDER(3, 5) IN_ORDER(7, 9)     \
   IN_ORDER(11, 13) IN_ORDER(1, 2) IN_ORDER(3, 4) IN_ORDER(5, 6) IN_ORDER(7, 8)      \
   IN_ORDER(9, 10) IN_ORDER(11, 12) IN_ORDER(13, 14)
-#define SORTED(k, dx, dy, next, next_x, next_y) REAL s##k = CONST_LANE(samples, k);
+#define SORTED(k, dx, dy, next, next_x, next_y) REAL s##k = SAMPLE_LANE(k);
 
 __attribute__((vec_type_hint(REAL))) __kernel void edge_points(__global const float *restrict samples, const uint length,
                           __global float *restrict points) {
+  const size_t corner = get_global_id(0) * LANES;
+  __global const float *block =
+      samples + corner / GROUP * GROUP * EDGE_SAMPLES + corner % GROUP;
   EDGE_RING_3(SORTED)
   SORT_16
   const REAL threshold = (s0 + s1 + s2 + s3 + s12 + s13 + s14 + s15) * 0.125f;
@@ -582,18 +588,59 @@ __kernel void midlines(__global const float *restrict points,
 
 /* EDGE_STEP: one weighted least-squares step from EDGE_LINES' result, in the corner model
  * I = m + c P, P = f(a) f(b), f(a) = a / sqrt(1 + a a), a and b the distances from the two
- * edges in units of the blur. */
+ * edges in units of the blur. One work-item per corner, eight pixels of a row at a time. */
 #define BLUR 1.2f
 #define LARGEST_STEP 0.3f
 #define SMALL 1e-3f
+#define MOST_EIGHTS 57 /* 19 rows of 24 pixels hold a radius of 9 */
+#define EIGHT (float8)(0, 1, 2, 3, 4, 5, 6, 7)
 
-/* The model at offset u from the corner: weight (0 outside), P, and its slopes A and B. */
-#define CORNER_MODEL(ux, uy)                                                        \
-  const float r2 = (ux) * (ux) + (uy) * (uy);                                       \
-  const float w = fmax(0.0f, 1 - r2 * inverse_radius_2) * fmin(1.0f, r2 * inverse_core_2); \
-  const float a = (n1x * (ux) + n1y * (uy)) / BLUR, b = (n2x * (ux) + n2y * (uy)) / BLUR; \
-  const float qa = rsqrt(1 + a * a), qb = rsqrt(1 + b * b);                         \
-  const float f = a * qa, g = b * qb, P = f * g;
+/* Greys of eight pixels from (i, j) of the start on, the border repeated. */
+#define GREY_NEAR(i, j) \
+  (float)image[CLAMPED_ROW(from_y + (j)) + (size_t)clamp(from_x + (i), 0, (int)columns - 1)]
+#if SCALED
+#define EIGHT_GREYS(i, j)                                                           \
+  (float8)(GREY_NEAR(i, j), GREY_NEAR(i + 1, j), GREY_NEAR(i + 2, j), GREY_NEAR(i + 3, j), \
+           GREY_NEAR(i + 4, j), GREY_NEAR(i + 5, j), GREY_NEAR(i + 6, j), GREY_NEAR(i + 7, j))
+#else /* the pads repeat the border */
+#define EIGHT_GREYS(i, j) \
+  eight_floats(image + CLAMPED_ROW(from_y + (j)) + (size_t)(from_x + (i)))
+#endif
+
+/* vload8 and convert_float8 are calls of 30 ns on PoCL 3.0. */
+float8 eight_floats(__global const PIXEL *p) {
+  return (float8)(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7]);
+}
+
+/* The model in row j from pixel i on: weights (0 outside), P and what its slopes are made of. */
+#define CORNER_MODEL(i, j)                                                          \
+  const float8 ux = (float)(i) - x + EIGHT;                                         \
+  const float uy = (float)(j) - y;                                                  \
+  const float8 r2 = ux * ux + uy * uy;                                              \
+  const uint8 inside = as_uint8(r2 < radius * radius);                              \
+  const float8 rim = 1 - r2 * inverse_radius_2, core = r2 * inverse_core_2;         \
+  const float8 at_most_1 = as_float8((as_uint8(core) & as_uint8(core < 1)) |        \
+                                     (as_uint8((float8)(1.0f)) & ~as_uint8(core < 1))); \
+  const float8 w = as_float8(as_uint8(rim * at_most_1) & inside);                   \
+  const float8 a = (n1x * ux + n1y * uy) / BLUR, b = (n2x * ux + n2y * uy) / BLUR;  \
+  const float8 qa = inverse_root(1 + a * a), qb = inverse_root(1 + b * b);                 \
+  const float8 f = a * qa, g = b * qb, P = f * g;
+
+/* 1 / sqrt(v) to 2e-7: a first guess from the exponent and three of Newton's steps, which cost
+ * less than a root and a division. */
+float8 inverse_root(const float8 v) {
+  float8 q = as_float8(0x5f375a86u - (as_uint8(v) >> 1));
+  const float8 half_v = 0.5f * v;
+  q = q * (1.5f - half_v * q * q);
+  q = q * (1.5f - half_v * q * q);
+  return q * (1.5f - half_v * q * q);
+}
+
+float sum_of_eight(const float8 v) {
+  const float4 four = v.lo + v.hi;
+  const float2 two = four.lo + four.hi;
+  return two.x + two.y;
+}
 
 __kernel void edge_step(__global const PIXEL *restrict image,
                         __global const float *restrict start,
@@ -607,43 +654,52 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
   const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
   const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
-  const float core = fmin(4.0f, radius / 2);
-  const float inverse_radius_2 = 1 / (radius * radius), inverse_core_2 = 1 / (core * core);
+  const float core_radius = fmin(4.0f, radius / 2);
+  const float inverse_radius_2 = 1 / (radius * radius);
+  const float inverse_core_2 = 1 / (core_radius * core_radius);
   const int left = (int)ceil(x - radius), right = (int)floor(x + radius);
   const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);
-#define GREY_NEAR(i, j)                                                             \
-  ((float)image[CLAMPED_ROW(from_y + (j)) + (size_t)clamp(from_x + (i), 0, (int)columns - 1)] - \
-   centre)
-  const float centre =
-      (float)image[CLAMPED_ROW(from_y) + (size_t)clamp(from_x, 0, (int)columns - 1)];
+  const float centre = GREY_NEAR(0, 0);
 
-  float s1 = 0, sp = 0, spp = 0, si = 0, spi = 0, sii = 0, sa = 0, sb = 0, saa = 0, sab = 0;
-  float sbb = 0, sap = 0, sbp = 0, sai = 0, sbi = 0;
-  for (int j = top; j <= bottom; ++j) {
-    const float uy = (float)j - y;
-    for (int i = left; i <= right; ++i) {
-      const float ux = (float)i - x;
-      CORNER_MODEL(ux, uy)
-      const float A = qa * qa * qa * g / BLUR, B = f * qb * qb * qb / BLUR;
-      const float I = GREY_NEAR(i, j);
-      const float wP = w * P, wA = w * A, wB = w * B, wI = w * I;
-      s1 += w;
-      sp += wP;
-      spp += wP * P;
-      si += wI;
-      spi += wP * I;
-      sii += wI * I;
-      sa += wA;
-      sb += wB;
-      saa += wA * A;
-      sab += wA * B;
-      sbb += wB * B;
-      sap += wA * P;
-      sbp += wB * P;
-      sai += wA * I;
-      sbi += wB * I;
+#if !SCALED
+  float8 weight_of[MOST_EIGHTS], model_of[MOST_EIGHTS], grey_of[MOST_EIGHTS];
+  int n = 0;
+#endif
+  float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vii = 0, va = 0, vb = 0;
+  float8 vaa = 0, vab = 0, vbb = 0, vap = 0, vbp = 0, vai = 0, vbi = 0;
+  for (int j = top; j <= bottom; ++j)
+    for (int i = left; i <= right; i += 8) {
+      CORNER_MODEL(i, j)
+      const float8 A = qa * qa * qa * g / BLUR, B = f * qb * qb * qb / BLUR;
+      const float8 I = EIGHT_GREYS(i, j) - centre;
+      const float8 wP = w * P, wA = w * A, wB = w * B, wI = w * I;
+      v1 += w;
+      vp += wP;
+      vpp += wP * P;
+      vi += wI;
+      vpi += wP * I;
+      vii += wI * I;
+      va += wA;
+      vb += wB;
+      vaa += wA * A;
+      vab += wA * B;
+      vbb += wB * B;
+      vap += wA * P;
+      vbp += wB * P;
+      vai += wA * I;
+      vbi += wB * I;
+#if !SCALED
+      weight_of[n] = w;
+      model_of[n] = P;
+      grey_of[n++] = I;
+#endif
     }
-  }
+  const float s1 = sum_of_eight(v1), sp = sum_of_eight(vp), spp = sum_of_eight(vpp);
+  const float si = sum_of_eight(vi), spi = sum_of_eight(vpi), sii = sum_of_eight(vii);
+  const float sa = sum_of_eight(va), sb = sum_of_eight(vb), saa = sum_of_eight(vaa);
+  const float sab = sum_of_eight(vab), sbb = sum_of_eight(vbb), sap = sum_of_eight(vap);
+  const float sbp = sum_of_eight(vbp), sai = sum_of_eight(vai), sbi = sum_of_eight(vbi);
+
   const float spread = s1 * spp - sp * sp;
   const float c = (s1 * spi - sp * si) / spread, m = (si - c * sp) / s1;
   const float ba = sai - m * sa - c * sap, bb = sbi - m * sb - c * sbp;
@@ -657,20 +713,29 @@ __kernel void edge_step(__global const PIXEL *restrict image,
         (x + tx) * (x + tx) + (y + ty) * (y + ty) <= farthest * farthest))
     return;
 
-  /* Autocorrelation of what the model leaves, between horizontal neighbours. */
-  float products = 0, weights = 0;
+  /* Autocorrelation of what the model leaves, between each pixel and the next of its row. */
+  float8 products = 0, weights = 0;
+#if !SCALED
+  n = 0;
+#endif
   for (int j = top; j <= bottom; ++j) {
-    const float uy = (float)j - y;
-    float before = 0, weight_before = 0;
-    for (int i = left; i <= right; ++i) {
-      const float ux = (float)i - x;
-      CORNER_MODEL(ux, uy)
-      const float residual = (GREY_NEAR(i, j) - m - c * P) / c;
-      const int inside = r2 < radius * radius;
-      products += inside ? weight_before * before * residual : 0.0f;
-      weights += inside ? weight_before : 0.0f;
-      before = residual;
-      weight_before = inside ? w : 0.0f;
+    float last = 0, last_weight = 0;
+    for (int i = left; i <= right; i += 8) {
+#if SCALED
+      CORNER_MODEL(i, j)
+      const float8 I = EIGHT_GREYS(i, j) - centre;
+#else
+      const float8 w = weight_of[n], P = model_of[n], I = grey_of[n++];
+      const float8 ux = (float)(i) - x + EIGHT;
+      const uint8 inside = as_uint8(ux * ux + ((float)j - y) * ((float)j - y) < radius * radius);
+#endif
+      const float8 r = (I - m - c * P) / c;
+      const float8 before = (float8)(last, r.s0123, r.s456);
+      const float8 weight = as_float8(as_uint8((float8)(last_weight, w.s0123, w.s456)) & inside);
+      products += weight * before * r;
+      weights += weight;
+      last = r.s7;
+      last_weight = w.s7;
     }
   }
   FIELD(RESULT_X) = (float)from_x + (x + tx);
@@ -678,7 +743,7 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   FIELD(RESULT_METHOD) = METHOD_EDGE_STEP;
   const float trace = (saa + sbb + 2 * sab * (n1x * n2x + n1y * n2y)) / (d * sine * sine);
   FIELD(RESULT_SIGMA) = 0.25f * trace * (sii - m * si - c * spi) / (s1 * c * c);
-  FIELD(RESULT_DOUBTFUL) = products / weights;
+  FIELD(RESULT_DOUBTFUL) = sum_of_eight(products) / sum_of_eight(weights);
 }
 
 #endif
