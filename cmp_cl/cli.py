@@ -1,4 +1,4 @@
-"""The command line: `cmp-cl devices | detect | render`.
+"""The command line: `cmp-cl devices | detect | render | demo | run | calibrate | tune`.
 
 Exit status: 0 done, 1 no device was found by `devices`, 2 something asked for could not be
 done (one line on stderr says what), 130 interrupted.
@@ -12,13 +12,15 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn
 
 import cv2
 import numpy as np
 
 import cmp_cl
 from cmp_cl import io
+from cmp_cl.commands import calibrate, demo, run, tune
+from cmp_cl.commands.common import Progress, add_device, add_full_scale, one_line, shown
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
 from cmp_cl.device import DEVICE_VARIABLE, Device
@@ -63,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (CmpClError, OSError) as error:
-        return _fail(_line(error))
+        return _fail(one_line(error))
     except KeyboardInterrupt:
         return _fail("interrupted", status=130)
 
@@ -81,26 +83,16 @@ def _parser() -> argparse.ArgumentParser:
     _add_devices(commands)
     _add_detect(commands)
     _add_render(commands)
+    demo.add_parser(commands)
+    run.add_parser(commands)
+    calibrate.add_parser(commands)
+    tune.add_parser(commands)
     return parser
 
 
 def _fail(message: str, *, status: int = 2) -> int:
     print(f"cmp-cl: {message}", file=sys.stderr)
     return status
-
-
-def _line(error: Exception) -> str:
-    """The message of an error on one line."""
-    if isinstance(error, OSError) and error.strerror is not None:
-        name = "" if error.filename is None else f"{_shown(error.filename)}: "
-        return f"{name}{error.strerror}"
-    return " ".join(str(error).splitlines())
-
-
-def _shown(name: object) -> str:
-    """A file name as it can stand in a line: itself, or quoted with its odd characters escaped."""
-    text = os.fspath(name) if isinstance(name, Path) else str(name)
-    return text if text.isprintable() else repr(text)
 
 
 # devices
@@ -181,24 +173,9 @@ def _add_detect(commands: Any) -> None:
         help="settings of the detector; without it the cell size is estimated from each image, "
         "in a video until corners are found",
     )
-    parser.add_argument(
-        "--full-scale",
-        metavar="LEVEL",
-        type=int,
-        help="largest grey level of the camera, 4095 for 12 bits in a 16-bit file; default: that "
-        "of the settings, else 255 or 65535",
-    )
-    _add_device(parser)
+    add_full_scale(parser)
+    add_device(parser)
     parser.set_defaults(run=_detect)
-
-
-def _add_device(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--device",
-        metavar="NAME",
-        help="part of a device's or platform's name, an index such as 0:0, gpu or cpu; default: "
-        "the variable CMP_CL_DEVICE, else the first GPU, else the first CPU",
-    )
 
 
 def _detect(arguments: argparse.Namespace) -> int:
@@ -218,7 +195,7 @@ def _detect(arguments: argparse.Namespace) -> int:
         finder = stack.enter_context(
             contextlib.closing(_Finder(config, arguments.full_scale, device))
         )
-        progress = stack.enter_context(contextlib.closing(_Progress(paths)))
+        progress = stack.enter_context(Progress(_frames_in(paths), "frames"))
         for path in paths:
             tally = _Tally()
             try:
@@ -231,20 +208,20 @@ def _detect(arguments: argparse.Namespace) -> int:
                         tally.overlays.append(name)
                     progress.step()
             except ImageError as error:
-                progress.say(f"cmp-cl: {_line(error)}", sys.stderr)
+                progress.say(f"cmp-cl: {one_line(error)}", sys.stderr)
                 status = 2
             if tally.broken:
-                progress.say(f"cmp-cl: {_shown(path)}: {tally.broken_line()}", sys.stderr)
+                progress.say(f"cmp-cl: {shown(path)}: {tally.broken_line()}", sys.stderr)
             if tally.counts:
-                progress.say(f"{_shown(path)}: {tally.line()}", sys.stdout)
+                progress.say(f"{shown(path)}: {tally.line()}", sys.stdout)
             if tally.is_dark():
                 progress.say(
-                    f"cmp-cl: {_shown(path)}: the brightest of its 16-bit pixels is "
+                    f"cmp-cl: {shown(path)}: the brightest of its 16-bit pixels is "
                     f"{tally.brightest}; for a camera of 12 bits say --full-scale 4095",
                     sys.stderr,
                 )
     if table is not None:
-        print(f"wrote {_shown(out)}: {table.rows} corners")
+        print(f"wrote {shown(out)}: {table.rows} corners")
     return status
 
 
@@ -273,8 +250,8 @@ class _Tally:
             time_of_one = f"a median of {time_of_one} each"
         line = f"{corners} in {time_of_one} (upload, kernels, download) on {self.device}"
         if self.overlays:
-            last = f" to {_shown(self.overlays[-1])}" if len(self.overlays) > 1 else ""
-            line += f"; wrote {_shown(self.overlays[0])}{last}"
+            last = f" to {shown(self.overlays[-1])}" if len(self.overlays) > 1 else ""
+            line += f"; wrote {shown(self.overlays[0])}{last}"
         return line
 
     def is_dark(self) -> bool:
@@ -344,33 +321,10 @@ class _Finder:
         self._kept.close()
 
 
-class _Progress:
-    """A progress bar over all frames, where tqdm is installed and stderr is a terminal."""
-
-    def __init__(self, paths: Sequence[Path]) -> None:
-        self._bar: Any = None
-        if len(paths) > 1 or io.is_video(paths[0]):
-            with contextlib.suppress(ImportError):
-                from tqdm import tqdm
-
-                total = _frames_in(paths) if sys.stderr.isatty() else None
-                self._bar = tqdm(total=total, unit=" frames", disable=None, leave=False)
-
-    def step(self) -> None:
-        if self._bar is not None:
-            self._bar.update()
-
-    def say(self, line: str, stream: TextIO) -> None:
-        if self._bar is not None:
-            self._bar.clear()
-        print(line, file=stream, flush=True)
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-
-def _frames_in(paths: Sequence[Path]) -> int:
+def _frames_in(paths: Sequence[Path]) -> int | None:
+    """How many frames there are, None where nobody watches."""
+    if not sys.stderr.isatty():
+        return None
     total = 0
     for path in paths:
         with contextlib.suppress(ImageError, OSError):
@@ -393,18 +347,18 @@ def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Pat
         if len(paths) > 1 or io.is_video(paths[0]):
             what = f"there are {len(paths)} inputs" if len(paths) > 1 else "the input is a video"
             raise ConfigError(
-                f"--overlay {_shown(overlay)} is one picture, but {what}; name a folder"
+                f"--overlay {shown(overlay)} is one picture, but {what}; name a folder"
             )
         return {paths[0]: Path(overlay)}
     folder = Path(overlay)
     if suffix and not folder.is_dir() and not overlay.endswith(("/", os.sep)):
         raise ConfigError(
-            f"--overlay {_shown(overlay)} is neither a folder nor a picture that can be written; "
+            f"--overlay {shown(overlay)} is neither a folder nor a picture that can be written; "
             "end it in .png"
         )
     folder.mkdir(parents=True, exist_ok=True)
     if any(os.path.realpath(path.parent) == os.path.realpath(folder) for path in paths):
-        raise ConfigError(f"--overlay {_shown(overlay)} holds inputs; name another folder")
+        raise ConfigError(f"--overlay {shown(overlay)} holds inputs; name another folder")
     names: dict[Path, Path] = {}
     for path in dict.fromkeys(paths):
         name = folder / f"{path.stem}-corners.png"
@@ -427,7 +381,7 @@ def _refuse_to_overwrite(inputs: Iterable[Path], outputs: Iterable[Path]) -> Non
     read = {os.path.realpath(path) for path in inputs}
     for path in outputs:
         if os.path.realpath(path) in read:
-            raise ConfigError(f"{_shown(path)} is an input and would be overwritten")
+            raise ConfigError(f"{shown(path)} is an input and would be overwritten")
 
 
 # render
@@ -499,7 +453,7 @@ def _render(arguments: argparse.Namespace) -> int:
     rows, columns = scene.shape
     count = rendered.truth.shape[0] * rendered.truth.shape[1]
     print(
-        f"wrote {_shown(arguments.out)}: {columns} x {rows} px, {count} corners, "
+        f"wrote {shown(arguments.out)}: {columns} x {rows} px, {count} corners, "
         f"cells of {rendered.cell:.1f} px"
     )
     if arguments.truth is not None:
@@ -508,5 +462,5 @@ def _render(arguments: argparse.Namespace) -> int:
             ("row", "column", "x_px", "y_px"),
             ([*index, *rendered.truth[index]] for index in np.ndindex(rendered.truth.shape[:2])),
         )
-        print(f"wrote {_shown(arguments.truth)}: {count} corners")
+        print(f"wrote {shown(arguments.truth)}: {count} corners")
     return 0

@@ -196,6 +196,35 @@ def count_frames(path: str | PathLike[str]) -> int | None:
     return int(count) if 0 < count < 2**31 else None
 
 
+def frame_rate(path: str | PathLike[str]) -> float | None:
+    """Frames per second that a video states, None for an image or where it states none."""
+    if not is_video(path):
+        return None
+    with _opened(path) as capture:
+        rate = capture.get(cv2.CAP_PROP_FPS)
+    return float(rate) if 0 < rate < 1e6 else None
+
+
+def read_camera(number: int) -> Iterator[Frame]:
+    """The frames of the camera of that number, as they come; colour becomes grey.
+
+    Ends where `LONGEST_GAP` frames in a row do not come. Raises ImageError where there is no
+    such camera.
+    """
+    capture = cv2.VideoCapture(number)
+    try:
+        if not capture.isOpened():
+            raise ImageError(f"there is no camera {number} that OpenCV can open")
+        index = gap = 0
+        while gap < LONGEST_GAP:
+            read, picture = capture.read()
+            gap = 0 if read else gap + 1
+            yield Frame(index, _grey(picture) if read else None)
+            index += 1
+    finally:
+        capture.release()
+
+
 @contextlib.contextmanager
 def _opened(path: str | PathLike[str]) -> Iterator[cv2.VideoCapture]:
     _check_readable(path)
