@@ -219,6 +219,7 @@ class Plan:
             "work": max(column, keys, noise, samples),
             "row_counts": 4 * planes * self.working[0],
             "totals": 4 * (planes + self.frames),
+            "zeros": score * self.step,
             "corners": 8 * rows,
             "starts": 4 * self.frames,
             "start": 12 * length,
@@ -589,9 +590,9 @@ class Plan:
         return [
             *stages,
             self._dense("tent_rows", self.frames, self.response, *common, rest),
-            self._dense("score", self.frames, self.response, rest, *common, key),
+            self._dense("score", self.frames, self.response, rest, b["zeros"], *common, key),
             self._dense("row_maximum", self.frames, key, *common, rest),
-            self._dense("maximum", self.frames, key, rest, *common, b["binary"]),
+            self._dense("maximum", self.frames, key, rest, b["zeros"], *common, b["binary"]),
             *self._lists("maxima", self.frames, b["binary"], self.corner_room, self.frames * self.masks),
         ]
 

@@ -20,13 +20,14 @@ __kernel void tent_rows(__global const RESPONSE *restrict response, const uint r
                  near, near);
 }
 
-/* What lies at a distance in y; 0 outside the image. */
-#define INSIDE(dy) (SCORE)((int)y + (dy) >= 0 && (int)y + (dy) < (int)rows ? -1 : 0)
-#define AT(image, dy) ((SCORE)(image[NEAR_ROW(p, (int)y + (dy)) + x] & INSIDE(dy)))
+/* What lies at a distance in y; a row of zeros outside the image. */
+#define AT(image, dy)                                                               \
+  ((int)y + (dy) >= 0 && (int)y + (dy) < (int)rows ? image + ROW(p, (int)y + (dy)) : zeros)[x]
 
 /* The tent along y, and the key; the key is 0 where there is no response. */
 __kernel void score(__global const RESPONSE *restrict response,
-                    __global const SCORE *restrict tent, const uint rows, const uint step,
+                    __global const SCORE *restrict tent,
+                    __global const SCORE *restrict zeros, const uint rows, const uint step,
                     const SCORE zero, __global SCORE *restrict key) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
   const size_t i = ROW(p, y) + x;
@@ -61,14 +62,18 @@ __kernel void row_maximum(__global const SCORE *restrict key, const uint rows, c
 
 /* A key that is above all earlier ones and not below any later one is kept. */
 __kernel void maximum(__global const SCORE *restrict key, __global const SCORE *restrict largest,
-                      const uint rows, const uint step, const SCORE zero,
-                      __global uchar *restrict maxima) {
+                      __global const SCORE *restrict zeros, const uint rows,
+                      const uint step, const SCORE zero, __global uchar *restrict maxima) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
   const size_t i = ROW(p, y) + x;
   SCORE earlier = 0, later = largest[i];
-#define EARLIER(d) earlier = LARGEST3(SCORE, key[i - (d)], AT(largest, -(d)), earlier);
+#define EARLIER(d)                                                                  \
+  const SCORE left##d = key[i - (d)], above##d = AT(largest, -(d));                 \
+  earlier = LARGEST3(SCORE, left##d, above##d, earlier);
   OVER_SUPPRESSION(EARLIER)
-#define LATER(d) later = (SCORE)LARGER(AT(largest, d), later) ^ zero;
+#define LATER(d)                                                                    \
+  const SCORE below##d = AT(largest, d);                                            \
+  later = (SCORE)LARGER(below##d, later) ^ zero;
   OVER_SUPPRESSION(LATER)
   const SCORE k = key[i];
   maxima[i] = (uchar)((k > earlier) & (k >= later));
