@@ -1,0 +1,111 @@
+"""What every OpenCL 1.2 device has is enough, and every form of a stage runs on every device.
+
+The set is small enough for a simulator that checks each memory access.
+"""
+
+import dataclasses
+import re
+
+import images
+import numpy as np
+import pytest
+from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+
+from cmp_cl import (
+    AdaptiveMean,
+    Detector,
+    DetectorConfig,
+    EdgeStep,
+    Fit,
+    Midlines,
+    SpectralCriteria,
+)
+from cmp_cl.device import DeviceKind
+from cmp_cl.plan import GROUP, Plan
+from cmp_cl.program import kernel_folder
+
+FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31
+FEW = np.where(np.arange(31) < 16, FRAME, 128).astype(np.uint8)
+DEEP = FRAME.astype(np.uint16) * 16 + 7
+CONFIGS = {
+    "default": DetectorConfig(),
+    "least": DetectorConfig(outer_radius=4, contrast=None, nms_radius=1, refinement=None),
+    "wide windows": DetectorConfig(threshold=AdaptiveMean(window=255), nms_radius=15),
+    "three masks, step": DetectorConfig(
+        threshold=AdaptiveMean(masks=3), refinement=EdgeStep(cell=11)
+    ),
+    "spectral, midlines": DetectorConfig(
+        criteria=SpectralCriteria(correlation=0), refinement=Midlines()
+    ),
+    "quadratic midlines": DetectorConfig(refinement=Midlines(fit=Fit.QUADRATIC)),
+    "smaller, step": DetectorConfig(scale=0.7, refinement=EdgeStep(cell=11)),
+    "larger, midlines": DetectorConfig(scale=1.3, refinement=Midlines()),
+}
+SIXTEEN_BITS = {
+    "offset": DetectorConfig(threshold=AdaptiveMean(window=9, offset=3), full_scale=4095),
+    "spectral, three masks": DetectorConfig(
+        threshold=AdaptiveMean(masks=3), criteria=SpectralCriteria(), full_scale=4095
+    ),
+}
+
+
+@pytest.fixture(params=[DeviceKind.CPU, DeviceKind.GPU], ids=["CPU form", "GPU form"])
+def form(request, device):
+    """The device under test, taken for one of each kind; its own is what all other tests run."""
+    if request.param is device.kind and "Oclgrind" not in device.platform:
+        pytest.skip("all other tests run this form here")
+    return dataclasses.replace(device, kind=request.param)
+
+
+def check(form, config, frames):
+    """Alone, in a batch and in a stream; the counts of corners differ from frame to frame."""
+    with Detector(
+        shape=frames[0].shape, dtype=frames[0].dtype, config=config, device=form
+    ) as detector:
+        alone = [assert_corners_equal(detector, frame) for frame in frames]
+        for results in (detector.batch(frames), list(detector.stream(frames))):
+            for one, other in zip(results, alone, strict=True):
+                assert_same_bytes(one, other)
+        assert_maps_equal(detector, frames[0])
+    return [len(corners) for corners in alone]
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_kernel_in_every_form(form, name):
+    counts = check(form, CONFIGS[name], [FRAME, FEW])
+    assert counts[0] > 0
+
+
+@pytest.mark.parametrize("name", SIXTEEN_BITS)
+def test_every_kernel_in_every_form_of_sixteen_bits(form, name):
+    assert check(form, SIXTEEN_BITS[name], [DEEP, DEEP[::-1].copy()])[0] > 0
+
+
+def test_few_corners_after_many(device):
+    """Work-items without a corner must not see what an earlier frame left."""
+    many = images.texture((131, 111))
+    few = np.full_like(many, 128)
+    few[:33, :31] = FRAME
+    config = DetectorConfig(contrast=None, nms_radius=1, refinement=EdgeStep())
+    with Detector(shape=many.shape, config=config, device=device) as detector:
+        first = detector(few)
+        assert len(detector(many)) > 2 * GROUP
+        assert_same_bytes(detector(few), first)
+        assert 0 < len(first) < GROUP
+
+
+def test_groups_of_64_are_enough(form, monkeypatch):
+    monkeypatch.setattr(Plan, "_width", GROUP)
+    assert GROUP <= 64
+    check(form, DetectorConfig(), [FRAME, FEW])
+
+
+def test_kernels_use_nothing_optional():
+    """No local memory, doubles, images, printf, sub-groups or extensions; so 16 KB are enough."""
+    words = r"\b(__local|local|double\d*|image\dd\w*|printf|sub_group\w*|barrier|pragma|half)\b"
+    files = sorted(kernel_folder().glob("*.cl*"))
+    assert len(files) > 8
+    for path in files:
+        text = re.sub(r"/\*.*?\*/|//[^\n]*", "", path.read_text("utf-8"), flags=re.DOTALL)
+        assert "__kernel" in text or path.suffix == ".clh"
+        assert re.findall(words, text) == [], path.name
