@@ -107,7 +107,7 @@ class Tables:
                     "group": group,
                     "ms": float(np.median(spent)),
                     "ms_p95": float(np.percentile(spent, 95)),
-                    **total(scores).summary(),
+                    **_kept(total(scores).summary()),
                 }
             )
         common = {}
@@ -121,7 +121,25 @@ class Tables:
                     "rmse_default": float(lines),
                     "rmse_step": float(step),
                 }
-        return {"rows": rows, "common": common, "settings": self.settings}
+        columns = list(rows[0])
+        body = [[_short(row[name]) for name in columns] for row in rows]
+        return {"columns": columns, "rows": body, "common": common, "settings": self.settings}
+
+
+def _kept(summary: dict[str, Any]) -> dict[str, Any]:
+    """Without what follows from the counts."""
+    return {name: summary[name] for name in summary if name not in ("recall", "precision")}
+
+
+def _short(value: Any) -> Any:
+    """Floats to 5 digits: the tables have thousands of them."""
+    return float(f"{value:.5g}") if isinstance(value, float) else value
+
+
+def unpacked(result: dict[str, Any]) -> dict[str, Any]:
+    """The same result with its rows as dicts."""
+    columns = result["columns"]
+    return result | {"rows": [dict(zip(columns, row, strict=True)) for row in result["rows"]]}
 
 
 def groups(scene: Scene) -> list[str]:
@@ -209,10 +227,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         "first_seed": TEST_SEED,
         **tables.as_json(),
     }
-    show(result)
+    show(unpacked(result))
     out = arguments.out or (None if arguments.quick else RESULTS / "accuracy.json")
     if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
+        out.write_text(json.dumps(result) + "\n")
         print(f"wrote {out}")
     return 0
 

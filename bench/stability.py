@@ -368,7 +368,7 @@ def cases() -> list[dict[str, Any]]:
     case("salt and pepper on 2 %: false", answer.false, "few")
     as_is = found(image)
     places = as_is.xy.astype(float)
-    rows_, columns = image.shape
+    columns = image.shape[1]
     turns: dict[str, tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]] = {
         "inverted": (255 - image, lambda xy: xy),
         "mirrored": (image[:, ::-1], lambda xy: np.stack([columns - 1 - xy[:, 0], xy[:, 1]], 1)),
@@ -448,7 +448,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     show(result)
     out = arguments.out or (None if arguments.quick else RESULTS / "stability.json")
     if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
+        out.write_text(json.dumps(result) + "\n")
         print(f"wrote {out}")
     return 0
 

@@ -1,0 +1,101 @@
+"""What got worse between two result files of the same kind.
+
+    python bench/compare.py old/speed.json results/speed.json
+
+Rows are matched by what they say about themselves. Worse means: more time than `--slower`
+allows (of the ratio to the median of the peers in the same run, where there are peers, since
+machines differ), or any more missed, false or failed, or an error larger by over 5 %.
+The exit status is 1 where something got worse.
+"""
+
+import argparse
+import json
+import statistics
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+_COUNTS = ("missed", "false")
+_ERRORS = ("rmse", "p95")
+
+
+def rows_of(result: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The rows of a result under names that stay the same between runs."""
+    if result["kind"] == "speed":
+        for scene in result["scenes"]:
+            # Our own times in units of the peers', which the machine slows down alike.
+            peers = [r["ms"] for r in scene["rows"] if not r["method"].startswith("cmp_cl")]
+            unit = statistics.median(peers) if peers else 1.0
+            for row in scene["rows"]:
+                if row["method"].startswith("cmp_cl"):
+                    yield f"{scene['scene']}: {row['method']}", row | {"ms": row["ms"] / unit}
+    elif result["kind"] == "accuracy":
+        for values in result["rows"]:
+            row = dict(zip(result["columns"], values, strict=True))
+            if row["method"].startswith("cmp_cl"):
+                yield f"{row['group']}: {row['method']}", row | {"ms": None}
+    elif result["kind"] == "photographs":
+        for row in result["rows"]:
+            if row["method"].startswith("cmp_cl"):
+                yield f"{row['photograph']}: {row['method']}", row | {"ms": None}
+    elif result["kind"] == "scaling":
+        for row in result["sizes"]:
+            yield f"{row['shape'][1]} x {row['shape'][0]}", row
+    else:
+        raise SystemExit(f"nothing is known about results of kind {result['kind']!r}")
+
+
+def worse(old: dict[str, Any], new: dict[str, Any], slower: float) -> list[str]:
+    """What is worse in the new row, in words."""
+    found = []
+    for key in _COUNTS:
+        if key in old and new[key] > old[key]:
+            found.append(f"{key} {old[key]} -> {new[key]}")
+    if old.get("success") is not None and new["success"] < old["success"]:
+        found.append(f"success {old['success']} -> {new['success']} of {new['frames']}")
+    for key in _ERRORS:
+        before, after = old.get(key), new.get(key)
+        if before is not None and (after is None or after > 1.05 * before):
+            found.append(f"{key} {before:.4f} -> {after if after is None else round(after, 4)}")
+    if old.get("ms") is not None and new["ms"] > slower * old["ms"]:
+        found.append(f"{new['ms'] / old['ms']:.2f} times the time")
+    return found
+
+
+def comparison(
+    old: dict[str, Any], new: dict[str, Any], slower: float
+) -> tuple[list[str], list[str]]:
+    """Lines on what got worse, and names of rows that only one file has."""
+    if old["kind"] != new["kind"]:
+        raise SystemExit(f"one file is about {old['kind']}, the other about {new['kind']}")
+    before, after = dict(rows_of(old)), dict(rows_of(new))
+    lines = []
+    for name in before:
+        if name not in after:
+            continue
+        if before[name].get("frames") != after[name].get("frames"):
+            lines.append(f"{name}: cannot be compared, the numbers of frames differ")
+            continue
+        lines += [f"{name}: {what}" for what in worse(before[name], after[name], slower)]
+    return lines, sorted(before.keys() ^ after.keys())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("old", type=Path)
+    parser.add_argument("new", type=Path)
+    parser.add_argument("--slower", type=float, default=1.15, help="allowed factor of the time")
+    arguments = parser.parse_args(argv)
+    old, new = (json.loads(path.read_text()) for path in (arguments.old, arguments.new))
+    lines, single = comparison(old, new, arguments.slower)
+    for name in single:
+        print(f"only in one file: {name}")
+    for line in lines:
+        print(f"worse: {line}")
+    if not lines:
+        print("nothing got worse")
+    return 1 if lines else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,161 @@
+"""Two choices of the paper, measured: the window mean against a threshold for each ring
+(its Fig. 3), and the rapid against the spectral criteria, in decisions and in time.
+
+    python bench/criteria.py            writes results/criteria.json, about two minutes
+
+The thresholds are compared in NumPy, with the same gate, suppression and refinement behind
+them; the times are the device's.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from environment import RESULTS, environment
+from scenes import TEST_SEED, Frame, rendered
+from speed import stages
+
+from cmp_cl import DetectorConfig, EdgeLines, SpectralCriteria, reference
+from cmp_cl.config import RapidCriteria
+from cmp_cl.reference import criteria, gate, nms, refine, ring
+from cmp_cl.results import GreyImage
+from cmp_cl.scoring import total
+from cmp_cl.synthetic import random_scene
+
+SEED = TEST_SEED + 800_000
+SEVERITIES = (0.25, 0.75, 1.25)
+CRITERIA_STAGES = ("criteria", "pack", "candidate", "sample_rings", "clear_responses")
+Threshold = Callable[[np.ndarray], np.ndarray]  # (samples, H, W) -> (H, W)
+PER_RING: dict[str, Threshold] = {
+    "mean of the ring": lambda greys: greys.mean(0),
+    "middle of the ring's range": lambda greys: (greys.min(0) + greys.max(0)) / 2,
+}
+
+
+def corners_per_ring(image: GreyImage, threshold: Threshold) -> np.ndarray:
+    """(N, 2) positions where each ring is compared with its own threshold."""
+    inner_grey, outer_grey = _greys(image, ring.INNER), _greys(image, ring.OUTER[5])
+    inner_threshold = threshold(inner_grey)
+    inner = _mask(inner_grey < inner_threshold)
+    outer = _mask(outer_grey < threshold(outer_grey))
+    in_region = (_greys(image, ring.REGION) < inner_threshold).sum(0)
+    usual = RapidCriteria()
+    found = criteria.rapid(
+        image < inner_threshold, inner, outer, RapidCriteria(corrosion_threshold=None)
+    )
+    black = ring.popcount(outer).astype(int)
+    corrosion = np.maximum(black - in_region, in_region - black - 5)
+    candidate = found.candidate & (corrosion < (usual.corrosion_threshold or 0))
+    contrast = DetectorConfig().contrast
+    if contrast is not None:
+        _, candidate = gate.gate(image, inner, candidate, 5, contrast, 255, 1)
+    response = np.where(candidate, found.response, 0)
+    y, x = np.nonzero(nms.maxima(response, nms.score(response), 3))
+    centroid, rounded = nms.centroids(response, x, y)
+    return refine.refine(image, rounded, centroid, EdgeLines(), 1.0).xy
+
+
+def _greys(image: GreyImage, offsets: Sequence[tuple[int, int]]) -> np.ndarray:
+    """(samples, H, W) float32: the grey of every sample around every pixel."""
+    reach = ring.REACH
+    rows, columns = image.shape
+    wide = np.pad(image, reach, mode="edge").astype(np.float32)
+    return np.stack(
+        [wide[reach + y : reach + y + rows, reach + x : reach + x + columns] for x, y in offsets]
+    )
+
+
+def _mask(black: np.ndarray) -> np.ndarray:
+    weights = (1 << np.arange(16)).astype(np.uint16)[:, None, None]
+    return np.asarray((black * weights).sum(0), np.uint16)
+
+
+def thresholds(frames: Sequence[Frame]) -> list[dict[str, Any]]:
+    """Errors with the window mean and with a threshold for each ring."""
+    ways: dict[str, Callable[[GreyImage], np.ndarray]] = {
+        "mean of the window": lambda image: reference.detect(image, DetectorConfig()).xy
+    }
+    for name, threshold in PER_RING.items():
+        ways[name] = lambda image, t=threshold: corners_per_ring(image, t)
+    return [
+        {"threshold": name, **total(f.score(find(f.image)) for f in frames).summary()}
+        for name, find in ways.items()
+    ]
+
+
+def decisions(frames: Sequence[Frame]) -> dict[str, Any]:
+    """How often rapid and spectral criteria disagree on pixels near a corner, and elsewhere."""
+    near_pixels = near_differ = far_pixels = far_differ = 0
+    spectral = DetectorConfig(criteria=SpectralCriteria())
+    for frame in frames:
+        one = reference.maps(frame.image, DetectorConfig()).candidate
+        other = reference.maps(frame.image, spectral).candidate
+        rows, columns = np.indices(frame.image.shape)
+        near = np.zeros(frame.image.shape, np.bool_)
+        for x, y in frame.truth:
+            part = np.s_[max(int(y) - 2, 0) : int(y) + 4, max(int(x) - 2, 0) : int(x) + 4]
+            near[part] |= np.hypot(columns[part] - x, rows[part] - y) <= 1.5
+        near_pixels += int(near.sum())
+        near_differ += int(((one != other) & near).sum())
+        far_pixels += int((~near).sum())
+        far_differ += int(((one != other) & ~near).sum())
+    return {
+        "near_pixels": near_pixels,
+        "near_disagree": near_differ / near_pixels,
+        "far_disagree": far_differ / far_pixels,
+    }
+
+
+def times(frame: Frame) -> dict[str, Any]:
+    """ms of the kernels from the binary image to the listed candidates, for both."""
+    spent = {}
+    for name, config in (
+        ("rapid", DetectorConfig()),
+        ("spectral", DetectorConfig(criteria=SpectralCriteria())),
+    ):
+        kernels = stages(config, frame)["stages"]
+        picked = {k: ms for k, ms in kernels.items() if any(p in k for p in CRITERIA_STAGES)}
+        spent[name] = {"ms": sum(picked.values()), "stages": picked}
+    return spent | {"ratio": spent["spectral"]["ms"] / spent["rapid"]["ms"]}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer scenes")
+    parser.add_argument("--out", type=Path, default=RESULTS / "criteria.json")
+    arguments = parser.parse_args(argv)
+    frames = [
+        rendered(random_scene(SEED + k, markers=markers, severity=severity))
+        for k in range(1 if arguments.quick else 2)
+        for markers in (20, 30, 40)
+        for severity in SEVERITIES
+    ]
+    result = {
+        "kind": "criteria",
+        "environment": environment(),
+        "first_seed": SEED,
+        "thresholds": thresholds(frames),
+        "decisions": decisions(frames),
+        "times": times(frames[0]),
+    }
+    for row in result["thresholds"]:
+        print(
+            f"{row['threshold']:28} succeeds in {row['success']} of {row['frames']}, missed "
+            f"{row['missed']}, false {row['false']}, RMSE {row['rmse']:.3f} px"
+        )
+    far = result["decisions"]
+    print(
+        f"rapid and spectral disagree on {100 * far['near_disagree']:.2f} % of pixels near a "
+        f"corner, {100 * far['far_disagree']:.4f} % of the others; "
+        f"spectral takes {result['times']['ratio']:.1f} times as long"
+    )
+    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
+    print(f"wrote {arguments.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,687 @@
+"""The report and its plots, made from the JSON files in results/ and from nothing else.
+
+python bench/report.py              writes results/REPORT.md and results/*.png
+"""
+
+import argparse
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+import matplotlib.ticker
+import numpy as np
+from accuracy import unpacked
+from environment import RESULTS
+from methods import DEFAULT, FULL, PAPER, STEP
+
+Row = dict[str, Any]
+LEAST = 0.05  # what stands for 0 on a logarithmic axis, per thousand corners
+SHOWN = (DEFAULT, STEP, "cmp_cl, three masks", f"{DEFAULT} + grid", FULL, PAPER)
+OURS, PEER, GRID = "#c43c1e", "#3b6ea5", "#6a9a5b"
+
+# Measured by the paper on its own machine (14-core i7-12700H) and scenes: context, not a rival row.
+PAPER_TIMES = "4.95 ms (its ChESS 5.04 ms), 1936 corners, integer positions"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A Markdown table; floats with 3 digits, None as a dash."""
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
+    return str(value)
+
+
+def conditions(result: Row) -> str:
+    """The line under a heading: what it was measured with."""
+    around = result["environment"]
+    packages = ", ".join(f"{name} {version}" for name, version in around["packages"].items())
+    return (
+        f"{around['device']}, driver {around['driver']}, {around['cpu']} with {around['cores']} "
+        f"cores, {around['system']}; {packages}; commit {around['commit']}, {around['date']}, "
+        f"load {around['load'][0] if around['load'] else 'unknown'} at the start.\n"
+    )
+
+
+def left_out(result: Row) -> str:
+    reasons = result.get("unavailable") or {}
+    return "".join(f"Left out: {name}: {reason}.\n" for name, reason in reasons.items())
+
+
+# speed
+
+
+def speed(result: Row) -> str:
+    parts = ["## Time", conditions(result), left_out(result)]
+    parts.append(
+        "Wall time from an image in host memory to positions in host memory, methods in turns in "
+        "one run, the answers scored that were timed. `times` is the ratio to our default; a row "
+        f"that is less right shows it. For context, the paper reports {PAPER_TIMES}.\n"
+    )
+    for scene in result["scenes"]:
+        rows, columns = scene["shape"]
+        parts.append(
+            f"### {columns} x {rows}, {scene['corners']} corners, cells of {scene['cell']:.1f} px\n"
+        )
+        head = ("method", "ms", "95 %", "times", "missed", "false", "RMSE px", "p95 px")
+        kept = sorted(scene["rows"], key=lambda row: row["ms"])
+        keys = ("method", "ms", "ms_p95", "times_default", "missed", "false", "rmse", "p95")
+        parts.append(table(head, [[row[key] for key in keys] for row in kept]))
+        parts.append(_targets(scene))
+        base = next(row for row in scene["rows"] if row["method"] == DEFAULT)
+        stages = sorted(base["stages"].items(), key=lambda stage: -stage[1])
+        parts.append(
+            f"Our default with profiling: {base['wall_profiled']:.2f} ms, of which kernels "
+            f"{base['kernels']:.2f} ms and host and transfers {base['host_and_transfers']:.2f} ms; "
+            f"{base['bytes_per_pixel']:.1f} bytes a pixel on the device. Kernels, us: "
+            + ", ".join(f"{name} {1e3 * ms:.0f}" for name, ms in stages)
+            + ".\n"
+        )
+    return "\n".join(parts)
+
+
+def _targets(scene: Row) -> str:
+    """The ratios that are asked for, and whether they are met in this run."""
+    rows = {row["method"]: row for row in scene["rows"]}
+    ms = rows[DEFAULT]["ms"]
+    goals = {"vga": 0.65, "wide": 3.5}
+    lines = [
+        (
+            f"default, at most {goals[scene['scene']]} ms",
+            f"{ms:.2f} ms",
+            ms <= goals[scene["scene"]],
+        )
+    ]
+    lean = [row for name, row in rows.items() if name.startswith("chess-corners, lean")]
+    if lean:
+        ratio = min(row["ms"] for row in lean) / ms
+        lines.append(
+            ("at least 8 times faster than chess-corners' leanest", f"{ratio:.1f}", ratio >= 8)
+        )
+    if "goodFeaturesToTrack" in rows:
+        ratio = rows["goodFeaturesToTrack"]["ms"] / ms
+        lines.append(
+            ("at least 4 times faster than goodFeaturesToTrack", f"{ratio:.1f}", ratio >= 4)
+        )
+    if "cmp_cl, three masks" in rows:
+        ratio = rows["cmp_cl, three masks"]["ms"] / ms
+        lines.append(("three masks at most 1.6 times one", f"{ratio:.2f}", ratio <= 1.6))
+    if scene["scene"] == "vga":
+        step = rows[STEP]["ms"]
+        lines.append(("EDGE_STEP at most 1.5 ms", f"{step:.2f} ms", step <= 1.5))
+    body = [(goal, figure, "yes" if met else "**no**") for goal, figure, met in lines]
+    return table(("goal", "this run", "met"), body)
+
+
+# accuracy
+
+
+def accuracy(result: Row, folder: Path) -> str:
+    result = unpacked(result)
+    rows = {(row["method"], row["group"]): row for row in result["rows"]}
+    names = list(dict.fromkeys(row["method"] for row in result["rows"]))
+    count = rows[DEFAULT, "all"]["frames"]
+    parts = ["## Error", conditions(result), left_out(result)]
+    parts.append(
+        f"{count} rendered scenes, each method on each of them. A frame fails if one corner is "
+        "missed or one is false. Peers have the settings that `search.py` found on other scenes. "
+        "Rows `+ grid` count the nodes that were measured, not those filled in.\n"
+    )
+    parts.append("### Success, % of frames, by severity\n")
+    groups = [f"severity {s:g}" for s in result["severities"]]
+    parts.append(_rates(rows, names, groups))
+    parts.append("### Success, % of frames, by density and by object\n")
+    groups = sorted(
+        {g for _, g in rows if g.startswith(("markers", "object", "mode")) and "," not in g}
+    )
+    parts.append(_rates(rows, names, groups))
+    parts.append("### All scenes\n")
+    head = (
+        "method",
+        "success %",
+        "missed a frame",
+        "false a frame",
+        "RMSE px",
+        "p95 px",
+        "ms",
+        "ms 95 %",
+    )
+    body = []
+    for name in names:
+        row = rows[name, "all"]
+        share = 100 * row["success"] / row["frames"]
+        body.append(
+            [
+                name,
+                round(share),
+                row["missed"] / row["frames"],
+                row["false"] / row["frames"],
+                row["rmse"],
+                row["p95"],
+                row["ms"],
+                row["ms_p95"],
+            ]
+        )
+    parts.append(table(head, body))
+    parts.append("### Position error on corners that both found, px\n")
+    common = result["common"]
+    parts.append(
+        table(
+            ("method", "corners", "its RMSE", "our EDGE_LINES", "our EDGE_STEP"),
+            [
+                [n, c["corners"], c["rmse"], c["rmse_default"], c["rmse_step"]]
+                for n, c in common.items()
+            ],
+        )
+    )
+    parts.append(_shortfalls(rows, names, result))
+    _success_plot(rows, names, result["severities"], folder / "success.png")
+    parts.append("![Success by severity](success.png)\n")
+    for markers in result["densities"]:
+        group = f"markers {markers}"
+        points = [rows[name, group] for name in names if "NumPy" not in name or "grid" in name]
+        _pareto(points, f"{markers} x {markers} at 640 x 480", folder / f"pareto-{markers}.png")
+        parts.append(f"### Error against time, {markers} x {markers}\n")
+        parts.append(f"![Error against time](pareto-{markers}.png)\n")
+        front = set(_front(points, "per_thousand")) | set(_front(points, "rmse"))
+        body = [
+            [
+                p["method"],
+                p["ms"],
+                p["ms_p95"],
+                p["per_thousand"],
+                p["rmse"],
+                "yes" if p["method"] in front else "",
+            ]
+            for p in sorted(points, key=lambda p: p["ms"])
+        ]
+        head = ("method", "ms", "ms 95 %", "wrong per 1000", "RMSE px", "on a front")
+        parts.append(table(head, body))
+    return "\n".join(parts)
+
+
+def _rates(rows: dict[tuple[str, str], Row], names: Sequence[str], groups: Sequence[str]) -> str:
+    body = []
+    for name in names:
+        picked = [rows[name, group] for group in groups]
+        body.append([name, *(round(100 * row["success"] / row["frames"]) for row in picked)])
+    return table(("method", *groups), body)
+
+
+def _is_peer(name: str) -> bool:
+    return not name.startswith("cmp_cl")
+
+
+def _shortfalls(rows: dict[tuple[str, str], Row], names: Sequence[str], result: Row) -> str:
+    """Where a peer is ahead: the full configuration of all, the default of those without grid."""
+    body = []
+    for markers in result["densities"]:
+        for severity in result["severities"]:
+            group = f"markers {markers}, severity {severity:g}"
+            if severity > 1:
+                continue
+            for mine, gridded in ((FULL, True), (DEFAULT, False)):
+                own = rows[mine, group]
+                for name in names:
+                    other = rows[name, group]
+                    if not _is_peer(name) or ("our grid" in name and not gridded):
+                        continue
+                    if "NumPy" in name:  # the same answers as its OpenCL form
+                        continue
+                    if other["success"] > own["success"]:
+                        body.append(
+                            [
+                                group,
+                                mine,
+                                f"{own['success']} of {own['frames']}",
+                                name,
+                                f"{other['success']} of {other['frames']}",
+                            ]
+                        )
+    text = "### Where a peer succeeds more often than we do, up to severity 1\n\n"
+    if not body:
+        return text + "Nowhere.\n"
+    return text + table(("scenes", "ours", "succeeds", "peer", "succeeds"), body)
+
+
+def _front(points: Sequence[Row], key: str) -> list[str]:
+    """The methods that no other beats in both time and error."""
+    front, best = [], float("inf")
+    for point in sorted(points, key=lambda p: (p["ms"], p[key] or 0)):
+        value = point[key]
+        if value is not None and value < best:
+            front.append(point["method"])
+            best = value
+    return front
+
+
+def _colour(name: str) -> str:
+    if "our grid" in name:
+        return GRID
+    return PEER if _is_peer(name) else OURS
+
+
+def _pareto(points: Sequence[Row], title: str, path: Path) -> None:
+    """Two panels of numbered points, and the names beside them."""
+    points = sorted((p for p in points if p["rmse"] is not None), key=lambda p: p["ms"])
+    figure, axes = plt.subplots(1, 3, figsize=(14, 6), width_ratios=(5, 5, 2.6))
+    for axis, key, label in zip(
+        axes,
+        ("per_thousand", "rmse"),
+        ("missed + false per 1000 corners", "RMSE, px"),
+        strict=False,
+    ):
+        front = _front(points, key)
+        placed: list[tuple[float, float]] = []
+        axis.set(xscale="log", yscale="log", xlabel="ms a frame: median, and line to 95 %")
+        for p in points:
+            height = max(p[key], LEAST)
+            colour = _colour(p["method"])
+            axis.plot([p["ms"], p["ms_p95"]], [height, height], color=colour, alpha=0.2, lw=1)
+            axis.plot(p["ms"], height, "o", color=colour, ms=6 if p["method"] in front else 3.5)
+        line = [p for p in points if p["method"] in front]
+        axis.step(
+            [p["ms"] for p in line],
+            [max(p[key], LEAST) for p in line],
+            where="post",
+            color="black",
+            lw=0.8,
+            alpha=0.6,
+        )
+        _plain(axis.xaxis)
+        _plain(axis.yaxis)
+        axis.set_ylabel(label)
+        axis.grid(alpha=0.25, which="both", lw=0.4)
+        figure.canvas.draw()
+        for number, p in enumerate(points, 1):
+            _number(axis, number, p["ms"], max(p[key], LEAST), _colour(p["method"]), placed)
+    axes[0].set_title(f"nothing wrong is drawn at {LEAST}", fontsize=8)
+    axes[2].axis("off")
+    for number, p in enumerate(points, 1):
+        axes[2].text(
+            -0.15,
+            1 - number / (len(points) + 1),
+            f"{number}  {p['method']}",
+            fontsize=7.5,
+            color=_colour(p["method"]),
+            transform=axes[2].transAxes,
+        )
+    figure.suptitle(f"{title}: red ours, blue peers, green peers + our grid; line: Pareto front")
+    _save(figure, path)
+
+
+def _plain(axis: Any) -> None:
+    """Numbers at 1, 2 and 5 of each decade of a logarithmic axis."""
+    axis.set_major_locator(mpl.ticker.LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(mpl.ticker.FormatStrFormatter("%g"))
+    axis.set_minor_formatter(mpl.ticker.NullFormatter())
+
+
+def _number(
+    axis: Any, number: int, x: float, y: float, colour: str, placed: list[tuple[float, float]]
+) -> None:
+    """The point's number beside it, where no other number is."""
+    at = axis.transData.transform((x, y))
+    for dx, dy in ((6, -3), (6, 6), (6, -12), (-14, -3), (-14, 6), (-14, -12), (18, -3), (18, 6)):
+        if all(abs(at[0] + dx - u) > 11 or abs(at[1] + dy - v) > 8 for u, v in placed):
+            break
+    placed.append((at[0] + dx, at[1] + dy))
+    axis.annotate(
+        str(number), (x, y), xytext=(dx, dy), textcoords="offset pixels", fontsize=6.5, color=colour
+    )
+
+
+def _success_plot(
+    rows: dict[tuple[str, str], Row], names: Sequence[str], severities: Sequence[float], path: Path
+) -> None:
+    figure, axes = plt.subplots(1, 2, figsize=(13, 6.5), sharey=True)
+    panels = (
+        [name for name in names if name in SHOWN],
+        [
+            name
+            for name in names
+            if _is_peer(name) and "our grid" not in name and "NumPy" not in name
+        ],
+    )
+    for axis, chosen, title in zip(
+        axes, panels, ("ours", "peers, tuned on other scenes"), strict=True
+    ):
+        for k, name in enumerate(chosen):
+            picked = [rows[name, f"severity {s:g}"] for s in severities]
+            rates = [100 * row["success"] / row["frames"] for row in picked]
+            marker = "os^vDP*X<>h8"[k % 12]
+            colour = plt.get_cmap("tab20")(k * 2 % 20 + k // 10)
+            axis.plot(severities, rates, marker=marker, ms=5, lw=1.2, color=colour, label=name)
+        axis.set(title=title, xlabel="severity", ylim=(-3, 103))
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
+    axes[0].set_ylabel("frames with nothing missed and nothing false, %")
+    _save(figure, path)
+
+
+# photographs, scaling, stability, theory
+
+
+def photographs(result: Row) -> str:
+    parts = ["## Real photographs", conditions(result), left_out(result)]
+    parts.append(
+        "Truth is a saddle fit to the grey image: differences below 0.2 px say nothing. False "
+        "counts only where every corner is listed; `outside` are detections elsewhere.\n"
+    )
+    names = list(dict.fromkeys(row["photograph"] for row in result["rows"]))
+    for name in names:
+        rows = [row for row in result["rows"] if row["photograph"] == name]
+        parts.append(f"### {name}: {rows[0]['expected']} corners\n")
+        keys = (
+            "method",
+            "missed",
+            "false",
+            "outside",
+            "recall",
+            "precision",
+            "median",
+            "p95",
+            "ms",
+        )
+        parts.append(table(keys, [[row[key] for key in keys] for row in rows]))
+    return "\n".join(parts)
+
+
+def scaling(result: Row) -> str:
+    parts = ["## Cost by size, frames, threads and process", conditions(result)]
+    rows = [
+        [
+            f"{r['shape'][1]} x {r['shape'][0]}",
+            r["corners"],
+            r["ms"],
+            r["ms_p95"],
+            r["ns_per_pixel"],
+            r["bytes_per_pixel"],
+        ]
+        for r in result["sizes"]
+    ]
+    head = ("image", "corners", "ms", "ms 95 %", "ns a pixel", "device bytes a pixel")
+    parts.append(table(head, rows))
+    parts.append(
+        table(
+            ("corners in a VGA frame", "ms"), [[r["corners"], r["ms"]] for r in result["corners"]]
+        )
+    )
+    rows = [[r["what"], r["ms_per_frame"], 1e3 / r["ms_per_frame"]] for r in result["frames"]]
+    parts.append(table(("VGA frames", "ms a frame", "frames a second"), rows))
+    floor = result["floor"]
+    parts.append(
+        f"A VGA frame moves at least {floor['bytes_a_frame']} bytes; the best of these rows is "
+        f"{floor['gigabytes_a_second_at_best_batch']:.2f} GB/s of that floor.\n"
+    )
+    if result["threads"]:
+        parts.append(
+            table(
+                ("threads", "ms", "ms 95 %"),
+                [[r["threads"], r["ms"], r["ms_p95"]] for r in result["threads"]],
+            )
+        )
+    rows = [[r["cache"], r["imports_s"], r["seconds"]] for r in result["first_result"]]
+    parts.append(table(("kernel cache", "imports, s", "first result in a new process, s"), rows))
+    return "\n".join(parts)
+
+
+def stability(result: Row, folder: Path) -> str:
+    parts = ["## Numbers at their limits", conditions(result)]
+    head = (
+        "refinement",
+        "corners",
+        "largest",
+        "99.9 %",
+        "near a bound",
+        "frames with other corners",
+    )
+    oracle = result["against_oracle"]
+    parts.append("float32 kernels against the float64 oracle, px.\n")
+    parts.append(
+        table(
+            head,
+            [
+                [
+                    n,
+                    r["count"],
+                    r["largest"],
+                    r["p99_9"],
+                    r["near_a_bound_or_other_branch"],
+                    r["frames_with_other_corners"],
+                ]
+                for n, r in oracle.items()
+            ],
+        )
+    )
+    for key in ("by_sine", "by_contrast", "by_rings"):
+        body = [
+            [n, f"{r['from']:g} to {r['to']:g}", r["count"], r["largest"], r["p99_9"]]
+            for n, o in oracle.items()
+            for r in o[key]
+            if r["count"]
+        ]
+        parts.append(
+            table(("refinement", key.replace("_", " "), "corners", "largest", "99.9 %"), body)
+        )
+    rows = result["along_position"]
+    parts.append(
+        table(
+            ("refinement", "moved right by", "corners", "largest difference px", "step of float32"),
+            [
+                [r["refinement"], r["offset"], r["corners"], r["largest"], r["float32_step"]]
+                for r in rows
+            ],
+        )
+    )
+    rows = result["depth"]
+    parts.append(
+        table(
+            ("exposure", "bits", "missed", "false", "RMSE px"),
+            [[r["exposure"], r["bits"], r["missed"], r["false"], r["rmse"]] for r in rows],
+        )
+    )
+    parts.append("### corners.sigma against the real error\n")
+    rows = result["sigma"]
+    parts.append(
+        table(
+            (
+                "scenes",
+                "sigma0",
+                "corners",
+                "z (1 is right)",
+                "rank correlation",
+                "doubtful",
+                "above 1 px",
+                "doubtful of these",
+            ),
+            [
+                [
+                    r["kind"],
+                    r["sigma0"],
+                    r["corners"],
+                    r["z"],
+                    r["rank_correlation"],
+                    r["doubtful"],
+                    r["far"],
+                    r["doubtful_of_far"],
+                ]
+                for r in rows
+            ],
+        )
+    )
+    _sigma_plot(rows, folder / "sigma.png")
+    parts.append("![sigma](sigma.png)\n\n### Single cases\n")
+    parts.append(
+        table(
+            ("case", "figure", "expected"),
+            [[r["case"], r["figure"], r["expected"]] for r in result["cases"]],
+        )
+    )
+    parts.append("### Where each method breaks\n")
+    parts.append("Levels at which at most 10 corners of 1000 are missed or false.\n")
+    _breaking_plot(result["breaking"], folder / "breaking.png")
+    parts.append("![Where methods break](breaking.png)\n")
+    body = [
+        [r["sweep"], r["method"], ", ".join(f"{v:g}" for v in r["holds"]) or "none"]
+        for r in result["breaking_points"]
+    ]
+    parts.append(table(("what gets worse", "method", "holds at"), body))
+    return "\n".join(parts)
+
+
+def _sigma_plot(rows: Sequence[Row], path: Path) -> None:
+    figure, axis = plt.subplots(figsize=(5, 4.4))
+    for row in rows:
+        sigma = [d["sigma"] for d in row["deciles"]]
+        error = [d["error"] for d in row["deciles"]]
+        axis.plot(sigma, error, "o-", ms=4, label=f"{row['kind']}, sigma0 {row['sigma0']}")
+    high = axis.get_xlim()[1]
+    axis.plot([0, high], [0, high], color="grey", lw=0.8, label="equal")
+    axis.set(
+        xlabel="sigma, px, ten groups",
+        ylabel="real error per axis, px",
+        xlim=(0, high),
+        ylim=(0, None),
+    )
+    axis.legend(fontsize=8)
+    axis.grid(alpha=0.3)
+    _save(figure, path)
+
+
+def _breaking_plot(sweeps: dict[str, Any], path: Path) -> None:
+    columns = 4
+    lines = -(-len(sweeps) // columns)
+    figure, axes = plt.subplots(lines, columns, figsize=(16, 3.8 * lines))
+    for axis, (what, curves) in zip(axes.flat, sweeps.items(), strict=False):
+        for k, (name, points) in enumerate(curves.items()):
+            at = [p["at"] for p in points]
+            wrong = [max(p["per_thousand"], LEAST) for p in points]
+            colour = plt.get_cmap("tab20")(k / 12)
+            style = "--" if _is_peer(name) else "-"
+            axis.plot(at, wrong, style, marker=".", color=colour, label=name, lw=1.2)
+        axis.axhline(10, color="grey", lw=0.6)
+        axis.set(xlabel=what, yscale="log", ylim=(LEAST * 0.8, None))
+        if what.startswith(("exposure", "cell")):
+            axis.set_xscale("log")
+            _plain(axis.xaxis)
+        axis.grid(alpha=0.25)
+    for axis in list(axes.flat)[len(sweeps) :]:
+        axis.axis("off")
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    list(axes.flat)[-1].legend(handles, labels, fontsize=8, loc="center")
+    for line in np.atleast_2d(axes):
+        line[0].set_ylabel("missed + false per 1000")
+    _save(figure, path)
+
+
+def criteria(result: Row) -> str:
+    parts = ["## Thresholds and criteria", conditions(result)]
+    parts.append("A threshold for each ring against the mean of the window, all else the same.\n")
+    keys = ("threshold", "frames", "success", "missed", "false", "rmse", "p95")
+    parts.append(table(keys, [[row[key] for key in keys] for row in result["thresholds"]]))
+    seen, spent = result["decisions"], result["times"]
+    parts.append(
+        f"Rapid and spectral criteria disagree on {100 * seen['near_disagree']:.2f} % of the "
+        f"pixels within 1.5 px of a corner and on {100 * seen['far_disagree']:.3f} % of the "
+        "others. From the binary image to the list of candidates the rapid form takes "
+        f"{spent['rapid']['ms']:.3f} ms and the spectral one {spent['spectral']['ms']:.3f} ms, "
+        f"{spent['ratio']:.1f} times as long (the paper says over 20 and over 10 times for its "
+        "two).\n"
+    )
+    return "\n".join(parts)
+
+
+def theory(result: Row, folder: Path) -> str:
+    parts = ["## Theory", conditions(result)]
+    parts.append(
+        "Closed forms on a continuous ring (thin lines) against rings of 16 samples from ideal "
+        "corners (dots); the differences are the sampling.\n"
+    )
+    parts.append(table(("quantity", "rms difference"), list(result["agreement"].items())))
+    figure, axes = plt.subplots(2, 3, figsize=(14, 7.5))
+    for axis, along in zip(axes[0], ("width", "azimuth", "shift"), strict=True):
+        curves = result[along]
+        for k, colour in enumerate((GRID, OURS, PEER)):
+            axis.plot(
+                curves["at"], np.array(curves["inner_sampled"])[:, k], ".", ms=2.5, color=colour
+            )
+            axis.plot(
+                curves["at"],
+                np.array(curves["inner_formula"])[:, k],
+                color=colour,
+                lw=1,
+                label=f"|F{k + 1}|",
+            )
+        unit = "px" if along == "shift" else "rad"
+        axis.set(xlabel=f"{along}, {unit}, inner ring", ylabel="magnitude")
+        axis.legend(fontsize=8)
+    for axis, (name, curve) in zip(axes[1], result["correlation"].items(), strict=True):
+        axis.plot(curve["sampled"], "o", ms=4, color=OURS, label="sampled")
+        axis.plot(curve["formula"], lw=1, color="black", label="formula")
+        axis.axhline(0.75, color="grey", lw=0.7)
+        axis.set(
+            xlabel=f"turn, samples; sectors of {name} rad", ylabel="correlation", ylim=(0, 1.1)
+        )
+        axis.legend(fontsize=8)
+    _save(figure, folder / "theory.png")
+    parts.append("![Theory](theory.png)\n")
+    return "\n".join(parts)
+
+
+def _save(figure: Any, path: Path) -> None:
+    figure.tight_layout()
+    figure.savefig(path, dpi=85)
+    plt.close(figure)
+
+
+def read(folder: Path, name: str) -> Row | None:
+    path = folder / f"{name}.json"
+    return json.loads(path.read_text()) if path.is_file() else None
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON files")
+    folder = parser.parse_args(argv).results
+    text = [
+        "# What was measured\n",
+        "Made by `python bench/report.py` from the JSON files beside it.\n",
+    ]
+    sections = {
+        "speed": speed,
+        "scaling": scaling,
+        "scaling-gpu": scaling,
+        "accuracy": lambda result: accuracy(result, folder),
+        "photographs": photographs,
+        "stability": lambda result: stability(result, folder),
+        "criteria": criteria,
+        "theory": lambda result: theory(result, folder),
+    }
+    for name, write in sections.items():
+        result = read(folder, name)
+        if result is None:
+            text.append(f"## {name}\n\nNot measured yet: there is no results/{name}.json.\n")
+        else:
+            text.append(write(result))
+    if (folder / "methods.jpg").is_file():
+        text.append("## Every method on the same frame\n\n![Methods](methods.jpg)\n")
+    out = folder / "REPORT.md"
+    out.write_text("\n".join(text))
+    print(f"wrote {out}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

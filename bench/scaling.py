@@ -1,0 +1,233 @@
+"""How cmp_cl's cost goes with pixels, frames, threads and the age of the process.
+
+    python bench/scaling.py --quick     small sizes, half a minute
+    python bench/scaling.py             160 x 120 to 8192 x 8192; writes results/scaling.json
+    python bench/scaling.py --batch 256 frames of one batch; on a graphics card this is the one
+                                        command: `python bench/scaling.py --device gpu`
+
+Every row's corners are compared with those of the single frame it is made of.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from environment import RESULTS, environment
+from scenes import TEST_SEED, rendered, vga
+
+import cmp_cl
+from cmp_cl import Corners, Detector, DetectorConfig
+from cmp_cl.synthetic import random_scene
+
+SIZES = [(120, 160), (240, 320), (480, 640), (960, 1280), (1200, 1600), (2048, 2048), (4096, 4096)]
+LARGEST = (8192, 8192)
+PATCH = {"markers": 20, "severity": 0.25, "corrosion": 0.3, "shape": (240, 240)}
+BATCHES = (1, 4, 16, 64)
+
+_FIRST_RESULT = """
+import time
+start = time.perf_counter()
+import numpy as np, cmp_cl
+image = np.load({path!r})
+imported = time.perf_counter()
+with cmp_cl.Detector(shape=image.shape, device={device!r}) as detector:
+    corners = detector(image)
+print(imported - start, time.perf_counter() - start, len(corners))
+"""
+
+
+def milliseconds(run: Callable[[], object], repeats: int) -> dict[str, Any]:
+    """Median and 95th percentile of a call, after two calls that are not counted."""
+    spent = []
+    for k in range(repeats + 2):
+        start = time.perf_counter()
+        run()
+        if k >= 2:
+            spent.append((time.perf_counter() - start) * 1e3)
+    return {
+        "ms": statistics.median(spent),
+        "ms_p95": float(np.percentile(spent, 95)),
+        "samples": repeats,
+    }
+
+
+def tiled(shape: tuple[int, int]) -> np.ndarray:
+    """An image of that shape, paved with one rendered pattern of 20 x 20 corners."""
+    tile = rendered(random_scene(TEST_SEED, **PATCH)).image
+    rows, columns = (-(-n // 240) for n in shape)
+    return np.ascontiguousarray(np.tile(tile, (rows, columns))[: shape[0], : shape[1]])
+
+
+def sizes(shapes: Sequence[tuple[int, int]], device: str | None) -> list[dict[str, Any]]:
+    """Cost by pixels, at a constant density of corners."""
+    rows = []
+    for shape in shapes:
+        image = tiled(shape)
+        with Detector(shape=shape, device=device) as detector:
+            found = len(detector(image))
+            repeats = max(3, min(60, int(3e7 / image.size)))
+            timed = milliseconds(lambda d=detector, i=image: d(i), repeats)
+            memory = detector.memory
+        rows.append(
+            {
+                "shape": list(shape),
+                "corners": found,
+                **timed,
+                "ns_per_pixel": timed["ms"] * 1e6 / image.size,
+                "bytes_per_pixel": memory / image.size,
+            }
+        )
+        print(
+            f"{shape[1]:5} x {shape[0]:<5}{found:8} corners{timed['ms']:10.3f} ms"
+            f"{rows[-1]['ns_per_pixel']:8.2f} ns a pixel{rows[-1]['bytes_per_pixel']:7.1f} bytes"
+        )
+    return rows
+
+
+def stages_sparse(device: str | None) -> list[dict[str, Any]]:
+    """What corners cost: the same VGA frame with none, few and all of them in view."""
+    frame = vga(TEST_SEED)
+    rows = []
+    for share in (0.0, 0.25, 0.5, 1.0):
+        image = frame.image.copy()
+        image[:, int(640 * share) :] = 128
+        with Detector(shape=image.shape, device=device) as detector:
+            rows.append(
+                {
+                    "corners": len(detector(image)),
+                    **milliseconds(lambda d=detector, i=image: d(i), 60),
+                }
+            )
+        print(f"{rows[-1]['corners']:6} corners in a VGA frame: {rows[-1]['ms']:.3f} ms")
+    return rows
+
+
+def many(batches: Sequence[int], device: str | None) -> list[dict[str, Any]]:
+    """Frames a second: one by one, as a stream, as batches."""
+    frames = [vga(TEST_SEED + k).image for k in range(4)]
+    rows = []
+    with Detector(shape=frames[0].shape, device=device) as detector:
+        single = [detector(frame) for frame in frames]
+
+        def keep(what: str, count: int, run: Callable[[], list[Corners]], repeats: int) -> None:
+            results = run()
+            for k, corners in enumerate(results):
+                if not np.array_equal(corners.xy, single[k % 4].xy):
+                    raise SystemExit(f"{what}: frame {k} differs from the single frame")
+            timed = milliseconds(run, repeats)
+            each = timed["ms"] / count
+            rows.append({"what": what, "frames": count, "ms_per_frame": each, **timed})
+            print(f"{what:20}{each:9.3f} ms a frame{1e3 / each:10.0f} frames a second")
+
+        keep("one by one", 64, lambda: [detector(frames[k % 4]) for k in range(64)], 5)
+        keep("stream", 64, lambda: list(detector.stream(frames[k % 4] for k in range(64))), 5)
+        for count in batches:
+            stack = np.stack([frames[k % 4] for k in range(count)])
+            keep(f"batch of {count}", count, lambda s=stack: detector.batch(s), 5)
+    return rows
+
+
+def threads(device: str | None) -> list[dict[str, Any]]:
+    """One and two threads of PoCL, each in a process of its own; empty where it is not PoCL."""
+    rows = []
+    for count in (1, 2):
+        environ = os.environ | {"POCL_MAX_PTHREAD_COUNT": str(count)}
+        command = [sys.executable, __file__, "--threads-child"]
+        command += ["--device", device] if device else []
+        answer = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
+        rows.append({"threads": count, **json.loads(answer.stdout)})
+        print(f"{count} threads: {rows[-1]['ms']:.3f} ms a VGA frame")
+    return rows
+
+
+def first_result(device: str | None) -> list[dict[str, Any]]:
+    """Seconds from the start of the imports to the corners of a VGA frame, in new processes."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "frame.npy")
+        np.save(path, vga(TEST_SEED).image)
+        caches = {"POCL_CACHE_DIR": folder, "XDG_CACHE_HOME": folder}
+        code = _FIRST_RESULT.format(path=path, device=device)
+        for k in range(4):
+            answer = subprocess.run(
+                [sys.executable, "-c", code],
+                env=os.environ | caches,
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            imported, seconds, count = answer.stdout.split()[-3:]
+            rows.append(
+                {
+                    "cache": "warm" if k else "cold",
+                    "imports_s": float(imported),
+                    "seconds": float(seconds),
+                    "corners": int(count),
+                }
+            )
+            print(f"first result, {rows[-1]['cache']} cache: {float(seconds):.2f} s")
+    return rows
+
+
+def floor(frames_a_second: float) -> dict[str, float]:
+    """Bytes that a VGA frame must move at least: the image once, the corners once."""
+    least = 480 * 640 + 1936 * 8
+    return {
+        "bytes_a_frame": least,
+        "gigabytes_a_second_at_best_batch": least * frames_a_second / 1e9,
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small sizes, half a minute")
+    parser.add_argument("--device", help="as for cmp-cl: a name, an index, cpu or gpu")
+    parser.add_argument("--batch", type=int, help="another size of batch")
+    parser.add_argument("--out", type=Path, help="the JSON to write")
+    parser.add_argument("--threads-child", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args(argv)
+    device = arguments.device
+    if arguments.threads_child:
+        image = vga(TEST_SEED).image
+        with Detector(shape=image.shape, config=DetectorConfig(), device=device) as detector:
+            corners = len(detector(image))
+            print(json.dumps({"corners": corners, **milliseconds(lambda: detector(image), 100)}))
+        return 0
+    chosen = cmp_cl.select_device(device)
+    on_gpu = chosen.kind is cmp_cl.DeviceKind.GPU
+    print(f"{chosen}, driver {chosen.driver}")
+    shapes = SIZES[:4] if arguments.quick else [*SIZES, LARGEST]
+    batches = [*BATCHES[: 2 if arguments.quick else 4]]
+    batches += [256] if on_gpu else []
+    batches += [arguments.batch] if arguments.batch else []
+    frames = many(batches, device)
+    best = max(1e3 / row["ms_per_frame"] for row in frames)
+    result = {
+        "kind": "scaling",
+        "environment": environment() | {"device": str(chosen), "driver": chosen.driver},
+        "frames": frames,
+        "floor": floor(best),
+        "sizes": sizes(shapes, device),
+        "corners": stages_sparse(device),
+        "first_result": first_result(device),
+        "threads": [] if on_gpu else threads(device),
+    }
+    name = "scaling-gpu.json" if on_gpu else "scaling.json"
+    out = arguments.out or (None if arguments.quick else RESULTS / name)
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")
+        print(f"wrote {out}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

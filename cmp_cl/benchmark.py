@@ -1,0 +1,75 @@
+"""A quick measurement of this machine's device: `cmp-cl bench`."""
+
+import argparse
+import statistics
+import time
+from collections.abc import Sequence
+
+from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep
+from cmp_cl.detector import Detector
+from cmp_cl.device import Device, select_device
+from cmp_cl.results import Corners, GreyImage
+from cmp_cl.scoring import score
+from cmp_cl.synthetic import Rendered, random_scene, render
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Time a few configurations on a rendered VGA frame, and check their answers.
+
+    Raises what Detector raises.
+    """
+    parser = argparse.ArgumentParser(
+        prog="cmp-cl bench",
+        description="Times the detector on a rendered 640 x 480 frame of 1936 corners, checks the "
+        "answer against the truth, and shows where the time goes.",
+    )
+    parser.add_argument("--device", metavar="NAME", help="as for cmp-cl detect")
+    parser.add_argument("--repeats", type=int, default=100, help="frames of each configuration")
+    arguments = parser.parse_args(argv)
+    run(select_device(arguments.device), max(arguments.repeats, 1))
+    return 0
+
+
+def run(device: Device, repeats: int) -> None:
+    """Print the table for a device, and the stages of the default configuration."""
+    scene = render(random_scene(1000, markers=44, severity=0.25, corrosion=0.3))
+    default = DetectorConfig()
+    configs = {
+        "default": default,
+        "EDGE_STEP": default.replace(refinement=EdgeStep(cell=scene.cell)),
+        "three masks": default.replace(threshold=AdaptiveMean(masks=3)),
+        "centroids": default.replace(refinement=None),
+    }
+    print(f"{device}, driver {device.driver}")
+    print(f"640 x 480, {scene.truth.shape[0] * scene.truth.shape[1]} corners, one frame at a time")
+    print(f"{'configuration':16}{'ms':>8}{'95 %':>8}{'missed':>8}{'false':>7}{'RMSE px':>9}")
+    for name, config in configs.items():
+        with Detector(shape=scene.image.shape, config=config, device=device) as detector:
+            spent, corners = _timed(detector, scene.image, repeats)
+        answer = _answer(corners, scene)
+        print(f"{name:16}{statistics.median(spent):8.3f}{_late(spent):8.3f}{answer}")
+    with Detector(shape=scene.image.shape, config=default, device=device, profile=True) as detector:
+        _timed(detector, scene.image, 10)
+        longest = sorted(detector.times.items(), key=lambda stage: -stage[1])
+    print("kernels of the default, us: " + ", ".join(f"{k} {1e3 * ms:.0f}" for k, ms in longest))
+
+
+def _timed(detector: Detector, image: GreyImage, repeats: int) -> tuple[list[float], Corners]:
+    """Milliseconds of each call, after five that do not count, and the last answer."""
+    spent = []
+    for k in range(repeats + 5):
+        start = time.perf_counter()
+        corners = detector(image)
+        if k >= 5:
+            spent.append((time.perf_counter() - start) * 1e3)
+    return spent, corners
+
+
+def _late(spent: Sequence[float]) -> float:
+    """The 95th percentile."""
+    return sorted(spent)[min(len(spent) - 1, int(0.95 * len(spent)))]
+
+
+def _answer(corners: Corners, scene: Rendered) -> str:
+    answer = score(corners.xy, scene.truth, scene.cell, scene.junctions)
+    return f"{answer.missed:8}{answer.false:7}{answer.rmse:9.3f}"

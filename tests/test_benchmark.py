@@ -1,0 +1,69 @@
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+from cmp_cl import benchmark
+
+BENCH = Path(__file__).resolve().parents[1] / "bench"
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(f"bench_{name}", BENCH / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_quick_benchmark_checks_its_answers(capsys):
+    assert benchmark.main(["--repeats", "2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "1936 corners" in lines[1]
+    rows = [line.split() for line in lines[3:7]]
+    assert [row[0] for row in rows] == ["default", "EDGE_STEP", "three", "centroids"]
+    for row in rows:
+        assert row[-3:-1] == ["0", "0"], "something was missed or invented"
+        assert float(row[-5]) > 0
+        assert float(row[-1]) < 0.3
+
+
+def speed_result(ms=1.0, missed=0, rmse=0.1):
+    row = {"method": "cmp_cl, default", "ms": ms, "frames": 2, "success": 2, "missed": missed}
+    row |= {"false": 0, "rmse": rmse, "p95": 0.2}
+    peer = row | {"method": "a peer", "ms": 8.0}
+    return {"kind": "speed", "scenes": [{"scene": "vga", "rows": [row, peer]}]}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({}, None),
+        ({"ms": 1.1}, None),
+        ({"ms": 1.3}, "1.30 times the time"),
+        ({"missed": 1}, "missed 0 -> 1"),
+        ({"rmse": 0.2}, "rmse 0.1000 -> 0.2"),
+    ],
+)
+def test_what_got_worse_is_named(change, words):
+    compare = load("compare")
+    lines, single = compare.comparison(speed_result(), speed_result(**change), 1.15)
+    assert single == []
+    if words is None:
+        assert lines == []
+    else:
+        assert lines == [f"vga: cmp_cl, default: {words}"]
+
+
+def test_a_slower_machine_is_not_a_slower_program():
+    compare = load("compare")
+    slow = speed_result(ms=3.0)
+    slow["scenes"][0]["rows"][1]["ms"] = 24.0
+    assert compare.comparison(speed_result(), slow, 1.15) == ([], [])
+
+
+def test_results_of_different_kinds_are_refused():
+    compare = load("compare")
+    with pytest.raises(SystemExit, match="one file is about speed"):
+        compare.comparison(speed_result(), {"kind": "accuracy"}, 1.15)
