@@ -422,8 +422,10 @@ def scaling(result: Row) -> str:
     parts.append(table(("VGA frames", "ms a frame", "frames a second"), rows))
     floor = result["floor"]
     parts.append(
-        f"A VGA frame moves at least {floor['bytes_a_frame']} bytes; the best of these rows is "
-        f"{floor['gigabytes_a_second_at_best_batch']:.2f} GB/s of that floor.\n"
+        f"A VGA frame moves at least {floor['bytes_a_frame']} bytes. A copy on this device moves "
+        f"{floor['copy_gb_s']:.1f} GB/s, which would be {floor['frames_a_second_at_floor']:.0f} "
+        f"frames a second; the best of these rows takes {floor['times_the_floor']:.0f} times as "
+        "long.\n"
     )
     if result["threads"]:
         parts.append(
