@@ -432,6 +432,8 @@ REAL angle_of(const REAL y, const REAL x) {
     distance = nx * mx + ny * my;                                                   \
   }
 
+#if !MIDLINES
+
 /* EDGE_LINES: the intersection of the line through e0 and e2 and the line through e1 and e3.
  * `lines` gets their unit normals and the intersection relative to the start. */
 __attribute__((vec_type_hint(REAL))) __kernel void edge_lines(__global const float *restrict points,
@@ -464,7 +466,7 @@ __attribute__((vec_type_hint(REAL))) __kernel void edge_lines(__global const flo
 #endif
 }
 
-#if MIDLINES
+#else
 
 typedef struct {
   float2 mean, direction, normal;
