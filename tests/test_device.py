@@ -1,0 +1,130 @@
+"""What devices there are, and which one is meant."""
+
+import dataclasses
+
+import pyopencl as cl
+import pytest
+
+from cmp_cl import Device, DeviceKind, list_devices, select_device
+from cmp_cl import device as module
+from cmp_cl.errors import DeviceError
+
+
+def made_up(index: str, name: str, platform: str, kind: DeviceKind) -> Device:
+    return Device(
+        index=index, name=name, platform=platform, driver="1", kind=kind, memory=1, handle=None
+    )
+
+
+POCL = made_up("0:0", "cpu-haswell", "Portable Computing Language", DeviceKind.CPU)
+CARD = made_up("1:0", "NVIDIA A100", "NVIDIA CUDA", DeviceKind.GPU)
+SECOND = made_up("1:1", "NVIDIA T4", "NVIDIA CUDA", DeviceKind.GPU)
+OTHER = made_up("2:0", "FPGA board", "Boards", DeviceKind.ACCELERATOR)
+
+
+@pytest.fixture
+def lab(monkeypatch):
+    """Four devices on three platforms, and no variable."""
+    monkeypatch.setattr(module, "list_devices", lambda: [POCL, CARD, SECOND, OTHER])
+    monkeypatch.delenv("CMP_CL_DEVICE", raising=False)
+    return monkeypatch
+
+
+def test_the_device_under_test(device):
+    assert device in list_devices()
+    assert isinstance(device.handle, cl.Device)
+    assert device.memory > 2**20
+    assert str(device) == f"{device.name} ({device.platform})"
+    assert select_device(device.index) == device
+    assert module.describe_handle(device.handle) == device
+    assert isinstance(device.kind, DeviceKind)
+    assert device.driver
+
+
+def test_indices_are_platform_and_device():
+    devices = list_devices()
+    assert len({device.index for device in devices}) == len(devices) > 0
+    for device in devices:
+        platform, number = map(int, device.index.split(":"))
+        assert cl.get_platforms()[platform].get_devices()[number] == device.handle
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("0:0", POCL),
+        ("1:1", SECOND),
+        ("cpu", POCL),
+        ("GPU", CARD),
+        ("accelerator", OTHER),
+        ("nvidia", CARD),
+        ("t4", SECOND),
+        (" Portable ", POCL),
+        ("boards", OTHER),
+    ],
+)
+def test_what_is_asked_for_is_what_one_gets(lab, text, expected):
+    assert select_device(text) == expected
+
+
+@pytest.mark.parametrize("text", ["intel", "3:0", "1:2", "", "  ", "0:0:0", ":"])
+def test_a_device_that_is_not_there_is_an_error_that_lists_what_there_is(lab, text):
+    with pytest.raises(DeviceError, match="no OpenCL device matches") as error:
+        select_device(text)
+    for known in (POCL, CARD, SECOND, OTHER):
+        assert f"{known.index} {known}" in str(error.value)
+
+
+def test_a_kind_that_is_not_there_is_no_second_choice(lab):
+    lab.setattr(module, "list_devices", lambda: [POCL])
+    with pytest.raises(DeviceError, match="'gpu'"):
+        select_device("gpu")
+
+
+def test_without_a_text_the_variable_decides(lab):
+    lab.setenv("CMP_CL_DEVICE", "t4")
+    assert select_device() == SECOND
+    assert select_device("cpu") == POCL
+    lab.setenv("CMP_CL_DEVICE", "intel")
+    with pytest.raises(DeviceError, match="from CMP_CL_DEVICE"):
+        select_device()
+
+
+def test_without_either_a_gpu_before_a_cpu(lab):
+    assert select_device() == CARD
+    lab.setattr(module, "list_devices", lambda: [OTHER, POCL])
+    assert select_device() == POCL
+    lab.setattr(module, "list_devices", lambda: [OTHER])
+    assert select_device() == OTHER
+
+
+def test_no_device_says_what_to_install(lab):
+    lab.setattr(module, "list_devices", lambda: [])
+    for text in (None, "cpu"):
+        with pytest.raises(DeviceError, match=r"pip install 'pyopencl\[pocl\]'"):
+            select_device(text)
+
+
+def test_no_platform_is_no_device(monkeypatch):
+    def no_platform():
+        raise cl.LogicError("clGetPlatformIDs failed: PLATFORM_NOT_FOUND_KHR")
+
+    monkeypatch.setattr(cl, "get_platforms", no_platform)
+    assert list_devices() == []
+    with pytest.raises(DeviceError, match="no OpenCL device found"):
+        select_device()
+
+
+def test_a_platform_without_devices(monkeypatch):
+    class Empty:
+        def get_devices(self):
+            raise cl.RuntimeError("DEVICE_NOT_FOUND")
+
+    monkeypatch.setattr(cl, "get_platforms", lambda: [Empty()])
+    assert list_devices() == []
+
+
+def test_devices_are_values(device):
+    assert dataclasses.replace(device) == device
+    assert device in {device}
+    assert "handle" not in repr(device)
