@@ -1,0 +1,297 @@
+"""Random valid configurations and small images against the oracle, and invalid ones refused.
+
+    python tests/fuzz.py --images 100000 --configs 500 --seed 1 [--device TEXT] [--seconds S]
+
+Each configuration is compiled once and gets its share of the images through batch, every
+eighth batch also one by one and as maps. Case K of a seed is always the same: a failure prints
+the line that repeats it, and the status is 1. The last line says how much was done.
+"""
+
+import argparse
+import dataclasses
+import resource
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+import tolerances
+from comparison import assert_maps_equal, assert_same_bytes
+from corner_images import board
+
+from cmp_cl import (
+    AdaptiveMean,
+    CmpClError,
+    Corners,
+    Detector,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Fit,
+    Midlines,
+    Pyramid,
+    RapidCriteria,
+    SectorContrast,
+    SpectralCriteria,
+    reference,
+)
+
+BATCH = 25
+Rng = np.random.Generator
+
+
+def _one(rng: Rng, *choices: Any) -> Any:
+    return choices[int(rng.integers(len(choices)))]
+
+
+def random_config(rng: Rng) -> DetectorConfig:
+    """A valid configuration: each setting its default, a bound or anything between."""
+    corrosion = _one(rng, None, 6, int(rng.integers(-4, 18)))
+    masks = _one(rng, 1, 1, 3)
+    threshold = AdaptiveMean(
+        window=_one(rng, 21, 9, 3, 255, 2 * int(rng.integers(1, 40)) + 1),
+        offset=0 if masks == 3 else _one(rng, 0, 0, 5, int(rng.integers(65536))),
+        masks=masks,
+    )
+    criteria = _one(
+        rng,
+        RapidCriteria(corrosion_threshold=corrosion),
+        RapidCriteria(
+            sector_threshold=int(rng.integers(1, 17)),
+            ring_threshold=int(rng.integers(1, 18)),
+            corrosion_threshold=corrosion,
+        ),
+        SpectralCriteria(
+            correlation=_one(rng, 0.75, 0, 1, float(rng.random())),
+            phase=_one(rng, 0.35, 0, float(rng.uniform(0, np.pi))),
+            corrosion_threshold=corrosion,
+        ),
+    )
+    contrast = _one(
+        rng,
+        None,
+        SectorContrast(),
+        SectorContrast(
+            minimum=_one(rng, 0, 255, float(rng.uniform(0, 60))),
+            relative=_one(rng, 0, 1, float(rng.random())),
+            noise=_one(rng, 0, 100, float(rng.uniform(0, 5))),
+        ),
+    )
+    refinement = _one(
+        rng,
+        None,
+        EdgeLines(max_shift=_one(rng, 2.0, 0, 5, float(rng.uniform(0, 5)))),
+        EdgeStep(cell=_one(rng, 12.0, 4, 1000, float(rng.uniform(4, 40)))),
+        Midlines(fit=_one(rng, *Fit), max_shift=float(rng.uniform(0, 5))),
+    )
+    scale = _one(
+        rng,
+        *(None, None, None, 1.0, float(rng.uniform(0.3, 2))),
+        Pyramid(factors=(1.0, 0.7), expected=int(rng.integers(1, 40))),
+    )
+    return DetectorConfig(
+        threshold=threshold,
+        outer_radius=_one(rng, 4, 5),
+        criteria=criteria,
+        contrast=contrast,
+        nms_radius=_one(rng, 3, 1, 15, int(rng.integers(1, 16))),
+        refinement=refinement,
+        scale=scale,
+        full_scale=_one(rng, None, None, int(rng.integers(1, 65536))),
+        max_corners=_one(rng, 65536, 1, int(rng.integers(1, 1000))),
+    )
+
+
+def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
+    """A small image: noise, texture, board, ramp, levels, stripes, or parts of several."""
+    kind = int(rng.integers(9))
+    high = 256 if dtype == np.uint8 else _one(rng, 256, 4096, 65536)
+    if kind == 0:
+        image = rng.integers(0, high, shape)
+    elif kind == 1:
+        image = rng.integers(0, high, shape) // (high // 2) * (high - 1)
+    elif kind == 2:
+        smooth = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), rng.uniform(0.8, 3))
+        image = high / 2 + high / 5 * smooth / max(float(smooth.std()), 1e-9)
+    elif kind in (3, 4, 5):
+        image = board(*shape, rng.uniform(6, 24), angle=rng.uniform(0, 3), blur=1.0)[0] / 256 * high
+        image = image + rng.normal(0, _one(rng, 0, 0.02, 0.1) * high, shape)
+    elif kind == 6:
+        y, x = np.indices(shape)
+        image = (x * rng.integers(0, 9) + y * rng.integers(0, 9)) % high
+    elif kind == 7:
+        image = rng.integers(0, 3, shape) + int(rng.integers(high))
+    else:
+        image = np.full(shape, int(rng.integers(high)))
+        image[rng.random(shape) < 0.3] = int(rng.integers(high))
+    if kind > 1 and rng.random() < 0.2:  # an edge through the middle
+        image = np.array(image)
+        image[:, shape[1] // 2 :] = high - 1 - image[:, shape[1] // 2 :]
+    return np.ascontiguousarray(np.clip(image, 0, high - 1).astype(dtype))
+
+
+def assert_as_expected(
+    found: Corners, image: np.ndarray, config: DetectorConfig, counts: Counter[str]
+) -> None:
+    """The corners are the oracle's; what float32 may decide otherwise is counted."""
+    if isinstance(config.scale, Pyramid):
+        expected, margin = reference.detect(image, config), None
+    else:
+        expected, margin = reference.detect_with_margin(image, config)
+    np.testing.assert_array_equal(found.pixel, expected.pixel)
+    np.testing.assert_array_equal(found.response, expected.response)
+    decided = np.ones(len(found), bool) if margin is None else margin > tolerances.MARGIN
+    if margin is None:
+        decided &= found.method == expected.method
+    np.testing.assert_array_equal(found.method[decided], expected.method[decided])
+    np.testing.assert_allclose(
+        found.xy[decided], expected.xy[decided], rtol=0, atol=tolerances.POSITION
+    )
+    assert np.isfinite(found.xy).all()
+    counts["corners"] += len(found)
+    counts["undecided"] += int((~decided).sum())
+    if decided.any():
+        farthest = float(np.abs(found.xy[decided] - expected.xy[decided]).max())
+        counts["nm"] = max(counts["nm"], round(farthest * 1e6))
+
+
+def valid_case(
+    seed: int, number: int, images: int, device: str | None, counts: Counter[str]
+) -> None:
+    """One configuration and its images."""
+    rng = np.random.default_rng([seed, number])
+    config = random_config(rng)
+    dtype = _one(rng, np.uint8, np.uint8, np.uint16)
+    shape = tuple(int(n) for n in rng.integers(1, 72, 2))
+    mask = rng.random(shape) < 0.8 if rng.random() < 0.2 else None
+    if mask is not None and isinstance(config.scale, Pyramid):
+        mask = None
+    with Detector(shape=shape, dtype=dtype, config=config, device=device, mask=mask) as detector:
+        for batch in range(-(-images // BATCH)):
+            frames = [
+                random_image(rng, shape, dtype) for _ in range(min(BATCH, images - batch * BATCH))
+            ]
+            results = detector.batch(frames)
+            for frame, found in zip(frames, results, strict=True):
+                if mask is None:
+                    assert_as_expected(found, frame, config, counts)
+            counts["images"] += len(frames)
+            if batch % 8 == 0:
+                for frame, found in zip(frames, detector.stream(frames), strict=True):
+                    assert_same_bytes(detector(frame), found)
+                if not isinstance(config.scale, Pyramid):
+                    assert_maps_equal(detector, frames[0], mask=mask)
+        again = list(detector.stream(frames))
+        for one, other in zip(again, results, strict=True):
+            assert_same_bytes(one, other)
+
+
+PARTS = (
+    *(AdaptiveMean, RapidCriteria, SpectralCriteria, SectorContrast),
+    *(EdgeLines, EdgeStep, Midlines, Pyramid, DetectorConfig),
+)
+FIELDS = [(part, field.name) for part in PARTS for field in dataclasses.fields(part)]
+
+
+def invalid_case(seed: int, number: int, device: str | None) -> bool:
+    """A value that no field takes, an image that no detector takes: an error of ours, or a
+    valid thing after all. Returns whether it was refused."""
+    rng = np.random.default_rng([seed, number, 1])
+    values: list[Any] = [None, -1, 0, 2, 1e9, -1e9, float("nan"), float("inf"), "3", b"", [], {}]
+    values += [True, object(), 2**70, (1.0,), np.float32(0.5), np.int64(7), 1.5, 256, ()]
+    part, field = FIELDS[int(rng.integers(len(FIELDS)))]
+    arguments = {field: values[int(rng.integers(len(values)))]}
+    if part is Pyramid:
+        arguments = {"factors": (1.0,), "expected": 3} | arguments
+    if part is AdaptiveMean and rng.random() < 0.3:
+        arguments |= {"masks": 3, "offset": 1}
+    try:
+        part(**arguments)
+    except CmpClError:
+        return True
+    frame: Any = _one(
+        rng,
+        *(None, 3, "image.png", [[1, 2]], np.zeros(5, np.uint8), np.zeros((2, 2, 3), np.uint8)),
+        *(np.zeros((4, 4), np.float64), np.zeros((4, 4), bool), np.zeros((3, 4), np.int16)),
+        np.zeros((8, 8), np.uint8)[::-1],
+        np.zeros((8, 16), np.uint8)[:, ::2],
+        np.array([["a"]], object),
+    )
+    try:
+        Detector(shape=frame.shape, dtype=frame.dtype, device=device)(frame)
+    except CmpClError:
+        return True
+    except AttributeError:  # what has no shape is no argument for one
+        return not isinstance(frame, np.ndarray)
+    return False
+
+
+def _megabytes() -> int:
+    """Resident memory now, where the system says; otherwise its peak."""
+    try:
+        with open("/proc/self/statm") as file:
+            return int(file.read().split()[1]) * resource.getpagesize() // 2**20
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+
+
+def _guarded(work: Callable[[], Any], again: str) -> bool:
+    try:
+        work()
+    except Exception:
+        traceback.print_exc()
+        print(f"FAILED; again: {again}", flush=True)
+        return False
+    return True
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the cases; 1 where one failed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--images", type=int, default=100_000, help="in all")
+    parser.add_argument("--configs", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--device")
+    parser.add_argument("--first", type=int, default=0, help="number of the first configuration")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after that")
+    options = parser.parse_args(arguments)
+    share = -(-options.images // options.configs)
+    begin = time.monotonic()
+    counts: Counter[str] = Counter()
+    failed = refused = done = 0
+    memory = []
+    for number in range(options.first, options.first + options.configs):
+        if time.monotonic() - begin > options.seconds:
+            break
+        again = f"--seed {options.seed} --first {number} --configs 1 --images {share}"
+        failed += not _guarded(
+            lambda n=number: valid_case(options.seed, n, share, options.device, counts), again
+        )
+        for k in range(20):
+            failed += not _guarded(
+                lambda n=20 * number + k: counts.update(
+                    refused=int(invalid_case(options.seed, n, options.device))
+                ),
+                again,
+            )
+        done += 1
+        memory.append(_megabytes())
+        if done % 10 == 0:
+            print(f"{done} configurations, {dict(counts)}, {memory[-1]} MB", flush=True)
+    refused = counts["refused"]
+    print(
+        f"seed {options.seed}: {counts['images']} images, {done} configurations, "
+        f"{counts['corners']} corners, {counts['undecided']} not compared (a guard within "
+        f"{tolerances.MARGIN}), largest difference {counts['nm'] * 1e-6:.1e} px, "
+        f"{refused} of {20 * done} invalid ones refused, memory {memory[0]} MB after the first "
+        f"and {memory[-1]} MB after the last, {time.monotonic() - begin:.0f} s, {failed} failed"
+    )
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,120 @@
+"""The same image gives the same whole numbers on every device, driver and machine.
+
+The scenes are stored, because rendering one rounds floats. A change of the algorithm changes
+the digests: `python tests/test_determinism.py` prints the new ones, computed by the oracle.
+"""
+
+import dataclasses
+import hashlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from comparison import FLOATS
+
+import cmp_cl
+from cmp_cl import (
+    AdaptiveMean,
+    Corners,
+    Detector,
+    DetectorConfig,
+    EdgeStep,
+    Fit,
+    Maps,
+    Midlines,
+    RapidCriteria,
+    SpectralCriteria,
+    reference,
+)
+
+SCENES = {
+    "board": Path(cmp_cl.__file__).parent / "data" / "board.png",
+    **{path.stem: path for path in sorted(Path(__file__).with_name("data").glob("*.png"))},
+}
+CONFIGS = {
+    "default": DetectorConfig(),
+    "paper": DetectorConfig.paper(30),
+    "small cells": DetectorConfig(
+        threshold=AdaptiveMean(window=11), outer_radius=4, refinement=EdgeStep(cell=9)
+    ),
+    "three masks": DetectorConfig(threshold=AdaptiveMean(masks=3)),
+    "spectral": DetectorConfig(criteria=SpectralCriteria(), refinement=Midlines(fit=Fit.QUADRATIC)),
+    "dense, scaled": DetectorConfig(
+        criteria=RapidCriteria(sector_threshold=12, corrosion_threshold=None),
+        contrast=None,
+        nms_radius=2,
+        scale=0.7,
+    ),
+}
+DIGESTS = {
+    ("board", "default"): "5fe4a2020a09f363",
+    ("board", "dense, scaled"): "704fb7d9b59d5f8c",
+    ("deep", "default"): "1fa88f7319a73d65",
+    ("deep", "paper"): "6c4b2e7e23089b5c",
+    ("deep", "small cells"): "857b7bf6394eba3d",
+    ("deep", "three masks"): "258a4df93109b5d2",
+    ("deep", "spectral"): "ed10a279a77d161b",
+    ("deep", "dense, scaled"): "117928902f25f314",
+    ("noise", "default"): "d90a49ca7c3453af",
+    ("noise", "dense, scaled"): "06f8bb55940c5632",
+    ("scene", "default"): "431b9a1b5bb5a562",
+    ("scene", "paper"): "a3c04001cbe7a2dd",
+    ("scene", "small cells"): "ba1bbb9a5d74d65b",
+    ("scene", "three masks"): "3ee99f06065a2194",
+    ("scene", "spectral"): "b217a79e0ace281d",
+    ("scene", "dense, scaled"): "a506a27724ed2b93",
+    ("ties", "default"): "92f2aa5bcef6a2b6",
+    ("ties", "dense, scaled"): "651474fdb1c82e79",
+}
+
+
+def load(name: str) -> np.ndarray:
+    image = cv2.imread(str(SCENES[name]), cv2.IMREAD_UNCHANGED)
+    assert image.ndim == 2
+    return image
+
+
+def config_for(name: str, image: np.ndarray) -> DetectorConfig:
+    return CONFIGS[name].replace(full_scale=4095 if image.dtype == np.uint16 else None)
+
+
+def digest(maps: Maps, corners: Corners) -> str:
+    """Of every whole number in the maps and the corners, byte order and width of ints apart."""
+    hashed = hashlib.sha256()
+    arrays = {f.name: getattr(maps, f.name) for f in dataclasses.fields(maps)}
+    arrays |= {"pixel": corners.pixel, "method": corners.method}
+    arrays |= {"R": corners.response, "doubtful": corners.doubtful}
+    for name, values in arrays.items():
+        if name in FLOATS or values is None:
+            continue
+        hashed.update(f"{name} {values.shape}".encode())
+        hashed.update(np.ascontiguousarray(values).astype("<i4").tobytes())
+    return hashed.hexdigest()[:16]
+
+
+@pytest.mark.parametrize(("scene", "config"), DIGESTS)
+def test_whole_numbers_are_the_same_everywhere(device, scene, config):
+    image = load(scene)
+    settings = config_for(config, image)
+    with Detector(shape=image.shape, dtype=image.dtype, config=settings, device=device) as detector:
+        corners = detector(image)
+        assert digest(detector.maps(image), corners) == DIGESTS[scene, config]
+        assert digest(detector.maps(image), detector(image)) == DIGESTS[scene, config]
+
+
+def test_scenes_have_corners_to_hash():
+    assert {scene for scene, _ in DIGESTS} == set(SCENES)
+    assert {config for _, config in DIGESTS} == set(CONFIGS)
+    for scene in SCENES:
+        image = load(scene)
+        found = len(reference.detect(image, config_for("default", image)))
+        assert found == 0 if scene == "noise" else found > 20
+
+
+if __name__ == "__main__":
+    for scene, config in DIGESTS:
+        image = load(scene)
+        settings = config_for(config, image)
+        found = digest(reference.maps(image, settings), reference.detect(image, settings))
+        print(f'    ("{scene}", "{config}"): "{found}",')
