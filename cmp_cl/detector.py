@@ -15,7 +15,7 @@ from cmp_cl.device import Device, describe_handle, select_device
 from cmp_cl.errors import ConfigError, DeviceError, ImageError
 from cmp_cl.plan import Overflow, Plan
 from cmp_cl.resampling import full_pixels
-from cmp_cl.results import Corners, Grid, GreyImage, Maps, Method, check_image
+from cmp_cl.results import Corners, GreyImage, Grid, Maps, Method, check_image
 
 DOUBTFUL_EXCESS = 0.010  # of the autocorrelation of what the corner model leaves
 
@@ -65,7 +65,7 @@ class Detector:
         else:
             self.device = device if isinstance(device, Device) else select_device(device)
         context = queue.context if queue is not None else cl.Context([self.device.handle])
-        flags = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
+        flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
         self._profile = profile
         self._uploads = cl.CommandQueue(context)
@@ -120,7 +120,9 @@ class Detector:
             return _no_corners(str(self.device))
         with self._lock:
             self._check_alive()
-            return self._best([self._whole(self._plan(factor), [frame]) for factor in self._factors])[0]
+            return self._best(
+                [self._whole(self._plan(factor), [frame]) for factor in self._factors]
+            )[0]
 
     def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
         """The corners of each frame, in order.
@@ -198,7 +200,7 @@ class Detector:
     def _factors(self) -> list[float | None]:
         scale = self.config.scale
         if isinstance(scale, Pyramid):
-            return sorted(scale.factors, reverse=True)
+            return [*sorted(scale.factors, reverse=True)]
         return [scale]
 
     def _plan(self, factor: float | None, frames: int = 1) -> Plan:
@@ -254,7 +256,10 @@ class Detector:
         if not isinstance(scale, Pyramid):
             return results[0]
         expected = scale.expected
-        return [min(choice, key=lambda found: abs(len(found) - expected)) for choice in zip(*results, strict=True)]
+        return [
+            min(choice, key=lambda found: abs(len(found) - expected))
+            for choice in zip(*results, strict=True)
+        ]
 
     def _check(self, frame: Any) -> None:
         check_image(frame)

@@ -33,12 +33,12 @@ def read_maps(plan: Plan) -> Maps:
     for launch in plan.front:
         plan.launch([launch])
         if launch.stage == "repeat_border_binary":
-            values["binary"] = _plane(plan, plan.buffers["binary"], np.uint8) > 0
+            values["binary"] = _plane(plan, plan.arrays["binary"], np.uint8) > 0
             values |= _rapid_maps(plan) if rapid else _spectral_maps(plan)
             if plan.config.criteria.corrosion_threshold is None:
                 values["corrosion"] = None
         elif launch.stage in ("rapid_criteria", "spectral_criteria"):
-            values["candidate"] = _plane(plan, plan.buffers["responses"], response) > 0
+            values["candidate"] = _plane(plan, plan.arrays["responses"], response) > 0
         elif launch.stage == "rapid_criteria_words":
             values["candidate"] = _candidate_words(plan)
         elif launch.stage == "keep":
@@ -48,7 +48,7 @@ def read_maps(plan: Plan) -> Maps:
             values["response"] = kept.astype(np.int32)
             values["score"] = _score_map(plan)
         elif launch.stage == "maximum":
-            values["maximum"] = _plane(plan, plan.buffers["binary"], np.uint8, masks=False) > 0
+            values["maximum"] = _plane(plan, plan.arrays["binary"], np.uint8, masks=False) > 0
     return Maps(**values)
 
 
@@ -96,7 +96,7 @@ def _per_pixel(plan: Plan, name: str, outputs: list[Any], *inputs: Any) -> list[
 
 def _rapid_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
     dtypes = [np.uint16, np.uint16, *(dtype for _, dtype in _RAPID_MAPS)]
-    inner, outer, *rest = _per_pixel(plan, "ring_maps", dtypes, plan.buffers["binary"])
+    inner, outer, *rest = _per_pixel(plan, "ring_maps", dtypes, plan.arrays["binary"])
     values: dict[str, NDArray[Any] | None] = {"inner": inner, "outer": outer}
     values |= {name: values for (name, _), values in zip(_RAPID_MAPS, rest, strict=True)}
     return values | dict.fromkeys(_SPECTRAL_MAPS)
@@ -105,7 +105,7 @@ def _rapid_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
 def _spectral_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
     dtypes = [np.uint16, np.uint16, np.int8, np.uint8, np.uint8]
     inner, outer, corrosion, best, half_samples = _per_pixel(
-        plan, "spectral_maps", dtypes, plan.buffers["binary"]
+        plan, "spectral_maps", dtypes, plan.arrays["binary"]
     )
     margins = spectrum.margins()
     smaller = np.minimum(margins[inner], margins[outer]).astype(np.float32)
@@ -129,14 +129,14 @@ def _contrast(plan: Plan) -> NDArray[np.int32]:
     room, planes = plan.candidate_room, plan.masks
     totals = np.empty(plan.frames * (planes + 1), np.uint32)
     positions = np.empty((planes, room, 2), np.int32)
-    contrast = np.empty((4, planes, room), np.int16 if plan.dtype == np.uint8 else np.int32)
-    cl.enqueue_copy(plan.queue, totals, plan.buffers["totals"])
-    cl.enqueue_copy(plan.queue, positions, plan.buffers["candidates"])
-    cl.enqueue_copy(plan.queue, contrast, plan.buffers["contrasts"])
+    contrast = np.empty((planes, room), np.int16 if plan.dtype == np.uint8 else np.int32)
+    cl.enqueue_copy(plan.queue, totals, plan.arrays["totals"])
+    cl.enqueue_copy(plan.queue, positions, plan.arrays["candidates"])
+    cl.enqueue_copy(plan.queue, contrast, plan.arrays["contrast"])
     image = np.zeros((planes, *plan.working), np.int32)
     for plane in range(planes):
         x, y = positions[plane, : totals[plane]].T
-        image[plane, y, x] = contrast[1, plane, : totals[plane]]
+        image[plane, y, x] = contrast[plane, : totals[plane]]
     return image[0] if planes == 1 else image
 
 
@@ -144,7 +144,7 @@ def _candidate_words(plan: Plan) -> NDArray[np.bool_]:
     """The planes of candidates as pixels: bit k of word i is pixel 32 i + k."""
     rows, columns = plan.working
     words = np.empty((plan.masks, plan.plane_words), "<u4")
-    cl.enqueue_copy(plan.queue, words, plan.buffers["candidate_words"])
+    cl.enqueue_copy(plan.queue, words, plan.arrays["candidate_words"])
     bits = np.unpackbits(words.view(np.uint8), axis=1, bitorder="little")
     height = rows + 2 * RING_REACH
     padded = bits[:, : height * plan.step].reshape(plan.masks, height, plan.step)

@@ -16,7 +16,6 @@ from cmp_cl import spectrum
 from cmp_cl.config import (
     AdaptiveMean,
     DetectorConfig,
-    EdgeLines,
     EdgeStep,
     Fit,
     Midlines,
@@ -32,10 +31,12 @@ from cmp_cl.results import GreyImage
 
 RING_REACH = 5  # rows and columns that the outer ring looks at
 REACH = 16  # columns on either side of the pixels, at least: what rings and tents need
+ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
 GROUP = 64  # work-items of a group over a list
 NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
 RESULT_FIELDS = 12  # of kernels/refine.cl
+CONTRASTS = ("inner_contrast", "contrast", "mean_difference", "sector_response")
 POINT_FIELDS = 27
 LINE_FIELDS = 6
 EDGE_SAMPLES = 68  # of the three rings
@@ -96,7 +97,7 @@ class Plan:
         self.events: list[tuple[str, cl.Event]] = []
         self._mask = mask
         pixels = self.working[0] * self.working[1]
-        self.candidate_room = _multiple(pixels // 12 + 1, GROUP)
+        self.candidate_room = _multiple(pixels // 14 + 1, GROUP)
         self.corner_room = _multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
         self.buffers: dict[str, cl.Buffer] = {}
         self.kernels = self._build()
@@ -201,22 +202,21 @@ class Plan:
         planes = self.frames * self.masks
         plane = self.working[0] * self.step
         spare = 2 * self.step
-        pixel = self.dtype.itemsize
         rapid = isinstance(self.config.criteria, RapidCriteria)
+        pixel = self.dtype.itemsize
         response, score = (1, 2) if rapid else (4, 4)
         room, rows = planes * self.candidate_room, self.frames * self.corner_room
         length = _multiple(rows, GROUP)
-        column = 2 * pixel * (self.frames * plane + spare)
-        keys = 2 * score * (self.frames * plane + spare)
         gate = self.config.contrast is not None
-        noise = 2 * pixel * self.frames * self._bands * self.step if gate else 0
-        samples = CHANNELS * pixel * room if gate and rapid else 0
         sizes = {
             "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
             "mask": 4 * self.plane_words if self._in_words else plane + spare,
             "binary": planes * plane + spare,
             "responses": response * (planes * plane + spare),
-            "work": max(column, keys, noise, samples),
+            "work": max(
+                sum(_multiple(size, ALIGNMENT) for size in layout.values())
+                for layout in self._layouts
+            ),
             "row_counts": 4 * planes * self.working[0],
             "totals": 4 * (planes + self.frames),
             "zeros": score * self.step,
@@ -231,21 +231,41 @@ class Plan:
         if self.scale is not None:
             sizes["working"] = (self.frames * plane + spare) * pixel
         if self.masks == 3:
-            sizes["squares"] = 4 * pixel * (self.frames * plane + spare)
             sizes["response"] = response * (self.frames * plane + spare)
         if gate or self._in_words:
             sizes["candidates"] = 8 * room
         if gate:
-            sizes["contrasts"] = 4 * 2 * pixel * room
             sizes["noise"] = 8 * self.frames * self._bands
             sizes["bins"] = 4 * planes * self._parts * BINS
             sizes["found"] = 8 * planes
             sizes["bounds"] = 8 * planes
-        if self.config.refinement is not None:
-            sizes["points"] = 4 * POINT_FIELDS * length
-            sizes["samples"] = 4 * EDGE_SAMPLES * length if self.scale is None else 0
-            sizes["lines"] = 4 * LINE_FIELDS * length
         return sizes
+
+    @property
+    def _layouts(self) -> list[dict[str, int]]:
+        """Bytes of the arrays that are needed only in passing. Those of a layout lie one after
+        the other in the buffer "work", where each layout takes the place of the one before."""
+        pixel = self.dtype.itemsize
+        plane = (self.frames * self.working[0] + 2) * self.step
+        score = 2 if isinstance(self.config.criteria, RapidCriteria) else 4
+        room = self.frames * self.masks * self.candidate_room
+        length = _multiple(self.frames * self.corner_room, GROUP)
+        binarization = {"sums": 2 * pixel * plane}
+        if self.masks == 3:
+            binarization["squares"] = 4 * pixel * plane
+        layouts = [binarization]
+        if self.config.contrast is not None:
+            layouts.append({"noise_sums": 2 * pixel * self.frames * self._bands * self.step})
+            contrasts = dict.fromkeys(CONTRASTS, 2 * pixel * room)
+            if isinstance(self.config.criteria, RapidCriteria):
+                contrasts["samples"] = CHANNELS * pixel * room
+            layouts.append(contrasts)
+        layouts.append({"key": score * plane, "tent": score * plane})
+        if self.config.refinement is not None:
+            layouts.append({"points": 4 * POINT_FIELDS * length, "lines": 4 * LINE_FIELDS * length})
+            if self.scale is None:
+                layouts[-1]["edge_samples"] = 4 * EDGE_SAMPLES * length
+        return layouts
 
     @property
     def _bands(self) -> int:
@@ -273,14 +293,28 @@ class Plan:
             for name, size in self.sizes.items():
                 if name not in self.buffers:
                     buffer = cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, max(size, 4))
-                    cl.enqueue_fill_buffer(self.queue, buffer, np.uint8(0), 0, buffer.size)
+                    self._clear(buffer)
                     self.buffers[name] = buffer
             self.queue.finish()
+            self.arrays = {**self.buffers, **self._parts_of_work()}
         except (cl.MemoryError, cl.RuntimeError) as error:
             raise CapacityError(
-                f"{self.device} refused a plan of {needed} bytes, it has {self.device.memory}: {error}"
+                f"{self.device} refused a plan of {needed} bytes, "
+                f"it has {self.device.memory}: {error}"
             ) from error
         self._upload_mask()
+
+    def _clear(self, buffer: cl.Buffer) -> None:
+        cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, buffer.size)
+
+    def _parts_of_work(self) -> dict[str, cl.Buffer]:
+        parts = {}
+        for layout in self._layouts:
+            place = 0
+            for name, size in layout.items():
+                parts[name] = self.buffers["work"].get_sub_region(place, size)
+                place += _multiple(size, ALIGNMENT)
+        return parts
 
     def _constant(self, table: NDArray[Any]) -> cl.Buffer:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
@@ -290,8 +324,12 @@ class Plan:
         rows, columns = self.working
         allowed = np.ones(self.working, np.bool_)
         if self._mask is not None:
-            y = np.minimum(((np.arange(rows) + 0.5) / (self.scale or 1)).astype(int), self.shape[0] - 1)
-            x = np.minimum(((np.arange(columns) + 0.5) / (self.scale or 1)).astype(int), self.shape[1] - 1)
+            y = np.minimum(
+                ((np.arange(rows) + 0.5) / (self.scale or 1)).astype(int), self.shape[0] - 1
+            )
+            x = np.minimum(
+                ((np.arange(columns) + 0.5) / (self.scale or 1)).astype(int), self.shape[1] - 1
+            )
             allowed = self._mask[np.ix_(y, x)]
         if self._in_words:
             bits = np.zeros(self.plane_words * 32, np.bool_)
@@ -336,7 +374,11 @@ class Plan:
         if self.device.kind is not DeviceKind.CPU:
             most = min(most, 128)
         units = self.step // GROUP
-        return max(GROUP * n for n in range(1, units + 1) if units % n == 0 and GROUP * n <= max(most, GROUP))
+        return max(
+            GROUP * n
+            for n in range(1, units + 1)
+            if units % n == 0 and GROUP * n <= max(most, GROUP)
+        )
 
     def _rows(self, name: str, rows: int, planes: int, *arguments: Any) -> Launch:
         """A kernel with one work-item per row."""
@@ -353,10 +395,13 @@ class Plan:
             self.image = self.buffers["image"]
             return []
         self.image = self.buffers["working"]
-        tables = []
+        tables: list[Any] = []
         for size, working in zip(self.shape, self.working, strict=True):
             first, weights = resampling_weights(size, working, self.scale)
-            tables += [self._constant(first.astype(np.int32)), self._constant(weights.astype(np.int32))]
+            tables += [
+                self._constant(first.astype(np.int32)),
+                self._constant(weights.astype(np.int32)),
+            ]
             tables.append(np.uint32(weights.shape[1]))
         arguments = [
             self.buffers["image"],
@@ -377,29 +422,26 @@ class Plan:
         column = np.uint32 if deep else np.uint16
         level = np.uint64 if deep and threshold.offset else np.uint32
         count = threshold.window**2
-        b = self.buffers
+        b = self.arrays
         planes = self.frames * self.masks
         stages = [
             self._rows(
                 "repeat_border", self.frames * self.working[0], 1, rows, columns, step, self.image
             ),
-            self._dense("column_sums", self.frames, self.image, rows, step, column(0), b["work"]),
+            self._dense("column_sums", self.frames, self.image, rows, step, column(0), b["sums"]),
         ]
         if self.masks == 1:
-            arguments = (self.image, b["work"], rows, step, level(count), level(threshold.offset))
-            stages.append(
-                self._dense("binarize", self.frames, *arguments, np.uint32(0), b["binary"])
-            )
+            levels = (level(count), level(threshold.offset), np.uint32(0))
+            images = (self.image, b["sums"], rows, step)
+            stages.append(self._dense("binarize", self.frames, *images, *levels, b["binary"]))
         else:
             zero = np.uint64(0) if deep else np.uint32(0)
-            arguments = (self.image, b["work"], b["squares"], rows, step, np.uint64(count))
+            arguments = (self.image, b["sums"], b["squares"], rows, step, np.uint64(count))
             stages += [
                 self._dense(
                     "column_squares", self.frames, self.image, rows, step, zero, b["squares"]
                 ),
-                self._dense(
-                    "binarize_three", self.frames, *arguments, np.uint64(0), b["binary"]
-                ),
+                self._dense("binarize_three", self.frames, *arguments, np.uint64(0), b["binary"]),
             ]
         border = (rows, columns, step, b["binary"])
         stages.append(self._rows("repeat_border_binary", planes * self.working[0], 1, *border))
@@ -409,7 +451,7 @@ class Plan:
         rows, step = np.uint32(self.working[0]), np.uint32(self.step)
         criteria = self.config.criteria
         corrosion = criteria.corrosion_threshold or 0
-        b = self.buffers
+        b = self.arrays
         planes = self.frames * self.masks
         if isinstance(criteria, SpectralCriteria):
             arguments = self._spectral(criteria, np.int8(corrosion))
@@ -437,7 +479,7 @@ class Plan:
         rows, step, words = (np.uint32(n) for n in (self.working[0], self.step, self.plane_words))
         room = np.uint32(self.candidate_room)
         planes = self.frames * self.masks
-        b = self.buffers
+        b = self.arrays
         width, height = self.step // 32, self.working[0] + 2 * RING_REACH
         thresholds = (
             np.int32(criteria.sector_threshold),
@@ -461,9 +503,7 @@ class Plan:
                 *thresholds,
                 b["candidate_words"],
             ),
-            self._rows(
-                "count_candidate_words", self.working[0], planes, *found, b["row_counts"]
-            ),
+            self._rows("count_candidate_words", self.working[0], planes, *found, b["row_counts"]),
             self._rows(
                 "list_candidate_words",
                 self.working[0],
@@ -472,9 +512,7 @@ class Plan:
                 b["candidates"],
                 b["totals"],
             ),
-            self._rows(
-                "clear_responses", planes * self.working[0], 1, rows, step, b["responses"]
-            ),
+            self._rows("clear_responses", planes * self.working[0], 1, rows, step, b["responses"]),
         ]
         if self.config.contrast is None:
             listed = (b["binary"], b["candidates"], b["totals"], rows, step, room)
@@ -497,10 +535,12 @@ class Plan:
             self.buffers["responses"],
         )
 
-    def _lists(self, what: str, planes: int, image: cl.Buffer, room: int, place: int) -> list[Launch]:
+    def _lists(
+        self, what: str, planes: int, image: cl.Buffer, room: int, place: int
+    ) -> list[Launch]:
         """The two stages that list the pixels of an image that are not 0."""
         rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
-        b = self.buffers
+        b = self.arrays
         counts = (image, rows, columns, step, b["row_counts"])
         listed = (image, b["row_counts"], rows, columns, step, np.uint32(room), np.uint32(place))
         return [
@@ -517,15 +557,11 @@ class Plan:
 
     def _gate_stages(self, gate: SectorContrast) -> list[Launch]:
         rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
-        b, room = self.buffers, np.uint32(self.candidate_room)
+        b, room = self.arrays, np.uint32(self.candidate_room)
         planes = self.frames * self.masks
         deep = self.dtype == np.uint16
         pixel = np.uint16 if deep else np.uint8
-        size = planes * self.candidate_room
-        contrast = [
-            b["contrasts"].get_sub_region(k * size * 2 * self.dtype.itemsize, size * 2 * self.dtype.itemsize)
-            for k in range(4)
-        ]
+        contrast = [b[name] for name in CONTRASTS]
         levels = np.arange(2**16 if deep else 2**8)
         floor = math.ceil(gate.minimum * self.config.grey_levels(self.dtype) / 255)
         limit = self._constant(
@@ -535,11 +571,11 @@ class Plan:
         parts = np.uint32(self._parts)
         bands = self._bands
         curvature = np.int32 if deep else np.int16
-        noise = (self.image, rows, step, curvature(0), b["work"])
+        noise = (self.image, rows, step, curvature(0), b["noise_sums"])
         stages = [
             self._stage("noise", (self.step, bands, self.frames), (self._width, 1, 1), *noise),
             self._rows(
-                "noise_of_band", bands, self.frames, b["work"], columns, step, b["noise"]
+                "noise_of_band", bands, self.frames, b["noise_sums"], columns, step, b["noise"]
             ),
         ]
         listed = (b["candidates"], b["totals"])
@@ -549,9 +585,9 @@ class Plan:
             threshold = signed(criteria.sector_threshold)
             stages += [
                 self._list(
-                    "sample_rings", self.image, b["binary"], *listed, rows, step, room, b["work"]
+                    "sample_rings", self.image, b["binary"], *listed, rows, step, room, b["samples"]
                 ),
-                self._list("sector_contrast", b["work"], room, threshold, pixel(0), *contrast),
+                self._list("sector_contrast", b["samples"], room, threshold, pixel(0), *contrast),
             ]
         else:
             arguments = (self.image, b["binary"], *listed, rows, step, room, *contrast[:3])
@@ -563,9 +599,7 @@ class Plan:
             sizes = (np.uint32(bands), room, bits, parts, np.uint32(factor))
             stages += [
                 self._rows("histogram", self._parts, planes, *histogram),
-                self._rows(
-                    "percentile", planes, 1, *percentile, *sizes, b["found"], b["bounds"]
-                ),
+                self._rows("percentile", planes, 1, *percentile, *sizes, b["found"], b["bounds"]),
             ]
         keep = (*contrast[1:], *listed, b["bounds"], rows, step, room, b["responses"])
         return [*stages, self._list("keep", *keep)]
@@ -574,7 +608,7 @@ class Plan:
         rows, step = np.uint32(self.working[0]), np.uint32(self.step)
         rapid = isinstance(self.config.criteria, RapidCriteria)
         zero = np.uint16(0) if rapid else np.int32(0)
-        b = self.buffers
+        b = self.arrays
         stages = []
         self.response = b["responses"]
         if self.masks == 3:
@@ -582,9 +616,7 @@ class Plan:
             stages.append(
                 self._dense("combine", self.frames, b["responses"], rows, step, self.response)
             )
-        size = (2 if rapid else 4) * (self.frames * self.working[0] + 2) * self.step
-        key = b["work"].get_sub_region(0, size)
-        rest = b["work"].get_sub_region(size, size)
+        key, rest = b["key"], b["tent"]
         common = (rows, step, zero)
         # What the binary image was needed for is over: the maxima take its place.
         return [
@@ -593,15 +625,18 @@ class Plan:
             self._dense("score", self.frames, self.response, rest, b["zeros"], *common, key),
             self._dense("row_maximum", self.frames, key, *common, rest),
             self._dense("maximum", self.frames, key, rest, b["zeros"], *common, b["binary"]),
-            *self._lists("maxima", self.frames, b["binary"], self.corner_room, self.frames * self.masks),
+            *self._lists(
+                "maxima", self.frames, b["binary"], self.corner_room, self.frames * self.masks
+            ),
         ]
 
     def _refinement_stages(self, length: int) -> list[Launch]:
         """From the maxima to positions, for `length` rows of the results."""
         refinement = self.config.refinement
         rows, step, count = np.uint32(self.working[0]), np.uint32(self.step), np.uint32(length)
-        scale = np.float32(self.scale or 1)
-        b = self.buffers
+        factor = self.scale or 1.0
+        scale = np.float32(factor)
+        b = self.arrays
         place = np.uint32(self.frames * self.masks)
         lists = (b["corners"], b["totals"], b["starts"], rows, step, np.uint32(self.corner_room))
         size = (np.uint32(self.shape[0]), np.uint32(self.shape[1]))
@@ -615,22 +650,34 @@ class Plan:
         lanes = self._lanes
         if self.scale is None:
             stages += [
-                self._corners("sample_edges", length, *grey, b["samples"]),
-                self._corners("edge_points", length // lanes, b["samples"], count, b["points"]),
+                self._corners("sample_edges", length, *grey, b["edge_samples"]),
+                self._corners(
+                    "edge_points", length // lanes, b["edge_samples"], count, b["points"]
+                ),
             ]
         else:
             stages.append(self._corners("edge_points", length, *grey, scale, b["points"]))
         start = (b["points"], b["start"], count)
         if isinstance(refinement, Midlines):
-            largest = np.float32(refinement.max_shift / scale)
+            largest = np.float32(refinement.max_shift / factor)
             return [*stages, self._corners("midlines", length, *start, largest, b["result"])]
-        largest = np.float32((2 if isinstance(refinement, EdgeStep) else refinement.max_shift) / scale)
+        largest = np.float32(
+            (2 if isinstance(refinement, EdgeStep) else refinement.max_shift) / factor
+        )
         lines = (*start, largest, b["lines"], b["result"])
         stages.append(self._corners("edge_lines", length // lanes, *lines))
         if isinstance(refinement, EdgeStep):
-            radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
-            arguments = (b["image"], b["start"], b["lines"], *full, count, np.float32(radius), scale)
-            stages.append(self._corners("edge_step", length, *arguments, b["result"]))
+            radius = min(max(0.75 * refinement.cell * factor, 4.5), 9.0) / factor
+            step_arguments = (
+                b["image"],
+                b["start"],
+                b["lines"],
+                *full,
+                count,
+                np.float32(radius),
+                scale,
+            )
+            stages.append(self._corners("edge_step", length, *step_arguments, b["result"]))
         return stages
 
     def _corners(self, name: str, items: int, *arguments: Any) -> Launch:
@@ -647,7 +694,8 @@ class Plan:
                 continue
             pitch = frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * size
             host = frame if frame.flags.c_contiguous else _flat(frame, pitch)
-            cl.enqueue_copy(
+            copy_rows: Any = cl.enqueue_copy  # the stubs do not know the form for rectangles
+            copy_rows(
                 queue,
                 self.buffers["image"],
                 host,
@@ -693,8 +741,7 @@ class Plan:
             self._refinement = self._refinement_stages(length)
             self._refined_length = length
             # Rows past the last corner hold an earlier frame's start; its columns lay elsewhere.
-            start = self.buffers["start"]
-            cl.enqueue_fill_buffer(self.queue, start, np.uint8(0), 0, start.size)
+            self._clear(self.buffers["start"])
         self.launch(self._refinement)
         cl.enqueue_copy(self.queue, result, self.buffers["result"])
         return result[:, :total]

@@ -24,7 +24,8 @@ def full_pixels(
 ) -> NDArray[np.int32]:
     """(N, 2) (x, y): the pixels of an image of that shape nearest to pixels of the scaled one."""
     nearest = np.floor((pixel + 0.5) / scale)
-    return np.clip(nearest, 0, [shape[1] - 1, shape[0] - 1]).astype(np.int32)
+    held: NDArray[np.float64] = np.clip(nearest, 0, [shape[1] - 1, shape[0] - 1])
+    return held.astype(np.int32)
 
 
 def resampling_weights(

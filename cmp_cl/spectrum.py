@@ -15,7 +15,8 @@ def magnitudes() -> NDArray[np.float64]:
     """(65536, 3) magnitudes |F1|, |F2|, |F3| of the DFT of every ring mask (Eq. 13)."""
     samples = (np.arange(MASKS)[:, None] >> np.arange(16)) & 1
     turns = np.exp(-2j * np.pi * np.outer(np.arange(16), [1, 2, 3]) / 16)
-    return np.abs(samples @ turns)
+    result: NDArray[np.float64] = np.abs(samples @ turns)
+    return result
 
 
 def margins() -> NDArray[np.float64]:
@@ -28,9 +29,9 @@ def margins() -> NDArray[np.float64]:
 def response_tables() -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
     """The response of every inner mask, 0 where it fails, and whether an outer mask passes."""
     f1, f2, f3 = magnitudes().T
-    passes = (margins() > 0).all(axis=1)
+    passes: NDArray[np.bool_] = np.min(margins(), axis=1) > 0
     response = np.floor(64 * f2 * (f2 - np.maximum(f1, f3)) + 0.5).astype(np.int32)
-    return np.where(passes, np.maximum(response, 1), 0).astype(np.int32), passes.astype(np.uint8)
+    return np.where(passes, np.maximum(response, 1), 0).astype(np.int32), passes.view(np.uint8)
 
 
 def least_correlation(bound: float) -> NDArray[np.uint8]:

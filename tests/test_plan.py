@@ -1,0 +1,132 @@
+"""What a configuration leaves out is not compiled, not launched and not allocated."""
+
+import images
+import pyopencl as cl
+import pytest
+
+from cmp_cl import (
+    AdaptiveMean,
+    Detector,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Midlines,
+    RapidCriteria,
+    SpectralCriteria,
+)
+
+IMAGE = images.eight_bits()["board"]
+FULL = DetectorConfig(
+    threshold=AdaptiveMean(masks=3), scale=0.63, refinement=EdgeStep(), max_corners=512
+)
+
+
+def plan_of(detector_for, config):
+    detector = detector_for(IMAGE, config)
+    assert len(detector(IMAGE)) > 0
+    plan = detector._plan(config.scale)
+    kernels = plan.kernels._program.kernel_names.split(";")
+    launched = [launch.stage for launch in [*plan.front, *plan._refinement]]
+    assert set(launched) <= set(kernels)
+    assert set(plan.buffers) == set(plan.sizes)
+    for name, buffer in plan.buffers.items():
+        assert buffer.size == max(plan.sizes[name], 4), name
+    assert detector.memory == sum(plan.sizes.values())
+    return plan, set(launched), set(kernels)
+
+
+def left_out(detector_for, config, *, files=(), launches=(), buffers=(), than=FULL):
+    """Those files, kernels and buffers are there in the one configuration, not in the other."""
+    plan, launched, kernels = plan_of(detector_for, config)
+    full, full_launched, full_kernels = plan_of(detector_for, than)
+    assert set(files) <= set(full.stages)
+    assert set(launches) <= full_launched <= full_kernels
+    assert set(buffers) <= set(full.arrays)
+    assert not set(files) & set(plan.stages)
+    assert not set(launches) & launched
+    assert not set(launches) & kernels
+    assert not set(buffers) & set(plan.arrays)
+    assert sum(plan.sizes.values()) <= sum(full.sizes.values())
+
+
+def test_the_gate(detector_for):
+    left_out(
+        detector_for,
+        FULL.replace(contrast=None),
+        files=["gate"],
+        launches=["noise", "sector_contrast", "histogram", "percentile", "keep"],
+        buffers=["contrast", "noise", "bins", "found", "bounds"],
+    )
+
+
+def test_refinement(detector_for):
+    left_out(
+        detector_for,
+        FULL.replace(refinement=None),
+        launches=["edge_points", "edge_lines", "edge_step"],
+        buffers=["points", "lines"],
+    )
+
+
+def test_extra_masks(detector_for):
+    left_out(
+        detector_for,
+        FULL.replace(threshold=AdaptiveMean()),
+        launches=["column_squares", "binarize_three", "combine"],
+        buffers=["squares", "response"],
+    )
+
+
+def test_the_working_scale(detector_for):
+    left_out(
+        detector_for,
+        FULL.replace(scale=None, threshold=AdaptiveMean()),
+        files=["scale"],
+        launches=["resample"],
+        buffers=["working"],
+        than=FULL.replace(scale=2.0, threshold=AdaptiveMean()),
+    )
+
+
+def test_the_other_form_of_the_criteria(detector_for):
+    rapid, _, rapid_kernels = plan_of(detector_for, DetectorConfig())
+    spectral, _, spectral_kernels = plan_of(
+        detector_for, DetectorConfig(criteria=SpectralCriteria())
+    )
+    assert "spectral" not in rapid.stages
+    assert not {"criteria", "criteria_words"} & set(spectral.stages)
+    assert not any("spectral" in name for name in rapid_kernels)
+    assert not any("rapid" in name or "words" in name for name in spectral_kernels)
+    assert not {"words", "candidate_words"} & set(spectral.sizes)
+
+
+def test_the_other_refinements(detector_for):
+    kernels = {
+        kind: plan_of(detector_for, DetectorConfig(refinement=kind()))[2]
+        for kind in (EdgeLines, EdgeStep, Midlines)
+    }
+    assert "edge_step" not in kernels[EdgeLines]
+    assert "midlines" not in kernels[EdgeLines] | kernels[EdgeStep]
+    assert not {"edge_lines", "edge_step"} & kernels[Midlines]
+
+
+@pytest.mark.parametrize("criteria", [RapidCriteria, SpectralCriteria])
+def test_the_corrosion_criterion(detector_for, criteria):
+    """Its region of 21 pixels is not looked at: the macro that reads it is not compiled."""
+    options = []
+    for threshold in (6, None):
+        config = DetectorConfig(criteria=criteria(corrosion_threshold=threshold))
+        program = plan_of(detector_for, config)[0].kernels._program
+        device = program.devices[0]
+        build = program.get_build_info(device, cl.program_build_info.OPTIONS)
+        options.append(build)
+    assert "-DCORROSION=1" in options[0]
+    assert "-DCORROSION=0" in options[1]
+
+
+def test_a_flat_frame_needs_no_refinement(detector_for, device):
+    with Detector(shape=IMAGE.shape, device=device, profile=True) as detector:
+        assert len(detector(images.eight_bits()["black"])) == 0
+        assert not {"centroid", "edge_points", "edge_lines"} & set(detector.times)
+        detector(IMAGE)
+        assert {"centroid", "edge_points", "edge_lines"} <= set(detector.times)
