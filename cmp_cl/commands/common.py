@@ -150,8 +150,8 @@ def find_pattern(
 ) -> tuple[float, Grid]:
     """The cell, px, and the grid of a pattern whose cell size nobody has given.
 
-    The estimated cell and some usual ones are tried; the one with the most detected nodes
-    wins, the first that sees all of a known shape ends the search.
+    The estimated cell and some usual ones are tried. The first that sees all nodes of a known
+    shape, or a grid of most corners, ends the search; else the most detected nodes win.
 
     Raises GridError where no cell shows a pattern.
     """
@@ -162,13 +162,14 @@ def find_pattern(
         config = DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
             try:
-                grid = detector.grid(view, shape=shape)[1]
+                corners, grid = detector.grid(view, shape=shape)
             except GridError as error:
                 why = one_line(error)
                 continue
         if detected(grid) > (0 if best is None else detected(best)):
             best = grid
-        if shape is not None and detected(grid) == grid.status.size:
+        enough = len(corners) / 2 if shape is None else grid.status.size - 1
+        if detected(grid) > enough:
             break
     cell = np.nan if best is None else cell_of(best)
     if best is None or not cell >= 4:

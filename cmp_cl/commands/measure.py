@@ -18,7 +18,8 @@ from cmp_cl.grid import build_grid
 from cmp_cl.results import Corners, DisplacementField, GreyImage, Grid, Points3D
 from cmp_cl.stereo import BinocularSplit, StereoRig
 
-_LEAST_PLACED = 0.5  # share of the nodes at rest that the rig must place
+_FITS = 1.0  # px, largest reprojection error of a node that fits the rig
+_LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
 
 
 class Wanted(NamedTuple):
@@ -157,7 +158,7 @@ class TwoViews(Measurement):
     """Displacements in space from frames that hold two views.
 
     rest: the rest frame. Raises GridError where a view of it shows no pattern or the rig
-    cannot place half of its nodes, ImageError where a view leaves the frame.
+    does not fit three quarters of its nodes, ImageError where a view leaves the frame.
     """
 
     def __init__(
@@ -196,12 +197,13 @@ class TwoViews(Measurement):
 
     def _placed(self, left: Grid, right: Grid) -> Points3D:
         points = self._rig.triangulate(left, right)
-        both = left.valid & right.valid
-        if np.count_nonzero(points.valid) <= _LEAST_PLACED * np.count_nonzero(both):
+        both = np.count_nonzero(left.valid & right.valid)
+        fitting = np.count_nonzero(points.valid & (points.error <= _FITS))
+        if not fitting >= _LEAST_FITTING * both or not both:
             raise GridError(
-                f"the rig places {np.count_nonzero(points.valid)} of the "
-                f"{np.count_nonzero(both)} nodes that both views show at rest; check the "
-                "calibration, --split, --mirror and which view is the left one"
+                f"the rig fits {fitting} of the {both} nodes that both views show to "
+                f"{_FITS:g} px; check the calibration, the split, mirrored views, and which "
+                "view is the left one"
             )
         return points
 
