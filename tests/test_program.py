@@ -1,6 +1,7 @@
 """The one place that builds: sources, errors, kept binaries."""
 
 import re
+from pathlib import Path
 
 import images
 import numpy as np
@@ -135,3 +136,26 @@ def test_the_cache_can_be_switched_off(kept, device, monkeypatch):
     monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
     assert len(detect(device)) > 20
     assert not kept.exists()
+
+
+# --- the index -----------------------------------------------------------------------------
+
+
+def test_the_index_names_every_kernel():
+    folder = program.kernel_folder()
+    index = (folder / "README.md").read_text(encoding="utf-8")
+    for path in folder.glob("*.cl"):
+        assert f"**{path.name}**" in index
+        text = path.read_text(encoding="utf-8")
+        names = re.findall(r"__kernel void ([a-z]\w*)\(", text)
+        names += re.findall(r"^(?:REPEAT_BORDER|LISTS)\((\w+)", text, re.MULTILINE)
+        assert names
+        for name in names:
+            assert f"`{name}`" in index, name
+
+
+def test_every_kernel_file_has_a_test():
+    tests = Path(__file__).parent
+    for path in program.kernel_folder().glob("*.cl"):
+        name = "test_markers.py" if path.stem == "markers" else f"test_kernel_{path.stem}.py"
+        assert (tests / name).is_file()
