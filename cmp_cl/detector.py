@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.config import DetectorConfig, EdgeStep, Pyramid
 from cmp_cl.device import Device, describe_handle, select_device
-from cmp_cl.errors import ConfigError, DeviceError, ImageError
+from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.plan import Overflow, Plan
 from cmp_cl.resampling import full_pixels
 from cmp_cl.results import Corners, GreyImage, Grid, Maps, Method, check_image
@@ -227,18 +227,24 @@ class Detector:
 
     def _start(self, plan: Plan, *frames: GreyImage) -> None:
         plan.events.clear()
-        plan.upload(self._uploads, frames)
-        plan.launch(plan.front)
+        try:
+            plan.upload(self._uploads, frames)
+            plan.launch(plan.front)
+        except cl.MemoryError as error:
+            raise plan.refused(error) from error
 
     def _finish(self, plan: Plan) -> list[Corners]:
         plan.awaited = False
-        while True:
-            try:
-                counts = plan.counts()
-                break
-            except Overflow as overflow:
-                self._grow(plan, overflow)
-        return _corners(plan.refine(counts), counts, plan)
+        try:
+            while True:
+                try:
+                    counts = plan.counts()
+                    break
+                except Overflow as overflow:
+                    self._grow(plan, overflow)
+            return _corners(plan.refine(counts), counts, plan)
+        except cl.MemoryError as error:
+            raise plan.refused(error) from error
 
     def _whole(self, plan: Plan, frames: Sequence[GreyImage]) -> list[Corners]:
         self._start(plan, *frames)
@@ -247,7 +253,12 @@ class Detector:
     def _grow(self, plan: Plan, overflow: Overflow) -> None:
         """Make room and run the front stages again on the frames that are on the device."""
         self.regrown += 1
-        plan.grow(overflow)
+        try:
+            plan.grow(overflow)
+        except CapacityError:  # half of its buffers are gone; the next frame makes it anew
+            self._plans = {key: kept for key, kept in self._plans.items() if kept is not plan}
+            plan.release()
+            raise
         plan.launch(plan.front)
 
     def _best(self, results: list[list[Corners]]) -> list[Corners]:

@@ -297,12 +297,17 @@ class Plan:
                     self.buffers[name] = buffer
             self.queue.finish()
             self.arrays = {**self.buffers, **self._parts_of_work()}
-        except (cl.MemoryError, cl.RuntimeError) as error:
-            raise CapacityError(
-                f"{self.device} refused a plan of {needed} bytes, "
-                f"it has {self.device.memory}: {error}"
-            ) from error
+        except cl.Error as error:  # of memory, or of a size above the device's largest
+            raise self.refused(error) from error
         self._upload_mask()
+
+    def refused(self, error: cl.Error) -> CapacityError:
+        """The error for a device that has no room left, though its memory would be enough."""
+        return CapacityError(
+            f"{self.device} has no room for a plan of {sum(self.sizes.values())} bytes, though "
+            f"it has {self.device.memory}: {error}; close what else uses it, or use smaller "
+            "images or fewer frames at a time"
+        )
 
     def _clear(self, buffer: cl.Buffer) -> None:
         cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, buffer.size)

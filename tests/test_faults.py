@@ -1,0 +1,269 @@
+"""What goes wrong around a detector: memory, caches, kills, threads, processes."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+
+import images
+import numpy as np
+import pyopencl as cl
+import pytest
+from comparison import assert_same_bytes
+
+from cmp_cl import Detector, DetectorConfig, program
+from cmp_cl.errors import CapacityError
+from cmp_cl.plan import Plan
+
+TEXTURE = images.texture(images.SHAPE)
+BOARD = images.eight_bits()["board"]
+
+# --- memory --------------------------------------------------------------------------------
+
+
+def refuse(*_, **__):
+    raise cl.MemoryError("MEM_OBJECT_ALLOCATION_FAILURE")
+
+
+def test_an_enormous_shape_is_refused_before_anything_is_taken(device):
+    with pytest.raises(CapacityError, match=r"needs \d{13} bytes, .* has \d+; use smaller"):
+        Detector(shape=(1_000_000, 1_000_000), device=device)
+
+
+def test_memory_that_is_refused_is_a_capacity_error(device, monkeypatch):
+    monkeypatch.setattr(cl, "Buffer", refuse)
+    with pytest.raises(CapacityError, match=r"no room for a plan of \d+ bytes, though it has \d+"):
+        Detector(shape=images.SHAPE, device=device)
+
+
+@pytest.mark.parametrize("call", ["enqueue_nd_range_kernel", "enqueue_copy"])
+def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch, call):
+    with Detector(shape=images.SHAPE, device=device) as detector:
+        expected = detector(BOARD)
+        with monkeypatch.context() as patch:
+            patch.setattr(cl, call, refuse)
+            for use in (
+                lambda: detector(BOARD),
+                lambda: list(detector.stream([BOARD])),
+                lambda: detector.batch([BOARD]),
+            ):
+                with pytest.raises(CapacityError, match="no room for a plan"):
+                    use()
+        assert_same_bytes(detector(BOARD), expected)
+
+
+def test_room_that_cannot_grow_leaves_a_detector_that_works(device, monkeypatch):
+    config = DetectorConfig(contrast=None, nms_radius=1, max_corners=1)
+    dense = images.texture((300, 80))
+    calm = np.full_like(dense, 128)
+    calm[:61, :80] = BOARD[:, :80]
+    with Detector(shape=dense.shape, config=config, device=device) as detector:
+        few = detector(calm)
+        detector._plan(None).corner_room = 64
+        detector._plan(None)._allocate()
+        with monkeypatch.context() as patch:
+            patch.setattr(cl, "Buffer", refuse)
+            with pytest.raises(CapacityError):
+                detector(dense)
+        assert_same_bytes(detector(calm), few)
+        assert len(detector(dense)) > 64
+
+
+def test_a_kernel_that_does_not_compile_says_why(device, monkeypatch):
+    monkeypatch.setattr(program, "source", lambda *_: "__kernel void f(void) { no_such(1); }")
+    with pytest.raises(program.KernelBuildError, match="no_such"):
+        Detector(shape=images.SHAPE, device=device)
+
+
+# --- kept programs -------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty folder for compiled programs, used whatever the implementation keeps itself."""
+    folder = tmp_path / "cache"
+    monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
+    monkeypatch.setattr(program, "has_src_build_cache", lambda device: False)
+    monkeypatch.setattr(program.platformdirs, "user_cache_path", lambda *_, **__: folder)
+    return folder
+
+
+PLAIN = DetectorConfig(refinement=None, contrast=None)
+
+
+def find(device):
+    with Detector(shape=images.SHAPE, config=PLAIN, device=device) as detector:
+        return detector(BOARD)
+
+
+def refuse_to_compile(monkeypatch):
+    """Programs may be loaded and not compiled."""
+    whole = cl.Program
+
+    def loaded(context, *parts):
+        assert len(parts) == 2, "compiled"
+        return whole(context, *parts)
+
+    monkeypatch.setattr(cl, "Program", loaded)
+
+
+def test_a_program_is_compiled_once(device, cache, monkeypatch):
+    first = find(device)
+    (kept,) = cache.iterdir()
+    assert kept.suffix == ".bin"
+    refuse_to_compile(monkeypatch)
+    assert_same_bytes(find(device), first)
+    assert list(cache.iterdir()) == [kept]
+
+
+def test_another_configuration_is_another_program(device, cache):
+    find(device)
+    config = PLAIN.replace(outer_radius=4)
+    Detector(shape=images.SHAPE, config=config, device=device).close()
+    assert len(list(cache.iterdir())) == 2
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut", "changed", "other"])
+def test_a_damaged_program_is_compiled_and_kept_anew(device, cache, monkeypatch, damage):
+    first = find(device)
+    (kept,) = cache.iterdir()
+    whole = kept.read_bytes()
+    changed = bytearray(whole)
+    changed[len(whole) // 2] ^= 1
+    damaged = {"empty": b"", "cut": whole[:-99], "changed": bytes(changed), "other": b"text" * 99}
+    kept.write_bytes(damaged[damage])
+    assert_same_bytes(find(device), first)
+    refuse_to_compile(monkeypatch)
+    assert_same_bytes(find(device), first)
+
+
+def test_a_binary_that_the_device_does_not_take_is_compiled_anew(device, cache):
+    first = find(device)
+    (kept,) = cache.iterdir()
+    wrong = b"not a program"
+    kept.write_bytes(program.hashlib.sha256(wrong).digest() + wrong)
+    assert_same_bytes(find(device), first)
+
+
+def test_without_a_folder_to_write_to_it_is_compiled_each_time(device, cache):
+    cache.write_text("a file where the folder would be")
+    assert_same_bytes(find(device), find(device))
+    assert cache.read_text() == "a file where the folder would be"
+
+
+SHARED = """
+import pathlib, sys
+sys.path[:0] = {path!r}
+from cmp_cl import program
+program.has_src_build_cache = lambda device: False
+program.platformdirs.user_cache_path = lambda *_, **__: pathlib.Path({folder!r})
+import test_faults
+print(len(test_faults.find({device!r})))
+"""
+
+
+def test_processes_share_the_folder(device, cache):
+    code = SHARED.format(path=sys.path, folder=str(cache), device=device.index)
+    children = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) for _ in range(3)
+    ]
+    counts = [int(child.communicate(timeout=300)[0]) for child in children]
+    assert counts == [len(find(device))] * 3
+    assert [child.returncode for child in children] == [0] * 3
+    assert len(list(cache.iterdir())) == 1
+
+
+def test_a_compilers_remarks_are_no_warnings(device, cache, monkeypatch):
+    built = program.cl.Program.build
+
+    def talkative(self, *arguments, **named):
+        program.warnings.warn("remarks", cl.CompilerWarning, stacklevel=1)
+        return built(self, *arguments, **named)
+
+    monkeypatch.setattr(cl.Program, "build", talkative)
+    assert len(find(device)) > 20
+
+
+# --- kills ---------------------------------------------------------------------------------
+
+KILLED = """
+import os, sys
+sys.path[:0] = {path!r}
+from cmp_cl import io
+with io.whole_file({name!r}) as file:
+    file.write(b"half of it")
+    file.flush()
+    os.fsync(file.fileno())
+    os.kill(os.getpid(), 9)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no kill -9 on Windows")
+@pytest.mark.parametrize("before", [None, b"what stood there"])
+def test_a_kill_in_the_middle_of_writing_leaves_what_was_there(tmp_path, before):
+    target = tmp_path / "corners.csv"
+    if before is not None:
+        target.write_bytes(before)
+    code = KILLED.format(path=sys.path, name=str(target))
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -9
+    assert (target.read_bytes() if target.exists() else None) == before
+
+
+# --- threads and processes -----------------------------------------------------------------
+
+
+def test_two_detectors_in_two_threads(device):
+    expected = {name: [] for name in ("board", "texture")}
+    configs = {"board": DetectorConfig(), "texture": DetectorConfig(nms_radius=1)}
+    frames = {"board": BOARD, "texture": TEXTURE}
+    failures = []
+
+    def work(name):
+        try:
+            with Detector(shape=images.SHAPE, config=configs[name], device=device) as detector:
+                expected[name] += [detector(frames[name]) for _ in range(30)]
+        except BaseException as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=work, args=(name,)) for name in frames]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failures == []
+    for name, results in expected.items():
+        with Detector(shape=images.SHAPE, config=configs[name], device=device) as detector:
+            alone = detector(frames[name])
+        assert len(alone) > 5
+        for corners in results:
+            assert_same_bytes(corners, alone)
+
+
+def count_in_a_child(index):
+    with Detector(shape=images.SHAPE, device=index) as detector:
+        return len(detector(BOARD))
+
+
+def test_spawned_processes_work(device):
+    here = count_in_a_child(device.index)
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        assert pool.map(count_in_a_child, [device.index] * 2) == [here] * 2
+
+
+def test_plans_are_released_with_their_detector(device, monkeypatch):
+    living = []
+    made = Plan.__init__
+
+    def counted(self, *arguments, **named):
+        living.append(self)
+        made(self, *arguments, **named)
+
+    monkeypatch.setattr(Plan, "__init__", counted)
+    with Detector(shape=images.SHAPE, device=device) as detector:
+        detector.batch([BOARD] * 3)
+        list(detector.stream([BOARD] * 3))
+        detector.batch([BOARD] * 2)
+        assert any(plan.buffers for plan in living)
+    assert len(living) >= 4
+    assert all(not plan.buffers for plan in living)
