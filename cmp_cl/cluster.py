@@ -1,0 +1,211 @@
+"""A recording over a Dask cluster: one Detector per worker process, results in a folder.
+
+    from dask.distributed import Client
+    store = cmp_cl.cluster.detect(Client("tcp://scheduler:8786"), "press.avi.corners",
+                                  count=1_000_000, read=read_frame, config=config)
+    corners = store[123_456]
+
+The frames are cut into parts of consecutive frames. A part is a file, part-00000012.npz, that
+appears whole or not at all, so that a worker that dies costs the time of a part and no frame:
+Dask gives its part to another worker, and whoever writes last writes the same bytes. Called
+again with the same folder, it does what is missing.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import threading
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from itertools import chain
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cmp_cl.config import DetectorConfig, to_toml
+from cmp_cl.detector import Detector
+from cmp_cl.errors import ConfigError
+from cmp_cl.io import write_bytes, write_text
+from cmp_cl.results import Corners, GreyImage, check_image
+
+_ABOUT = "about.json"
+_ARRAYS = ("xy", "pixel", "response", "method", "sigma", "edges", "doubtful")
+
+
+@dataclasses.dataclass(frozen=True)
+class Store:
+    """The corners of a recording, part by part in a folder.
+
+    folder: where the parts are. count: frames of the recording. part: frames of a part.
+    """
+
+    folder: Path
+    count: int
+    part: int
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, frame: int) -> Corners:
+        """The corners of one frame; raises IndexError, and FileNotFoundError where its part
+        has not been written."""
+        if not 0 <= frame < self.count:
+            raise IndexError(f"frame {frame} of {self.count}")
+        return _read(self._path(frame // self.part))[frame % self.part]
+
+    def __iter__(self) -> Iterator[Corners]:
+        """The corners of all frames in order."""
+        for number in range(self.parts):
+            yield from _read(self._path(number))
+
+    @property
+    def parts(self) -> int:
+        """Number of parts, of which the last may be shorter."""
+        return -(-self.count // self.part)
+
+    def missing(self) -> list[int]:
+        """The parts that have not been written."""
+        there = {path.name for path in self.folder.glob("part-*.npz")}
+        return [number for number in range(self.parts) if self._path(number).name not in there]
+
+    def _path(self, number: int) -> Path:
+        return self.folder / f"part-{number:08d}.npz"
+
+    def _frames(self, number: int) -> range:
+        return range(number * self.part, min((number + 1) * self.part, self.count))
+
+
+def open_store(folder: str | PathLike[str]) -> Store:
+    """The store in a folder; raises ConfigError where there is none."""
+    try:
+        about = json.loads((Path(folder) / _ABOUT).read_text(encoding="utf-8"))
+        return Store(Path(folder), int(about["count"]), int(about["part"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"there is no store of corners in {str(folder)!r}: {error}") from error
+
+
+def detect(
+    client: Any,
+    folder: str | PathLike[str],
+    *,
+    count: int,
+    read: Callable[[int], GreyImage],
+    config: DetectorConfig | None = None,
+    device: str | None = None,
+    part: int = 256,
+) -> Store:
+    """Detect the corners of frames 0 .. count - 1 on a cluster, and return when all are stored.
+
+    client: a dask.distributed.Client. Run one worker process per device, with one thread.
+    folder: where the parts go, made if it is not there; workers must see it under this name.
+    read: read(n) gives frame n, (H, W) uint8 or uint16, on a worker; it travels there by
+        pickle, so it is a function of a module that workers can import, or a closure.
+    config: the defaults of DetectorConfig where None. device: as `select_device` takes it on a
+        worker; None is the default there. part: frames of a file.
+
+    Parts that are there already are kept. Raises ConfigError where the folder holds those of
+    another count, part or configuration, and what `read` or the detector raise on a worker.
+    """
+    import distributed
+
+    config = DetectorConfig() if config is None else config
+    if count < 0 or part < 1:
+        raise ConfigError(f"count must be 0 or more and part 1 or more, not {count} and {part}")
+    store = Store(Path(os.path.abspath(folder)), count, part)
+    _claim(store, config)
+    futures = [
+        client.submit(_work, store, number, read, config, device, pure=False)
+        for number in store.missing()
+    ]
+    completed: Any = distributed.as_completed
+    try:
+        for future in completed(futures):
+            future.result()
+    finally:
+        client.cancel(futures)
+    return store
+
+
+def _claim(store: Store, config: DetectorConfig) -> None:
+    """Note what the folder is for, or check that it is for that."""
+    digest = hashlib.sha256(to_toml(config).encode()).hexdigest()
+    about = {"count": store.count, "part": store.part, "config": digest}
+    store.folder.mkdir(parents=True, exist_ok=True)
+    path = store.folder / _ABOUT
+    if not path.exists():
+        write_text(path, json.dumps(about) + "\n")
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ConfigError(f"{str(path)!r} is damaged: {error}") from error
+    if before != about:
+        raise ConfigError(
+            f"{str(store.folder)!r} holds the corners of another recording or configuration "
+            f"({before}, not {about}); name another folder"
+        )
+
+
+def _work(
+    store: Store,
+    number: int,
+    read: Callable[[int], GreyImage],
+    config: DetectorConfig,
+    device: str | None,
+) -> None:
+    """Detect a part and write it; on a worker."""
+    from distributed import get_worker
+
+    first, *rest = store._frames(number)
+    image = read(first)
+    own: _Own = get_worker().__dict__.setdefault("cmp_cl", _Own())
+    with own.lock:
+        detector = own.detector_for(image, config, device)
+        found = list(detector.stream(chain([image], map(read, rest))))
+    lengths = np.array([len(corners) for corners in found], np.int64)
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(corners, name) for corners in found]) for name in _ARRAYS
+    }
+    data = BytesIO()
+    np.savez(data, lengths=lengths, device=np.array(found[0].device), **arrays)
+    write_bytes(store._path(number), data.getvalue())
+
+
+class _Own:
+    """What a worker process keeps: one detector, made anew for another kind of frame."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self._detector: Detector | None = None
+        self._device: str | None = None
+
+    def detector_for(
+        self, image: GreyImage, config: DetectorConfig, device: str | None
+    ) -> Detector:
+        check_image(image)
+        old = self._detector
+        if old is not None:
+            before = (old.shape, old.dtype, old.config, self._device)
+            if before == (image.shape, image.dtype, config, device):
+                return old
+            old.close()
+        self._device = device
+        self._detector = Detector(
+            shape=image.shape, dtype=image.dtype, config=config, device=device
+        )
+        return self._detector
+
+
+def _read(path: Path) -> list[Corners]:
+    """The frames of a part."""
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in _ARRAYS}
+        ends = np.cumsum(file["lengths"])[:-1]
+        device = str(file["device"])
+    split = {name: np.split(values, ends) for name, values in arrays.items()}
+    return [
+        Corners(**{name: split[name][n].copy() for name in _ARRAYS}, device=device)
+        for n in range(len(ends) + 1)
+    ]

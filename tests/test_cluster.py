@@ -1,0 +1,149 @@
+"""A recording over two worker processes: every frame once, whatever dies."""
+
+import os
+import threading
+import time
+
+import images
+import numpy as np
+import pytest
+from comparison import assert_same_bytes
+
+from cmp_cl import Detector, DetectorConfig, EdgeStep, cluster
+from cmp_cl.errors import ConfigError, ImageError
+
+distributed = pytest.importorskip("distributed")
+
+COUNT, PART = 46, 5
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+]
+
+
+def frame(number):
+    """Frame of a recording: the scene moves by a pixel a frame."""
+    return np.ascontiguousarray(np.roll(images.scene().image, number, axis=1))
+
+
+def slow_frame(number):
+    time.sleep(0.1)
+    return frame(number)
+
+
+def broken_frame(number):
+    if number == 17:
+        raise OSError("frame 17 is broken")
+    return frame(number)
+
+
+def colour_frame(number):
+    return np.dstack([frame(number)] * 3)
+
+
+def worker_process():
+    return os.getpid()
+
+
+@pytest.fixture(scope="module")
+def client():
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as local,
+        distributed.Client(local) as connected,
+    ):
+        yield connected
+
+
+def expected(config=None):
+    with Detector(shape=frame(0).shape, config=config) as detector:
+        return [detector(frame(number)) for number in range(COUNT)]
+
+
+def assert_whole(store, config=None):
+    assert len(store) == COUNT
+    assert store.missing() == []
+    found = list(store)
+    assert len(found) == COUNT
+    for one, other in zip(found, expected(config), strict=True):
+        assert_same_bytes(one, other)
+    assert len(found[0]) > 20
+
+
+def test_every_frame_is_stored_once_as_one_process_finds_it(client, tmp_path):
+    config = DetectorConfig(refinement=EdgeStep())
+    store = cluster.detect(
+        client, tmp_path / "store", count=COUNT, read=frame, config=config, part=PART
+    )
+    assert_whole(store, config)
+    assert store.parts == 10
+    reopened = cluster.open_store(tmp_path / "store")
+    assert reopened == store
+    assert_same_bytes(reopened[COUNT - 1], expected(config)[-1])
+    with pytest.raises(IndexError):
+        reopened[COUNT]
+
+
+def test_a_killed_worker_loses_no_frame_and_doubles_none(client, tmp_path):
+    before = set(client.run(worker_process).values())
+    done = []
+
+    def kill_one():
+        """When the first parts are there, in the middle of others."""
+        while len(list(tmp_path.glob("store/part-*.npz"))) < 2:
+            time.sleep(0.02)
+        victim = min(before)
+        os.kill(victim, 9)
+        done.append(victim)
+
+    killer = threading.Thread(target=kill_one)
+    killer.start()
+    store = cluster.detect(client, tmp_path / "store", count=COUNT, read=slow_frame, part=PART)
+    killer.join()
+    assert_whole(store)
+    client.wait_for_workers(2, timeout=30)
+    assert done[0] not in client.run(worker_process).values()
+
+
+def test_what_is_there_is_not_done_again(client, tmp_path):
+    with pytest.raises(OSError, match="frame 17"):
+        cluster.detect(client, tmp_path, count=COUNT, read=broken_frame, part=PART)
+    store = cluster.open_store(tmp_path)
+    assert 17 // PART in store.missing()
+    with pytest.raises(FileNotFoundError):
+        store[17]
+    kept = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("part-*.npz")}
+    assert_whole(cluster.detect(client, tmp_path, count=COUNT, read=frame, part=PART))
+    after = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("part-*.npz")}
+    assert kept.items() <= after.items()
+
+
+def test_a_folder_is_for_one_recording_and_configuration(client, tmp_path):
+    cluster.detect(client, tmp_path, count=3, read=frame, part=2)
+    for changes in (
+        {"count": 4},
+        {"part": 3},
+        {"config": DetectorConfig(refinement=None)},
+    ):
+        with pytest.raises(ConfigError, match="another recording or configuration"):
+            cluster.detect(client, tmp_path, **{"count": 3, "part": 2, "read": frame} | changes)
+    (tmp_path / "about.json").write_text("{")
+    with pytest.raises(ConfigError, match="damaged"):
+        cluster.detect(client, tmp_path, count=3, read=frame, part=2)
+    with pytest.raises(ConfigError, match="no store of corners"):
+        cluster.open_store(tmp_path)
+    with pytest.raises(ConfigError, match="no store of corners"):
+        cluster.open_store(tmp_path / "elsewhere")
+
+
+def test_wrong_arguments_and_frames_are_errors_here(client, tmp_path):
+    with pytest.raises(ConfigError, match="count must be"):
+        cluster.detect(client, tmp_path, count=-1, read=frame)
+    with pytest.raises(ImageError, match="cvtColor"):
+        cluster.detect(client, tmp_path, count=2, read=colour_frame)
+
+
+def test_an_empty_recording_is_a_store_without_parts(client, tmp_path):
+    store = cluster.detect(client, tmp_path, count=0, read=frame)
+    assert list(store) == []
