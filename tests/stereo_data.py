@@ -6,7 +6,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 
 from cmp_cl.field import displacement
 from cmp_cl.results import DisplacementField, Grid, NodeStatus, Points3D, PointStatus
@@ -17,6 +16,8 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 def photographs(name: str) -> Path:
     """The folder of shared photographs of that name, else the test is skipped."""
+    import pytest
+
     folder = SHARED / name
     if not folder.is_dir():
         pytest.skip(f"the shared photographs {folder} are not here")

@@ -1,0 +1,339 @@
+"""Fields against exact truth in space, numbering, order of frames, and boards of known squares.
+
+    python bench/field.py --quick       two scenes and the boards, about a minute
+    python bench/field.py               everything; writes results/field.json
+
+Rendered pairs: both views of a 40 x 40 pattern, 32 mm wide, in one 1600 x 1200 frame, through
+cameras that are known exactly. Errors are of the nodes, in micrometres. The photographs lie
+in ../shared/data beside the repository and are not part of it.
+"""
+
+import argparse
+import contextlib
+import dataclasses
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from environment import RESULTS, environment
+from scenes import TEST_SEED
+
+from cmp_cl import (
+    BinocularSplit,
+    Detector,
+    DetectorConfig,
+    Device,
+    EdgeStep,
+    Grid,
+    NodeStatus,
+    StereoRig,
+    calibrate,
+    select_device,
+)
+from cmp_cl.commands.calibrate import SIGMA, square_sides, trusted
+from cmp_cl.commands.common import Progress, alike, exact_config, find_pattern
+from cmp_cl.commands.demo import wrongly_numbered
+from cmp_cl.commands.measure import TwoViews, Wanted
+from cmp_cl.results import GreyImage
+from cmp_cl.synthetic import (
+    Indenter,
+    Mode,
+    Rendered,
+    Scene,
+    binocular_frame,
+    default_rig,
+    random_scene,
+    render_stereo,
+)
+
+VIEW = (1200, 800)
+MARKERS = 40
+CELL = 17.5  # px, of such a view
+SEVERITIES = (0.5, 1.0, 1.5)
+OBJECTS = tuple(kind for kind in Indenter if kind is not Indenter.NONE)
+SEEDS = tuple(TEST_SEED + 500 + k for k in range(2))
+CONFIGS = {
+    "run (EDGE_STEP, three masks)": exact_config(CELL),
+    "EDGE_LINES, one mask": DetectorConfig.for_cell(CELL),
+}
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+class Shot(NamedTuple):
+    """A rendered pair. xyz: (N, N, 3), mm, in the frame of the left camera."""
+
+    left: Rendered
+    right: Rendered
+    xyz: np.ndarray
+
+    @property
+    def frame(self) -> GreyImage:
+        return binocular_frame(self.left, self.right)
+
+
+def scene_of(seed: int, indenter: Indenter, mode: Mode, severity: float) -> Scene:
+    """The press of that seed; what a seed draws besides is the same for all of its presses."""
+    return random_scene(
+        seed, markers=MARKERS, shape=VIEW, indenter=indenter, mode=mode, severity=severity
+    )
+
+
+def of_seed(
+    seed: int, scenes: Sequence[Scene], device: Device, progress: Progress
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Every press of a seed with every configuration, and whether their order matters."""
+    rig = StereoRig(*default_rig(VIEW))
+    split = BinocularSplit.halves(2 * VIEW[1], VIEW[0])
+    rest = Shot(*render_stereo(scenes[0].at_rest(), rig))
+    rows: list[dict[str, Any]] = []
+    frames, digests = [], []
+    with contextlib.ExitStack() as stack:
+        measures = {
+            name: stack.enter_context(
+                TwoViews(rest.frame, rig, split, Wanted(device, (MARKERS, MARKERS), config))
+            )
+            for name, config in CONFIGS.items()
+        }
+        main = measures[next(iter(CONFIGS))]
+        for scene in scenes:
+            shot = Shot(*render_stereo(scene, rig))
+            for name, measure in measures.items():
+                rows.append({"config": name, "seed": seed, **answer(measure, scene, rest, shot)})
+            frames.append(shot.frame)
+            digests.append(digest(main(shot.frame).arrays))
+            progress.step()
+        order = np.random.default_rng(seed).permutation(len(frames)).tolist()
+        same = sum(digest(main(frames[number]).arrays) == digests[number] for number in order)
+    return rows, {"seed": seed, "order": order, "same_bytes": same}
+
+
+def digest(arrays: dict[str, np.ndarray]) -> str:
+    """Of everything that goes into a series for one frame."""
+    whole = hashlib.sha256()
+    for array in arrays.values():
+        whole.update(array.tobytes())
+    return whole.hexdigest()
+
+
+def answer(measure: TwoViews, scene: Scene, rest: Shot, now: Shot) -> dict[str, Any]:
+    """How right one frame is: numbering, and squared errors in um2 for later means."""
+    frame = now.frame
+    start = time.perf_counter()
+    found = measure(frame)
+    ms = (time.perf_counter() - start) * 1e3
+    left, right = found.grids
+    wrong = wrongly_numbered(left, now.left) + wrongly_numbered(right, now.right)
+    wrong += sum(
+        wrongly_numbered(grid, view)
+        for grid, view in zip(measure.rest_grids, (rest.left, rest.right), strict=True)
+    )
+    place = np.linalg.norm(found.points.xyz - now.xyz, axis=2) * 1e3
+    moved = np.linalg.norm(found.field.displacement - (now.xyz - rest.xyz), axis=2) * 1e3
+    place, moved = place[found.points.valid], moved[found.field.valid]
+    return {
+        "object": scene.indenter.value,
+        "mode": scene.mode.value,
+        "severity": scene.severity,
+        "wrong_index": wrong,
+        "nodes": len(place),
+        "interpolated": int(np.count_nonzero(found.points.source == NodeStatus.INTERPOLATED)),
+        "place_um2": float(np.mean(place**2)),
+        "place_p95_um": float(np.percentile(place, 95)),
+        "moved_um2": float(np.mean(moved**2)),
+        "moved_p95_um": float(np.percentile(moved, 95)),
+        "ms": ms,
+    }
+
+
+def grouped(rows: Sequence[dict[str, Any]], *keys: str) -> list[dict[str, Any]]:
+    """Root mean squares, and shares of frames, over the rows that agree in those keys."""
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return [
+        {
+            **dict(zip(keys, values, strict=True)),
+            "frames": len(group),
+            "index_right": float(np.mean([row["wrong_index"] == 0 for row in group])),
+            "nodes_placed": float(np.mean([row["nodes"] for row in group])) / MARKERS**2,
+            "place_rms_um": float(np.sqrt(np.mean([row["place_um2"] for row in group]))),
+            "moved_rms_um": float(np.sqrt(np.mean([row["moved_um2"] for row in group]))),
+            "moved_p95_um": float(np.median([row["moved_p95_um"] for row in group])),
+            "ms": float(np.median([row["ms"] for row in group])),
+        }
+        for values, group in groups.items()
+    ]
+
+
+# boards
+
+
+def scaled(cell: float) -> DetectorConfig:
+    """The library's settings for a cell: a working scale for large ones."""
+    return DetectorConfig.for_cell(cell)
+
+
+def full_size(_: float) -> DetectorConfig:
+    """The defaults: no working scale."""
+    return DetectorConfig()
+
+
+def with_step(config: Callable[[float], DetectorConfig]) -> Callable[[float], DetectorConfig]:
+    return lambda cell: config(cell).replace(refinement=EdgeStep(cell=cell))
+
+
+BOARD_CONFIGS: dict[str, Callable[[float], DetectorConfig]] = {
+    "EDGE_LINES, working scale": scaled,
+    "EDGE_LINES, full size": full_size,
+    "EDGE_STEP, working scale": with_step(scaled),
+    "EDGE_STEP, full size": with_step(full_size),
+}
+
+
+def board(path: Path, shape: tuple[int, int], config: Callable[[float], DetectorConfig]) -> Grid:
+    view = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    device = select_device()
+    cell, _ = find_pattern(view, shape, device)
+    with Detector(shape=view.shape, config=config(cell), device=device) as detector:
+        return detector.grid(view, shape=shape)[1]
+
+
+def pairs(folder: Path, count: int, shape: tuple[int, int], config: Any) -> list[tuple[Grid, Grid]]:
+    found = []
+    for number in range(1, count + 1):
+        left = board(folder / f"left{number:02}.jpg", shape, config)
+        found.append((left, alike(left, board(folder / f"right{number:02}.jpg", shape, config))))
+    return found
+
+
+def boards() -> list[dict[str, Any]]:
+    """Squares of the published rig, and of boards that the calibration has not seen."""
+    rows: list[dict[str, Any]] = []
+    published = DATA / "stereo_bumblebee2"
+    own = DATA / "stereo_opencv"
+    for name, config in BOARD_CONFIGS.items():
+        if published.is_dir():
+            rig = published_rig(published / "stereo.yaml")
+            sides = [
+                square_sides(rig.triangulate(*views))
+                for views in pairs(published, 4, (6, 4), config)
+            ]
+            rows.append({"set": "bumblebee2", "config": name, "true": 30.0, **spread(sides)})
+        if own.is_dir():
+            views = pairs(own, 5, (6, 9), config)
+            rows.append({"set": "opencv", "config": name, "true": 25.0, **left_out(views)})
+            if "STEP" in name:
+                sure = [(trusted(left, SIGMA), trusted(right, SIGMA)) for left, right in views]
+                name = f"{name}, sigma <= {SIGMA:g} px"
+                rows.append({"set": "opencv", "config": name, "true": 25.0, **left_out(sure)})
+    return rows
+
+
+def left_out(views: Sequence[tuple[Grid, Grid]]) -> dict[str, Any]:
+    """Each pair measured with the calibration of the others."""
+    size = (640, 480)
+    sides = []
+    for out, pair in enumerate(views):
+        others = [view for place, view in enumerate(views) if place != out]
+        rig = calibrate(others, spacing=25, image_size=size).rig
+        sides.append(square_sides(rig.triangulate(*pair)))
+    error = calibrate(views, spacing=25, image_size=size).error
+    return {"calibration_error_px": error, **spread(sides)}
+
+
+def spread(sides: Sequence[np.ndarray]) -> dict[str, Any]:
+    every = np.concatenate(sides)
+    return {
+        "sides": len(every),
+        "mean": float(every.mean()),
+        "deviation": float(every.std()),
+        "pair_means": [float(part.mean()) for part in sides],
+        "pair_deviations": [float(part.std()) for part in sides],
+    }
+
+
+def published_rig(path: Path) -> StereoRig:
+    sys.path.append(str(Path(__file__).parents[1] / "tests"))
+    from stereo_data import bumblebee_rig
+
+    return bumblebee_rig(path)
+
+
+def show(result: dict[str, Any]) -> None:
+    """Print the summary."""
+    print("\nboth views of 40 x 40 corners, RMS errors in space, um")
+    print(
+        f"{'settings':30}{'severity':>9}{'frames':>8}{'index right':>13}{'placed':>8}"
+        f"{'position':>10}{'displacement':>14}{'ms':>7}"
+    )
+    for row in result["by_severity"]:
+        print(
+            f"{row['config']:30}{row['severity']:9}{row['frames']:8}{row['index_right']:13.0%}"
+            f"{row['nodes_placed']:8.2%}{row['place_rms_um']:10.1f}{row['moved_rms_um']:14.1f}"
+            f"{row['ms']:7.0f}"
+        )
+    for run in result["orders"]:
+        print(
+            f"seed {run['seed']}: {run['same_bytes']} of {len(run['order'])} frames gave the same "
+            "bytes in another order"
+        )
+    for row in result["boards"]:
+        error = row.get("calibration_error_px")
+        told = "published calibration" if error is None else f"reprojection error {error:.3f} px"
+        print(
+            f"{row['set']:11}{row['config']:44}{row['mean']:8.3f} +- {row['deviation']:.3f} mm of "
+            f"{row['true']:g}, {told}"
+        )
+    if not result["boards"]:
+        print(f"left out: no photographs in {DATA}")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="about a minute")
+    parser.add_argument("--out", type=Path, help="the JSON to write")
+    arguments = parser.parse_args(argv)
+    around, device = environment(), select_device()
+    print(f"{around['device']}, driver {around['driver']}, commit {around['commit']}")
+    cases = [(kind, mode, severity) for kind in OBJECTS for mode in Mode for severity in SEVERITIES]
+    seeds = SEEDS
+    if arguments.quick:
+        cases = [(Indenter.TORUS, Mode.TWIST, 1.0), (Indenter.CUBE, Mode.PRESS, 0.5)]
+        seeds = SEEDS[:1]
+    rows: list[dict[str, Any]] = []
+    orders = []
+    with Progress(len(cases) * len(seeds), "pairs") as progress:
+        for seed in seeds:
+            scenes = [scene_of(seed, *case) for case in cases]
+            answers, order = of_seed(seed, scenes, device, progress)
+            rows += answers
+            orders.append(order)
+    result = {
+        "kind": "field",
+        "environment": around,
+        "view": VIEW,
+        "markers": MARKERS,
+        "seeds": list(seeds),
+        "configs": {name: dataclasses.asdict(config) for name, config in CONFIGS.items()},
+        "by_severity": grouped(rows, "config", "severity"),
+        "by_case": grouped(rows, "config", "object", "mode", "severity"),
+        "frames": rows,
+        "orders": orders,
+        "boards": boards(),
+    }
+    show(result)
+    out = arguments.out or (None if arguments.quick else RESULTS / "field.json")
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")
+        print(f"wrote {out}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
