@@ -1,12 +1,14 @@
 """kernels/collect.cl: lists in (y, x) order, whose counts run past their room."""
 
+import dataclasses
+
 import images
 import numpy as np
 import pytest
 from comparison import assert_corners_equal, assert_same_bytes
 from corner_images import noise
 
-from cmp_cl import DetectorConfig, RapidCriteria, SpectralCriteria, reference
+from cmp_cl import Detector, DetectorConfig, DeviceKind, RapidCriteria, SpectralCriteria, reference
 
 EIGHT = images.eight_bits()
 PLAIN = DetectorConfig(refinement=None)
@@ -45,15 +47,35 @@ def test_small_shapes(detector_for, shape):
     assert_corners_equal(detector_for(image, DENSE), image)
 
 
+def with_room(detector, room):
+    plan = detector._plan(None)
+    plan.candidate_room = plan.corner_room = room
+    plan._allocate()
+    plan._bind()
+
+
+@pytest.mark.parametrize(("count", "regrown"), [(63, False), (64, False), (65, True), (128, True)])
+@pytest.mark.parametrize("kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value)
+def test_room_for_64_holds_64(device, kind, count, regrown):
+    """A mask leaves exactly that many candidates, each of which is a maximum."""
+    image = images.texture((300, 60), seed=9)
+    maxima = np.argwhere(reference.maps(image, DENSE).maximum)
+    mask = np.zeros(image.shape, np.bool_)
+    mask[tuple(maxima[:count].T)] = True
+    device = dataclasses.replace(device, kind=kind)
+    with Detector(shape=image.shape, config=DENSE, device=device, mask=mask) as detector:
+        with_room(detector, 64)
+        corners = assert_corners_equal(detector, image, mask=mask)
+        assert len(corners) == count
+        assert (detector.regrown > 0) is regrown
+
+
 @pytest.mark.parametrize("config", [PLAIN, DENSE], ids=["gate", "dense"])
 def test_more_than_the_room_is_counted_and_done_again(detector_for, config):
     image = images.texture((300, 60), seed=9)
     small = config.replace(max_corners=3)
     detector = detector_for(image, small)
-    plan = detector._plan(None)
-    plan.candidate_room = plan.corner_room = 64
-    plan._allocate()
-    plan._bind()
+    with_room(detector, 64)
     corners = assert_corners_equal(detector, image)
     assert len(corners) > 64
     assert detector.regrown > 0

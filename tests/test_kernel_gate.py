@@ -12,7 +12,9 @@ from cmp_cl import (
     RapidCriteria,
     SectorContrast,
     SpectralCriteria,
+    reference,
 )
+from cmp_cl.reference import gate
 
 EIGHT = images.eight_bits()
 DEEP = images.sixteen_bits()
@@ -103,6 +105,36 @@ def test_three_masks_ask_for_three_deviations(detector_for):
     ]
     np.testing.assert_array_equal(kept[0], kept[1])
     assert (kept[2] > 0).sum() < (kept[1] > 0).sum()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_the_rank_of_the_percentile_in_short_lists(detector_for, dtype):
+    """Views of a texture with 1 to 40 candidates or so; the bound is one of their contrasts."""
+    texture = images.texture((200, 200)).astype(dtype)
+    contrast = SectorContrast(minimum=0, relative=1, noise=0)
+    counts = set()
+    for k in range(40):
+        maps = check(detector_for, texture[4 * k : 4 * k + 23, :31], contrast=contrast)
+        counts.add(int(maps.candidate.sum()))
+    assert len(counts) > 10
+    assert min(counts) < 9
+
+
+def test_a_difference_at_the_noise_bound_is_kept(detector_for):
+    """One candidate: 2 N sm = F A and one more deviation."""
+    image = images.texture((200, 200))[:40, :31]
+    maps = reference.maps(image, DetectorConfig(contrast=None))
+    amplitude, pixels = gate.noise_amplitude(image)
+    y, x = np.nonzero(maps.candidate)
+    sm = gate.sector_contrast(image, x, y, maps.inner[y, x], 5)[2]
+    decided = 0
+    for factor in range(1, 200):
+        level = -(-factor * amplitude // (2 * pixels))  # the least sm that is kept
+        if level in sm or level - 1 in sm:
+            decided += 1
+            contrast = SectorContrast(minimum=0, relative=0, noise=factor / 6.68)
+            check(detector_for, image, contrast=contrast)
+    assert decided > 3
 
 
 def test_without_the_gate(detector_for):
