@@ -16,6 +16,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable
 from typing import Any
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -41,6 +42,7 @@ from cmp_cl import (
 )
 
 BATCH = 25
+ROUNDING = 3e-7  # px, of an edge point some px away, in float32
 Rng = np.random.Generator
 
 
@@ -134,6 +136,23 @@ def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
     return np.ascontiguousarray(np.clip(image, 0, high - 1).astype(dtype))
 
 
+def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarray:
+    """(N,) how far the oracle's own positions move, px, where its edge points are rounded as
+    float32 rounds them: centrelines through points that nearly coincide hang on every digit."""
+    exact, rng = reference.refine.edge_points, np.random.default_rng(0)
+
+    def rounded(*arguments: Any) -> Any:
+        points = exact(*arguments)
+        return dataclasses.replace(
+            points, point=points.point + rng.normal(0, ROUNDING, points.point.shape)
+        )
+
+    there = reference.detect(image, config).xy
+    with mock.patch.object(reference.refine, "edge_points", rounded):
+        moved = [np.abs(reference.detect(image, config).xy - there) for _ in range(20)]
+    return np.max(moved, axis=(0, 2))
+
+
 def assert_as_expected(
     found: Corners, image: np.ndarray, config: DetectorConfig, counts: Counter[str]
 ) -> None:
@@ -148,10 +167,14 @@ def assert_as_expected(
     if margin is None:
         decided &= found.method == expected.method
     np.testing.assert_array_equal(found.method[decided], expected.method[decided])
-    np.testing.assert_allclose(
-        found.xy[decided], expected.xy[decided], rtol=0, atol=tolerances.POSITION
-    )
     assert np.isfinite(found.xy).all()
+    distance = np.abs(found.xy - expected.xy).max(axis=1, initial=0)
+    if (distance[decided] > tolerances.POSITION).any():
+        loose = distance > tolerances.POSITION
+        allowed = 5 * movement_by_rounding(image, config)
+        assert (distance <= tolerances.POSITION + allowed)[decided].all(), (distance, allowed)
+        counts["loose"] += int((decided & loose).sum())
+        decided &= ~loose
     counts["corners"] += len(found)
     counts["undecided"] += int((~decided).sum())
     if decided.any():
@@ -286,7 +309,8 @@ def main(arguments: list[str] | None = None) -> int:
     print(
         f"seed {options.seed}: {counts['images']} images, {done} configurations, "
         f"{counts['corners']} corners, {counts['undecided']} not compared (a guard within "
-        f"{tolerances.MARGIN}), largest difference {counts['nm'] * 1e-6:.1e} px, "
+        f"{tolerances.MARGIN}), {counts['loose']} loose (rounding moves the oracle's too), "
+        f"largest difference of the others {counts['nm'] * 1e-6:.1e} px, "
         f"{refused} of {20 * done} invalid ones refused, memory {memory[0]} MB after the first "
         f"and {memory[-1]} MB after the last, {time.monotonic() - begin:.0f} s, {failed} failed"
     )
