@@ -92,9 +92,9 @@ def add_parser(commands: Any) -> None:
     add_device(parser)
     parser.epilog = (
         "The series holds, with F frames of R x C nodes: index (F,), time_ms (F,) (NaN where "
-        "the source has no clock), status and source of each node; with --stereo rest (R, C, 3), "
-        "displacement (F, R, C, 3), sigma (F, R, C), left and right (F, R, C, 2); without it "
-        "rest (R, C, 2), xy (F, R, C, 2), px."
+        "the source has no clock), sigma and status (F, R, C) and unit; with --stereo rest "
+        "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
+        "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px."
     )
     parser.set_defaults(run=run)
 
