@@ -1,0 +1,133 @@
+"""What holds for any image: turned, mirrored, inverted, cropped from a buffer, in any company."""
+
+import hypothesis
+import numpy as np
+import pytest
+from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from corner_images import board
+from fuzz import invalid_case, random_image
+from hypothesis import strategies as st
+
+from cmp_cl import AdaptiveMean, DetectorConfig, EdgeStep, RapidCriteria, SpectralCriteria
+
+SIDE = 47
+CONFIGS = [
+    DetectorConfig(),
+    DetectorConfig(
+        contrast=None,
+        criteria=RapidCriteria(sector_threshold=9, ring_threshold=8, corrosion_threshold=None),
+        outer_radius=4,
+    ),
+    DetectorConfig(criteria=SpectralCriteria(correlation=0.5), threshold=AdaptiveMean(window=9)),
+    DetectorConfig(threshold=AdaptiveMean(masks=3), refinement=EdgeStep(cell=10)),
+]
+TURNS = [(turns, mirrored) for turns in range(4) for mirrored in (False, True)]
+seeds = st.integers(0, 2**32 - 1)
+dtypes = st.sampled_from([np.uint8, np.uint16])
+configs = st.sampled_from(CONFIGS)
+several = hypothesis.settings(max_examples=25, deadline=None, derandomize=True)
+
+
+def any_image(seed, dtype=np.uint8):
+    return random_image(np.random.default_rng(seed), (SIDE, SIDE), dtype)
+
+
+def turned(image, turn):
+    turns, mirrored = turn
+    image = np.rot90(image, turns, axes=(-2, -1))
+    return np.ascontiguousarray(image[..., ::-1] if mirrored else image)
+
+
+@several
+@hypothesis.given(seed=seeds, dtype=dtypes, config=configs)
+def test_any_image_gives_what_the_oracle_gives(detector_for, seed, dtype, config):
+    image = any_image(seed, dtype)
+    detector = detector_for(image, config)
+    assert_maps_equal(detector, image)
+    assert_corners_equal(detector, image)
+
+
+@several
+@hypothesis.given(seed=seeds, config=configs, turn=st.sampled_from(TURNS))
+def test_turning_an_image_turns_its_maps(detector_for, seed, config, turn):
+    image = any_image(seed)
+    detector = detector_for(image, config)
+    plain, other = detector.maps(image), detector.maps(turned(image, turn))
+    for name in ("binary", "candidate", "response", "score", "contrast"):
+        if getattr(plain, name) is not None:
+            np.testing.assert_array_equal(
+                getattr(other, name), turned(getattr(plain, name), turn), err_msg=name
+            )
+
+
+def assert_same_places(found, expected, *, tolerance):
+    """Every place has its partner within the tolerance, px."""
+    assert len(found) == len(expected) > 4
+    distance = np.linalg.norm(found[:, None] - expected, axis=2)
+    assert distance.min(axis=0).max() < tolerance
+    assert distance.min(axis=1).max() < tolerance
+
+
+cells, angles = st.floats(9, 16), st.floats(0.05, 1.5)
+
+
+@several
+@hypothesis.given(cell=cells, angle=angles, turn=st.sampled_from(TURNS))
+def test_turning_a_board_turns_its_corners(detector_for, cell, angle, turn):
+    image = board(SIDE, SIDE, cell, angle=angle)[0]
+    detector = detector_for(image)
+    y, x = (turned(index, turn) for index in np.indices(image.shape))
+    xy = detector(turned(image, turn)).xy
+    near = np.rint(xy).astype(int).clip(0, SIDE - 1)
+    # Within a pixel the turn is that of its neighbours' places.
+    step_x = np.array([x[0, 1] - x[0, 0], y[0, 1] - y[0, 0]])
+    step_y = np.array([x[1, 0] - x[0, 0], y[1, 0] - y[0, 0]])
+    rest = xy - near
+    place = np.stack([x[near[:, 1], near[:, 0]], y[near[:, 1], near[:, 0]]], axis=1)
+    back = place + rest[:, :1] * step_x + rest[:, 1:] * step_y
+    assert_same_places(back, detector(image).xy, tolerance=0.2)
+
+
+@several
+@hypothesis.given(cell=cells, angle=angles)
+def test_inverting_a_board_keeps_its_corners(detector_for, cell, angle):
+    image = board(SIDE, SIDE, cell, angle=angle)[0]
+    detector = detector_for(image)
+    assert_same_places(detector(255 - image).xy, detector(image).xy, tolerance=0.2)
+
+
+@several
+@hypothesis.given(
+    many=st.lists(seeds, min_size=1, max_size=3),
+    dtype=dtypes,
+    left=st.integers(0, 9),
+    right=st.integers(0, 9),
+    every=st.integers(1, 3),
+)
+def test_crops_in_a_batch_a_stream_or_alone(detector_for, many, dtype, left, right, every):
+    images = [any_image(seed, dtype) for seed in many]
+    views = []
+    for image in images:
+        buffer = np.full((SIDE * every, left + SIDE + right), 77, dtype)
+        view = buffer[::every, left : left + SIDE]
+        view[:] = image
+        views.append(view)
+    detector = detector_for(images[0], DetectorConfig(full_scale=255))
+    alone = [detector(image) for image in images]
+    for results in (detector.batch(views), list(detector.stream(views)), map(detector, views)):
+        for one, other in zip(results, alone, strict=True):
+            assert_same_bytes(one, other)
+
+
+@hypothesis.settings(several, max_examples=200)
+@hypothesis.given(number=st.integers(0, 2**31))
+def test_what_is_not_valid_is_refused_by_an_error_of_ours(device, number):
+    assert invalid_case(0, number, device.index)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 13), (17, 1), (2, 3), (11, 11)])
+def test_shapes_smaller_than_a_ring(detector_for, shape):
+    for seed in range(8):
+        image = random_image(np.random.default_rng(seed), shape, np.uint8)
+        for config in CONFIGS:
+            assert_corners_equal(detector_for(image, config), image)
