@@ -132,6 +132,7 @@ class Plan:
             "MASKS": self.masks,
             "OUTER_RADIUS": self.config.outer_radius,
             "RAPID": int(rapid),
+            "IN_WORDS": int(self._in_words),
             "WORDS_MARGIN": self._words_margin,
             "GATE": int(self.config.contrast is not None),
             "CORROSION": int(self.config.criteria.corrosion_threshold is not None),

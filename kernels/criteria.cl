@@ -19,7 +19,7 @@
 #define LOAD_OUTER(i, dx, dy) const uchar b##i = binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)];
 #define LOAD_REGION(i, dx, dy) const uchar r##i = binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)];
 
-#if RAPID
+#if RAPID && !IN_WORDS
 
 /* Response R of Eq. 24 where all criteria hold and the mask is set, 0 elsewhere. */
 __kernel void rapid_criteria(__global const uchar *restrict binary,
