@@ -1,0 +1,161 @@
+"""Hours of frames: constant memory, the same answers at the end as at the start.
+
+    python bench/endurance.py --minutes 20 [--device TEXT] [--json results/endurance.json]
+
+Frames of several sizes and kinds go through stream and batch in turns. Every round hashes every
+result and compares it with the first round's. Then Detectors are opened and closed. The status
+is 1 where a result changed, or memory grew by more than the limit after the first tenth.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cmp_cl import (
+    AdaptiveMean,
+    Corners,
+    Detector,
+    DetectorConfig,
+    EdgeStep,
+    select_device,
+    synthetic,
+)
+
+GROWTH = 16.0  # MB that the process may grow: allocators keep some pieces
+
+
+def resident() -> float:
+    """Memory of this process, MB."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def digest(results: list[Corners]) -> str:
+    """Of every byte of the results."""
+    hashed = hashlib.sha256()
+    for corners in results:
+        for name in ("xy", "pixel", "response", "method", "sigma", "edges", "doubtful"):
+            hashed.update(getattr(corners, name).tobytes())
+    return hashed.hexdigest()
+
+
+def recordings() -> list[tuple[DetectorConfig, list[np.ndarray]]]:
+    """Small to VGA, 8 and 16 bits, pressed, blank and noisy frames, each size its settings."""
+    rng = np.random.default_rng(0)
+    made = []
+    for shape, markers, bits, config in (
+        ((480, 640), 30, 8, DetectorConfig()),
+        ((240, 320), 16, 12, DetectorConfig(full_scale=4095, refinement=EdgeStep())),
+        ((121, 83), 7, 8, DetectorConfig(threshold=AdaptiveMean(masks=3))),
+        ((97, 131), 8, 8, DetectorConfig(contrast=None, nms_radius=1, max_corners=64)),
+    ):
+        frames = [
+            synthetic.render(
+                synthetic.Scene(
+                    markers=markers, shape=shape, severity=severity, bits=bits, seed=seed
+                )
+            ).image
+            for seed, severity in enumerate((0.25, 0.75, 1.25))
+        ]
+        frames.append(np.full_like(frames[0], 100))
+        frames.append(rng.integers(0, 2**bits, shape).astype(frames[0].dtype))
+        made.append((config, frames))
+    return made
+
+
+def endure(seconds: float, device: str | None = None, openings: int = 1000) -> dict[str, Any]:
+    """Run for that long, then open and close; what happened."""
+    work = recordings()
+    detectors = [
+        Detector(shape=frames[0].shape, dtype=frames[0].dtype, config=config, device=device)
+        for config, frames in work
+    ]
+
+    def one_round() -> str:
+        results: list[Corners] = []
+        for detector, (_, frames) in zip(detectors, work, strict=True):
+            results += detector.stream(frames * 4)
+            results += detector.batch(frames)
+            results += [detector(frame) for frame in frames[:2]]
+        return digest(results)
+
+    frames_a_round = sum(5 * len(frames) + 2 for _, frames in work)
+    first = one_round()
+    begin = time.monotonic()
+    rounds, changed = 1, 0
+    history = []
+    while time.monotonic() - begin < seconds:
+        changed += one_round() != first
+        rounds += 1
+        history.append((time.monotonic() - begin, resident(), sum(d.memory for d in detectors)))
+    settled = history[len(history) // 10]
+    device_after = sum(detector.memory for detector in detectors)
+    for detector in detectors:
+        detector.close()
+
+    config, frames = work[2]
+    memory, opened = [], set()
+    for _ in range(openings):
+        with Detector(shape=frames[0].shape, config=config, device=device) as detector:
+            opened.add(digest([detector(frames[0])]))
+        memory.append(resident())
+    changed += max(len(opened) - 1, 0)
+    return {
+        "device": str(select_device(device)),
+        "seconds": round(time.monotonic() - begin, 1),
+        "frames": rounds * frames_a_round,
+        "rounds": rounds,
+        "changed": changed,
+        "digest": first[:16],
+        "resident_MB": [round(settled[1], 1), round(history[-1][1], 1)],
+        "resident_most_MB": round(max(each[1] for each in history), 1),
+        "device_bytes": [settled[2], device_after],
+        "openings": openings,
+        "openings_MB": [round(memory[openings // 10], 1), round(memory[-1], 1)] if memory else [],
+    }
+
+
+def failures(found: dict[str, Any]) -> list[str]:
+    """What is wrong, in words."""
+    wrong = []
+    if found["changed"]:
+        wrong.append(f"{found['changed']} rounds gave other results than the first")
+    if found["resident_MB"][1] - found["resident_MB"][0] > GROWTH:
+        wrong.append(
+            f"the process grew from {found['resident_MB'][0]} MB to {found['resident_MB'][1]}"
+        )
+    if found["device_bytes"][0] != found["device_bytes"][1]:
+        wrong.append(f"memory on the device: {found['device_bytes']}")
+    if found["openings_MB"] and found["openings_MB"][1] - found["openings_MB"][0] > GROWTH:
+        wrong.append(f"openings: from {found['openings_MB'][0]} MB to {found['openings_MB'][1]}")
+    return wrong
+
+
+def main() -> int:
+    """Run, print, and say what is wrong."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=20)
+    parser.add_argument("--openings", type=int, default=1000)
+    parser.add_argument("--device")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    found = endure(options.minutes * 60, options.device, options.openings)
+    text = json.dumps(found, indent=1)
+    print(text)
+    if options.json:
+        options.json.write_text(text + "\n")
+    wrong = failures(found)
+    for line in wrong:
+        print("FAILED:", line)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,21 @@
+"""Some seconds of what bench/endurance.py does for minutes."""
+
+from pathlib import Path
+
+import pytest
+
+BENCH = Path(__file__).resolve().parents[1] / "bench"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
+def test_memory_and_answers_stay(device, monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCH))
+    import endurance
+
+    found = endurance.endure(12, device.index, openings=20)
+    assert endurance.failures(found) == []
+    assert found["frames"] > 200
+    found["changed"] += 1
+    found["resident_MB"][1] += 2 * endurance.GROWTH
+    assert len(endurance.failures(found)) == 2
