@@ -4,6 +4,7 @@ import argparse
 import statistics
 import time
 from collections.abc import Sequence
+from typing import Any
 
 from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep
 from cmp_cl.detector import Detector
@@ -13,24 +14,29 @@ from cmp_cl.scoring import score
 from cmp_cl.synthetic import Rendered, random_scene, render
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def add_parser(commands: Any) -> None:
+    """Add `bench` to the commands of an argparse parser."""
+    parser = commands.add_parser(
+        "bench",
+        help="times the detector on this machine's device",
+        description="Times the detector on a rendered 640 x 480 frame of 1936 corners, checks the "
+        "answer against the truth, and shows where the time goes.",
+    )
+    parser.add_argument("--repeats", type=int, default=100, help="frames of each configuration")
+    parser.add_argument("--device", metavar="NAME", help="as for cmp-cl detect")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
     """Time a few configurations on a rendered VGA frame, and check their answers.
 
     Raises what Detector raises.
     """
-    parser = argparse.ArgumentParser(
-        prog="cmp-cl bench",
-        description="Times the detector on a rendered 640 x 480 frame of 1936 corners, checks the "
-        "answer against the truth, and shows where the time goes.",
-    )
-    parser.add_argument("--device", metavar="NAME", help="as for cmp-cl detect")
-    parser.add_argument("--repeats", type=int, default=100, help="frames of each configuration")
-    arguments = parser.parse_args(argv)
-    run(select_device(arguments.device), max(arguments.repeats, 1))
+    measure(select_device(arguments.device), max(arguments.repeats, 1))
     return 0
 
 
-def run(device: Device, repeats: int) -> None:
+def measure(device: Device, repeats: int) -> None:
     """Print the table for a device, and the stages of the default configuration."""
     scene = render(random_scene(1000, markers=44, severity=0.25, corrosion=0.3))
     default = DetectorConfig()

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 import cmp_cl
-from cmp_cl import io
+from cmp_cl import benchmark, io
 from cmp_cl.commands import calibrate, demo, run, tune
 from cmp_cl.commands.common import Progress, add_device, add_full_scale, one_line, shown
 from cmp_cl.config import DetectorConfig
@@ -87,6 +87,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_parser(commands)
     calibrate.add_parser(commands)
     tune.add_parser(commands)
+    benchmark.add_parser(commands)
     return parser
 
 

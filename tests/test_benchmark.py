@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cmp_cl import benchmark
+from cmp_cl.cli import main
 
 BENCH = Path(__file__).resolve().parents[1] / "bench"
 
@@ -18,7 +18,7 @@ def load(name):
 
 
 def test_the_quick_benchmark_checks_its_answers(capsys):
-    assert benchmark.main(["--repeats", "2"]) == 0
+    assert main(["bench", "--repeats", "2"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "1936 corners" in lines[1]
     rows = [line.split() for line in lines[3:7]]
