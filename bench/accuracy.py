@@ -205,6 +205,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     densities = DENSITIES[:3] if arguments.quick else DENSITIES
     repeats = arguments.repeats or (1 if arguments.quick else 4)
 
+    around = environment()
     tables = Tables()
     count = len(densities) * len(severities) * len(INDENTERS) * repeats
     with tqdm(total=count, unit=" scenes") as progress:
@@ -219,7 +220,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 progress.update()
     result = {
         "kind": "accuracy",
-        "environment": environment(),
+        "environment": around,
         "unavailable": reasons,
         "densities": densities,
         "severities": severities,

@@ -20,6 +20,7 @@ from environment import RESULTS
 from methods import DEFAULT, FULL, PAPER, STEP
 
 Row = dict[str, Any]
+BUSY = 0.7  # load above which times are not to be trusted
 LEAST = 0.05  # what stands for 0 on a logarithmic axis, per thousand corners
 SHOWN = (DEFAULT, STEP, "cmp_cl, three masks", f"{DEFAULT} + grid", FULL, PAPER)
 OURS, PEER, GRID = "#c43c1e", "#3b6ea5", "#6a9a5b"
@@ -47,10 +48,13 @@ def conditions(result: Row) -> str:
     """The line under a heading: what it was measured with."""
     around = result["environment"]
     packages = ", ".join(f"{name} {version}" for name, version in around["packages"].items())
+    busy = ""
+    if around["load"] and around["load"][0] > BUSY:
+        busy = "\n**Other work ran on this machine at the same time: its times are rough.**\n"
     return (
         f"{around['device']}, driver {around['driver']}, {around['cpu']} with {around['cores']} "
         f"cores, {around['system']}; {packages}; commit {around['commit']}, {around['date']}, "
-        f"load {around['load'][0] if around['load'] else 'unknown'} at the start.\n"
+        f"load {around['load'][0] if around['load'] else 'unknown'} at the start.\n" + busy
     )
 
 
