@@ -83,13 +83,13 @@ def test_every_kernel_in_every_form_of_sixteen_bits(form, name):
 
 def test_few_corners_after_many(device):
     """Work-items without a corner must not see what an earlier frame left."""
-    many = images.texture((131, 111))
+    many = images.texture((97, 61))
     few = np.full_like(many, 128)
     few[:33, :31] = FRAME
     config = DetectorConfig(contrast=None, nms_radius=1, refinement=EdgeStep())
     with Detector(shape=many.shape, config=config, device=device) as detector:
         first = detector(few)
-        assert len(detector(many)) > 2 * GROUP
+        assert len(detector(many)) > GROUP
         assert_same_bytes(detector(few), first)
         assert 0 < len(first) < GROUP
 
