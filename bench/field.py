@@ -57,7 +57,7 @@ MARKERS = 40
 CELL = 17.5  # px, of such a view
 SEVERITIES = (0.5, 1.0, 1.5)
 OBJECTS = tuple(kind for kind in Indenter if kind is not Indenter.NONE)
-SEEDS = tuple(TEST_SEED + 500 + k for k in range(2))
+FIRST_SEED = TEST_SEED + 500
 CONFIGS = {
     "run (EDGE_STEP, three masks)": exact_config(CELL),
     "EDGE_LINES, one mask": DetectorConfig.for_cell(CELL),
@@ -297,15 +297,16 @@ def show(result: dict[str, Any]) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="about a minute")
+    parser.add_argument("--seeds", type=int, default=2, help="presses of each kind; default: 2")
     parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     around, device = environment(), select_device()
     print(f"{around['device']}, driver {around['driver']}, commit {around['commit']}")
     cases = [(kind, mode, severity) for kind in OBJECTS for mode in Mode for severity in SEVERITIES]
-    seeds = SEEDS
+    seeds = range(FIRST_SEED, FIRST_SEED + arguments.seeds)
     if arguments.quick:
         cases = [(Indenter.TORUS, Mode.TWIST, 1.0), (Indenter.CUBE, Mode.PRESS, 0.5)]
-        seeds = SEEDS[:1]
+        seeds = seeds[:1]
     rows: list[dict[str, Any]] = []
     orders = []
     with Progress(len(cases) * len(seeds), "pairs") as progress:
