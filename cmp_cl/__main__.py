@@ -1,0 +1,7 @@
+"""`python -m cmp_cl` is `cmp-cl`."""
+
+import sys
+
+from cmp_cl.cli import main
+
+sys.exit(main())
