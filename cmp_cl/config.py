@@ -34,7 +34,7 @@ def _check(
 ) -> None:
     """Raise ConfigError unless value is a number of that kind within [low, high]."""
     noun = "an odd integer" if odd else "an integer" if kind is int else "a number"
-    expected = f"{part}.{field} must be {noun} in [{low:g}, {high:g}], not {value!r}"
+    expected = f"{part}.{field} must be {noun} in [{low:.10g}, {high:.10g}], not {value!r}"
     numeric = int if kind is int else (int, float)
     if isinstance(value, bool) or not isinstance(value, numeric):
         raise ConfigError(f"{expected} ({type(value).__name__})")
@@ -58,7 +58,7 @@ class AdaptiveMean:
     def __post_init__(self) -> None:
         _check("AdaptiveMean", "window", self.window, 3, 255, kind=int, odd=True)
         _check("AdaptiveMean", "offset", self.offset, 0, 65535, kind=int)
-        if isinstance(self.masks, bool) or self.masks not in (1, 3):
+        if type(self.masks) is not int or self.masks not in (1, 3):
             raise ConfigError(f"AdaptiveMean.masks must be 1 or 3, not {self.masks!r}")
         if self.masks == 3 and self.offset:
             raise ConfigError(
@@ -238,7 +238,7 @@ class DetectorConfig:
         _check_part("criteria", self.criteria, RapidCriteria, SpectralCriteria)
         _check_part("contrast", self.contrast, SectorContrast, type(None))
         _check_part("refinement", self.refinement, EdgeLines, EdgeStep, Midlines, type(None))
-        if isinstance(self.outer_radius, bool) or self.outer_radius not in (4, 5):
+        if type(self.outer_radius) is not int or self.outer_radius not in (4, 5):
             raise ConfigError(
                 f"DetectorConfig.outer_radius must be 4 or 5, not {self.outer_radius!r}"
             )
@@ -255,7 +255,7 @@ class DetectorConfig:
 
         The window is the odd number 2 floor(floor(1.3 cell) / 2) + 1 within 9..255; the
         outer radius is 4 under 12 px; above 16 px the image is scaled by 15 / cell, and
-        the window is that of a 15 px cell.
+        the window is that of a 15 px cell. Raises ConfigError for another cell.
         """
         _check("DetectorConfig", "for_cell(cell)", cell, 4, 1000, kind=float)
         scale = max(15.0 / cell, 0.05) if cell > 16 else None
@@ -278,12 +278,18 @@ class DetectorConfig:
 
     @classmethod
     def for_grid(cls, markers: int) -> Self:
-        """The defaults with the paper's Table 2 window for 20, 30 or 40 markers a side."""
+        """The defaults with the paper's Table 2 window for 20, 30 or 40 markers a side.
+
+        Raises ConfigError for another number.
+        """
         return cls(threshold=AdaptiveMean(window=_table_2_window(markers)))
 
     @classmethod
     def paper(cls, markers: int) -> Self:
-        """The paper's method as printed, for 20, 30 or 40 markers a side (Table 2)."""
+        """The paper's method as printed, for 20, 30 or 40 markers a side (Table 2).
+
+        Raises ConfigError for another number.
+        """
         return cls(
             threshold=AdaptiveMean(window=_table_2_window(markers)),
             criteria=RapidCriteria(corrosion_threshold=4),
@@ -308,7 +314,7 @@ class DetectorConfig:
         return 255 if dtype == "uint8" else 65535
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the configuration as TOML."""
+        """Write the configuration as TOML, whole or not at all; raises OSError."""
         from cmp_cl.io import write_text
 
         write_text(path, to_toml(self))
@@ -322,8 +328,13 @@ class DetectorConfig:
         """
         try:
             text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"cannot read the configuration {str(path)!r}: {error}") from error
+        except OSError as error:
+            why = error.strerror
+            raise ConfigError(f"cannot read the configuration {str(path)!r}: {why}") from error
+        except UnicodeDecodeError as error:
+            raise ConfigError(
+                f"cannot read the configuration {str(path)!r}: it is no text in UTF-8"
+            ) from error
         try:
             return cls._from_dict(tomllib.loads(text))
         except (ValueError, RecursionError) as error:
@@ -351,7 +362,7 @@ def window_for_cell(cell: float) -> int:
 
 
 def _table_2_window(markers: int) -> int:
-    if markers not in _TABLE_2_WINDOWS:
+    if type(markers) is not int or markers not in _TABLE_2_WINDOWS:
         raise ConfigError(f"the paper's Table 2 has 20, 30 or 40 markers a side, not {markers!r}")
     return _TABLE_2_WINDOWS[markers]
 
@@ -375,7 +386,7 @@ def _part(field: str, value: object, kind: type[Part]) -> Part | None:
     if value is None:
         return None
     if not isinstance(value, Mapping):
-        raise ConfigError(f"{field} must be a table or false, not {value!r}")
+        raise ConfigError(f"{field} must be a table, not {value!r}")
     values = _known(value, kind)
     if isinstance(values.get("factors"), list):
         values["factors"] = tuple(values["factors"])
@@ -394,7 +405,7 @@ def _chosen(field: str, value: object, kinds: Mapping[str, type[Part]]) -> Part 
     """A part that comes in several kinds, named by the key `kind`."""
     if value is None:
         return None
-    if not isinstance(value, Mapping) or value.get("kind") not in kinds:
+    if not isinstance(value, Mapping) or value.get("kind") not in list(kinds):
         raise ConfigError(
             f"{field} must be a table whose key kind is one of {list(kinds)}, not {value!r}"
         )
@@ -428,4 +439,4 @@ def _toml(value: object) -> str:
         return f'"{value.value}"'
     if isinstance(value, tuple):
         return "[" + ", ".join(_toml(entry) for entry in value) + "]"
-    return repr(value)
+    return repr(float(value)) if isinstance(value, float) else repr(value)

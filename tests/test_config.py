@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from cmp_cl.config import (
@@ -54,7 +55,7 @@ def test_bounds_are_allowed_and_a_step_beyond_is_not(part, field, low, high, ste
             part(**{field: value})
         message = str(caught.value)
         assert f"{part.__name__}.{field}" in message
-        assert f"[{low:g}, {high:g}]" in message
+        assert f"[{low:.10g}, {high:.10g}]" in message
         assert repr(value) in message
 
 
@@ -80,6 +81,7 @@ def test_a_fraction_is_refused_where_an_integer_is_needed(part, field):
         (lambda: AdaptiveMean(window=20), "AdaptiveMean.window must be an odd integer in [3, 255]"),
         (lambda: AdaptiveMean(masks=2), "AdaptiveMean.masks must be 1 or 3, not 2"),
         (lambda: AdaptiveMean(masks=True), "AdaptiveMean.masks must be 1 or 3, not True"),
+        (lambda: AdaptiveMean(masks=3.0), "AdaptiveMean.masks must be 1 or 3, not 3.0"),
         (lambda: AdaptiveMean(masks=3, offset=1), "AdaptiveMean.offset must be 0 with masks=3"),
         (lambda: Midlines(fit="linear"), "Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC"),
         (lambda: Pyramid(factors=(), expected=1), "Pyramid.factors must be a tuple of at least"),
@@ -87,6 +89,8 @@ def test_a_fraction_is_refused_where_an_integer_is_needed(part, field):
         (lambda: Pyramid(factors=(0.01,), expected=1), "Pyramid.factors must be a number in"),
         (lambda: Pyramid(factors=(1.0,), expected=0), "Pyramid.expected must be an integer in"),
         (lambda: DetectorConfig(outer_radius=3), "DetectorConfig.outer_radius must be 4 or 5"),
+        (lambda: DetectorConfig(outer_radius=5.0), "outer_radius must be 4 or 5, not 5.0"),
+        (lambda: DetectorConfig(max_corners=0), "an integer in [1, 67108864], not 0"),
         (lambda: DetectorConfig(threshold=None), "DetectorConfig.threshold must be AdaptiveMean"),
         (
             lambda: DetectorConfig(criteria=None),
@@ -103,6 +107,7 @@ def test_a_fraction_is_refused_where_an_integer_is_needed(part, field):
         (lambda: DetectorConfig().replace(window=21), "DetectorConfig has no field 'window'"),
         (lambda: DetectorConfig.for_grid(25), "20, 30 or 40 markers a side, not 25"),
         (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),
+        (lambda: DetectorConfig.paper([20]), "20, 30 or 40 markers a side, not [20]"),
         (lambda: DetectorConfig.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),
     ],
 )
@@ -141,6 +146,7 @@ CONFIGS = {
         full_scale=4095,
     ),
     "scale": DetectorConfig.for_cell(34),
+    "numpy_number": DetectorConfig.for_cell(np.float64(34)),
     "paper": DetectorConfig.paper(20),
 }
 
@@ -163,10 +169,11 @@ def test_keys_left_out_of_toml_keep_their_defaults(tmp_path):
         ("windoww = 3", "unknown key 'windoww' for DetectorConfig; known: threshold, "),
         ("[threshold]\nmask = 3", "unknown key 'mask' for AdaptiveMean; known: window, offset"),
         ("[threshold]\nwindow = 20", "AdaptiveMean.window must be an odd integer"),
-        ("threshold = 21", "threshold must be a table or false, not 21"),
+        ("threshold = 21", "threshold must be a table, not 21"),
         ("threshold = false", "DetectorConfig.threshold must be AdaptiveMean, not None"),
         ("[criteria]\nring_threshold = 5", "criteria must be a table whose key kind is one of"),
         ("[criteria]\nkind = 'fast'", "kind is one of ['rapid', 'spectral']"),
+        ("[criteria]\nkind = ['rapid']", "kind is one of ['rapid', 'spectral']"),
         ("[refinement]\nkind = 'edge_lines'\nfit = 'linear'", "unknown key 'fit' for EdgeLines"),
         ("[refinement]\nkind = 'midlines'\nfit = 'cubic'", "one of ['linear', 'quadratic']"),
         ("[scale]\nfactors = [1.0]", "expected"),
