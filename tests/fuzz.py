@@ -1,21 +1,28 @@
 """Random valid configurations and small images against the oracle, and invalid ones refused.
 
-    python tests/fuzz.py --images 100000 --configs 500 --seed 1 [--device TEXT] [--seconds S]
+    python tests/fuzz.py --images 100000 --configs 500 --seed 1 --processes 2 [--device TEXT]
 
-Each configuration is compiled once and gets its share of the images through batch, every
-eighth batch also one by one and as maps. Case K of a seed is always the same: a failure prints
-the line that repeats it, and the status is 1. The last line says how much was done.
+Each configuration gets its share of the images through batch, every eighth batch also one by
+one and as maps. Compiling takes longer than anything else, so what is compiled is drawn once for
+SHARING configurations in a row; all else, shapes and images too, is drawn for each.
+
+Case K of a seed is always the same, in however many processes: a failure prints the line that
+repeats it, and the status is 1. The last line says how much was done.
 """
 
 import argparse
 import dataclasses
+import functools
+import hashlib
+import multiprocessing
+import os
 import resource
 import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
 from unittest import mock
 
 import cv2
@@ -38,10 +45,12 @@ from cmp_cl import (
     RapidCriteria,
     SectorContrast,
     SpectralCriteria,
+    plan,
     reference,
 )
 
 BATCH = 25
+SHARING = 5  # configurations in a row that compile the same
 ROUNDING = 3e-7  # px, of an edge point some px away, in float32
 Rng = np.random.Generator
 
@@ -50,32 +59,36 @@ def _one(rng: Rng, *choices: Any) -> Any:
     return choices[int(rng.integers(len(choices)))]
 
 
-def random_config(rng: Rng) -> DetectorConfig:
-    """A valid configuration: each setting its default, a bound or anything between."""
-    corrosion = _one(rng, None, 6, int(rng.integers(-4, 18)))
-    masks = _one(rng, 1, 1, 3)
-    threshold = AdaptiveMean(
-        window=_one(rng, 21, 9, 3, 255, 2 * int(rng.integers(1, 40)) + 1),
-        offset=0 if masks == 3 else _one(rng, 0, 0, 5, int(rng.integers(65536))),
-        masks=masks,
-    )
-    criteria = _one(
-        rng,
-        RapidCriteria(corrosion_threshold=corrosion),
-        RapidCriteria(
-            sector_threshold=int(rng.integers(1, 17)),
-            ring_threshold=int(rng.integers(1, 18)),
+def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
+    """A valid configuration: each setting its default, a bound or anything between.
+
+    What goes into the text of the kernels is drawn from `compiled`, all else from `rng`.
+    """
+    masks = _one(compiled, 1, 1, 3)
+    window = _one(compiled, 21, 9, 3, 255, 2 * int(compiled.integers(1, 40)) + 1)
+    rings = _one(compiled, 4, 5)
+    nms_radius = _one(compiled, 3, 1, 15, int(compiled.integers(1, 16)))
+    has_offset, has_corrosion, has_gate, is_scaled = compiled.random(4) < (0.5, 0.67, 0.67, 0.33)
+    kind = _one(compiled, RapidCriteria, RapidCriteria, SpectralCriteria)
+    refined = _one(compiled, None, EdgeLines, EdgeStep, Midlines)
+    fit = _one(compiled, *Fit)
+
+    offset = _one(rng, 5, int(rng.integers(1, 65536))) if has_offset and masks == 1 else 0
+    corrosion = _one(rng, 6, int(rng.integers(-4, 18))) if has_corrosion else None
+    criteria = {
+        RapidCriteria: RapidCriteria(
+            sector_threshold=_one(rng, 5, int(rng.integers(1, 17))),
+            ring_threshold=_one(rng, 5, int(rng.integers(1, 18))),
             corrosion_threshold=corrosion,
         ),
-        SpectralCriteria(
+        SpectralCriteria: SpectralCriteria(
             correlation=_one(rng, 0.75, 0, 1, float(rng.random())),
             phase=_one(rng, 0.35, 0, float(rng.uniform(0, np.pi))),
             corrosion_threshold=corrosion,
         ),
-    )
+    }
     contrast = _one(
         rng,
-        None,
         SectorContrast(),
         SectorContrast(
             minimum=_one(rng, 0, 255, float(rng.uniform(0, 60))),
@@ -83,26 +96,25 @@ def random_config(rng: Rng) -> DetectorConfig:
             noise=_one(rng, 0, 100, float(rng.uniform(0, 5))),
         ),
     )
-    refinement = _one(
-        rng,
-        None,
-        EdgeLines(max_shift=_one(rng, 2.0, 0, 5, float(rng.uniform(0, 5)))),
-        EdgeStep(cell=_one(rng, 12.0, 4, 1000, float(rng.uniform(4, 40)))),
-        Midlines(fit=_one(rng, *Fit), max_shift=float(rng.uniform(0, 5))),
-    )
+    refinement = {
+        None: None,
+        EdgeLines: EdgeLines(max_shift=_one(rng, 2.0, 0, 5, float(rng.uniform(0, 5)))),
+        EdgeStep: EdgeStep(cell=_one(rng, 12.0, 4, 1000, float(rng.uniform(4, 40)))),
+        Midlines: Midlines(fit=fit, max_shift=float(rng.uniform(0, 5))),
+    }
     scale = _one(
         rng,
-        *(None, None, None, 1.0, float(rng.uniform(0.3, 2))),
+        float(rng.uniform(0.3, 2)),
         Pyramid(factors=(1.0, 0.7), expected=int(rng.integers(1, 40))),
     )
     return DetectorConfig(
-        threshold=threshold,
-        outer_radius=_one(rng, 4, 5),
-        criteria=criteria,
-        contrast=contrast,
-        nms_radius=_one(rng, 3, 1, 15, int(rng.integers(1, 16))),
-        refinement=refinement,
-        scale=scale,
+        threshold=AdaptiveMean(window=window, offset=offset, masks=masks),
+        outer_radius=rings,
+        criteria=criteria[kind],
+        contrast=contrast if has_gate else None,
+        nms_radius=nms_radius,
+        refinement=refinement[refined],
+        scale=scale if is_scaled else _one(rng, None, 1.0),
         full_scale=_one(rng, None, None, int(rng.integers(1, 65536))),
         max_corners=_one(rng, 65536, 1, int(rng.integers(1, 1000))),
     )
@@ -186,9 +198,10 @@ def valid_case(
     seed: int, number: int, images: int, device: str | None, counts: Counter[str]
 ) -> None:
     """One configuration and its images."""
+    compiled = np.random.default_rng([seed, number // SHARING, 2])
     rng = np.random.default_rng([seed, number])
-    config = random_config(rng)
-    dtype = _one(rng, np.uint8, np.uint8, np.uint16)
+    dtype = _one(compiled, np.uint8, np.uint8, np.uint16)
+    config = random_config(compiled, rng)
     shape = tuple(int(n) for n in rng.integers(1, 72, 2))
     mask = rng.random(shape) < 0.8 if rng.random() < 0.2 else None
     if mask is not None and isinstance(config.scale, Pyramid):
@@ -262,14 +275,48 @@ def _megabytes() -> int:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
 
 
-def _guarded(work: Callable[[], Any], again: str) -> bool:
-    try:
-        work()
-    except Exception:
-        traceback.print_exc()
-        print(f"FAILED; again: {again}", flush=True)
-        return False
-    return True
+class Case(NamedTuple):
+    """What came of a configuration. programs: digests of all that was compiled."""
+
+    counts: Counter[str]
+    programs: frozenset[str]
+    megabytes: int
+    process: int
+
+
+def digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def one_case(number: int, seed: int, images: int, device: str | None) -> Case:
+    """A valid configuration with its images, and twenty invalid ones; says what failed."""
+    counts: Counter[str] = Counter()
+    again = f"--seed {seed} --first {number} --configs 1 --images {images}"
+
+    def guarded(work: Callable[[], Any]) -> Any:
+        try:
+            return work()
+        except Exception:
+            traceback.print_exc()
+            print(f"FAILED; again: {again}", flush=True)
+            counts["failed"] += 1
+
+    with mock.patch.object(plan, "build", wraps=plan.build) as build:
+        guarded(lambda: valid_case(seed, number, images, device, counts))
+    programs = frozenset(digest(repr(call.args[1:])) for call in build.call_args_list)
+    for k in range(20):
+        refused = guarded(functools.partial(invalid_case, seed, 20 * number + k, device))
+        counts["refused"] += bool(refused)
+    return Case(counts, programs, _megabytes(), os.getpid())
+
+
+def cases(numbers: Iterable[int], work: Callable[[int], Case], processes: int) -> Iterator[Case]:
+    """What came of each case, in order. Those that compile the same go to the same process."""
+    if processes == 1:
+        yield from map(work, numbers)
+        return
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        yield from pool.imap(work, numbers, chunksize=SHARING)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -278,43 +325,40 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--images", type=int, default=100_000, help="in all")
     parser.add_argument("--configs", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--device")
     parser.add_argument("--first", type=int, default=0, help="number of the first configuration")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after that")
     options = parser.parse_args(arguments)
     share = -(-options.images // options.configs)
+    work = functools.partial(one_case, seed=options.seed, images=share, device=options.device)
+    numbers = range(options.first, options.first + options.configs)
     begin = time.monotonic()
     counts: Counter[str] = Counter()
-    failed = refused = done = 0
-    memory = []
-    for number in range(options.first, options.first + options.configs):
+    programs: set[str] = set()
+    memory: dict[int, list[int]] = {}
+    for done, case in enumerate(cases(numbers, work, options.processes), 1):
+        farthest = max(counts["nm"], case.counts["nm"])
+        counts.update(case.counts)
+        counts["nm"] = farthest
+        programs |= case.programs
+        memory.setdefault(case.process, []).append(case.megabytes)
+        if done % 10 == 0:
+            print(f"{done} configurations, {dict(counts)}, {case.megabytes} MB", flush=True)
         if time.monotonic() - begin > options.seconds:
             break
-        again = f"--seed {options.seed} --first {number} --configs 1 --images {share}"
-        failed += not _guarded(
-            lambda n=number: valid_case(options.seed, n, share, options.device, counts), again
-        )
-        for k in range(20):
-            failed += not _guarded(
-                lambda n=20 * number + k: counts.update(
-                    refused=int(invalid_case(options.seed, n, options.device))
-                ),
-                again,
-            )
-        done += 1
-        memory.append(_megabytes())
-        if done % 10 == 0:
-            print(f"{done} configurations, {dict(counts)}, {memory[-1]} MB", flush=True)
-    refused = counts["refused"]
+    spent = time.monotonic() - begin
+    first, last = ([megabytes[k] for megabytes in memory.values()] for k in (0, -1))
     print(
-        f"seed {options.seed}: {counts['images']} images, {done} configurations, "
-        f"{counts['corners']} corners, {counts['undecided']} not compared (a guard within "
-        f"{tolerances.MARGIN}), {counts['loose']} loose (rounding moves the oracle's too), "
+        f"seed {options.seed}: {counts['images']} images, {done} configurations, {len(programs)} "
+        f"programs, {counts['corners']} corners, {counts['undecided']} not compared (a guard "
+        f"within {tolerances.MARGIN}), {counts['loose']} loose (rounding moves the oracle's too), "
         f"largest difference of the others {counts['nm'] * 1e-6:.1e} px, "
-        f"{refused} of {20 * done} invalid ones refused, memory {memory[0]} MB after the first "
-        f"and {memory[-1]} MB after the last, {time.monotonic() - begin:.0f} s, {failed} failed"
+        f"{counts['refused']} of {20 * done} invalid ones refused, memory of each process {first} "
+        f"MB after its first and {last} MB after its last, {spent:.0f} s, "
+        f"{counts['failed']} failed"
     )
-    return 1 if failed else 0
+    return 1 if counts["failed"] else 0
 
 
 if __name__ == "__main__":
