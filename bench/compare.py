@@ -38,6 +38,12 @@ def rows_of(result: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
         for row in result["rows"]:
             if row["method"].startswith("cmp_cl"):
                 yield f"{row['photograph']}: {row['method']}", row | {"ms": None}
+    elif result["kind"] == "field":
+        for row in result["by_severity"]:
+            right = round(row["index_right"] * row["frames"])
+            errors = {"rmse": row["moved_rms_um"], "p95": row["moved_p95_um"]}
+            name = f"severity {row['severity']}: {row['config']}"
+            yield name, {"frames": row["frames"], "success": right, **errors}
     elif result["kind"] == "scaling":
         for row in result["sizes"]:
             yield f"{row['shape'][1]} x {row['shape'][0]}", row

@@ -63,6 +63,20 @@ def test_a_slower_machine_is_not_a_slower_program():
     assert compare.comparison(speed_result(), slow, 1.15) == ([], [])
 
 
+def test_a_wrong_index_and_a_larger_error_in_space_are_worse():
+    compare = load("compare")
+    row = {"config": "run", "severity": 1.0, "frames": 4, "index_right": 1.0}
+    row |= {"moved_rms_um": 10.0, "moved_p95_um": 20.0}
+    old = {"kind": "field", "by_severity": [row]}
+    new = {"kind": "field", "by_severity": [row | {"index_right": 0.75, "moved_rms_um": 11.0}]}
+    assert compare.comparison(old, old, 1.15) == ([], [])
+    lines, _ = compare.comparison(old, new, 1.15)
+    assert lines == [
+        "severity 1.0: run: success 4 -> 3 of 4",
+        "severity 1.0: run: rmse 10.0000 -> 11.0",
+    ]
+
+
 def test_results_of_different_kinds_are_refused():
     compare = load("compare")
     with pytest.raises(SystemExit, match="one file is about speed"):
