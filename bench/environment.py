@@ -1,9 +1,10 @@
-"""What a result was measured with: device, driver, versions, commit, and how busy it was."""
+"""What a result was measured with: device, driver, versions, commit, and what else ran there."""
 
 import datetime
 import os
 import platform
 import subprocess
+import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -35,16 +36,33 @@ def environment() -> dict[str, Any]:
         "system": f"{platform.system()} {platform.release()}",
         "threads_opencv": cv2.getNumThreads(),
         "packages": packages,
-        "load": [round(load, 2) for load in os.getloadavg()] if hasattr(os, "getloadavg") else None,
+        "others": others(),
     }
 
 
+def others(seconds: float = 1.0) -> float | None:
+    """Cores that were busy while this program slept, with other programs' work; None where the
+    system does not say."""
+    try:
+        before = _busy()
+        time.sleep(seconds)
+        return round((_busy() - before) / seconds, 2)
+    except OSError:
+        return None
+
+
+def _busy() -> float:
+    """Seconds that all cores together have worked since the system was started."""
+    user, nice, system, *_ = Path("/proc/stat").read_text().split()[1:]
+    return (int(user) + int(nice) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+
 def _commit() -> str:
-    """The commit of the tree, marked where kernels or package differ from it."""
+    """The commit of the tree, marked where the tree differs from it; results may."""
     here = Path(__file__).parent
     try:
         commit = _git(here, "rev-parse", "--short", "HEAD")
-        changed = _git(here, "status", "--porcelain", "--", "../cmp_cl", "../kernels")
+        changed = _git(here, "status", "--porcelain", "--", "..", ":!results")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return commit + ("+changes" if changed else "")

@@ -12,15 +12,18 @@ from typing import Any
 import matplotlib as mpl
 
 mpl.use("Agg")
+import matplotlib.patheffects
 import matplotlib.pyplot as plt
 import matplotlib.ticker
 import numpy as np
 from accuracy import unpacked
 from environment import RESULTS
+from field import grouped
 from methods import DEFAULT, FULL, PAPER, STEP
 
+mpl.rcParams["figure.dpi"] = 90
 Row = dict[str, Any]
-BUSY = 0.7  # load above which times are not to be trusted
+BUSY = 0.2  # cores that others use, above which times are not to be trusted
 LEAST = 0.05  # what stands for 0 on a logarithmic axis, per thousand corners
 SHOWN = (DEFAULT, STEP, "cmp_cl, three masks", f"{DEFAULT} + grid", FULL, PAPER)
 OURS, PEER, GRID = "#c43c1e", "#3b6ea5", "#6a9a5b"
@@ -46,15 +49,22 @@ def _cell(value: Any) -> str:
 
 def conditions(result: Row) -> str:
     """The line under a heading: what it was measured with."""
+    if (result["environment"].get("others") or 0) > BUSY:
+        busy = "**Other work ran on this machine at the same time: its times are rough.**"
+        return f"{described(result)}\n{busy}\n"
+    return described(result)
+
+
+def described(result: Row) -> str:
+    """Device, driver, versions, commit, and how busy the machine was."""
     around = result["environment"]
     packages = ", ".join(f"{name} {version}" for name, version in around["packages"].items())
-    busy = ""
-    if around["load"] and around["load"][0] > BUSY:
-        busy = "\n**Other work ran on this machine at the same time: its times are rough.**\n"
+    others = around.get("others")
     return (
         f"{around['device']}, driver {around['driver']}, {around['cpu']} with {around['cores']} "
-        f"cores, {around['system']}; {packages}; commit {around['commit']}, {around['date']}, "
-        f"load {around['load'][0] if around['load'] else 'unknown'} at the start.\n" + busy
+        f"cores, {around['system']}; {packages}; commit {around['commit']}, {around['date']}"
+        + ("" if others is None else f"; others used {others} cores")
+        + ".\n"
     )
 
 
@@ -279,7 +289,7 @@ def _colour(name: str) -> str:
 def _pareto(points: Sequence[Row], title: str, path: Path) -> None:
     """Two panels of numbered points, and the names beside them."""
     points = sorted((p for p in points if p["rmse"] is not None), key=lambda p: p["ms"])
-    figure, axes = plt.subplots(1, 3, figsize=(14, 6), width_ratios=(5, 5, 2.6))
+    figure, axes = plt.subplots(1, 3, figsize=(15, 7), width_ratios=(5, 5, 2.6))
     for axis, key, label in zip(
         axes,
         ("per_thousand", "rmse"),
@@ -287,7 +297,6 @@ def _pareto(points: Sequence[Row], title: str, path: Path) -> None:
         strict=False,
     ):
         front = _front(points, key)
-        placed: list[tuple[float, float]] = []
         axis.set(xscale="log", yscale="log", xlabel="ms a frame: median, and line to 95 %")
         for p in points:
             height = max(p[key], LEAST)
@@ -307,9 +316,7 @@ def _pareto(points: Sequence[Row], title: str, path: Path) -> None:
         _plain(axis.yaxis)
         axis.set_ylabel(label)
         axis.grid(alpha=0.25, which="both", lw=0.4)
-        figure.canvas.draw()
-        for number, p in enumerate(points, 1):
-            _number(axis, number, p["ms"], max(p[key], LEAST), _colour(p["method"]), placed)
+        _numbers(axis, [(p["ms"], max(p[key], LEAST), _colour(p["method"])) for p in points])
     axes[0].set_title(f"nothing wrong is drawn at {LEAST}", fontsize=8)
     axes[2].axis("off")
     for number, p in enumerate(points, 1):
@@ -326,24 +333,54 @@ def _pareto(points: Sequence[Row], title: str, path: Path) -> None:
 
 
 def _plain(axis: Any) -> None:
-    """Numbers at 1, 2 and 5 of each decade of a logarithmic axis."""
-    axis.set_major_locator(mpl.ticker.LogLocator(subs=(1, 2, 5)))
+    """Numbers at a few of 1 to 9 of each decade of a logarithmic axis, the fewer the longer."""
+    low, high = axis.get_view_interval()
+    decades = np.log10(high / low)
+    steps = next(
+        steps
+        for longest, steps in (
+            (0.5, range(1, 10)),
+            (1, (1, 2, 3, 5, 7)),
+            (2.2, (1, 2, 5)),
+            (9, (1,)),
+        )
+        if decades <= longest
+    )
+    axis.set_major_locator(mpl.ticker.LogLocator(subs=steps))
     axis.set_major_formatter(mpl.ticker.FormatStrFormatter("%g"))
     axis.set_minor_formatter(mpl.ticker.NullFormatter())
 
 
-def _number(
-    axis: Any, number: int, x: float, y: float, colour: str, placed: list[tuple[float, float]]
-) -> None:
-    """The point's number beside it, where no other number is."""
-    at = axis.transData.transform((x, y))
-    for dx, dy in ((6, -3), (6, 6), (6, -12), (-14, -3), (-14, 6), (-14, -12), (18, -3), (18, 6)):
-        if all(abs(at[0] + dx - u) > 11 or abs(at[1] + dy - v) > 8 for u, v in placed):
-            break
-    placed.append((at[0] + dx, at[1] + dy))
-    axis.annotate(
-        str(number), (x, y), xytext=(dx, dy), textcoords="offset pixels", fontsize=6.5, color=colour
-    )
+def _numbers(axis: Any, points: Sequence[tuple[float, float, str]]) -> None:
+    """The number of each point (x, y, colour) beside it, where neither point nor number is."""
+    axis.figure.tight_layout()
+    axis.figure.canvas.draw()
+    taken = [tuple(axis.transData.transform((x, y))) for x, y, _ in points]
+    turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    around = [(r * np.cos(t), r * np.sin(t)) for r in (10, 16, 23, 31, 40) for t in turns]
+    for number, (x, y, colour) in enumerate(points, 1):
+        u, v = taken[number - 1]
+        dx, dy = next(
+            (
+                (dx, dy)
+                for dx, dy in around
+                if all(abs(u + dx - a) > 13 or abs(v + dy - b) > 9 for a, b in taken)
+            ),
+            around[0],
+        )
+        taken.append((u + dx, v + dy))
+        axis.annotate(
+            str(number),
+            (x, y),
+            xytext=(dx, dy),
+            textcoords="offset pixels",
+            ha="center",
+            va="center",
+            fontsize=7.5,
+            color=colour,
+            arrowprops={"arrowstyle": "-", "lw": 0.4, "color": colour, "shrinkA": 0, "shrinkB": 0},
+            path_effects=[mpl.patheffects.withStroke(linewidth=2, foreground="white")],
+        )
 
 
 def _success_plot(
@@ -366,7 +403,19 @@ def _success_plot(
             rates = [100 * row["success"] / row["frames"] for row in picked]
             marker = "os^vDP*X<>h8"[k % 12]
             colour = plt.get_cmap("tab20")(k * 2 % 20 + k // 10)
-            axis.plot(severities, rates, marker=marker, ms=5, lw=1.2, color=colour, label=name)
+            # Of lines that coincide the earlier one is wider.
+            wide = 1.2 + 4 * (len(chosen) - 1 - k) / len(chosen)
+            axis.plot(severities, rates, color=colour, lw=wide, alpha=0.35)
+            axis.plot(
+                severities,
+                rates,
+                marker=marker,
+                ms=4 + wide,
+                mfc="none",
+                lw=1,
+                color=colour,
+                label=name,
+            )
         axis.set(title=title, xlabel="severity", ylim=(-3, 103))
         axis.grid(alpha=0.3)
         axis.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3)
@@ -374,7 +423,69 @@ def _success_plot(
     _save(figure, path)
 
 
-# photographs, scaling, stability, theory
+# fields in space, photographs, scaling, stability, theory
+
+
+def field(result: Row) -> str:
+    parts = ["## Fields in space", conditions(result)]
+    rows, columns = result["view"]
+    parts.append(
+        f"Rendered pairs, two views of {columns} x {rows} with {result['markers']} x "
+        f"{result['markers']} corners of a pattern 32 mm wide, through cameras that are known "
+        "exactly. Errors are distances in space, in micrometres, over all nodes of all frames: "
+        "RMSE of the position, RMSE of the displacement from the frame at rest and its 95th "
+        "percentile (the median of the frames'). A frame counts as right in its numbering if no "
+        "corner of it has a wrong row or column.\n"
+    )
+    head = ("frames", "numbering right %", "nodes placed %", "position", "displacement", "95 %")
+    for key in ("severity", "object", "mode"):
+        body = [
+            [
+                group["config"],
+                group[key],
+                group["frames"],
+                100 * group["index_right"],
+                100 * group["nodes_placed"],
+                group["place_rms_um"],
+                group["moved_rms_um"],
+                group["moved_p95_um"],
+                group["ms"],
+            ]
+            for group in sorted(
+                grouped(result["frames"], "config", key), key=lambda group: group["config"]
+            )
+        ]
+        parts.append(table(("settings", key, *head, "ms"), body))
+    wrong = [row for row in result["frames"] if row["wrong_index"]]
+    if wrong:
+        parts.append("Frames with a wrong index:\n")
+        keys = ("config", "seed", "object", "mode", "severity", "wrong_index", "nodes")
+        parts.append(table(keys, [[row[key] for key in keys] for row in wrong]))
+    count = sum(len(run["order"]) for run in result["orders"])
+    same = sum(run["same_bytes"] for run in result["orders"])
+    parts.append(f"{same} of {count} frames gave the same bytes when they came in another order.\n")
+    parts.append(
+        "### Boards of known squares\n\nSides of squares, mm: of the Bumblebee2 pairs with their "
+        "published calibration, of each of OpenCV's pairs with the calibration of the others.\n"
+    )
+    if not result["boards"]:
+        return "\n".join([*parts, "Left out: there were no photographs.\n"])
+    body = [
+        [
+            row["set"],
+            row["config"],
+            row["sides"],
+            row["true"],
+            f"{row['mean']:.3f}",
+            f"{row['deviation']:.3f}",
+            f"{min(row['pair_means']):.3f} to {max(row['pair_means']):.3f}",
+            row.get("calibration_error_px", "published"),
+        ]
+        for row in sorted(result["boards"], key=lambda row: row["set"])
+    ]
+    head = ("pairs", "settings", "sides", "true", "mean", "deviation", "means of pairs")
+    parts.append(table((*head, "reprojection error px"), body))
+    return "\n".join(parts)
 
 
 def photographs(result: Row) -> str:
@@ -403,7 +514,9 @@ def photographs(result: Row) -> str:
 
 
 def scaling(result: Row) -> str:
-    parts = ["## Cost by size, frames, threads and process", conditions(result)]
+    parts = [f"## Cost by size, frames and process on {result['environment']['device']}"]
+    parts.append(conditions(result))
+    parts.append("Bytes are all that the detector holds on the device, the image included.\n")
     rows = [
         [
             f"{r['shape'][1]} x {r['shape'][0]}",
@@ -424,13 +537,7 @@ def scaling(result: Row) -> str:
     )
     rows = [[r["what"], r["ms_per_frame"], 1e3 / r["ms_per_frame"]] for r in result["frames"]]
     parts.append(table(("VGA frames", "ms a frame", "frames a second"), rows))
-    floor = result["floor"]
-    parts.append(
-        f"A VGA frame moves at least {floor['bytes_a_frame']} bytes. A copy on this device moves "
-        f"{floor['copy_gb_s']:.1f} GB/s, which would be {floor['frames_a_second_at_floor']:.0f} "
-        f"frames a second; the best of these rows takes {floor['times_the_floor']:.0f} times as "
-        "long.\n"
-    )
+    parts.append(_floor(result["floor"]))
     if result["threads"]:
         parts.append(
             table(
@@ -441,6 +548,21 @@ def scaling(result: Row) -> str:
     rows = [[r["cache"], r["imports_s"], r["seconds"]] for r in result["first_result"]]
     parts.append(table(("kernel cache", "imports, s", "first result in a new process, s"), rows))
     return "\n".join(parts)
+
+
+def _floor(floor: Row) -> str:
+    return (
+        f"A VGA frame moves at least {floor['bytes_a_frame']} bytes, the image and the corners "
+        f"once, and needs {floor['operations_a_frame'] / 1e6:.0f} million operations. This device "
+        f"copies {floor['copy_gb_s']:.1f} GB/s and does "
+        f"{floor['operations_a_second'] / 1e9:.0f} thousand million operations of 32 bits a "
+        f"second, which would be {floor['frames_a_second_at_floor']:.0f} frames a second; the best "
+        f"of these rows takes {floor['times_the_floor']:.0f} times as long. A single frame is an "
+        f"upload ({1e3 * floor['upload_ms']:.0f} us), {floor['launches_a_frame']} launches "
+        f"({1e3 * floor['launch_ms']:.1f} us each if the kernels were empty) and two answers "
+        f"({1e3 * floor['answer_ms']:.0f} us each): {floor['alone_ms_at_floor']:.3f} ms; it takes "
+        f"{floor['alone_times_the_floor']:.1f} times as long.\n"
+    )
 
 
 def stability(result: Row, folder: Path) -> str:
@@ -576,7 +698,8 @@ def _breaking_plot(sweeps: dict[str, Any], path: Path) -> None:
             wrong = [max(p["per_thousand"], LEAST) for p in points]
             colour = plt.get_cmap("tab20")(k / 12)
             style = "--" if _is_peer(name) else "-"
-            axis.plot(at, wrong, style, marker=".", color=colour, label=name, lw=1.2)
+            wide = 1 + 0.35 * (len(curves) - k)  # of curves that coincide the earlier is wider
+            axis.plot(at, wrong, style, marker=".", ms=9, color=colour, label=name, lw=wide)
         axis.axhline(10, color="grey", lw=0.6)
         axis.set(xlabel=what, yscale="log", ylim=(LEAST * 0.8, None))
         if what.startswith(("exposure", "cell")):
@@ -648,8 +771,44 @@ def theory(result: Row, folder: Path) -> str:
 
 def _save(figure: Any, path: Path) -> None:
     figure.tight_layout()
-    figure.savefig(path, dpi=85)
+    figure.savefig(path)
     plt.close(figure)
+
+
+def settings(result: Row) -> str:
+    """What the search for the peers' settings found, and what it was worth."""
+    parts = ["## The peers' settings", described(result)]
+    parts.append(
+        f"Searched on {result['scenes_a_density']} scenes a density, seeds "
+        f"{result['first_seed']} and up, which nothing else uses. Success and wrong corners are "
+        "those on these scenes, with the settings found and with the usual ones.\n"
+    )
+    body = []
+    for name, found in result["settings"].items():
+        for markers, values in found.items():
+            best, usual = (result["scores"][name][markers][which] for which in ("best", "usual"))
+            body.append(
+                [
+                    name,
+                    markers,
+                    ", ".join(f"{key} {value}" for key, value in values.items()) or "none",
+                    f"{best['success']} of {best['frames']}, {best['missed'] + best['false']}",
+                    f"{usual['success']} of {usual['frames']}, {usual['missed'] + usual['false']}",
+                ]
+            )
+    head = ("peer", "corners a side", "settings", "success, wrong corners", "usual settings")
+    parts.append(table(head, body))
+    return "\n".join(parts)
+
+
+def durations(result: Row) -> str:
+    """How long each part took."""
+    form = "short" if result["quick"] else "full"
+    failed = ", ".join(result["failed"]) or "none"
+    parts = [f"## What the parts took\n\nThe {form} form; parts that failed: {failed}.\n"]
+    rows = [*result["seconds"].items(), ("all", sum(result["seconds"].values()))]
+    parts.append(table(("part", "seconds"), rows))
+    return "\n".join(parts)
 
 
 def read(folder: Path, name: str) -> Row | None:
@@ -670,13 +829,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         "scaling": scaling,
         "scaling-gpu": scaling,
         "accuracy": lambda result: accuracy(result, folder),
+        "field": field,
         "photographs": photographs,
         "stability": lambda result: stability(result, folder),
         "criteria": criteria,
         "theory": lambda result: theory(result, folder),
+        "peer_settings": settings,
+        "run": durations,
     }
     for name, write in sections.items():
-        result = read(folder, name)
+        result = read(RESULTS if name == "peer_settings" else folder, name)
         if result is None:
             text.append(f"## {name}\n\nNot measured yet: there is no results/{name}.json.\n")
         else:

@@ -1,10 +1,11 @@
 """All measurements and the report, in one command.
 
 python bench/run.py --quick         a few minutes; into a folder for temporary files
-python bench/run.py                 about an hour; into results/
+python bench/run.py                 about 45 minutes on two quiet cores; into results/
 """
 
 import argparse
+import json
 import subprocess
 import sys
 import tempfile
@@ -12,9 +13,11 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from environment import environment
+
 HERE = Path(__file__).parent
 QUICK = Path(tempfile.gettempdir()) / "cmp_cl-bench"
-PARTS = ("speed", "scaling", "theory", "criteria", "photographs", "accuracy", "stability")
+PARTS = ("speed", "scaling", "theory", "criteria", "photographs", "field", "accuracy", "stability")
 WHOLE = ("theory", "photographs")  # have no short form
 
 
@@ -25,19 +28,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     out = arguments.out or (QUICK if arguments.quick else HERE / "results")
     out.mkdir(parents=True, exist_ok=True)
-    status = 0
+    around = environment()
+    failed = []
+    seconds = {}
     for number, part in enumerate(PARTS, 1):
         command = [sys.executable, str(HERE / f"{part}.py"), "--out", str(out / f"{part}.json")]
         command += ["--quick"] if arguments.quick and part not in WHOLE else []
         print(f"\n[{number} of {len(PARTS)}] {part}", flush=True)
         start = time.perf_counter()
-        failed = subprocess.run(command).returncode
-        print(f"{part}: {time.perf_counter() - start:.0f} s" + (" FAILED" if failed else ""))
-        status = status or failed
+        if subprocess.run(command).returncode:
+            failed.append(part)
+        seconds[part] = round(time.perf_counter() - start)
+        print(f"{part}: {seconds[part]} s" + (" FAILED" if part in failed else ""), flush=True)
+    spent = {"kind": "run", "environment": around, "quick": arguments.quick, "seconds": seconds}
+    (out / "run.json").write_text(json.dumps(spent | {"failed": failed}, indent=1) + "\n")
     for part in ("picture", "report"):
         command = [sys.executable, str(HERE / f"{part}.py"), "--results", str(out)]
-        status = status or subprocess.run(command).returncode
-    return status
+        if subprocess.run(command).returncode:
+            failed.append(part)
+    print(f"{sum(seconds.values())} s in all" + f"; FAILED: {', '.join(failed)}" * bool(failed))
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":

@@ -168,7 +168,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     rounds = arguments.rounds or rounds
     around = environment()
     print(f"{around['device']}, driver {around['driver']}, commit {around['commit']}")
-    print(f"load before: {around['load']}")
+    print(f"cores at other work: {around['others']}")
     results = []
     for scene in [arguments.scene] if arguments.scene else list(SCENES):
         results.append(compare(scene, names, own, count, rounds))
