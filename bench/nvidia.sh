@@ -3,14 +3,17 @@
 #
 #   bench/nvidia.sh pack      with a network: wheels for this python into bench/wheels/
 #   bench/nvidia.sh           on the machine with the card; results go to the folder $OUT
+#   bench/nvidia.sh quick     the same commands in small, to see that they work
 #
 # Needs python3 with venv, and the driver's libnvidia-opencl.so.1; no rights, no OpenCL loader
-# and no .icd file: pyopencl's wheel brings the one, this script writes the other.
+# and no .icd file: pyopencl's wheel brings the one, this script writes the other. LIBRARY and
+# DEVICE name another implementation: LIBRARY=libpocl.so.2 DEVICE=cpu bench/nvidia.sh quick
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 python=${PYTHON:-python3}
-out=$(mkdir -p "${OUT:-bench/results/nvidia}" && cd "${OUT:-bench/results/nvidia}" && pwd)
+library=${LIBRARY:-libnvidia-opencl.so.1}
+device=${DEVICE:-nvidia}
 
 if [ "${1:-}" = pack ]; then
     # PoCL is left out: nothing but the card is to be found.
@@ -19,6 +22,13 @@ if [ "${1:-}" = pack ]; then
     exit
 fi
 
+tests=tests images=5000 configs=50 minutes=3 openings=1000 scaling=
+if [ "${1:-}" = quick ]; then
+    tests="tests/test_portability.py tests/test_determinism.py"
+    images=100 configs=4 minutes=0.2 openings=20 scaling=--quick
+fi
+
+out=$(mkdir -p "${OUT:-bench/results/nvidia}" && cd "${OUT:-bench/results/nvidia}" && pwd)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 $python -m venv "$work/venv"
@@ -26,14 +36,30 @@ $python -m venv "$work/venv"
 pip install --quiet --no-index --find-links bench/wheels hatchling editables
 pip install --quiet --no-index --find-links bench/wheels --no-build-isolation -e ".[test]"
 
-echo libnvidia-opencl.so.1 > "$work/nvidia.icd"
-export OCL_ICD_VENDORS="$work/nvidia.icd" XDG_CACHE_HOME="$work" CMP_CL_DEVICE=nvidia
+echo "$library" > "$work/only.icd"
+export OCL_ICD_VENDORS="$work/only.icd" XDG_CACHE_HOME="$work" CMP_CL_DEVICE=$device
 
-nvidia-smi | tee "$out/nvidia-smi.txt"
-cmp-cl devices | tee "$out/devices.txt"
-status=0
-python -m pytest -n 2 --durations 20 2>&1 | tee "$out/tests.txt" || status=1
-python tests/fuzz.py --images 5000 --configs 50 2>&1 | tee "$out/fuzz.txt" || status=1
-python bench/endurance.py --minutes 3 --json "$out/endurance.json" || status=1
-python bench/speed.py --quick --out "$out/speed.json" || status=1
-exit $status
+failed=()
+step() {
+    local name=$1
+    shift
+    echo "== $name: $*"
+    "$@" 2>&1 | tee "$out/$name.txt" || failed+=("$name")
+}
+
+[ "$device" != nvidia ] || nvidia-smi | tee "$out/nvidia-smi.txt"
+step devices cmp-cl devices
+# shellcheck disable=SC2086
+step tests python -m pytest -n 2 --durations 20 $tests
+step fuzz python tests/fuzz.py --images $images --configs $configs
+step endurance python bench/endurance.py --minutes $minutes --openings $openings \
+    --json "$out/endurance.json"
+# One VGA frame end to end, batches up to 256 frames, the floor and the ratio to it.
+# shellcheck disable=SC2086
+step scaling python bench/scaling.py --device "$device" $scaling --out "$out/scaling-gpu.json"
+step speed python bench/speed.py --quick --out "$out/speed.json"
+if [ ${#failed[@]} -gt 0 ]; then
+    echo "FAILED: ${failed[*]}"
+    exit 1
+fi
+echo "All passed; results in $out"

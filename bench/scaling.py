@@ -1,11 +1,12 @@
 """How cmp_cl's cost goes with pixels, frames, threads and the age of the process.
 
-    python bench/scaling.py --quick     small sizes, half a minute
-    python bench/scaling.py             160 x 120 to 8192 x 8192; writes results/scaling.json
-    python bench/scaling.py --batch 256 frames of one batch; on a graphics card this is the one
-                                        command: `python bench/scaling.py --device gpu`
+    python bench/scaling.py --quick         small sizes, half a minute
+    python bench/scaling.py                 160 x 120 to 8192 x 8192, batches up to 256 frames;
+                                            writes results/scaling.json
+    python bench/scaling.py --device gpu    the same on a graphics card: results/scaling-gpu.json
 
-Every row's corners are compared with those of the single frame it is made of.
+Every row's corners are compared with those of the single frame it is made of. What a frame
+needs at least, in bytes, operations and launches, is set against what this device does of each.
 """
 
 import argparse
@@ -32,7 +33,27 @@ from cmp_cl.synthetic import random_scene
 SIZES = [(120, 160), (240, 320), (480, 640), (960, 1280), (1200, 1600), (2048, 2048), (4096, 4096)]
 LARGEST = (8192, 8192)
 PATCH = {"markers": 20, "severity": 0.25, "corrosion": 0.3, "shape": (240, 240)}
-BATCHES = (1, 4, 16, 64)
+BATCHES = (1, 4, 16, 64, 256)
+WORD_OPERATIONS = 1100  # of the criteria, on 32 pixels at once in a word
+PIXEL_OPERATIONS = 5  # two sums that run along with the window, and a comparison
+WORK = 256  # additions and differences that the kernel below does of each of 16 words
+
+_KERNELS = """
+__kernel void nothing(__global uint *out) {}
+
+__kernel void operations(__global uint16 *out)
+{
+    size_t i = get_global_id(0);
+    uint16 a = (uint16)((uint)i), b = a + 1, c = a + 2, d = a + 3;
+    for (uint k = 0; k < WORK / 4; ++k) {
+        a += b;
+        b ^= c;
+        c += d;
+        d ^= a;
+    }
+    out[i] = a ^ b ^ c ^ d;
+}
+"""
 
 _FIRST_RESULT = """
 import time
@@ -138,10 +159,12 @@ def many(batches: Sequence[int], device: str | None) -> list[dict[str, Any]]:
 
 
 def threads(device: str | None) -> list[dict[str, Any]]:
-    """One and two threads of PoCL, each in a process of its own; empty where it is not PoCL."""
+    """One and two threads of PoCL, each in a process of its own."""
     rows = []
     for count in (1, 2):
-        environ = os.environ | {"POCL_MAX_PTHREAD_COUNT": str(count)}
+        # The one is read by versions before 5, the other by those since.
+        names = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
+        environ = os.environ | dict.fromkeys(names, str(count))
         command = [sys.executable, __file__, "--threads-child"]
         command += ["--device", device] if device else []
         answer = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
@@ -156,7 +179,7 @@ def first_result(device: str | None) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
         path = os.path.join(folder, "frame.npy")
         np.save(path, vga(TEST_SEED).image)
-        caches = {"POCL_CACHE_DIR": folder, "XDG_CACHE_HOME": folder}
+        caches = dict.fromkeys(("POCL_CACHE_DIR", "XDG_CACHE_HOME", "CUDA_CACHE_PATH"), folder)
         code = _FIRST_RESULT.format(path=path, device=device)
         for k in range(4):
             answer = subprocess.run(
@@ -179,31 +202,67 @@ def first_result(device: str | None) -> list[dict[str, Any]]:
     return rows
 
 
-def copied(device: str | None) -> float:
-    """GB/s, read and written, of copying 64 MiB on the device."""
+def abilities(device: str | None) -> dict[str, float]:
+    """What the device does of what a frame is made of."""
     size = 64 << 20
     context = cl.Context([cmp_cl.select_device(device).handle])
     queue = cl.CommandQueue(context)
     first, second = (cl.Buffer(context, cl.mem_flags.READ_WRITE, size) for _ in range(2))
     cl.enqueue_fill_buffer(queue, first, np.uint32(1), 0, size)
+    program = cl.Program(context, _KERNELS).build([f"-DWORK={WORK}"])
+    nothing, operations = cl.Kernel(program, "nothing"), cl.Kernel(program, "operations")
+    nothing.set_args(first)
+    operations.set_args(first)
+    frame, few = np.zeros(480 * 640, np.uint8), np.zeros(2, np.uint32)
+
+    def launched(kernel: cl.Kernel, items: int, times: int) -> float:
+        def run() -> None:
+            for _ in range(times):
+                cl.enqueue_nd_range_kernel(queue, kernel, (items,), (64,))
+            queue.finish()
+
+        return float(milliseconds(run, 20)["ms"])
 
     def copy() -> None:
         cl.enqueue_copy(queue, second, first)
         queue.finish()
 
-    return 2 * size / milliseconds(copy, 10)["ms"] / 1e6
-
-
-def floor(frames_a_second: float, device: str | None) -> dict[str, float]:
-    """What a VGA frame must move at least, the image once and the corners once, against what
-    this device can move."""
-    least = 480 * 640 + 1936 * 8
-    bandwidth = copied(device)
     return {
-        "bytes_a_frame": least,
-        "copy_gb_s": bandwidth,
-        "frames_a_second_at_floor": bandwidth * 1e9 / least,
-        "times_the_floor": bandwidth * 1e9 / least / frames_a_second,
+        "copy_gb_s": 2 * size / milliseconds(copy, 10)["ms"] / 1e6,
+        "operations_a_second": 1e3 * WORK * size / 4 / launched(operations, size // 64, 1),
+        "launch_ms": launched(nothing, 64, 200) / 200,
+        "upload_ms": milliseconds(lambda: cl.enqueue_copy(queue, first, frame), 50)["ms"],
+        "answer_ms": milliseconds(lambda: cl.enqueue_copy(queue, few, first), 50)["ms"],
+    }
+
+
+def floor(frames: Sequence[dict[str, Any]], device: str | None) -> dict[str, float]:
+    """What a VGA frame must cost at least, one alone and among many, and the ratio to it.
+
+    Bytes: the image once and the corners once. Operations: binarization and criteria once.
+    Alone, a frame is uploaded, launches its kernels, and is asked for two answers: the count
+    of its corners and the corners.
+    """
+    image = vga(TEST_SEED).image
+    with Detector(shape=image.shape, device=device, profile=True) as detector:
+        detector(image)
+        launches = len(detector.times)
+    able = abilities(device)
+    moved = image.size + 1936 * 8
+    operations = image.size * (PIXEL_OPERATIONS + WORD_OPERATIONS / 32)
+    bound = min(able["copy_gb_s"] * 1e9 / moved, able["operations_a_second"] / operations)
+    alone = able["upload_ms"] + launches * able["launch_ms"] + 2 * able["answer_ms"]
+    one, *_ = (row["ms_per_frame"] for row in frames if row["what"] == "one by one")
+    best = min(row["ms_per_frame"] for row in frames)
+    return {
+        **able,
+        "bytes_a_frame": moved,
+        "operations_a_frame": operations,
+        "launches_a_frame": launches,
+        "frames_a_second_at_floor": bound,
+        "times_the_floor": bound * best / 1e3,
+        "alone_ms_at_floor": alone,
+        "alone_times_the_floor": one / alone,
     }
 
 
@@ -211,7 +270,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small sizes, half a minute")
     parser.add_argument("--device", help="as for cmp-cl: a name, an index, cpu or gpu")
-    parser.add_argument("--batch", type=int, help="another size of batch")
     parser.add_argument("--out", type=Path, help="the JSON to write")
     parser.add_argument("--threads-child", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args(argv)
@@ -226,21 +284,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     on_gpu = chosen.kind is cmp_cl.DeviceKind.GPU
     print(f"{chosen}, driver {chosen.driver}")
     shapes = SIZES[:4] if arguments.quick else [*SIZES, LARGEST]
-    batches = [*BATCHES[: 2 if arguments.quick else 4]]
-    batches += [256] if on_gpu else []
-    batches += [arguments.batch] if arguments.batch else []
-    frames = many(batches, device)
-    best = max(1e3 / row["ms_per_frame"] for row in frames)
+    frames = many(BATCHES[:3] if arguments.quick else BATCHES, device)
     result = {
         "kind": "scaling",
         "environment": environment() | {"device": str(chosen), "driver": chosen.driver},
         "frames": frames,
-        "floor": floor(best, device),
+        "floor": floor(frames, device),
         "sizes": sizes(shapes, device),
         "corners": stages_sparse(device),
         "first_result": first_result(device),
-        "threads": [] if on_gpu else threads(device),
+        "threads": threads(device) if "Portable" in chosen.platform else [],
     }
+    least = result["floor"]
+    print(
+        f"one frame takes {least['alone_times_the_floor']:.1f} times its upload, launches and "
+        f"answers; the best of many {least['times_the_floor']:.0f} times its bytes and operations"
+    )
     name = "scaling-gpu.json" if on_gpu else "scaling.json"
     out = arguments.out or (None if arguments.quick else RESULTS / name)
     if out is not None:
