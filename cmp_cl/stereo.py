@@ -21,6 +21,8 @@ _MAX_FILE = 1 << 20  # bytes
 _MIN_VIEWS = 3
 _MIN_NODES = 8  # of a board in a view
 _MAX_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not determine it
+_MAX_MISFIT = 1.0  # px that both cameras together may miss, or
+_MAX_MISFIT_RATIO = 3.0  # times what each misses alone
 _UNDISTORT = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 _ALIASES = {
     "K1": ("K1", "M1", "cameraMatrix1"),
@@ -60,7 +62,10 @@ class BinocularSplit:
 
     @classmethod
     def halves(cls, width: int, height: int) -> Self:
-        """The left and the right half of a frame of that size, px."""
+        """The left and the right half of a frame of that size, px; a middle column is left out.
+
+        Raises ConfigError where the frame is narrower than 2 px or has no row.
+        """
         half = width // 2
         return cls((0, 0, half, height), (width - half, 0, half, height))
 
@@ -159,7 +164,10 @@ class StereoRig:
             raise CalibrationError(f"{', '.join(map(str, paths))}: {error}") from error
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write K1 D1 K2 D2 R T and unit as YAML that OpenCV reads, whole or not at all."""
+        """Write K1 D1 K2 D2 R T and unit as YAML that OpenCV reads, whole or not at all.
+
+        Raises OSError.
+        """
         mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
         storage = cv2.FileStorage(".yml", mode)
         for name in _ALIASES:
@@ -358,8 +366,13 @@ def _open(path: str | PathLike[str]) -> cv2.FileStorage:
         return cv2.FileStorage(
             data.decode("utf-8"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY
         )
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"cannot read the calibration {str(path)!r}: {error}") from error
+    except OSError as error:
+        why = error.strerror
+        raise CalibrationError(f"cannot read the calibration {str(path)!r}: {why}") from error
+    except UnicodeDecodeError as error:
+        raise CalibrationError(
+            f"cannot read the calibration {str(path)!r}: it is no text in UTF-8"
+        ) from error
     except (cv2.error, SystemError) as error:
         raise CalibrationError(f"{path}: neither YAML, XML nor JSON as OpenCV writes it") from error
 
@@ -485,8 +498,9 @@ def calibrate(
     together. spacing: side of a square, in `unit`. image_size: (width, height) of either
     view, px.
 
-    Raises CalibrationError as `calibrate_camera` does, and FieldError where the grids of a
-    view have different shapes.
+    Raises CalibrationError as `calibrate_camera` does and where each camera fits its own
+    views but no pose between the two fits all of them, FieldError where the grids of a view
+    have different shapes.
     """
     for view, (left, right) in enumerate(views):
         if left.shape != right.shape:
@@ -518,6 +532,13 @@ def calibrate(
         )
     except cv2.error as failure:
         raise CalibrationError(f"the views do not determine a rig: {failure}") from failure
+    alone = max(one.error, two.error)
+    if not error <= max(_MAX_MISFIT, _MAX_MISFIT_RATIO * alone):
+        raise CalibrationError(
+            f"no pose between the cameras fits the views: both together miss by {error:.1f} px, "
+            f"each alone by {alone:.2f} px; check the shape of the board, and that left and "
+            "right views are pairs"
+        )
     return StereoCalibration(
         rig=StereoRig(
             _double(K1), _double(D1), _double(K2), _double(D2), _double(R), _double(T), unit
@@ -540,7 +561,8 @@ def _check_spacing(spacing: float) -> None:
 
 def _check_views(count: int) -> None:
     if count < _MIN_VIEWS:
-        raise CalibrationError(f"{count} views of the board, at least {_MIN_VIEWS} are needed")
+        noun = "view" if count == 1 else "views"
+        raise CalibrationError(f"{count} {noun} of the board, at least {_MIN_VIEWS} are needed")
 
 
 def _board(

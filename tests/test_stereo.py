@@ -1,5 +1,6 @@
 """Two views: what is placed in space is where it is, what cannot be placed says so."""
 
+import itertools
 import math
 import subprocess
 import sys
@@ -245,7 +246,7 @@ HEAD = b"%YAML:1.0\n---\nM1: !!opencv-matrix\n   dt: d\n"
     ("content", "words"),
     [
         (b"", "neither"),
-        (b"\x00\xff\xfe", "utf-8"),
+        (b"\x00\xff\xfe", "UTF-8"),
         (HEAD + b"   rows: 3\n   cols: 3\n   data: [ 1., 2.", "neither"),
         (HEAD + b"   rows: 3\n   cols: 3\n   data: [ 1. ]\n", "M1 is a damaged matrix"),
         (HEAD + b"   rows: 99999\n   cols: 99999\n   data: [ 1. ]\n", "M1 must be a small"),
@@ -379,6 +380,17 @@ def test_views_that_determine_nothing_are_refused():
         calibrate_camera([views[0][0], empty, views[1][0]], spacing=3, image_size=size)
     with pytest.raises(FieldError, match="view 0"):
         calibrate([(views[0][0], grid_of(np.ones((9, 7, 2))))], spacing=3, image_size=size)
+
+
+def test_views_that_are_no_pairs_are_refused():
+    views = boards(toed_in_rig(), np.random.default_rng(5), count=6)
+    mixed = [(left, right) for (left, _), (_, right) in itertools.pairwise(views)]
+    with pytest.raises(CalibrationError, match="no pose between the cameras"):
+        calibrate(mixed, spacing=3, image_size=(800, 1200))
+    shifted = [(grid_of(left.xy[:, 2:]), grid_of(right.xy[:, :-2])) for left, right in views]
+    shifted[0] = tuple(grid_of(grid.xy[:, 1:-1]) for grid in views[0])
+    with pytest.raises(CalibrationError, match="check the shape of the board"):
+        calibrate(shifted, spacing=3, image_size=(800, 1200))
 
 
 @pytest.mark.parametrize("seed", range(4))
