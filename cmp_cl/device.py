@@ -65,6 +65,8 @@ def select_device(text: str | None = None) -> Device:
 
     Raises DeviceError, which lists what there is, where nothing matches.
     """
+    if text is not None and not isinstance(text, str):
+        raise DeviceError(f"a device is named by a text such as '0:0' or 'cpu', not {text!r}")
     devices = list_devices()
     wanted = text if text is not None else os.environ.get(DEVICE_VARIABLE)
     if not devices:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import GridError
+from cmp_cl.errors import GridError, ImageError
 from cmp_cl.lattice import Lattice, lattice
 from cmp_cl.results import Corners, GreyImage, Grid, NodeStatus, check_image
 from cmp_cl.second_look import second_look
@@ -46,10 +46,12 @@ def build_grid(
 
     Raises GridError where the corners have no edge angles, where two patterns are seen, where
     the largest lattice is small against the number of corners, where `like` is empty or
-    contradicts `shape`; ImageError for an image that is not one.
+    contradicts `shape`; ImageError for an image that is not one, or not the corners' own.
     """
+    if not isinstance(corners, Corners):
+        raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
-        check_image(image)
+        _check_holds(check_image(image), corners)
     shape = _known_shape(shape, like)
     inside = _inside(corners, region)
     if len(inside) < 4:
@@ -142,13 +144,28 @@ class _Nodes:
         return cut
 
 
+def _check_holds(image: GreyImage, corners: Corners) -> None:
+    """Raise ImageError where a corner lies outside the image: it comes from another one."""
+    columns, rows = corners.pixel.max(axis=0, initial=-1) + 1
+    if rows > image.shape[0] or columns > image.shape[1]:
+        raise ImageError(
+            f"the corners reach over {rows} rows and {columns} columns, the image has shape "
+            f"{image.shape}; give the image that they were found in"
+        )
+
+
 def _known_shape(shape: tuple[int, int] | None, like: Grid | None) -> tuple[int, int] | None:
-    if shape is not None and (
-        len(shape) != 2 or not all(isinstance(n, int | np.integer) and n >= 1 for n in shape)
+    if shape is not None and not (
+        isinstance(shape, tuple | list)
+        and len(shape) == 2
+        and all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in shape)
+        and min(shape) >= 1
     ):
         raise GridError(f"shape must be (rows, columns), each at least 1, not {shape!r}")
     if like is None:
         return shape
+    if not isinstance(like, Grid):
+        raise GridError(f"like must be a Grid, not {type(like).__name__}")
     if not like.valid.any():
         raise GridError("the grid given as `like` has no nodes; give one that has been found")
     if shape is not None and tuple(shape) != like.shape:
@@ -159,9 +176,13 @@ def _known_shape(shape: tuple[int, int] | None, like: Grid | None) -> tuple[int,
 def _inside(corners: Corners, region: tuple[float, float, float, float] | None) -> Index:
     if region is None:
         return np.arange(len(corners))
-    x0, y0, x1, y1 = region
-    if not (x0 < x1 and y0 < y1):
-        raise GridError(f"region must be (x0, y0, x1, y1) with x0 < x1 and y0 < y1, not {region}")
+    try:
+        x0, y0, x1, y1 = map(float, region)
+        sensible = x0 < x1 and y0 < y1
+    except (TypeError, ValueError):
+        sensible = False
+    if not sensible:
+        raise GridError(f"region must be (x0, y0, x1, y1) with x0 < x1 and y0 < y1, not {region!r}")
     x, y = corners.xy.T
     return np.flatnonzero((x >= x0) & (x <= x1) & (y >= y0) & (y <= y1))
 

@@ -259,7 +259,12 @@ def check_image(image: Any) -> GreyImage:
 
     expected = "expected a NumPy array (H, W) of uint8 or uint16"
     if not isinstance(image, np.ndarray):
-        raise ImageError(f"{expected}, got {type(image).__name__}; numpy.asarray(image) converts")
+        hint = "numpy.asarray(image) converts"
+        if image is None:
+            hint = "cv2.imread gives None for a file that it cannot read"
+        elif isinstance(image, str | PathLike):
+            hint = "cv2.imread(image, cv2.IMREAD_GRAYSCALE) converts"
+        raise ImageError(f"{expected}, got {type(image).__name__}; {hint}")
     came = f"got shape {image.shape} of {image.dtype}"
     if image.ndim == 3 and image.shape[2] in (3, 4):
         code = "cv2.COLOR_BGR2GRAY" if image.shape[2] == 3 else "cv2.COLOR_BGRA2GRAY"
@@ -269,9 +274,14 @@ def check_image(image: Any) -> GreyImage:
             f"{expected}, {came}; image.reshape(height, width) or one frame of it converts"
         )
     if image.dtype not in (np.uint8, np.uint16):
-        hint = "numpy.clip(numpy.rint(image * gain), 0, 255).astype(numpy.uint8) converts"
-        if image.dtype.kind in "ui" and image.dtype.itemsize == 2:
-            hint = "image.astype(numpy.uint16) converts"
+        hint = (
+            "numpy.nan_to_num(image * (255 / white)).round().clip(0, 255).astype(numpy.uint8) "
+            "converts, white being its largest level"
+        )
+        if image.dtype == np.bool_:
+            hint = "image.astype(numpy.uint8) * 255 converts"
+        elif image.dtype.kind in "ui" and image.dtype.itemsize == 2:
+            hint = "image.clip(0).astype(numpy.uint16) converts"
         raise ImageError(f"{expected}, {came}; {hint}")
     row, column = image.strides
     if image.size and (

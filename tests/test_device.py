@@ -75,6 +75,11 @@ def test_a_device_that_is_not_there_is_an_error_that_lists_what_there_is(lab, te
         assert f"{known.index} {known}" in str(error.value)
 
 
+def test_a_number_is_no_name_of_a_device(lab):
+    with pytest.raises(DeviceError, match="a text such as '0:0' or 'cpu', not 0"):
+        select_device(0)
+
+
 def test_a_kind_that_is_not_there_is_no_second_choice(lab):
     lab.setattr(module, "list_devices", lambda: [POCL])
     with pytest.raises(DeviceError, match="'gpu'"):

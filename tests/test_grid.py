@@ -259,16 +259,24 @@ def test_nothing_found_is_an_empty_grid_or_one_of_the_known_shape():
 def test_requests_that_make_no_sense_are_refused():
     corners = board(6, 6).corners
     rest = build_grid(corners)
-    with pytest.raises(GridError, match="shape must be"):
-        build_grid(corners, shape=(0, 6))
+    for shape in ((0, 6), 6, "66", (6.0, 6.0), (True, 6), (6, 6, 6)):
+        with pytest.raises(GridError, match="shape must be"):
+            build_grid(corners, shape=shape)
     with pytest.raises(GridError, match="has \\(6, 6\\)"):
         build_grid(corners, shape=(5, 6), like=rest)
-    with pytest.raises(GridError, match="region must be"):
-        build_grid(corners, region=(50, 0, 40, 10))
+    for region in ((50, 0, 40, 10), (0, 0, 40), "left", (0, 0, np.nan, 10)):
+        with pytest.raises(GridError, match="region must be"):
+            build_grid(corners, region=region)
+    with pytest.raises(GridError, match="like must be a Grid, not Corners"):
+        build_grid(corners, like=corners)
+    with pytest.raises(GridError, match="Corners of an image, got ndarray"):
+        build_grid(corners.xy)
     with pytest.raises(GridError, match="has no nodes"):
         build_grid(corners, like=build_grid(keep(corners, corners.xy[:, 0] < 0)))
     with pytest.raises(ImageError):
         build_grid(corners, np.zeros((10, 10)))
+    with pytest.raises(ImageError, match="the image that they were found in"):
+        build_grid(corners, np.zeros((10, 10), np.uint8))
     corners.edges[:] = np.nan
     with pytest.raises(GridError, match="no edge angles"):
         build_grid(corners)
