@@ -124,27 +124,41 @@ def refine_markers(
     dense: Grid,
     count: int,
     image: GreyImage,
-    device: Device | None = None,
+    device: Device | str | None = None,
     contrast: float = 20,
 ) -> Grid:
     """The dense grid with its virtual markers moved across their edges, to where these are.
 
     dense: what `grid.with_virtual_markers(count)` gave. image: (H, W) uint8 or uint16.
-    device: None stands for `select_device()`. contrast: grey levels by which the two sides of
-    an edge must differ; where they do not, the marker stays.
+    device: a Device, a text for `select_device`, or None for the default device. contrast: grey
+    levels by which the two sides of an edge must differ; where they do not, the marker stays.
 
     On soft or worn edges the curve through the nodes is the better estimate, as it is on
-    rendered gels. Raises ImageError, DeviceError, KernelBuildError.
+    rendered gels. Raises GridError where the grid is not of that count, ImageError,
+    DeviceError, KernelBuildError.
     """
     check_image(image)
+    _check_count(dense, count)
     at = profiles(dense, count)
     if not len(at.place) or not image.size:
         return dense
-    shift = _shifts(image, at, device or select_device(), contrast)
+    device = device if isinstance(device, Device) else select_device(device)
+    shift = _shifts(image, at, device, contrast)
     shift = np.where(np.isnan(shift), 0, shift)
     xy = dense.xy.copy()
     xy[at.place[:, 0], at.place[:, 1]] += shift[:, None] * at.line[:, 2:]
     return dataclasses.replace(dense, xy=xy)
+
+
+def _check_count(dense: Grid, count: int) -> None:
+    """Raise GridError where these are not the nodes and markers of that many on each edge."""
+    times = count + 1
+    nodes = dense.status[::times, ::times]
+    if any(max(n - 1, 0) % times for n in dense.shape) or (nodes == NodeStatus.VIRTUAL).any():
+        raise GridError(
+            f"a grid of {dense.shape} nodes does not hold {count} virtual markers on each edge; "
+            "give what with_virtual_markers(count) gave, and its count"
+        )
 
 
 def _shifts(image: GreyImage, at: Profiles, device: Device, contrast: float) -> NDArray[np.float32]:

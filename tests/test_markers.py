@@ -124,6 +124,13 @@ def test_markers_are_pulled_onto_their_edges(dtype, parity):
     np.testing.assert_array_equal(refine_markers(wrong, 3, image).xy, dense.xy)
 
 
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_markers_of_another_count_are_refused(count):
+    image, grid = checkerboard(np.uint8, 0)
+    with pytest.raises(GridError, match=f"does not hold {count} virtual markers"):
+        refine_markers(grid.with_virtual_markers(3), count, image)
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (37, 53), (160, 200)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_the_kernel_does_what_the_oracle_does(shape, dtype):
@@ -140,7 +147,7 @@ def test_the_kernel_does_what_the_oracle_does(shape, dtype):
     expected[at.place[:, 0], at.place[:, 1]] += (
         np.where(np.isnan(shift), 0, shift)[:, None] * at.line[:, 2:]
     )
-    refined = refine_markers(dense, 3, image, select_device())
+    refined = refine_markers(dense, 3, image, select_device().index)
     apart = np.abs(refined.xy - expected)[dense.valid].max(1)
     # a crossing within rounding of a sample or of a second one may go the other way
     assert np.count_nonzero(apart > 1e-3) <= 0.002 * len(apart)
