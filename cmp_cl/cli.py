@@ -336,6 +336,8 @@ def _frames_in(paths: Sequence[Path]) -> int | None:
 def _csv_path(out: str | None) -> Path | None:
     if out is None:
         return None
+    if not out:
+        raise ConfigError("--out needs the name of a file")
     return Path(out) / "corners.csv" if os.path.isdir(out) else Path(out)
 
 
@@ -343,6 +345,8 @@ def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Pat
     """Where the overlay of each input goes; a missing folder is made."""
     if overlay is None:
         return {}
+    if not overlay:
+        raise ConfigError("--overlay needs the name of a picture or of a folder")
     suffix = Path(overlay).suffix.lower()
     if suffix in io.IMAGE_SUFFIXES and not os.path.isdir(overlay):
         if len(paths) > 1 or io.is_video(paths[0]):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.io import whole_file, write_bytes, write_csv
+from cmp_cl.io import check_target, whole_file, write_bytes, write_csv
 from cmp_cl.results import (
     DisplacementField,
     NodeStatus,
@@ -266,9 +266,7 @@ class SeriesWriter:
     """
 
     def __init__(self, path: str | PathLike[str], **constants: ArrayLike) -> None:
-        self._path = Path(path)
-        if self._path.is_dir():
-            raise IsADirectoryError(f"{str(path)!r} is a folder, not a file")
+        self._path = check_target(path)
         self._constants = {name: np.asarray(value) for name, value in constants.items()}
         self._files = contextlib.ExitStack()
         self._open = True

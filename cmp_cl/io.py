@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import dataclasses
+import errno
 import os
 import secrets
 from collections.abc import Iterable, Iterator, Sequence
@@ -41,25 +42,48 @@ def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
 
     It is a temporary file in the same folder, renamed at the end; what stood under the name
     stays until then. Devices and pipes are written as they are. Raises OSError where the
-    folder is missing or not writable.
+    folder is missing, not writable or full.
     """
-    if os.path.isdir(path):
-        raise IsADirectoryError(f"{str(path)!r} is a folder, not a file")
-    if os.path.exists(path) and not os.path.isfile(path):
-        with open(path, "wb") as file:
+    target = check_target(path)
+    if target.exists() and not target.is_file():
+        with _named(path), open(target, "wb") as file:
             yield file
         return
+    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
+    try:
+        with _named(path, temporary):
+            with open(temporary, "xb") as file:
+                yield file
+            os.replace(temporary, target)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def check_target(path: str | PathLike[str]) -> Path:
+    """The place that a path to write to names, with links resolved.
+
+    Raises OSError where it is empty or a folder, or lies in a folder that is not there.
+    """
+    if not os.fspath(path):
+        raise FileNotFoundError("'' is no name of a file")
+    if os.path.isdir(path):
+        raise IsADirectoryError(f"{str(path)!r} is a folder, not a file")
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise FileNotFoundError(f"there is no folder {str(target.parent)!r} to write to")
-    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
+    return target
+
+
+@contextlib.contextmanager
+def _named(path: str | PathLike[str], temporary: Path | None = None) -> Iterator[None]:
+    """Say the path in errors that name a temporary file, or a full disk and no file."""
+    full = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     try:
-        with open(temporary, "xb") as file:
-            yield file
-        os.replace(temporary, target)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.filename == str(temporary):
+        yield
+    except OSError as error:
+        unnamed = error.filename is None and error.errno in full
+        if unnamed or (temporary is not None and error.filename == str(temporary)):
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
 
@@ -102,7 +126,10 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     Raises FileNotFoundError for a path that is not there and for a folder without any.
     """
     found: list[Path] = []
-    for path in map(Path, paths):
+    for name in paths:
+        path = Path(name)
+        if not os.fspath(name):
+            raise FileNotFoundError("there is no file ''")
         if path.is_dir():
             inside = [
                 entry

@@ -277,7 +277,7 @@ def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatc
         (["frames", *STEREO, "--grid", "0x3"], ["0x3"]),
         (["frames", *STEREO, "--device", "abacus"], ["abacus"]),
         (["frames", *STEREO, "--out", "press.csv"], ["npz"]),
-        (["frames", *STEREO, "--out", "no/press.npz"], ["no"]),
+        (["frames", *STEREO, "--out", "no/press.npz"], ["there is no folder", "no'"]),
         (["frames", *STEREO, "--rerun", "press.txt"], ["rrd"]),
         (["frames", *STEREO, "--stereo", "frames/0.png"], ["frames/0.png"]),
         (["frames", "--out", "a.npz", "--split", "halves"], ["--stereo"]),
@@ -432,6 +432,7 @@ def test_two_cameras_with_files_of_their_own(run, boards):
         (["0.png", "--max-sigma", "0"], ["--max-sigma"]),
         (["0.png", "--board", "7"], ["7"]),
         (["0.png", "--out", "rig.txt"], ["yaml"]),
+        (["0.png", "--out", "no/rig.yaml"], ["there is no folder", "no'"]),
         (["--left", "0.png", "--right", "1.png", "--split", "halves"], ["--split"]),
     ],
 )

@@ -80,6 +80,12 @@ def test_a_missing_folder_and_a_folder_as_a_file_are_named(tmp_path):
         io.write_text(tmp_path, "")
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
+def test_a_full_disk_is_named():
+    with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
+        io.write_text("/dev/full", "much")
+
+
 def test_grey_comes_back_as_it_was_written(tmp_path):
     deep = NOISE.astype(np.uint16) * 16
     for suffix in (".png", ".tif", ".pgm"):

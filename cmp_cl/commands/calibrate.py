@@ -146,6 +146,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ConfigError(f"--max-sigma must be above 0 px, not {arguments.max_sigma}")
     if Path(arguments.out).suffix.lower() not in (".yaml", ".yml"):
         raise ConfigError(f"--out {shown(arguments.out)} must end in .yaml or .yml")
+    io.check_target(arguments.out)
 
 
 def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:

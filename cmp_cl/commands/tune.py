@@ -150,6 +150,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--mirror needs --split")
     if Path(arguments.out).suffix.lower() != ".toml":
         raise ConfigError(f"--out {shown(arguments.out)} must end in .toml")
+    io.check_target(arguments.out)
     device = select_device(arguments.device)
     views = _views(arguments)
     full, frames = _reference(views, arguments.markers, device, arguments.full_scale)
@@ -189,7 +190,7 @@ def _views(arguments: argparse.Namespace) -> list[GreyImage]:
         if kept and (view.shape != kept[0].shape or view.dtype != kept[0].dtype):
             raise ImageError(
                 f"views of {view.shape} {view.dtype} and {kept[0].shape} {kept[0].dtype}: "
-                "give frames of one size"
+                "give frames of one size and type"
             )
         if number % step == 0:
             kept.append(view)
