@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from cmp_cl.errors import FieldError
 from cmp_cl.field import mesh
 from cmp_cl.io import whole_file
-from cmp_cl.results import Corners, DisplacementField, GreyImage, Grid, Method, NodeStatus
+from cmp_cl.results import (
+    Corners,
+    DisplacementField,
+    GreyImage,
+    Grid,
+    Method,
+    NodeStatus,
+    check_image,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,8 +52,9 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR: the image enlarged by a
     whole factor, pixels as blocks, until a cell is about 32 px and the longer side at least
     1000 px, but at most 2400 px unless it came larger; the legend stands below it. A circle
-    surrounds each corner and a dot stands on its position.
+    surrounds each corner and a dot stands on its position. Raises ImageError.
     """
+    check_image(image)
     cell = _spacing(corners.xy)
     longest = max(*image.shape, 1)
     factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
@@ -124,7 +133,7 @@ def _with_strip(
     x = gap
     for (text, colour), advance in zip(entries, widths, strict=True):
         origin = (x, canvas.shape[0] + 24)
-        cv2.putText(picture, text, origin, font, size, colour, 1, cv2.LINE_AA)
+        cv2.putText(picture, text, origin, font, size, colour, 1, cv2.LINE_8)
         x += advance + gap
     return picture
 
@@ -133,8 +142,10 @@ def grid_overlay(image: GreyImage, grid: Grid) -> NDArray[np.uint8]:
     """The image with the lines of the grid, a dot on every node by status, and a legend.
 
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR, enlarged like
-    `corner_overlay`. The first row is drawn in red and the first column in blue.
+    `corner_overlay`. The first row is drawn in red and the first column in blue. Raises
+    ImageError.
     """
+    check_image(image)
     xy = grid.xy[grid.valid]
     cell = _spacing(xy)
     longest = max(*image.shape, 1)
@@ -179,12 +190,14 @@ def arrow_figure(
     image: (H, W), the frame of now. The colour is the arrow's length in px, or, with field,
     the length of the displacement in space. Needs matplotlib. `save_figure` writes it.
 
-    Raises FieldError where the grids or the field have different shapes.
+    Raises FieldError where the grids or the field have different shapes, ImageError.
     """
     from matplotlib.figure import Figure
 
+    check_image(image)
     if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
-        raise FieldError(f"rest, now and field must have one shape, not {rest.shape}, {now.shape}")
+        shapes = [rest.shape, now.shape, *([] if field is None else [field.status.shape])]
+        raise FieldError(f"rest, now and field must have one shape, not {shapes}")
     shift = (now.xy - rest.xy).astype(np.float64)
     length, unit = np.linalg.norm(shift, axis=2), "px"
     if field is not None:
@@ -366,10 +379,14 @@ class RerunLog:
         grid: Grid | None = None,
         field: DisplacementField | None = None,
     ) -> None:
-        """Show a frame: its picture, its grid on it, its surface with the displacements."""
+        """Show a frame: its picture, its grid on it, its surface with the displacements.
+
+        time_ms: NaN leaves it out of the clock's timeline.
+        """
         rerun, stream = self._rerun, self._stream
         stream.set_time("frame", sequence=index)
-        stream.set_time("time", duration=time_ms / 1000)
+        if not math.isnan(time_ms):
+            stream.set_time("time", duration=time_ms / 1000)
         if image is not None:
             stream.log("view", rerun.Image(image, color_model="L"))
         if grid is not None:

@@ -174,7 +174,7 @@ def find_pattern(
     cell = np.nan if best is None else cell_of(best)
     if best is None or not cell >= 4:
         size = "" if shape is None else f" of {shape[0]} x {shape[1]} corners"
-        raise GridError(f"no pattern{size} is seen: {why}")
+        raise GridError(f"no pattern{size} is found: {why}")
     return cell, best
 
 

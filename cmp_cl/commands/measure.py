@@ -202,8 +202,8 @@ class TwoViews(Measurement):
         if not fitting >= _LEAST_FITTING * both or not both:
             raise GridError(
                 f"the rig fits {fitting} of the {both} nodes that both views show to "
-                f"{_FITS:g} px; check the calibration, the split, mirrored views, and which "
-                "view is the left one"
+                f"{_FITS:g} px; check the calibration, the number of corners, the split, mirrored "
+                "views, and which view is the left one"
             )
         return points
 

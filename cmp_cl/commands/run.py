@@ -266,7 +266,7 @@ def run(arguments: argparse.Namespace) -> int:
             if film is not None:
                 film.frame(
                     index=shot.number,
-                    time_ms=0.0 if np.isnan(shot.time_ms) else shot.time_ms,
+                    time_ms=shot.time_ms,
                     image=measured.views[0],
                     grid=measured.grids[0],
                     field=measured.field if isinstance(measured, MeasuredInSpace) else None,
