@@ -6,9 +6,11 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from cmp_cl.commands.common import add_device
 from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep
 from cmp_cl.detector import Detector
 from cmp_cl.device import Device, select_device
+from cmp_cl.errors import ConfigError
 from cmp_cl.results import Corners, GreyImage
 from cmp_cl.scoring import score
 from cmp_cl.synthetic import Rendered, random_scene, render
@@ -23,16 +25,18 @@ def add_parser(commands: Any) -> None:
         "answer against the truth, and shows where the time goes.",
     )
     parser.add_argument("--repeats", type=int, default=100, help="frames of each configuration")
-    parser.add_argument("--device", metavar="NAME", help="as for cmp-cl detect")
+    add_device(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Time a few configurations on a rendered VGA frame, and check their answers.
 
-    Raises what Detector raises.
+    Raises ConfigError where there is nothing to repeat, and what Detector raises.
     """
-    measure(select_device(arguments.device), max(arguments.repeats, 1))
+    if arguments.repeats < 1:
+        raise ConfigError(f"--repeats must be 1 or more, not {arguments.repeats}")
+    measure(select_device(arguments.device), arguments.repeats)
     return 0
 
 
