@@ -1,7 +1,7 @@
 """What is missed, what is invented and how far off the rest is, by object, density, severity.
 
     python bench/accuracy.py --quick    30 scenes, about two minutes
-    python bench/accuracy.py            240 scenes, about twenty minutes; writes
+    python bench/accuracy.py            360 scenes, about twenty minutes; writes
                                         results/accuracy.json
 
 Every method sees the same rendered frames. A frame fails if one corner is missed or one is
@@ -203,7 +203,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         found = [name for name in found if not PEERS[name].slow]
     severities = (0.5, 1.0) if arguments.quick else SEVERITIES
     densities = DENSITIES[:3] if arguments.quick else DENSITIES
-    repeats = arguments.repeats or (1 if arguments.quick else 2)
+    repeats = arguments.repeats or (1 if arguments.quick else 3)
 
     around = environment()
     tables = Tables()
