@@ -58,6 +58,7 @@ step endurance python bench/endurance.py --minutes $minutes --openings $openings
 # shellcheck disable=SC2086
 step scaling python bench/scaling.py --device "$device" $scaling --out "$out/scaling-gpu.json"
 step speed python bench/speed.py --quick --out "$out/speed.json"
+step report python bench/report.py --results "$out"
 if [ ${#failed[@]} -gt 0 ]; then
     echo "FAILED: ${failed[*]}"
     exit 1

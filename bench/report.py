@@ -840,7 +840,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, write in sections.items():
         result = read(RESULTS if name == "peer_settings" else folder, name)
         if result is None:
-            text.append(f"## {name}\n\nNot measured yet: there is no results/{name}.json.\n")
+            text.append(f"## {name}\n\nNot measured: there is no {name}.json.\n")
         else:
             text.append(write(result))
     if (folder / "methods.jpg").is_file():
