@@ -271,7 +271,7 @@ def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
     nearest = [np.where(rest_colour == colour, away, np.inf).argmin(1) for colour in (0, 1)]
     name = np.full(nodes.at.size, -1)
     name[voters] = np.arange(len(voters))
-    best = -1
+    ballots = []
     for quarters in range(4):
         turned = nodes.turned(quarters)
         names = np.rot90(name.reshape(nodes.at.shape), quarters)
@@ -279,21 +279,20 @@ def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
         voter = names[row, column]
         colour = (turned.parity + row + column) % 2
         chosen_rest = np.where(colour == 0, nearest[0][voter], nearest[1][voter])
-        weights = _window_weights(turned, bend, like.shape)
         row = row - rest_row[chosen_rest] + like.shape[0]
         column = column - rest_column[chosen_rest] + like.shape[1]
-        cast = (row >= 0) & (row < weights.shape[0]) & (column >= 0) & (column < weights.shape[1])
-        votes = np.zeros_like(weights)
+        votes = np.zeros(np.add(turned.at.shape, like.shape) + 1, np.int64)
+        cast = (row >= 0) & (row < votes.shape[0]) & (column >= 0) & (column < votes.shape[1])
         np.add.at(votes, (row[cast], column[cast]), 1)
-        first = np.indices(weights.shape).sum(0) + sum(like.shape)
-        weights = np.where((turned.parity + first) % 2 == like.parity, weights, 0)
-        rival = weights >= weights.max() - WHOLE * min(like.shape) / 2
-        choice = np.where(rival, votes * (WHOLE * turned.at.size + 1) + weights, -1)
-        if int(votes.max()) > best:
-            best = int(votes.max())
-            top, left = np.unravel_index(int(choice.argmax()), choice.shape)
-            found = turned.window(int(top) - like.shape[0], int(left) - like.shape[1], like.shape)
-    return found
+        ballots.append((turned, votes))
+    turned, votes = max(ballots, key=lambda ballot: int(ballot[1].max()))
+    weights = _window_weights(turned, bend, like.shape)
+    first = np.add.outer(np.arange(votes.shape[0]), np.arange(votes.shape[1])) + sum(like.shape)
+    weights = np.where((turned.parity + first) % 2 == like.parity, weights, 0)
+    rival = weights >= weights.max() - WHOLE * min(like.shape) / 2
+    choice = np.where(rival, votes * (WHOLE * turned.at.size + 1) + weights, -1)
+    top, left = np.unravel_index(int(choice.argmax()), choice.shape)
+    return turned.window(int(top) - like.shape[0], int(left) - like.shape[1], like.shape)
 
 
 # ((weight), ((row, column, factor), ...)) of each prediction of a node from its neighbours
@@ -479,6 +478,8 @@ def _look_again(nodes: _Nodes, image: GreyImage, least: float) -> bool:
     """Refine at the predictions of missing nodes; whether any was found."""
     row, column, at, weight, cell, line = _expected(nodes, least)
     new = weight > nodes.looked[row, column]
+    if not new.any():
+        return False
     row, column, at, cell, line = row[new], column[new], at[new], cell[new], line[new]
     nodes.looked[row, column] = weight[new]
     seen = second_look(image, at, cell, line)

@@ -32,6 +32,8 @@ def second_look(image: GreyImage, at: Points, cell: Float, line: Points) -> Poin
     """
     found = _look(image, at, at, RINGS[:1].repeat(len(at), 0), cell, line)
     left = np.flatnonzero(np.isnan(found.real))
+    if not len(left):
+        return found
     rings = np.repeat(RINGS, len(STARTS), 0)
     starts = np.tile(STARTS, len(RINGS))
     each = left.repeat(len(starts))

@@ -317,6 +317,22 @@ def test_numbering_is_quick():
     assert min(times) < 6e-3  # about 2.7 ms; a loop over corners would take 20
 
 
+def test_a_frame_without_holes_is_not_looked_at_again(monkeypatch):
+    def fails(*_):
+        raise AssertionError("a second look, with nothing missing")
+
+    monkeypatch.setattr("cmp_cl.grid.second_look", fails)
+    whole = board(9, 12)
+    x, y = whole.corners.pixel.max(axis=0) + 20
+    image = np.zeros((y, x), np.uint8)
+    for shape in (None, (9, 12)):
+        grid = build_grid(whole.corners, image, shape=shape)
+        assert (grid.status == NodeStatus.DETECTED).all()
+    monkeypatch.setattr("cmp_cl.grid.second_look", lambda image, at, *_: np.full_like(at, np.nan))
+    holed = keep(whole.corners, np.arange(len(whole.corners)) != 50)
+    assert np.count_nonzero(build_grid(holed, image).status == NodeStatus.INTERPOLATED) == 1
+
+
 def test_rings_are_the_refinements():
     assert [len(ring(radius)) for radius in (4, 5)] == [24, 28]
     assert ring(4)[0] == -4j
