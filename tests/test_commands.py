@@ -400,7 +400,7 @@ def test_calibrate_finds_the_cameras_again(run, boards, monkeypatch):
     cv2.imwrite("4.png", np.full((VIEW[0], 2 * VIEW[1]), 90, np.uint8))
     status, out, err = run("calibrate", *(f"{number}.png" for number in range(5)), *BOARD)
     assert status == 0
-    assert err.startswith("cmp-cl: left out 4.png: no pattern of 7 x 7 corners is seen")
+    assert err.startswith("cmp-cl: left out 4.png: no pattern of 7 x 7 corners is found")
     assert "wrote rig.yaml: 4 views" in out
     rig = StereoRig.load("rig.yaml")
     assert rig.K1[0, 0] == pytest.approx(RIG.K1[0, 0], rel=0.02)

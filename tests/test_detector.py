@@ -381,10 +381,10 @@ def test_times_of_the_stages(device, detector):
         stages = {launch.stage for launch in profiled._plan(None).front}
         assert set(profiled.times) >= stages | {"centroid", "edge_lines"}
         assert all(ms >= 0 for ms in profiled.times.values())
-        first = sum(profiled.times.values())
-        for _ in range(20):
+        launches = len(profiled._plan(None).events)
+        for _ in range(3):
             profiled(BOARD)
-        assert sum(profiled.times.values()) < 10 * first  # of the last frame alone
+        assert len(profiled._plan(None).events) == launches  # of the last frame alone
 
 
 def test_a_closed_detector(device):
