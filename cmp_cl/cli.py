@@ -1,4 +1,4 @@
-"""The command line: `cmp-cl devices | detect | render | demo | run | calibrate | tune`.
+"""The command line: `cmp-cl devices | detect | render | demo | run | calibrate | tune | bench`.
 
 Exit status: 0 done, 1 no device was found by `devices`, 2 something asked for could not be
 done (one line on stderr says what), 130 interrupted.

@@ -343,8 +343,11 @@ def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) 
 class RerunLog:
     """Shows frames in Rerun: in its viewer, or recorded to a .rrd file for it.
 
-    path: the file, None to open the viewer. Needs rerun-sdk. The file appears when the
-    `with` block ends, also by an exception or Ctrl-C.
+    path: the file, None to open the viewer. Needs rerun-sdk 0.23 or newer. The file appears
+    when the `with` block ends, also by an exception or Ctrl-C.
+
+    Raises ImportError without rerun-sdk, RuntimeError where its viewer is not found on the
+    PATH, OSError where the file cannot be written.
     """
 
     def __init__(self, path: str | PathLike[str] | None = None) -> None:

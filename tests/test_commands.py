@@ -308,7 +308,9 @@ def test_two_views_without_a_calibration_are_explained(run, recording, monkeypat
 
 def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    fails_in_one_line(run("run", recording, *STEREO, "--rerun", "a.rrd"), "cmp-cl[view]")
+    fails_in_one_line(
+        run("run", recording, *STEREO, "--rerun", "a.rrd"), "pip install 'rerun-sdk>=0.23'"
+    )
     assert not list(tmp_path.glob("*.npz"))
 
 
@@ -352,7 +354,7 @@ def test_without_matplotlib_demo_says_so_and_writes_the_rest(
     status, out, err = run("demo")
     assert status == 0
     assert err.count("\n") == 1
-    assert "cmp-cl[plot]" in err
+    assert "pip install matplotlib" in err
     assert (tmp_path / "cmp-demo" / "grid.png").exists()
     assert (tmp_path / "cmp-demo" / "field.vtp").exists()
     assert not (tmp_path / "cmp-demo" / "surface.png").exists()

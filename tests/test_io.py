@@ -1,6 +1,7 @@
 """Files: written whole or not at all; images and videos read as grey; CSV with units."""
 
 import csv
+import itertools
 import os
 import stat
 
@@ -167,6 +168,33 @@ def test_a_video_cut_off_gives_what_is_left_and_marks_the_rest(tmp_path):
     assert [frame.index for frame in frames] == list(range(40))
     assert 1 < len(broken) < 39
     assert broken == list(range(broken[0], 40))
+
+
+class Dead:
+    """A video or a camera that opens, promises a million frames and gives none."""
+
+    def __init__(self, _):
+        pass
+
+    def isOpened(self):
+        return True
+
+    def get(self, _):
+        return 1e6
+
+    def read(self):
+        return False, None
+
+    def release(self):
+        pass
+
+
+def test_frames_that_never_come_are_not_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", Dead)
+    (tmp_path / "dead.avi").write_bytes(b"")
+    for frames in (io.read_frames(tmp_path / "dead.avi"), io.read_camera(0)):
+        some = list(itertools.islice(frames, 2 * io.LONGEST_GAP))
+        assert [frame.image for frame in some] == [None] * io.LONGEST_GAP
 
 
 def test_a_video_that_is_none_is_an_image_error(tmp_path):

@@ -213,7 +213,7 @@ def _pictures(folder: Path, measured: MeasuredInSpace, left_at_rest: Grid) -> li
     except ImportError:
         print(
             "cmp-cl: arrows and surfaces need matplotlib, which is not installed: "
-            "pip install 'cmp-cl[plot]'",
+            "pip install matplotlib",
             file=sys.stderr,
         )
         return written

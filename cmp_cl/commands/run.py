@@ -299,7 +299,7 @@ def _film(path: str | None, stack: contextlib.ExitStack) -> RerunLog | None:
     try:
         return stack.enter_context(RerunLog(path))
     except ImportError as error:
-        raise ConfigError("--rerun needs rerun-sdk: pip install 'cmp-cl[view]'") from error
+        raise ConfigError("--rerun needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
 
 
 def _why_broken(shot: _Shot, rest: GreyImage) -> str:
