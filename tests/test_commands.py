@@ -25,6 +25,7 @@ from cmp_cl import (
 )
 from cmp_cl.commands import calibrate, demo, tune
 from cmp_cl.commands.common import alike, exact_config, split_of, turned
+from cmp_cl.field import _Column
 from cmp_cl.io import Frame
 from cmp_cl.synthetic import (
     Indenter,
@@ -264,6 +265,21 @@ def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatc
     status, _, _ = run("run", recording, *STEREO)
     assert status == 130
     assert np.load("press.npz")["index"].tolist() == [0]
+
+
+def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press, monkeypatch):
+    copied = _Column.copy
+
+    def copy(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        copied(*arguments)
+
+    monkeypatch.setattr(_Column, "copy", copy)
+    status, _, _ = run("run", recording, *STEREO)
+    assert status == 0
+    assert len(np.load("press.npz")["index"]) == len(press)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.parametrize(

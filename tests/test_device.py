@@ -75,6 +75,13 @@ def test_a_device_that_is_not_there_is_an_error_that_lists_what_there_is(lab, te
         assert f"{known.index} {known}" in str(error.value)
 
 
+def test_an_index_is_no_part_of_a_name(lab):
+    lab.setattr(module, "list_devices", lambda: [dataclasses.replace(CARD, name="card 11:0")])
+    assert select_device("card 11") == select_device("1:0")
+    with pytest.raises(DeviceError, match="'11:0'"):
+        select_device("11:0")
+
+
 def test_a_number_is_no_name_of_a_device(lab):
     with pytest.raises(DeviceError, match="a text such as '0:0' or 'cpu', not 0"):
         select_device(0)

@@ -123,6 +123,11 @@ def test_nodes_have_the_colour_of_their_status_and_lines_join_neighbours():
     assert blue[2] > blue[1]
 
 
+def test_no_two_statuses_share_a_colour():
+    assert STATUS_COLOURS.keys() == set(NodeStatus)
+    assert len(set(STATUS_COLOURS.values())) == len(NodeStatus)
+
+
 def test_an_empty_grid_is_a_picture_too():
     picture = grid_overlay(np.zeros((40, 40), np.uint16), grid_of(np.full((2, 2, 2), np.nan)))
     assert picture.ndim == 3

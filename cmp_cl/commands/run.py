@@ -248,6 +248,7 @@ def run(arguments: argparse.Namespace) -> int:
         measure = stack.enter_context(_measurement(rest, rig, wanted, arguments))
         film = _film(arguments.rerun, stack)
         series = stack.enter_context(SeriesWriter(arguments.out, **measure.constants))
+        stack.callback(signal.signal, signal.SIGINT, signal.SIG_IGN)  # while it is written
         progress = stack.enter_context(Progress(source.total, "frames"))
         for shot in stack.enter_context(contextlib.closing(shots)):
             if stopped():
