@@ -18,10 +18,11 @@ typedef short16 CONTRASTS;
 typedef ushort16 GREYS;
 typedef uint16 GREY_SUMS;
 typedef int16 CONTRASTS;
+/* By halves: no vector longer than a CPU's may be the argument of a function. */
 #define AS_GREYS(v) as_ushort16(v)
-#define AS_SUMS(v) as_uint16(convert_int16(as_short16(v)))
-#define TO_SUMS(v) convert_uint16(v)
-#define TO_CONTRASTS(v) convert_int16(v)
+#define AS_SUMS(v) as_uint16(TO_CONTRASTS(as_short16(v)))
+#define TO_SUMS(v) (uint16)(convert_uint8((v).lo), convert_uint8((v).hi))
+#define TO_CONTRASTS(v) (int16)(convert_int8((v).lo), convert_int8((v).hi))
 #endif
 typedef GREYS __attribute__((aligned(1))) GREYS_ANYWHERE;
 typedef CONTRASTS __attribute__((aligned(1))) CONTRASTS_ANYWHERE;
@@ -86,19 +87,21 @@ void transpose(GREYS *v) {
   interleave(other, v);
 }
 
-CONTRASTS means_of_run(const GREY_SUMS sums, const GREYS lengths) {
-  CONTRASTS means;
-  for (int k = 0; k < BLOCK; ++k)
-    ((CONTRAST *)&means)[k] = mean_of_run(((const SUM *)&sums)[k], ((const PIXEL *)&lengths)[k]);
-  return means;
-}
+/* Lane k of a vector. */
+#define LANE_OF(T, v, k) ((T *)&(v))[k]
+
+#define MEANS_OF_RUN(means, sums, lengths)                                          \
+  CONTRASTS means;                                                                  \
+  for (int k = 0; k < BLOCK; ++k)                                                   \
+    LANE_OF(CONTRAST, means, k) =                                                   \
+        mean_of_run(LANE_OF(const SUM, sums, k), LANE_OF(const PIXEL, lengths, k));
 
 /* Eqs. 21 and 24, and the gate's contrasts, as sector_contrast of gate.cl has them. */
 Sectors sectors_of(Samples *samples, const CONTRAST sector_threshold) {
   const int inner_order[] = INNER_ORDER, outer_order[] = OUTER_ORDER;
   const ushort16 colours = samples->colours;
-#define COLOUR(k) AS_GREYS((colours & (ushort)(1 << inner_order[k])) != (ushort16)(0))
-  const GREYS start = COLOUR(0);
+#define BLACK_AT_PLACE(k) AS_GREYS((colours & (ushort)(1 << inner_order[k])) != (ushort16)(0))
+  const GREYS start = BLACK_AT_PLACE(0);
   GREYS before = start, lo = 0, hi = 0, lo_length = 0, hi_length = 0, l3 = 0;
   transpose(samples->inner);
   transpose(samples->outer);
@@ -106,7 +109,7 @@ Sectors sectors_of(Samples *samples, const CONTRAST sector_threshold) {
   GREY_SUMS sum = 0, lo_sum = 0, hi_sum = 0, s3 = 0;
   for (int i = 0; i < 16; ++i) {
     /* The run of a sample, modulo 4, has the digits hi and lo. */
-    const GREYS black = COLOUR(i);
+    const GREYS black = BLACK_AT_PLACE(i);
     hi ^= (black ^ before) & lo;
     lo = black ^ start;
     before = black;
@@ -138,8 +141,10 @@ Sectors sectors_of(Samples *samples, const CONTRAST sector_threshold) {
       TO_CONTRASTS(SMALLER(n0, n2)) + TO_CONTRASTS(SMALLER(n1, n3)) - (CONTRAST)FULL;
   found.contrast = SMALLER(found.inner, outer);
   const GREY_SUMS s1 = lo_sum - s3, s2 = hi_sum - s3, s0 = sum - s1 - s2 - s3;
-  const CONTRASTS e0 = means_of_run(s0, l0), o1 = means_of_run(s1, l1);
-  const CONTRASTS e2 = means_of_run(s2, l2), o3 = means_of_run(s3, l3);
+  MEANS_OF_RUN(e0, s0, l0)
+  MEANS_OF_RUN(o1, s1, l1)
+  MEANS_OF_RUN(e2, s2, l2)
+  MEANS_OF_RUN(o3, s3, l3)
   const CONTRASTS even_above = SMALLER(e0, e2) - LARGER(o1, o3);
   const CONTRASTS odd_above = SMALLER(o1, o3) - LARGER(e0, e2);
   const CONTRASTS starts_black = TO_CONTRASTS(start) != (CONTRASTS)(0);
@@ -154,10 +159,10 @@ typedef struct {
 } Lists;
 
 /* The first `count` of sixteen numbers. */
-void store(const CONTRASTS values, const uint count, __global CONTRAST *to) {
-  if (count == BLOCK) *(__global CONTRASTS_ANYWHERE *)to = values;
+void store(const CONTRASTS *values, const uint count, __global CONTRAST *to) {
+  if (count == BLOCK) *(__global CONTRASTS_ANYWHERE *)to = *values;
   else
-    for (uint k = 0; k < count; ++k) to[k] = ((const CONTRAST *)&values)[k];
+    for (uint k = 0; k < count; ++k) to[k] = LANE_OF(const CONTRAST, *values, k);
 }
 
 /* The numbers of `filled` candidates into the lists, as far as they have room, and how often
@@ -167,12 +172,12 @@ uint finish_block(Samples *samples, const uint filled, const CONTRAST sector_thr
   const Sectors sectors = sectors_of(samples, sector_threshold);
   const uint n = lists.n;
   const uint count = n < lists.room ? SMALLER(filled, lists.room - n) : 0;
-  store(sectors.inner, count, lists.inner + n);
-  store(sectors.contrast, count, lists.contrast + n);
-  store(sectors.mean_difference, count, lists.mean_difference + n);
-  store(sectors.response, count, lists.response + n);
+  store(&sectors.inner, count, lists.inner + n);
+  store(&sectors.contrast, count, lists.contrast + n);
+  store(&sectors.mean_difference, count, lists.mean_difference + n);
+  store(&sectors.response, count, lists.response + n);
   for (uint k = 0; k < count; ++k) {
-    const CONTRAST inner = ((const CONTRAST *)&sectors.inner)[k];
+    const CONTRAST inner = LANE_OF(const CONTRAST, sectors.inner, k);
     ++bins[LARGER(inner, 0) >> (PIXEL_BITS - 8)];
   }
   return n + filled;
@@ -215,9 +220,9 @@ __kernel void gate_words(__global const PIXEL *restrict image, __global const ui
     for (uint i = 0; i < width; ++i)
       for (uint left = found[y * width + i]; left; left &= left - 1) {
         const uint x = 32 * i + 31 - clz(left & (0u - left));
-#define COLOURS_FROM(dy, first, places) \
+#define BITS_FROM(dy, first, places) \
   | (bits_from(row + (dy) * (int)width, x + (first)) & (places))
-        ((ushort *)&samples.colours)[filled] = (ushort)(0 INNER_PLACES(COLOURS_FROM));
+        LANE_OF(ushort, samples.colours, filled) = (ushort)(0 INNER_PLACES(BITS_FROM));
 #define GREYS_FROM(dy, first, places) \
   | (*(__global const GREYS_ANYWHERE *)(line[(dy) + REACH] + x + (first)) & PLACES(places))
         samples.inner[filled] = (GREYS)(0) INNER_PLACES(GREYS_FROM);
