@@ -43,13 +43,22 @@ def read_maps(plan: Plan) -> Maps:
             values["candidate"] = _candidate_words(plan)
         elif launch.stage == "keep":
             values["contrast"] = _contrast(plan)
+        elif launch.stage == "suppress_bands":
+            if plan.config.contrast is not None:
+                values["contrast"] = _contrast_in_words(plan, values["candidate"])
+            values |= _responses(plan)
+            values["maximum"] = _maxima_words(plan)
         elif launch.stage == "tent_rows":
-            kept = _plane(plan, plan.response, response, masks=False)
-            values["response"] = kept.astype(np.int32)
-            values["score"] = _score_map(plan)
+            values |= _responses(plan)
         elif launch.stage == "maximum":
             values["maximum"] = _plane(plan, plan.arrays["binary"], np.uint8, masks=False) > 0
     return Maps(**values)
+
+
+def _responses(plan: Plan) -> dict[str, NDArray[np.int32]]:
+    rapid = isinstance(plan.config.criteria, RapidCriteria)
+    kept = _plane(plan, plan.response, np.uint8 if rapid else np.int32, masks=False)
+    return {"response": kept.astype(np.int32), "score": _score_map(plan)}
 
 
 def no_maps(shape: tuple[int, int], config: DetectorConfig) -> Maps:
@@ -138,6 +147,30 @@ def _contrast(plan: Plan) -> NDArray[np.int32]:
         x, y = positions[plane, : totals[plane]].T
         image[plane, y, x] = contrast[plane, : totals[plane]]
     return image[0] if planes == 1 else image
+
+
+def _contrast_in_words(plan: Plan, candidate: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """The same from the lists of the bands."""
+    rows, planes, room = plan.working[0], plan.masks, plan.candidate_room
+    starts = np.empty((planes, rows), np.uint32)
+    contrast = np.empty((planes, room), np.int16 if plan.dtype == np.uint8 else np.int32)
+    cl.enqueue_copy(plan.queue, starts, plan.arrays["row_starts"])
+    cl.enqueue_copy(plan.queue, contrast, plan.arrays["contrast"])
+    image = np.zeros(candidate.shape, np.int32)
+    for plane in range(planes):
+        at = (plane,) if planes == 3 else ()
+        y, x = np.nonzero(candidate[at])
+        place = starts[plane, y] + np.arange(len(y)) - np.searchsorted(y, y)
+        image[(*at, y, x)] = contrast[plane, place]
+    return image
+
+
+def _maxima_words(plan: Plan) -> NDArray[np.bool_]:
+    rows, columns = plan.working
+    bits = np.empty((rows, plan.step // 8), np.uint8)
+    cl.enqueue_copy(plan.queue, bits, plan.arrays["maxima"])
+    padded = np.unpackbits(bits, axis=1, bitorder="little")
+    return padded[:, plan.pad : plan.pad + columns] > 0
 
 
 def _candidate_words(plan: Plan) -> NDArray[np.bool_]:

@@ -148,6 +148,7 @@ class Plan:
             "CONTRAST": "int" if deep else "short",
             "SUM": "uint" if deep else "ushort",
             "MEANS": "int" if deep else "short",
+            "RADIUS": self.config.nms_radius,
             "RESPONSE": "uchar" if rapid else "int",
             "SCORE": "ushort" if rapid else "int",
             "SCALED": int(self.scale is not None),
@@ -193,7 +194,11 @@ class Plan:
             stages.append("criteria_words")
         if self.config.contrast is not None:
             stages.append("gate")
-        return [*stages, "nms", "collect", "refine"]
+        if not self._in_words:
+            return [*stages, "nms", "collect", "refine"]
+        if self.config.contrast is not None:
+            stages.append("gate_words")
+        return [*stages, "nms", "nms_bands", "refine"]
 
     # What is allocated
 
@@ -213,14 +218,12 @@ class Plan:
             "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
             "mask": 4 * self.plane_words if self._in_words else plane + spare,
             "binary": planes * plane + spare,
-            "responses": response * (planes * plane + spare),
             "work": max(
                 sum(_multiple(size, ALIGNMENT) for size in layout.values())
                 for layout in self._layouts
             ),
             "row_counts": 4 * planes * self.working[0],
             "totals": 4 * (planes + self.frames),
-            "zeros": score * self.step,
             "corners": 8 * rows,
             "starts": 4 * self.frames,
             "start": 12 * length,
@@ -229,11 +232,17 @@ class Plan:
         if self._in_words:
             sizes["words"] = 4 * (planes * self.plane_words + 2 * self._words_margin)
             sizes["candidate_words"] = 4 * planes * self.plane_words
+            sizes["row_starts"] = 4 * planes * self.working[0]
+            sizes["maxima"] = self.frames * plane // 8
+            sizes["response"] = self.frames * plane + spare
+        else:
+            sizes["responses"] = response * (planes * plane + spare)
+            sizes["zeros"] = score * self.step
         if self.scale is not None:
             sizes["working"] = (self.frames * plane + spare) * pixel
         if self.masks == 3:
             sizes["response"] = response * (self.frames * plane + spare)
-        if gate or self._in_words:
+        if gate and not self._in_words:
             sizes["candidates"] = 8 * room
         if gate:
             sizes["noise"] = 8 * self.frames * self._bands
@@ -260,8 +269,15 @@ class Plan:
             contrasts = dict.fromkeys(CONTRASTS, 2 * pixel * room)
             if isinstance(self.config.criteria, RapidCriteria):
                 contrasts["samples"] = CHANNELS * pixel * room
-            layouts.append(contrasts)
-        layouts.append({"key": score * plane, "tent": score * plane})
+            if not self._in_words:
+                layouts.append(contrasts)
+        if self._in_words:
+            kept = 4 * (2 * self.config.nms_radius + 3)  # rows of a band
+            contrasts = dict.fromkeys(CONTRASTS, 2 * pixel * room)
+            bands = self.frames * self._row_bands
+            layouts.append({**contrasts, "kept": 2 * kept * self.step * bands})
+        else:
+            layouts.append({"key": score * plane, "tent": score * plane})
         if self.config.refinement is not None:
             layouts.append({"points": 4 * POINT_FIELDS * length, "lines": 4 * LINE_FIELDS * length})
             if self.scale is None:
@@ -280,7 +296,20 @@ class Plan:
         return 1 if whole or self.device.kind is not DeviceKind.CPU else 8
 
     @property
+    def _band_rows(self) -> int:
+        """Rows that a work-item on a CPU takes: enough for the rows beside them to matter little,
+        and few enough for each core to have its share."""
+        return min(max(-(-self.working[0] // 4), 8), 40)
+
+    @property
+    def _row_bands(self) -> int:
+        return -(-self.working[0] // self._band_rows)
+
+    @property
     def _parts(self) -> int:
+        """Shares of the list of candidates whose contrasts are counted apart."""
+        if self._in_words:
+            return self._row_bands
         return 16 if self.device.kind is DeviceKind.CPU else 256
 
     def _allocate(self) -> None:
@@ -359,7 +388,9 @@ class Plan:
         self.front = [*self._scale_stage(), *self._binarize_stages(), *self._criteria_stages()]
         if self.config.contrast is not None:
             self.front += self._gate_stages(self.config.contrast)
-        self.front += self._suppression_stages()
+        self.front += (
+            self._suppression_in_bands() if self._in_words else self._suppression_stages()
+        )
         self._refined_length = 0
         self._totals = np.empty(self.frames * (self.masks + 1), np.uint32)
 
@@ -492,8 +523,8 @@ class Plan:
             np.int32(criteria.ring_threshold),
             np.int32(criteria.corrosion_threshold or 0),
         )
-        found = (b["candidate_words"], rows, step, words)
-        counted = (b["candidate_words"], b["row_counts"], rows, step, words, room)
+        band_rows = np.uint32(self._band_rows)
+        contrast = np.int32 if self.dtype == np.uint16 else np.int16
         stages = [
             self._stage(
                 "pack", (width, height, planes), None, b["binary"], rows, step, words, b["words"]
@@ -508,22 +539,14 @@ class Plan:
                 words,
                 *thresholds,
                 b["candidate_words"],
-            ),
-            self._rows("count_candidate_words", self.working[0], planes, *found, b["row_counts"]),
-            self._rows(
-                "list_candidate_words",
-                self.working[0],
-                planes,
-                *counted,
-                b["candidates"],
                 b["totals"],
             ),
-            self._rows("clear_responses", planes * self.working[0], 1, rows, step, b["responses"]),
         ]
         if self.config.contrast is None:
-            listed = (b["binary"], b["candidates"], b["totals"], rows, step, room)
-            threshold = np.uint32(criteria.sector_threshold)
-            stages.append(self._list("sector_response", *listed, threshold, b["responses"]))
+            sector_threshold = contrast(criteria.sector_threshold)
+            found = (b["words"], b["candidate_words"], rows, step, words, room, band_rows)
+            lists = (b["totals"], b["row_starts"], b["sector_response"])
+            stages.append(self._banded("sector_responses", planes, *found, sector_threshold, *lists))
         return stages
 
     def _spectral(self, criteria: SpectralCriteria, corrosion: np.int8) -> Sequence[Any]:
@@ -584,10 +607,18 @@ class Plan:
                 "noise_of_band", bands, self.frames, b["noise_sums"], columns, step, b["noise"]
             ),
         ]
-        listed = (b["candidates"], b["totals"])
         criteria = self.config.criteria
-        if isinstance(criteria, RapidCriteria):
-            signed = np.int32 if deep else np.int16
+        signed = np.int32 if deep else np.int16
+        listed = (b["candidates"], b["totals"]) if not self._in_words else ()
+        if self._in_words:
+            words = (b["words"], b["candidate_words"])
+            sizes = (rows, step, np.uint32(self.plane_words), room, np.uint32(self._band_rows))
+            threshold = signed(criteria.sector_threshold)
+            lists = (b["totals"], b["row_starts"], *contrast, b["bins"])
+            stages.append(
+                self._banded("gate_words", planes, self.image, *words, *sizes, threshold, *lists)
+            )
+        elif isinstance(criteria, RapidCriteria):
             threshold = signed(criteria.sector_threshold)
             stages += [
                 self._list(
@@ -603,12 +634,37 @@ class Plan:
             histogram = (contrast[0], b["totals"], b["found"], room, bits, parts, b["bins"])
             percentile = (b["bins"], b["totals"], b["noise"], limit, rows, columns)
             sizes = (np.uint32(bands), room, bits, parts, np.uint32(factor))
-            stages += [
-                self._rows("histogram", self._parts, planes, *histogram),
-                self._rows("percentile", planes, 1, *percentile, *sizes, b["found"], b["bounds"]),
-            ]
-        keep = (*contrast[1:], *listed, b["bounds"], rows, step, room, b["responses"])
-        return [*stages, self._list("keep", *keep)]
+            if not self._in_words or (deep and shift == 0):
+                stages.append(self._rows("histogram", self._parts, planes, *histogram))
+            stages.append(
+                self._rows("percentile", planes, 1, *percentile, *sizes, b["found"], b["bounds"])
+            )
+        if not self._in_words:
+            keep = (*contrast[1:], *listed, b["bounds"], rows, step, room, b["responses"])
+            stages.append(self._list("keep", *keep))
+        return stages
+
+    def _banded(self, name: str, planes: int, *arguments: Any) -> Launch:
+        """A kernel with one work-item per band of rows."""
+        return self._stage(name, (self._row_bands, planes), (1, 1), *arguments)
+
+    def _suppression_in_bands(self) -> list[Launch]:
+        rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
+        b = self.arrays
+        self.response = b["response"]
+        gate = self.config.contrast is not None
+        room = np.uint32(self.candidate_room)
+        sizes = (rows, columns, step, np.uint32(self.plane_words), room, np.uint32(self._band_rows))
+        gated = (b["contrast"], b["mean_difference"], b["bounds"]) if gate else ()
+        lists = (b["candidate_words"], b["row_starts"], *gated, b["sector_response"])
+        found = (b["kept"], b["response"], b["maxima"], b["row_counts"])
+        place = np.uint32(self.frames * self.masks)
+        corner_room = np.uint32(self.corner_room)
+        listed = (b["maxima"], b["row_counts"], rows, step, corner_room, place, sizes[-1])
+        return [
+            self._banded("suppress_bands", self.frames, *lists, *sizes, *found),
+            self._banded("list_maxima_words", self.frames, *listed, b["corners"], b["totals"]),
+        ]
 
     def _suppression_stages(self) -> list[Launch]:
         rows, step = np.uint32(self.working[0]), np.uint32(self.step)

@@ -92,13 +92,16 @@ WORDS is_four(const Number n) { return n.b4 & ~(n.b1 | n.b2 | n.b8 | n.b16); }
   const WORDS name = SHIFTED(dx, WORDS_AT((dy) * width), WORDS_AT((dy) * width - 1), \
                              WORDS_AT((dy) * width + 1));
 
-/* Where all criteria hold and the mask is set. One work-item per eight words. */
+/* Where all criteria hold and the mask is set; the counts of candidates become 0. One work-item
+ * per eight words. */
 __kernel void rapid_criteria_words(__global const uint *restrict words,
                                    __global const uint *restrict mask, const uint step,
                                    const uint plane_words, const int sector_threshold,
                                    const int ring_threshold, const int corrosion_threshold,
-                                   __global uint *restrict candidates) {
+                                   __global uint *restrict candidates,
+                                   __global uint *restrict totals) {
   const size_t i = get_global_id(0) * 8, p = get_global_id(1);
+  if (i == 0) totals[p] = 0;
   const size_t at = WORDS_MARGIN + p * plane_words + i;
   const long width = step / 32;
 #define WORDS_A(i, dx, dy) SAMPLE_WORDS(a##i, dx, dy)
@@ -160,52 +163,36 @@ __kernel void rapid_criteria_words(__global const uint *restrict words,
       holds & *(__global const WORDS *)(mask + i);
 }
 
-/* The list of the candidates, as in collect.cl. One work-item per row. */
-__kernel void count_candidate_words(__global const uint *restrict candidates, const uint rows,
-                                    const uint step, const uint plane_words,
-                                    __global uint *restrict counts) {
-  const size_t y = get_global_id(0), p = get_global_id(1);
-  __global const uint *row = candidates + p * plane_words + (y + REACH) * (step / 32);
-  uint count = 0;
-  for (uint i = 0; i < step / 32; ++i) count += popcount(row[i]);
-  counts[p * rows + y] = count;
-}
-
-__kernel void list_candidate_words(__global const uint *restrict candidates,
-                                   __global const uint *restrict counts, const uint rows,
-                                   const uint step, const uint plane_words, const uint room,
-                                   __global int2 *restrict list,
-                                   __global uint *restrict totals) {
-  const size_t y = get_global_id(0), p = get_global_id(1);
-  __global const uint *row = candidates + p * plane_words + (y + REACH) * (step / 32);
-  uint n = 0;
-  for (uint k = 0; k < y; ++k) n += counts[p * rows + k];
-  if (y == rows - 1) totals[p] = n + counts[p * rows + y];
-  for (uint i = 0; i < step / 32; ++i)
-    for (uint left = row[i]; left; left &= left - 1, ++n)
-      if (n < room)
-        list[p * room + n] = (int2)((int)(32 * i + 31 - clz(left & (0u - left))) - PAD, (int)y);
-}
-
-/* The response is 0 but where a candidate passes. One work-item per row. */
-__kernel void clear_responses(const uint rows, const uint step, __global uchar *restrict response) {
-  __global ulong *row = (__global ulong *)(response + ROW(0, get_global_id(0)));
-  for (uint i = 0; i < step / 8; ++i) row[i] = 0;
-}
-
 #if !GATE
 
-/* Eq. 24 at the candidates. One work-item per candidate. */
-__kernel void sector_response(__global const uchar *restrict binary,
-                              __global const int2 *restrict list,
-                              __global const uint *restrict total, const uint rows,
-                              const uint step, const uint room, const uint sector_threshold,
-                              __global uchar *restrict response) {
-  const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= total[p] || n >= room) return;
-  const int x = list[p * room + n].x + PAD, y = list[p * room + n].y;
-  response[ROW(p, y) + x] =
-      (uchar)(sector_threshold - run_difference(0 INNER_RING(RING_BIT)));
+/* Eq. 24 at the candidates, listed as by gate_words.cl. One work-item per band of rows. */
+__kernel void sector_responses(__global const uint *restrict words,
+                               __global const uint *restrict candidates, const uint rows,
+                               const uint step, const uint plane_words, const uint room,
+                               const uint band_rows, const CONTRAST sector_threshold,
+                               __global uint *restrict totals,
+                               __global uint *restrict row_starts,
+                               __global CONTRAST *restrict responses) {
+  const size_t band = get_global_id(0), p = get_global_id(1);
+  const int width = step / 32;
+  const uint top = (uint)band * band_rows, end = SMALLER(top + band_rows, rows);
+  __global const uint *black = words + WORDS_MARGIN + p * plane_words + REACH * width;
+  __global const uint *found = candidates + p * plane_words + REACH * width;
+  uint in_band = 0;
+  for (uint i = top * width; i < end * width; ++i) in_band += popcount(found[i]);
+  uint n = atomic_add(totals + p, in_band);
+  for (uint y = top; y < end; ++y) {
+    row_starts[p * rows + y] = n;
+    for (int i = 0; i < width; ++i)
+      for (uint left = found[y * width + i]; left; left &= left - 1, ++n) {
+        const int x = 32 * i + 31 - clz(left & (0u - left));
+#define WORD_BIT(i, dx, dy) \
+  | (black[((int)y + (dy)) * width + (x + (dx)) / 32] >> (x + (dx)) % 32 & 1) << (i)
+        const uint ring = 0 INNER_RING(WORD_BIT);
+        if (n < room)
+          responses[p * room + n] = (CONTRAST)(sector_threshold - (CONTRAST)run_difference(ring));
+      }
+  }
 }
 
 #endif

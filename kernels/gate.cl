@@ -41,7 +41,21 @@ __kernel void noise_of_band(__global const NOISE *restrict sums, const uint colu
   totals[row] = total;
 }
 
-#if RAPID
+/* floor(8 s / n), exactly. A byte's quotient lies at least 0.5 / 16 from where rounding could
+ * change its floor; a longer one is put right by its remainder. */
+MEANS mean_of_run(const SUM s, const PIXEL n) {
+  const int count = n > 0 ? n : 1;
+#if PIXEL_BITS == 8
+  return (MEANS)(((float)(int)(8 * s) + 0.5f) / (float)count);
+#else
+  const int sum = (int)(8 * s);
+  const int quotient = (int)((float)sum / (float)count);
+  const int rest = sum - quotient * count;
+  return quotient + (rest >= count) - (rest < 0);
+#endif
+}
+
+#if RAPID && !IN_WORDS
 
 /* Copy what the rings of a candidate see, so that neighbouring work-items of the next kernel
  * read neighbouring bytes: in blocks of GROUP candidates 16 inner greys, 16 outer greys, and the
@@ -103,20 +117,6 @@ __kernel void sample_rings(__global const PIXEL *restrict image,
 #define ONE_HI(i) (PIXEL)(hi##i & 1)
 #define ONE_BOTH(i) (PIXEL)(lo##i & hi##i & 1)
 
-/* floor(8 s / n), exactly. A byte's quotient lies at least 0.5 / 16 from where rounding could
- * change its floor; a longer one is put right by its remainder. */
-MEANS mean_of_run(const SUM s, const PIXEL n) {
-  const int count = n > 0 ? n : 1;
-#if PIXEL_BITS == 8
-  return (MEANS)(((float)(int)(8 * s) + 0.5f) / (float)count);
-#else
-  const int sum = (int)(8 * s);
-  const int quotient = (int)((float)sum / (float)count);
-  const int rest = sum - quotient * count;
-  return quotient + (rest >= count) - (rest < 0);
-#endif
-}
-
 /* Contrast of the inner ring, the smaller one of both rings, the difference of the sector means
  * in eighths of twice a grey level, and the response (Eqs. 21 and 24). One work-item per candidate; the entries past the
  * last candidate hold nothing and are never used. */
@@ -164,7 +164,7 @@ __kernel void sector_contrast(__global const PIXEL *restrict samples, const uint
   responses[i] = (CONTRAST)(sector_threshold - (CONTRAST)LARGER(even, odd));
 }
 
-#else
+#elif !RAPID
 
 /* The same for candidates with any number of runs, two or more. One work-item per candidate. */
 __kernel void sector_contrast_any(__global const PIXEL *restrict image,
@@ -269,6 +269,8 @@ __kernel void percentile(__global const uint *restrict counts,
   bounds[p] = (int2)(limit[value], twice ? (int)min(bound, (ulong)INT_MAX) : INT_MIN);
 }
 
+#if !IN_WORDS
+
 /* The response of the candidates: 0 for those that do not pass. One work-item per candidate. */
 __kernel void keep(__global const CONTRAST *restrict contrast,
                    __global const CONTRAST *restrict mean_difference,
@@ -286,3 +288,5 @@ __kernel void keep(__global const CONTRAST *restrict contrast,
   if (!passes) response[pixel] = 0;
 #endif
 }
+
+#endif

@@ -4,6 +4,20 @@
  *
  * OVER_SUPPRESSION(F) is F(1) .. F(r) with r the radius of the window. */
 
+/* S at every pixel, where there is no response too. */
+__kernel void score_map(__global const RESPONSE *restrict response, const uint rows,
+                        const uint step, __global int *restrict scores) {
+  const int x = (int)get_global_id(0), y = (int)get_global_id(1);
+  int s = 0;
+  for (int dy = -2; dy <= 2; ++dy)
+    for (int dx = -2; dx <= 2; ++dx)
+      if (y + dy >= 0 && y + dy < (int)rows)
+        s += (3 - abs(dx)) * (3 - abs(dy)) * response[ROW(0, y + dy) + PAD + x + dx];
+  scores[(size_t)y * get_global_size(0) + x] = s;
+}
+
+#if !IN_WORDS
+
 #ifndef OVER_SUPPRESSION
 #error "OVER_SUPPRESSION must list the distances 1 to the radius"
 #endif
@@ -35,18 +49,6 @@ __kernel void score(__global const RESPONSE *restrict response,
   const SCORE s = SUM3(SCORE, SUM3(SCORE, AT(tent, -2), AT(tent, 2), tent[i]), near, near);
   const SCORE r = (SCORE)response[i];
   key[i] = (SCORE)(r != 0 ? 10 * s + r : 0);
-}
-
-/* S at every pixel, where there is no response too. */
-__kernel void score_map(__global const RESPONSE *restrict response, const uint rows,
-                        const uint step, __global int *restrict scores) {
-  const int x = (int)get_global_id(0), y = (int)get_global_id(1);
-  int s = 0;
-  for (int dy = -2; dy <= 2; ++dy)
-    for (int dx = -2; dx <= 2; ++dx)
-      if (y + dy >= 0 && y + dy < (int)rows)
-        s += (3 - abs(dx)) * (3 - abs(dy)) * response[ROW(0, y + dy) + PAD + x + dx];
-  scores[(size_t)y * get_global_size(0) + x] = s;
 }
 
 /* The largest key of the window's row. */
@@ -89,5 +91,7 @@ __kernel void combine(__global const RESPONSE *restrict responses, const uint ro
       (RESPONSE)(2 * responses[ROW(3 * p, y) + x] + responses[ROW(3 * p + 1, y) + x] +
                  responses[ROW(3 * p + 2, y) + x]);
 }
+
+#endif
 
 #endif
