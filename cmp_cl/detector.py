@@ -19,8 +19,6 @@ from cmp_cl.results import Corners, GreyImage, Grid, Maps, Method, check_image
 
 DOUBTFUL_EXCESS = 0.010  # of the autocorrelation of what the corner model leaves
 
-_EDGES = slice(2, 6)
-
 
 class Detector:
     """Finds the corners of frames of one shape and pixel type.
@@ -68,7 +66,7 @@ class Detector:
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
         self._profile = profile
-        self._uploads = cl.CommandQueue(context)
+        self._transfers = cl.CommandQueue(context)
         self._lock = threading.RLock()
         self._process = os.getpid()
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
@@ -228,8 +226,8 @@ class Detector:
     def _start(self, plan: Plan, *frames: GreyImage) -> None:
         plan.events.clear()
         try:
-            plan.upload(self._uploads, frames)
-            plan.launch(plan.front)
+            plan.upload(self._transfers, frames)
+            plan.launch(plan.launches)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
@@ -238,11 +236,9 @@ class Detector:
         try:
             while True:
                 try:
-                    counts = plan.counts()
-                    break
+                    return _corners(*plan.read(self._transfers), plan)
                 except Overflow as overflow:
                     self._grow(plan, overflow)
-            return _corners(plan.refine(counts), counts, plan)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
@@ -251,7 +247,7 @@ class Detector:
         return self._finish(plan)
 
     def _grow(self, plan: Plan, overflow: Overflow) -> None:
-        """Make room and run the front stages again on the frames that are on the device."""
+        """Make room and start again on the frames that are on the device."""
         self.regrown += 1
         try:
             plan.grow(overflow)
@@ -259,7 +255,7 @@ class Detector:
             self._plans = {key: kept for key, kept in self._plans.items() if kept is not plan}
             plan.release()
             raise
-        plan.launch(plan.front)
+        plan.launch(plan.launches)
 
     def _best(self, results: list[list[Corners]]) -> list[Corners]:
         """Of the results of all factors, for each frame the one with the nearest count."""
@@ -308,29 +304,36 @@ def detect(
         return detector(image)
 
 
-def _corners(words: NDArray[np.float32], counts: NDArray[np.uint32], plan: Plan) -> list[Corners]:
+def _corners(columns: NDArray[np.float32], counts: NDArray[np.uint32], plan: Plan) -> list[Corners]:
     """The results of each frame, from the columns that the refinement kernels wrote."""
     found = []
-    end = np.cumsum(counts)
-    for first, last in zip(end - counts, end, strict=True):
-        own = words[:, first:last]
+    for p, count in enumerate(counts.tolist()):
+        own = columns[:, p, :count]
         sigma, doubtful = _deviation(own, plan.config)
-        pixel = own[7:9].T.astype(np.int32)
+        pixel = _rows(own[7:9], np.int32)
         if plan.scale is not None:
             pixel = full_pixels(pixel, plan.shape, plan.scale)
         found.append(
             Corners(
-                xy=np.ascontiguousarray(own[0:2].T),
-                pixel=np.ascontiguousarray(pixel),
+                xy=_rows(own[0:2], np.float32),
+                pixel=pixel,
                 response=own[6].copy(),
                 method=own[9].astype(np.uint8),
                 sigma=sigma,
-                edges=np.ascontiguousarray(own[_EDGES].T),
+                edges=_rows(own[2:6], np.float32),
                 doubtful=doubtful,
                 device=str(plan.device),
             )
         )
     return found
+
+
+def _rows(columns: NDArray[np.float32], dtype: Any) -> NDArray[Any]:
+    """The columns side by side; a copy of the transpose takes NumPy three times as long."""
+    rows = np.empty(columns.shape[::-1], dtype)
+    for k, column in enumerate(columns):
+        rows[:, k] = column
+    return rows
 
 
 def _deviation(

@@ -212,7 +212,6 @@ class Plan:
         pixel = self.dtype.itemsize
         response, score = (1, 2) if rapid else (4, 4)
         room, rows = planes * self.candidate_room, self.frames * self.corner_room
-        length = _multiple(rows, GROUP)
         gate = self.config.contrast is not None
         sizes = {
             "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
@@ -225,9 +224,8 @@ class Plan:
             "row_counts": 4 * planes * self.working[0],
             "totals": 4 * (planes + self.frames),
             "corners": 8 * rows,
-            "starts": 4 * self.frames,
-            "start": 12 * length,
-            "result": 4 * RESULT_FIELDS * length,
+            "start": 8 * rows,
+            "result": 4 * RESULT_FIELDS * rows,
         }
         if self._in_words:
             sizes["words"] = 4 * (planes * self.plane_words + 2 * self._words_margin)
@@ -259,7 +257,7 @@ class Plan:
         plane = (self.frames * self.working[0] + 2) * self.step
         score = 2 if isinstance(self.config.criteria, RapidCriteria) else 4
         room = self.frames * self.masks * self.candidate_room
-        length = _multiple(self.frames * self.corner_room, GROUP)
+        length = self.frames * self.corner_room
         binarization = {"sums": 2 * pixel * plane}
         if self.masks == 3:
             binarization["squares"] = 4 * pixel * plane
@@ -391,7 +389,7 @@ class Plan:
         self.front += (
             self._suppression_in_bands() if self._in_words else self._suppression_stages()
         )
-        self._refined_length = 0
+        self.launches = [*self.front, *self._refinement_stages()]
         self._totals = np.empty(self.frames * (self.masks + 1), np.uint32)
 
     def _stage(
@@ -692,59 +690,71 @@ class Plan:
             ),
         ]
 
-    def _refinement_stages(self, length: int) -> list[Launch]:
-        """From the maxima to positions, for `length` rows of the results."""
+    def _refinement_stages(self) -> list[Launch]:
+        """From the maxima to positions."""
         refinement = self.config.refinement
-        rows, step, count = np.uint32(self.working[0]), np.uint32(self.step), np.uint32(length)
+        rows, step = np.uint32(self.working[0]), np.uint32(self.step)
         factor = self.scale or 1.0
         scale = np.float32(factor)
         b = self.arrays
-        place = np.uint32(self.frames * self.masks)
-        lists = (b["corners"], b["totals"], b["starts"], rows, step, np.uint32(self.corner_room))
+        corners = tuple(
+            np.uint32(n)
+            for n in (
+                self.corner_room,
+                self.frames * self.masks,
+                self.frames * self.corner_room,
+            )
+        )
         size = (np.uint32(self.shape[0]), np.uint32(self.shape[1]))
         full = (*size, np.uint32(self.full_step))
-        arguments = (self.response, *lists, place, count, scale, *size, b["start"], b["result"])
-        items = (self.corner_room, self.frames)
-        stages = [self._stage("centroid", items, (GROUP, 1), *arguments)]
+        lists = (b["corners"], b["totals"], rows, step, *corners)
+        stages = [
+            self._corners(
+                "centroid", 1, self.response, *lists, scale, *size, b["start"], b["result"]
+            )
+        ]
         if refinement is None:
             return stages
-        grey = (b["image"], b["start"], *full, count)
+        grey = (b["image"], b["start"], b["totals"])
         lanes = self._lanes
         if self.scale is None:
+            samples = b["edge_samples"]
             stages += [
-                self._corners("sample_edges", length, *grey, b["edge_samples"]),
-                self._corners(
-                    "edge_points", length // lanes, b["edge_samples"], count, b["points"]
-                ),
+                self._corners("sample_edges", 1, *grey, rows, step, *corners, samples),
+                self._corners("edge_points", lanes, samples, b["totals"], *corners, b["points"]),
             ]
         else:
-            stages.append(self._corners("edge_points", length, *grey, scale, b["points"]))
-        start = (b["points"], b["start"], count)
+            stages.append(
+                self._corners("edge_points", 1, *grey, *full, *corners, scale, b["points"])
+            )
+        start = (b["points"], b["start"], b["totals"], *corners)
         if isinstance(refinement, Midlines):
             largest = np.float32(refinement.max_shift / factor)
-            return [*stages, self._corners("midlines", length, *start, largest, b["result"])]
+            return [*stages, self._corners("midlines", 1, *start, largest, b["result"])]
         largest = np.float32(
             (2 if isinstance(refinement, EdgeStep) else refinement.max_shift) / factor
         )
         lines = (*start, largest, b["lines"], b["result"])
-        stages.append(self._corners("edge_lines", length // lanes, *lines))
+        stages.append(self._corners("edge_lines", lanes, *lines))
         if isinstance(refinement, EdgeStep):
             radius = min(max(0.75 * refinement.cell * factor, 4.5), 9.0) / factor
             step_arguments = (
                 b["image"],
                 b["start"],
                 b["lines"],
+                b["totals"],
                 *full,
-                count,
+                *corners,
                 np.float32(radius),
                 scale,
             )
-            stages.append(self._corners("edge_step", length, *step_arguments, b["result"]))
+            stages.append(self._corners("edge_step", 1, *step_arguments, b["result"]))
         return stages
 
-    def _corners(self, name: str, items: int, *arguments: Any) -> Launch:
-        """A kernel with one work-item per corner, or per lanes of corners."""
-        return self._stage(name, (items,), (min(items, GROUP // self._lanes),), *arguments)
+    def _corners(self, name: str, each: int, *arguments: Any) -> Launch:
+        """A kernel whose work-items take `each` corners of the list."""
+        items = (self.corner_room // each, self.frames)
+        return self._stage(name, items, (GROUP // each, 1), *arguments)
 
     # What happens in a frame
 
@@ -756,8 +766,7 @@ class Plan:
                 continue
             pitch = frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * size
             host = frame if frame.flags.c_contiguous else _flat(frame, pitch)
-            copy_rows: Any = cl.enqueue_copy  # the stubs do not know the form for rectangles
-            copy_rows(
+            _copy_rectangle(
                 queue,
                 self.buffers["image"],
                 host,
@@ -766,47 +775,42 @@ class Plan:
                 region=(self.shape[1] * size, self.shape[0], 1),
                 buffer_pitches=(self.full_step * size, 0),
                 host_pitches=(pitch, 0),
-                is_blocking=True,
             )
 
     def launch(self, stages: Sequence[Launch]) -> None:
         """Enqueue the stages in order."""
         queue, enqueue = self.queue, cl.enqueue_nd_range_kernel
-        if not queue.properties & cl.command_queue_properties.PROFILING_ENABLE:
-            for _, kernel, items, group, _ in stages:
-                enqueue(queue, kernel, items, group)
-            return
+        profile = queue.properties & cl.command_queue_properties.PROFILING_ENABLE
         for stage, kernel, items, group, _ in stages:
-            self.events.append((stage, enqueue(queue, kernel, items, group)))
+            self._last = enqueue(queue, kernel, items, group)
+            if profile:
+                self.events.append((stage, self._last))
+        queue.flush()
 
-    def counts(self) -> NDArray[np.uint32]:
-        """Corners of each frame, once the front stages are done; raises Overflow."""
-        cl.enqueue_copy(self.queue, self._totals, self.buffers["totals"])
+    def read(self, queue: cl.CommandQueue) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+        """The results, (fields, frames, most corners of a frame) float32, and the number of
+        corners of each frame, once the launches are done; raises Overflow."""
+        done = [self._last]
+        cl.enqueue_copy(queue, self._totals, self.buffers["totals"], wait_for=done)
         planes = self.frames * self.masks
         candidates = int(self._totals[:planes].max())
-        corners = self._totals[planes:]
-        if candidates > self.candidate_room or corners.max() > self.corner_room:
-            raise Overflow(candidates, int(corners.max()))
-        return corners
-
-    def refine(self, counts: NDArray[np.uint32]) -> NDArray[np.float32]:
-        """Refine the corners and fetch them: (fields, corners of all frames) float32."""
-        total = int(counts.sum())
-        length = _multiple(total, GROUP)
-        result = np.empty((RESULT_FIELDS, length), np.float32)
-        if total == 0:
-            return result
-        if self.frames > 1:
-            starts = (np.cumsum(counts) - counts).astype(np.uint32)
-            cl.enqueue_copy(self.queue, self.buffers["starts"], starts)
-        if length != self._refined_length:
-            self._refinement = self._refinement_stages(length)
-            self._refined_length = length
-            # Rows past the last corner hold an earlier frame's start; its columns lay elsewhere.
-            self._clear(self.buffers["start"])
-        self.launch(self._refinement)
-        cl.enqueue_copy(self.queue, result, self.buffers["result"])
-        return result[:, :total]
+        counts = self._totals[planes:]
+        most = int(counts.max())
+        if candidates > self.candidate_room or most > self.corner_room:
+            raise Overflow(candidates, most)
+        result = np.empty((RESULT_FIELDS, self.frames, most), np.float32)
+        if most > 0:
+            _copy_rectangle(
+                queue,
+                result,
+                self.buffers["result"],
+                buffer_origin=(0, 0, 0),
+                host_origin=(0, 0, 0),
+                region=(4 * most, self.frames, RESULT_FIELDS),
+                buffer_pitches=(4 * self.corner_room, 4 * self.frames * self.corner_room),
+                host_pitches=(4 * most, 4 * self.frames * most),
+            )
+        return result, counts
 
     def grow(self, overflow: Overflow) -> None:
         """Make room for what did not fit; the frames stay on the device."""
@@ -819,6 +823,9 @@ class Plan:
         self.buffers["image"] = image
         self._allocate()
         self._bind()
+
+
+_copy_rectangle: Any = cl.enqueue_copy  # whose stub does not know the form for rectangles
 
 
 def _multiple(value: int, of: int) -> int:

@@ -2,9 +2,9 @@
  * One work-item per corner; positions are relative to the pixel they start from, so that
  * float32 is exact enough on an image of any size.
  *
- * Corner n of plane p has row starts[p] + n of every array. Arrays have `length` rows, a
- * multiple of the work-group, of which the last ones hold no corner and are never used.
- * `result` has a column per field; its pixel is that of the working image. */
+ * Corner n of frame p has row p * room + n of every array; a column has `length` rows. There are
+ * totals[place + p] corners, or as many as there is room for. `result` has a column per field;
+ * its pixel is that of the working image. */
 
 #define COLUMN_OF(array, k) array[(size_t)(k) * length + row]
 #define FIELD(k) COLUMN_OF(result, k)
@@ -29,13 +29,13 @@
  * it, where refinement starts; both at full size where the detector works on a scaled image. */
 __kernel void centroid(__global const RESPONSE *restrict response,
                        __global const int2 *restrict list, __global const uint *restrict totals,
-                       __global const uint *restrict starts, const uint rows, const uint step,
+                       const uint rows, const uint step,
                        const uint room, const uint place, const uint length,
                        const float scale, const uint full_rows, const uint full_columns,
                        __global float *restrict start, __global float *restrict result) {
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
-  const size_t row = starts[p] + n;
+  const size_t row = p * room + n;
   const int2 pixel = list[p * room + n];
   int sum = 0, sum_x = 0, sum_y = 0;
   for (int dy = -2; dy <= 2; ++dy) {
@@ -65,7 +65,6 @@ __kernel void centroid(__global const RESPONSE *restrict response,
 #endif
   start[row] = (float)from.x;
   start[length + row] = (float)from.y;
-  start[2 * (size_t)length + row] = (float)p;
   FIELD(RESULT_X) = x;
   FIELD(RESULT_Y) = y;
   FIELD(RESULT_RESPONSE) = (float)response[ROW(p, pixel.y) + PAD + pixel.x];
@@ -102,10 +101,8 @@ typedef uint8 BITS;
 #else
 #error "LANES must be 1 or 8"
 #endif
-#define LANE(array, k) \
-  *(__global REAL *)(array + (size_t)(k) * length + get_global_id(0) * LANES)
-#define CONST_LANE(array, k) \
-  *(__global const REAL *)(array + (size_t)(k) * length + get_global_id(0) * LANES)
+#define LANE(array, k) *(__global REAL *)(array + (size_t)(k) * length + row)
+#define CONST_LANE(array, k) *(__global const REAL *)(array + (size_t)(k) * length + row)
 #define CHOOSE(mask, a, b) AS_REAL((AS_BITS(a) & (mask)) | (AS_BITS(b) & ~(mask)))
 
 #define ONES_2(v) ((v) - ((v) >> 1 & 0x55555555u))
@@ -147,21 +144,22 @@ REAL crossing(const REAL here, const REAL next) {
   return CHOOSE(WHERE(here == next), (REAL)(0.5f), clipped);
 }
 
-/* Row y of the plane a corner lies in, y held inside the image. */
-#define CLAMPED_ROW(y) \
-  (((size_t)(SMALLER(LARGER(y, 0), (int)rows - 1) + frame * (int)rows) + 1) * step + PAD)
+/* The pixels of row y of frame p, y held inside the image. */
+#define CLAMPED_ROW(y) (ROW(p, SMALLER(LARGER(y, 0), (int)rows - 1)) + PAD)
 
 #if !SCALED
 
 /* Copy the greys of the three rings, in blocks of GROUP corners. One work-item per corner. */
 #define EDGE_SAMPLES 68
 __kernel void sample_edges(__global const PIXEL *restrict image,
-                           __global const float *restrict start, const uint rows,
-                           const uint columns, const uint step, const uint length,
-                           __global float *restrict samples) {
-  const size_t row = get_global_id(0);
+                           __global const float *restrict start,
+                           __global const uint *restrict totals, const uint rows,
+                           const uint step, const uint room, const uint place,
+                           const uint length, __global float *restrict samples) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= totals[place + p]) return;
+  const size_t row = p * room + n;
   const int x = (int)COLUMN_OF(start, 0), y = (int)COLUMN_OF(start, 1);
-  const int frame = (int)COLUMN_OF(start, 2);
   const size_t line[] = {CLAMPED_ROW(y - 5), CLAMPED_ROW(y - 4), CLAMPED_ROW(y - 3),
                          CLAMPED_ROW(y - 2), CLAMPED_ROW(y - 1), CLAMPED_ROW(y),
                          CLAMPED_ROW(y + 1), CLAMPED_ROW(y + 2), CLAMPED_ROW(y + 3),
@@ -249,11 +247,14 @@ __kernel void sample_edges(__global const PIXEL *restrict image,
   IN_ORDER(9, 10) IN_ORDER(11, 12) IN_ORDER(13, 14)
 #define SORTED(k, dx, dy, next, next_x, next_y) REAL s##k = SAMPLE_LANE(k);
 
-__attribute__((vec_type_hint(REAL))) __kernel void edge_points(__global const float *restrict samples, const uint length,
+__attribute__((vec_type_hint(REAL))) __kernel void edge_points(__global const float *restrict samples,
+                          __global const uint *restrict totals, const uint room,
+                          const uint place, const uint length,
                           __global float *restrict points) {
-  const size_t corner = get_global_id(0) * LANES;
-  __global const float *block =
-      samples + corner / GROUP * GROUP * EDGE_SAMPLES + corner % GROUP;
+  const size_t n = get_global_id(0) * LANES, p = get_global_id(1);
+  if (n >= totals[place + p]) return;
+  const size_t row = p * room + n;
+  __global const float *block = samples + row / GROUP * GROUP * EDGE_SAMPLES + row % GROUP;
   EDGE_RING_3(SORTED)
   SORT_16
   const REAL threshold = (s0 + s1 + s2 + s3 + s12 + s13 + s14 + s15) * 0.125f;
@@ -269,7 +270,7 @@ __attribute__((vec_type_hint(REAL))) __kernel void edge_points(__global const fl
 #define SAMPLES 32
 
 float grey_between(__global const PIXEL *restrict image, const uint rows, const uint columns,
-                   const uint step, const int frame, const float x, const float y) {
+                   const uint step, const size_t p, const float x, const float y) {
   const float left = floor(x), top = floor(y);
   const float fx = x - left, fy = y - top;
   const int x0 = clamp((int)left, 0, (int)columns - 1);
@@ -282,12 +283,15 @@ float grey_between(__global const PIXEL *restrict image, const uint rows, const 
 }
 
 __kernel void edge_points(__global const PIXEL *restrict image,
-                          __global const float *restrict start, const uint rows,
-                          const uint columns, const uint step, const uint length,
-                          const float scale, __global float *restrict points) {
-  const size_t row = get_global_id(0);
+                          __global const float *restrict start,
+                          __global const uint *restrict totals, const uint rows,
+                          const uint columns, const uint step, const uint room,
+                          const uint place, const uint length, const float scale,
+                          __global float *restrict points) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= totals[place + p]) return;
+  const size_t row = p * room + n;
   const float x = COLUMN_OF(start, 0), y = COLUMN_OF(start, 1);
-  const int frame = (int)COLUMN_OF(start, 2);
   float threshold = 0;
   for (int ring = 0; ring < RINGS; ++ring) {
     const float radius = (float)(3 + ring) / scale;
@@ -295,7 +299,7 @@ __kernel void edge_points(__global const PIXEL *restrict image,
     for (int k = 0; k < SAMPLES; ++k) {
       px[k] = radius * sinpi((float)k / 16);
       py[k] = -radius * cospi((float)k / 16);
-      d[k] = grey_between(image, rows, columns, step, frame, x + px[k], y + py[k]);
+      d[k] = grey_between(image, rows, columns, step, p, x + px[k], y + py[k]);
     }
     if (ring == 0) {
       float sorted[SAMPLES];
@@ -437,9 +441,13 @@ REAL angle_of(const REAL y, const REAL x) {
 /* EDGE_LINES: the intersection of the line through e0 and e2 and the line through e1 and e3.
  * `lines` gets their unit normals and the intersection relative to the start. */
 __attribute__((vec_type_hint(REAL))) __kernel void edge_lines(__global const float *restrict points,
-                         __global const float *restrict start, const uint length,
-                         const float max_shift, __global float *restrict lines,
-                         __global float *restrict result) {
+                         __global const float *restrict start,
+                         __global const uint *restrict totals, const uint room,
+                         const uint place, const uint length, const float max_shift,
+                         __global float *restrict lines, __global float *restrict result) {
+  const size_t n = get_global_id(0) * LANES, p = get_global_id(1);
+  if (n >= totals[place + p]) return;
+  const size_t row = p * room + n;
   MATCHED_RINGS
   EDGE_ANGLE(0)
   EDGE_ANGLE(1)
@@ -531,9 +539,13 @@ float2 on_parabola(const float3 fit, const Line *line, const float u, float2 *ta
  * are nearly one line or meet too far away, CUSP: per black sector the intersection of its own
  * two edge lines, and the midpoint of the two cusps. */
 __kernel void midlines(__global const float *restrict points,
-                       __global const float *restrict start, const uint length,
-                       const float max_shift, __global float *restrict result) {
-  const size_t row = get_global_id(0);
+                       __global const float *restrict start,
+                       __global const uint *restrict totals, const uint room,
+                       const uint place, const uint length, const float max_shift,
+                       __global float *restrict result) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= totals[place + p]) return;
+  const size_t row = p * room + n;
   MATCHED_RINGS
   EDGE_ANGLE(0)
   EDGE_ANGLE(1)
@@ -646,13 +658,16 @@ float sum_of_eight(const float8 v) {
 
 __kernel void edge_step(__global const PIXEL *restrict image,
                         __global const float *restrict start,
-                        __global const float *restrict lines, const uint rows,
-                        const uint columns, const uint step, const uint length,
-                        const float radius, const float scale, __global float *restrict result) {
-  const size_t row = get_global_id(0);
+                        __global const float *restrict lines,
+                        __global const uint *restrict totals, const uint rows,
+                        const uint columns, const uint step, const uint room,
+                        const uint place, const uint length, const float radius,
+                        const float scale, __global float *restrict result) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= totals[place + p]) return;
+  const size_t row = p * room + n;
   if (FIELD(RESULT_METHOD) != METHOD_EDGE_LINES) return;
   const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
-  const int frame = (int)COLUMN_OF(start, 2);
   const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
   const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
   const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
@@ -665,7 +680,7 @@ __kernel void edge_step(__global const PIXEL *restrict image,
 
 #if !SCALED
   float8 weight_of[MOST_EIGHTS], model_of[MOST_EIGHTS], grey_of[MOST_EIGHTS];
-  int n = 0;
+  int k = 0;
 #endif
   float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vii = 0, va = 0, vb = 0;
   float8 vaa = 0, vab = 0, vbb = 0, vap = 0, vbp = 0, vai = 0, vbi = 0;
@@ -691,9 +706,9 @@ __kernel void edge_step(__global const PIXEL *restrict image,
       vai += wA * I;
       vbi += wB * I;
 #if !SCALED
-      weight_of[n] = w;
-      model_of[n] = P;
-      grey_of[n++] = I;
+      weight_of[k] = w;
+      model_of[k] = P;
+      grey_of[k++] = I;
 #endif
     }
   const float s1 = sum_of_eight(v1), sp = sum_of_eight(vp), spp = sum_of_eight(vpp);
@@ -718,7 +733,7 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   /* Autocorrelation of what the model leaves, between each pixel and the next of its row. */
   float8 products = 0, weights = 0;
 #if !SCALED
-  n = 0;
+  k = 0;
 #endif
   for (int j = top; j <= bottom; ++j) {
     float last = 0, last_weight = 0;
@@ -727,7 +742,7 @@ __kernel void edge_step(__global const PIXEL *restrict image,
       CORNER_MODEL(i, j)
       const float8 I = EIGHT_GREYS(i, j) - centre;
 #else
-      const float8 w = weight_of[n], P = model_of[n], I = grey_of[n++];
+      const float8 w = weight_of[k], P = model_of[k], I = grey_of[k++];
       const float8 ux = (float)(i) - x + EIGHT;
       const uint8 inside = as_uint8(ux * ux + ((float)j - y) * ((float)j - y) < radius * radius);
 #endif

@@ -1,6 +1,9 @@
 """What a configuration leaves out is not compiled, not launched and not allocated."""
 
+import dataclasses
+
 import images
+import numpy as np
 import pyopencl as cl
 import pytest
 
@@ -8,6 +11,7 @@ from cmp_cl import (
     AdaptiveMean,
     Detector,
     DetectorConfig,
+    DeviceKind,
     EdgeLines,
     EdgeStep,
     Midlines,
@@ -26,7 +30,7 @@ def plan_of(detector_for, config):
     assert len(detector(IMAGE)) > 0
     plan = detector._plan(config.scale)
     kernels = plan.kernels._program.kernel_names.split(";")
-    launched = [launch.stage for launch in [*plan.front, *plan._refinement]]
+    launched = [launch.stage for launch in plan.launches]
     assert set(launched) <= set(kernels)
     assert set(plan.buffers) == set(plan.sizes)
     for name, buffer in plan.buffers.items():
@@ -125,9 +129,21 @@ def test_the_corrosion_criterion(detector_for, criteria):
     assert "-DCORROSION=0" in options[1]
 
 
-def test_a_flat_frame_needs_no_refinement(detector_for, device):
-    with Detector(shape=IMAGE.shape, device=device, profile=True) as detector:
+@pytest.mark.parametrize("kind", DeviceKind, ids=lambda kind: kind.value)
+@pytest.mark.parametrize("refinement", [None, EdgeLines(), EdgeStep(), Midlines()])
+def test_a_flat_frame_needs_no_refinement(device, kind, refinement):
+    """Refinement stops at the number of corners: it writes nothing where there are none."""
+    form = dataclasses.replace(device, kind=kind)
+    config = DetectorConfig(refinement=refinement)
+    with Detector(shape=IMAGE.shape, device=form, config=config) as detector:
+        plan = detector._plan(None)
+        result = plan.buffers["result"]
+        before = np.full(result.size // 4, 7, np.float32)
+        cl.enqueue_copy(plan.queue, result, before)
         assert len(detector(images.eight_bits()["black"])) == 0
-        assert not {"centroid", "edge_points", "edge_lines"} & set(detector.times)
-        detector(IMAGE)
-        assert {"centroid", "edge_points", "edge_lines"} <= set(detector.times)
+        after = np.empty_like(before)
+        cl.enqueue_copy(plan.queue, after, result)
+        np.testing.assert_array_equal(after, before)
+        assert len(detector(IMAGE)) > 0
+        cl.enqueue_copy(plan.queue, after, result)
+        assert (after != before).any()
