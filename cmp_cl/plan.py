@@ -34,6 +34,7 @@ REACH = 16  # columns on either side of the pixels, at least: what rings and ten
 ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
 GROUP = 64  # work-items of a group over a list
 NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
+BEYOND = 8  # elements behind a row's running sums that a vector may reach
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
 RESULT_FIELDS = 12  # of kernels/refine.cl
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference", "sector_response")
@@ -116,7 +117,7 @@ class Plan:
         return _multiple((self.working[0] + 2 * RING_REACH) * self.step // 32, 8)
 
     @property
-    def _words_margin(self) -> int:
+    def words_margin(self) -> int:
         """Words before and after the planes that rings may look at."""
         return _multiple(RING_REACH * self.step // 32 + 8, 32)
 
@@ -133,12 +134,16 @@ class Plan:
             "OUTER_RADIUS": self.config.outer_radius,
             "RAPID": int(rapid),
             "IN_WORDS": int(self._in_words),
-            "WORDS_MARGIN": self._words_margin,
+            "WORDS_MARGIN": self.words_margin,
             "GATE": int(self.config.contrast is not None),
             "CORROSION": int(self.config.criteria.corrosion_threshold is not None),
+            "BEYOND": BEYOND,
             "COLUMN": "uint" if deep else "ushort",
-            "LEVEL": "ulong" if deep and self.config.threshold.offset else "uint",
+            "COLUMN8": "uint8" if deep else "ushort8",
+            "LEVEL": ("ulong" if self.config.threshold.offset else "uint") if deep else "int",
             "SQUARE": "ulong" if deep else "uint",
+            "VARIANCE": "ulong" if deep else "long",
+            "DISTANCE": "long" if deep else "int",
             "NOISE": "uint" if deep else "ushort",
             "NOISE_BAND": NOISE_BAND,
             "BAND_NOISE": "ulong" if deep else "uint",
@@ -161,7 +166,7 @@ class Plan:
         }
         distances = range(1, self.config.nms_radius + 1)
         macros = {
-            **self._window_sums(),
+            **({} if self._in_words else self._window_sums()),
             "OVER_SUPPRESSION(F)": " ".join(f"F({d})" for d in distances),
         }
         return build(self.queue.context, self.stages, defines, macros)
@@ -184,7 +189,7 @@ class Plan:
     @property
     def stages(self) -> list[str]:
         """The kernel files that the configuration needs."""
-        stages = ["binarize"]
+        stages = ["binarize_bands" if self._in_words else "binarize"]
         if self.scale is not None:
             stages.append("scale")
         rapid = isinstance(self.config.criteria, RapidCriteria)
@@ -227,7 +232,7 @@ class Plan:
             "result": 4 * RESULT_FIELDS * length,
         }
         if self._in_words:
-            sizes["words"] = 4 * (planes * self.plane_words + 2 * self._words_margin)
+            sizes["words"] = 4 * (planes * self.plane_words + 2 * self.words_margin)
             sizes["candidate_words"] = 4 * planes * self.plane_words
         if self.scale is not None:
             sizes["working"] = (self.frames * plane + spare) * pixel
@@ -251,12 +256,23 @@ class Plan:
         score = 2 if isinstance(self.config.criteria, RapidCriteria) else 4
         room = self.frames * self.masks * self.candidate_room
         length = _multiple(self.frames * self.corner_room, GROUP)
-        binarization = {"sums": 2 * pixel * plane}
-        if self.masks == 3:
-            binarization["squares"] = 4 * pixel * plane
-        layouts = [binarization]
-        if self.config.contrast is not None:
-            layouts.append({"noise_sums": 2 * pixel * self.frames * self._bands * self.step})
+        gate = self.config.contrast is not None
+        bands = self.frames * self._bands
+        layouts = []
+        if self._in_words:
+            row, long_row = bands * self.step, bands * (self.step + BEYOND)
+            layouts.append({"sums": 2 * pixel * row, "prefix": 4 * long_row})
+            if self.masks == 3:
+                layouts[-1] |= {"squares": 4 * pixel * row, "square_prefix": 4 * pixel * long_row}
+            if gate:
+                layouts[-1]["curved"] = 2 * pixel * row
+        else:
+            layouts.append({"sums": 2 * pixel * plane})
+            if self.masks == 3:
+                layouts[-1]["squares"] = 4 * pixel * plane
+            if gate:
+                layouts.append({"noise_sums": 2 * pixel * bands * self.step})
+        if gate:
             contrasts = dict.fromkeys(CONTRASTS, 2 * pixel * room)
             if isinstance(self.config.criteria, RapidCriteria):
                 contrasts["samples"] = CHANNELS * pixel * room
@@ -271,7 +287,16 @@ class Plan:
     @property
     def _bands(self) -> int:
         """Bands of rows of the noise estimate."""
-        return -(-self.working[0] // NOISE_BAND)
+        return -(-self.working[0] // self._band_rows)
+
+    @property
+    def _band_rows(self) -> int:
+        """Rows of a band. Where it is binarized, its start costs a share of the window, and eight
+        bands for each of a device's units share the work out evenly."""
+        if not self._in_words:
+            return NOISE_BAND
+        share = -(-self.working[0] // (8 * self.device.handle.max_compute_units))
+        return max(share, self.config.threshold.window // 4, 8)
 
     @property
     def _lanes(self) -> int:
@@ -426,8 +451,14 @@ class Plan:
         rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
         deep = self.dtype == np.uint16
         column = np.uint32 if deep else np.uint16
-        level = np.uint64 if deep and threshold.offset else np.uint32
         count = threshold.window**2
+        level: type[np.integer[Any]] = np.int32
+        if deep:
+            level = np.uint64 if threshold.offset else np.uint32
+        # No mean of bytes is above 255.
+        offset = level(threshold.offset if deep else min(threshold.offset, 255))
+        if self._in_words:
+            return [self._bands_stage(offset)]
         b = self.arrays
         planes = self.frames * self.masks
         stages = [
@@ -437,7 +468,7 @@ class Plan:
             self._dense("column_sums", self.frames, self.image, rows, step, column(0), b["sums"]),
         ]
         if self.masks == 1:
-            levels = (level(count), level(threshold.offset), np.uint32(0))
+            levels = (level(count), offset, np.uint32(0))
             images = (self.image, b["sums"], rows, step)
             stages.append(self._dense("binarize", self.frames, *images, *levels, b["binary"]))
         else:
@@ -452,6 +483,18 @@ class Plan:
         border = (rows, columns, step, b["binary"])
         stages.append(self._rows("repeat_border_binary", planes * self.working[0], 1, *border))
         return stages
+
+    def _bands_stage(self, offset: np.integer[Any]) -> Launch:
+        """Binarization to words, the noise of the bands, and the clearing of the responses."""
+        sizes = (*self.working, self.step, self._band_rows, self.config.threshold.window)
+        b = self.arrays
+        arguments = [self.image, *(np.uint32(n) for n in (*sizes, self.plane_words))]
+        arguments += [b["sums"], b["prefix"]]
+        arguments += [offset] if self.masks == 1 else [b["squares"], b["square_prefix"]]
+        if self.config.contrast is not None:
+            arguments += [b["curved"], b["noise"]]
+        arguments += [b["binary"], b["words"], b["responses"]]
+        return self._rows("binarize_bands", self._bands, self.frames, *arguments)
 
     def _criteria_stages(self) -> list[Launch]:
         rows, step = np.uint32(self.working[0]), np.uint32(self.step)
@@ -486,7 +529,6 @@ class Plan:
         room = np.uint32(self.candidate_room)
         planes = self.frames * self.masks
         b = self.arrays
-        width, height = self.step // 32, self.working[0] + 2 * RING_REACH
         thresholds = (
             np.int32(criteria.sector_threshold),
             np.int32(criteria.ring_threshold),
@@ -495,9 +537,6 @@ class Plan:
         found = (b["candidate_words"], rows, step, words)
         counted = (b["candidate_words"], b["row_counts"], rows, step, words, room)
         stages = [
-            self._stage(
-                "pack", (width, height, planes), None, b["binary"], rows, step, words, b["words"]
-            ),
             self._stage(
                 "rapid_criteria_words",
                 (self.plane_words // 8, planes),
@@ -518,7 +557,6 @@ class Plan:
                 b["candidates"],
                 b["totals"],
             ),
-            self._rows("clear_responses", planes * self.working[0], 1, rows, step, b["responses"]),
         ]
         if self.config.contrast is None:
             listed = (b["binary"], b["candidates"], b["totals"], rows, step, room)
@@ -577,13 +615,14 @@ class Plan:
         parts = np.uint32(self._parts)
         bands = self._bands
         curvature = np.int32 if deep else np.int16
-        noise = (self.image, rows, step, curvature(0), b["noise_sums"])
-        stages = [
-            self._stage("noise", (self.step, bands, self.frames), (self._width, 1, 1), *noise),
-            self._rows(
-                "noise_of_band", bands, self.frames, b["noise_sums"], columns, step, b["noise"]
-            ),
-        ]
+        stages = []
+        if not self._in_words:
+            noise = (self.image, rows, step, curvature(0), b["noise_sums"])
+            summed = (b["noise_sums"], columns, step, b["noise"])
+            stages += [
+                self._stage("noise", (self.step, bands, self.frames), (self._width, 1, 1), *noise),
+                self._rows("noise_of_band", bands, self.frames, *summed),
+            ]
         listed = (b["candidates"], b["totals"])
         criteria = self.config.criteria
         if isinstance(criteria, RapidCriteria):
