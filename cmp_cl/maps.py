@@ -32,15 +32,18 @@ def read_maps(plan: Plan) -> Maps:
     values["contrast"] = None
     for launch in plan.front:
         plan.launch([launch])
-        if launch.stage == "repeat_border_binary":
-            values["binary"] = _plane(plan, plan.arrays["binary"], np.uint8) > 0
-            values |= _rapid_maps(plan) if rapid else _spectral_maps(plan)
+        if launch.stage in ("repeat_border_binary", "binarize_bands"):
+            if launch.stage == "binarize_bands":
+                values["binary"] = _words(plan, "words", plan.words_margin)
+            else:
+                values["binary"] = _plane(plan, plan.arrays["binary"], np.uint8) > 0
+            values |= _rapid_maps(plan, values["binary"]) if rapid else _spectral_maps(plan)
             if plan.config.criteria.corrosion_threshold is None:
                 values["corrosion"] = None
         elif launch.stage in ("rapid_criteria", "spectral_criteria"):
             values["candidate"] = _plane(plan, plan.arrays["responses"], response) > 0
         elif launch.stage == "rapid_criteria_words":
-            values["candidate"] = _candidate_words(plan)
+            values["candidate"] = _words(plan, "candidate_words", 0)
         elif launch.stage == "keep":
             values["contrast"] = _contrast(plan)
         elif launch.stage == "suppress_bands":
@@ -103,9 +106,17 @@ def _per_pixel(plan: Plan, name: str, outputs: list[Any], *inputs: Any) -> list[
     return [_plane(plan, buffer, dtype) for buffer, dtype in zip(buffers, outputs, strict=True)]
 
 
-def _rapid_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
+def _rapid_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[Any] | None]:
+    rows, columns = plan.working
+    after = plan.step - plan.pad - columns
+    planes = np.pad(
+        binary.reshape(plan.masks, rows, columns), ((0, 0), (0, 0), (plan.pad, after)), "edge"
+    )
+    padded = np.pad(planes.reshape(-1, plan.step), ((1, 1), (0, 0)))
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    black = cl.Buffer(plan.queue.context, flags, hostbuf=padded)
     dtypes = [np.uint16, np.uint16, *(dtype for _, dtype in _RAPID_MAPS)]
-    inner, outer, *rest = _per_pixel(plan, "ring_maps", dtypes, plan.arrays["binary"])
+    inner, outer, *rest = _per_pixel(plan, "ring_maps", dtypes, black)
     values: dict[str, NDArray[Any] | None] = {"inner": inner, "outer": outer}
     values |= {name: values for (name, _), values in zip(_RAPID_MAPS, rest, strict=True)}
     return values | dict.fromkeys(_SPECTRAL_MAPS)
@@ -173,12 +184,13 @@ def _maxima_words(plan: Plan) -> NDArray[np.bool_]:
     return padded[:, plan.pad : plan.pad + columns] > 0
 
 
-def _candidate_words(plan: Plan) -> NDArray[np.bool_]:
-    """The planes of candidates as pixels: bit k of word i is pixel 32 i + k."""
+def _words(plan: Plan, name: str, margin: int) -> NDArray[np.bool_]:
+    """Planes of words as pixels: bit k of word i is pixel 32 i + k. `margin` words come first."""
     rows, columns = plan.working
-    words = np.empty((plan.masks, plan.plane_words), "<u4")
-    cl.enqueue_copy(plan.queue, words, plan.arrays["candidate_words"])
-    bits = np.unpackbits(words.view(np.uint8), axis=1, bitorder="little")
+    words = np.empty(margin + plan.masks * plan.plane_words, "<u4")
+    cl.enqueue_copy(plan.queue, words, plan.arrays[name])
+    planes = words[margin:].reshape(plan.masks, -1).view(np.uint8)
+    bits = np.unpackbits(planes, axis=1, bitorder="little")
     height = rows + 2 * RING_REACH
     padded = bits[:, : height * plan.step].reshape(plan.masks, height, plan.step)
     inside = padded[:, RING_REACH:-RING_REACH, plan.pad : plan.pad + columns] > 0

@@ -34,6 +34,7 @@ REACH = 16  # columns on either side of the pixels, at least: what rings and ten
 ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
 GROUP = 64  # work-items of a group over a list
 NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
+BEYOND = 8  # elements behind a row's running sums that a vector may reach
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
 RESULT_FIELDS = 12  # of kernels/refine.cl
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference", "sector_response")
@@ -116,7 +117,7 @@ class Plan:
         return _multiple((self.working[0] + 2 * RING_REACH) * self.step // 32, 8)
 
     @property
-    def _words_margin(self) -> int:
+    def words_margin(self) -> int:
         """Words before and after the planes that rings may look at."""
         return _multiple(RING_REACH * self.step // 32 + 8, 32)
 
@@ -133,12 +134,16 @@ class Plan:
             "OUTER_RADIUS": self.config.outer_radius,
             "RAPID": int(rapid),
             "IN_WORDS": int(self._in_words),
-            "WORDS_MARGIN": self._words_margin,
+            "WORDS_MARGIN": self.words_margin,
             "GATE": int(self.config.contrast is not None),
             "CORROSION": int(self.config.criteria.corrosion_threshold is not None),
+            "BEYOND": BEYOND,
             "COLUMN": "uint" if deep else "ushort",
-            "LEVEL": "ulong" if deep and self.config.threshold.offset else "uint",
+            "COLUMN8": "uint8" if deep else "ushort8",
+            "LEVEL": ("ulong" if self.config.threshold.offset else "uint") if deep else "int",
             "SQUARE": "ulong" if deep else "uint",
+            "VARIANCE": "ulong" if deep else "long",
+            "DISTANCE": "long" if deep else "int",
             "NOISE": "uint" if deep else "ushort",
             "NOISE_BAND": NOISE_BAND,
             "BAND_NOISE": "ulong" if deep else "uint",
@@ -162,7 +167,7 @@ class Plan:
         }
         distances = range(1, self.config.nms_radius + 1)
         macros = {
-            **self._window_sums(),
+            **({} if self._in_words else self._window_sums()),
             "OVER_SUPPRESSION(F)": " ".join(f"F({d})" for d in distances),
         }
         return build(self.queue.context, self.stages, defines, macros)
@@ -185,7 +190,7 @@ class Plan:
     @property
     def stages(self) -> list[str]:
         """The kernel files that the configuration needs."""
-        stages = ["binarize"]
+        stages = ["binarize_bands" if self._in_words else "binarize"]
         if self.scale is not None:
             stages.append("scale")
         rapid = isinstance(self.config.criteria, RapidCriteria)
@@ -216,7 +221,6 @@ class Plan:
         sizes = {
             "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
             "mask": 4 * self.plane_words if self._in_words else plane + spare,
-            "binary": planes * plane + spare,
             "work": max(
                 sum(_multiple(size, ALIGNMENT) for size in layout.values())
                 for layout in self._layouts
@@ -228,12 +232,13 @@ class Plan:
             "result": 4 * RESULT_FIELDS * rows,
         }
         if self._in_words:
-            sizes["words"] = 4 * (planes * self.plane_words + 2 * self._words_margin)
+            sizes["words"] = 4 * (planes * self.plane_words + 2 * self.words_margin)
             sizes["candidate_words"] = 4 * planes * self.plane_words
             sizes["row_starts"] = 4 * planes * self.working[0]
             sizes["maxima"] = self.frames * plane // 8
             sizes["response"] = self.frames * plane + spare
         else:
+            sizes["binary"] = planes * plane + spare
             sizes["responses"] = response * (planes * plane + spare)
             sizes["zeros"] = score * self.step
         if self.scale is not None:
@@ -258,12 +263,24 @@ class Plan:
         score = 2 if isinstance(self.config.criteria, RapidCriteria) else 4
         room = self.frames * self.masks * self.candidate_room
         length = self.frames * self.corner_room
-        binarization = {"sums": 2 * pixel * plane}
-        if self.masks == 3:
-            binarization["squares"] = 4 * pixel * plane
-        layouts = [binarization]
-        if self.config.contrast is not None:
-            layouts.append({"noise_sums": 2 * pixel * self.frames * self._bands * self.step})
+        gate = self.config.contrast is not None
+        bands = self.frames * self._bands
+        layouts = []
+        if self._in_words:
+            row, long_row = bands * self.step, bands * (self.step + BEYOND)
+            black = self.masks * row
+            layouts.append({"sums": 2 * pixel * row, "prefix": 4 * long_row, "black": black})
+            if self.masks == 3:
+                layouts[-1] |= {"squares": 4 * pixel * row, "square_prefix": 4 * pixel * long_row}
+            if gate:
+                layouts[-1]["curved"] = 2 * pixel * row
+        else:
+            layouts.append({"sums": 2 * pixel * plane})
+            if self.masks == 3:
+                layouts[-1]["squares"] = 4 * pixel * plane
+            if gate:
+                layouts.append({"noise_sums": 2 * pixel * bands * self.step})
+        if gate:
             contrasts = dict.fromkeys(CONTRASTS, 2 * pixel * room)
             if isinstance(self.config.criteria, RapidCriteria):
                 contrasts["samples"] = CHANNELS * pixel * room
@@ -272,7 +289,6 @@ class Plan:
         if self._in_words:
             kept = 4 * (2 * self.config.nms_radius + 3)  # rows of a band
             contrasts = dict.fromkeys(CONTRASTS, 2 * pixel * room)
-            bands = self.frames * self._row_bands
             layouts.append({**contrasts, "kept": 2 * kept * self.step * bands})
         else:
             layouts.append({"key": score * plane, "tent": score * plane})
@@ -284,8 +300,17 @@ class Plan:
 
     @property
     def _bands(self) -> int:
-        """Bands of rows of the noise estimate."""
-        return -(-self.working[0] // NOISE_BAND)
+        """Bands of rows: those that a work-item on a CPU takes, and those of the noise estimate."""
+        return -(-self.working[0] // self._band_rows)
+
+    @property
+    def _band_rows(self) -> int:
+        """Rows of a band. On CPUs a band's start costs a share of the window and the rows beside
+        it, and eight bands for each of a device's units share the work out evenly."""
+        if not self._in_words:
+            return NOISE_BAND
+        share = -(-self.working[0] // (8 * self.device.handle.max_compute_units))
+        return max(share, self.config.threshold.window // 4, 16)
 
     @property
     def _lanes(self) -> int:
@@ -294,20 +319,10 @@ class Plan:
         return 1 if whole or self.device.kind is not DeviceKind.CPU else 8
 
     @property
-    def _band_rows(self) -> int:
-        """Rows that a work-item on a CPU takes: enough for the rows beside them to matter little,
-        and few enough for each core to have its share."""
-        return min(max(-(-self.working[0] // 4), 8), 40)
-
-    @property
-    def _row_bands(self) -> int:
-        return -(-self.working[0] // self._band_rows)
-
-    @property
     def _parts(self) -> int:
         """Shares of the list of candidates whose contrasts are counted apart."""
         if self._in_words:
-            return self._row_bands
+            return self._bands
         return 16 if self.device.kind is DeviceKind.CPU else 256
 
     def _allocate(self) -> None:
@@ -386,9 +401,7 @@ class Plan:
         self.front = [*self._scale_stage(), *self._binarize_stages(), *self._criteria_stages()]
         if self.config.contrast is not None:
             self.front += self._gate_stages(self.config.contrast)
-        self.front += (
-            self._suppression_in_bands() if self._in_words else self._suppression_stages()
-        )
+        self.front += self._suppression_in_bands() if self._in_words else self._suppression_stages()
         self.launches = [*self.front, *self._refinement_stages()]
         self._totals = np.empty(self.frames * (self.masks + 1), np.uint32)
 
@@ -455,8 +468,14 @@ class Plan:
         rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
         deep = self.dtype == np.uint16
         column = np.uint32 if deep else np.uint16
-        level = np.uint64 if deep and threshold.offset else np.uint32
         count = threshold.window**2
+        level: type[np.integer[Any]] = np.int32
+        if deep:
+            level = np.uint64 if threshold.offset else np.uint32
+        # No mean of bytes is above 255.
+        offset = level(threshold.offset if deep else min(threshold.offset, 255))
+        if self._in_words:
+            return [self._bands_stage(offset)]
         b = self.arrays
         planes = self.frames * self.masks
         stages = [
@@ -466,7 +485,7 @@ class Plan:
             self._dense("column_sums", self.frames, self.image, rows, step, column(0), b["sums"]),
         ]
         if self.masks == 1:
-            levels = (level(count), level(threshold.offset), np.uint32(0))
+            levels = (level(count), offset, np.uint32(0))
             images = (self.image, b["sums"], rows, step)
             stages.append(self._dense("binarize", self.frames, *images, *levels, b["binary"]))
         else:
@@ -481,6 +500,18 @@ class Plan:
         border = (rows, columns, step, b["binary"])
         stages.append(self._rows("repeat_border_binary", planes * self.working[0], 1, *border))
         return stages
+
+    def _bands_stage(self, offset: np.integer[Any]) -> Launch:
+        """Binarization to words, and the noise of the bands."""
+        sizes = (*self.working, self.step, self._band_rows, self.config.threshold.window)
+        b = self.arrays
+        arguments = [self.image, *(np.uint32(n) for n in (*sizes, self.plane_words))]
+        arguments += [b["sums"], b["prefix"]]
+        arguments += [offset] if self.masks == 1 else [b["squares"], b["square_prefix"]]
+        if self.config.contrast is not None:
+            arguments += [b["curved"], b["noise"]]
+        arguments += [b["black"], b["words"]]
+        return self._rows("binarize_bands", self._bands, self.frames, *arguments)
 
     def _criteria_stages(self) -> list[Launch]:
         rows, step = np.uint32(self.working[0]), np.uint32(self.step)
@@ -515,7 +546,6 @@ class Plan:
         room = np.uint32(self.candidate_room)
         planes = self.frames * self.masks
         b = self.arrays
-        width, height = self.step // 32, self.working[0] + 2 * RING_REACH
         thresholds = (
             np.int32(criteria.sector_threshold),
             np.int32(criteria.ring_threshold),
@@ -524,9 +554,6 @@ class Plan:
         band_rows = np.uint32(self._band_rows)
         contrast = np.int32 if self.dtype == np.uint16 else np.int16
         stages = [
-            self._stage(
-                "pack", (width, height, planes), None, b["binary"], rows, step, words, b["words"]
-            ),
             self._stage(
                 "rapid_criteria_words",
                 (self.plane_words // 8, planes),
@@ -541,10 +568,10 @@ class Plan:
             ),
         ]
         if self.config.contrast is None:
-            sector_threshold = contrast(criteria.sector_threshold)
-            found = (b["words"], b["candidate_words"], rows, step, words, room, band_rows)
+            sizes = (rows, step, words, room, band_rows, contrast(criteria.sector_threshold))
+            found = (b["words"], b["candidate_words"], *sizes)
             lists = (b["totals"], b["row_starts"], b["sector_response"])
-            stages.append(self._banded("sector_responses", planes, *found, sector_threshold, *lists))
+            stages.append(self._banded("sector_responses", planes, *found, *lists))
         return stages
 
     def _spectral(self, criteria: SpectralCriteria, corrosion: np.int8) -> Sequence[Any]:
@@ -598,17 +625,18 @@ class Plan:
         parts = np.uint32(self._parts)
         bands = self._bands
         curvature = np.int32 if deep else np.int16
-        noise = (self.image, rows, step, curvature(0), b["noise_sums"])
-        stages = [
-            self._stage("noise", (self.step, bands, self.frames), (self._width, 1, 1), *noise),
-            self._rows(
-                "noise_of_band", bands, self.frames, b["noise_sums"], columns, step, b["noise"]
-            ),
-        ]
+        stages = []
+        if not self._in_words:
+            noise = (self.image, rows, step, curvature(0), b["noise_sums"])
+            summed = (b["noise_sums"], columns, step, b["noise"])
+            stages += [
+                self._stage("noise", (self.step, bands, self.frames), (self._width, 1, 1), *noise),
+                self._rows("noise_of_band", bands, self.frames, *summed),
+            ]
         criteria = self.config.criteria
         signed = np.int32 if deep else np.int16
         listed = (b["candidates"], b["totals"]) if not self._in_words else ()
-        if self._in_words:
+        if self._in_words and isinstance(criteria, RapidCriteria):
             words = (b["words"], b["candidate_words"])
             sizes = (rows, step, np.uint32(self.plane_words), room, np.uint32(self._band_rows))
             threshold = signed(criteria.sector_threshold)
@@ -644,7 +672,7 @@ class Plan:
 
     def _banded(self, name: str, planes: int, *arguments: Any) -> Launch:
         """A kernel with one work-item per band of rows."""
-        return self._stage(name, (self._row_bands, planes), (1, 1), *arguments)
+        return self._stage(name, (self._bands, planes), (1, 1), *arguments)
 
     def _suppression_in_bands(self) -> list[Launch]:
         rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))

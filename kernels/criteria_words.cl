@@ -11,19 +11,6 @@ typedef struct {
   WORDS b1, b2, b4, b8, b16, b32;
 } Number;
 
-/* Bytes 0 or 1 to words. One work-item per word, rows above and below included. */
-__kernel void pack(__global const uchar *restrict binary, const uint rows, const uint step,
-                   const uint plane_words, __global uint *restrict words) {
-  const size_t i = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  const int near = SMALLER(LARGER((int)y - REACH, 0), (int)rows - 1);
-  __global const ulong *bytes =
-      (__global const ulong *)(binary + ROW(p, near) + i * 32);
-  uint word = 0;
-  for (uint k = 0; k < 4; ++k)
-    word |= (uint)(bytes[k] * 0x0102040810204080UL >> 56) << (8 * k);
-  words[WORDS_MARGIN + p * plane_words + y * (step / 32) + i] = word;
-}
-
 WORDS majority(const WORDS a, const WORDS b, const WORDS c) { return (a & b) | ((a ^ b) & c); }
 
 /* Sums of words of weight one, and of two numbers. */

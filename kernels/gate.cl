@@ -7,6 +7,8 @@
 
 #define FULL ((PIXEL)(-1)) /* the complement of g is FULL - g = g ^ FULL */
 
+#if !IN_WORDS
+
 /* Noise: sums of |[1 -2 1]^T [1 -2 1] * I| over the inner pixels, NOISE_BAND rows of a column at
  * a time. One work-item per column of a band. */
 __kernel void noise(__global const PIXEL *restrict image, const uint rows, const uint step,
@@ -40,6 +42,8 @@ __kernel void noise_of_band(__global const NOISE *restrict sums, const uint colu
   for (uint x = 1; x + 1 < columns; ++x) total += sum[x];
   totals[row] = total;
 }
+
+#endif
 
 /* floor(8 s / n), exactly. A byte's quotient lies at least 0.5 / 16 from where rounding could
  * change its floor; a longer one is put right by its remainder. */
