@@ -280,17 +280,15 @@ class Plan:
                 layouts[-1]["squares"] = 4 * pixel * plane
             if gate:
                 layouts.append({"noise_sums": 2 * pixel * bands * self.step})
-        if gate:
-            contrasts = dict.fromkeys(CONTRASTS, 2 * pixel * room)
-            if isinstance(self.config.criteria, RapidCriteria):
-                contrasts["samples"] = CHANNELS * pixel * room
-            if not self._in_words:
-                layouts.append(contrasts)
+        lists = dict.fromkeys(CONTRASTS if gate else ("sector_response",), 2 * pixel * room)
         if self._in_words:
             kept = 4 * (2 * self.config.nms_radius + 3)  # rows of a band
-            contrasts = dict.fromkeys(CONTRASTS, 2 * pixel * room)
-            layouts.append({**contrasts, "kept": 2 * kept * self.step * bands})
+            layouts.append({**lists, "kept": 2 * kept * self.step * bands})
         else:
+            if gate and isinstance(self.config.criteria, RapidCriteria):
+                lists["samples"] = CHANNELS * pixel * room
+            if gate:
+                layouts.append(lists)
             layouts.append({"key": score * plane, "tent": score * plane})
         if self.config.refinement is not None:
             layouts.append({"points": 4 * POINT_FIELDS * length, "lines": 4 * LINE_FIELDS * length})

@@ -54,12 +54,16 @@ def left_out(detector_for, config, *, files=(), launches=(), buffers=(), than=FU
     assert sum(plan.sizes.values()) <= sum(full.sizes.values())
 
 
-def test_the_gate(detector_for):
+def test_the_gate(detector_for, device):
+    kernels = {
+        DeviceKind.CPU: ["gate_words", "percentile"],
+        DeviceKind.GPU: ["noise", "sector_contrast", "histogram", "percentile", "keep"],
+    }
     left_out(
         detector_for,
         FULL.replace(contrast=None),
         files=["gate"],
-        launches=["noise", "sector_contrast", "histogram", "percentile", "keep"],
+        launches=kernels[device.kind],
         buffers=["contrast", "noise", "bins", "found", "bounds"],
     )
 
@@ -73,12 +77,14 @@ def test_refinement(detector_for):
     )
 
 
-def test_extra_masks(detector_for):
+def test_extra_masks(detector_for, device):
+    kernels = {DeviceKind.CPU: [], DeviceKind.GPU: ["column_squares", "binarize_three", "combine"]}
+    buffers = {DeviceKind.CPU: ["square_prefix"], DeviceKind.GPU: ["response"]}
     left_out(
         detector_for,
         FULL.replace(threshold=AdaptiveMean()),
-        launches=["column_squares", "binarize_three", "combine"],
-        buffers=["squares", "response"],
+        launches=kernels[device.kind],
+        buffers=["squares", *buffers[device.kind]],
     )
 
 

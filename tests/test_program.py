@@ -40,7 +40,7 @@ def test_the_source_is_headers_and_stages_with_their_lines():
 
 
 def test_a_kernel_that_does_not_compile_gives_the_compilers_log(altered, device):
-    altered("nms.cl", "__kernel void tent_rows(", "__kernel void tent_rows(nonsense ")
+    altered("nms.cl", "__kernel void score_map(", "__kernel void score_map(nonsense ")
     with pytest.raises(KernelBuildError) as error:
         Detector(shape=IMAGE.shape, device=device)
     message = str(error.value)
