@@ -1,5 +1,6 @@
 """Detector: from frames to corners, on one OpenCL device."""
 
+import operator
 import os
 import threading
 from collections.abc import Iterable, Iterator, Sequence
@@ -49,13 +50,15 @@ class Detector:
         profile: bool = False,
     ) -> None:
         self.shape = _checked_shape(shape)
-        self.dtype = np.dtype(dtype)
+        self.dtype = _checked_dtype(dtype)
         if self.dtype not in (np.uint8, np.uint16):
             raise ImageError(f"dtype must be uint8 or uint16, not {self.dtype}")
         self.config = DetectorConfig() if config is None else config
         if not isinstance(self.config, DetectorConfig):
             raise ConfigError(f"config must be a DetectorConfig, not {config!r}")
         self._mask = None if mask is None else _checked_mask(mask, self.shape)
+        if queue is not None and not isinstance(queue, cl.CommandQueue):
+            raise DeviceError(f"queue must be a pyopencl.CommandQueue, not {queue!r}")
         if queue is not None and device is not None:
             raise DeviceError("give a device or a queue, not both")
         if queue is not None:
@@ -65,7 +68,6 @@ class Detector:
         context = queue.context if queue is not None else cl.Context([self.device.handle])
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
-        self._profile = profile
         self._transfers = cl.CommandQueue(context)
         self._lock = threading.RLock()
         self._process = os.getpid()
@@ -112,7 +114,11 @@ class Detector:
         return spent
 
     def __call__(self, frame: GreyImage) -> Corners:
-        """The corners of one frame, (H, W); raises ImageError where the frame does not fit."""
+        """The corners of one frame, (H, W).
+
+        Raises ImageError where the frame does not fit, CapacityError where the device is full,
+        DeviceError where the detector is closed or of another process.
+        """
         self._check(frame)
         if not frame.size:
             return _no_corners(str(self.device))
@@ -127,7 +133,7 @@ class Detector:
 
         The next frame is uploaded while the kernels of this one run. A frame may be
         overwritten as soon as the next one is asked for. Calls and other streams may come
-        in between.
+        in between. Raises what a call raises, at the frame that it concerns.
         """
         if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
             yield from map(self, frames)
@@ -155,7 +161,10 @@ class Detector:
                 waiting.awaited = False
 
     def batch(self, stack: NDArray[Any] | Sequence[GreyImage]) -> list[Corners]:
-        """The corners of each frame of (B, H, W), one launch per stage for all of them."""
+        """The corners of each frame of (B, H, W), one launch per stage for all of them.
+
+        Raises what a call raises.
+        """
         frames = list(stack)
         for frame in frames:
             self._check(frame)
@@ -169,7 +178,10 @@ class Detector:
             return self._best(results)
 
     def maps(self, frame: GreyImage) -> Maps:
-        """Every intermediate image of a frame; with a Pyramid those of its first factor."""
+        """Every intermediate image of a frame; with a Pyramid those of its first factor.
+
+        Raises what a call raises.
+        """
         from cmp_cl.maps import no_maps, read_maps
 
         self._check(frame)
@@ -188,7 +200,10 @@ class Detector:
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
     ) -> tuple[Corners, Grid]:
-        """The corners of a frame and their numbering, see `build_grid`."""
+        """The corners of a frame and their numbering, see `build_grid`.
+
+        Raises what a call and `build_grid` raise.
+        """
         from cmp_cl.grid import build_grid
 
         corners = self(frame)
@@ -370,12 +385,20 @@ def _no_corners(device: str) -> Corners:
 
 def _checked_shape(shape: Any) -> tuple[int, int]:
     try:
-        rows, columns = (int(n) for n in shape)
+        rows, columns = (operator.index(n) for n in shape)
     except (TypeError, ValueError) as error:
         raise ImageError(f"shape must be (H, W), not {shape!r}") from error
     if rows < 0 or columns < 0:
         raise ImageError(f"shape must be (H, W), not {shape!r}")
     return rows, columns
+
+
+def _checked_dtype(dtype: Any) -> np.dtype[Any]:
+    try:
+        known: np.dtype[Any] = np.dtype(dtype)
+    except TypeError as error:
+        raise ImageError(f"dtype must be uint8 or uint16, not {dtype!r}") from error
+    return known
 
 
 def _checked_mask(mask: ArrayLike, shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -707,3 +707,14 @@ def test_the_papers_configuration(detector_for):
         corners = assert_corners_equal(detector_for(BOARD, config), BOARD)
         assert len(corners) > 20
     assert {Method.MIDLINE, Method.CUSP} & set(corners.method)
+
+
+def test_what_a_detector_is_made_of_is_checked(device):
+    for shape in ((10.7, 5), (10,), 10, None, ("a", "b")):
+        with pytest.raises(ImageError, match="shape must be"):
+            Detector(shape=shape, device=device)
+    for dtype in ("banana", object(), np.float32):
+        with pytest.raises(ImageError, match="dtype must be uint8 or uint16"):
+            Detector(shape=(20, 20), dtype=dtype, device=device)
+    with pytest.raises(DeviceError, match=r"queue must be a pyopencl\.CommandQueue"):
+        Detector(shape=(20, 20), queue="q")
