@@ -724,7 +724,7 @@ def criteria(result: Row) -> str:
     parts.append(
         f"Rapid and spectral criteria disagree on {100 * seen['near_disagree']:.2f} % of the "
         f"pixels within 1.5 px of a corner and on {100 * seen['far_disagree']:.3f} % of the "
-        "others. From the binary image to the list of candidates the rapid form takes "
+        "others. From the binary image to the candidates the rapid form takes "
         f"{spent['rapid']['ms']:.3f} ms and the spectral one {spent['spectral']['ms']:.3f} ms, "
         f"{spent['ratio']:.1f} times as long (the paper says over 20 and over 10 times for its "
         "two).\n"
