@@ -16,6 +16,7 @@ from cmp_cl import spectrum
 from cmp_cl.config import (
     AdaptiveMean,
     DetectorConfig,
+    EdgeLines,
     EdgeStep,
     Fit,
     Midlines,
@@ -38,6 +39,7 @@ BEYOND = 8  # elements behind a row's running sums that a vector may reach
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
 RESULT_FIELDS = 12  # of kernels/refine.cl
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference", "sector_response")
+START_FIELDS = 2
 POINT_FIELDS = 27
 LINE_FIELDS = 6
 EDGE_SAMPLES = 68  # of the three rings
@@ -112,6 +114,12 @@ class Plan:
         return rapid and self.device.kind is DeviceKind.CPU
 
     @property
+    def _by_eight(self) -> bool:
+        """Whether refinement takes eight corners in a vector: what is fastest on CPUs."""
+        lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
+        return lines and self.scale is None and self.device.kind is DeviceKind.CPU
+
+    @property
     def plane_words(self) -> int:
         """Words of a plane, with the rows above and below."""
         return _multiple((self.working[0] + 2 * RING_REACH) * self.step // 32, 8)
@@ -149,7 +157,7 @@ class Plan:
             "BAND_NOISE": "ulong" if deep else "uint",
             "CURVATURE": "int" if deep else "short",
             "GROUP": GROUP,
-            "LANES": self._lanes,
+            "LANES": 8 if self._by_eight else 1,
             "CONTRAST": "int" if deep else "short",
             "SUM": "uint" if deep else "ushort",
             "MEANS": "int" if deep else "short",
@@ -199,11 +207,12 @@ class Plan:
             stages.append("criteria_words")
         if self.config.contrast is not None:
             stages.append("gate")
+        eight = ["refine_eight"] if self._by_eight else []
         if not self._in_words:
-            return [*stages, "nms", "collect", "refine"]
+            return [*stages, "nms", "collect", "refine", *eight]
         if self.config.contrast is not None:
             stages.append("gate_words")
-        return [*stages, "nms", "nms_bands", "refine"]
+        return [*stages, "nms", "nms_bands", "refine", *eight]
 
     # What is allocated
 
@@ -228,7 +237,6 @@ class Plan:
             "row_counts": 4 * planes * self.working[0],
             "totals": 4 * (planes + self.frames),
             "corners": 8 * rows,
-            "start": 8 * rows,
             "result": 4 * RESULT_FIELDS * rows,
         }
         if self._in_words:
@@ -262,7 +270,6 @@ class Plan:
         plane = (self.frames * self.working[0] + 2) * self.step
         score = 2 if isinstance(self.config.criteria, RapidCriteria) else 4
         room = self.frames * self.masks * self.candidate_room
-        length = self.frames * self.corner_room
         gate = self.config.contrast is not None
         bands = self.frames * self._bands
         layouts = []
@@ -290,11 +297,23 @@ class Plan:
             if gate:
                 layouts.append(lists)
             layouts.append({"key": score * plane, "tent": score * plane})
-        if self.config.refinement is not None:
-            layouts.append({"points": 4 * POINT_FIELDS * length, "lines": 4 * LINE_FIELDS * length})
+        return [*layouts, self._refinement_layout]
+
+    @property
+    def _refinement_layout(self) -> dict[str, int]:
+        """The same for what the kernels of refinement leave to one another."""
+        refinement = self.config.refinement
+        step = isinstance(refinement, EdgeStep)
+        fields = {}
+        if step or not self._by_eight:
+            fields["start"] = START_FIELDS
+        if step:
+            fields["lines"] = LINE_FIELDS
+        if refinement is not None and not self._by_eight:
+            fields["points"] = POINT_FIELDS
             if self.scale is None:
-                layouts[-1]["edge_samples"] = 4 * EDGE_SAMPLES * length
-        return layouts
+                fields["edge_samples"] = EDGE_SAMPLES
+        return {name: 4 * n * self.frames * self.corner_room for name, n in fields.items()}
 
     @property
     def _bands(self) -> int:
@@ -309,12 +328,6 @@ class Plan:
             return NOISE_BAND
         share = -(-self.working[0] // (8 * self.device.handle.max_compute_units))
         return max(share, self.config.threshold.window // 4, 16)
-
-    @property
-    def _lanes(self) -> int:
-        """Corners that a work-item of refinement takes: what a vector holds on CPUs."""
-        whole = self.scale is not None or isinstance(self.config.refinement, Midlines)
-        return 1 if whole or self.device.kind is not DeviceKind.CPU else 8
 
     @property
     def _parts(self) -> int:
@@ -720,62 +733,66 @@ class Plan:
         """From the maxima to positions."""
         refinement = self.config.refinement
         rows, step = np.uint32(self.working[0]), np.uint32(self.step)
-        factor = self.scale or 1.0
-        scale = np.float32(factor)
         b = self.arrays
-        corners = tuple(
-            np.uint32(n)
-            for n in (
-                self.corner_room,
-                self.frames * self.masks,
-                self.frames * self.corner_room,
-            )
-        )
-        size = (np.uint32(self.shape[0]), np.uint32(self.shape[1]))
-        full = (*size, np.uint32(self.full_step))
-        lists = (b["corners"], b["totals"], rows, step, *corners)
-        stages = [
-            self._corners(
-                "centroid", 1, self.response, *lists, scale, *size, b["start"], b["result"]
-            )
-        ]
-        if refinement is None:
-            return stages
-        grey = (b["image"], b["start"], b["totals"])
-        lanes = self._lanes
+        lists = (b["corners"], b["totals"], rows, step, *self._corner_rows)
+        if self._by_eight:
+            arguments = (self.response, b["image"], *lists, self._largest_shift)
+            between = (b["start"], b["lines"]) if isinstance(refinement, EdgeStep) else ()
+            stages = [self._corners("refine_eight", 8, *arguments, *between, b["result"])]
+        else:
+            scale, size = np.float32(self.scale or 1), (np.uint32(n) for n in self.shape)
+            places = (scale, *size, b["start"], b["result"])
+            stages = [self._corners("centroid", 1, self.response, *lists, *places)]
+            if refinement is not None:
+                stages += self._edge_stages(refinement)
+        if isinstance(refinement, EdgeStep):
+            stages.append(self._step_stage(refinement))
+        return stages
+
+    def _edge_stages(self, refinement: EdgeLines | EdgeStep | Midlines) -> list[Launch]:
+        """From the starts to edge points and where their lines meet, one by one."""
+        b = self.arrays
+        grey, corners = (b["image"], b["start"], b["totals"]), self._corner_rows
         if self.scale is None:
             samples = b["edge_samples"]
-            stages += [
-                self._corners("sample_edges", 1, *grey, rows, step, *corners, samples),
-                self._corners("edge_points", lanes, samples, b["totals"], *corners, b["points"]),
+            size = (np.uint32(self.shape[0]), np.uint32(self.full_step))
+            stages = [
+                self._corners("sample_edges", 1, *grey, *size, *corners, samples),
+                self._corners("edge_points", 1, samples, b["totals"], *corners, b["points"]),
             ]
         else:
-            stages.append(
-                self._corners("edge_points", 1, *grey, *full, *corners, scale, b["points"])
-            )
-        start = (b["points"], b["start"], b["totals"], *corners)
+            size = (*(np.uint32(n) for n in self.shape), np.uint32(self.full_step))
+            scaled = (*size, *corners, np.float32(self.scale))
+            stages = [self._corners("edge_points", 1, *grey, *scaled, b["points"])]
+        points = (b["points"], b["start"], b["totals"], *corners, self._largest_shift)
         if isinstance(refinement, Midlines):
-            largest = np.float32(refinement.max_shift / factor)
-            return [*stages, self._corners("midlines", 1, *start, largest, b["result"])]
-        largest = np.float32(
-            (2 if isinstance(refinement, EdgeStep) else refinement.max_shift) / factor
+            return [*stages, self._corners("midlines", 1, *points, b["result"])]
+        between = (b["lines"],) if isinstance(refinement, EdgeStep) else ()
+        return [*stages, self._corners("edge_lines", 1, *points, *between, b["result"])]
+
+    def _step_stage(self, refinement: EdgeStep) -> Launch:
+        b, factor = self.arrays, self.scale or 1.0
+        radius = min(max(0.75 * refinement.cell * factor, 4.5), 9.0) / factor
+        size = (*(np.uint32(n) for n in self.shape), np.uint32(self.full_step))
+        lengths = (np.float32(radius), np.float32(factor))
+        arguments = (b["image"], b["start"], b["lines"], b["totals"], *size, *self._corner_rows)
+        return self._corners("edge_step", 1, *arguments, *lengths, b["result"])
+
+    @property
+    def _corner_rows(self) -> tuple[np.uint32, np.uint32, np.uint32]:
+        """What says where a corner's row is: room of a frame, place of its total, all rows."""
+        return (
+            np.uint32(self.corner_room),
+            np.uint32(self.frames * self.masks),
+            np.uint32(self.frames * self.corner_room),
         )
-        lines = (*start, largest, b["lines"], b["result"])
-        stages.append(self._corners("edge_lines", lanes, *lines))
-        if isinstance(refinement, EdgeStep):
-            radius = min(max(0.75 * refinement.cell * factor, 4.5), 9.0) / factor
-            step_arguments = (
-                b["image"],
-                b["start"],
-                b["lines"],
-                b["totals"],
-                *full,
-                *corners,
-                np.float32(radius),
-                scale,
-            )
-            stages.append(self._corners("edge_step", 1, *step_arguments, b["result"]))
-        return stages
+
+    @property
+    def _largest_shift(self) -> np.float32:
+        """Of a refined position from its start, px of the image."""
+        refinement = self.config.refinement
+        shift = refinement.max_shift if isinstance(refinement, EdgeLines | Midlines) else 2.0
+        return np.float32(shift / (self.scale or 1.0))
 
     def _corners(self, name: str, each: int, *arguments: Any) -> Launch:
         """A kernel whose work-items take `each` corners of the list."""

@@ -25,6 +25,36 @@
 #define METHOD_CUSP 4
 #define METHOD_KEPT 5
 
+/* A work-item takes LANES corners: one, or with refine_eight.cl the eight that a vector holds.
+ * LANE(array, k) is their part of column k. */
+#if LANES == 1
+typedef float REAL;
+typedef uint BITS;
+#define AS_BITS(v) as_uint(v)
+#define AS_REAL(v) as_float(v)
+#define WHERE(condition) (0u - (uint)(condition))
+#elif LANES == 8
+typedef float8 REAL;
+typedef uint8 BITS;
+#define AS_BITS(v) as_uint8(v)
+#define AS_REAL(v) as_float8(v)
+#define WHERE(condition) as_uint8(condition)
+#else
+#error "LANES must be 1 or 8"
+#endif
+#define LANE(array, k) *(__global REAL *)(array + (size_t)(k) * length + row)
+#define CHOOSE(mask, a, b) AS_REAL((AS_BITS(a) & (mask)) | (AS_BITS(b) & ~(mask)))
+
+/* A vector of eight elements, whatever their type: vload8 and convert_float8 are calls of 30 ns
+ * on PoCL 3.0. */
+#define EIGHT_OF(T, p) (T)((p)[0], (p)[1], (p)[2], (p)[3], (p)[4], (p)[5], (p)[6], (p)[7])
+
+/* s / sum, of -2 .. 2, to the nearest integer, halves up. */
+#define REACHES(s, thirds) (WHERE(2 * (s) >= (thirds) * sum) & 1)
+#define NEAREST(s) (REACHES(s, -3) + REACHES(s, -1) + REACHES(s, 1) + REACHES(s, 3) - 2)
+
+#if LANES == 1
+
 /* The response-weighted centroid of the 5 x 5 pixels around a maximum, and the pixel next to
  * it, where refinement starts; both at full size where the detector works on a scaled image. */
 __kernel void centroid(__global const RESPONSE *restrict response,
@@ -56,12 +86,7 @@ __kernel void centroid(__global const RESPONSE *restrict response,
                            clamp((int)floor(y + 0.5f), 0, (int)full_rows - 1));
 #else
   const float x = (float)pixel.x + offset_x, y = (float)pixel.y + offset_y;
-  /* floor((2 sum_x + sum) / (2 sum)) lies in -2 .. 2. */
-  const int twice_x = 2 * sum_x + sum, twice_y = 2 * sum_y + sum;
-  const int2 from = pixel - 2 + (int2)((twice_x >= -2 * sum) + (twice_x >= 0) +
-                                           (twice_x >= 2 * sum) + (twice_x >= 4 * sum),
-                                       (twice_y >= -2 * sum) + (twice_y >= 0) +
-                                           (twice_y >= 2 * sum) + (twice_y >= 4 * sum));
+  const int2 from = pixel + (int2)((int)NEAREST(sum_x), (int)NEAREST(sum_y));
 #endif
   start[row] = (float)from.x;
   start[length + row] = (float)from.y;
@@ -76,6 +101,8 @@ __kernel void centroid(__global const RESPONSE *restrict response,
   for (int k = 0; k < 4; ++k) FIELD(RESULT_EDGES + k) = NAN;
 }
 
+#endif
+
 #if REFINED
 
 /* The edge points: on each of three rings the four boundaries of black and white, e0 to e3
@@ -83,27 +110,6 @@ __kernel void centroid(__global const RESPONSE *restrict response,
  * whether it has four boundaries. */
 #define POINT(ring, k) COLUMN_OF(points, (ring) * 9 + (k))
 #define RINGS 3
-
-/* A work-item of the kernels below takes LANES corners: one, or on CPUs the eight that a vector
- * holds. LANE(array, k) is their part of column k. */
-#if LANES == 1
-typedef float REAL;
-typedef uint BITS;
-#define AS_BITS(v) as_uint(v)
-#define AS_REAL(v) as_float(v)
-#define WHERE(condition) (0u - (uint)(condition))
-#elif LANES == 8
-typedef float8 REAL;
-typedef uint8 BITS;
-#define AS_BITS(v) as_uint8(v)
-#define AS_REAL(v) as_float8(v)
-#define WHERE(condition) as_uint8(condition)
-#else
-#error "LANES must be 1 or 8"
-#endif
-#define LANE(array, k) *(__global REAL *)(array + (size_t)(k) * length + row)
-#define CONST_LANE(array, k) *(__global const REAL *)(array + (size_t)(k) * length + row)
-#define CHOOSE(mask, a, b) AS_REAL((AS_BITS(a) & (mask)) | (AS_BITS(b) & ~(mask)))
 
 #define ONES_2(v) ((v) - ((v) >> 1 & 0x55555555u))
 #define ONES_4(v) (((v) & 0x33333333u) + ((v) >> 2 & 0x33333333u))
@@ -147,10 +153,42 @@ REAL crossing(const REAL here, const REAL next) {
 /* The pixels of row y of frame p, y held inside the image. */
 #define CLAMPED_ROW(y) (ROW(p, SMALLER(LARGER(y, 0), (int)rows - 1)) + PAD)
 
-#if !SCALED
+/* One ring; GREY(k, dx, dy) is its sample k, d0, d1, ... grey minus threshold. */
+#define SAMPLE(k, dx, dy, next, next_x, next_y) const REAL d##k = GREY(k, dx, dy) - threshold;
+#define COLOUR(k, dx, dy, next, next_x, next_y) black |= WHERE(d##k < 0) & (1u << (k));
+
+/* The threshold: mean of the means of the lowest and of the highest quarter of the inner ring.
+ * Of two sorted fours, the first of each pair (first, last), (second, third), ... is one of the
+ * lowest four; these rise and fall, and so do the highest four. */
+#define IN_ORDER(i, j)                                                              \
+  {                                                                                 \
+    const REAL a = s##i, b = s##j;                                                  \
+    s##i = a < b ? a : b;                                                           \
+    s##j = a < b ? b : a;                                                           \
+  }
+#define SORT_4(a, b, c, d) \
+  IN_ORDER(a, b) IN_ORDER(c, d) IN_ORDER(a, c) IN_ORDER(b, d) IN_ORDER(b, c)
+#define SORT_RISE_AND_FALL(a, b, c, d) \
+  IN_ORDER(a, c) IN_ORDER(b, d) IN_ORDER(a, b) IN_ORDER(c, d)
+#define PART_8(a, b, c, d, e, f, g, h)                                              \
+  SORT_4(a, b, c, d) SORT_4(e, f, g, h)                                             \
+  IN_ORDER(a, h) IN_ORDER(b, g) IN_ORDER(c, f) IN_ORDER(d, e)
+#define SORTED(k, dx, dy, next, next_x, next_y) REAL s##k = GREY(k, dx, dy);
+#define THRESHOLD                                                                   \
+  EDGE_RING_3(SORTED)                                                               \
+  PART_8(0, 1, 2, 3, 4, 5, 6, 7)                                                    \
+  PART_8(8, 9, 10, 11, 12, 13, 14, 15)                                              \
+  SORT_RISE_AND_FALL(0, 1, 2, 3) SORT_RISE_AND_FALL(4, 5, 6, 7)                     \
+  SORT_RISE_AND_FALL(8, 9, 10, 11) SORT_RISE_AND_FALL(12, 13, 14, 15)               \
+  IN_ORDER(0, 11) IN_ORDER(1, 10) IN_ORDER(2, 9) IN_ORDER(3, 8)                     \
+  IN_ORDER(4, 15) IN_ORDER(5, 14) IN_ORDER(6, 13) IN_ORDER(7, 12)                   \
+  const REAL threshold = (s0 + s1 + s2 + s3 + s12 + s13 + s14 + s15) * 0.125f;
+
+#if LANES == 1 && !SCALED
 
 /* Copy the greys of the three rings, in blocks of GROUP corners. One work-item per corner. */
 #define EDGE_SAMPLES 68
+#define SAMPLES_FROM(row) samples + (row) / GROUP * GROUP * EDGE_SAMPLES + (row) % GROUP
 __kernel void sample_edges(__global const PIXEL *restrict image,
                            __global const float *restrict start,
                            __global const uint *restrict totals, const uint rows,
@@ -164,7 +202,7 @@ __kernel void sample_edges(__global const PIXEL *restrict image,
                          CLAMPED_ROW(y - 2), CLAMPED_ROW(y - 1), CLAMPED_ROW(y),
                          CLAMPED_ROW(y + 1), CLAMPED_ROW(y + 2), CLAMPED_ROW(y + 3),
                          CLAMPED_ROW(y + 4), CLAMPED_ROW(y + 5)};
-  __global float *to = samples + row / GROUP * GROUP * EDGE_SAMPLES + row % GROUP;
+  __global float *to = SAMPLES_FROM(row);
 #define COPY(k, dx, dy, next, next_x, next_y) \
   to[(FIRST_OF_RING + (k)) * GROUP] = (float)image[line[(dy) + 5] + (size_t)(x + (dx))];
 #define FIRST_OF_RING 0
@@ -178,12 +216,6 @@ __kernel void sample_edges(__global const PIXEL *restrict image,
 #undef FIRST_OF_RING
 }
 
-#define SAMPLE_LANE(k) *(__global const REAL *)(block + (k) * GROUP)
-
-/* One ring; d0, d1, ... are grey minus threshold. */
-#define SAMPLE(k, dx, dy, next, next_x, next_y) \
-  const REAL d##k = SAMPLE_LANE(first + (k)) - threshold;
-#define COLOUR(k, dx, dy, next, next_x, next_y) black |= WHERE(d##k < 0) & (1u << (k));
 #define EDGE_POINT(k, dx, dy, next, next_x, next_y)                                 \
   {                                                                                 \
     const REAL f = crossing(d##k, d##next);                                         \
@@ -200,9 +232,8 @@ __kernel void sample_edges(__global const PIXEL *restrict image,
     x3 |= px & is_e3;                                                               \
     y3 |= py & is_e3;                                                               \
   }
-#define EDGE_RING(ring, SAMPLES, count, first_sample)                               \
+#define EDGE_RING(ring, SAMPLES, count)                                             \
   {                                                                                 \
-    const int first = first_sample;                                                 \
     SAMPLES(SAMPLE)                                                                 \
     BITS black = 0;                                                                 \
     SAMPLES(COLOUR)                                                                 \
@@ -211,59 +242,35 @@ __kernel void sample_edges(__global const PIXEL *restrict image,
     BITS x0 = 0, y0 = 0, x1 = 0, y1 = 0, x2 = 0, y2 = 0, x3 = 0, y3 = 0;            \
     SAMPLES(EDGE_POINT)                                                             \
     const BITS four = WHERE(ones(change) == 4);                                     \
-    LANE(points, 9 * (ring)) = AS_REAL(x0 & four); \
-    LANE(points, 9 * (ring) + 1) = AS_REAL(y0 & four); \
-    LANE(points, 9 * (ring) + 2) = AS_REAL(x1 & four); \
-    LANE(points, 9 * (ring) + 3) = AS_REAL(y1 & four); \
-    LANE(points, 9 * (ring) + 4) = AS_REAL(x2 & four); \
-    LANE(points, 9 * (ring) + 5) = AS_REAL(y2 & four); \
-    LANE(points, 9 * (ring) + 6) = AS_REAL(x3 & four); \
-    LANE(points, 9 * (ring) + 7) = AS_REAL(y3 & four); \
-    LANE(points, 9 * (ring) + 8) = CHOOSE(four, (REAL)(1.0f), (REAL)(0.0f)); \
+    COLUMN_OF(points, 9 * (ring)) = AS_REAL(x0 & four);                             \
+    COLUMN_OF(points, 9 * (ring) + 1) = AS_REAL(y0 & four);                         \
+    COLUMN_OF(points, 9 * (ring) + 2) = AS_REAL(x1 & four);                         \
+    COLUMN_OF(points, 9 * (ring) + 3) = AS_REAL(y1 & four);                         \
+    COLUMN_OF(points, 9 * (ring) + 4) = AS_REAL(x2 & four);                         \
+    COLUMN_OF(points, 9 * (ring) + 5) = AS_REAL(y2 & four);                         \
+    COLUMN_OF(points, 9 * (ring) + 6) = AS_REAL(x3 & four);                         \
+    COLUMN_OF(points, 9 * (ring) + 7) = AS_REAL(y3 & four);                         \
+    COLUMN_OF(points, 9 * (ring) + 8) = CHOOSE(four, (REAL)(1.0f), (REAL)(0.0f));   \
   }
 
-/* The threshold: mean of the means of the lowest and of the highest quarter, from a sorting
- * network (Batcher's) on the inner ring. */
-#define IN_ORDER(i, j)                                                              \
-  {                                                                                 \
-    const REAL a = s##i, b = s##j;                                                  \
-    const BITS ordered = WHERE(a < b);                                              \
-    s##i = CHOOSE(ordered, a, b);                                                   \
-    s##j = CHOOSE(ordered, b, a);                                                   \
-  }
-#define SORT_16                                                                     \
-  IN_ORDER(0, 1) IN_ORDER(2, 3) IN_ORDER(0, 2) IN_ORDER(1, 3) IN_ORDER(1, 2)        \
-  IN_ORDER(4, 5) IN_ORDER(6, 7) IN_ORDER(4, 6) IN_ORDER(5, 7) IN_ORDER(5, 6)        \
-  IN_ORDER(0, 4) IN_ORDER(2, 6) IN_ORDER(2, 4) IN_ORDER(1, 5) IN_ORDER(3, 7)        \
-  IN_ORDER(3, 5) IN_ORDER(1, 2) IN_ORDER(3, 4) IN_ORDER(5, 6) IN_ORDER(8, 9)        \
-  IN_ORDER(10, 11) IN_ORDER(8, 10) IN_ORDER(9, 11) IN_ORDER(9, 10) IN_ORDER(12, 13) \
-  IN_ORDER(14, 15) IN_ORDER(12, 14) IN_ORDER(13, 15) IN_ORDER(13, 14) IN_ORDER(8, 12) \
-  IN_ORDER(10, 14) IN_ORDER(10, 12) IN_ORDER(9, 13) IN_ORDER(11, 15) IN_ORDER(11, 13) \
-  IN_ORDER(9, 10) IN_ORDER(11, 12) IN_ORDER(13, 14) IN_ORDER(0, 8) IN_ORDER(4, 12)  \
-  IN_ORDER(4, 8) IN_ORDER(2, 10) IN_ORDER(6, 14) IN_ORDER(6, 10) IN_ORDER(2, 4)     \
-  IN_ORDER(6, 8) IN_ORDER(10, 12) IN_ORDER(1, 9) IN_ORDER(5, 13) IN_ORDER(5, 9)     \
-  IN_ORDER(3, 11) IN_ORDER(7, 15) IN_ORDER(7, 11) IN_ORDER(3, 5) IN_ORDER(7, 9)     \
-  IN_ORDER(11, 13) IN_ORDER(1, 2) IN_ORDER(3, 4) IN_ORDER(5, 6) IN_ORDER(7, 8)      \
-  IN_ORDER(9, 10) IN_ORDER(11, 12) IN_ORDER(13, 14)
-#define SORTED(k, dx, dy, next, next_x, next_y) REAL s##k = SAMPLE_LANE(k);
-
-__attribute__((vec_type_hint(REAL))) __kernel void edge_points(__global const float *restrict samples,
+__kernel void edge_points(__global const float *restrict samples,
                           __global const uint *restrict totals, const uint room,
                           const uint place, const uint length,
                           __global float *restrict points) {
-  const size_t n = get_global_id(0) * LANES, p = get_global_id(1);
+  const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
-  __global const float *block = samples + row / GROUP * GROUP * EDGE_SAMPLES + row % GROUP;
-  EDGE_RING_3(SORTED)
-  SORT_16
-  const REAL threshold = (s0 + s1 + s2 + s3 + s12 + s13 + s14 + s15) * 0.125f;
-  EDGE_RING(0, EDGE_RING_3, 16, 0)
-  EDGE_RING(1, EDGE_RING_4, 24, 16)
-  EDGE_RING(2, EDGE_RING_5, 28, 40)
+  __global const float *grey = SAMPLES_FROM(row);
+#define GREY(k, dx, dy) grey[(k) * GROUP]
+  THRESHOLD
+  EDGE_RING(0, EDGE_RING_3, 16)
+  grey += 16 * GROUP;
+  EDGE_RING(1, EDGE_RING_4, 24)
+  grey += 24 * GROUP;
+  EDGE_RING(2, EDGE_RING_5, 28)
 }
 
-#else
+#elif SCALED
 
 /* The same at full size for a detector that works on a scaled image: rings of 32 bilinear
  * samples, their radii divided by the scale. */
@@ -335,19 +342,20 @@ __kernel void edge_points(__global const PIXEL *restrict image,
 /* The edge points of a corner in the order of the smallest valid ring: a ring whose first
  * black sector lies on the other side swaps its pairs of boundaries. */
 #define LOAD_RING(r)                                                                \
-  const REAL valid##r = CONST_LANE(points, 9 * r + 8);                              \
-  REAL x##r##0 = CONST_LANE(points, 9 * r), y##r##0 = CONST_LANE(points, 9 * r + 1); \
-  REAL x##r##1 = CONST_LANE(points, 9 * r + 2), y##r##1 = CONST_LANE(points, 9 * r + 3); \
-  REAL x##r##2 = CONST_LANE(points, 9 * r + 4), y##r##2 = CONST_LANE(points, 9 * r + 5); \
-  REAL x##r##3 = CONST_LANE(points, 9 * r + 6), y##r##3 = CONST_LANE(points, 9 * r + 7); \
-  const REAL ax##r = x##r##0 + x##r##1 - x##r##2 - x##r##3;                         \
-  const REAL ay##r = y##r##0 + y##r##1 - y##r##2 - y##r##3;
+  const float valid##r = POINT(r, 8);                                               \
+  float x##r##0 = POINT(r, 0), y##r##0 = POINT(r, 1);                               \
+  float x##r##1 = POINT(r, 2), y##r##1 = POINT(r, 3);                               \
+  float x##r##2 = POINT(r, 4), y##r##2 = POINT(r, 5);                               \
+  float x##r##3 = POINT(r, 6), y##r##3 = POINT(r, 7);
 #define EXCHANGE(a, b, when)                                                        \
   {                                                                                 \
     const REAL one = a, other = b;                                                  \
     a = CHOOSE(when, other, one);                                                   \
     b = CHOOSE(when, one, other);                                                   \
   }
+#define SECTORS_OF(r)                                                               \
+  const REAL ax##r = x##r##0 + x##r##1 - x##r##2 - x##r##3;                         \
+  const REAL ay##r = y##r##0 + y##r##1 - y##r##2 - y##r##3;
 #define MATCH_RING(r, from_x, from_y)                                               \
   {                                                                                 \
     const BITS turned = WHERE(ax##r * (from_x) + ay##r * (from_y) < 0);             \
@@ -356,8 +364,8 @@ __kernel void edge_points(__global const PIXEL *restrict image,
     EXCHANGE(x##r##1, x##r##3, turned)                                              \
     EXCHANGE(y##r##1, y##r##3, turned)                                              \
   }
-#define MATCHED_RINGS                                                               \
-  LOAD_RING(0) LOAD_RING(1) LOAD_RING(2)                                            \
+#define MATCH_RINGS                                                                 \
+  SECTORS_OF(0) SECTORS_OF(1) SECTORS_OF(2)                                         \
   const REAL valid_rings = valid0 + valid1 + valid2;                                \
   const BITS has0 = WHERE(valid0 > 0), has1 = WHERE(valid1 > 0);                    \
   MATCH_RING(1, CHOOSE(has0, ax0, ax1), CHOOSE(has0, ay0, ay1))                     \
@@ -372,10 +380,11 @@ REAL angle_of(const REAL y, const REAL x) {
   const REAL ax = MAGNITUDE(x), ay = MAGNITUDE(y);
   const BITS steep = WHERE(ay > ax);
   const REAL large = CHOOSE(steep, ay, ax), small = CHOOSE(steep, ax, ay);
-  const REAL q = CHOOSE(WHERE(large > 0), small / large, (REAL)(0.0f));
-  /* atan q = pi/4 + atan((q - 1) / (q + 1)) for q above tan(pi/8). */
-  const BITS above = WHERE(q > 0.41421357f);
-  const REAL t = CHOOSE(above, (q - 1) / (q + 1), q);
+  /* atan q = pi/4 + atan((q - 1) / (q + 1)) for q = small / large above tan(pi/8). */
+  const BITS above = WHERE(small > 0.41421357f * large);
+  const REAL over = CHOOSE(above, small - large, small);
+  const REAL under = CHOOSE(above, small + large, large) + FLT_MIN;
+  const REAL t = over / under;
   const REAL z = t * t;
   const REAL series = t + t * z * (-0.333333234f + z * (0.199985147f + z * (-0.142353371f +
                       z * (0.106387258f - z * 0.0676628f))));
@@ -438,41 +447,57 @@ REAL angle_of(const REAL y, const REAL x) {
 
 #if !MIDLINES
 
-/* EDGE_LINES: the intersection of the line through e0 and e2 and the line through e1 and e3.
- * `lines` gets their unit normals and the intersection relative to the start. */
-__attribute__((vec_type_hint(REAL))) __kernel void edge_lines(__global const float *restrict points,
+/* EDGE_LINES: the intersection of the line through e0 and e2 and the line through e1 and e3. The
+ * result and, for EDGE_STEP, the unit normals and the intersection relative to the start, which
+ * lies at (from_x, from_y); the centroid is kept where a guard refuses. */
+#define EDGE_LINES(from_x, from_y, kept_x, kept_y)                                  \
+  EDGE_ANGLE(0)                                                                     \
+  EDGE_ANGLE(1)                                                                     \
+  EDGE_ANGLE(2)                                                                     \
+  EDGE_ANGLE(3)                                                                     \
+  REAL n1x, n1y, h1, n2x, n2y, h2;                                                  \
+  EDGE_LINE(0, 2, n1x, n1y, h1)                                                     \
+  EDGE_LINE(1, 3, n2x, n2y, h2)                                                     \
+  const REAL sine = n1x * n2y - n1y * n2x;                                          \
+  const REAL x = (h1 * n2y - h2 * n1y) / sine, y = (h2 * n1x - h1 * n2x) / sine;    \
+  const BITS good = WHERE(MAGNITUDE(sine) > 0.17f) & WHERE(valid_rings >= 2) &      \
+                    WHERE(x * x + y * y <= max_shift * max_shift);                  \
+  LANE(result, RESULT_X) = CHOOSE(good, from_x + x, kept_x);                        \
+  LANE(result, RESULT_Y) = CHOOSE(good, from_y + y, kept_y);                        \
+  LANE(result, RESULT_METHOD) = CHOOSE(good, (REAL)(METHOD_EDGE_LINES), (REAL)(METHOD_KEPT));
+
+#define STORE_LINES                                                                 \
+  LANE(lines, 0) = n1x;                                                             \
+  LANE(lines, 1) = n1y;                                                             \
+  LANE(lines, 2) = n2x;                                                             \
+  LANE(lines, 3) = n2y;                                                             \
+  LANE(lines, 4) = x;                                                               \
+  LANE(lines, 5) = y;
+
+#if LANES == 1
+
+__kernel void edge_lines(__global const float *restrict points,
                          __global const float *restrict start,
                          __global const uint *restrict totals, const uint room,
                          const uint place, const uint length, const float max_shift,
-                         __global float *restrict lines, __global float *restrict result) {
-  const size_t n = get_global_id(0) * LANES, p = get_global_id(1);
+#if EDGE_STEP
+                         __global float *restrict lines,
+#endif
+                         __global float *restrict result) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
-  MATCHED_RINGS
-  EDGE_ANGLE(0)
-  EDGE_ANGLE(1)
-  EDGE_ANGLE(2)
-  EDGE_ANGLE(3)
-  REAL n1x, n1y, h1, n2x, n2y, h2;
-  EDGE_LINE(0, 2, n1x, n1y, h1)
-  EDGE_LINE(1, 3, n2x, n2y, h2)
-  const REAL sine = n1x * n2y - n1y * n2x;
-  const REAL x = (h1 * n2y - h2 * n1y) / sine, y = (h2 * n1x - h1 * n2x) / sine;
-  const BITS good = WHERE(MAGNITUDE(sine) > 0.17f) & WHERE(valid_rings >= 2) &
-                    WHERE(x * x + y * y <= max_shift * max_shift);
-  LANE(result, RESULT_X) = CHOOSE(good, CONST_LANE(start, 0) + x, LANE(result, RESULT_X));
-  LANE(result, RESULT_Y) = CHOOSE(good, CONST_LANE(start, 1) + y, LANE(result, RESULT_Y));
-  LANE(result, RESULT_METHOD) =
-      CHOOSE(good, (REAL)(METHOD_EDGE_LINES), (REAL)(METHOD_KEPT));
+  LOAD_RING(0)
+  LOAD_RING(1)
+  LOAD_RING(2)
+  MATCH_RINGS
+  EDGE_LINES(COLUMN_OF(start, 0), COLUMN_OF(start, 1), FIELD(RESULT_X), FIELD(RESULT_Y))
 #if EDGE_STEP
-  LANE(lines, 0) = n1x;
-  LANE(lines, 1) = n1y;
-  LANE(lines, 2) = n2x;
-  LANE(lines, 3) = n2y;
-  LANE(lines, 4) = x;
-  LANE(lines, 5) = y;
+  STORE_LINES
 #endif
 }
+
+#endif
 
 #else
 
@@ -546,7 +571,10 @@ __kernel void midlines(__global const float *restrict points,
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
-  MATCHED_RINGS
+  LOAD_RING(0)
+  LOAD_RING(1)
+  LOAD_RING(2)
+  MATCH_RINGS
   EDGE_ANGLE(0)
   EDGE_ANGLE(1)
   EDGE_ANGLE(2)
@@ -618,37 +646,37 @@ __kernel void midlines(__global const float *restrict points,
            GREY_NEAR(i + 4, j), GREY_NEAR(i + 5, j), GREY_NEAR(i + 6, j), GREY_NEAR(i + 7, j))
 #else /* the pads repeat the border */
 #define EIGHT_GREYS(i, j) \
-  eight_floats(image + CLAMPED_ROW(from_y + (j)) + (size_t)(from_x + (i)))
+  EIGHT_OF(float8, image + CLAMPED_ROW(from_y + (j)) + (size_t)(from_x + (i)))
 #endif
 
-/* vload8 and convert_float8 are calls of 30 ns on PoCL 3.0. */
-float8 eight_floats(__global const PIXEL *p) {
-  return (float8)(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7]);
-}
+typedef float8 __attribute__((aligned(4))) FLOATS_ANYWHERE;
+#define LOAD_8(array, k) *(const FLOATS_ANYWHERE *)(array + (k))
+#define STORE_8(array, k, v) *(FLOATS_ANYWHERE *)(array + (k)) = v
 
-/* The model in row j from pixel i on: weights (0 outside), P and what its slopes are made of. */
-#define CORNER_MODEL(i, j)                                                          \
-  const float8 ux = (float)(i) - x + EIGHT;                                         \
-  const float uy = (float)(j) - y;                                                  \
-  const float8 r2 = ux * ux + uy * uy;                                              \
-  const uint8 inside = as_uint8(r2 < radius * radius);                              \
-  const float8 rim = 1 - r2 * inverse_radius_2, core = r2 * inverse_core_2;         \
-  const float8 at_most_1 = as_float8((as_uint8(core) & as_uint8(core < 1)) |        \
-                                     (as_uint8((float8)(1.0f)) & ~as_uint8(core < 1))); \
-  const float8 w = as_float8(as_uint8(rim * at_most_1) & inside);                   \
-  const float8 a = (n1x * ux + n1y * uy) / BLUR, b = (n2x * ux + n2y * uy) / BLUR;  \
-  const float8 qa = inverse_root(1 + a * a), qb = inverse_root(1 + b * b);                 \
-  const float8 f = a * qa, g = b * qb, P = f * g;
-
-/* 1 / sqrt(v) to 2e-7: a first guess from the exponent and three of Newton's steps, which cost
- * less than a root and a division. */
+/* 1 / sqrt(v) to 8e-7: a first guess from the exponent and two of Newton's steps, whose first
+ * summands halve the largest error. They cost less than a root and a division. */
 float8 inverse_root(const float8 v) {
-  float8 q = as_float8(0x5f375a86u - (as_uint8(v) >> 1));
+  float8 q = as_float8(0x5f376908u - (as_uint8(v) >> 1));
   const float8 half_v = 0.5f * v;
-  q = q * (1.5f - half_v * q * q);
-  q = q * (1.5f - half_v * q * q);
-  return q * (1.5f - half_v * q * q);
+  q = q * (1.5008789f - half_v * q * q);
+  return q * (1.5000006f - half_v * q * q);
 }
+
+/* Row j of the disc: from the middle on, as many times eight pixels as hold its chord. */
+#define DISC_ROW(j)                                                                 \
+  const float uy = (float)(j) - y, uy_2 = uy * uy;                                  \
+  int eights = 1;                                                                   \
+  while ((float)(16 * eights * eights) < radius_2 - uy_2) ++eights;                 \
+  const int left = (int)floor(x) + 1 - 4 * eights, right = left + 8 * eights;
+
+/* The model in a row from pixel i on: weights (0 outside), P and what its slopes are made of. */
+#define CORNER_MODEL(i)                                                             \
+  const float8 ux = (float)(i) - x + EIGHT;                                         \
+  const float8 r2 = ux * ux + uy_2;                                                 \
+  const float8 rim = 1 - r2 * inverse_radius_2, core = r2 * inverse_core_2;         \
+  const float8 w = (rim > 0 ? rim : (float8)(0.0f)) * (core < 1 ? core : (float8)(1.0f)); \
+  const float8 a = a_x * ux + a_y * uy, b = b_x * ux + b_y * uy;                    \
+  const float8 a2 = 1 + a * a, b2 = 1 + b * b, q = inverse_root(a2 * b2), P = a * b * q;
 
 float sum_of_eight(const float8 v) {
   const float4 four = v.lo + v.hi;
@@ -671,23 +699,26 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
   const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
   const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
-  const float core_radius = fmin(4.0f, radius / 2);
-  const float inverse_radius_2 = 1 / (radius * radius);
+  const float core_radius = fmin(4.0f, radius / 2), radius_2 = radius * radius;
+  const float inverse_radius_2 = 1 / radius_2;
   const float inverse_core_2 = 1 / (core_radius * core_radius);
-  const int left = (int)ceil(x - radius), right = (int)floor(x + radius);
+  const float a_x = n1x / BLUR, a_y = n1y / BLUR, b_x = n2x / BLUR, b_y = n2y / BLUR;
   const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);
   const float centre = GREY_NEAR(0, 0);
 
 #if !SCALED
-  float8 weight_of[MOST_EIGHTS], model_of[MOST_EIGHTS], grey_of[MOST_EIGHTS];
+  float weight_of[8 * MOST_EIGHTS + 1], model_of[8 * MOST_EIGHTS + 1];
+  float grey_of[8 * MOST_EIGHTS + 1];
   int k = 0;
 #endif
+  /* A and B are the slopes of P along a and b. */
   float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vii = 0, va = 0, vb = 0;
   float8 vaa = 0, vab = 0, vbb = 0, vap = 0, vbp = 0, vai = 0, vbi = 0;
-  for (int j = top; j <= bottom; ++j)
-    for (int i = left; i <= right; i += 8) {
-      CORNER_MODEL(i, j)
-      const float8 A = qa * qa * qa * g / BLUR, B = f * qb * qb * qb / BLUR;
+  for (int j = top; j <= bottom; ++j) {
+    DISC_ROW(j)
+    for (int i = left; i < right; i += 8) {
+      CORNER_MODEL(i)
+      const float8 q3 = q * q * q, A = b * b2 * q3, B = a * a2 * q3;
       const float8 I = EIGHT_GREYS(i, j) - centre;
       const float8 wP = w * P, wA = w * A, wB = w * B, wI = w * I;
       v1 += w;
@@ -706,11 +737,13 @@ __kernel void edge_step(__global const PIXEL *restrict image,
       vai += wA * I;
       vbi += wB * I;
 #if !SCALED
-      weight_of[k] = w;
-      model_of[k] = P;
-      grey_of[k++] = I;
+      STORE_8(weight_of, k, r2 + 2 * ux + 1 < radius_2 ? w : (float8)(0.0f));
+      STORE_8(model_of, k, P);
+      STORE_8(grey_of, k, I);
+      k += 8;
 #endif
     }
+  }
   const float s1 = sum_of_eight(v1), sp = sum_of_eight(vp), spp = sum_of_eight(vpp);
   const float si = sum_of_eight(vi), spi = sum_of_eight(vpi), sii = sum_of_eight(vii);
   const float sa = sum_of_eight(va), sb = sum_of_eight(vb), saa = sum_of_eight(vaa);
@@ -721,7 +754,8 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   const float c = (s1 * spi - sp * si) / spread, m = (si - c * sp) / s1;
   const float ba = sai - m * sa - c * sap, bb = sbi - m * sb - c * sbp;
   const float d = saa * sbb - sab * sab;
-  const float ha = -(sbb * ba - sab * bb) / (d * c), hb = -(saa * bb - sab * ba) / (d * c);
+  const float ha = -(sbb * ba - sab * bb) * BLUR / (d * c);
+  const float hb = -(saa * bb - sab * ba) * BLUR / (d * c);
   const float sine = n1x * n2y - n1y * n2x;
   const float tx = (ha * n2y - hb * n1y) / sine, ty = (hb * n1x - ha * n2x) / sine;
   const float largest = LARGEST_STEP / scale, farthest = 2 / scale;
@@ -731,36 +765,41 @@ __kernel void edge_step(__global const PIXEL *restrict image,
     return;
 
   /* Autocorrelation of what the model leaves, between each pixel and the next of its row. */
+#define REST(I, P) (I - m - c * P)
   float8 products = 0, weights = 0;
-#if !SCALED
-  k = 0;
-#endif
-  for (int j = top; j <= bottom; ++j) {
-    float last = 0, last_weight = 0;
-    for (int i = left; i <= right; i += 8) {
 #if SCALED
-      CORNER_MODEL(i, j)
-      const float8 I = EIGHT_GREYS(i, j) - centre;
-#else
-      const float8 w = weight_of[k], P = model_of[k], I = grey_of[k++];
-      const float8 ux = (float)(i) - x + EIGHT;
-      const uint8 inside = as_uint8(ux * ux + ((float)j - y) * ((float)j - y) < radius * radius);
-#endif
-      const float8 r = (I - m - c * P) / c;
+  for (int j = top; j <= bottom; ++j) {
+    DISC_ROW(j)
+    float last = 0, last_weight = 0;
+    for (int i = left; i < right; i += 8) {
+      CORNER_MODEL(i)
+      const float8 r = REST((EIGHT_GREYS(i, j) - centre), P);
       const float8 before = (float8)(last, r.s0123, r.s456);
-      const float8 weight = as_float8(as_uint8((float8)(last_weight, w.s0123, w.s456)) & inside);
-      products += weight * before * r;
-      weights += weight;
+      const float8 weight = (float8)(last_weight, w.s0123, w.s456);
+      const float8 both = r2 < radius_2 ? weight : (float8)(0.0f);
+      products += both * before * r;
+      weights += both;
       last = r.s7;
       last_weight = w.s7;
     }
   }
+#else
+  weight_of[k] = model_of[k] = grey_of[k] = 0;
+  for (int n = 0; n < k; n += 8) {
+    const float8 w = LOAD_8(weight_of, n);
+    const float8 r = REST(LOAD_8(grey_of, n), LOAD_8(model_of, n));
+    const float8 next = REST(LOAD_8(grey_of, n + 1), LOAD_8(model_of, n + 1));
+    products += w * r * next;
+    weights += w;
+  }
+#endif
   FIELD(RESULT_X) = (float)from_x + (x + tx);
   FIELD(RESULT_Y) = (float)from_y + (y + ty);
   FIELD(RESULT_METHOD) = METHOD_EDGE_STEP;
-  const float trace = (saa + sbb + 2 * sab * (n1x * n2x + n1y * n2y)) / (d * sine * sine);
+  const float trace = BLUR * BLUR * (saa + sbb + 2 * sab * (n1x * n2x + n1y * n2y)) /
+                      (d * sine * sine);
   FIELD(RESULT_SIGMA) = 0.25f * trace * (sii - m * si - c * spi) / (s1 * c * c);
-  FIELD(RESULT_DOUBTFUL) = sum_of_eight(products) / sum_of_eight(weights);
+  FIELD(RESULT_DOUBTFUL) = sum_of_eight(products) / (c * c * sum_of_eight(weights));
 }
 
 #endif

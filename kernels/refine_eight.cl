@@ -1,0 +1,171 @@
+/* Centroids, edge points and EDGE_LINES of refine.cl in one kernel for CPUs, eight corners at a
+ * time: a vector holds one number of each. Lanes past the last corner repeat it, in rows that
+ * nobody reads. */
+
+#if LANES != 8
+#error "LANES must be 8"
+#endif
+
+#define EACH(F) (F(0), F(1), F(2), F(3), F(4), F(5), F(6), F(7))
+#define LANE_OF(v, lane) ((int *)&(v))[lane]
+
+/* Sixteen pixels of a row, from any one on, and the same memory as pairs and as fours. */
+#if PIXEL_BITS == 8
+typedef uchar16 PIXELS;
+#define AS_PAIRS(v) as_ushort8(v)
+#define AS_FOURS(v) as_uint4(v)
+#define PAIRS ushort8
+#define FOURS uint4
+#else
+typedef ushort16 PIXELS;
+#define AS_PAIRS(v) as_uint8(v)
+#define AS_FOURS(v) as_ulong4(v)
+#define PAIRS uint8
+#define FOURS ulong4
+#endif
+typedef PIXELS __attribute__((aligned(PIXEL_BITS / 8))) PIXELS_ANYWHERE;
+
+/* Eight rows of sixteen pixels to the first twelve columns of eight, two in a vector: rows are
+ * merged by pixels, then by pairs, then by fours. */
+#define MERGE_PIXELS(a, b)                                                          \
+  AS_PAIRS((PIXELS)(a.s0, b.s0, a.s1, b.s1, a.s2, b.s2, a.s3, b.s3, a.s4, b.s4, a.s5, b.s5, \
+                    a.s6, b.s6, a.s7, b.s7)),                                       \
+      AS_PAIRS((PIXELS)(a.s8, b.s8, a.s9, b.s9, a.sa, b.sa, a.sb, b.sb, a.sc, b.sc, a.sd, b.sd, \
+                        a.se, b.se, a.sf, b.sf))
+#define MERGE_PAIRS(a, b)                                                           \
+  AS_FOURS((PAIRS)(a.s0, b.s0, a.s1, b.s1, a.s2, b.s2, a.s3, b.s3)),                \
+      AS_FOURS((PAIRS)(a.s4, b.s4, a.s5, b.s5, a.s6, b.s6, a.s7, b.s7))
+void columns_of(const PIXELS *row, FOURS *column) {
+  const PAIRS a[] = {MERGE_PIXELS(row[0], row[1])}, b[] = {MERGE_PIXELS(row[2], row[3])};
+  const PAIRS c[] = {MERGE_PIXELS(row[4], row[5])}, d[] = {MERGE_PIXELS(row[6], row[7])};
+  const FOURS upper[] = {MERGE_PAIRS(a[0], b[0]), MERGE_PAIRS(a[1], b[1])};
+  const FOURS lower[] = {MERGE_PAIRS(c[0], d[0]), MERGE_PAIRS(c[1], d[1])};
+  column[0] = (FOURS)(upper[0].s0, lower[0].s0, upper[0].s1, lower[0].s1);
+  column[1] = (FOURS)(upper[0].s2, lower[0].s2, upper[0].s3, lower[0].s3);
+  column[2] = (FOURS)(upper[1].s0, lower[1].s0, upper[1].s1, lower[1].s1);
+  column[3] = (FOURS)(upper[1].s2, lower[1].s2, upper[1].s3, lower[1].s3);
+  column[4] = (FOURS)(upper[2].s0, lower[2].s0, upper[2].s1, lower[2].s1);
+  column[5] = (FOURS)(upper[2].s2, lower[2].s2, upper[2].s3, lower[2].s3);
+}
+
+/* A ring's samples: x, y and the way to the next one. */
+#define WAY(k, dx, dy, next, next_x, next_y) \
+  (char4)(dx, dy, (next_x) - (dx), (next_y) - (dy)),
+__constant char4 way_3[] = {EDGE_RING_3(WAY)};
+__constant char4 way_4[] = {EDGE_RING_4(WAY)};
+__constant char4 way_5[] = {EDGE_RING_5(WAY)};
+
+float8 floats_of(const int8 v) {
+  return (float8)(v.s0, v.s1, v.s2, v.s3, v.s4, v.s5, v.s6, v.s7);
+}
+
+/* The edge point after the sample whose bit is set. */
+void edge_point(const float8 *d, __constant const char4 *way, const uint8 bit, float8 *x,
+                float8 *y) {
+  const uint8 number = (as_uint8(floats_of(as_int8(bit))) >> 23) - 127; /* the exponent */
+#define HERE(lane) ((const float *)(d + number.s##lane))[lane]
+#define NEXT(lane) ((const float *)(d + number.s##lane + 1))[lane]
+#define WAY_OF(lane) as_uint(way[number.s##lane])
+  const uint8 ways = (uint8)EACH(WAY_OF);
+  const float8 f = crossing((float8)EACH(HERE), (float8)EACH(NEXT));
+  const int8 to_x = as_int8(ways << 24) >> 24, to_y = as_int8(ways << 16) >> 24;
+  const int8 by_x = as_int8(ways << 8) >> 24, by_y = as_int8(ways) >> 24;
+  *x = floats_of(to_x) + f * floats_of(by_x);
+  *y = floats_of(to_y) + f * floats_of(by_y);
+}
+
+#define GREY(k, dx, dy) EIGHT_OF(float8, window + (((dy) + 5) * 12 + (dx) + 5) * LANES)
+#define KEEP(k, dx, dy, next, next_x, next_y) d[k] = d##k;
+#define EDGE_RING(ring, SAMPLES, count, way)                                        \
+  REAL x##ring##0, y##ring##0, x##ring##1, y##ring##1;                              \
+  REAL x##ring##2, y##ring##2, x##ring##3, y##ring##3, valid##ring;                 \
+  {                                                                                 \
+    SAMPLES(SAMPLE)                                                                 \
+    BITS black = 0;                                                                 \
+    SAMPLES(COLOUR)                                                                 \
+    const BITS change = changes(&black, count);                                     \
+    BOUNDARIES                                                                      \
+    const BITS four = WHERE(ones(change) == 4);                                     \
+    const BITS other = ~four & 1;                                                   \
+    REAL d[count + 1];                                                              \
+    SAMPLES(KEEP)                                                                   \
+    d[count] = d0;                                                                  \
+    edge_point(d, way, (e0 & four) | other, &x##ring##0, &y##ring##0);              \
+    edge_point(d, way, (e1 & four) | other, &x##ring##1, &y##ring##1);              \
+    edge_point(d, way, (e2 & four) | other, &x##ring##2, &y##ring##2);              \
+    edge_point(d, way, (e3 & four) | other, &x##ring##3, &y##ring##3);              \
+    valid##ring = CHOOSE(four, (REAL)(1.0f), (REAL)(0.0f));                         \
+  }
+
+/* Responses in row dy around a maximum, from two columns before it on; 0 outside the image. */
+#define RESPONSES(dy)                                                               \
+  (pixel.y + (dy) >= 0 && pixel.y + (dy) < (int)rows                                \
+       ? EIGHT_OF(int8, response + ROW(p, pixel.y + (dy)) + PAD + pixel.x - 2)      \
+       : (int8)(0))
+
+/* One work-item per eight corners. */
+__kernel void refine_eight(__global const RESPONSE *restrict response,
+                           __global const PIXEL *restrict image,
+                           __global const int2 *restrict list,
+                           __global const uint *restrict totals, const uint rows,
+                           const uint step, const uint room, const uint place,
+                           const uint length, const float max_shift,
+#if EDGE_STEP
+                           __global float *restrict start, __global float *restrict lines,
+#endif
+                           __global float *restrict result) {
+  const size_t n = get_global_id(0) * LANES, p = get_global_id(1);
+  const uint total = totals[place + p];
+  if (n >= total) return;
+  const size_t row = p * room + n;
+
+  int8 pixel_x, pixel_y, height, sum, sum_x, sum_y;
+  for (int lane = 0; lane < LANES; ++lane) {
+    const int2 pixel = list[p * room + SMALLER(n + lane, total - 1)];
+    const int8 above_2 = RESPONSES(-2), above = RESPONSES(-1), middle = RESPONSES(0);
+    const int8 below = RESPONSES(1), below_2 = RESPONSES(2);
+    const int8 columns = above_2 + above + middle + below + below_2;
+    const int8 slopes = 2 * (below_2 - above_2) + below - above;
+    LANE_OF(pixel_x, lane) = pixel.x;
+    LANE_OF(pixel_y, lane) = pixel.y;
+    LANE_OF(height, lane) = middle.s2;
+    LANE_OF(sum, lane) = columns.s0 + columns.s1 + columns.s2 + columns.s3 + columns.s4;
+    LANE_OF(sum_x, lane) = 2 * (columns.s4 - columns.s0) + columns.s3 - columns.s1;
+    LANE_OF(sum_y, lane) = slopes.s0 + slopes.s1 + slopes.s2 + slopes.s3 + slopes.s4;
+  }
+  const REAL total_response = floats_of(sum);
+  const REAL centroid_x = floats_of(pixel_x) + floats_of(sum_x) / total_response;
+  const REAL centroid_y = floats_of(pixel_y) + floats_of(sum_y) / total_response;
+  const int8 from_x = pixel_x + as_int8(NEAREST(sum_x));
+  const int8 from_y = pixel_y + as_int8(NEAREST(sum_y));
+  LANE(result, RESULT_RESPONSE) = floats_of(height);
+  LANE(result, RESULT_PIXEL_X) = floats_of(pixel_x);
+  LANE(result, RESULT_PIXEL_Y) = floats_of(pixel_y);
+  LANE(result, RESULT_SIGMA) = (REAL)(NAN);
+  LANE(result, RESULT_DOUBTFUL) = (REAL)(0.0f);
+
+  FOURS pixels[11 * 6]; /* 11 rows of 12 columns of eight corners */
+  const PIXEL *window = (const PIXEL *)pixels;
+  __global const PIXEL *frame = image + ROW(p, 0) + PAD - 5;
+  for (int dy = -5; dy <= 5; ++dy) {
+    const int8 y = SMALLER(LARGER(from_y + dy, (int8)(0)), (int8)((int)rows - 1));
+    const uint8 at = as_uint8(y) * step + as_uint8(from_x);
+#define SIXTEEN(k) *(__global const PIXELS_ANYWHERE *)(frame + at.s##k)
+    const PIXELS lines[] = {SIXTEEN(0), SIXTEEN(1), SIXTEEN(2), SIXTEEN(3),
+                            SIXTEEN(4), SIXTEEN(5), SIXTEEN(6), SIXTEEN(7)};
+    columns_of(lines, pixels + (dy + 5) * 6);
+  }
+
+  THRESHOLD
+  EDGE_RING(0, EDGE_RING_3, 16, way_3)
+  EDGE_RING(1, EDGE_RING_4, 24, way_4)
+  EDGE_RING(2, EDGE_RING_5, 28, way_5)
+  MATCH_RINGS
+  const REAL start_x = floats_of(from_x), start_y = floats_of(from_y);
+  EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
+#if EDGE_STEP
+  LANE(start, 0) = start_x;
+  LANE(start, 1) = start_y;
+  STORE_LINES
+#endif
+}
