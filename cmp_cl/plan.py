@@ -761,8 +761,8 @@ class Plan:
                 self._corners("edge_points", 1, samples, b["totals"], *corners, b["points"]),
             ]
         else:
-            size = (*(np.uint32(n) for n in self.shape), np.uint32(self.full_step))
-            scaled = (*size, *corners, np.float32(self.scale))
+            full = (*(np.uint32(n) for n in self.shape), np.uint32(self.full_step))
+            scaled = (*full, *corners, np.float32(self.scale))
             stages = [self._corners("edge_points", 1, *grey, *scaled, b["points"])]
         points = (b["points"], b["start"], b["totals"], *corners, self._largest_shift)
         if isinstance(refinement, Midlines):
@@ -797,7 +797,7 @@ class Plan:
     def _corners(self, name: str, each: int, *arguments: Any) -> Launch:
         """A kernel whose work-items take `each` corners of the list."""
         items = (self.corner_room // each, self.frames)
-        return self._stage(name, items, (GROUP // each, 1), *arguments)
+        return self._stage(name, items, (GROUP if each == 1 else 1, 1), *arguments)
 
     # What happens in a frame
 

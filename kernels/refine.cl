@@ -153,8 +153,8 @@ REAL crossing(const REAL here, const REAL next) {
 /* The pixels of row y of frame p, y held inside the image. */
 #define CLAMPED_ROW(y) (ROW(p, SMALLER(LARGER(y, 0), (int)rows - 1)) + PAD)
 
-/* One ring; GREY(k, dx, dy) is its sample k, d0, d1, ... grey minus threshold. */
-#define SAMPLE(k, dx, dy, next, next_x, next_y) const REAL d##k = GREY(k, dx, dy) - threshold;
+/* One ring; EDGE_GREY(k, dx, dy) is its sample k, d0, d1, ... grey minus threshold. */
+#define SAMPLE(k, dx, dy, next, next_x, next_y) const REAL d##k = EDGE_GREY(k, dx, dy) - threshold;
 #define COLOUR(k, dx, dy, next, next_x, next_y) black |= WHERE(d##k < 0) & (1u << (k));
 
 /* The threshold: mean of the means of the lowest and of the highest quarter of the inner ring.
@@ -173,7 +173,7 @@ REAL crossing(const REAL here, const REAL next) {
 #define PART_8(a, b, c, d, e, f, g, h)                                              \
   SORT_4(a, b, c, d) SORT_4(e, f, g, h)                                             \
   IN_ORDER(a, h) IN_ORDER(b, g) IN_ORDER(c, f) IN_ORDER(d, e)
-#define SORTED(k, dx, dy, next, next_x, next_y) REAL s##k = GREY(k, dx, dy);
+#define SORTED(k, dx, dy, next, next_x, next_y) REAL s##k = EDGE_GREY(k, dx, dy);
 #define THRESHOLD                                                                   \
   EDGE_RING_3(SORTED)                                                               \
   PART_8(0, 1, 2, 3, 4, 5, 6, 7)                                                    \
@@ -261,7 +261,7 @@ __kernel void edge_points(__global const float *restrict samples,
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
   __global const float *grey = SAMPLES_FROM(row);
-#define GREY(k, dx, dy) grey[(k) * GROUP]
+#define EDGE_GREY(k, dx, dy) grey[(k) * GROUP]
   THRESHOLD
   EDGE_RING(0, EDGE_RING_3, 16)
   grey += 16 * GROUP;

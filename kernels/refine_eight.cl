@@ -7,7 +7,7 @@
 #endif
 
 #define EACH(F) (F(0), F(1), F(2), F(3), F(4), F(5), F(6), F(7))
-#define LANE_OF(v, lane) ((int *)&(v))[lane]
+#define OF_LANE(v, lane) ((int *)&(v))[lane]
 
 /* Sixteen pixels of a row, from any one on, and the same memory as pairs and as fours. */
 #if PIXEL_BITS == 8
@@ -74,7 +74,7 @@ void edge_point(const float8 *d, __constant const char4 *way, const uint8 bit, f
   *y = floats_of(to_y) + f * floats_of(by_y);
 }
 
-#define GREY(k, dx, dy) EIGHT_OF(float8, window + (((dy) + 5) * 12 + (dx) + 5) * LANES)
+#define EDGE_GREY(k, dx, dy) EIGHT_OF(float8, window + (((dy) + 5) * 12 + (dx) + 5) * LANES)
 #define KEEP(k, dx, dy, next, next_x, next_y) d[k] = d##k;
 #define EDGE_RING(ring, SAMPLES, count, way)                                        \
   REAL x##ring##0, y##ring##0, x##ring##1, y##ring##1;                              \
@@ -126,12 +126,12 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
     const int8 below = RESPONSES(1), below_2 = RESPONSES(2);
     const int8 columns = above_2 + above + middle + below + below_2;
     const int8 slopes = 2 * (below_2 - above_2) + below - above;
-    LANE_OF(pixel_x, lane) = pixel.x;
-    LANE_OF(pixel_y, lane) = pixel.y;
-    LANE_OF(height, lane) = middle.s2;
-    LANE_OF(sum, lane) = columns.s0 + columns.s1 + columns.s2 + columns.s3 + columns.s4;
-    LANE_OF(sum_x, lane) = 2 * (columns.s4 - columns.s0) + columns.s3 - columns.s1;
-    LANE_OF(sum_y, lane) = slopes.s0 + slopes.s1 + slopes.s2 + slopes.s3 + slopes.s4;
+    OF_LANE(pixel_x, lane) = pixel.x;
+    OF_LANE(pixel_y, lane) = pixel.y;
+    OF_LANE(height, lane) = middle.s2;
+    OF_LANE(sum, lane) = columns.s0 + columns.s1 + columns.s2 + columns.s3 + columns.s4;
+    OF_LANE(sum_x, lane) = 2 * (columns.s4 - columns.s0) + columns.s3 - columns.s1;
+    OF_LANE(sum_y, lane) = slopes.s0 + slopes.s1 + slopes.s2 + slopes.s3 + slopes.s4;
   }
   const REAL total_response = floats_of(sum);
   const REAL centroid_x = floats_of(pixel_x) + floats_of(sum_x) / total_response;

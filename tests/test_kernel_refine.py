@@ -1,19 +1,15 @@
-"""kernels/refine.cl, refine_eight.cl: float32, within the tolerances of the oracle in float64."""
-
-import dataclasses
+"""kernels/refine.cl: positions in float32, within the tolerances of the oracle in float64."""
 
 import images
 import numpy as np
 import pytest
 import tolerances
-from comparison import assert_corners_equal, assert_same_bytes
+from comparison import assert_corners_equal
 from corner_images import board, corner
 
 from cmp_cl import (
     AdaptiveMean,
-    Detector,
     DetectorConfig,
-    DeviceKind,
     EdgeLines,
     EdgeStep,
     Fit,
@@ -193,98 +189,3 @@ def test_noise_is_refined_as_the_oracle_does(detector_for):
         image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
         for refinement in REFINEMENTS:
             check(detector_for, image, refinement)
-
-
-# --- eight corners at a time, and one by one ------------------------------------------------
-
-KINDS = pytest.mark.parametrize(
-    "kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value
-)
-LINES = pytest.mark.parametrize("refinement", ["edge lines", "edge step"])
-
-
-def detector_of_kind(device, kind, image, refinement, mask=None, **changes):
-    config = DetectorConfig(refinement=REFINEMENTS[refinement]).replace(**changes)
-    form = dataclasses.replace(device, kind=kind)
-    return Detector(shape=image.shape, dtype=image.dtype, config=config, device=form, mask=mask)
-
-
-@pytest.mark.parametrize(
-    ("kind", "changes", "eight"),
-    [
-        (DeviceKind.CPU, {}, True),
-        (DeviceKind.CPU, {"refinement": EdgeStep()}, True),
-        (DeviceKind.CPU, {"refinement": Midlines()}, False),
-        (DeviceKind.CPU, {"refinement": None}, False),
-        (DeviceKind.CPU, {"scale": 0.63}, False),
-        (DeviceKind.GPU, {}, False),
-    ],
-)
-def test_which_form_is_taken(device, kind, changes, eight):
-    image = EIGHT["board"]
-    with detector_of_kind(device, kind, image, "edge lines", **changes) as detector:
-        launched = {launch.stage for launch in detector._plan(changes.get("scale")).launches}
-    assert ("refine_eight" in launched) is eight
-    assert ("centroid" in launched) is not eight
-
-
-@KINDS
-@LINES
-def test_every_number_of_corners(device, kind, refinement):
-    """A mask leaves that many corners: vectors that are full, and the last one that is not."""
-    image = images.texture((120, 150), seed=9)
-    with detector_of_kind(device, kind, image, refinement) as detector:
-        whole = assert_corners_equal(detector, image)
-    assert len(whole) > 40
-    for count in (1, 2, 7, 8, 9, 16, 23):
-        mask = np.zeros(image.shape, np.bool_)
-        mask[tuple(whole.pixel[:count, ::-1].T)] = True
-        with detector_of_kind(device, kind, image, refinement, mask, contrast=None) as detector:
-            found = assert_corners_equal(detector, image, mask=mask)
-            assert len(found) == count
-            flipped = image[::-1].copy()
-            both = detector.batch([image, flipped, image])
-            for one, alone in zip(both, (found, detector(flipped), found), strict=True):
-                assert_same_bytes(one, alone)
-
-
-@KINDS
-@LINES
-@pytest.mark.parametrize("depth", [8, 16])
-def test_both_forms(device, kind, refinement, depth):
-    pictures = EIGHT if depth == 8 else DEEP
-    changes = {} if depth == 8 else {"full_scale": 4095}
-    shape = next(iter(pictures.values()))
-    wide = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
-    dense = {"contrast": None, "nms_radius": 1, "criteria": wide}
-    with (
-        detector_of_kind(device, kind, shape, refinement, **changes) as plain,
-        detector_of_kind(device, kind, shape, refinement, **changes, **dense) as noisy,
-    ):
-        for image in pictures.values():
-            assert_corners_equal(plain, image)
-            assert_corners_equal(noisy, image)
-
-
-@KINDS
-@LINES
-@pytest.mark.parametrize("shape", [(1, 31), (31, 1), (2, 3), (9, 40), (40, 9)])
-def test_images_smaller_than_the_rings(device, kind, refinement, shape):
-    image = images.texture((60, 60))[: shape[0], : shape[1]].copy()
-    wide = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
-    dense = {"contrast": None, "nms_radius": 1, "criteria": wide}
-    with detector_of_kind(device, kind, image, refinement, **dense) as detector:
-        assert_corners_equal(detector, image)
-
-
-@KINDS
-@LINES
-def test_the_largest_responses(device, kind, refinement):
-    """Of the spectral criteria, whose responses are integers, and of three masks together."""
-    image = EIGHT["texture"]
-    for changes in (
-        {"criteria": SpectralCriteria(correlation=0), "contrast": None},
-        {"threshold": AdaptiveMean(masks=3), "criteria": RapidCriteria(sector_threshold=16)},
-    ):
-        with detector_of_kind(device, kind, image, refinement, **changes) as detector:
-            assert len(assert_corners_equal(detector, image)) > 5
