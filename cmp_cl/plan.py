@@ -289,7 +289,7 @@ class Plan:
                 layouts.append({"noise_sums": 2 * pixel * bands * self.step})
         lists = dict.fromkeys(CONTRASTS if gate else ("sector_response",), 2 * pixel * room)
         if self._in_words:
-            kept = 4 * (2 * self.config.nms_radius + 3)  # rows of a band
+            kept = 2 * (2 * self.config.nms_radius + 3) + 1  # rows of a band
             layouts.append({**lists, "kept": 2 * kept * self.step * bands})
         else:
             if gate and isinstance(self.config.criteria, RapidCriteria):
@@ -686,12 +686,12 @@ class Plan:
         return self._stage(name, (self._bands, planes), (1, 1), *arguments)
 
     def _suppression_in_bands(self) -> list[Launch]:
-        rows, columns, step = (np.uint32(n) for n in (*self.working, self.step))
+        rows, step = np.uint32(self.working[0]), np.uint32(self.step)
         b = self.arrays
         self.response = b["response"]
         gate = self.config.contrast is not None
         room = np.uint32(self.candidate_room)
-        sizes = (rows, columns, step, np.uint32(self.plane_words), room, np.uint32(self._band_rows))
+        sizes = (rows, step, np.uint32(self.plane_words), room, np.uint32(self._band_rows))
         gated = (b["contrast"], b["mean_difference"], b["bounds"]) if gate else ()
         lists = (b["candidate_words"], b["row_starts"], *gated, b["sector_response"])
         found = (b["kept"], b["response"], b["maxima"], b["row_counts"])

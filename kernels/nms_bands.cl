@@ -1,22 +1,38 @@
 /* Suppression for CPUs: which candidates the gate keeps, and what nms.cl does, row after row of
  * a band; the same results to the bit.
  *
- * Of each step the last ROWS_KEPT rows are kept, as far as a later one looks back. The rows
- * beside the band are worked out too, so bands need nothing of each other. */
+ * Few pixels have a response, so only blocks of sixteen with a candidate are looked at; keys are
+ * 0 elsewhere. Of each step the last ROWS_KEPT rows are kept, as far as a later one looks back.
+ * The rows beside the band are worked out too, so bands need nothing of each other. */
 
 #ifndef RADIUS
 #error "RADIUS must be that of suppression"
 #endif
 #define ROWS_KEPT (2 * RADIUS + 3)
-#define KEPT(rows, y) (rows + (size_t)(((y) + 4 * ROWS_KEPT) % ROWS_KEPT) * step)
+#define KEPT(rows, y, step) (rows + (size_t)(((y) + 4 * ROWS_KEPT) % ROWS_KEPT) * (step))
 
 typedef ushort16 SCORES; /* of sixteen pixels */
 typedef SCORES __attribute__((aligned(2))) SCORES_ANYWHERE;
 typedef uchar16 __attribute__((aligned(1))) RESPONSES_ANYWHERE;
 #define SCORES_AT(row, x) (*(__global const SCORES_ANYWHERE *)((row) + (x)))
-#define RESPONSES_AT(row, x) convert_ushort16(*(__global const RESPONSES_ANYWHERE *)((row) + (x)))
-#define PUT(row, x) *(__global SCORES *)((row) + (x))
-#define FOR_PIXELS for (uint x = PAD; x < PAD + columns; x += 16)
+#define RESPONSES_AT(row, x) (*(__global const RESPONSES_ANYWHERE *)((row) + (x)))
+
+/* As many entries of a list of contrasts as fit into a vector. */
+#if PIXEL_BITS == 8
+#define ENTRIES 16
+typedef short16 CONTRASTS_OF_LIST;
+#define TO_RESPONSES(v) convert_uchar16(v)
+#define CONTRAST_OF(bound) (CONTRAST)SMALLER(LARGER(bound, SHRT_MIN), SHRT_MAX)
+typedef uchar16 __attribute__((aligned(1))) RESPONSES_OF_LIST;
+#else
+#define ENTRIES 8
+typedef int8 CONTRASTS_OF_LIST;
+#define TO_RESPONSES(v) convert_uchar8(v)
+#define CONTRAST_OF(bound) bound
+typedef uchar8 __attribute__((aligned(1))) RESPONSES_OF_LIST;
+#endif
+typedef CONTRASTS_OF_LIST __attribute__((aligned(2))) CONTRASTS_IN_LIST;
+#define LISTED(list, n) (*(__global const CONTRASTS_IN_LIST *)((list) + (n)))
 
 /* The candidates and the lists of what is known of them, in the order of gate_words.cl. */
 typedef struct {
@@ -29,79 +45,99 @@ typedef struct {
   uint plane_words, room;
 } Candidates;
 
-bool passes(const Candidates *candidates, const size_t p, const size_t n) {
+/* The responses of `count` entries of the list of plane p, n and following; 0 where the gate
+ * does not keep them. */
+void kept_responses(const Candidates *candidates, const size_t p, const uint n, const uint count,
+                    __global uchar *to) {
+  const size_t start = p * candidates->room + n;
 #if GATE
   const int2 bound = candidates->bounds[p];
-  return candidates->contrast[n] >= bound.x && candidates->mean_difference[n] >= bound.y;
-#else
-  return true;
+  const CONTRASTS_OF_LIST least = CONTRAST_OF(bound.x), difference = CONTRAST_OF(bound.y);
 #endif
+  for (uint k = 0; k < count; k += ENTRIES) {
+    CONTRASTS_OF_LIST r = LISTED(candidates->responses, start + k);
+#if GATE
+    r &= LISTED(candidates->contrast, start + k) >= least;
+    r &= LISTED(candidates->mean_difference, start + k) >= difference;
+#endif
+    *(__global RESPONSES_OF_LIST *)(to + k) = TO_RESPONSES(r);
+  }
 }
 
-/* The responses of row y, 0 outside the image; of three masks 2 R(0) + R(-1/2) + R(+1/2). */
-void response_row(const Candidates *candidates, const uint frame, const int y, const uint rows,
-                  const uint step, __global uchar *row) {
+/* The responses of row y, 0 outside the image; of three masks 2 R(0) + R(-1/2) + R(+1/2).
+ * The number of blocks that hold a candidate, and which. */
+uint response_row(const Candidates *candidates, const uint frame, const int y, const uint rows,
+                  const uint step, __global uchar *list, __global uchar *row,
+                  __global ushort *blocks) {
   for (uint x = 0; x < step; x += 16) *(__global uchar16 *)(row + x) = 0;
-  if (y < 0 || y >= (int)rows) return;
-  const uint width = step / 32, room = candidates->room;
+  if (y < 0 || y >= (int)rows) return 0;
+  const uint halves = step / 16, room = candidates->room;
+  const size_t plane = 2 * (size_t)candidates->plane_words;
+  __global const ushort *found = (__global const ushort *)candidates->words +
+                                 frame * MASKS * plane + (y + REACH) * halves;
+  uint filled = 0;
+  for (uint block = 0; block < halves; ++block) {
+    blocks[filled] = (ushort)block;
+#if MASKS == 3
+    filled += (found[block] | found[block + plane] | found[block + 2 * plane]) != 0;
+#else
+    filled += found[block] != 0;
+#endif
+  }
   for (uint mask = 0; mask < MASKS; ++mask) {
     const size_t p = frame * MASKS + mask;
-    __global const uint *words =
-        candidates->words + p * candidates->plane_words + (y + REACH) * width;
-    const uint weight = MASKS == 3 && mask == 0 ? 2 : 1;
-    uint n = candidates->row_starts[p * rows + y];
-    for (uint i = 0; i < width; ++i)
-      for (uint left = words[i]; left; left &= left - 1, ++n) {
-        const uint x = 32 * i + 31 - clz(left & (0u - left));
-        if (n < room && passes(candidates, p, p * room + n))
-          row[x] += (uchar)(weight * candidates->responses[p * room + n]);
+    const uint n = candidates->row_starts[p * rows + y];
+    if (n >= room) return filled;
+    uint count = 0;
+    for (uint k = 0; k < filled; ++k) count += popcount((uint)found[mask * plane + blocks[k]]);
+    kept_responses(candidates, p, n, SMALLER(count, room - n), list);
+    __global const uchar *next = list;
+    for (uint k = 0; k < filled; ++k)
+      for (uint left = found[mask * plane + blocks[k]]; left; left &= left - 1) {
+        const uint x = 16 * blocks[k] + 31 - clz(left & (0u - left));
+#if MASKS == 3
+        row[x] += *next++ << (mask == 0);
+#else
+        row[x] = *next++;
+#endif
       }
   }
+  return filled;
 }
 
-bool is_zero(const SCORES v) {
-  const ulong4 w = as_ulong4(v);
-  return (w.s0 | w.s1 | w.s2 | w.s3) == 0;
+/* The tent along y, of rows y - 2 to y + 2: 2 R(-1) + 2 R(0) + 2 R(1) + R(-2) + R(0) + R(2),
+ * the sums of three within a byte. */
+SCORES tent_along_y(__global const uchar *const *rows, const uint x) {
+  const uchar16 middle = RESPONSES_AT(rows[2], x);
+  const SCORES near =
+      convert_ushort16(RESPONSES_AT(rows[1], x) + RESPONSES_AT(rows[3], x) + middle);
+  const SCORES far = convert_ushort16(RESPONSES_AT(rows[0], x) + RESPONSES_AT(rows[4], x) + middle);
+  return near + near + far;
 }
 
-/* The tent along x. */
-void tent_row(__global const uchar *response, const uint columns, __global ushort *tent) {
-  FOR_PIXELS {
-    const SCORES here = RESPONSES_AT(response, x);
-    const SCORES near = RESPONSES_AT(response, x - 1) + RESPONSES_AT(response, x + 1) + here;
-    PUT(tent, x) =
-        RESPONSES_AT(response, x - 2) + RESPONSES_AT(response, x + 2) + here + near + near;
-  }
-}
+#define FROM_1(a, b) \
+  (SCORES)((a).s1, (a).s2, (a).s3, (a).s4, (a).s5, (a).s6, (a).s7, (a).s8, (a).s9, (a).sa, \
+           (a).sb, (a).sc, (a).sd, (a).se, (a).sf, (b).s0)
+#define FROM_2(a, b) \
+  (SCORES)((a).s2, (a).s3, (a).s4, (a).s5, (a).s6, (a).s7, (a).s8, (a).s9, (a).sa, (a).sb, \
+           (a).sc, (a).sd, (a).se, (a).sf, (b).s0, (b).s1)
+#define FROM_3(a, b) \
+  (SCORES)((a).s3, (a).s4, (a).s5, (a).s6, (a).s7, (a).s8, (a).s9, (a).sa, (a).sb, (a).sc, \
+           (a).sd, (a).se, (a).sf, (b).s0, (b).s1, (b).s2)
+#define FROM_4(a, b) \
+  (SCORES)((a).s4, (a).s5, (a).s6, (a).s7, (a).s8, (a).s9, (a).sa, (a).sb, (a).sc, (a).sd, \
+           (a).se, (a).sf, (b).s0, (b).s1, (b).s2, (b).s3)
 
-/* The tent along y, and the key: 0 where there is no response. */
-void key_row(__global const uchar *response, __global const ushort *above2,
-             __global const ushort *above, __global const ushort *tent,
-             __global const ushort *below, __global const ushort *below2, const uint columns,
+/* The keys of the blocks: 0 where there is no response. */
+void key_row(__global const uchar *const *rows, __global const ushort *blocks, const uint filled,
              __global ushort *key) {
-  FOR_PIXELS {
-    const SCORES r = RESPONSES_AT(response, x);
-    if (is_zero(r)) {
-      PUT(key, x) = 0;
-      continue;
-    }
-    const SCORES here = SCORES_AT(tent, x);
-    const SCORES near = SCORES_AT(above, x) + SCORES_AT(below, x) + here;
-    const SCORES s = SCORES_AT(above2, x) + SCORES_AT(below2, x) + here + near + near;
-    PUT(key, x) = (s * (ushort)10 + r) & as_ushort16(r != (SCORES)(0));
-  }
-}
-
-/* The largest key of the window's row. */
-void row_maximum(__global const ushort *key, const uint columns, __global ushort *largest) {
-  FOR_PIXELS {
-    SCORES m = SCORES_AT(key, x);
-    for (int d = 1; d <= RADIUS; ++d) {
-      const SCORES left = SCORES_AT(key, x - d), right = SCORES_AT(key, x + d);
-      m = LARGER(m, left);
-      m = LARGER(m, right);
-    }
-    PUT(largest, x) = m;
+  for (uint n = 0; n < filled; ++n) {
+    const uint x = 16 * blocks[n];
+    const SCORES a = tent_along_y(rows, x - 2), b = tent_along_y(rows, x + 14);
+    const SCORES middle = FROM_2(a, b), near = FROM_1(a, b) + FROM_3(a, b) + middle;
+    const SCORES s = a + FROM_4(a, b) + middle + near + near;
+    const SCORES r = convert_ushort16(RESPONSES_AT(rows[2], x));
+    *(__global SCORES *)(key + x) = (s * (ushort)10 + r) & as_ushort16(r != (SCORES)(0));
   }
 }
 
@@ -112,33 +148,61 @@ ushort bits_of(const short16 holds) {
   return (ushort)(bits.s0 | bits.s1 << 8);
 }
 
-/* Which keys are above all earlier ones and not below any later one, as bits, and how many.
- * largest[RADIUS] is the row's own. */
-uint maxima_row(__global const ushort *key, __global const ushort *const *largest,
-                const uint columns, __global ushort *maxima) {
-  uint count = 0;
-  FOR_PIXELS {
-    const SCORES k = SCORES_AT(key, x);
-    ushort bits = 0;
-    if (!is_zero(k)) {
-      SCORES earlier = 0, later = SCORES_AT(largest[RADIUS], x);
-      for (int d = 1; d <= RADIUS; ++d) {
-        const SCORES left = SCORES_AT(key, x - d), above = SCORES_AT(largest[RADIUS - d], x);
-        const SCORES below = SCORES_AT(largest[RADIUS + d], x);
-        earlier = LARGER(earlier, left);
-        earlier = LARGER(earlier, above);
-        later = LARGER(later, below);
-      }
-      bits = bits_of((k > earlier) & (k >= later));
+/* The pixels of a block whose key is above the earlier ones beside it and not below the later
+ * ones. */
+ushort above_neighbours(__global const ushort *const *keys, const uint x) {
+  __global const ushort *above = keys[RADIUS - 1], *row = keys[RADIUS], *below = keys[RADIUS + 1];
+  const SCORES key = SCORES_AT(row, x);
+  SCORES earlier = SCORES_AT(row, x - 1), later = SCORES_AT(row, x + 1);
+  for (int dx = -1; dx <= 1; ++dx) {
+    const SCORES before = SCORES_AT(above, (int)x + dx), after = SCORES_AT(below, (int)x + dx);
+    earlier = LARGER(earlier, before);
+    later = LARGER(later, after);
+  }
+  return bits_of((key > earlier) & (key >= later));
+}
+
+/* Whether a pixel's key is above all earlier ones of its window and not below any later one. */
+bool is_maximum(__global const ushort *const *keys, const uint x) {
+  const short16 lane = (short16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  const SCORES key = keys[RADIUS][x];
+  short16 larger = 0;
+  for (int first = -RADIUS; first <= RADIUS; first += 16) {
+    const short16 dx = lane + (short)first;
+    const SCORES row = SCORES_AT(keys[RADIUS], (int)x + first);
+    SCORES earlier = row & as_ushort16(dx < (short16)(0));
+    SCORES later = row & as_ushort16(dx > (short16)(0));
+    for (int dy = 1; dy <= RADIUS; ++dy) {
+      const SCORES above = SCORES_AT(keys[RADIUS - dy], (int)x + first);
+      const SCORES below = SCORES_AT(keys[RADIUS + dy], (int)x + first);
+      earlier = LARGER(earlier, above);
+      later = LARGER(later, below);
     }
-    maxima[x / 16] = bits;
+    larger |= ((earlier >= key) | (later > key)) & (dx <= (short16)(RADIUS));
+  }
+  const ulong4 any = as_ulong4(larger);
+  return (any.s0 | any.s1 | any.s2 | any.s3) == 0;
+}
+
+/* The maxima of a row as bits, and how many. keys[RADIUS] is the row's own. */
+uint maxima_row(__global const ushort *const *keys, __global const ushort *blocks,
+                const uint filled, const uint step, __global ushort *maxima) {
+  for (uint k = 0; k < step / 16; ++k) maxima[k] = 0;
+  uint count = 0;
+  for (uint n = 0; n < filled; ++n) {
+    uint bits = 0;
+    for (uint left = above_neighbours(keys, 16 * blocks[n]); left; left &= left - 1) {
+      const uint first = left & (0u - left);
+      if (is_maximum(keys, 16 * blocks[n] + 31 - clz(first))) bits |= first;
+    }
+    maxima[blocks[n]] = (ushort)bits;
     count += popcount(bits);
   }
   return count;
 }
 
-/* The response, the maxima as bits and their number in each row. `kept` holds 4 ROWS_KEPT rows a
- * band. One work-item per band of rows. */
+/* The response, the maxima as bits and their number in each row. `kept` holds, for each band,
+ * 2 ROWS_KEPT + 1 rows. One work-item per band of rows. */
 __kernel void suppress_bands(__global const uint *restrict words,
                              __global const uint *restrict row_starts,
 #if GATE
@@ -147,8 +211,8 @@ __kernel void suppress_bands(__global const uint *restrict words,
                              __global const int2 *restrict bounds,
 #endif
                              __global const CONTRAST *restrict responses, const uint rows,
-                             const uint columns, const uint step, const uint plane_words,
-                             const uint room, const uint band_rows, __global ushort *kept,
+                             const uint step, const uint plane_words, const uint room,
+                             const uint band_rows, __global ushort *kept,
                              __global uchar *response, __global ushort *maxima,
                              __global uint *counts) {
   const size_t band = get_global_id(0), p = get_global_id(1);
@@ -159,35 +223,34 @@ __kernel void suppress_bands(__global const uint *restrict words,
   const Candidates candidates = {words, row_starts, responses, plane_words, room};
 #endif
   const int top = (int)(band * band_rows), end = SMALLER(top + (int)band_rows, (int)rows);
-  __global ushort *tents = kept + (p * get_global_size(0) + band) * 4 * ROWS_KEPT * step;
-  __global ushort *keys = tents + ROWS_KEPT * step, *largest = keys + ROWS_KEPT * step;
-  __global uchar *near = (__global uchar *)(largest + ROWS_KEPT * step);
-  for (uint k = 0; k < ROWS_KEPT; ++k) { /* beside the pixels keys are 0 */
-    PUT(keys + k * step, PAD - 16) = 0;
-    PUT(keys + k * step, PAD + (columns + 15) / 16 * 16) = 0;
-  }
+  __global ushort *keys = kept + (p * get_global_size(0) + band) * (2 * ROWS_KEPT + 1) * step;
+  __global uchar *beside = (__global uchar *)(keys + ROWS_KEPT * step);
+  __global uchar *list = beside + ROWS_KEPT * step;
+  __global ushort *blocks = (__global ushort *)(list + 2 * step);
+  uint filled[ROWS_KEPT];
+  __global const uchar *near[5]; /* rows of responses */
 
   for (int y = top - RADIUS - 2; y < end + RADIUS + 2; ++y) {
-    __global uchar *row = KEPT(near, y);
-    response_row(&candidates, (uint)p, y, rows, step, row);
-    if (y >= top && y < end)
-      for (uint x = 0; x < step; x += 16)
-        *(__global uchar16 *)(response + ROW(p, y) + x) = *(__global uchar16 *)(row + x);
-    tent_row(row, columns, KEPT(tents, y));
+    const bool inside = y >= top && y < end;
+    __global uchar *row = inside ? response + ROW(p, y) : KEPT(beside, y, step);
+    for (int k = 0; k < 4; ++k) near[k] = near[k + 1];
+    near[4] = row;
+    *KEPT(filled, y, 1) = response_row(&candidates, (uint)p, y, rows, step, list, row,
+                                       KEPT(blocks, y, step / 16));
 
     const int scored = y - 2;
     if (scored < top - RADIUS) continue;
-    key_row(KEPT(near, scored), KEPT(tents, scored - 2), KEPT(tents, scored - 1),
-            KEPT(tents, scored), KEPT(tents, scored + 1), KEPT(tents, y), columns,
-            KEPT(keys, scored));
-    row_maximum(KEPT(keys, scored), columns, KEPT(largest, scored));
+    __global ushort *key = KEPT(keys, scored, step);
+    for (uint x = 0; x < step; x += 16) *(__global SCORES *)(key + x) = 0;
+    key_row(near, KEPT(blocks, scored, step / 16), *KEPT(filled, scored, 1), key);
 
     const int decided = scored - RADIUS;
     if (decided < top) continue;
     __global const ushort *window[2 * RADIUS + 1];
-    for (int d = -RADIUS; d <= RADIUS; ++d) window[d + RADIUS] = KEPT(largest, decided + d);
-    counts[p * rows + decided] = maxima_row(KEPT(keys, decided), window, columns,
-                                            maxima + (p * rows + decided) * (step / 16));
+    for (int d = -RADIUS; d <= RADIUS; ++d) window[d + RADIUS] = KEPT(keys, decided + d, step);
+    counts[p * rows + decided] =
+        maxima_row(window, KEPT(blocks, decided, step / 16), *KEPT(filled, decided, 1), step,
+                   maxima + (p * rows + decided) * (step / 16));
   }
 }
 
