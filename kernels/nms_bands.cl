@@ -8,6 +8,9 @@
 #ifndef RADIUS
 #error "RADIUS must be that of suppression"
 #endif
+#ifndef OVER_SUPPRESSION
+#error "OVER_SUPPRESSION must list the distances 1 to the radius"
+#endif
 #define ROWS_KEPT (2 * RADIUS + 3)
 #define KEPT(rows, y, step) (rows + (size_t)(((y) + 4 * ROWS_KEPT) % ROWS_KEPT) * (step))
 
@@ -16,6 +19,15 @@ typedef SCORES __attribute__((aligned(2))) SCORES_ANYWHERE;
 typedef uchar16 __attribute__((aligned(1))) RESPONSES_ANYWHERE;
 #define SCORES_AT(row, x) (*(__global const SCORES_ANYWHERE *)((row) + (x)))
 #define RESPONSES_AT(row, x) (*(__global const RESPONSES_ANYWHERE *)((row) + (x)))
+
+/* The lowest bit that is set and the number of those; PoCL calls its own functions for them. */
+#ifdef __clang__
+#define LOWEST(bits) (uint)__builtin_ctz(bits)
+#define ONES(bits) (uint)__builtin_popcount(bits)
+#else
+#define LOWEST(bits) (31 - clz((bits) & (0u - (bits))))
+#define ONES(bits) popcount((uint)(bits))
+#endif
 
 /* As many entries of a list of contrasts as fit into a vector. */
 #if PIXEL_BITS == 8
@@ -64,43 +76,57 @@ void kept_responses(const Candidates *candidates, const size_t p, const uint n, 
   }
 }
 
+/* Sixty-four bytes at a time. */
+void clear(__global uchar *bytes, const uint count) {
+  for (uint k = 0; k < count; k += 64) {
+    *(__global ulong4 *)(bytes + k) = 0;
+    *(__global ulong4 *)(bytes + k + 32) = 0;
+  }
+}
+
 /* The responses of row y, 0 outside the image; of three masks 2 R(0) + R(-1/2) + R(+1/2).
  * The number of blocks that hold a candidate, and which. */
 uint response_row(const Candidates *candidates, const uint frame, const int y, const uint rows,
                   const uint step, __global uchar *list, __global uchar *row,
                   __global ushort *blocks) {
-  for (uint x = 0; x < step; x += 16) *(__global uchar16 *)(row + x) = 0;
+  clear(row, step);
   if (y < 0 || y >= (int)rows) return 0;
   const uint halves = step / 16, room = candidates->room;
   const size_t plane = 2 * (size_t)candidates->plane_words;
   __global const ushort *found = (__global const ushort *)candidates->words +
                                  frame * MASKS * plane + (y + REACH) * halves;
   uint filled = 0;
-  for (uint block = 0; block < halves; ++block) {
-    blocks[filled] = (ushort)block;
 #if MASKS == 3
-    filled += (found[block] | found[block + plane] | found[block + 2 * plane]) != 0;
+#define FOUND(block) (found[block] | found[(block) + plane] | found[(block) + 2 * plane])
 #else
-    filled += found[block] != 0;
+#define FOUND(block) found[block]
 #endif
+#define APPEND(block)                                                               \
+  blocks[filled] = (ushort)(block);                                                 \
+  filled += FOUND(block) != 0;
+  for (uint block = 0; block < halves; block += 4) {
+    APPEND(block)
+    APPEND(block + 1)
+    APPEND(block + 2)
+    APPEND(block + 3)
   }
   for (uint mask = 0; mask < MASKS; ++mask) {
     const size_t p = frame * MASKS + mask;
     const uint n = candidates->row_starts[p * rows + y];
     if (n >= room) return filled;
     uint count = 0;
-    for (uint k = 0; k < filled; ++k) count += popcount((uint)found[mask * plane + blocks[k]]);
+    for (uint k = 0; k < filled; ++k) count += ONES(found[mask * plane + blocks[k]]);
     kept_responses(candidates, p, n, SMALLER(count, room - n), list);
     __global const uchar *next = list;
-    for (uint k = 0; k < filled; ++k)
-      for (uint left = found[mask * plane + blocks[k]]; left; left &= left - 1) {
-        const uint x = 16 * blocks[k] + 31 - clz(left & (0u - left));
+    for (uint k = 0; k < filled; ++k) {
+      __global uchar *block = row + 16 * blocks[k];
+      for (uint left = found[mask * plane + blocks[k]]; left; left &= left - 1)
 #if MASKS == 3
-        row[x] += *next++ << (mask == 0);
+        block[LOWEST(left)] += *next++ << (mask == 0);
 #else
-        row[x] = *next++;
+        block[LOWEST(left)] = *next++;
 #endif
-      }
+    }
   }
   return filled;
 }
@@ -141,11 +167,14 @@ void key_row(__global const uchar *const *rows, __global const ushort *blocks, c
   }
 }
 
+#define LANE_NUMBERS (ushort16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
+
 /* Sixteen comparisons as bits. */
 ushort bits_of(const short16 holds) {
-  const ulong2 bytes = as_ulong2(convert_char16(holds)) & (ulong2)(0x0101010101010101UL);
-  const ulong2 bits = bytes * 0x0102040810204080UL >> (ulong2)(56);
-  return (ushort)(bits.s0 | bits.s1 << 8);
+  const ushort16 bit = (ushort16)(1) << LANE_NUMBERS;
+  const ulong4 fours = as_ulong4(as_ushort16(holds) & bit);
+  const ulong four = fours.s0 | fours.s1 | fours.s2 | fours.s3, two = four | four >> 32;
+  return (ushort)(two | two >> 16);
 }
 
 /* The pixels of a block whose key is above the earlier ones beside it and not below the later
@@ -154,30 +183,26 @@ ushort above_neighbours(__global const ushort *const *keys, const uint x) {
   __global const ushort *above = keys[RADIUS - 1], *row = keys[RADIUS], *below = keys[RADIUS + 1];
   const SCORES key = SCORES_AT(row, x);
   SCORES earlier = SCORES_AT(row, x - 1), later = SCORES_AT(row, x + 1);
-  for (int dx = -1; dx <= 1; ++dx) {
-    const SCORES before = SCORES_AT(above, (int)x + dx), after = SCORES_AT(below, (int)x + dx);
-    earlier = LARGER(earlier, before);
-    later = LARGER(later, after);
-  }
+#define BESIDE(dx)                                                                  \
+  earlier = LARGER(earlier, SCORES_AT(above, x + (dx)));                            \
+  later = LARGER(later, SCORES_AT(below, x + (dx)));
+  BESIDE(-1) BESIDE(0) BESIDE(1)
   return bits_of((key > earlier) & (key >= later));
 }
 
 /* Whether a pixel's key is above all earlier ones of its window and not below any later one. */
 bool is_maximum(__global const ushort *const *keys, const uint x) {
-  const short16 lane = (short16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
   const SCORES key = keys[RADIUS][x];
   short16 larger = 0;
   for (int first = -RADIUS; first <= RADIUS; first += 16) {
-    const short16 dx = lane + (short)first;
+    const short16 dx = as_short16(LANE_NUMBERS) + (short)first;
     const SCORES row = SCORES_AT(keys[RADIUS], (int)x + first);
     SCORES earlier = row & as_ushort16(dx < (short16)(0));
     SCORES later = row & as_ushort16(dx > (short16)(0));
-    for (int dy = 1; dy <= RADIUS; ++dy) {
-      const SCORES above = SCORES_AT(keys[RADIUS - dy], (int)x + first);
-      const SCORES below = SCORES_AT(keys[RADIUS + dy], (int)x + first);
-      earlier = LARGER(earlier, above);
-      later = LARGER(later, below);
-    }
+#define ROWS_AT(dy)                                                                 \
+  earlier = LARGER(earlier, SCORES_AT(keys[RADIUS - (dy)], (int)x + first));        \
+  later = LARGER(later, SCORES_AT(keys[RADIUS + (dy)], (int)x + first));
+    OVER_SUPPRESSION(ROWS_AT)
     larger |= ((earlier >= key) | (later > key)) & (dx <= (short16)(RADIUS));
   }
   const ulong4 any = as_ulong4(larger);
@@ -187,16 +212,18 @@ bool is_maximum(__global const ushort *const *keys, const uint x) {
 /* The maxima of a row as bits, and how many. keys[RADIUS] is the row's own. */
 uint maxima_row(__global const ushort *const *keys, __global const ushort *blocks,
                 const uint filled, const uint step, __global ushort *maxima) {
-  for (uint k = 0; k < step / 16; ++k) maxima[k] = 0;
+  for (uint k = 0; k < step / 16; k += 4) *(__global ulong *)(maxima + k) = 0;
   uint count = 0;
   for (uint n = 0; n < filled; ++n) {
     uint bits = 0;
     for (uint left = above_neighbours(keys, 16 * blocks[n]); left; left &= left - 1) {
-      const uint first = left & (0u - left);
-      if (is_maximum(keys, 16 * blocks[n] + 31 - clz(first))) bits |= first;
+      const uint lane = LOWEST(left);
+      if (is_maximum(keys, 16 * blocks[n] + lane)) {
+        bits |= 1u << lane;
+        ++count;
+      }
     }
     maxima[blocks[n]] = (ushort)bits;
-    count += popcount(bits);
   }
   return count;
 }
@@ -241,7 +268,7 @@ __kernel void suppress_bands(__global const uint *restrict words,
     const int scored = y - 2;
     if (scored < top - RADIUS) continue;
     __global ushort *key = KEPT(keys, scored, step);
-    for (uint x = 0; x < step; x += 16) *(__global SCORES *)(key + x) = 0;
+    clear((__global uchar *)key, 2 * step);
     key_row(near, KEPT(blocks, scored, step / 16), *KEPT(filled, scored, 1), key);
 
     const int decided = scored - RADIUS;
