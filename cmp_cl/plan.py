@@ -36,6 +36,7 @@ ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a b
 GROUP = 64  # work-items of a group over a list
 NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
 BEYOND = 8  # elements behind a row's running sums that a vector may reach
+BEHIND = 16  # entries behind a list of contrasts that a vector may reach
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
 RESULT_FIELDS = 12  # of kernels/refine.cl
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference", "sector_response")
@@ -287,7 +288,9 @@ class Plan:
                 layouts[-1]["squares"] = 4 * pixel * plane
             if gate:
                 layouts.append({"noise_sums": 2 * pixel * bands * self.step})
-        lists = dict.fromkeys(CONTRASTS if gate else ("sector_response",), 2 * pixel * room)
+        lists = dict.fromkeys(
+            CONTRASTS if gate else ("sector_response",), 2 * pixel * (room + BEHIND)
+        )
         if self._in_words:
             kept = 2 * (2 * self.config.nms_radius + 3) + 1  # rows of a band
             layouts.append({**lists, "kept": 2 * kept * self.step * bands})

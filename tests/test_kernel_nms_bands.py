@@ -6,7 +6,14 @@ import images
 import pytest
 from comparison import assert_maps_equal
 
-from cmp_cl import AdaptiveMean, Detector, DetectorConfig, DeviceKind, RapidCriteria
+from cmp_cl import (
+    AdaptiveMean,
+    Detector,
+    DetectorConfig,
+    DeviceKind,
+    RapidCriteria,
+    SectorContrast,
+)
 
 DENSE = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
 FIELDS = ("response", "score", "maximum")
@@ -28,3 +35,15 @@ def test_maxima_across_bands(device, radius, masks):
     with Detector(shape=image.shape, config=config, device=device) as detector:
         maps = assert_maps_equal(detector, image, fields=FIELDS)
         assert maps.maximum.sum() > 5
+
+
+@pytest.mark.parametrize("noise", [0, 70, 90])
+def test_bounds_above_any_contrast(device, noise):
+    """So noisy an image that the bound does not fit into the type of the contrasts."""
+    gate = SectorContrast(minimum=0, relative=0, noise=noise)
+    config = DetectorConfig(criteria=DENSE, contrast=gate, refinement=None)
+    image = images.salt_and_pepper((90, 70), 0.5)
+    device = dataclasses.replace(device, kind=DeviceKind.CPU)
+    with Detector(shape=image.shape, config=config, device=device) as detector:
+        maps = assert_maps_equal(detector, image, fields=FIELDS)
+    assert maps.maximum.any() == (noise == 0)
