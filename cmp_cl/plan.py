@@ -34,6 +34,7 @@ RING_REACH = 5  # rows and columns that the outer ring looks at
 REACH = 16  # columns on either side of the pixels, at least: what rings and tents need
 ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
 GROUP = 64  # work-items of a group over a list
+WORDS = 64  # words of a group of the criteria: small enough to share them out evenly
 NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
 BEYOND = 8  # elements behind a row's running sums that a vector may reach
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
@@ -122,7 +123,7 @@ class Plan:
     @property
     def plane_words(self) -> int:
         """Words of a plane, with the rows above and below."""
-        return _multiple((self.working[0] + 2 * RING_REACH) * self.step // 32, 8)
+        return _multiple((self.working[0] + 2 * RING_REACH) * self.step // 32, WORDS)
 
     @property
     def words_margin(self) -> int:
@@ -568,7 +569,7 @@ class Plan:
             self._stage(
                 "rapid_criteria_words",
                 (self.plane_words // 8, planes),
-                None,
+                (WORDS // 8, 1),
                 b["words"],
                 b["mask"],
                 step,
