@@ -149,6 +149,7 @@ class Detector:
                     plan.awaited = True
                     ready, waiting = waiting, plan
                     done = [] if ready is None else self._finish(ready)
+                    cl.wait_for_events(plan.uploads)
                 yield from done
             if waiting is not None:
                 with self._lock:
