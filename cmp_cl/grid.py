@@ -258,12 +258,12 @@ def _fullest(nodes: _Nodes, bend: NDArray[np.float32], shape: tuple[int, int]) -
     return turned[best].window(int(row), int(column), shape)
 
 
-def _nearest_rest(at: Points, rest: Grid, which: Mask) -> Index:
-    """The number of the nearest one of those valid nodes of the rest grid, 0 if there is none."""
+def _nearest_rest(at: Points, rest: Float, which: Mask) -> Index:
+    """The number of the nearest one of those of the rest nodes (M, 2), 0 if there is none."""
     numbers = np.flatnonzero(which)
     if not len(numbers):
         return np.zeros(len(at), np.int64)
-    x, y = rest.xy[rest.valid][numbers].astype(np.float64).T
+    x, y = rest.take(numbers, axis=0).T
     nodes = np.stack([-x, -y, (x * x + y * y) / 2])
     here = np.stack([at.real, at.imag, np.ones(len(at))], axis=1)
     parts = [(here[k : k + 16] @ nodes).argmin(1) for k in range(0, len(here), 16)]
@@ -279,24 +279,26 @@ def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
     vote wins. Among its windows of the right colour, those that hold about as much as the
     fullest compete, and the votes decide.
     """
-    rest_row, rest_column = np.nonzero(like.valid)
+    places = np.flatnonzero(like.valid)
+    rest = like.xy.reshape(-1, 2).take(places, axis=0).astype(np.float64)
+    rest_row, rest_column = np.divmod(places, like.shape[1])
     rest_colour = (like.parity + rest_row + rest_column) % 2
     voters = np.flatnonzero(nodes.owner >= 0)
     count = min(VOTERS, len(voters))
     voters = voters[np.arange(count) * (len(voters) - 1) // max(count - 1, 1)]
     here = nodes.at.ravel()[voters]
-    nearest = np.stack([_nearest_rest(here, like, rest_colour == colour) for colour in (0, 1)])
+    nearest = np.stack([_nearest_rest(here, rest, rest_colour == colour) for colour in (0, 1)])
     rows, columns = nodes.at.shape
     row, column = np.divmod(voters, columns)
     colour = (nodes.parity + row + column) % 2
     ballots = []
     for quarters in range(4):
         chosen = nearest[(colour + quarters) % 2, np.arange(len(voters))]
-        places = (rows + like.shape[0] + 1, columns + like.shape[1] + 1)
+        windows = (rows + like.shape[0] + 1, columns + like.shape[1] + 1)
         top = row - rest_row[chosen] + like.shape[0]
         left = column - rest_column[chosen] + like.shape[1]
-        votes = np.bincount(top * places[1] + left, minlength=places[0] * places[1])
-        ballots.append((quarters, votes.reshape(places)))
+        votes = np.bincount(top * windows[1] + left, minlength=windows[0] * windows[1])
+        ballots.append((quarters, votes.reshape(windows)))
         row, column = columns - 1 - column, row
         rows, columns = columns, rows
     quarters, votes = max(ballots, key=lambda ballot: int(ballot[1].max()))
