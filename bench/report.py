@@ -461,6 +461,23 @@ def field(result: Row) -> str:
         parts.append("Frames with a wrong index:\n")
         keys = ("config", "seed", "object", "mode", "severity", "wrong_index", "nodes")
         parts.append(table(keys, [[row[key] for key in keys] for row in wrong]))
+    parts.append(
+        "What `detector.grid` takes for the numbering, after the detection: frames of a press in "
+        "any order, whole ones and such that leave corners to the second look.\n"
+    )
+    body = [
+        [
+            f"{row['form']}=",
+            row["stream"],
+            f"{row['corners']:.0f}",
+            row["frames"],
+            row["wrong_index"],
+            row["ms"],
+            row["ms_p95"],
+        ]
+        for row in result.get("numbering", [])
+    ]
+    parts.append(table(("form", "frames", "corners", "runs", "wrong", "ms", "95 %"), body))
     count = sum(len(run["order"]) for run in result["orders"])
     same = sum(run["same_bytes"] for run in result["orders"])
     parts.append(f"{same} of {count} frames gave the same bytes when they came in another order.\n")
