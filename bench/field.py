@@ -1,4 +1,5 @@
-"""Fields against exact truth in space, numbering, order of frames, and boards of known squares.
+"""Fields against exact truth in space, numbering and its time, order of frames, and boards of
+known squares.
 
     python bench/field.py --quick       two scenes and the boards, about a minute
     python bench/field.py               everything; writes results/field.json
@@ -33,6 +34,7 @@ from cmp_cl import (
     Grid,
     NodeStatus,
     StereoRig,
+    build_grid,
     calibrate,
     select_device,
 )
@@ -49,6 +51,7 @@ from cmp_cl.synthetic import (
     binocular_frame,
     default_rig,
     random_scene,
+    render,
     render_stereo,
 )
 
@@ -171,6 +174,57 @@ def grouped(rows: Sequence[dict[str, Any]], *keys: str) -> list[dict[str, Any]]:
     ]
 
 
+# the time of the numbering
+
+NUMBERED = 44  # corners a side, in 640 x 480
+STREAMS = {"whole": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5), "torn": (0.6, 0.75, 0.9, 1.0)}  # severities
+
+
+def numbering(device: Device, rounds: int) -> list[dict[str, Any]]:
+    """What `detector.grid` takes after the detection, in both forms, one frame after another.
+
+    The frames of a press come in another order in every round. Those of the first stream show
+    every corner to the detector, those of the second leave some to the second look.
+    """
+    scene = random_scene(
+        FIRST_SEED, markers=NUMBERED, indenter=Indenter.TORUS, mode=Mode.TWIST, severity=1.0
+    )
+    config = DetectorConfig.for_grid(40)
+    shape = (NUMBERED, NUMBERED)
+    rows: list[dict[str, Any]] = []
+    with Detector(shape=scene.shape, config=config, device=device) as detector:
+        rest = detector.grid(render(scene.at_rest()).image, shape=shape)[1]
+        for stream, severities in STREAMS.items():
+            shots = [render(dataclasses.replace(scene, severity=level)) for level in severities]
+            frames = [(shot, detector(shot.image)) for shot in shots]
+            for form in ("shape", "like"):
+                wanted: dict[str, Any] = {"shape": shape} if form == "shape" else {"like": rest}
+                draw = np.random.default_rng(0)
+                spent, wrong = [], 0
+                for turn in range(rounds + 1):  # the first is not counted
+                    for number in draw.permutation(len(frames)).tolist():
+                        shot, corners = frames[number]
+                        start = time.perf_counter()
+                        grid = build_grid(corners, shot.image, **wanted)
+                        ms = (time.perf_counter() - start) * 1e3
+                        if turn:
+                            spent.append(ms)
+                            wrong += wrongly_numbered(grid, shot)
+                rows.append(
+                    {
+                        "stream": stream,
+                        "severities": severities,
+                        "form": form,
+                        "frames": len(spent),
+                        "corners": float(np.mean([len(corners) for _, corners in frames])),
+                        "wrong_index": wrong,
+                        "ms": float(np.median(spent)),
+                        "ms_p95": float(np.percentile(spent, 95)),
+                    }
+                )
+    return rows
+
+
 # boards
 
 
@@ -278,6 +332,12 @@ def show(result: dict[str, Any]) -> None:
             f"{row['nodes_placed']:8.2%}{row['place_rms_um']:10.1f}{row['moved_rms_um']:14.1f}"
             f"{row['ms']:7.0f}"
         )
+    for row in result["numbering"]:
+        print(
+            f"numbering, {row['form'] + '=':7}{row['stream']:6}{row['corners']:7.0f} corners: "
+            f"median {row['ms']:.2f} ms, 95 % {row['ms_p95']:.2f} ms, "
+            f"{row['wrong_index']} wrong in {row['frames']} frames"
+        )
     for run in result["orders"]:
         print(
             f"seed {run['seed']}: {run['same_bytes']} of {len(run['order'])} frames gave the same "
@@ -326,6 +386,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "by_case": grouped(rows, "config", "object", "mode", "severity"),
         "frames": rows,
         "orders": orders,
+        "numbering": numbering(device, 5 if arguments.quick else 30),
         "boards": boards(),
     }
     show(result)

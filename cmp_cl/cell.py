@@ -1,6 +1,5 @@
 """The size of the cells of a pattern, from the image alone."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +19,8 @@ def estimate_cell(image: GreyImage) -> float:
 
     Raises ImageError where the image is not (H, W) uint8 or uint16.
     """
+    import cv2  # here, since it takes longer than a plan's first frame
+
     image = check_image(image)
     if not image.size:
         return _NONE_FOUND

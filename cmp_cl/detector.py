@@ -149,6 +149,7 @@ class Detector:
                     plan.awaited = True
                     ready, waiting = waiting, plan
                     done = [] if ready is None else self._finish(ready)
+                    cl.wait_for_events(plan.uploads)
                 yield from done
             if waiting is not None:
                 with self._lock:
@@ -199,15 +200,18 @@ class Detector:
         *,
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
+        region: tuple[float, float, float, float] | None = None,
     ) -> tuple[Corners, Grid]:
         """The corners of a frame and their numbering, see `build_grid`.
+
+        All corners of the frame are in the first; a region holds for the numbering alone.
 
         Raises what a call and `build_grid` raise.
         """
         from cmp_cl.grid import build_grid
 
         corners = self(frame)
-        return corners, build_grid(corners, frame, shape=shape, like=like)
+        return corners, build_grid(corners, frame, shape=shape, like=like, region=region)
 
     @property
     def _factors(self) -> list[float | None]:

@@ -1,5 +1,6 @@
 """Corners to rows and columns: numbering, orientation, holes, second look."""
 
+import cmath
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ def build_grid(
     inside = _inside(corners, region)
     if len(inside) < 4:
         return _empty(len(corners), shape)
-    edges = corners.edges[inside]
+    edges = corners.edges.take(inside, axis=0)
     if np.isnan(edges).all():
         raise GridError(
             "the corners have no edge angles, which the grid is built from; "
@@ -88,15 +89,14 @@ class _Nodes:
     """A grid in the making.
 
     at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
-    status: (R, C) uint8 of NodeStatus; looked: (R, C) weight of the prediction at the last
-    second look; parity: as in Grid; free: (N,) bool, corners that have not been in the grid.
+    status: (R, C) uint8 of NodeStatus; parity: as in Grid; free: (N,) bool, corners that have
+    not been in the grid.
     """
 
     def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
         self.at: Points = np.full(shape, NOWHERE)
         self.owner: Index = np.full(shape, -1)
         self.status: NDArray[np.uint8] = np.zeros(shape, np.uint8)
-        self.looked: Float = np.zeros(shape)
         self.parity = parity
         self.free = free
 
@@ -113,7 +113,6 @@ class _Nodes:
         self.at = np.pad(self.at, 1, constant_values=NOWHERE)
         self.owner = np.pad(self.owner, 1, constant_values=-1)
         self.status = np.pad(self.status, 1)
-        self.looked = np.pad(self.looked, 1)
 
     def crop(self) -> None:
         """Without the empty rows and columns around."""
@@ -121,7 +120,7 @@ class _Nodes:
         rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
         box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         self.at, self.owner = self.at[box], self.owner[box]
-        self.status, self.looked = self.status[box], self.looked[box]
+        self.status = self.status[box]
         self.parity = (self.parity + int(rows[0]) + int(columns[0])) % 2
 
     def turned(self, quarters: int) -> "_Nodes":
@@ -130,23 +129,28 @@ class _Nodes:
         turned = _Nodes(self.at.shape, (self.parity + first) % 2, self.free)
         turned.at, turned.owner = np.rot90(self.at, quarters), np.rot90(self.owner, quarters)
         turned.status = np.rot90(self.status, quarters)
-        turned.looked = np.rot90(self.looked, quarters)
         return turned
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "_Nodes":
         """The nodes from that row and column on."""
         cut = _Nodes(shape, (self.parity + top + left) % 2, self.free)
-        row, column = np.nonzero(self.status != NodeStatus.MISSING)
-        kept = (row >= top) & (row < top + shape[0]) & (column >= left) & (column < left + shape[1])
-        row, column = row[kept], column[kept]
-        for name in ("at", "owner", "status", "looked"):
-            getattr(cut, name)[row - top, column - left] = getattr(self, name)[row, column]
+        rows, columns = self.at.shape
+        here = np.s_[
+            max(top, 0) : max(min(rows, top + shape[0]), 0),
+            max(left, 0) : max(min(columns, left + shape[1]), 0),
+        ]
+        there = np.s_[
+            max(-top, 0) : max(min(rows - top, shape[0]), 0),
+            max(-left, 0) : max(min(columns - left, shape[1]), 0),
+        ]
+        for name in ("at", "owner", "status"):
+            getattr(cut, name)[there] = getattr(self, name)[here]
         return cut
 
 
 def _check_holds(image: GreyImage, corners: Corners) -> None:
     """Raise ImageError where a corner lies outside the image: it comes from another one."""
-    columns, rows = corners.pixel.max(axis=0, initial=-1) + 1
+    columns, rows = (int(line.max(initial=-1)) + 1 for line in corners.pixel.T)
     if rows > image.shape[0] or columns > image.shape[1]:
         raise ImageError(
             f"the corners reach over {rows} rows and {columns} columns, the image has shape "
@@ -201,7 +205,7 @@ def _boxed(z: NDArray[np.complex64], found: Lattice) -> _Nodes:
     """The largest component in the box that holds it, rows down and columns right."""
     member = np.flatnonzero(found.component == 0)
     member = member[np.argsort(found.support[member], kind="stable")]
-    unit = (1, 1j, -1, -1j)[round(float(np.angle(found.axis[0])) / (np.pi / 2)) % 4]
+    unit = (1, 1j, -1, -1j)[round(cmath.phase(found.axis) / (cmath.pi / 2)) % 4]
     node, turn = found.node[member] * unit, found.turn[member] * unit
     row, column = node.imag.astype(np.int64), node.real.astype(np.int64)
     row -= row.min()
@@ -224,14 +228,15 @@ def _window_weights(nodes: _Nodes, bend: NDArray[np.float32], shape: tuple[int, 
     i - rows and whose first column is j - columns. A node weighs less the less the corner's
     boundaries are straight, as they are not where the outermost cells meet the surroundings.
     """
-    rows, columns = shape
-    weight = WHOLE - (WHOLE / 4 * np.nan_to_num(bend, nan=1.0)).astype(np.int64)
-    seen = np.where(nodes.owner >= 0, weight[nodes.owner], 0)
-    total = np.pad(seen, ((rows, rows), (columns, columns))).cumsum(0).cumsum(1)
-    total = np.pad(total, ((1, 0), (1, 0)))
-    here = total[rows:, columns:] - total[:-rows, columns:]
-    windows: Index = here - total[rows:, :-columns] + total[:-rows, :-columns]
-    return windows
+    weight = WHOLE - (WHOLE / 4 * np.where(np.isnan(bend), 1, bend)).astype(np.int64)
+    total = np.zeros(np.add(nodes.at.shape, 1), np.int64)
+    total[1:, 1:] = np.where(nodes.owner >= 0, weight[nodes.owner], 0).cumsum(0).cumsum(1)
+    for axis, size in enumerate(shape):
+        last = nodes.at.shape[axis]
+        end = np.arange(last + size + 1)
+        begin = np.maximum(end - size, 0)
+        total = total.take(np.minimum(end, last), axis) - total.take(np.minimum(begin, last), axis)
+    return total
 
 
 def _fullest(nodes: _Nodes, bend: NDArray[np.float32], shape: tuple[int, int]) -> _Nodes:
@@ -253,6 +258,19 @@ def _fullest(nodes: _Nodes, bend: NDArray[np.float32], shape: tuple[int, int]) -
     return turned[best].window(int(row), int(column), shape)
 
 
+def _nearest_rest(at: Points, rest: Float, which: Mask) -> Index:
+    """The number of the nearest one of those of the rest nodes (M, 2), 0 if there is none."""
+    numbers = np.flatnonzero(which)
+    if not len(numbers):
+        return np.zeros(len(at), np.int64)
+    x, y = rest.take(numbers, axis=0).T
+    nodes = np.stack([-x, -y, (x * x + y * y) / 2])
+    here = np.stack([at.real, at.imag, np.ones(len(at))], axis=1)
+    parts = [(here[k : k + 16] @ nodes).argmin(1) for k in range(0, len(here), 16)]
+    nearest: Index = numbers[np.concatenate(parts)]
+    return nearest
+
+
 def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
     """The turn and the window that agree with the rest grid.
 
@@ -261,57 +279,60 @@ def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
     vote wins. Among its windows of the right colour, those that hold about as much as the
     fullest compete, and the votes decide.
     """
-    rest_row, rest_column = np.nonzero(like.valid)
-    rest = like.xy[rest_row, rest_column]
+    places = np.flatnonzero(like.valid)
+    rest = like.xy.reshape(-1, 2).take(places, axis=0).astype(np.float64)
+    rest_row, rest_column = np.divmod(places, like.shape[1])
     rest_colour = (like.parity + rest_row + rest_column) % 2
     voters = np.flatnonzero(nodes.owner >= 0)
-    voters = voters[np.linspace(0, len(voters) - 1, min(VOTERS, len(voters))).astype(np.int64)]
+    count = min(VOTERS, len(voters))
+    voters = voters[np.arange(count) * (len(voters) - 1) // max(count - 1, 1)]
     here = nodes.at.ravel()[voters]
-    away = (here.real[:, None] - rest[:, 0]) ** 2 + (here.imag[:, None] - rest[:, 1]) ** 2
-    nearest = [np.where(rest_colour == colour, away, np.inf).argmin(1) for colour in (0, 1)]
-    name = np.full(nodes.at.size, -1)
-    name[voters] = np.arange(len(voters))
+    nearest = np.stack([_nearest_rest(here, rest, rest_colour == colour) for colour in (0, 1)])
+    rows, columns = nodes.at.shape
+    row, column = np.divmod(voters, columns)
+    colour = (nodes.parity + row + column) % 2
     ballots = []
     for quarters in range(4):
-        turned = nodes.turned(quarters)
-        names = np.rot90(name.reshape(nodes.at.shape), quarters)
-        row, column = np.nonzero(names >= 0)
-        voter = names[row, column]
-        colour = (turned.parity + row + column) % 2
-        chosen_rest = np.where(colour == 0, nearest[0][voter], nearest[1][voter])
-        row = row - rest_row[chosen_rest] + like.shape[0]
-        column = column - rest_column[chosen_rest] + like.shape[1]
-        votes = np.zeros(np.add(turned.at.shape, like.shape) + 1, np.int64)
-        cast = (row >= 0) & (row < votes.shape[0]) & (column >= 0) & (column < votes.shape[1])
-        np.add.at(votes, (row[cast], column[cast]), 1)
-        ballots.append((turned, votes))
-    turned, votes = max(ballots, key=lambda ballot: int(ballot[1].max()))
+        chosen = nearest[(colour + quarters) % 2, np.arange(len(voters))]
+        windows = (rows + like.shape[0] + 1, columns + like.shape[1] + 1)
+        top = row - rest_row[chosen] + like.shape[0]
+        left = column - rest_column[chosen] + like.shape[1]
+        votes = np.bincount(top * windows[1] + left, minlength=windows[0] * windows[1])
+        ballots.append((quarters, votes.reshape(windows)))
+        row, column = columns - 1 - column, row
+        rows, columns = columns, rows
+    quarters, votes = max(ballots, key=lambda ballot: int(ballot[1].max()))
+    turned = nodes.turned(quarters)
     weights = _window_weights(turned, bend, like.shape)
     first = np.add.outer(np.arange(votes.shape[0]), np.arange(votes.shape[1])) + sum(like.shape)
     weights = np.where((turned.parity + first) % 2 == like.parity, weights, 0)
     rival = weights >= weights.max() - WHOLE * min(like.shape) / 2
     choice = np.where(rival, votes * (WHOLE * turned.at.size + 1) + weights, -1)
-    top, left = np.unravel_index(int(choice.argmax()), choice.shape)
-    return turned.window(int(top) - like.shape[0], int(left) - like.shape[1], like.shape)
+    first_row, first_column = np.unravel_index(int(choice.argmax()), choice.shape)
+    return turned.window(
+        int(first_row) - like.shape[0], int(first_column) - like.shape[1], like.shape
+    )
 
 
-# ((weight), ((row, column, factor), ...)) of each prediction of a node from its neighbours
-def _predictors() -> list[tuple[float, tuple[tuple[int, int, float], ...]]]:
-    found: list[tuple[float, tuple[tuple[int, int, float], ...]]] = []
+# (weight, {(row, column): factor, ...}) of each prediction of a node from its neighbours
+def _predictors() -> list[tuple[float, dict[tuple[int, int], float]]]:
+    found: list[tuple[float, dict[tuple[int, int], float]]] = []
     for r, c in ((0, 1), (1, 0)):
-        found.append(
-            (12, ((-r, -c, 4 / 6), (r, c, 4 / 6), (-2 * r, -2 * c, -1 / 6), (2 * r, 2 * c, -1 / 6)))
-        )
-        found.append((4, ((-r, -c, 0.5), (r, c, 0.5))))
+        line = {(-r, -c): 4 / 6, (r, c): 4 / 6, (-2 * r, -2 * c): -1 / 6, (2 * r, 2 * c): -1 / 6}
+        found.append((12, line))
+        found.append((4, {(-r, -c): 0.5, (r, c): 0.5}))
     for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        found.append((1.5, ((r, 0, 1), (0, c, 1), (r, c, -1))))
+        found.append((1.5, {(r, 0): 1, (0, c): 1, (r, c): -1}))
     for r, c in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-        found.append((0.7, ((r, c, 2), (2 * r, 2 * c, -1))))
-        found.append((0.7, ((r, c, 3), (2 * r, 2 * c, -3), (3 * r, 3 * c, 1))))
+        found.append((0.7, {(r, c): 2, (2 * r, 2 * c): -1}))
+        found.append((0.7, {(r, c): 3, (2 * r, 2 * c): -3, (3 * r, 3 * c): 1}))
     return found
 
 
 PREDICTORS = _predictors()
+STEPS = np.array(sorted({step for _, factors in PREDICTORS for step in factors}))
+WEIGHTS = np.array([weight for weight, _ in PREDICTORS])
+FACTORS = np.array([[factors.get((r, c), 0) for r, c in STEPS] for _, factors in PREDICTORS])
 
 
 def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
@@ -320,52 +341,66 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
     Along a row or column (4 (L + R) - (LL + RR)) / 6 with weight 12 and (L + R) / 2 with 4,
     the parallelograms with 1.5, linear and quadratic extrapolation with 0.7 each.
     """
-    padded = np.pad(at, 3, constant_values=complex(np.nan, np.nan))
-    flat, width = padded.ravel(), padded.shape[1]
-    here = (row + 3) * width + column + 3
-    steps = sorted({(r, c) for _, terms in PREDICTORS for r, c, _ in terms})
-    near = {step: flat[here + step[0] * width + step[1]] for step in steps}
-    total = np.zeros(len(here), np.complex128)
-    weights = np.zeros(len(here))
-    for weight, terms in PREDICTORS:
-        value = sum(factor * near[r, c] for r, c, factor in terms)
-        known = ~np.isnan(value.real)
-        total[known] += weight * value[known]
-        weights += weight * known
+    padded = _bordered(at)
+    width = padded.shape[1]
+    near = padded.ravel()[(row + 3) * width + column + 3 + (STEPS @ [width, 1])[:, None]]
+    unknown = np.isnan(near.real)
+    near[unknown] = 0
+    known = (FACTORS != 0).astype(np.float64) @ unknown == 0
+    weight: Float = WEIGHTS @ known
+    factors = (WEIGHTS[:, None] * FACTORS).T @ known
     with np.errstate(invalid="ignore"):
-        return total / weights, weights
+        return (factors * near).sum(0) / weight, weight
+
+
+def predict_within(at: Points) -> Points:
+    """The same for every node, (R, C); NaN where one of those around is missing."""
+    padded = _bordered(at)
+    rows, columns = at.shape
+    total = np.zeros((rows, columns), np.complex128)
+    for (r, c), factor in zip(STEPS + 3, WEIGHTS @ FACTORS / WEIGHTS.sum(), strict=True):
+        total += factor * padded[r : r + rows, c : c + columns]
+    return total
+
+
+def _bordered(at: Points) -> Points:
+    """With three missing nodes around."""
+    rows, columns = at.shape
+    padded = np.full((rows + 6, columns + 6), NOWHERE)
+    padded[3:-3, 3:-3] = at
+    return padded
 
 
 def mean_steps(at: Points) -> tuple[Points, Points, Float]:
     """The step to the next column, to the next row, and the cell, each (R, C), px.
 
-    Means over the 3 x 3 nodes around; NaN where there are none.
+    Means of the steps to and from the 3 x 3 nodes around; NaN where there are none.
     """
-    means: list[Points] = []
-    for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        total = np.zeros(at.shape, np.complex128)
-        count = np.zeros(at.shape)
-        step = at[b] - at[a]
-        known = ~np.isnan(step.real)
-        step[~known] = 0
-        for side in (a, b):
-            total[side] += step
-            count[side] += known
-        with np.errstate(invalid="ignore"):
-            means.append(_box(total) / _box(count))
-    along, down = means
-    lengths: Float = np.abs(np.stack(means))
+    along, down = _mean_step(at), _mean_step(at.T).T
+    lengths = np.abs([along, down])
     lengths = np.where(np.isnan(lengths), lengths[::-1], lengths)
     cell: Float = lengths.mean(0)
     return along, down, cell
 
 
-def _box(values: NDArray[Any]) -> NDArray[Any]:
-    """Sums over 3 x 3 nodes."""
-    padded = np.pad(values, 1)
-    rows = padded[:-2] + padded[1:-1] + padded[2:]
-    total: NDArray[Any] = rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
-    return total
+def _mean_step(at: Points) -> Points:
+    step = at[:, 1:] - at[:, :-1]
+    known = ~np.isnan(step.real)
+    step[~known] = 0
+    with np.errstate(invalid="ignore"):
+        mean: Points = _around(step) / _around(known.astype(np.float64))
+    return mean
+
+
+def _around(steps: NDArray[Any]) -> NDArray[Any]:
+    """Sums over the steps to and from each of the 3 x 3 nodes, (R, C - 1) -> (R, C)."""
+    rows, columns = steps.shape
+    padded = np.zeros((rows + 2, columns + 4), steps.dtype)
+    padded[1:-1, 2:-2] = steps
+    total = padded[:-2] + padded[1:-1] + padded[2:]
+    total[:, 1:] += total[:, :-1].copy()
+    ends: NDArray[Any] = total[:, 1:-2] + total[:, 2:-1] + total[:, 3:]
+    return ends
 
 
 def _grow(nodes: _Nodes, z: Points, edges: NDArray[np.float32]) -> None:
@@ -387,7 +422,8 @@ def _fill(
     least: float,
 ) -> None:
     """Look again where predictions have at least that weight, attach, and interpolate."""
-    while image is not None and _look_again(nodes, image, least):
+    looked = np.zeros(nodes.at.shape)
+    while image is not None and _look_again(nodes, looked, image, least):
         _drop_misfits(nodes)
         while _attach(nodes, z, edges):
             _drop_misfits(nodes)
@@ -399,9 +435,11 @@ def _drop_misfits(nodes: _Nodes) -> None:
     cell = mean_steps(nodes.at)[2]
     while True:
         row, column = np.nonzero(nodes.status != NodeStatus.MISSING)
-        prediction, weight = predict(nodes.at, row, column)
+        prediction = predict_within(nodes.at)[row, column]
+        rim = np.flatnonzero(np.isnan(prediction))
+        prediction[rim], weight = predict(nodes.at, row[rim], column[rim])
         off = np.abs(nodes.at[row, column] - prediction) / cell[row, column]
-        off[weight < STRONG] = 0
+        off[rim[weight < STRONG]] = 0
         if not (off > NEAR).any():
             return
         padded = np.zeros((nodes.at.shape[0] + 2, nodes.at.shape[1] + 2))
@@ -474,14 +512,18 @@ def _nearest(at: Points, z: Points, reach: Float) -> tuple[Index, Index]:
     return here[twice], there
 
 
-def _look_again(nodes: _Nodes, image: GreyImage, least: float) -> bool:
-    """Refine at the predictions of missing nodes; whether any was found."""
+def _look_again(nodes: _Nodes, looked: Float, image: GreyImage, least: float) -> bool:
+    """Refine at the predictions of missing nodes; whether any was found.
+
+    looked: (R, C), the weight of the prediction at the last look; where it is as high, none is
+    taken again.
+    """
     row, column, at, weight, cell, line = _expected(nodes, least)
-    new = weight > nodes.looked[row, column]
+    new = weight > looked[row, column]
     if not new.any():
         return False
     row, column, at, cell, line = row[new], column[new], at[new], cell[new], line[new]
-    nodes.looked[row, column] = weight[new]
+    looked[row, column] = weight[new]
     seen = second_look(image, at, cell, line)
     found = ~np.isnan(seen.real)
     nodes.put(row[found], column[found], seen[found], NodeStatus.SECOND_LOOK)
@@ -491,6 +533,8 @@ def _look_again(nodes: _Nodes, image: GreyImage, least: float) -> bool:
 def _interpolate(nodes: _Nodes) -> None:
     """Fill missing nodes that measured neighbours bracket, inside the pattern only."""
     seen = nodes.status != NodeStatus.MISSING
+    if seen.all():
+        return
     inside = np.ones_like(seen)
     for axis in (0, 1):
         inside &= np.logical_or.accumulate(seen, axis)
@@ -520,11 +564,12 @@ def _refuse_rival(found: Lattice, nodes: _Nodes, z: NDArray[np.complex64]) -> No
 def _result(corners: Corners, inside: Index, nodes: _Nodes) -> Grid:
     owned = nodes.owner >= 0
     index = np.full((len(corners), 2), -1, np.int32)
-    index[inside[nodes.owner[owned]]] = np.argwhere(owned)
+    owner = inside[nodes.owner[owned]]
+    index[owner, 0], index[owner, 1] = np.nonzero(owned)
     sigma = np.full(nodes.at.shape, np.nan, np.float32)
-    sigma[owned] = corners.sigma[inside[nodes.owner[owned]]]
+    sigma[owned] = corners.sigma[owner]
     return Grid(
-        xy=np.stack([nodes.at.real, nodes.at.imag], axis=-1).astype(np.float32),
+        xy=nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2),
         status=nodes.status,
         sigma=sigma,
         index=index,

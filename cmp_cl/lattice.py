@@ -30,7 +30,7 @@ class Lattice(NamedTuple):
     turn: (N,) complex64, boundary e0 points along this unit of the lattice.
     support: (N,) int64, consistent links of the corner.
     bend: (N,) float32, how far opposite boundaries are from one line, 0 to 2; NaN if unknown.
-    axis: (K,) complex64, mean step of the image along +1 of the lattice, px.
+    axis: mean step of the image along +1 of the largest component, px.
     """
 
     component: Index
@@ -39,21 +39,18 @@ class Lattice(NamedTuple):
     turn: Complex
     support: Index
     bend: NDArray[np.float32]
-    axis: Complex
+    axis: complex
 
 
 def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad."""
     order, first, second = near_pairs(z)
     lines, bend = _lines(edges)
-    half, other = _links(z[order], lines[order], first, second)
-    cells = _cells(z[order], half, other)
-    alone = _Trees(
-        root=np.arange(len(z)),
-        node=np.zeros(len(z), np.complex64),
-        turn=np.ones(len(z), np.complex64),
-    )
-    trees = _join(alone, half[cells == 2], other[cells == 2])
+    z = z[order]
+    half, other = _links(z, lines.take(order, axis=1), first, second)
+    cells = _cells(z, half, other)
+    sure = cells == 2
+    trees = _join(_planted(len(z), half[sure], other[sure]), half[sure], other[sure])
     half, other = half[cells > 0], other[cells > 0]
     trees = _join(trees, half, other)
     return _arranged(z, bend, order, half, other, trees)
@@ -62,32 +59,32 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
 def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
     """Pairs of points that are at most REACH cells apart.
 
-    Returns an order of the points and the pairs as places in that order, each pair once.
-    The cell is taken from the density of the points, where all but a tenth are denser.
+    Returns an order of the points and the pairs as places in that order, each pair once, the
+    lower place first. The cell is taken from the density of the points, where all but a tenth
+    are denser.
     """
     x, y = z.real.astype(np.float64), z.imag.astype(np.float64)
     x -= x.min()
     y -= y.min()
-    extent = max(float(x.max()), float(y.max()), 1.0)
-    tile = max(np.sqrt(max(float(x.max()), 1.0) * max(float(y.max()), 1.0) * 8 / len(z)), 1.0)
-    tile = max(tile, extent / 1024)
-    key = _bucket(x, y, tile)[0]
-    crowd = np.bincount(key)[key]
-    crowd.partition(len(z) // 10)
-    reach = max(REACH * tile / np.sqrt(crowd[len(z) // 10]), extent / 1024)
+    wide, high = max(float(x.max()), 1.0), max(float(y.max()), 1.0)
+    extent = max(wide, high)
+    tile = max(np.sqrt(wide * high * 8 / len(z)), 1.0, extent / 1024)
+    column = (x / tile).astype(np.int64)
+    tiles = (y / tile).astype(np.int64) * (column.max() + 1) + column
+    crowds = np.sort(np.bincount(tiles))
+    crowd = crowds[np.searchsorted(np.cumsum(crowds), len(z) // 10, side="right")]
+    reach = max(REACH * tile / np.sqrt(crowd), extent / 1024)
 
-    key, width = _bucket(x, y, reach)
-    order = np.argsort(key, kind="stable")
-    key = key[order]
-    start = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=key[-1] + width + 3))])
-    place = np.arange(len(z))
-    z = z[order]
+    strip = wide + 2 * reach  # of one strip of that height after the other
+    along = np.floor(y / reach) * strip + x
+    order = np.argsort(along, kind="stable")
+    along, z = along[order], z[order]
+    ahead = np.searchsorted(along, along + reach)
+    below = np.searchsorted(along, along + (strip - reach))
+    beyond = np.searchsorted(along, along + (strip + reach))
     pairs = [
-        _near(z, begin, end, reach)
-        for begin, end in (
-            (place + 1, start[key + 2]),
-            (start[key + width - 1], start[key + width + 2]),
-        )
+        _near(z, np.arange(1, len(z) + 1), ahead, reach),
+        _near(z, below, beyond, reach),
     ]
     first, second = (np.concatenate(each) for each in zip(*pairs, strict=True))
     return order, first, second
@@ -103,19 +100,13 @@ def _near(z: Complex, begin: Index, end: Index, reach: float) -> tuple[Index, In
     return first[near], second[near]
 
 
-def _bucket(x: NDArray[np.float64], y: NDArray[np.float64], side: float) -> tuple[Index, int]:
-    """The number of each point's square bucket, and the buckets in a row, one spare each side."""
-    column = (x / side).astype(np.int64) + 1
-    width = int(column.max()) + 2
-    return ((y / side).astype(np.int64) + 1) * width + column, width
-
-
 def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
-    """The corner's two lines, (N, 2) units along e0 - e2 and e1 - e3, and its bend."""
+    """The corners' two lines, (2, N) units along e0 - e2 and e1 - e3, and their bends."""
+    edges = np.ascontiguousarray(edges.T)
     x, y = np.cos(edges), np.sin(edges)
-    off = (x[:, :2] + x[:, 2:]) ** 2 + (y[:, :2] + y[:, 2:]) ** 2
-    bend = np.sqrt(np.maximum(off[:, 0], off[:, 1]))
-    x, y = x[:, :2] - x[:, 2:], y[:, :2] - y[:, 2:]
+    off = (x[:2] + x[2:]) ** 2 + (y[:2] + y[2:]) ** 2
+    bend = np.sqrt(np.maximum(off[0], off[1]))
+    x, y = x[:2] - x[2:], y[:2] - y[2:]
     length = np.maximum(np.sqrt(x * x + y * y), np.float32(1e-6))
     lines = np.empty(x.shape, np.complex64)
     lines.real, lines.imag = x / length, y / length
@@ -151,38 +142,35 @@ def _boundary(
     lines: Complex, corner: Index, way: Complex
 ) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """The number of the boundary nearest to that way, and the cosine between."""
-    lines, way = lines[corner], way.conj()
-    even, odd = (lines[:, 0] * way).real, (lines[:, 1] * way).real
+    way = way.conj()
+    even, odd = ((line * way).real for line in lines.take(corner, axis=1))
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
-    number = is_odd + 2 * (np.where(is_odd, odd, even) < 0)
-    return number.astype(np.int8), np.maximum(size_even, size_odd)
+    behind = np.where(is_odd, odd, even) < 0
+    return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
-def _cells(z: Complex, half: Index, other: Index) -> Index:
+def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
     """How many closed cells each link bounds, 0 to 2.
 
     A cell is closed if four steps, each turning left, lead back to the start, and if it is
     near enough to a parallelogram.
     """
     nowhere = 4 * len(z)
-    across = np.full(nowhere + 1, nowhere)
+    across = np.full(nowhere + 4, nowhere)  # the boundaries of one corner more lead nowhere
     across[half] = other
     across[other] = half
-    onward = across - across % 4 + (across + 3) % 4
-    onward[nowhere] = nowhere
-    onward[across == nowhere] = nowhere
+    onward = (across & ~3) | ((across + 3) & 3)
     twice = onward[onward]
-    cell = twice[twice] == np.arange(nowhere + 1)
-    cell[nowhere] = False
+    cell = (twice[twice] == np.arange(nowhere + 4))[:nowhere]
     start = np.flatnonzero(cell)
-    a, b, c, d = (z[h // 4] for h in (start, onward[start], twice[start], onward[twice[start]]))
-    first, second = a - c, b - d
-    skew, first, second = (v.real**2 + v.imag**2 for v in (a + c - b - d, first, second))
+    a, b, c, d = (z[h >> 2] for h in (start, onward[start], twice[start], onward[twice[start]]))
+    skew, first, second = (v.real**2 + v.imag**2 for v in (a + c - b - d, a - c, b - d))
     cell[start] = skew < SKEW * (first + second)
     # a later link of the same cost may have taken the place of an earlier one
     held = (across[half] == other) & (across[other] == half)
-    return np.where(held, cell[half] * 1 + cell[other], 0)
+    count: NDArray[np.int8] = held * (cell[half].view(np.int8) + cell[other].view(np.int8))
+    return count
 
 
 class _Trees(NamedTuple):
@@ -193,49 +181,64 @@ class _Trees(NamedTuple):
     turn: Complex
 
 
+def _planted(corners: int, half: Index, other: Index) -> _Trees:
+    """A first forest: each corner hooks to the lowest of those before it that it is linked to."""
+    nothing = 16 * corners
+    lowest = np.full(corners, nothing)
+    np.minimum.at(lowest, other >> 2, half << 2 | other & 3)
+    child = np.flatnonzero(lowest < nothing)
+    half, other = lowest[child] >> 2, lowest[child] & 3
+    alone = _Trees(
+        root=np.arange(corners),
+        node=np.zeros(corners, np.complex64),
+        turn=np.ones(corners, np.complex64),
+    )
+    return _hooked(alone, child, half >> 2, -UNITS[(half - other) & 3], UNITS[half & 3])
+
+
 def _join(trees: _Trees, half: Index, other: Index) -> _Trees:
     """Join trees along links until no link lies between two trees.
 
     In every pass each tree hooks to that tree of a lower root for which most links agree on
-    how the two frames lie to each other; pointer jumping flattens the result. The number of
-    passes grows with the logarithm of the size of the lattice.
+    how the two frames lie to each other. The number of passes grows with the logarithm of the
+    size of the lattice.
     """
-    corners = len(trees.root)
-    a, b = half // 4, other // 4
-    step, twist = UNITS[half % 4], -UNITS[(half - other) % 4]
     while True:
-        apart = np.flatnonzero(trees.root[a] != trees.root[b])
+        apart = np.flatnonzero(trees.root[half >> 2] != trees.root[other >> 2])
         if not len(apart):
             return trees
-        a, b, step, twist = a[apart], b[apart], step[apart], twist[apart]
-        child, parent, spin, shift = _hooks(trees, a, b, step, twist)
-        above = np.arange(corners)
-        above[child] = parent
-        offset = np.zeros(corners, np.complex64)
-        offset[child] = shift
-        spun = np.ones(corners, np.complex64)
-        spun[child] = spin
-        while True:
-            higher = above[above]
-            if np.array_equal(higher, above):
-                break
-            offset = offset[above] + spun[above] * offset
-            spun = spun[above] * spun
-            above = higher
-        root = trees.root
-        trees = _Trees(
-            root=above[root],
-            node=offset[root] + spun[root] * trees.node,
-            turn=spun[root] * trees.turn,
-        )
+        half, other = half[apart], other[apart]
+        trees = _hooked(trees, *_hooks(trees, half, other))
 
 
-def _hooks(
-    trees: _Trees, a: Index, b: Index, step: Complex, twist: Complex
-) -> tuple[Index, Index, Complex, Complex]:
+def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Complex) -> _Trees:
+    """The trees after those roots have hooked to others, flattened by pointer jumping."""
+    above = np.arange(len(trees.root))
+    above[child] = parent
+    offset = np.zeros(len(above), np.complex64)
+    offset[child] = shift
+    spun = np.ones(len(above), np.complex64)
+    spun[child] = spin
+    while True:
+        higher = above[above]
+        if (higher == above).all():
+            break
+        offset = offset[above] + spun[above] * offset
+        spun = spun[above] * spun
+        above = higher
+    root = trees.root
+    return _Trees(
+        root=above[root],
+        node=offset[root] + spun[root] * trees.node,
+        turn=spun[root] * trees.turn,
+    )
+
+
+def _hooks(trees: _Trees, half: Index, other: Index) -> tuple[Index, Index, Complex, Complex]:
     """For each tree that has a neighbour of lower root: itself, that root, its frame there."""
-    spin = trees.turn[a] * twist * trees.turn[b].conj()
-    shift = trees.node[a] + trees.turn[a] * step - spin * trees.node[b]
+    a, b = half >> 2, other >> 2
+    spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
+    shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
     ra, rb = trees.root[a], trees.root[b]
     down = ra < rb
     child, parent = np.where(down, rb, ra), np.where(down, ra, rb)
@@ -247,15 +250,20 @@ def _hooks(
     key = key * (2 * reach) + (shift.real.astype(np.int64) + reach)
     key = key * (2 * reach) + (shift.imag.astype(np.int64) + reach)
     order = np.argsort(key)  # equal keys are equal hooks
-    key, sorted_child = key[order], child[order]
-    start = np.flatnonzero(np.append(True, key[1:] != key[:-1]))
-    votes = np.diff(np.append(start, len(key)))
-    group = sorted_child[start]
-    first = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
+    start = _starts(key[order])
+    votes = np.diff(start, append=len(key))
+    first = _starts(child[order[start]])
     rank = votes * len(start) + np.arange(len(start))[::-1]
     winner = len(start) - 1 - np.maximum.reduceat(rank, first) % len(start)
     best = order[start[winner]]
     return child[best], parent[best], spin[best], shift[best]
+
+
+def _starts(values: Index) -> Index:
+    """Where each run of equal values starts."""
+    new = np.ones(len(values), np.bool_)
+    np.not_equal(values[1:], values[:-1], out=new[1:])
+    return np.flatnonzero(new)
 
 
 def _arranged(
@@ -266,11 +274,11 @@ def _arranged(
     other: Index,
     trees: _Trees,
 ) -> Lattice:
-    """The components by size, in the corners' own order."""
+    """The components by size, in the corners' own order; z is in that of the places."""
     root, node, turn = trees
-    a, b = half // 4, other // 4
-    way = turn[a] * UNITS[half % 4]
-    agree = (node[a] + way == node[b]) & (turn[b] * UNITS[other % 4] == -way)
+    a, b = half >> 2, other >> 2
+    way = turn[a] * UNITS[half & 3]
+    agree = (node[a] + way == node[b]) & (turn[b] * UNITS[other & 3] == -way)
     support = np.bincount(a[agree], minlength=len(z)) + np.bincount(b[agree], minlength=len(z))
     linked = np.zeros(len(z), np.bool_)
     linked[a] = linked[b] = True
@@ -279,12 +287,7 @@ def _arranged(
     label = np.full(len(z), -1)
     label[largest] = np.arange(len(largest))
     label = np.where(linked, label[root], -1)
-
-    along = (z[order[b]] - z[order[a]]) * way.conj()
-    links = np.bincount(label[a], minlength=len(largest))
-    axis = np.bincount(label[a], along.real, len(largest)) + 1j * np.bincount(
-        label[a], along.imag, len(largest)
-    )
+    along = ((z[b] - z[a]) * way.conj())[label[a] == 0]
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
     return Lattice(
@@ -294,5 +297,5 @@ def _arranged(
         turn=turn[back],
         support=support[back],
         bend=bend,
-        axis=(axis / np.maximum(links, 1)).astype(np.complex64),
+        axis=complex(along.sum(dtype=np.complex128)) / max(len(along), 1),
     )

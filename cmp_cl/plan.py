@@ -34,6 +34,7 @@ RING_REACH = 5  # rows and columns that the outer ring looks at
 REACH = 16  # columns on either side of the pixels, at least: what rings and tents need
 ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
 GROUP = 64  # work-items of a group over a list
+WORDS = 64  # words of a group of the criteria: small enough to share them out evenly
 NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
 BEYOND = 8  # elements behind a row's running sums that a vector may reach
 BEHIND = 16  # entries behind a list of contrasts that a vector may reach
@@ -99,6 +100,7 @@ class Plan:
         self.full_step = _multiple(shape[1] + 2 * self.pad, GROUP)
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
+        self.uploads: list[cl.Event] = []  # on their way, and with them the frames
         self._mask = mask
         pixels = self.working[0] * self.working[1]
         self.candidate_room = _multiple(pixels // 14 + 1, GROUP)
@@ -123,7 +125,7 @@ class Plan:
     @property
     def plane_words(self) -> int:
         """Words of a plane, with the rows above and below."""
-        return _multiple((self.working[0] + 2 * RING_REACH) * self.step // 32, 8)
+        return _multiple((self.working[0] + 2 * RING_REACH) * self.step // 32, WORDS)
 
     @property
     def words_margin(self) -> int:
@@ -236,9 +238,8 @@ class Plan:
                 for layout in self._layouts
             ),
             "row_counts": 4 * planes * self.working[0],
-            "totals": 4 * (planes + self.frames),
             "corners": 8 * rows,
-            "result": 4 * RESULT_FIELDS * rows,
+            "result": 4 * (RESULT_FIELDS + 1) * rows,  # and the totals, fetched with it
         }
         if self._in_words:
             sizes["words"] = 4 * (planes * self.plane_words + 2 * self.words_margin)
@@ -353,7 +354,7 @@ class Plan:
                     self._clear(buffer)
                     self.buffers[name] = buffer
             self.queue.finish()
-            self.arrays = {**self.buffers, **self._parts_of_work()}
+            self.arrays = {**self.buffers, **self._parts_of_work(), **self._parts_of_result()}
         except cl.Error as error:  # of memory, or of a size above the device's largest
             raise self.refused(error) from error
         self._upload_mask()
@@ -365,6 +366,15 @@ class Plan:
             f"it has {self.device.memory}: {error}; close what else uses it, or use smaller "
             "images or fewer frames at a time"
         )
+
+    def _parts_of_result(self) -> dict[str, cl.Buffer]:
+        """Behind the columns the totals: candidates of each plane, corners of each frame."""
+        result, columns = self.buffers["result"], 4 * RESULT_FIELDS * self.frames * self.corner_room
+        totals = 4 * self.frames * (self.masks + 1)
+        return {
+            "result": result.get_sub_region(0, columns),
+            "totals": result.get_sub_region(columns, totals),
+        }
 
     def _clear(self, buffer: cl.Buffer) -> None:
         cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, buffer.size)
@@ -417,7 +427,7 @@ class Plan:
             self.front += self._gate_stages(self.config.contrast)
         self.front += self._suppression_in_bands() if self._in_words else self._suppression_stages()
         self.launches = [*self.front, *self._refinement_stages()]
-        self._totals = np.empty(self.frames * (self.masks + 1), np.uint32)
+        self._likely = self.corner_room  # corners of a frame, at most
 
     def _stage(
         self, name: str, items: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any
@@ -571,7 +581,7 @@ class Plan:
             self._stage(
                 "rapid_criteria_words",
                 (self.plane_words // 8, planes),
-                None,
+                (WORDS // 8, 1),
                 b["words"],
                 b["mask"],
                 step,
@@ -805,14 +815,12 @@ class Plan:
     # What happens in a frame
 
     def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> None:
-        """Copy the frames to the device; they may be changed afterwards."""
+        """Start to copy the frames to the device; they may be changed once `uploads` are over."""
         size = self.dtype.itemsize
         for n, frame in enumerate(frames):
-            if frame.size == 0:
-                continue
             pitch = frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * size
             host = frame if frame.flags.c_contiguous else _flat(frame, pitch)
-            _copy_rectangle(
+            copy = _copy_rectangle(
                 queue,
                 self.buffers["image"],
                 host,
@@ -821,14 +829,19 @@ class Plan:
                 region=(self.shape[1] * size, self.shape[0], 1),
                 buffer_pitches=(self.full_step * size, 0),
                 host_pitches=(pitch, 0),
+                is_blocking=False,
             )
+            self.uploads.append(copy)
+        queue.flush()
 
     def launch(self, stages: Sequence[Launch]) -> None:
-        """Enqueue the stages in order."""
+        """Enqueue the stages in order, after the upload."""
         queue, enqueue = self.queue, cl.enqueue_nd_range_kernel
         profile = queue.properties & cl.command_queue_properties.PROFILING_ENABLE
+        before = self.uploads
         for stage, kernel, items, group, _ in stages:
-            self._last = enqueue(queue, kernel, items, group)
+            self._last = enqueue(queue, kernel, items, group, wait_for=before)
+            before = []
             if profile:
                 self.events.append((stage, self._last))
         queue.flush()
@@ -836,27 +849,34 @@ class Plan:
     def read(self, queue: cl.CommandQueue) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
         """The results, (fields, frames, most corners of a frame) float32, and the number of
         corners of each frame, once the launches are done; raises Overflow."""
-        done = [self._last]
-        cl.enqueue_copy(queue, self._totals, self.buffers["totals"], wait_for=done)
         planes = self.frames * self.masks
-        candidates = int(self._totals[:planes].max())
-        counts = self._totals[planes:]
+        columns = self._fetch(queue, self._likely)
+        self.uploads.clear()
+        totals = columns[RESULT_FIELDS].reshape(-1)[: planes + self.frames].view(np.uint32)
+        candidates, counts = int(totals[:planes].max()), totals[planes:]
         most = int(counts.max())
         if candidates > self.candidate_room or most > self.corner_room:
             raise Overflow(candidates, most)
-        result = np.empty((RESULT_FIELDS, self.frames, most), np.float32)
-        if most > 0:
-            _copy_rectangle(
-                queue,
-                result,
-                self.buffers["result"],
-                buffer_origin=(0, 0, 0),
-                host_origin=(0, 0, 0),
-                region=(4 * most, self.frames, RESULT_FIELDS),
-                buffer_pitches=(4 * self.corner_room, 4 * self.frames * self.corner_room),
-                host_pitches=(4 * most, 4 * self.frames * most),
-            )
-        return result, counts
+        if most > columns.shape[2]:
+            columns = self._fetch(queue, most)
+        self._likely = min(max(most * 9 // 8, len(totals)), self.corner_room)
+        return columns[:RESULT_FIELDS, :, :most], counts
+
+    def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
+        """The first columns of the result; of its last row as many as there are totals."""
+        columns = np.empty((RESULT_FIELDS + 1, self.frames, most), np.float32)
+        _copy_rectangle(
+            queue,
+            columns,
+            self.buffers["result"],
+            buffer_origin=(0, 0, 0),
+            host_origin=(0, 0, 0),
+            region=(4 * most, self.frames, RESULT_FIELDS + 1),
+            buffer_pitches=(4 * self.corner_room, 4 * self.frames * self.corner_room),
+            host_pitches=(4 * most, 4 * self.frames * most),
+            wait_for=[self._last],
+        )
+        return columns
 
     def grow(self, overflow: Overflow) -> None:
         """Make room for what did not fit; the frames stay on the device."""

@@ -3,12 +3,13 @@
 import dataclasses
 import enum
 from os import PathLike
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 GreyImage: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+_PIXELS = frozenset({np.dtype(np.uint8), np.dtype(np.uint16)})
 
 
 class Method(enum.IntEnum):
@@ -255,6 +256,23 @@ def check_image(image: Any) -> GreyImage:
 
     Raises ImageError that says what came, what is expected and which call converts it.
     """
+    if not _is_image(image):
+        raise _not_an_image(image)
+    return cast(GreyImage, image)
+
+
+def _is_image(image: Any) -> bool:
+    if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype not in _PIXELS:
+        return False
+    (rows, columns), (row, column), size = image.shape, image.strides, image.itemsize
+    return not image.size or (
+        (column == size or columns == 1)
+        and (rows == 1 or (row >= columns * size and row % size == 0))
+    )
+
+
+def _not_an_image(image: Any) -> Exception:
+    """An ImageError that says what is wrong with it and what mends it."""
     from cmp_cl.errors import ImageError
 
     expected = "expected a NumPy array (H, W) of uint8 or uint16"
@@ -264,32 +282,24 @@ def check_image(image: Any) -> GreyImage:
             hint = "cv2.imread gives None for a file that it cannot read"
         elif isinstance(image, str | PathLike):
             hint = "cv2.imread(image, cv2.IMREAD_GRAYSCALE) converts"
-        raise ImageError(f"{expected}, got {type(image).__name__}; {hint}")
+        return ImageError(f"{expected}, got {type(image).__name__}; {hint}")
     came = f"got shape {image.shape} of {image.dtype}"
     if image.ndim == 3 and image.shape[2] in (3, 4):
         code = "cv2.COLOR_BGR2GRAY" if image.shape[2] == 3 else "cv2.COLOR_BGRA2GRAY"
-        raise ImageError(f"{expected}, {came}; cv2.cvtColor(image, {code}) converts")
-    if image.ndim != 2:
-        raise ImageError(
-            f"{expected}, {came}; image.reshape(height, width) or one frame of it converts"
-        )
-    if image.dtype not in (np.uint8, np.uint16):
+        hint = f"cv2.cvtColor(image, {code}) converts"
+    elif image.ndim != 2:
+        hint = "image.reshape(height, width) or one frame of it converts"
+    elif image.dtype == np.bool_:
+        hint = "image.astype(numpy.uint8) * 255 converts"
+    elif image.dtype.kind in "ui" and image.dtype.itemsize == 2 and image.dtype not in _PIXELS:
+        hint = "image.clip(0).astype(numpy.uint16) converts"
+    elif image.dtype not in _PIXELS:
         hint = (
             "numpy.nan_to_num(image * (255 / white)).round().clip(0, 255).astype(numpy.uint8) "
             "converts, white being its largest level"
         )
-        if image.dtype == np.bool_:
-            hint = "image.astype(numpy.uint8) * 255 converts"
-        elif image.dtype.kind in "ui" and image.dtype.itemsize == 2:
-            hint = "image.clip(0).astype(numpy.uint16) converts"
-        raise ImageError(f"{expected}, {came}; {hint}")
-    row, column = image.strides
-    if image.size and (
-        (column != image.itemsize and image.shape[1] > 1)
-        or (image.shape[0] > 1 and (row < image.shape[1] * image.itemsize or row % image.itemsize))
-    ):
-        raise ImageError(
-            f"{expected} with contiguous rows and a positive row step, {came} with strides "
-            f"{image.strides}; numpy.ascontiguousarray(image) converts"
-        )
-    return image
+    else:
+        expected = f"{expected} with contiguous rows and a positive row step"
+        came = f"{came} with strides {image.strides}"
+        hint = "numpy.ascontiguousarray(image) converts"
+    return ImageError(f"{expected}, {came}; {hint}")

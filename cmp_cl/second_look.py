@@ -86,6 +86,19 @@ def ring(radius: int) -> NDArray[np.complex128]:
 
 
 OFFSETS = tuple(ring(radius) for radius in RADII)
+STARTS_OF = np.cumsum([0, *map(len, OFFSETS)])[:-1]  # of each ring among all samples
+RING_OF = np.repeat(np.arange(len(RADII)), list(map(len, OFFSETS)))
+SAMPLES = np.concatenate(OFFSETS)
+ACROSS, DOWN = SAMPLES.real.astype(np.int32), SAMPLES.imag.astype(np.int32)
+AFTER, BEFORE = (
+    np.concatenate(
+        [
+            first + np.roll(np.arange(len(own)), by)
+            for first, own in zip(STARTS_OF, OFFSETS, strict=True)
+        ]
+    )
+    for by in (-1, 1)
+)
 
 
 def edge_lines(
@@ -101,21 +114,17 @@ def edge_lines(
     """
     known = ~np.isnan(at.real)
     middle = np.rint(np.where(known, at, 0))
-    threshold = np.full(len(at), np.nan)
-    count = np.zeros(len(at))
+    samples = _samples(image, middle)
+    threshold = _threshold(samples, rings.argmax(axis=1))
+    valid, edges = _edge_points(samples, threshold, rings & known[:, None])
+    place = np.nonzero(valid)[0]
+    count = valid.sum(axis=1)
     sums = np.zeros((4, len(at)), np.complex128)  # p and p^2 of e0 e2, of e1 e3
-    for used, offsets in zip(rings.T, OFFSETS, strict=True):
-        some = np.flatnonzero(used & known)
-        samples = _samples(image, middle[some], offsets)
-        first = np.isnan(threshold[some])
-        threshold[some[first]] = _threshold(samples[first])
-        valid, edges = _edge_points(samples - threshold[some][:, None], offsets)
-        some = some[valid]
-        count[some] += 1
-        for k in (0, 1):
-            pair = edges[:, k::2]
-            sums[2 * k, some] += pair.sum(1)
-            sums[2 * k + 1, some] += (pair**2).sum(1)
+    for k in (0, 1):
+        pair = edges[:, k::2]
+        for row, values in ((2 * k, pair.sum(1)), (2 * k + 1, (pair**2).sum(1))):
+            sums[row] = np.bincount(place, values.real, len(at))
+            sums[row].imag = np.bincount(place, values.imag, len(at))
     points = 2 * np.maximum(count, 1)
     mean, spread = sums[::2] / points, sums[1::2] - sums[::2] ** 2 / points
     first, second = np.sqrt(spread / np.maximum(np.abs(spread), 1e-12))
@@ -126,44 +135,55 @@ def edge_lines(
     return np.where(enough, meet, complex(np.nan, np.nan)), first, sine
 
 
-def _samples(image: GreyImage, middle: Points, offsets: Points) -> Float:
+def _samples(image: GreyImage, middle: Points) -> GreyImage:
     """Grey levels around each place, (M, n); beyond the image its border is repeated."""
-    points = middle[:, None] + offsets
-    x = np.clip(points.real, 0, image.shape[1] - 1).astype(np.int64)
-    y = np.clip(points.imag, 0, image.shape[0] - 1).astype(np.int64)
-    return image[y, x].astype(np.float64)
+    beyond = 2 * RADII[-1]  # what lies farther out sees the border alone, too
+    rows, columns = image.shape
+    x = np.clip(middle.real, -beyond, columns + beyond).astype(np.int32)[:, None] + ACROSS
+    y = np.clip(middle.imag, -beyond, rows + beyond).astype(np.int32)[:, None] + DOWN
+    np.clip(x, 0, columns - 1, out=x)
+    np.clip(y, 0, rows - 1, out=y)
+    levels: GreyImage = image[y, x]
+    return levels
 
 
-def _threshold(samples: Float) -> Float:
-    """Mean of the mean of the lowest and of the highest quarter."""
-    ordered = np.sort(samples, axis=1)
-    quarter = samples.shape[1] // 4
-    level: Float = (ordered[:, :quarter].mean(1) + ordered[:, -quarter:].mean(1)) / 2
+def _threshold(samples: GreyImage, ring_of: NDArray[np.int64]) -> Float:
+    """Mean of the mean of the lowest and of the highest quarter of that ring, (M,)."""
+    level = np.empty(len(samples))
+    for number, start in enumerate(STARTS_OF):
+        some = ring_of == number
+        if some.any():
+            own = len(OFFSETS[number])
+            ordered = np.sort(samples[some, start : start + own], axis=1)
+            quarter = own // 4
+            level[some] = (ordered[:, :quarter].mean(1) + ordered[:, -quarter:].mean(1)) / 2
     return level
 
 
-def _edge_points(depth: Float, offsets: Points) -> tuple[NDArray[np.bool_], Points]:
-    """Which rings have four boundaries, and e0..e3 of those, relative to the middle.
+def _edge_points(
+    samples: GreyImage, threshold: Float, rings: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], Points]:
+    """Which of the rings (M, 4) have four boundaries, and e0..e3 of those around the middle.
 
-    depth: (M, n) grey levels above the threshold. A ring without four boundaries gets one
-    majority of three.
+    A ring without four boundaries gets one majority of three.
     """
-    black = depth < 0
-    odd = _transitions(black).sum(1) != 4
-    majority = black.astype(np.int64) + np.roll(black, 1, 1) + np.roll(black, -1, 1) >= 2
-    black = np.where(odd[:, None], majority, black)
-    change = _transitions(black)
-    valid = change.sum(1) == 4
-    row, k = np.nonzero(change & valid[:, None])
-    after = (k + 1) % len(offsets)
-    d, d_after = depth[row, k], depth[row, after]
+    black = samples < threshold[:, None]
+    odd = (_transitions(black) != 4)[:, RING_OF]
+    majority = black.astype(np.int8) + black[:, AFTER] + black[:, BEFORE] >= 2
+    black = np.where(odd, majority, black)
+    valid = rings & (_transitions(black) == 4)
+    row, k = np.nonzero((black != black[:, AFTER]) & valid[:, RING_OF])
+    after = AFTER[k]
+    d, d_after = samples[row, k] - threshold[row], samples[row, after] - threshold[row]
     part = np.clip(d / np.where(d == d_after, 1, d - d_after), 0, 1)
     part[d == d_after] = 0.5
-    point = (offsets[k] + part * (offsets[after] - offsets[k])).reshape(-1, 4)
+    point = (SAMPLES[k] + part * (SAMPLES[after] - SAMPLES[k])).reshape(-1, 4)
     to_white = black[row, k].reshape(-1, 4)[:, 0]
     return valid, np.where(to_white[:, None], np.roll(point, -1, 1), point)
 
 
-def _transitions(black: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    change: NDArray[np.bool_] = black != np.roll(black, -1, 1)
-    return change
+def _transitions(black: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """How many boundaries each ring has, (M, 4)."""
+    change = (black != black[:, AFTER]).view(np.int8)
+    count: NDArray[np.int8] = np.add.reduceat(change, STARTS_OF, axis=1)
+    return count

@@ -5,7 +5,7 @@ import enum
 import math
 from os import PathLike
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import cv2
 import numpy as np
@@ -43,6 +43,7 @@ STATUS_COLOURS = {  # BGR
     NodeStatus.INTERPOLATED: (255, 80, 255),
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
+JPEG_QUALITY = 80  # of the pictures in a recording
 _FRACTION_BITS = 4
 
 
@@ -384,6 +385,7 @@ class RerunLog:
     ) -> None:
         """Show a frame: its picture, its grid on it, its surface with the displacements.
 
+        image: of 8 bits it is kept as JPEG, of 16 bits as PNG.
         time_ms: NaN leaves it out of the clock's timeline.
         """
         rerun, stream = self._rerun, self._stream
@@ -391,13 +393,13 @@ class RerunLog:
         if not math.isnan(time_ms):
             stream.set_time("time", duration=time_ms / 1000)
         if image is not None:
-            stream.log("view", rerun.Image(image, color_model="L"))
+            stream.log("view", rerun.EncodedImage(**_encoded(image)))
         if grid is not None:
             colours = [
                 STATUS_COLOURS[NodeStatus(status)][::-1] for status in grid.status[grid.valid]
             ]
             stream.log("view/nodes", rerun.Points2D(grid.xy[grid.valid], colors=colours, radii=1.5))
-            stream.log("view/lines", rerun.LineStrips2D(_segments(grid), radii=0.4))
+            stream.log("view/lines", rerun.LineStrips2D(_strips(grid), radii=0.4))
         if field is not None:
             self._surface(field)
 
@@ -429,12 +431,19 @@ class RerunLog:
         self._file.close()
 
 
-def _segments(grid: Grid) -> NDArray[np.float32]:
-    """Lines between neighbouring nodes, (S, 2, 2) px."""
-    xy = grid.xy
-    pairs = [
-        np.stack([xy[:, :-1], xy[:, 1:]], axis=2).reshape(-1, 2, 2),
-        np.stack([xy[:-1], xy[1:]], axis=2).reshape(-1, 2, 2),
-    ]
-    lines = np.concatenate(pairs)
-    return lines[~np.isnan(lines).any(axis=(1, 2))]
+def _encoded(image: GreyImage) -> dict[str, Any]:
+    """The image as JPEG, or, of 16 bits, as PNG: what rerun.EncodedImage takes."""
+    if image.dtype == np.uint8:
+        contents = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+        return {"contents": contents.tobytes(), "media_type": "image/jpeg"}
+    return {"contents": cv2.imencode(".png", image)[1].tobytes(), "media_type": "image/png"}
+
+
+def _strips(grid: Grid) -> list[NDArray[np.float32]]:
+    """The lines through neighbouring nodes along rows and columns, (n, 2) px each."""
+    strips = []
+    for line in (*grid.xy, *grid.xy.transpose(1, 0, 2)):
+        ends = np.flatnonzero(np.diff(np.isnan(line[:, 0]))) + 1
+        parts = np.split(line, ends)
+        strips += [part for part in parts if len(part) > 1 and not np.isnan(part[0, 0])]
+    return strips

@@ -166,13 +166,13 @@ __kernel void sector_responses(__global const uint *restrict words,
   __global const uint *black = words + WORDS_MARGIN + p * plane_words + REACH * width;
   __global const uint *found = candidates + p * plane_words + REACH * width;
   uint in_band = 0;
-  for (uint i = top * width; i < end * width; ++i) in_band += popcount(found[i]);
+  for (uint i = top * width; i < end * width; ++i) in_band += bits_set(found[i]);
   uint n = atomic_add(totals + p, in_band);
   for (uint y = top; y < end; ++y) {
     row_starts[p * rows + y] = n;
     for (int i = 0; i < width; ++i)
       for (uint left = found[y * width + i]; left; left &= left - 1, ++n) {
-        const int x = 32 * i + 31 - clz(left & (0u - left));
+        const int x = 32 * i + (int)lowest_bit(left);
 #define WORD_BIT(i, dx, dy) \
   | (black[((int)y + (dy)) * width + (x + (dx)) / 32] >> (x + (dx)) % 32 & 1) << (i)
         const uint ring = 0 INNER_RING(WORD_BIT);

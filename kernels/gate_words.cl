@@ -201,7 +201,7 @@ __kernel void gate_words(__global const PIXEL *restrict image, __global const ui
   __global const uint *found = candidates + p * plane_words + REACH * width;
 
   uint in_band = 0;
-  for (uint i = top * width; i < end * width; ++i) in_band += popcount(found[i]);
+  for (uint i = top * width; i < end * width; ++i) in_band += bits_set(found[i]);
   const size_t list = p * room;
   Lists lists = {atomic_add(totals + p, in_band), room, inner_contrast + list, contrast + list,
                  mean_difference + list, responses + list};
@@ -219,7 +219,7 @@ __kernel void gate_words(__global const PIXEL *restrict image, __global const ui
                                     LINE(1),  LINE(2),  LINE(3),  LINE(4),  LINE(5)};
     for (uint i = 0; i < width; ++i)
       for (uint left = found[y * width + i]; left; left &= left - 1) {
-        const uint x = 32 * i + 31 - clz(left & (0u - left));
+        const uint x = 32 * i + lowest_bit(left);
 #define BITS_FROM(dy, first, places) \
   | (bits_from(row + (dy) * (int)width, x + (first)) & (places))
         LANE_OF(ushort, samples.colours, filled) = (ushort)(0 INNER_PLACES(BITS_FROM));

@@ -24,7 +24,7 @@ from cmp_cl import (
     select_device,
 )
 from cmp_cl.commands import calibrate, demo, tune
-from cmp_cl.commands.common import alike, exact_config, split_of, turned
+from cmp_cl.commands.common import alike, exact_config, region_in, split_of, turned
 from cmp_cl.field import _Column
 from cmp_cl.io import Frame
 from cmp_cl.synthetic import (
@@ -297,6 +297,10 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
         (["frames", *STEREO, "--rerun", "press.txt"], ["rrd"]),
         (["frames", *STEREO, "--stereo", "frames/0.png"], ["frames/0.png"]),
         (["frames", "--out", "a.npz", "--split", "halves"], ["--stereo"]),
+        (["frames", *STEREO, "--region", "1,2,3"], ["X,Y,WIDTH,HEIGHT"]),
+        (["frames", *STEREO, "--region", "1,2,0,3:1,1,2,2"], ["X,Y,WIDTH,HEIGHT"]),
+        (["frames", *STEREO, "--region", "0,0,99,99"], ["a rectangle for each view"]),
+        (["frames", "--out", "a.npz", "--region", "9999,0,9,9"], ["9999,0,9,9", "outside"]),
     ],
 )
 def test_a_wrong_argument_of_run_is_one_line_and_no_file(
@@ -320,6 +324,49 @@ def test_two_views_without_a_calibration_are_explained(run, recording, monkeypat
     fails_in_one_line(
         run("run", recording, "--out", "a.npz"), "rest frame 0: two patterns", "--stereo"
     )
+
+
+def test_a_rectangle_in_each_view_says_which_of_two_patterns_is_meant(
+    run, recording, press, tmp_path
+):
+    run("run", recording, *STEREO)
+    alone = np.load("press.npz")
+    doubled = tmp_path / "doubled"
+    doubled.mkdir()
+    other = press[0].right.image
+    for number, shot in enumerate(press):
+        frame = np.hstack([other, shot.left.image, other, shot.right.image])
+        cv2.imwrite(str(doubled / f"{number}.png"), frame)
+    StereoRig(*shifted(RIG, VIEW[1])).save("rig.yaml")
+    wide = 2 * VIEW[1]
+    fails_in_one_line(run("run", doubled, *STEREO), "the left view", "two patterns", "region")
+    boxes = [f"{x},0,{VIEW[1]},{VIEW[0]}" for x in (VIEW[1], wide + VIEW[1])]
+    status, _, err = run("run", doubled, *STEREO, "--region", ":".join(boxes))
+    assert (status, err) == (0, "")
+    series = np.load("press.npz")
+    np.testing.assert_array_equal(series["status"], alone["status"])
+    np.testing.assert_allclose(series["displacement"], alone["displacement"], atol=1e-3)
+    status, _, err = run("run", doubled, "--out", "one.npz", "--region", boxes[0])
+    assert (status, err) == (0, "")
+    one = np.load("one.npz")["rest"]
+    assert one.shape == (12, 12, 2)
+    assert (one[..., 0] > VIEW[1] - 0.5).all()
+
+
+def shifted(rig, columns):
+    """The rig whose views begin that much further to the left."""
+    moved = np.array([[0, 0, columns], [0, 0, 0], [0, 0, 0]])
+    return rig._replace(K1=rig.K1 + moved, K2=rig.K2 + moved)
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_a_region_follows_its_rectangle_into_the_view(mirror):
+    frame = np.zeros((40, 90), np.uint8)
+    frame[12:20, 45:70] = 1
+    split = BinocularSplit((0, 0, 20, 40), (30, 5, 50, 30), mirror_right=mirror)
+    y, x = np.nonzero(split(frame)[1])
+    x0, y0, x1, y1 = region_in(split.right, (45, 12, 25, 8), mirror=mirror)
+    assert (x.min() - x0, y.min() - y0, x1 - x.max(), y1 - y.max()) == (0.5,) * 4
 
 
 def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch):

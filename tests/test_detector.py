@@ -30,7 +30,7 @@ from cmp_cl import (
     SpectralCriteria,
     reference,
 )
-from cmp_cl.errors import CapacityError, CmpClError, ConfigError, DeviceError, ImageError
+from cmp_cl.errors import CapacityError, CmpClError, ConfigError, DeviceError, GridError, ImageError
 
 VECTORS = sorted((Path(__file__).resolve().parents[2] / "shared" / "vectors").glob("*.npz"))
 EIGHT = images.eight_bits()
@@ -707,6 +707,24 @@ def test_the_papers_configuration(detector_for):
         corners = assert_corners_equal(detector_for(BOARD, config), BOARD)
         assert len(corners) > 20
     assert {Method.MIDLINE, Method.CUSP} & set(corners.method)
+
+
+def test_a_region_says_which_of_two_boards_in_a_frame_is_numbered(detector_for):
+    left, _ = board(110, 120, 12)
+    right, _ = board(110, 100, 12, angle=-0.05)
+    frame = np.hstack([left, np.full((110, 30), 120, np.uint8), right])
+    detector = detector_for(frame)
+    with pytest.raises(GridError, match="two patterns are seen"):
+        detector.grid(frame)
+    region = (135, 0, 250, 110)
+    corners, grid = detector.grid(frame, region=region)
+    assert (grid.xy[grid.valid][:, 0] >= 135).all()
+    assert grid.valid.sum() > 30
+    numbered = grid.index[:, 0] >= 0
+    assert (corners.xy[numbered, 0] >= 135).all()
+    assert (corners.xy[:, 0] < 120).sum() > 30
+    again = detector.grid(frame, like=grid, region=region)[1]
+    np.testing.assert_array_equal(again.index, grid.index)
 
 
 def test_what_a_detector_is_made_of_is_checked(device):

@@ -13,7 +13,7 @@ from lattices import board, joined
 from cmp_cl import reference, synthetic
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import GridError, ImageError
-from cmp_cl.grid import build_grid, predict
+from cmp_cl.grid import build_grid, predict, predict_within
 from cmp_cl.lattice import lattice
 from cmp_cl.results import Grid, NodeStatus
 from cmp_cl.second_look import ring, second_look
@@ -56,7 +56,7 @@ def test_a_tenth_lost_and_half_as_many_false_again():
     assert len(right(grid, index)) > 0.9 * (index[:, 0] >= 0).sum()
 
 
-@pytest.mark.parametrize("seed", [2, 35])
+@pytest.mark.parametrize("seed", [222, 309, 344])
 def test_false_cells_do_not_join_what_does_not_belong_together(seed):
     corners, index, _ = board(
         36, 36, lost=0.1, false=0.4, seed=seed, jitter=0.4, twist=0.5, pull=2.0
@@ -299,6 +299,18 @@ def test_a_prediction_is_exact_on_a_cubic():
     assert weight[0] == pytest.approx(17.4)
 
 
+def test_all_nodes_at_once_are_predicted_as_one_by_one_where_all_around_are_known():
+    at = board(12, 9).truth
+    at[2, 7] = complex(np.nan, np.nan)
+    row, column = (index.ravel() for index in np.indices(at.shape))
+    one_by_one, weight = predict(at, row, column)
+    at_once = predict_within(at).ravel()
+    whole = weight > weight.max() - 0.1
+    assert 0 < whole.sum() < len(whole)
+    np.testing.assert_array_equal(~np.isnan(at_once), whole)
+    np.testing.assert_allclose(at_once[whole], one_by_one[whole], rtol=0, atol=1e-10)
+
+
 def test_the_same_corners_give_the_same_bytes():
     corners, _, _ = board(20, 20, lost=0.05, false=0.2)
     first, second = build_grid(corners), build_grid(corners)
@@ -314,7 +326,7 @@ def test_numbering_is_quick():
         start = time.perf_counter()
         lattice(z, corners.edges)
         times.append(time.perf_counter() - start)
-    assert min(times) < 6e-3  # about 2.7 ms; a loop over corners would take 20
+    assert min(times) < 6e-3  # about 1.7 ms; a loop over corners would take 20
 
 
 def test_a_frame_without_holes_is_not_looked_at_again(monkeypatch):

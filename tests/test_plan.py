@@ -143,7 +143,7 @@ def test_a_flat_frame_needs_no_refinement(device, kind, refinement):
     config = DetectorConfig(refinement=refinement)
     with Detector(shape=IMAGE.shape, device=form, config=config) as detector:
         plan = detector._plan(None)
-        result = plan.buffers["result"]
+        result = plan.arrays["result"]
         before = np.full(result.size // 4, 7, np.float32)
         cl.enqueue_copy(plan.queue, result, before)
         assert len(detector(images.eight_bits()["black"])) == 0

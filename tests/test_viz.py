@@ -233,6 +233,42 @@ def test_a_recording_for_rerun_appears_whole(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["press.rrd"]
 
 
+def recorded(path, column):
+    """What was logged as that component, in the order of the frames."""
+    chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no recordings")
+    found = []
+    for part in chunk.RrdReader(path).stream():
+        batch = part.to_record_batch()
+        if column in batch.schema.names:
+            found += zip(batch["frame"].to_pylist(), batch[column].to_pylist(), strict=True)
+    return [value for _, value in sorted(found)]
+
+
+def test_a_recording_keeps_its_pictures_small_and_its_lines_apart_at_gaps(tmp_path):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    path = tmp_path / "press.rrd"
+    noise = np.random.default_rng(0).normal(128, 40, (480, 640))
+    view = cv2.GaussianBlur(noise, (0, 0), 2).astype(np.uint8)
+    gap, nothing = lattice(), lattice()
+    gap[1, 2] = np.nan
+    nothing[:] = np.nan
+    with RerunLog(path) as log:
+        log.frame(index=0, time_ms=np.nan, image=view, grid=grid_of(gap))
+        log.frame(index=1, time_ms=np.nan, image=view, grid=grid_of(nothing))
+        log.frame(index=2, time_ms=np.nan, image=view.astype(np.uint16) * 257)
+    assert path.stat().st_size < 5 * view.size / 2  # 4 as pixels
+    pictures = [
+        cv2.imdecode(np.array(blob[0], np.uint8), cv2.IMREAD_UNCHANGED)
+        for blob in recorded(path, "EncodedImage:blob")
+    ]
+    for picture in pictures[:2]:
+        assert np.abs(picture.astype(int) - view).max() < 12
+    np.testing.assert_array_equal(pictures[2], view.astype(np.uint16) * 257)
+    lines, none = recorded(path, "LineStrips2D:strips")
+    assert sorted(map(len, lines)) == [2, 2, 2, 4, 4, 4, 4, 5, 5, 5]
+    assert none == []
+
+
 def test_importing_the_module_imports_no_extra():
     code = (
         "import sys, cmp_cl.viz; print([name for name in ('matplotlib', 'rerun', 'pyvista') "

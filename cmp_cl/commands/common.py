@@ -23,6 +23,9 @@ _USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried where the estimate does not find 
 _MOST_TURNED = np.pi / 3  # rad between the rows of one pattern in two views
 _BOX = r"(\d+),(\d+),(\d+),(\d+)"
 
+Box = tuple[int, int, int, int]  # x, y, width, height, px
+Region = tuple[float, float, float, float]  # x0, y0, x1, y1, px
+
 
 def shown(name: object) -> str:
     """A file name as it can stand in a line: itself, or quoted with its odd characters escaped."""
@@ -80,6 +83,37 @@ def grid_shape(text: str) -> tuple[int, int]:
     if match is None or min(int(match[1]), int(match[2])) < 2:
         raise argparse.ArgumentTypeError(f"{text!r} is no pair of counts such as 40x40")
     return int(match[1]), int(match[2])
+
+
+def boxes(text: str) -> tuple[Box, ...]:
+    """One or two rectangles from a text such as 0,0,320,480 or 0,0,320,480:400,0,320,480."""
+    match = re.fullmatch(f"{_BOX}(?::{_BOX})?", text)
+    numbers = [] if match is None else [int(number) for number in match.groups() if number]
+    found = [(x, y, w, h) for x, y, w, h in zip(*[iter(numbers)] * 4, strict=True)]
+    if not found or min(min(box[2:]) for box in found) < 1:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is neither a rectangle X,Y,WIDTH,HEIGHT in px nor two of them with a colon "
+            "between"
+        )
+    return tuple(found)
+
+
+def region_in(view: Box, box: Box, *, mirror: bool) -> Region:
+    """Where a rectangle of a frame lies in a view that was cut from it.
+
+    Raises ConfigError where it lies outside.
+    """
+    x, y, width, height = view
+    x0, y0 = box[0] - x, box[1] - y
+    x1, y1 = x0 + box[2], y0 + box[3]
+    if not (x1 > 0 and y1 > 0 and x0 < width and y0 < height):
+        raise ConfigError(
+            f"--region {','.join(map(str, box))} lies outside the view, which is "
+            f"{','.join(map(str, view))} of the frame (X,Y,WIDTH,HEIGHT)"
+        )
+    if mirror:
+        x0, x1 = width - x1, width - x0
+    return x0 - 0.5, y0 - 0.5, x1 - 0.5, y1 - 0.5
 
 
 def split_of(where: str, mirror: str | None, shape: tuple[int, ...]) -> BinocularSplit:
@@ -147,6 +181,7 @@ def find_pattern(
     shape: tuple[int, int] | None,
     device: Device,
     full_scale: int | None = None,
+    region: Region | None = None,
 ) -> tuple[float, Grid]:
     """The cell, px, and the grid of a pattern whose cell size nobody has given.
 
@@ -162,7 +197,7 @@ def find_pattern(
         config = DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
             try:
-                corners, grid = detector.grid(view, shape=shape)
+                corners, grid = detector.grid(view, shape=shape, region=region)
             except GridError as error:
                 why = one_line(error)
                 continue

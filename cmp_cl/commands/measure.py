@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.commands.common import alike, exact_config, find_pattern
+from cmp_cl.commands.common import Region, alike, exact_config, find_pattern
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
 from cmp_cl.device import Device
@@ -27,12 +27,14 @@ class Wanted(NamedTuple):
 
     shape: (rows, columns) of its corners, None for what is seen at rest. config: None for the
     most complete settings for the cells seen at rest. full_scale: of the camera, or None.
+    regions: of each view (x0, y0, x1, y1), px, where its pattern is in every frame, or None.
     """
 
     device: Device
     shape: tuple[int, int] | None = None
     config: DetectorConfig | None = None
     full_scale: int | None = None
+    regions: tuple[Region | None, ...] = (None, None)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,10 +68,11 @@ class Pattern:
     Raises GridError where the view shows no pattern.
     """
 
-    def __init__(self, view: GreyImage, wanted: Wanted) -> None:
+    def __init__(self, view: GreyImage, wanted: Wanted, region: Region | None) -> None:
         config, shape = wanted.config, wanted.shape
+        self._region = region
         if config is None:
-            cell, seen = find_pattern(view, shape, wanted.device, wanted.full_scale)
+            cell, seen = find_pattern(view, shape, wanted.device, wanted.full_scale, region)
             config, shape = exact_config(cell, wanted.full_scale), seen.shape
         elif wanted.full_scale is not None:
             config = config.replace(full_scale=wanted.full_scale)
@@ -77,7 +80,7 @@ class Pattern:
             self.detector = stack.enter_context(
                 Detector(shape=view.shape, dtype=view.dtype, config=config, device=wanted.device)
             )
-            self.corners, self.rest = self.detector.grid(view, shape=shape)
+            self.corners, self.rest = self.detector.grid(view, shape=shape, region=region)
             if not self.rest.valid.any():
                 raise GridError("no pattern is seen")
             stack.pop_all()
@@ -86,7 +89,7 @@ class Pattern:
         """The corners of another view and their grid, without a node where there is none."""
         corners = self.detector(view)
         try:
-            return corners, build_grid(corners, view, like=self.rest)
+            return corners, build_grid(corners, view, like=self.rest, region=self._region)
         except GridError:
             return corners, _without_nodes(self.rest.shape, len(corners))
 
@@ -134,7 +137,7 @@ class OneView(Measurement):
 
     def __init__(self, rest: GreyImage, wanted: Wanted) -> None:
         super().__init__()
-        self._pattern = Pattern(rest, wanted)
+        self._pattern = Pattern(rest, wanted, wanted.regions[0])
         self._detectors.enter_context(self._pattern.detector)
         self.unit = "px"
         self.nodes = self._pattern.rest.status.size
@@ -169,9 +172,10 @@ class TwoViews(Measurement):
         self._split = split
         with contextlib.ExitStack() as stack:
             patterns = []
-            for side, view in zip(("left", "right"), split(rest), strict=True):
+            sides = zip(("left", "right"), split(rest), wanted.regions, strict=True)
+            for side, view, region in sides:
                 try:
-                    pattern = Pattern(view, wanted)
+                    pattern = Pattern(view, wanted, region)
                 except GridError as error:
                     raise GridError(f"the {side} view: {error}") from error
                 stack.enter_context(pattern.detector)

@@ -14,12 +14,16 @@ import numpy as np
 
 from cmp_cl import io
 from cmp_cl.commands.common import (
+    Box,
     Progress,
+    Region,
     add_device,
     add_full_scale,
     add_split,
+    boxes,
     counted,
     grid_shape,
+    region_in,
     shown,
     split_of,
 )
@@ -78,6 +82,14 @@ def add_parser(commands: Any) -> None:
         parser,
         help_="where the views are with --stereo: halves (the default), or "
         "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
+    )
+    parser.add_argument(
+        "--region",
+        metavar="WHERE",
+        type=boxes,
+        help="which of several patterns is meant: X,Y,WIDTH,HEIGHT, px of the frame, or with "
+        "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
+        "outside are left out in every frame",
     )
     parser.add_argument(
         "--rerun", metavar="RRD", help="record a film for the Rerun viewer (the left view)"
@@ -286,12 +298,34 @@ def _measurement(
 ) -> Measurement:
     try:
         if rig is None:
-            return OneView(rest, wanted)
+            whole = (0, 0, rest.shape[1], rest.shape[0])
+            return OneView(
+                rest, wanted._replace(regions=_regions(arguments.region, (whole, False)))
+            )
         split = split_of(arguments.split or "halves", arguments.mirror, rest.shape)
+        left, right = (split.left, split.mirror_left), (split.right, split.mirror_right)
+        wanted = wanted._replace(regions=_regions(arguments.region, left, right))
         return TwoViews(rest, rig, split, wanted)
     except GridError as error:
-        hint = "; frames that hold two views need --stereo" if rig is None else ""
+        hint = ""
+        if rig is None:
+            hint = "; --region picks one of several patterns; frames of two views need --stereo"
         raise GridError(f"the rest frame {arguments.rest_frame}: {error}{hint}") from error
+
+
+def _regions(chosen: Sequence[Box] | None, *views: tuple[Box, bool]) -> tuple[Region | None, ...]:
+    """Of each view (its rectangle, whether it is mirrored) the region chosen in the frame."""
+    if chosen is None:
+        return (None,) * len(views)
+    if len(chosen) != len(views):
+        raise ConfigError(
+            "--region needs a rectangle for each view: two, with a colon between, with --stereo, "
+            "else one"
+        )
+    return tuple(
+        region_in(view, box, mirror=mirror)
+        for box, (view, mirror) in zip(chosen, views, strict=True)
+    )
 
 
 def _film(path: str | None, stack: contextlib.ExitStack) -> RerunLog | None:
