@@ -1,14 +1,17 @@
 """OpenCL devices: what there is, and which one is meant."""
 
+import contextlib
 import dataclasses
 import enum
 import os
+from collections.abc import Iterator
 
 import pyopencl as cl
 
 from cmp_cl.errors import DeviceError
 
 DEVICE_VARIABLE = "CMP_CL_DEVICE"
+_POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 
 _INSTALL_HINT = (
     "install an OpenCL implementation: pip install 'pyopencl[pocl]' runs on any CPU, a GPU needs "
@@ -49,11 +52,12 @@ class Device:
 
 def list_devices() -> list[Device]:
     """All OpenCL devices, in the order of the platforms; empty where there is no platform."""
-    return [
-        _describe(handle, f"{p}:{d}")
-        for p, platform in enumerate(_platforms())
-        for d, handle in enumerate(_devices(platform))
-    ]
+    with _workers_on_own_cores():
+        return [
+            _describe(handle, f"{p}:{d}")
+            for p, platform in enumerate(_platforms())
+            for d, handle in enumerate(_devices(platform))
+        ]
 
 
 def select_device(text: str | None = None) -> Device:
@@ -96,6 +100,25 @@ def _matches(device: Device, wanted: str) -> bool:
     if wanted in [kind.value for kind in DeviceKind] or ":" in wanted:
         return False
     return wanted in device.name.lower() or wanted in device.platform.lower()
+
+
+@contextlib.contextmanager
+def _workers_on_own_cores() -> Iterator[None]:
+    """PoCL, where it starts here, keeps each of its workers on a core of its own.
+
+    Left to the system two of them often share a core for as long as the process lives, and a
+    frame takes half as long again. Not where the user has said something about the workers,
+    or where the process may not use every core.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
+    if cores != os.cpu_count() or any(name in os.environ for name in _POCL_WORKERS):
+        yield
+        return
+    os.environ["POCL_AFFINITY"] = "1"
+    try:
+        yield
+    finally:
+        os.environ.pop("POCL_AFFINITY", None)
 
 
 def _platforms() -> list[cl.Platform]:
