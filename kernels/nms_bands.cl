@@ -20,15 +20,6 @@ typedef uchar16 __attribute__((aligned(1))) RESPONSES_ANYWHERE;
 #define SCORES_AT(row, x) (*(__global const SCORES_ANYWHERE *)((row) + (x)))
 #define RESPONSES_AT(row, x) (*(__global const RESPONSES_ANYWHERE *)((row) + (x)))
 
-/* The lowest bit that is set and the number of those; PoCL calls its own functions for them. */
-#ifdef __clang__
-#define LOWEST(bits) (uint)__builtin_ctz(bits)
-#define ONES(bits) (uint)__builtin_popcount(bits)
-#else
-#define LOWEST(bits) (31 - clz((bits) & (0u - (bits))))
-#define ONES(bits) popcount((uint)(bits))
-#endif
-
 /* As many entries of a list of contrasts as fit into a vector. */
 #if PIXEL_BITS == 8
 #define ENTRIES 16
@@ -115,16 +106,16 @@ uint response_row(const Candidates *candidates, const uint frame, const int y, c
     const uint n = candidates->row_starts[p * rows + y];
     if (n >= room) return filled;
     uint count = 0;
-    for (uint k = 0; k < filled; ++k) count += ONES(found[mask * plane + blocks[k]]);
+    for (uint k = 0; k < filled; ++k) count += bits_set(found[mask * plane + blocks[k]]);
     kept_responses(candidates, p, n, SMALLER(count, room - n), list);
     __global const uchar *next = list;
     for (uint k = 0; k < filled; ++k) {
       __global uchar *block = row + 16 * blocks[k];
       for (uint left = found[mask * plane + blocks[k]]; left; left &= left - 1)
 #if MASKS == 3
-        block[LOWEST(left)] += *next++ << (mask == 0);
+        block[lowest_bit(left)] += *next++ << (mask == 0);
 #else
-        block[LOWEST(left)] = *next++;
+        block[lowest_bit(left)] = *next++;
 #endif
     }
   }
@@ -217,7 +208,7 @@ uint maxima_row(__global const ushort *const *keys, __global const ushort *block
   for (uint n = 0; n < filled; ++n) {
     uint bits = 0;
     for (uint left = above_neighbours(keys, 16 * blocks[n]); left; left &= left - 1) {
-      const uint lane = LOWEST(left);
+      const uint lane = lowest_bit(left);
       if (is_maximum(keys, 16 * blocks[n] + lane)) {
         bits |= 1u << lane;
         ++count;
