@@ -211,6 +211,8 @@ class Plan:
         if self.config.contrast is not None:
             stages.append("gate")
         eight = ["refine_eight"] if self._by_eight else []
+        if self._by_eight and isinstance(self.config.refinement, EdgeStep):
+            eight.append("edge_step_eight")
         if not self._in_words:
             return [*stages, "nms", "collect", "refine", *eight]
         if self.config.contrast is not None:
@@ -788,8 +790,13 @@ class Plan:
         radius = min(max(0.75 * refinement.cell * factor, 4.5), 9.0) / factor
         size = (*(np.uint32(n) for n in self.shape), np.uint32(self.full_step))
         lengths = (np.float32(radius), np.float32(factor))
-        arguments = (b["image"], b["start"], b["lines"], b["totals"], *size, *self._corner_rows)
-        return self._corners("edge_step", 1, *arguments, *lengths, b["result"])
+        between = (b["image"], b["start"], b["lines"], b["totals"])
+        if self._by_eight:
+            size = (np.uint32(self.shape[0]), np.uint32(self.full_step))
+            lists = (*between, *size, *self._corner_rows, lengths[0], b["result"])
+            return self._corners("edge_step_eight", 8, *lists)
+        arguments = (*between, *size, *self._corner_rows, *lengths, b["result"])
+        return self._corners("edge_step", 1, *arguments)
 
     @property
     def _corner_rows(self) -> tuple[np.uint32, np.uint32, np.uint32]:

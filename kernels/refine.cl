@@ -630,12 +630,73 @@ __kernel void midlines(__global const float *restrict points,
 
 /* EDGE_STEP: one weighted least-squares step from EDGE_LINES' result, in the corner model
  * I = m + c P, P = f(a) f(b), f(a) = a / sqrt(1 + a a), a and b the distances from the two
- * edges in units of the blur. One work-item per corner, eight pixels of a row at a time. */
+ * edges in units of the blur; A and B are its slopes along a and b. */
 #define BLUR 1.2f
 #define LARGEST_STEP 0.3f
 #define SMALL 1e-3f
-#define MOST_EIGHTS 57 /* 19 rows of 24 pixels hold a radius of 9 */
+#define TINY 1e-20f
 #define EIGHT (float8)(0, 1, 2, 3, 4, 5, 6, 7)
+
+typedef float8 __attribute__((aligned(4))) FLOATS_ANYWHERE;
+#define LOAD_8(array, k) *(const FLOATS_ANYWHERE *)(array + (k))
+#define STORE_8(array, k, v) *(FLOATS_ANYWHERE *)(array + (k)) = v
+
+/* 1 / sqrt(v) to 1.3e-6: a first guess from the exponent and two of Newton's steps, scaled so
+ * that neither halves v; their first summands halve the largest error. They cost less than a
+ * root and a division. */
+float8 inverse_root(const float8 v) {
+  float8 q = as_float8(0x5eff1108u - (as_uint8(v) >> 1));
+  q = q * (1.6214961f - v * q * q);
+  return q * (1.8898832f - v * q * q);
+}
+
+/* The model where (ux, uy) from the corner: weights (1 - r2 / R2) min(1, r2 / r02) in units of
+ * 1 / (R2 r02), 0 only outside, P and what its slopes are made of. */
+#define CORNER_MODEL(uy_2)                                                          \
+  const float8 r2 = ux * ux + (uy_2), rim = radius_2 - r2, core = r2 + TINY;        \
+  const float8 w = (rim > 0 ? rim : (float8)(0.0f)) * (core < core_2 ? core : (float8)(core_2)); \
+  const float8 a = a_x * ux + a_y * uy, b = b_x * ux + b_y * uy;                    \
+  const float8 a2 = 1 + a * a, b2 = 1 + b * b, q = inverse_root(a2 * b2), q2 = q * q; \
+  const float8 aq = a * q, bq = b * q, P = a * bq;
+#define SLOPES const float8 A = bq * (b2 * q2), B = aq * (a2 * q2);
+
+float sum_of_eight(const float8 v) {
+  const float4 four = v.lo + v.hi;
+  const float2 two = four.lo + four.hi;
+  return two.x + two.y;
+}
+
+/* The step from the sums of the weighted products with the slopes: ra and rb with what the
+ * model leaves. */
+#define SOLVE_STEP                                                                  \
+  const float d = saa * sbb - sab * sab;                                            \
+  const float ha = -(sbb * ra - sab * rb) * BLUR / (d * c);                         \
+  const float hb = -(saa * rb - sab * ra) * BLUR / (d * c);                         \
+  const float sine = n1x * n2y - n1y * n2x;                                         \
+  const float tx = (ha * n2y - hb * n1y) / sine, ty = (hb * n1x - ha * n2x) / sine; \
+  const float to_x = x + tx, to_y = y + ty;                                         \
+  const float largest = LARGEST_STEP / scale, farthest = 2 / scale;                 \
+  const int sound = c * c > SMALL * SMALL && d > SMALL * saa * sbb &&               \
+                    spread > SMALL * s1 * spp &&                                    \
+                    tx * tx + ty * ty <= largest * largest &&                       \
+                    to_x * to_x + to_y * to_y <= farthest * farthest;
+
+/* The result; `products` sum the rest's pairs of neighbours, `weights` their weights. */
+#define STORE_STEP                                                                  \
+  FIELD(RESULT_X) = (float)from_x + to_x;                                           \
+  FIELD(RESULT_Y) = (float)from_y + to_y;                                           \
+  FIELD(RESULT_METHOD) = METHOD_EDGE_STEP;                                          \
+  const float trace = BLUR * BLUR * (saa + sbb + 2 * sab * (n1x * n2x + n1y * n2y)) * \
+                      radius_2 * core_2 / (d * sine * sine);                        \
+  FIELD(RESULT_SIGMA) = 0.25f * trace * (sii - m * si - c * spi) / (s1 * c * c);    \
+  FIELD(RESULT_DOUBTFUL) = sum_of_eight(products) / (c * c * sum_of_eight(weights));
+
+#define REST(I, P) (I - m - c * P)
+
+#if LANES == 1
+
+/* One work-item per corner, eight pixels of a row at a time. */
+#define MOST_EIGHTS 57 /* 19 rows of 24 pixels hold a radius of 9 */
 
 /* Greys of eight pixels from (i, j) of the start on, the border repeated. */
 #define GREY_NEAR(i, j) \
@@ -649,40 +710,12 @@ __kernel void midlines(__global const float *restrict points,
   EIGHT_OF(float8, image + CLAMPED_ROW(from_y + (j)) + (size_t)(from_x + (i)))
 #endif
 
-typedef float8 __attribute__((aligned(4))) FLOATS_ANYWHERE;
-#define LOAD_8(array, k) *(const FLOATS_ANYWHERE *)(array + (k))
-#define STORE_8(array, k, v) *(FLOATS_ANYWHERE *)(array + (k)) = v
-
-/* 1 / sqrt(v) to 8e-7: a first guess from the exponent and two of Newton's steps, whose first
- * summands halve the largest error. They cost less than a root and a division. */
-float8 inverse_root(const float8 v) {
-  float8 q = as_float8(0x5f376908u - (as_uint8(v) >> 1));
-  const float8 half_v = 0.5f * v;
-  q = q * (1.5008789f - half_v * q * q);
-  return q * (1.5000006f - half_v * q * q);
-}
-
 /* Row j of the disc: from the middle on, as many times eight pixels as hold its chord. */
 #define DISC_ROW(j)                                                                 \
   const float uy = (float)(j) - y, uy_2 = uy * uy;                                  \
   int eights = 1;                                                                   \
   while ((float)(16 * eights * eights) < radius_2 - uy_2) ++eights;                 \
   const int left = (int)floor(x) + 1 - 4 * eights, right = left + 8 * eights;
-
-/* The model in a row from pixel i on: weights (0 outside), P and what its slopes are made of. */
-#define CORNER_MODEL(i)                                                             \
-  const float8 ux = (float)(i) - x + EIGHT;                                         \
-  const float8 r2 = ux * ux + uy_2;                                                 \
-  const float8 rim = 1 - r2 * inverse_radius_2, core = r2 * inverse_core_2;         \
-  const float8 w = (rim > 0 ? rim : (float8)(0.0f)) * (core < 1 ? core : (float8)(1.0f)); \
-  const float8 a = a_x * ux + a_y * uy, b = b_x * ux + b_y * uy;                    \
-  const float8 a2 = 1 + a * a, b2 = 1 + b * b, q = inverse_root(a2 * b2), P = a * b * q;
-
-float sum_of_eight(const float8 v) {
-  const float4 four = v.lo + v.hi;
-  const float2 two = four.lo + four.hi;
-  return two.x + two.y;
-}
 
 __kernel void edge_step(__global const PIXEL *restrict image,
                         __global const float *restrict start,
@@ -700,8 +733,7 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
   const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
   const float core_radius = fmin(4.0f, radius / 2), radius_2 = radius * radius;
-  const float inverse_radius_2 = 1 / radius_2;
-  const float inverse_core_2 = 1 / (core_radius * core_radius);
+  const float core_2 = core_radius * core_radius;
   const float a_x = n1x / BLUR, a_y = n1y / BLUR, b_x = n2x / BLUR, b_y = n2y / BLUR;
   const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);
   const float centre = GREY_NEAR(0, 0);
@@ -711,14 +743,14 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   float grey_of[8 * MOST_EIGHTS + 1];
   int k = 0;
 #endif
-  /* A and B are the slopes of P along a and b. */
   float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vii = 0, va = 0, vb = 0;
   float8 vaa = 0, vab = 0, vbb = 0, vap = 0, vbp = 0, vai = 0, vbi = 0;
   for (int j = top; j <= bottom; ++j) {
     DISC_ROW(j)
     for (int i = left; i < right; i += 8) {
-      CORNER_MODEL(i)
-      const float8 q3 = q * q * q, A = b * b2 * q3, B = a * a2 * q3;
+      const float8 ux = (float)i - x + EIGHT;
+      CORNER_MODEL(uy_2)
+      SLOPES
       const float8 I = EIGHT_GREYS(i, j) - centre;
       const float8 wP = w * P, wA = w * A, wB = w * B, wI = w * I;
       v1 += w;
@@ -752,27 +784,19 @@ __kernel void edge_step(__global const PIXEL *restrict image,
 
   const float spread = s1 * spp - sp * sp;
   const float c = (s1 * spi - sp * si) / spread, m = (si - c * sp) / s1;
-  const float ba = sai - m * sa - c * sap, bb = sbi - m * sb - c * sbp;
-  const float d = saa * sbb - sab * sab;
-  const float ha = -(sbb * ba - sab * bb) * BLUR / (d * c);
-  const float hb = -(saa * bb - sab * ba) * BLUR / (d * c);
-  const float sine = n1x * n2y - n1y * n2x;
-  const float tx = (ha * n2y - hb * n1y) / sine, ty = (hb * n1x - ha * n2x) / sine;
-  const float largest = LARGEST_STEP / scale, farthest = 2 / scale;
-  if (!(fabs(c) > SMALL && d > SMALL * saa * sbb && spread > SMALL * s1 * spp &&
-        tx * tx + ty * ty <= largest * largest &&
-        (x + tx) * (x + tx) + (y + ty) * (y + ty) <= farthest * farthest))
-    return;
+  const float ra = sai - m * sa - c * sap, rb = sbi - m * sb - c * sbp;
+  SOLVE_STEP
+  if (!sound) return;
 
   /* Autocorrelation of what the model leaves, between each pixel and the next of its row. */
-#define REST(I, P) (I - m - c * P)
   float8 products = 0, weights = 0;
 #if SCALED
   for (int j = top; j <= bottom; ++j) {
     DISC_ROW(j)
     float last = 0, last_weight = 0;
     for (int i = left; i < right; i += 8) {
-      CORNER_MODEL(i)
+      const float8 ux = (float)i - x + EIGHT;
+      CORNER_MODEL(uy_2)
       const float8 r = REST((EIGHT_GREYS(i, j) - centre), P);
       const float8 before = (float8)(last, r.s0123, r.s456);
       const float8 weight = (float8)(last_weight, w.s0123, w.s456);
@@ -793,14 +817,10 @@ __kernel void edge_step(__global const PIXEL *restrict image,
     weights += w;
   }
 #endif
-  FIELD(RESULT_X) = (float)from_x + (x + tx);
-  FIELD(RESULT_Y) = (float)from_y + (y + ty);
-  FIELD(RESULT_METHOD) = METHOD_EDGE_STEP;
-  const float trace = BLUR * BLUR * (saa + sbb + 2 * sab * (n1x * n2x + n1y * n2y)) /
-                      (d * sine * sine);
-  FIELD(RESULT_SIGMA) = 0.25f * trace * (sii - m * si - c * spi) / (s1 * c * c);
-  FIELD(RESULT_DOUBTFUL) = sum_of_eight(products) / (c * c * sum_of_eight(weights));
+  STORE_STEP
 }
+
+#endif
 
 #endif
 
