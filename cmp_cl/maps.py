@@ -9,8 +9,9 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl import spectrum
+from cmp_cl.band_stages import RING_REACH, plane_words, words_margin
 from cmp_cl.config import DetectorConfig, RapidCriteria
-from cmp_cl.plan import RING_REACH, Plan
+from cmp_cl.plan import Plan
 from cmp_cl.results import Maps
 
 _RAPID_MAPS = (
@@ -34,7 +35,7 @@ def read_maps(plan: Plan) -> Maps:
         plan.launch([launch])
         if launch.stage in ("repeat_border_binary", "binarize_bands"):
             if launch.stage == "binarize_bands":
-                values["binary"] = _words(plan, "words", plan.words_margin)
+                values["binary"] = _words(plan, "words", words_margin(plan))
             else:
                 values["binary"] = _plane(plan, plan.arrays["binary"], np.uint8) > 0
             values |= _rapid_maps(plan, values["binary"]) if rapid else _spectral_maps(plan)
@@ -187,7 +188,7 @@ def _maxima_words(plan: Plan) -> NDArray[np.bool_]:
 def _words(plan: Plan, name: str, margin: int) -> NDArray[np.bool_]:
     """Planes of words as pixels: bit k of word i is pixel 32 i + k. `margin` words come first."""
     rows, columns = plan.working
-    words = np.empty(margin + plan.masks * plan.plane_words, "<u4")
+    words = np.empty(margin + plan.masks * plane_words(plan), "<u4")
     cl.enqueue_copy(plan.queue, words, plan.arrays[name])
     planes = words[margin:].reshape(plan.masks, -1).view(np.uint8)
     bits = np.unpackbits(planes, axis=1, bitorder="little")

@@ -21,7 +21,8 @@ from cmp_cl import (
     SpectralCriteria,
 )
 from cmp_cl.device import DeviceKind
-from cmp_cl.plan import GROUP, Plan
+from cmp_cl.launch import GROUP
+from cmp_cl.plan import Plan
 from cmp_cl.program import kernel_folder
 
 FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31
@@ -95,7 +96,7 @@ def test_few_corners_after_many(device):
 
 
 def test_groups_of_64_are_enough(form, monkeypatch):
-    monkeypatch.setattr(Plan, "_width", GROUP)
+    monkeypatch.setattr(Plan, "width", GROUP)
     assert GROUP <= 64
     check(form, DetectorConfig(), [FRAME, FEW])
 

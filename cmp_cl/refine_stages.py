@@ -1,0 +1,134 @@
+"""The stages from the list of corners to positions: corner by corner, or for CPUs eight at a time
+in a vector.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cmp_cl.config import EdgeLines, EdgeStep, Midlines
+from cmp_cl.device import DeviceKind
+from cmp_cl.launch import GROUP, Launch
+
+if TYPE_CHECKING:
+    from cmp_cl.plan import Plan
+
+RESULT_FIELDS = 12  # of kernels/refine.cl, like the next
+START_FIELDS = 2
+POINT_FIELDS = 27
+LINE_FIELDS = 6
+EDGE_SAMPLES = 68  # of the three rings
+LANES = 8
+
+
+def files(plan: Plan) -> list[str]:
+    """The kernel files, in the order of the stages."""
+    if not _by_eight(plan):
+        return ["refine"]
+    step = ["edge_step_eight"] if isinstance(plan.config.refinement, EdgeStep) else []
+    return ["refine", "refine_eight", *step]
+
+
+def lanes(plan: Plan) -> int:
+    """Corners that a work-item takes."""
+    return LANES if _by_eight(plan) else 1
+
+
+def layout(plan: Plan) -> dict[str, int]:
+    """Bytes of what the kernels leave to one another, see `Plan.layouts`."""
+    refinement = plan.config.refinement
+    step = isinstance(refinement, EdgeStep)
+    fields = {}
+    if step or not _by_eight(plan):
+        fields["start"] = START_FIELDS
+    if step:
+        fields["lines"] = LINE_FIELDS
+    if refinement is not None and not _by_eight(plan):
+        fields["points"] = POINT_FIELDS
+        if plan.scale is None:
+            fields["edge_samples"] = EDGE_SAMPLES
+    return {name: 4 * n * plan.frames * plan.corner_room for name, n in fields.items()}
+
+
+def launches(plan: Plan) -> list[Launch]:
+    """From the maxima to positions."""
+    refinement, b = plan.config.refinement, plan.arrays
+    sizes = (np.uint32(plan.working[0]), np.uint32(plan.step))
+    lists = (b["corners"], b["totals"], *sizes, *_rows(plan))
+    if _by_eight(plan):
+        arguments = (plan.response, b["image"], *lists, _largest_shift(plan))
+        between = (b["start"], b["lines"]) if isinstance(refinement, EdgeStep) else ()
+        stages = [_of_corners(plan, "refine_eight", *arguments, *between, b["result"])]
+    else:
+        scale, size = np.float32(plan.scale or 1), (np.uint32(n) for n in plan.shape)
+        places = (scale, *size, b["start"], b["result"])
+        stages = [_of_corners(plan, "centroid", plan.response, *lists, *places)]
+        if refinement is not None:
+            stages += _edges(plan, refinement)
+    if isinstance(refinement, EdgeStep):
+        stages.append(_step(plan, refinement))
+    return stages
+
+
+def _by_eight(plan: Plan) -> bool:
+    lines = isinstance(plan.config.refinement, EdgeLines | EdgeStep)
+    return lines and plan.scale is None and plan.device.kind is DeviceKind.CPU
+
+
+def _of_corners(plan: Plan, name: str, *arguments: Any) -> Launch:
+    """A kernel over the list of corners."""
+    each = lanes(plan)
+    items = (plan.corner_room // each, plan.frames)
+    return plan.stage(name, items, (GROUP if each == 1 else 1, 1), *arguments)
+
+
+def _edges(plan: Plan, refinement: EdgeLines | EdgeStep | Midlines) -> list[Launch]:
+    """From the starts to edge points and where their lines meet, one by one."""
+    b = plan.arrays
+    grey, corners = (b["image"], b["start"], b["totals"]), _rows(plan)
+    full_rows, full_step = np.uint32(plan.shape[0]), np.uint32(plan.full_step)
+    if plan.scale is None:
+        samples = b["edge_samples"]
+        arguments = (*grey, full_rows, full_step, *corners, samples)
+        points = (samples, b["totals"], *corners, b["points"])
+        stages = [
+            _of_corners(plan, "sample_edges", *arguments),
+            _of_corners(plan, "edge_points", *points),
+        ]
+    else:
+        size = (full_rows, np.uint32(plan.shape[1]), full_step)
+        scaled = (*grey, *size, *corners, np.float32(plan.scale), b["points"])
+        stages = [_of_corners(plan, "edge_points", *scaled)]
+    given = (b["points"], b["start"], b["totals"], *corners, _largest_shift(plan))
+    if isinstance(refinement, Midlines):
+        return [*stages, _of_corners(plan, "midlines", *given, b["result"])]
+    between = (b["lines"],) if isinstance(refinement, EdgeStep) else ()
+    return [*stages, _of_corners(plan, "edge_lines", *given, *between, b["result"])]
+
+
+def _step(plan: Plan, refinement: EdgeStep) -> Launch:
+    b, factor = plan.arrays, plan.scale or 1.0
+    radius = np.float32(min(max(0.75 * refinement.cell * factor, 4.5), 9.0) / factor)
+    given = (b["image"], b["start"], b["lines"], b["totals"])
+    rows, columns, step = (np.uint32(n) for n in (*plan.shape, plan.full_step))
+    if _by_eight(plan):
+        by_eight = (*given, rows, step, *_rows(plan), radius, b["result"])
+        return _of_corners(plan, "edge_step_eight", *by_eight)
+    lengths = (radius, np.float32(factor))
+    arguments = (*given, rows, columns, step, *_rows(plan), *lengths, b["result"])
+    return _of_corners(plan, "edge_step", *arguments)
+
+
+def _rows(plan: Plan) -> tuple[np.uint32, np.uint32, np.uint32]:
+    """What says where a corner's row is: room of a frame, place of its total, all rows."""
+    frames, room = plan.frames, plan.corner_room
+    return np.uint32(room), np.uint32(frames * plan.masks), np.uint32(frames * room)
+
+
+def _largest_shift(plan: Plan) -> np.float32:
+    """Of a refined position from its start, px of the image."""
+    refinement = plan.config.refinement
+    shift = refinement.max_shift if isinstance(refinement, EdgeLines | Midlines) else 2.0
+    return np.float32(shift / (plan.scale or 1.0))
