@@ -1,6 +1,7 @@
 """What devices there are, and which one is meant."""
 
 import dataclasses
+import os
 
 import pyopencl as cl
 import pytest
@@ -140,3 +141,43 @@ def test_devices_are_values(device):
     assert dataclasses.replace(device) == device
     assert device in {device}
     assert "handle" not in repr(device)
+
+
+# --- PoCL's workers -------------------------------------------------------------------------
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """POCL_AFFINITY as PoCL sees it where the platforms are asked for, on all of four cores."""
+    for name in ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3}, raising=False)
+    seen = []
+
+    def no_platforms():
+        seen.append(os.environ.get("POCL_AFFINITY"))
+        return []
+
+    monkeypatch.setattr(cl, "get_platforms", no_platforms)
+    return seen
+
+
+def test_workers_keep_to_cores_of_their_own(asked):
+    assert list_devices() == []
+    assert asked == ["1"]
+    assert "POCL_AFFINITY" not in os.environ
+
+
+@pytest.mark.parametrize("name", ["POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT"])
+def test_what_the_user_says_of_workers_counts(asked, monkeypatch, name):
+    monkeypatch.setenv(name, "0")
+    assert list_devices() == []
+    assert asked == [os.environ.get("POCL_AFFINITY")]
+    assert os.environ[name] == "0"
+
+
+def test_a_process_with_some_of_the_cores_shares_them(asked, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {2, 3}, raising=False)
+    assert list_devices() == []
+    assert asked == [None]
