@@ -750,6 +750,23 @@ def criteria(result: Row) -> str:
     return "\n".join(parts)
 
 
+def implementations(result: Row) -> str:
+    count = result["scenes"]
+    rows = [[row["name"], row["device"], f"{row['same']} of {count}"] for row in result["rows"]]
+    pairs = [
+        [pair["one"], pair["other"], None if pair["px"] is None else f"{pair['px']:.1e}"]
+        for pair in result["pairs"]
+    ]
+    parts = ["## One implementation and another", conditions(result), left_out(result)]
+    parts.append(
+        f"{count} scenes and configurations: a digest of all whole numbers, maps and corners, "
+        "against that of the oracle, and the largest difference of a coordinate of a corner.\n"
+    )
+    parts.append(table(("implementation", "device", "digests that agree"), rows))
+    parts.append(table(("one", "other", "largest difference, px"), pairs))
+    return "\n".join(parts)
+
+
 def theory(result: Row, folder: Path) -> str:
     parts = ["## Theory", conditions(result)]
     parts.append(
@@ -884,6 +901,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "photographs": photographs,
         "stability": lambda result: stability(result, folder),
         "criteria": criteria,
+        "implementations": implementations,
         "theory": lambda result: theory(result, folder),
         "peer_settings": settings,
         "run": durations,

@@ -17,8 +17,11 @@ from environment import environment
 
 HERE = Path(__file__).parent
 QUICK = Path(tempfile.gettempdir()) / "cmp_cl-bench"
-PARTS = ("speed", "scaling", "theory", "criteria", "photographs", "field", "accuracy", "stability")
-WHOLE = ("theory", "photographs")  # have no short form
+PARTS = (
+    *("speed", "scaling", "theory", "criteria", "photographs", "field", "accuracy", "stability"),
+    "implementations",
+)
+WHOLE = ("theory", "photographs", "implementations")  # have no short form
 
 
 def main(argv: Sequence[str] | None = None) -> int:
