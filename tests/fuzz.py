@@ -169,15 +169,10 @@ def assert_as_expected(
     found: Corners, image: np.ndarray, config: DetectorConfig, counts: Counter[str]
 ) -> None:
     """The corners are the oracle's; what float32 may decide otherwise is counted."""
-    if isinstance(config.scale, Pyramid):
-        expected, margin = reference.detect(image, config), None
-    else:
-        expected, margin = reference.detect_with_margin(image, config)
+    expected, margin = reference.detect_with_margin(image, config)
     np.testing.assert_array_equal(found.pixel, expected.pixel)
     np.testing.assert_array_equal(found.response, expected.response)
-    decided = np.ones(len(found), bool) if margin is None else margin > tolerances.MARGIN
-    if margin is None:
-        decided &= found.method == expected.method
+    decided = margin > tolerances.MARGIN
     np.testing.assert_array_equal(found.method[decided], expected.method[decided])
     assert np.isfinite(found.xy).all()
     distance = np.abs(found.xy - expected.xy).max(axis=1, initial=0)
