@@ -164,7 +164,8 @@ def threads(device: str | None) -> list[dict[str, Any]]:
     for count in (1, 2):
         # The one is read by versions before 5, the other by those since.
         names = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
-        environ = os.environ | dict.fromkeys(names, str(count))
+        limits = {} if count == os.cpu_count() else dict.fromkeys(names, str(count))
+        environ = os.environ | limits
         command = [sys.executable, __file__, "--threads-child"]
         command += ["--device", device] if device else []
         answer = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
