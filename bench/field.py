@@ -367,6 +367,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.quick:
         cases = [(Indenter.TORUS, Mode.TWIST, 1.0), (Indenter.CUBE, Mode.PRESS, 0.5)]
         seeds = seeds[:1]
+    numbered = numbering(device, 5 if arguments.quick else 30)  # as in a process of its own
     rows: list[dict[str, Any]] = []
     orders = []
     with Progress(len(cases) * len(seeds), "pairs") as progress:
@@ -386,7 +387,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "by_case": grouped(rows, "config", "object", "mode", "severity"),
         "frames": rows,
         "orders": orders,
-        "numbering": numbering(device, 5 if arguments.quick else 30),
+        "numbering": numbered,
         "boards": boards(),
     }
     show(result)
