@@ -857,6 +857,8 @@ def figures(speed: Row, accuracy: Row) -> str:
     whole = {row["method"]: row for row in unpacked(accuracy)["rows"] if row["group"] == "all"}
     body = []
     for name, row in sorted(small.items(), key=lambda item: item[1]["ms"]):
+        if not (name in SHOWN or _is_peer(name)):
+            continue
         success = whole.get(name) and round(100 * whole[name]["success"] / whole[name]["frames"])
         found = [row["ms"], large[name]["ms"] if name in large else None, row["rmse"]]
         body.append([name, *found, f"{row['missed']} / {row['false']}", success])
