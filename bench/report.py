@@ -577,8 +577,8 @@ def _floor(floor: Row) -> str:
         f"second, which would be {floor['frames_a_second_at_floor']:.0f} frames a second; the best "
         f"of these rows takes {floor['times_the_floor']:.0f} times as long. A single frame is an "
         f"upload ({1e3 * floor['upload_ms']:.0f} us), {floor['launches_a_frame']} launches "
-        f"({1e3 * floor['launch_ms']:.1f} us each if the kernels were empty) and two answers "
-        f"({1e3 * floor['answer_ms']:.0f} us each): {floor['alone_ms_at_floor']:.3f} ms; it takes "
+        f"({1e3 * floor['launch_ms']:.1f} us each if the kernels were empty) and one answer "
+        f"({1e3 * floor['answer_ms']:.0f} us): {floor['alone_ms_at_floor']:.3f} ms; it takes "
         f"{floor['alone_times_the_floor']:.1f} times as long.\n"
     )
 
