@@ -237,6 +237,7 @@ def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch):
     images = [press[2].frame, None, *(shot.frame for shot in press), press_ctrl_c, press[1].frame]
     opened = []
     monkeypatch.setattr(cv2, "VideoCapture", camera_of(images, opened))
+    before = signal.getsignal(signal.SIGINT)
     status, out, _ = run("run", "3", *STEREO, "--rest-frame", 2)
     assert status == 0
     assert opened == [3, "released"]
@@ -245,7 +246,7 @@ def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch):
     assert series["index"].tolist() == [2, 3, 4]
     assert (np.diff(series["time_ms"]) >= 0).all()
     assert max(off_by(series, press, (0, 1, 2))) < CLOSE
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_camera_that_is_not_there_is_an_error(run, recording, monkeypatch):
@@ -276,10 +277,11 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
         copied(*arguments)
 
     monkeypatch.setattr(_Column, "copy", copy)
+    before = signal.getsignal(signal.SIGINT)
     status, _, _ = run("run", recording, *STEREO)
     assert status == 0
     assert len(np.load("press.npz")["index"]) == len(press)
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.parametrize(
