@@ -30,6 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from test_determinism import DIGESTS, config_for, digest, load
 
 ORACLE = "the oracle, float64"
+LIMIT = 100  # seconds for all scenes on an implementation
 
 
 def libraries() -> Iterator[tuple[str, str]]:
@@ -73,7 +74,10 @@ def run(name: str, library: str, folder: Path) -> dict[str, Any] | str:
     around["LD_LIBRARY_PATH"] = f"{Path(library).parent}:{around.get('LD_LIBRARY_PATH', '')}"
     around.pop("CMP_CL_DEVICE", None)
     command = [sys.executable, __file__, "--measure", str(out)]
-    ran = subprocess.run(command, env=around, capture_output=True, text=True)
+    try:
+        ran = subprocess.run(command, env=around, capture_output=True, text=True, timeout=LIMIT)
+    except subprocess.TimeoutExpired:
+        return f"not done within {LIMIT} s"
     if ran.returncode:
         return ran.stderr.strip().splitlines()[-1]
     with np.load(out) as file:
