@@ -39,7 +39,7 @@ class Plan:
 
     scale: the working scale, or None for the image as it is.
     mask: (H, W) bool, where candidates may be centred, or None.
-    rooms: entries of the list of candidates and of corners of a frame, or None for a guess.
+    frames: how many it takes at a time.
     """
 
     def __init__(

@@ -56,7 +56,14 @@ def test_a_tenth_lost_and_half_as_many_false_again():
     assert len(right(grid, index)) > 0.9 * (index[:, 0] >= 0).sum()
 
 
-@pytest.mark.parametrize("seed", [222, 309, 344])
+@pytest.mark.parametrize(
+    "seed",
+    [
+        2,
+        pytest.param(35, marks=pytest.mark.xfail(strict=True, reason="22 % numbered otherwise")),
+        *(222, 309, 344),
+    ],
+)
 def test_false_cells_do_not_join_what_does_not_belong_together(seed):
     corners, index, _ = board(
         36, 36, lost=0.1, false=0.4, seed=seed, jitter=0.4, twist=0.5, pull=2.0
