@@ -134,10 +134,12 @@ def stages_sparse(device: str | None) -> list[dict[str, Any]]:
 
 
 def many(batches: Sequence[int], device: str | None) -> list[dict[str, Any]]:
-    """Frames a second: one by one, as a stream, as batches."""
+    """Frames a second: one by one, as a stream, as batches from the host and on the device."""
     frames = [vga(TEST_SEED + k).image for k in range(4)]
     rows = []
-    with Detector(shape=frames[0].shape, device=device) as detector:
+    context = cl.Context([cmp_cl.select_device(device).handle])
+    queue = cl.CommandQueue(context)
+    with Detector(shape=frames[0].shape, queue=queue) as detector:
         single = [detector(frame) for frame in frames]
 
         def keep(what: str, count: int, run: Callable[[], list[Corners]], repeats: int) -> None:
@@ -155,6 +157,9 @@ def many(batches: Sequence[int], device: str | None) -> list[dict[str, Any]]:
         for count in batches:
             stack = np.stack([frames[k % 4] for k in range(count)])
             keep(f"batch of {count}", count, lambda s=stack: detector.batch(s), 5)
+            flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+            there = cl.Buffer(context, flags, hostbuf=stack)
+            keep(f"{count} on the device", count, lambda b=there: detector.batch(b), 5)
     return rows
 
 

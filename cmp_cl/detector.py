@@ -30,7 +30,8 @@ class Detector:
     shape: (H, W) of every frame. dtype: uint8 or uint16.
     config: what to do; the defaults of DetectorConfig where None.
     device: a Device, a text for `select_device`, or None for the default device.
-    queue: a pyopencl queue to use instead of one of its own; then `device` must be None.
+    queue: a pyopencl queue to use instead of one of its own, one that runs its commands in
+        order; then `device` must be None.
     mask: (H, W) bool, where corners may be centred; pixels outside are still looked at.
     profile: keep the times of the stages of the last frame, see `times`.
 
@@ -61,6 +62,9 @@ class Detector:
             raise DeviceError(f"queue must be a pyopencl.CommandQueue, not {queue!r}")
         if queue is not None and device is not None:
             raise DeviceError("give a device or a queue, not both")
+        disordered = cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
+        if queue is not None and queue.properties & disordered:
+            raise DeviceError("queue must run its commands in order, one after the other")
         if queue is not None:
             self.device = describe_handle(queue.device)
         else:
@@ -145,7 +149,7 @@ class Detector:
                 with self._lock:
                     self._check_alive()
                     plan = self._plan(self._factors[0])
-                    self._start(plan, frame)
+                    self._start(plan, [frame])
                     plan.awaited = True
                     ready, waiting = waiting, plan
                     done = [] if ready is None else self._finish(ready)
@@ -161,21 +165,30 @@ class Detector:
             if waiting is not None:
                 waiting.awaited = False
 
-    def batch(self, stack: NDArray[Any] | Sequence[GreyImage]) -> list[Corners]:
+    def batch(self, stack: NDArray[Any] | Sequence[GreyImage] | cl.Buffer) -> list[Corners]:
         """The corners of each frame of (B, H, W), one launch per stage for all of them.
 
-        Raises what a call raises.
+        Frames that are on the device already are given as the pyopencl.Buffer that holds them,
+        without gaps, in the context of this detector's `queue`; they are read after what that
+        queue was given before, and may be overwritten through it at once.
+        Raises what a call raises, ImageError where the buffer does not hold whole frames,
+        DeviceError where it is of another context.
         """
-        frames = list(stack)
-        for frame in frames:
-            self._check(frame)
-        if not frames or not (self.shape[0] and self.shape[1]):
-            return [_no_corners(str(self.device)) for _ in frames]
+        if isinstance(stack, cl.Buffer):
+            frames: cl.Buffer | list[GreyImage] = stack
+            count = self._frames_in(stack)
+        else:
+            frames = list(stack)
+            count = len(frames)
+            for frame in frames:
+                self._check(frame)
+        if not count or not (self.shape[0] and self.shape[1]):
+            return [_no_corners(str(self.device)) for _ in range(count)]
         with self._lock:
             self._check_alive()
             results = []
             for factor in self._factors:
-                results.append(self._whole(self._plan(factor, frames=len(frames)), frames))
+                results.append(self._whole(self._plan(factor, frames=count), frames))
             return self._best(results)
 
     def maps(self, frame: GreyImage) -> Maps:
@@ -242,10 +255,13 @@ class Detector:
             )
         return self._plans[key]
 
-    def _start(self, plan: Plan, *frames: GreyImage) -> None:
+    def _start(self, plan: Plan, frames: Sequence[GreyImage] | cl.Buffer) -> None:
         plan.events.clear()
         try:
-            plan.upload(self._transfers, frames)
+            if isinstance(frames, cl.Buffer):
+                plan.copy(frames)
+            else:
+                plan.upload(self._transfers, frames)
             plan.launch(plan.launches)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
@@ -261,8 +277,8 @@ class Detector:
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
-    def _whole(self, plan: Plan, frames: Sequence[GreyImage]) -> list[Corners]:
-        self._start(plan, *frames)
+    def _whole(self, plan: Plan, frames: Sequence[GreyImage] | cl.Buffer) -> list[Corners]:
+        self._start(plan, frames)
         return self._finish(plan)
 
     def _grow(self, plan: Plan, overflow: Overflow) -> None:
@@ -294,6 +310,21 @@ class Detector:
                 f"this detector takes {self.shape} {self.dtype}, got {frame.shape} {frame.dtype}; "
                 "make a Detector for that shape and dtype"
             )
+
+    def _frames_in(self, buffer: cl.Buffer) -> int:
+        """Frames that a buffer on the device holds."""
+        if buffer.context != self._queue.context:
+            raise DeviceError(
+                "the buffer is of another OpenCL context; make the detector with queue=, a queue "
+                "of the context that the buffer is of"
+            )
+        frame = self.shape[0] * self.shape[1] * self.dtype.itemsize
+        if not frame or buffer.size % frame:
+            raise ImageError(
+                f"the buffer holds {buffer.size} bytes, which are no whole frames of {self.shape} "
+                f"{self.dtype}, {frame} bytes each"
+            )
+        return buffer.size // frame
 
     def _check_alive(self) -> None:
         if self._closed:

@@ -297,6 +297,21 @@ class Plan:
             self.uploads.append(copy)
         queue.flush()
 
+    def copy(self, frames: cl.Buffer) -> None:
+        """Take the frames from a buffer of the device that holds them without gaps."""
+        (rows, columns), size = self.shape, self.dtype.itemsize
+        step = self.full_step * size
+        _copy_rectangle(
+            self.queue,
+            self.buffers["image"],
+            frames,
+            src_origin=(0, 0, 0),
+            dst_origin=(self.pad * size, 1, 0),
+            region=(columns * size, rows, self.frames),
+            src_pitches=(columns * size, rows * columns * size),
+            dst_pitches=(step, rows * step),
+        )
+
     def launch(self, stages: Sequence[Launch]) -> None:
         """Enqueue the stages in order, after the upload."""
         queue, enqueue = self.queue, cl.enqueue_nd_range_kernel

@@ -276,6 +276,56 @@ def test_a_batch_of_views(detector):
         assert_same_bytes(corners, detector(view))
 
 
+@pytest.mark.parametrize(
+    "scale", [1.0, 0.5, Pyramid(factors=(0.5, 1.0), expected=20)], ids=["1", "half", "two"]
+)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_batch_that_is_on_the_device(device, dtype, scale):
+    frames = np.stack(FRAMES).astype(dtype)
+    context = cl.Context([device.handle])
+    config = DetectorConfig(full_scale=255, scale=scale)
+    with (
+        cl.CommandQueue(context) as queue,
+        Detector(shape=images.SHAPE, dtype=dtype, config=config, queue=queue) as detector,
+    ):
+        expected = [detector(frame) for frame in frames]
+        assert sum(map(len, expected)) > 20
+        for count in (1, len(frames)):
+            buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, frames[:count].nbytes)
+            cl.enqueue_copy(queue, buffer, frames[:count], is_blocking=False)
+            results = detector.batch(buffer)
+            cl.enqueue_fill_buffer(queue, buffer, np.uint8(0), 0, buffer.size)
+            for corners, one in zip(results, expected[:count], strict=True):
+                assert_same_bytes(corners, one)
+
+
+def test_what_is_no_batch_on_the_device(device, detector):
+    context = cl.Context([device.handle])
+    frame = BOARD.nbytes
+    with cl.CommandQueue(context) as queue:
+        with Detector(shape=images.SHAPE, queue=queue) as own:
+            buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, frame + 1)
+            with pytest.raises(ImageError, match=rf"{frame + 1} bytes.* whole frames"):
+                own.batch(buffer)
+        with pytest.raises(DeviceError, match="of another OpenCL context"):
+            detector.batch(cl.Buffer(context, cl.mem_flags.READ_WRITE, frame))
+
+
+def test_a_batch_on_the_device_grows_too(device):
+    frames = np.stack([images.salt_and_pepper((400, 80), 0.9)] * 2)
+    config = DetectorConfig(contrast=None, nms_radius=1, max_corners=1, criteria=EVERYTHING)
+    context = cl.Context([device.handle])
+    with (
+        cl.CommandQueue(context) as queue,
+        Detector(shape=(400, 80), config=config, queue=queue) as detector,
+    ):
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        results = detector.batch(cl.Buffer(context, flags, hostbuf=frames))
+        assert detector.regrown == 1
+        for corners in results:
+            assert_same_bytes(corners, detector(frames[0]))
+
+
 def test_empty_streams_and_batches(detector):
     assert list(detector.stream([])) == []
     assert detector.batch([]) == []
@@ -372,6 +422,17 @@ def test_your_own_queue(device, detector):
         queue.finish()
         with pytest.raises(DeviceError, match="not both"):
             Detector(shape=images.SHAPE, queue=queue, device=device)
+
+
+def test_a_queue_without_order(device):
+    disordered = cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
+    if not device.handle.queue_properties & disordered:
+        pytest.skip("this device has none")
+    with (
+        cl.CommandQueue(cl.Context([device.handle]), properties=disordered) as queue,
+        pytest.raises(DeviceError, match="in order"),
+    ):
+        Detector(shape=images.SHAPE, queue=queue)
 
 
 def test_times_of_the_stages(device, detector):
