@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ImageError
-from cmp_cl.results import Corners, GreyImage, Method
+from cmp_cl.results import Corners, GreyImage, Grid, Method, NodeStatus
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".gif", ".jp2", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".pnm", ".ppm"}
@@ -30,10 +30,11 @@ VIDEO_SUFFIXES = frozenset(
 
 LONGEST_GAP = 250  # frames
 
-CSV_COLUMNS = (
-    *("image", "frame", "x_px", "y_px", "pixel_x_px", "pixel_y_px", "response", "method"),
+CORNER_COLUMNS = (
+    *("x_px", "y_px", "pixel_x_px", "pixel_y_px", "response", "method"),
     *("sigma_px", "edge0_rad", "edge1_rad", "edge2_rad", "edge3_rad", "doubtful"),
 )
+NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
 
 
 @contextlib.contextmanager
@@ -290,26 +291,36 @@ def _csv(rows: Iterable[Iterable[object]]) -> bytes:
     return text.getvalue().encode("utf-8", "backslashreplace")
 
 
-class CornersCsv:
-    """Writes corners as CSV: a header with units, one row per corner.
+class Table:
+    """Writes rows of frames as CSV: a header with units, then a row for each corner or node.
 
-    rows: the number of corners written.
+    columns: the names of what follows the image and its frame. rows: how many were written.
     """
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: BinaryIO, columns: Sequence[str]) -> None:
         self._file = file
         self.rows = 0
-        file.write(_csv([CSV_COLUMNS]))
+        file.write(_csv([("image", "frame", *columns)]))
 
-    def write(self, name: str, frame: int, corners: Corners) -> None:
-        """Append the corners of one frame of the file of that name."""
-        arrays = (
-            *(corners.xy, corners.pixel, corners.response, corners.method),
-            *(corners.sigma, corners.edges, corners.doubtful),
-        )
-        rows = (
-            [name, frame, *xy, *pixel, response, Method(method).name, sigma, *edges, int(doubtful)]
-            for xy, pixel, response, method, sigma, edges, doubtful in zip(*arrays, strict=True)
-        )
-        self._file.write(_csv(rows))
-        self.rows += len(corners)
+    def write(self, name: str, frame: int, rows: Iterable[Sequence[object]]) -> None:
+        """Append the rows of one frame of the file of that name."""
+        full = [(name, frame, *row) for row in rows]
+        self._file.write(_csv(full))
+        self.rows += len(full)
+
+
+def corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
+    """CORNER_COLUMNS of every corner."""
+    arrays = (
+        *(corners.xy, corners.pixel, corners.response, corners.method),
+        *(corners.sigma, corners.edges, corners.doubtful),
+    )
+    for xy, pixel, response, method, sigma, edges, doubtful in zip(*arrays, strict=True):
+        yield (*xy, *pixel, response, Method(method).name, sigma, *edges, int(doubtful))
+
+
+def node_rows(grid: Grid) -> Iterator[Sequence[object]]:
+    """NODE_COLUMNS of every node, missing ones with NaN."""
+    for index in np.ndindex(grid.shape):
+        status = NodeStatus(int(grid.status[index])).name
+        yield (*index, *grid.xy[index], grid.sigma[index], status)

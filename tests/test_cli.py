@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -120,6 +121,34 @@ def test_the_table_holds_what_the_library_finds(run):
     np.testing.assert_array_equal([np.float32(row["x_px"]) for row in rows], corners.xy[:, 0])
     np.testing.assert_array_equal([np.float32(row["y_px"]) for row in rows], corners.xy[:, 1])
     assert {row["image"] for row in rows} == {str(BOARD)}
+
+
+def test_a_pattern_of_known_size_is_numbered_and_looked_at_twice(run):
+    run("render", "--markers", 30, "--indenter", "torus", "--out", "gel.png", "--truth", "t.csv")
+    asked = ("detect", "gel.png", "--grid", "30x30", "--out", "n.csv", "--overlay", "o.png")
+    status, out, err = run(*asked)
+    assert (status, err) == (0, "")
+    assert "; 900 of 900 nodes; wrote o.png" in out
+    assert "wrote n.csv: 900 nodes" in out
+    nodes, truth = rows_of("n.csv"), rows_of("t.csv")
+    found = Counter(row["status"] for row in nodes)
+    assert found["DETECTED"] > 850
+    assert found["SECOND_LOOK"] > 0
+    for node, true in zip(nodes, truth, strict=True):
+        assert (node["row"], node["column"]) == (true["row"], true["column"])
+        apart = [float(node[axis]) - float(true[axis]) for axis in ("x_px", "y_px")]
+        assert np.hypot(*apart) < 3
+    assert (cv2.imread("o.png") == (60, 60, 255)).all(axis=2).sum() > 1000  # the first row
+
+
+def test_two_patterns_are_not_numbered_as_one(run):
+    board = io.read_image(BOARD)
+    apart = np.full((board.shape[0], 60), 200, np.uint8)
+    io.write_image("two.png", np.hstack([board, apart, board]))
+    status, out, err = run("detect", "two.png", "--grid", "6x9", "--out", "n.csv")
+    assert status == 2
+    assert err.startswith("cmp-cl: two.png: frame 0 is not numbered: ")
+    assert "wrote n.csv: 0 nodes" in out
 
 
 def test_render_writes_a_picture_and_its_truth_and_detect_finds_them(run):
@@ -256,6 +285,7 @@ def test_broken_frames_are_reported_and_skipped(run):
         (("detect", BOARD, "--device", "no such device"), ["no such device"]),
         (("detect", BOARD, "--full-scale", "0"), ["full_scale", "[1, 65535]"]),
         (("detect", BOARD, "--full-scale", "x"), ["--full-scale", "'x'"]),
+        (("detect", BOARD, "--grid", "9"), ["--grid", "'9'", "40x40"]),
         (("bench", "--repeats", "0"), ["--repeats", "0"]),
         (("render",), ["--out"]),
         (("render", "--out", "g.png", "--markers", "2"), ["markers", "[3, 100]", "2"]),

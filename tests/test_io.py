@@ -220,8 +220,8 @@ def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
     corners = corners_at([[1.1, 2.2], [63.000004, 47]])
     name = 'a "b",\nc.png'
     with io.whole_file(tmp_path / "c.csv") as file:
-        table = io.CornersCsv(file)
-        table.write(name, 3, corners)
+        table = io.Table(file, io.CORNER_COLUMNS)
+        table.write(name, 3, io.corner_rows(corners))
         assert table.rows == 2
     with open(tmp_path / "c.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -237,5 +237,6 @@ def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
 
 def test_a_name_that_is_no_text_does_not_stop_the_csv(tmp_path):
     with io.whole_file(tmp_path / "c.csv") as file:
-        io.CornersCsv(file).write(os.fsdecode(b"\xff.png"), 0, corners_at([[1, 2]]))
+        table = io.Table(file, io.CORNER_COLUMNS)
+        table.write(os.fsdecode(b"\xff.png"), 0, io.corner_rows(corners_at([[1, 2]])))
     assert (tmp_path / "c.csv").read_text(encoding="utf-8").count("\n") == 2
