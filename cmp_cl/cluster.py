@@ -28,7 +28,7 @@ import numpy as np
 from cmp_cl.config import DetectorConfig, to_toml
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError
-from cmp_cl.io import write_bytes, write_text
+from cmp_cl.files import write_bytes, write_text
 from cmp_cl.results import Corners, GreyImage, check_image
 
 _ABOUT = "about.json"

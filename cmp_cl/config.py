@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from cmp_cl.errors import ConfigError
+from cmp_cl.files import write_text
 
 if TYPE_CHECKING:
     from cmp_cl.results import GreyImage
@@ -315,8 +316,6 @@ class DetectorConfig:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the configuration as TOML, whole or not at all; raises OSError."""
-        from cmp_cl.io import write_text
-
         write_text(path, to_toml(self))
 
     @classmethod

@@ -255,13 +255,13 @@ class Detector:
             )
         return self._plans[key]
 
-    def _start(self, plan: Plan, frames: Sequence[GreyImage] | cl.Buffer) -> None:
+    def _start(self, plan: Plan, frames: list[GreyImage] | cl.Buffer) -> None:
         plan.events.clear()
         try:
-            if isinstance(frames, cl.Buffer):
-                plan.copy(frames)
-            else:
+            if isinstance(frames, list):
                 plan.upload(self._transfers, frames)
+            else:
+                plan.copy(frames)
             plan.launch(plan.launches)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
@@ -277,7 +277,7 @@ class Detector:
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
-    def _whole(self, plan: Plan, frames: Sequence[GreyImage] | cl.Buffer) -> list[Corners]:
+    def _whole(self, plan: Plan, frames: list[GreyImage] | cl.Buffer) -> list[Corners]:
         self._start(plan, frames)
         return self._finish(plan)
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.io import check_target, whole_file, write_bytes, write_csv
+from cmp_cl.files import check_target, whole_file, write_bytes
+from cmp_cl.io import write_csv
 from cmp_cl.results import (
     DisplacementField,
     NodeStatus,

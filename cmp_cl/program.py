@@ -22,7 +22,7 @@ import pyopencl as cl
 from pyopencl.characterize import has_src_build_cache
 
 from cmp_cl.errors import KernelBuildError
-from cmp_cl.io import write_bytes
+from cmp_cl.files import write_bytes
 
 _HEADERS = ("plane.clh", "ring.clh")
 _NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"

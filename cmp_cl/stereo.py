@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
-from cmp_cl.io import write_text
+from cmp_cl.files import write_text
 from cmp_cl.results import GreyImage, Grid, NodeStatus, Points3D, PointStatus
 
 MIN_PARALLAX = 1.0  # px: under it, depth is noise

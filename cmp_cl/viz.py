@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError
 from cmp_cl.field import mesh
-from cmp_cl.io import whole_file
+from cmp_cl.files import whole_file
 from cmp_cl.results import (
     Corners,
     DisplacementField,

@@ -192,8 +192,8 @@ def test_a_compilers_remarks_are_no_warnings(device, cache, monkeypatch):
 KILLED = """
 import os, sys
 sys.path[:0] = {path!r}
-from cmp_cl import io
-with io.whole_file({name!r}) as file:
+from cmp_cl.files import whole_file
+with whole_file({name!r}) as file:
     file.write(b"half of it")
     file.flush()
     os.fsync(file.fileno())

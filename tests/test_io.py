@@ -1,9 +1,8 @@
-"""Files: written whole or not at all; images and videos read as grey; CSV with units."""
+"""Images and videos read as grey; CSV with units."""
 
 import csv
 import itertools
 import os
-import stat
 
 import cv2
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 
 from cmp_cl import io
 from cmp_cl.errors import ImageError
+from cmp_cl.files import whole_file
 from cmp_cl.results import Corners, Method
 
 NOISE = np.random.default_rng(1).integers(0, 256, (48, 64), dtype=np.uint8)
@@ -29,62 +29,6 @@ def corners_at(xy):
         doubtful=np.zeros(count, bool),
         device="none",
     )
-
-
-def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
-    target = tmp_path / "corners.csv"
-    io.write_text(target, "old")
-
-    def write_half():
-        with io.whole_file(target) as file:
-            file.write(b"half")
-            file.flush()
-            assert target.read_text() == "old"
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        write_half()
-    assert target.read_text() == "old"
-    assert os.listdir(tmp_path) == ["corners.csv"]
-
-
-def test_text_is_written_as_utf_8_with_its_own_line_ends(tmp_path):
-    io.write_text(tmp_path / "text", "müde\nLeute\r\n")
-    assert (tmp_path / "text").read_bytes() == b"m\xc3\xbcde\nLeute\r\n"
-
-
-def test_a_new_file_has_the_permissions_of_any_other(tmp_path):
-    io.write_bytes(tmp_path / "ours", b"")
-    (tmp_path / "any").write_bytes(b"")
-    modes = {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ours", "any")}
-    assert len(modes) == 1
-
-
-@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
-def test_a_link_stays_a_link_and_its_target_is_written(tmp_path):
-    (tmp_path / "link").symlink_to(tmp_path / "target")
-    io.write_text(tmp_path / "link", "here")
-    assert (tmp_path / "link").is_symlink()
-    assert (tmp_path / "target").read_text() == "here"
-
-
-@pytest.mark.skipif(os.name == "nt", reason="there are no device files on Windows")
-def test_a_device_is_written_and_not_replaced():
-    io.write_text(os.devnull, "nothing")
-    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
-
-
-def test_a_missing_folder_and_a_folder_as_a_file_are_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"there is no folder .*missing"):
-        io.write_text(tmp_path / "missing" / "file", "")
-    with pytest.raises(IsADirectoryError, match="is a folder, not a file"):
-        io.write_text(tmp_path, "")
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
-def test_a_full_disk_is_named():
-    with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
-        io.write_text("/dev/full", "much")
 
 
 def test_grey_comes_back_as_it_was_written(tmp_path):
@@ -219,7 +163,7 @@ def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
 def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
     corners = corners_at([[1.1, 2.2], [63.000004, 47]])
     name = 'a "b",\nc.png'
-    with io.whole_file(tmp_path / "c.csv") as file:
+    with whole_file(tmp_path / "c.csv") as file:
         table = io.Table(file, io.CORNER_COLUMNS)
         table.write(name, 3, io.corner_rows(corners))
         assert table.rows == 2
@@ -236,7 +180,7 @@ def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
 
 
 def test_a_name_that_is_no_text_does_not_stop_the_csv(tmp_path):
-    with io.whole_file(tmp_path / "c.csv") as file:
+    with whole_file(tmp_path / "c.csv") as file:
         table = io.Table(file, io.CORNER_COLUMNS)
         table.write(os.fsdecode(b"\xff.png"), 0, io.corner_rows(corners_at([[1, 2]])))
     assert (tmp_path / "c.csv").read_text(encoding="utf-8").count("\n") == 2

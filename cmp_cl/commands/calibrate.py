@@ -29,6 +29,7 @@ from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep, window_for_cel
 from cmp_cl.detector import Detector
 from cmp_cl.device import Device, select_device
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
+from cmp_cl.files import check_target
 from cmp_cl.results import GreyImage, Grid, NodeStatus, Points3D
 from cmp_cl.stereo import StereoCalibration, calibrate
 
@@ -146,7 +147,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ConfigError(f"--max-sigma must be above 0 px, not {arguments.max_sigma}")
     if Path(arguments.out).suffix.lower() not in (".yaml", ".yml"):
         raise ConfigError(f"--out {shown(arguments.out)} must end in .yaml or .yml")
-    io.check_target(arguments.out)
+    check_target(arguments.out)
 
 
 def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:

@@ -25,6 +25,7 @@ from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
 from cmp_cl.device import Device, select_device
 from cmp_cl.errors import ConfigError, GridError, ImageError
+from cmp_cl.files import whole_file
 from cmp_cl.grid import build_grid
 from cmp_cl.results import Corners, GreyImage, Grid
 from cmp_cl.viz import corner_overlay, grid_overlay
@@ -86,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
         table = None
         if out is not None:
             columns = io.CORNER_COLUMNS if arguments.grid is None else io.NODE_COLUMNS
-            table = io.Table(stack.enter_context(io.whole_file(out)), columns)
+            table = io.Table(stack.enter_context(whole_file(out)), columns)
         finder = stack.enter_context(
             contextlib.closing(_Finder(config, arguments.full_scale, device))
         )

@@ -39,6 +39,7 @@ from cmp_cl.config import (
 from cmp_cl.detector import Detector
 from cmp_cl.device import Device, select_device
 from cmp_cl.errors import ConfigError, GridError, ImageError
+from cmp_cl.files import check_target
 from cmp_cl.grid import predict
 from cmp_cl.results import GreyImage, Grid
 
@@ -150,7 +151,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError("--mirror needs --split")
     if Path(arguments.out).suffix.lower() != ".toml":
         raise ConfigError(f"--out {shown(arguments.out)} must end in .toml")
-    io.check_target(arguments.out)
+    check_target(arguments.out)
     device = select_device(arguments.device)
     views = _views(arguments)
     full, frames = _reference(views, arguments.markers, device, arguments.full_scale)

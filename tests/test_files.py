@@ -1,0 +1,64 @@
+"""Files written whole or not at all."""
+
+import os
+import stat
+
+import pytest
+
+from cmp_cl.files import whole_file, write_bytes, write_text
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
+    target = tmp_path / "corners.csv"
+    write_text(target, "old")
+
+    def write_half():
+        with whole_file(target) as file:
+            file.write(b"half")
+            file.flush()
+            assert target.read_text() == "old"
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_half()
+    assert target.read_text() == "old"
+    assert os.listdir(tmp_path) == ["corners.csv"]
+
+
+def test_text_is_written_as_utf_8_with_its_own_line_ends(tmp_path):
+    write_text(tmp_path / "text", "müde\nLeute\r\n")
+    assert (tmp_path / "text").read_bytes() == b"m\xc3\xbcde\nLeute\r\n"
+
+
+def test_a_new_file_has_the_permissions_of_any_other(tmp_path):
+    write_bytes(tmp_path / "ours", b"")
+    (tmp_path / "any").write_bytes(b"")
+    modes = {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ours", "any")}
+    assert len(modes) == 1
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
+def test_a_link_stays_a_link_and_its_target_is_written(tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    write_text(tmp_path / "link", "here")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "target").read_text() == "here"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no device files on Windows")
+def test_a_device_is_written_and_not_replaced():
+    write_text(os.devnull, "nothing")
+    assert stat.S_ISCHR(os.stat(os.devnull).st_mode)
+
+
+def test_a_missing_folder_and_a_folder_as_a_file_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"there is no folder .*missing"):
+        write_text(tmp_path / "missing" / "file", "")
+    with pytest.raises(IsADirectoryError, match="is a folder, not a file"):
+        write_text(tmp_path, "")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
+def test_a_full_disk_is_named():
+    with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
+        write_text("/dev/full", "much")
