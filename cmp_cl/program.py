@@ -3,7 +3,7 @@
 `build(context, stages, defines)` compiles some of the files in kernels/ into one program;
 `Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be launched.
 
-Some implementations keep what they compiled, others take seconds each time. For those the
+Compilers take seconds, and those that keep what they made still read the source each time. So
 binaries are kept in the user's cache folder, a file each: whole or not there, checked before
 use, and written anew where they do not fit. Without a folder to write to it takes longer.
 """
@@ -19,7 +19,6 @@ from typing import Any
 
 import platformdirs
 import pyopencl as cl
-from pyopencl.characterize import has_src_build_cache
 
 from cmp_cl.errors import KernelBuildError
 from cmp_cl.files import write_bytes
@@ -101,10 +100,10 @@ def _built(program: cl.Program, options: list[str]) -> cl.Program:
 
 
 def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
-    """Where the binary of a program is kept; None where the implementation keeps it itself."""
+    """Where the binary of a program is kept; None where the user wants none kept."""
     device = context.devices[0]
     switched_off = os.environ.get(_NO_CACHE_VARIABLE, "").lower() in ("1", "true", "on", "yes")
-    if switched_off or len(context.devices) > 1 or has_src_build_cache(device):
+    if switched_off or len(context.devices) > 1:
         return None
     names = (device.platform.name, device.platform.version, device.name, device.driver_version)
     key = hashlib.sha256("\0".join([*names, *options, text]).encode()).hexdigest()

@@ -83,10 +83,9 @@ def test_a_kernel_that_does_not_compile_says_why(device, monkeypatch):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """An empty folder for compiled programs, used whatever the implementation keeps itself."""
+    """An empty folder for compiled programs."""
     folder = tmp_path / "cache"
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
-    monkeypatch.setattr(program, "has_src_build_cache", lambda device: False)
     monkeypatch.setattr(program.platformdirs, "user_cache_path", lambda *_, **__: folder)
     return folder
 
@@ -158,7 +157,6 @@ SHARED = """
 import pathlib, sys
 sys.path[:0] = {path!r}
 from cmp_cl import program
-program.has_src_build_cache = lambda device: False
 program.platformdirs.user_cache_path = lambda *_, **__: pathlib.Path({folder!r})
 import test_faults
 print(len(test_faults.find({device!r})))

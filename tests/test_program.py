@@ -87,8 +87,7 @@ def test_a_sum_has_every_term_once(count):
 
 @pytest.fixture
 def kept(monkeypatch, tmp_path):
-    """A cache folder of our own, for a device whose implementation keeps nothing."""
-    monkeypatch.setattr(program, "has_src_build_cache", lambda device: False)
+    """An empty cache folder."""
     monkeypatch.setattr(
         program.platformdirs, "user_cache_path", lambda *args, **named: tmp_path / "cache"
     )
