@@ -63,7 +63,7 @@ def sizes(plan: Plan) -> dict[str, int]:
         "response": plan.frames * plane + 2 * plan.step,
     }
     if plan.config.contrast is not None:
-        sizes |= percentile_sizes(plan, _bands(plan), _bands(plan))
+        sizes |= percentile_sizes(plan, _bands(plan), counted=True)
     return sizes
 
 
@@ -157,10 +157,10 @@ def _contrasts(plan: Plan, criteria: RapidCriteria) -> list[Launch]:
 
 def _gate(plan: Plan, criteria: RapidCriteria, gate: SectorContrast) -> list[Launch]:
     b, planes, bands = plan.arrays, plan.frames * plan.masks, _bands(plan)
-    lists = (b["totals"], b["row_starts"], *(b[name] for name in CONTRASTS), b["bins"])
+    lists = (b["totals"], b["row_starts"], *(b[name] for name in CONTRASTS), b["bins_of_bands"])
     return [
         _banded(plan, "gate_words", planes, plan.image, *_found(plan, criteria), *lists),
-        *percentile_stages(plan, gate, bands, bands, counted=True),
+        *percentile_stages(plan, gate, bands, counted=True),
     ]
 
 

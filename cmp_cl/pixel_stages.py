@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cmp_cl import spectrum
 from cmp_cl.config import RapidCriteria, SectorContrast, SpectralCriteria
-from cmp_cl.device import DeviceKind
 from cmp_cl.launch import GROUP, Launch, level_type
 from cmp_cl.program import sum_of_terms
 
@@ -71,7 +70,7 @@ def sizes(plan: Plan) -> dict[str, int]:
         sizes["response"] = response * (plan.frames * plane + spare)
     if plan.config.contrast is not None:
         sizes["candidates"] = 8 * planes * plan.candidate_room
-        sizes |= percentile_sizes(plan, _bands(plan), _parts(plan))
+        sizes |= percentile_sizes(plan, _bands(plan))
     return sizes
 
 
@@ -118,11 +117,6 @@ def _bytes_of_results(plan: Plan) -> tuple[int, int]:
 def _bands(plan: Plan) -> int:
     """Bands of rows of the noise estimate."""
     return -(-plan.working[0] // NOISE_BAND)
-
-
-def _parts(plan: Plan) -> int:
-    """Shares of the list of candidates whose contrasts are counted apart."""
-    return 16 if plan.device.kind is DeviceKind.CPU else 256
 
 
 def _dense(plan: Plan, name: str, planes: int, *arguments: Any) -> Launch:
@@ -206,7 +200,7 @@ def _gate(plan: Plan, gate: SectorContrast) -> list[Launch]:
     signed, pixel = (np.int32, np.uint16) if deep else (np.int16, np.uint8)
     bands = _bands(plan)
     noise = (plan.image, rows, step, signed(0), b["noise_sums"])
-    summed = (b["noise_sums"], columns, step, b["noise"])
+    summed = (b["noise_sums"], columns, step, b["noise"], b["bins"])
     contrasts = [b[name] for name in CONTRASTS]
     listed = (b["candidates"], b["totals"], rows, step, room)
     stages = [
@@ -223,28 +217,29 @@ def _gate(plan: Plan, gate: SectorContrast) -> list[Launch]:
     else:
         arguments = (*images, *listed, *contrasts[:3])
         stages.append(_of_candidates(plan, "sector_contrast_any", *arguments))
-    stages += percentile_stages(plan, gate, bands, _parts(plan))
+    stages += percentile_stages(plan, gate, bands)
     keep = (*contrasts[1:], *listed[:2], b["bounds"], *listed[2:], b["responses"])
     return [*stages, _of_candidates(plan, "keep", *keep)]
 
 
-def percentile_sizes(plan: Plan, bands: int, parts: int) -> dict[str, int]:
+def percentile_sizes(plan: Plan, bands: int, *, counted: bool = False) -> dict[str, int]:
     """Bytes of the buffers of `percentile_stages`."""
     planes = plan.frames * plan.masks
-    return {
-        "noise": 8 * plan.frames * bands,
-        "bins": 4 * planes * parts * BINS,
-        "found": 8 * planes,
-        "bounds": 8 * planes,
-    }
+    sizes = {"noise": 8 * plan.frames * bands, "found": 8 * planes, "bounds": 8 * planes}
+    if counted:
+        sizes["bins_of_bands"] = 4 * planes * bands * BINS
+    if plan.dtype == np.uint16 or not counted:
+        sizes["bins"] = 4 * planes * BINS
+    return sizes
 
 
 def percentile_stages(
-    plan: Plan, gate: SectorContrast, bands: int, parts: int, *, counted: bool = False
+    plan: Plan, gate: SectorContrast, bands: int, *, counted: bool = False
 ) -> list[Launch]:
     """From the inner contrasts of the candidates to the bounds of the gate.
 
-    bands: those of the noise; parts: shares of the list; counted: the contrasts are in "bins".
+    bands: those of the noise; counted: for each of them the highest eight bits are in
+    "bins_of_bands".
     """
     deep = plan.dtype == np.uint16
     levels = np.arange(2**16 if deep else 2**8)
@@ -258,15 +253,15 @@ def percentile_stages(
     b, planes = plan.arrays, plan.frames * plan.masks
     stages = []
     for shift in (8, 0) if deep else (0,):
-        bits = (np.uint32(shift), np.uint32(parts))
-        histogram = (b["inner_contrast"], b["totals"], b["found"], room, *bits, b["bins"])
-        percentile = (b["bins"], b["totals"], b["noise"], limit, rows, columns)
-        sizes = (np.uint32(bands), room, *bits, factor)
+        bins = b["bins" if "bins" in b else "bins_of_bands"]
         if not counted:
-            stages.append(plan.rows("histogram", parts, planes, *histogram))
-        stages.append(
-            plan.rows("percentile", planes, 1, *percentile, *sizes, b["found"], b["bounds"])
-        )
+            listed = (b["inner_contrast"], b["totals"], b["found"], room, np.uint32(shift))
+            stages.append(_of_candidates(plan, "histogram", *listed, bins))
+        counts, parts = (b["bins_of_bands"], bands) if counted else (bins, 1)
+        given = (counts, b["totals"], b["noise"], limit, rows, columns)
+        sizes = (np.uint32(bands), room, np.uint32(shift), np.uint32(parts), factor)
+        left = (bins, b["found"], b["bounds"])
+        stages.append(plan.rows("percentile", planes, 1, *given, *sizes, *left))
         counted = False
     return stages
 

@@ -7,7 +7,19 @@
 
 #define FULL ((PIXEL)(-1)) /* the complement of g is FULL - g = g ^ FULL */
 
+#define BINS 256 /* of the histograms that the percentile is read from */
+
 #if !IN_WORDS
+
+#if PIXEL_BITS == 8
+typedef ushort4 NOISE4;
+typedef uint4 NOISES;
+#define CONVERT_NOISES convert_uint4
+#else
+typedef uint4 NOISE4;
+typedef ulong4 NOISES;
+#define CONVERT_NOISES convert_ulong4
+#endif
 
 /* Noise: sums of |[1 -2 1]^T [1 -2 1] * I| over the inner pixels, NOISE_BAND rows of a column at
  * a time. One work-item per column of a band. */
@@ -32,14 +44,23 @@ __kernel void noise(__global const PIXEL *restrict image, const uint rows, const
            SUM3(NOISE, AT_ROW(6, h5, h6, h7), AT_ROW(7, h6, h7, after), 0));
 }
 
-/* Their sum over the inner columns. One work-item per band. */
+/* Their sum over the inner columns, and empty bins. One work-item per band. */
 __kernel void noise_of_band(__global const NOISE *restrict sums, const uint columns,
-                            const uint step, __global ulong *restrict totals) {
-  const size_t band = get_global_id(0), p = get_global_id(1);
-  const size_t row = p * get_global_size(0) + band;
+                            const uint step, __global ulong *restrict totals,
+                            __global uint *restrict bins) {
+  const size_t band = get_global_id(0), bands = get_global_size(0), p = get_global_id(1);
+  const size_t row = p * bands + band;
+  for (size_t b = band; b < MASKS * BINS; b += bands) bins[p * MASKS * BINS + b] = 0;
   __global const NOISE *sum = sums + row * step + PAD;
-  BAND_NOISE total = 0;
-  for (uint x = 1; x + 1 < columns; ++x) total += sum[x];
+  if (columns < 3) {
+    totals[row] = 0;
+    return;
+  }
+  NOISES four = 0;
+  uint x = 0;
+  for (; x + 4 < columns; x += 4) four += CONVERT_NOISES(*(__global const NOISE4 *)(sum + x));
+  BAND_NOISE total = four.x + four.y + four.z + four.w - sum[0];
+  for (; x + 1 < columns; ++x) total += sum[x];
   totals[row] = total;
 }
 
@@ -224,34 +245,31 @@ __kernel void sector_contrast_any(__global const PIXEL *restrict image,
 #endif
 
 /* The 90th percentile of the inner contrasts: eight bits of it at a time, the highest first.
- * What a level leaves to the next is (the bits found, the rank within them). */
-#define BINS 256
-
+ * What a level leaves to the next is (the bits found, the rank within them) and empty bins.
+ *
+ * How often the next eight bits occur. One work-item per candidate. */
 __kernel void histogram(__global const CONTRAST *restrict inner_contrast,
                         __global const uint *restrict total,
                         __global const uint2 *restrict found, const uint room,
-                        const uint shift, const uint parts, __global uint *restrict counts) {
-  const size_t part = get_global_id(0), p = get_global_id(1);
-  __global uint *bins = counts + (p * parts + part) * BINS;
-  for (uint b = 0; b < BINS; ++b) bins[b] = 0;
-  const uint n = min(total[p], room), share = (n + parts - 1) / parts;
-  const uint high = found[p].x, end = min((uint)(part + 1) * share, n);
-  for (uint k = part * share; k < end; ++k) {
-    const uint value = (uint)max((int)inner_contrast[p * room + k], 0);
-    if (value >> shift >> 8 == high) ++bins[value >> shift & 255];
-  }
+                        const uint shift, __global uint *restrict bins) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= min(total[p], room)) return;
+  const bool first = shift + 8 == PIXEL_BITS;
+  const uint value = (uint)max((int)inner_contrast[p * room + n], 0);
+  if (first || value >> shift >> 8 == found[p].x)
+    atomic_inc(bins + p * BINS + (value >> shift & 255));
 }
 
 /* Find the next eight bits; at the last level, the bounds of the gate:
- * contrast >= limit[P90] and 2 N sm >= F A. One work-item per plane. */
-__kernel void percentile(__global const uint *restrict counts,
-                         __global const uint *restrict total,
+ * contrast >= limit[P90] and 2 N sm >= F A. `counts` may be the bins. One work-item per plane. */
+__kernel void percentile(__global const uint *counts, __global const uint *restrict total,
                          __global const ulong *restrict noise_totals,
                          __global const int *restrict limit, const uint rows,
                          const uint columns, const uint bands, const uint room,
                          const uint shift,
                          const uint parts, const uint noise_factor,
-                         __global uint2 *restrict found, __global int2 *restrict bounds) {
+                         __global uint *bins, __global uint2 *restrict found,
+                         __global int2 *restrict bounds) {
   const size_t p = get_global_id(0);
   const uint n = min(total[p], room);
   const bool first = shift + 8 == PIXEL_BITS;
@@ -264,8 +282,11 @@ __kernel void percentile(__global const uint *restrict counts,
     rank -= count;
   }
   const uint value = (first ? 0 : found[p].x << 8) | bin;
-  found[p] = (uint2)(shift == 0 ? 0 : value, rank);
-  if (shift > 0) return;
+  if (shift > 0) {
+    found[p] = (uint2)(value, rank);
+    for (uint b = 0; b < BINS; ++b) bins[p * BINS + b] = 0;
+    return;
+  }
   ulong noise = 0;
   for (uint band = 0; band < bands; ++band) noise += noise_totals[p / MASKS * bands + band];
   const ulong twice = 2 * (ulong)(rows > 2 ? rows - 2 : 0) * (columns > 2 ? columns - 2 : 0);
