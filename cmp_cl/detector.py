@@ -124,9 +124,7 @@ class Detector:
             return _no_corners(str(self.device))
         with self._lock:
             self._check_alive()
-            return self._best(
-                [self._whole(self._plan(factor), [frame]) for factor in self._factors]
-            )[0]
+            return self._best(self._each_factor([frame]))[0]
 
     def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
         """The corners of each frame, in order.
@@ -173,10 +171,7 @@ class Detector:
             return [_no_corners(str(self.device)) for _ in frames]
         with self._lock:
             self._check_alive()
-            results = []
-            for factor in self._factors:
-                results.append(self._whole(self._plan(factor, frames=len(frames)), frames))
-            return self._best(results)
+            return self._best(self._each_factor(frames))
 
     def maps(self, frame: GreyImage) -> Maps:
         """Every intermediate image of a frame; with a Pyramid those of its first factor.
@@ -260,6 +255,13 @@ class Detector:
                     self._grow(plan, overflow)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
+
+    def _each_factor(self, frames: Sequence[GreyImage]) -> list[list[Corners]]:
+        """The results at each factor; the kernels of the next run while those of one are read."""
+        plans = [self._plan(factor, frames=len(frames)) for factor in self._factors]
+        for plan in plans:
+            self._start(plan, *frames)
+        return [self._finish(plan) for plan in plans]
 
     def _whole(self, plan: Plan, frames: Sequence[GreyImage]) -> list[Corners]:
         self._start(plan, *frames)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.device import DeviceKind
-from cmp_cl.launch import Launch, multiple
+from cmp_cl.launch import GROUP, Launch, multiple
 from cmp_cl.resampling import resampling_weights
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ def layout(plan: Plan) -> dict[str, int]:
     """Bytes of the arrays that are needed only in passing, see `Plan.layouts`."""
     if plan.scale is None or not _by_bands(plan):
         return {}
-    row = 4 * plan.frames * _bands(plan) * multiple(plan.working[1], VECTOR)
-    return {"row_sums": 2 * row, "both_sums": row * plan.dtype.itemsize}
+    bands = 4 * plan.frames * _bands(plan)
+    return {"column_sums": bands * plan.full_step, "row_totals": bands * plan.step * plan.dtype.itemsize}
 
 
 def launches(plan: Plan) -> list[Launch]:
@@ -46,11 +46,7 @@ def launches(plan: Plan) -> list[Launch]:
     )
     if _by_bands(plan):
         return [_bands_of_rows(plan, rows, columns)]
-    tables = (*_tables(plan, *rows), *_tables(plan, *columns))
-    sizes = (*plan.shape, plan.full_step, plan.working[0], plan.step)
-    arguments = (*tables, *(np.uint32(n) for n in sizes), plan.image)
-    items = (plan.working[1], plan.working[0], plan.frames)
-    return [plan.stage("resample", items, None, plan.buffers["image"], *arguments)]
+    return [_pixels(plan, rows, columns)]
 
 
 def _by_bands(plan: Plan) -> bool:
@@ -69,15 +65,30 @@ def _tables(plan: Plan, first: NDArray[np.int32], weights: NDArray[np.int32]) ->
     return plan.constant(first), plan.constant(weights), np.uint32(weights.shape[1])
 
 
+def _pixels(plan: Plan, rows: Weights, columns: Weights) -> Launch:
+    first_x, weights_x = columns
+    by_tap = (plan.constant(first_x), plan.constant(weights_x.T), np.uint32(weights_x.shape[1]))
+    sizes = (plan.shape[0], plan.full_step, *plan.working, plan.step)
+    arguments = (*_tables(plan, *rows), *by_tap, *(np.uint32(n) for n in sizes), plan.image)
+    items = (multiple(plan.working[1], GROUP), plan.working[0], plan.frames)
+    return plan.stage("resample", items, (GROUP, 1, 1), plan.buffers["image"], *arguments)
+
+
 def _bands_of_rows(plan: Plan, rows: Weights, columns: Weights) -> Launch:
-    first, weights = columns
-    count, taps = multiple(len(first), VECTOR), multiple(weights.shape[1], FOUR)
-    by_tap = np.zeros((taps, count), np.int32)
-    by_tap[: weights.shape[1], : len(first)] = weights.T
-    places = plan.constant(np.pad(first, (0, count - len(first))))
-    tables = (*_tables(plan, *rows), places, plan.constant(by_tap), np.uint32(taps))
-    sizes = (count, plan.shape[0], plan.full_step, *plan.working, plan.step, _band_rows(plan))
-    sums = (plan.arrays["row_sums"], plan.arrays["both_sums"])
+    first_y, weights_y = rows[0], _padded(rows[1], len(rows[1]), max(rows[1].shape[1], 2))
+    count, taps = multiple(plan.working[1], VECTOR), multiple(columns[1].shape[1], FOUR)
+    first_x = plan.constant(np.pad(columns[0], (0, count - plan.working[1])))
+    # Of eight outputs and four taps those of outputs k and k + 4 lie beside each other.
+    weights_x = _padded(columns[1], count, taps).reshape(-1, 2, FOUR, taps // FOUR, FOUR)
+    by_taps = plan.constant(weights_x.transpose(3, 0, 2, 1, 4).astype(np.uint16))
+    tables = (*_tables(plan, first_y, weights_y), first_x, by_taps, np.uint32(taps))
+    sizes = (*plan.shape, plan.full_step, *plan.working, plan.step, _band_rows(plan))
+    sums = (plan.arrays["column_sums"], plan.arrays["row_totals"])
     arguments = (*tables, *(np.uint32(n) for n in sizes), *sums, plan.image)
     items = (_bands(plan), plan.frames)
     return plan.stage("resample_bands", items, (1, 1), plan.buffers["image"], *arguments)
+
+
+def _padded(weights: NDArray[np.int32], rows: int, columns: int) -> NDArray[np.int32]:
+    """The weights and zeros."""
+    return np.pad(weights, ((0, rows - len(weights)), (0, columns - weights.shape[1])))

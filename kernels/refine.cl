@@ -195,12 +195,13 @@ REAL crossing(const REAL here, const REAL next) {
   BETWEEN_TWO(sample.s7, BETWEEN_TWO(sample.s6, a0, a1), BETWEEN_TWO(sample.s6, b0, b1))
 
 /* The threshold of the ring's greys, sorted by merging longer and longer parts, the second one
- * of each pair from its end. */
+ * of each pair from its end; the last merge need not go below quarters. */
 REAL threshold_of(const REAL *grey) {
   REAL s[RING_32], sum = 0;
   for (int k = 0; k < RING_32; ++k) s[k] = grey[k];
   for (int part = 2; part <= RING_32; part *= 2)
-    for (int apart = part - 1, next = part / 4; apart > 0; apart = next, next /= 2)
+    for (int apart = part - 1, next = part / 4; apart > (part < RING_32 ? 0 : RING_32 / 8);
+         apart = next, next /= 2)
       for (int k = 0; k < RING_32; ++k)
         if ((k ^ apart) > k) {
           const REAL a = s[k], b = s[k ^ apart];
