@@ -130,7 +130,11 @@ class Plan:
     @property
     def stages(self) -> list[str]:
         """The kernel files that the configuration needs."""
-        return [*scale_stages.files(self), *self.front_stages.files(self), *refine_stages.files(self)]
+        return [
+            *scale_stages.files(self),
+            *self.front_stages.files(self),
+            *refine_stages.files(self),
+        ]
 
     # What is allocated
 

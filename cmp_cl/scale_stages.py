@@ -33,7 +33,10 @@ def layout(plan: Plan) -> dict[str, int]:
     if plan.scale is None or not _by_bands(plan):
         return {}
     bands = 4 * plan.frames * _bands(plan)
-    return {"column_sums": bands * plan.full_step, "row_totals": bands * plan.step * plan.dtype.itemsize}
+    return {
+        "column_sums": bands * plan.full_step,
+        "row_totals": bands * plan.step * plan.dtype.itemsize,
+    }
 
 
 def launches(plan: Plan) -> list[Launch]:

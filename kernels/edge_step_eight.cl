@@ -8,8 +8,13 @@
 #endif
 
 /* A disc with more rows or pixels is gone through in parts, each of whole rows. */
+#if SCALED
 #define MOST_ROWS 64
 #define MOST_PIXELS 2048
+#else /* a radius of 9 needs 19 rows and 312 pixels */
+#define MOST_ROWS 19
+#define MOST_PIXELS 312
+#endif
 #define BEHIND 32 /* places behind the last pixel that are written in passing */
 
 /* A row of the list: a pixel that is always outside, so that the row before ends there, and
@@ -82,7 +87,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
                               const uint place, const uint length, const float radius,
                               const float scale, __global float *restrict result) {
   const size_t p = get_global_id(1);
-  const uint total = totals[place + p];
+  const uint total = SMALLER(totals[place + p], room);
   if (get_global_id(0) >= total) return;
   const float radius_2 = radius * radius;
   const float core_radius = SMALLER(4.0f, radius / 2), core_2 = core_radius * core_radius;

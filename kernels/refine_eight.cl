@@ -199,7 +199,7 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
 #endif
                            __global float *restrict result) {
   const size_t p = get_global_id(1);
-  const uint total = totals[place + p];
+  const uint total = SMALLER(totals[place + p], room);
   for (size_t n = get_global_id(0) * LANES; n < total; n += get_global_size(0) * LANES) {
     const size_t row = p * room + n;
 

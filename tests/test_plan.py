@@ -88,12 +88,14 @@ def test_extra_masks(detector_for, device):
     )
 
 
-def test_the_working_scale(detector_for):
+def test_the_working_scale(detector_for, device):
+    forms = {DeviceKind.CPU: ("scale_bands", "resample_bands")}
+    file, launch = forms.get(device.kind, ("scale", "resample"))
     left_out(
         detector_for,
         FULL.replace(scale=None, threshold=AdaptiveMean()),
-        files=["scale"],
-        launches=["resample"],
+        files=[file],
+        launches=[launch],
         buffers=["working"],
         than=FULL.replace(scale=2.0, threshold=AdaptiveMean()),
     )
