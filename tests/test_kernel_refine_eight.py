@@ -113,6 +113,7 @@ def test_rings_of_a_scaled_image_that_leave_it(device, kind, factor, depth):
     """Corners everywhere, so that rings in a vector are inside, some, all or none of them."""
     cell = 12 / factor
     image = board(int(8 * cell), int(9 * cell), cell)[0]
+    image += np.random.default_rng(1).integers(0, 20, image.shape, dtype=np.uint8)
     if depth == 16:
         image = image.astype(np.uint16) * 16
     changes = {"contrast": None, "nms_radius": 1, "full_scale": 255 if depth == 8 else 4095}
