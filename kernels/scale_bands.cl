@@ -25,7 +25,8 @@ void add_row(__global const PIXEL *restrict row, const uint weight, const uint c
 
 /* Four more taps of each output pixel, eight at a time: of pixels k and k + 4 in a vector. */
 #define FOUR_AT(k) *(__global const FOUR_ANYWHERE *)(sums + first[k])
-#define TAPS_OF(k) const uint8 v##k = (uint8)(FOUR_AT(k), FOUR_AT(k + 4)), w##k = convert_uint8(weights[k]);
+#define TAPS_OF(k)                                                                  \
+  const uint8 v##k = (uint8)(FOUR_AT(k), FOUR_AT(k + 4)), w##k = convert_uint8(weights[k]);
 #define ADD_PRODUCTS(total, PART)                                                   \
   {                                                                                 \
     const uint8 a = PART(v0) * w0, b = PART(v1) * w1;                               \
