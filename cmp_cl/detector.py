@@ -128,9 +128,7 @@ class Detector:
             return _no_corners(str(self.device))
         with self._lock:
             self._check_alive()
-            return self._best(
-                [self._whole(self._plan(factor), [frame]) for factor in self._factors]
-            )[0]
+            return self._best(self._each_factor([frame], 1))[0]
 
     def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
         """The corners of each frame, in order.
@@ -186,10 +184,7 @@ class Detector:
             return [_no_corners(str(self.device)) for _ in range(count)]
         with self._lock:
             self._check_alive()
-            results = []
-            for factor in self._factors:
-                results.append(self._whole(self._plan(factor, frames=count), frames))
-            return self._best(results)
+            return self._best(self._each_factor(frames, count))
 
     def maps(self, frame: GreyImage) -> Maps:
         """Every intermediate image of a frame; with a Pyramid those of its first factor.
@@ -276,6 +271,13 @@ class Detector:
                     self._grow(plan, overflow)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
+
+    def _each_factor(self, frames: list[GreyImage] | cl.Buffer, count: int) -> list[list[Corners]]:
+        """The results at each factor; the kernels of the next run while those of one are read."""
+        plans = [self._plan(factor, frames=count) for factor in self._factors]
+        for plan in plans:
+            self._start(plan, frames)
+        return [self._finish(plan) for plan in plans]
 
     def _whole(self, plan: Plan, frames: list[GreyImage] | cl.Buffer) -> list[Corners]:
         self._start(plan, frames)

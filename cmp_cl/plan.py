@@ -11,14 +11,14 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from cmp_cl import band_stages, pixel_stages, refine_stages
+from cmp_cl import band_stages, pixel_stages, refine_stages, scale_stages
 from cmp_cl.config import DetectorConfig, EdgeStep, Fit, Midlines, RapidCriteria
 from cmp_cl.device import Device, DeviceKind
 from cmp_cl.errors import CapacityError
 from cmp_cl.launch import GROUP, Launch, multiple
 from cmp_cl.program import Kernels, build
 from cmp_cl.refine_stages import RESULT_FIELDS
-from cmp_cl.resampling import resampling_weights, working_shape
+from cmp_cl.resampling import working_shape
 from cmp_cl.results import GreyImage
 
 REACH = 16  # columns on either side of the pixels, at least: what rings and tents need
@@ -131,8 +131,11 @@ class Plan:
     @property
     def stages(self) -> list[str]:
         """The kernel files that the configuration needs."""
-        scale = [] if self.scale is None else ["scale"]
-        return [*scale, *self.front_stages.files(self), *refine_stages.files(self)]
+        return [
+            *scale_stages.files(self),
+            *self.front_stages.files(self),
+            *refine_stages.files(self),
+        ]
 
     # What is allocated
 
@@ -156,7 +159,8 @@ class Plan:
     def _layouts(self) -> list[dict[str, int]]:
         """Bytes of the arrays that are needed only in passing. Those of a layout lie one after
         the other in the buffer "work", where each layout takes the place of the one before."""
-        return [*self.front_stages.layouts(self), refine_stages.layout(self)]
+        scaling = scale_stages.layout(self)
+        return [scaling, *self.front_stages.layouts(self), refine_stages.layout(self)]
 
     def _allocate(self) -> None:
         needed = sum(self.sizes.values())
@@ -236,8 +240,7 @@ class Plan:
     def _bind(self) -> None:
         self.image = self.arrays["image" if self.scale is None else "working"]
         self.response = self.front_stages.response_of(self)
-        scaling = [] if self.scale is None else [self._resample(self.scale)]
-        self.front = [*scaling, *self.front_stages.launches(self)]
+        self.front = [*scale_stages.launches(self), *self.front_stages.launches(self)]
         self.launches = [*self.front, *refine_stages.launches(self)]
         self._likely = self.corner_room  # corners of a frame, at most
 
@@ -264,17 +267,6 @@ class Plan:
         """A kernel with one work-item per row, or per something else of which there are few."""
         group = (1, 1) if self.device.kind is DeviceKind.CPU else None
         return self.stage(name, (rows, planes), group, *arguments)
-
-    def _resample(self, scale: float) -> Launch:
-        tables: list[Any] = []
-        for size, working in zip(self.shape, self.working, strict=True):
-            first, weights = resampling_weights(size, working, scale)
-            tables += [self.constant(table.astype(np.int32)) for table in (first, weights)]
-            tables.append(np.uint32(weights.shape[1]))
-        sizes = (*self.shape, self.full_step, self.working[0], self.step)
-        arguments = (self.buffers["image"], *tables, *(np.uint32(n) for n in sizes), self.image)
-        items = (self.working[1], self.working[0], self.frames)
-        return self.stage("resample", items, None, *arguments)
 
     # What happens in a frame
 

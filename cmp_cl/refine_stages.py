@@ -4,9 +4,11 @@ in a vector.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyopencl as cl
 
 from cmp_cl.config import EdgeLines, EdgeStep, Midlines
 from cmp_cl.device import DeviceKind
@@ -21,6 +23,9 @@ POINT_FIELDS = 27
 LINE_FIELDS = 6
 EDGE_SAMPLES = 68  # of the three rings
 LANES = 8
+SHARES = 32  # for each of a device's units, of the corners
+RADII = (3, 4, 5)  # of the rings, px of the working image
+RING_SAMPLES = 32
 
 
 def files(plan: Plan) -> list[str]:
@@ -58,7 +63,7 @@ def launches(plan: Plan) -> list[Launch]:
     sizes = (np.uint32(plan.working[0]), np.uint32(plan.step))
     lists = (b["corners"], b["totals"], *sizes, *_rows(plan))
     if _by_eight(plan):
-        arguments = (plan.response, b["image"], *lists, _largest_shift(plan))
+        arguments = (plan.response, b["image"], *lists, _largest_shift(plan), *_scaled(plan))
         between = (b["start"], b["lines"]) if isinstance(refinement, EdgeStep) else ()
         stages = [_of_corners(plan, "refine_eight", *arguments, *between, b["result"])]
     else:
@@ -74,14 +79,34 @@ def launches(plan: Plan) -> list[Launch]:
 
 def _by_eight(plan: Plan) -> bool:
     lines = isinstance(plan.config.refinement, EdgeLines | EdgeStep)
-    return lines and plan.scale is None and plan.device.kind is DeviceKind.CPU
+    return lines and plan.device.kind is DeviceKind.CPU
 
 
 def _of_corners(plan: Plan, name: str, *arguments: Any) -> Launch:
-    """A kernel over the list of corners."""
-    each = lanes(plan)
-    items = (plan.corner_room // each, plan.frames)
-    return plan.stage(name, items, (GROUP if each == 1 else 1, 1), *arguments)
+    """A kernel over the list of corners: one each, or some work-items that share them out."""
+    if not _by_eight(plan):
+        return plan.stage(name, (plan.corner_room, plan.frames), (GROUP, 1), *arguments)
+    shares = min(SHARES * plan.device.handle.max_compute_units, plan.corner_room // LANES)
+    return plan.stage(name, (shares, plan.frames), (1, 1), *arguments)
+
+
+def _scaled(plan: Plan) -> tuple[Any, ...]:
+    """What rings around corners of a scaled image need: the scale, the full image's size, how far
+    they reach from the start, and their samples."""
+    if plan.scale is None:
+        return ()
+    sizes = (*plan.shape, plan.full_step, math.ceil(RADII[-1] / plan.scale) + 1)
+    return np.float32(plan.scale), *(np.uint32(n) for n in sizes), _ring_samples(plan, plan.scale)
+
+
+def _ring_samples(plan: Plan, scale: float) -> cl.Buffer:
+    """(rings, 32, 8) float32, see RING_32 in kernels/refine.cl."""
+    angle = np.arange(RING_SAMPLES) * (math.tau / RING_SAMPLES)
+    circle = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    place = np.float32(np.array(RADII)[:, None, None] / scale * circle)
+    pixel = np.floor(place)
+    parts = (place, np.roll(place, -1, axis=1) - place, pixel, place - pixel)
+    return plan.constant(np.concatenate(parts, axis=2))
 
 
 def _edges(plan: Plan, refinement: EdgeLines | EdgeStep | Midlines) -> list[Launch]:
@@ -99,7 +124,7 @@ def _edges(plan: Plan, refinement: EdgeLines | EdgeStep | Midlines) -> list[Laun
         ]
     else:
         size = (full_rows, np.uint32(plan.shape[1]), full_step)
-        scaled = (*grey, *size, *corners, np.float32(plan.scale), b["points"])
+        scaled = (*grey, *size, *corners, _ring_samples(plan, plan.scale), b["points"])
         stages = [_of_corners(plan, "edge_points", *scaled)]
     given = (b["points"], b["start"], b["totals"], *corners, _largest_shift(plan))
     if isinstance(refinement, Midlines):
@@ -113,12 +138,10 @@ def _step(plan: Plan, refinement: EdgeStep) -> Launch:
     radius = np.float32(min(max(0.75 * refinement.cell * factor, 4.5), 9.0) / factor)
     given = (b["image"], b["start"], b["lines"], b["totals"])
     rows, columns, step = (np.uint32(n) for n in (*plan.shape, plan.full_step))
-    if _by_eight(plan):
-        by_eight = (*given, rows, step, *_rows(plan), radius, b["result"])
-        return _of_corners(plan, "edge_step_eight", *by_eight)
     lengths = (radius, np.float32(factor))
     arguments = (*given, rows, columns, step, *_rows(plan), *lengths, b["result"])
-    return _of_corners(plan, "edge_step", *arguments)
+    name = "edge_step_eight" if _by_eight(plan) else "edge_step"
+    return _of_corners(plan, name, *arguments)
 
 
 def _rows(plan: Plan) -> tuple[np.uint32, np.uint32, np.uint32]:

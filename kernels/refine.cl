@@ -184,6 +184,36 @@ REAL crossing(const REAL here, const REAL next) {
   IN_ORDER(4, 15) IN_ORDER(5, 14) IN_ORDER(6, 13) IN_ORDER(7, 12)                   \
   const REAL threshold = (s0 + s1 + s2 + s3 + s12 + s13 + s14 + s15) * 0.125f;
 
+#if SCALED
+
+/* With a working scale the rings have 32 samples and radii divided by the scale; greys are
+ * interpolated. A sample: x and y from the start, the way to the next one, and the pixel to the
+ * upper left with the shares of the ones right and below. */
+#define RING_32 32
+#define BETWEEN_TWO(f, a, b) (a + (f) * (b - a))
+#define BETWEEN(sample, a0, a1, b0, b1)                                             \
+  BETWEEN_TWO(sample.s7, BETWEEN_TWO(sample.s6, a0, a1), BETWEEN_TWO(sample.s6, b0, b1))
+
+/* The threshold of the ring's greys, sorted by merging longer and longer parts, the second one
+ * of each pair from its end; the last merge need not go below quarters. */
+REAL threshold_of(const REAL *grey) {
+  REAL s[RING_32], sum = 0;
+  for (int k = 0; k < RING_32; ++k) s[k] = grey[k];
+  for (int part = 2; part <= RING_32; part *= 2)
+    for (int apart = part - 1, next = part / 4; apart > (part < RING_32 ? 0 : RING_32 / 8);
+         apart = next, next /= 2)
+      for (int k = 0; k < RING_32; ++k)
+        if ((k ^ apart) > k) {
+          const REAL a = s[k], b = s[k ^ apart];
+          s[k] = a < b ? a : b;
+          s[k ^ apart] = a < b ? b : a;
+        }
+  for (int k = 0; k < RING_32 / 4; ++k) sum += s[k] + s[RING_32 - 1 - k];
+  return sum / (RING_32 / 2);
+}
+
+#endif
+
 #if LANES == 1 && !SCALED
 
 /* Copy the greys of the three rings, in blocks of GROUP corners. One work-item per corner. */
@@ -270,68 +300,48 @@ __kernel void edge_points(__global const float *restrict samples,
   EDGE_RING(2, EDGE_RING_5, 28)
 }
 
-#elif SCALED
+#elif LANES == 1
 
-/* The same at full size for a detector that works on a scaled image: rings of 32 bilinear
- * samples, their radii divided by the scale. */
-#define SAMPLES 32
-
-float grey_between(__global const PIXEL *restrict image, const uint rows, const uint columns,
-                   const uint step, const size_t p, const float x, const float y) {
-  const float left = floor(x), top = floor(y);
-  const float fx = x - left, fy = y - top;
-  const int x0 = clamp((int)left, 0, (int)columns - 1);
-  const int x1 = clamp((int)left + 1, 0, (int)columns - 1);
-  __global const PIXEL *upper = image + CLAMPED_ROW((int)top);
-  __global const PIXEL *lower = image + CLAMPED_ROW((int)top + 1);
-  const float above = (float)upper[x0] + fx * ((float)upper[x1] - (float)upper[x0]);
-  const float below = (float)lower[x0] + fx * ((float)lower[x1] - (float)lower[x0]);
-  return above + fy * (below - above);
-}
-
+/* The same at full size for a detector that works on a scaled image, from RING_32 samples. */
 __kernel void edge_points(__global const PIXEL *restrict image,
                           __global const float *restrict start,
                           __global const uint *restrict totals, const uint rows,
                           const uint columns, const uint step, const uint room,
-                          const uint place, const uint length, const float scale,
+                          const uint place, const uint length,
+                          __global const float8 *restrict ring_samples,
                           __global float *restrict points) {
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
-  const float x = COLUMN_OF(start, 0), y = COLUMN_OF(start, 1);
+  const int x = (int)COLUMN_OF(start, 0), y = (int)COLUMN_OF(start, 1);
   float threshold = 0;
   for (int ring = 0; ring < RINGS; ++ring) {
-    const float radius = (float)(3 + ring) / scale;
-    float px[SAMPLES], py[SAMPLES], d[SAMPLES];
-    for (int k = 0; k < SAMPLES; ++k) {
-      px[k] = radius * sinpi((float)k / 16);
-      py[k] = -radius * cospi((float)k / 16);
-      d[k] = grey_between(image, rows, columns, step, p, x + px[k], y + py[k]);
+    float d[RING_32];
+    for (int k = 0; k < RING_32; ++k) {
+      const float8 sample = ring_samples[ring * RING_32 + k];
+      const int left = x + (int)sample.s4, top = y + (int)sample.s5;
+      __global const PIXEL *upper = image + CLAMPED_ROW(top);
+      __global const PIXEL *lower = image + CLAMPED_ROW(top + 1);
+      const int x0 = clamp(left, 0, (int)columns - 1), x1 = clamp(left + 1, 0, (int)columns - 1);
+      const float a0 = (float)upper[x0], a1 = (float)upper[x1];
+      const float b0 = (float)lower[x0], b1 = (float)lower[x1];
+      d[k] = BETWEEN(sample, a0, a1, b0, b1);
     }
-    if (ring == 0) {
-      float sorted[SAMPLES];
-      for (int k = 0; k < SAMPLES; ++k) {
-        int j = k;
-        for (; j > 0 && sorted[j - 1] > d[k]; --j) sorted[j] = sorted[j - 1];
-        sorted[j] = d[k];
-      }
-      for (int k = 0; k < SAMPLES / 4; ++k) threshold += sorted[k] + sorted[SAMPLES - 1 - k];
-      threshold /= SAMPLES / 2;
-    }
+    if (ring == 0) threshold = threshold_of(d);
     uint black = 0;
-    for (int k = 0; k < SAMPLES; ++k) {
+    for (int k = 0; k < RING_32; ++k) {
       d[k] -= threshold;
       black |= (uint)(d[k] < 0) << k;
     }
-    const uint change = changes(&black, SAMPLES);
+    const uint change = changes(&black, RING_32);
     BOUNDARIES
     const uint edges[4] = {e0, e1, e2, e3};
     for (int e = 0; e < 4; ++e) {
       const int k = edges[e] ? 31 - (int)clz(FIRST_BIT(edges[e])) : 0;
-      const int next = (k + 1) % SAMPLES;
-      const float f = crossing(d[k], d[next]);
-      POINT(ring, 2 * e) = px[k] + f * (px[next] - px[k]);
-      POINT(ring, 2 * e + 1) = py[k] + f * (py[next] - py[k]);
+      const float f = crossing(d[k], d[(k + 1) % RING_32]);
+      const float8 sample = ring_samples[ring * RING_32 + k];
+      POINT(ring, 2 * e) = sample.s0 + f * sample.s2;
+      POINT(ring, 2 * e + 1) = sample.s1 + f * sample.s3;
     }
     POINT(ring, 8) = ones(change) == 4 ? 1.0f : 0.0f;
   }

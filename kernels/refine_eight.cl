@@ -9,6 +9,15 @@
 #define EACH(F) (F(0), F(1), F(2), F(3), F(4), F(5), F(6), F(7))
 #define OF_LANE(v, lane) ((int *)&(v))[lane]
 
+float8 floats_of(const int8 v) {
+  return (float8)(v.s0, v.s1, v.s2, v.s3, v.s4, v.s5, v.s6, v.s7);
+}
+
+int8 ints_of(const float8 v) {
+  return (int8)((int)v.s0, (int)v.s1, (int)v.s2, (int)v.s3, (int)v.s4, (int)v.s5, (int)v.s6,
+                (int)v.s7);
+}
+
 /* Sixteen pixels of a row, from any one on, and the same memory as pairs and as fours. */
 #if PIXEL_BITS == 8
 typedef uchar16 PIXELS;
@@ -24,6 +33,8 @@ typedef ushort16 PIXELS;
 #define FOURS ulong4
 #endif
 typedef PIXELS __attribute__((aligned(PIXEL_BITS / 8))) PIXELS_ANYWHERE;
+
+#if !SCALED
 
 /* Eight rows of sixteen pixels to the first twelve columns of eight, two in a vector: rows are
  * merged by pixels, then by pairs, then by fours. */
@@ -55,45 +66,113 @@ __constant char4 way_3[] = {EDGE_RING_3(WAY)};
 __constant char4 way_4[] = {EDGE_RING_4(WAY)};
 __constant char4 way_5[] = {EDGE_RING_5(WAY)};
 
-float8 floats_of(const int8 v) {
-  return (float8)(v.s0, v.s1, v.s2, v.s3, v.s4, v.s5, v.s6, v.s7);
+#define RING_TABLE __constant const char4
+#define MOST_SAMPLES 28
+#define EDGE_GREY(k, dx, dy) EIGHT_OF(float8, window + (((dy) + 5) * 12 + (dx) + 5) * LANES)
+#define KEEP(k, dx, dy, next, next_x, next_y) d[k] = EDGE_GREY(k, dx, dy) - threshold;
+#define EDGE_RING(ring, SAMPLES, count, table)                                      \
+  SAMPLES(KEEP)                                                                     \
+  d[count] = d[0];                                                                  \
+  EDGE_POINTS(ring, count, table)
+
+#else
+
+#define RING_TABLE __global const float8
+
+/* Two neighbouring pixels. */
+#if PIXEL_BITS == 8
+typedef ushort PAIR;
+#else
+typedef uint PAIR;
+#endif
+#define PIXEL_MASK ((1u << PIXEL_BITS) - 1)
+typedef PAIR __attribute__((aligned(PIXEL_BITS / 8))) PAIR_ANYWHERE;
+
+#define INSIDE(v, count) SMALLER(LARGER(v, (int8)(0)), (int8)((int)(count) - 1))
+
+float8 pixels_at(__global const PIXEL *frame, const int8 at) {
+#define PIXEL_AT(lane) (float)frame[at.s##lane]
+  return (float8)EACH(PIXEL_AT);
 }
 
+/* The greys of a sample around eight starts. */
+float8 greys_of(const float8 sample, __global const PIXEL *frame, const uint rows,
+                const uint columns, const uint step, const int8 from_x, const int8 from_y) {
+  const int8 left = from_x + (int)sample.s4, top = from_y + (int)sample.s5;
+  const int8 x0 = INSIDE(left, columns), x1 = INSIDE(left + 1, columns);
+  const int8 upper = INSIDE(top, rows) * (int)step, lower = INSIDE(top + 1, rows) * (int)step;
+  const float8 a0 = pixels_at(frame, upper + x0), a1 = pixels_at(frame, upper + x1);
+  const float8 b0 = pixels_at(frame, lower + x0), b1 = pixels_at(frame, lower + x1);
+  return BETWEEN(sample, a0, a1, b0, b1);
+}
+
+/* The same where no sample lies outside the image. */
+float8 greys_inside(const float8 sample, __global const PIXEL *frame, const uint step,
+                    const uint8 at) {
+  __global const PIXEL *first = frame + (int)sample.s5 * (int)step + (int)sample.s4;
+  __global const PIXEL *second = first + step;
+#define UPPER(lane) *(__global const PAIR_ANYWHERE *)(first + at.s##lane)
+#define LOWER(lane) *(__global const PAIR_ANYWHERE *)(second + at.s##lane)
+  const uint8 upper = (uint8)EACH(UPPER), lower = (uint8)EACH(LOWER);
+  const float8 a0 = floats_of(as_int8(upper & PIXEL_MASK));
+  const float8 a1 = floats_of(as_int8(upper >> PIXEL_BITS));
+  const float8 b0 = floats_of(as_int8(lower & PIXEL_MASK));
+  const float8 b1 = floats_of(as_int8(lower >> PIXEL_BITS));
+  return BETWEEN(sample, a0, a1, b0, b1);
+}
+
+#define EDGE_RING(ring)                                                             \
+  for (uint k = 0; k < RING_32; ++k) {                                              \
+    const float8 sample = ring_samples[ring * RING_32 + k];                         \
+    d[k] = inside ? greys_inside(sample, frame, full_step, at)                      \
+                  : greys_of(sample, frame, full_rows, full_columns, full_step, from_x, from_y); \
+  }                                                                                 \
+  if (ring == 0) threshold = threshold_of(d);                                       \
+  for (uint k = 0; k < RING_32; ++k) d[k] -= threshold;                             \
+  d[RING_32] = d[0];                                                                \
+  EDGE_POINTS(ring, RING_32, ring_samples + ring * RING_32)
+
+#endif
+
 /* The edge point after the sample whose bit is set. */
-void edge_point(const float8 *d, __constant const char4 *way, const uint8 bit, float8 *x,
-                float8 *y) {
-  const uint8 number = (as_uint8(floats_of(as_int8(bit))) >> 23) - 127; /* the exponent */
+void edge_point(const float8 *d, RING_TABLE *ring, const uint8 bit, float8 *x, float8 *y) {
+  /* The exponent. */
+  const uint8 number = (as_uint8(floats_of(as_int8(bit))) >> 23 & 255) - 127;
 #define HERE(lane) ((const float *)(d + number.s##lane))[lane]
 #define NEXT(lane) ((const float *)(d + number.s##lane + 1))[lane]
-#define WAY_OF(lane) as_uint(way[number.s##lane])
-  const uint8 ways = (uint8)EACH(WAY_OF);
   const float8 f = crossing((float8)EACH(HERE), (float8)EACH(NEXT));
+#if SCALED
+#define X_OF(lane) ring[number.s##lane].s0
+#define Y_OF(lane) ring[number.s##lane].s1
+#define BY_X_OF(lane) ring[number.s##lane].s2
+#define BY_Y_OF(lane) ring[number.s##lane].s3
+  *x = (float8)EACH(X_OF) + f * (float8)EACH(BY_X_OF);
+  *y = (float8)EACH(Y_OF) + f * (float8)EACH(BY_Y_OF);
+#else
+#define WAY_OF(lane) as_uint(ring[number.s##lane])
+  const uint8 ways = (uint8)EACH(WAY_OF);
   const int8 to_x = as_int8(ways << 24) >> 24, to_y = as_int8(ways << 16) >> 24;
   const int8 by_x = as_int8(ways << 8) >> 24, by_y = as_int8(ways) >> 24;
   *x = floats_of(to_x) + f * floats_of(by_x);
   *y = floats_of(to_y) + f * floats_of(by_y);
+#endif
 }
 
-#define EDGE_GREY(k, dx, dy) EIGHT_OF(float8, window + (((dy) + 5) * 12 + (dx) + 5) * LANES)
-#define KEEP(k, dx, dy, next, next_x, next_y) d[k] = d##k;
-#define EDGE_RING(ring, SAMPLES, count, way)                                        \
+/* The edge points of a ring from d[count + 1], whose last one is the first again. */
+#define EDGE_POINTS(ring, count, table)                                             \
   REAL x##ring##0, y##ring##0, x##ring##1, y##ring##1;                              \
   REAL x##ring##2, y##ring##2, x##ring##3, y##ring##3, valid##ring;                 \
   {                                                                                 \
-    SAMPLES(SAMPLE)                                                                 \
     BITS black = 0;                                                                 \
-    SAMPLES(COLOUR)                                                                 \
+    for (uint k = 0; k < count; ++k) black |= WHERE(d[k] < 0) & (1u << k);          \
     const BITS change = changes(&black, count);                                     \
     BOUNDARIES                                                                      \
     const BITS four = WHERE(ones(change) == 4);                                     \
     const BITS other = ~four & 1;                                                   \
-    REAL d[count + 1];                                                              \
-    SAMPLES(KEEP)                                                                   \
-    d[count] = d0;                                                                  \
-    edge_point(d, way, (e0 & four) | other, &x##ring##0, &y##ring##0);              \
-    edge_point(d, way, (e1 & four) | other, &x##ring##1, &y##ring##1);              \
-    edge_point(d, way, (e2 & four) | other, &x##ring##2, &y##ring##2);              \
-    edge_point(d, way, (e3 & four) | other, &x##ring##3, &y##ring##3);              \
+    edge_point(d, table, (e0 & four) | other, &x##ring##0, &y##ring##0);            \
+    edge_point(d, table, (e1 & four) | other, &x##ring##1, &y##ring##1);            \
+    edge_point(d, table, (e2 & four) | other, &x##ring##2, &y##ring##2);            \
+    edge_point(d, table, (e3 & four) | other, &x##ring##3, &y##ring##3);            \
     valid##ring = CHOOSE(four, (REAL)(1.0f), (REAL)(0.0f));                         \
   }
 
@@ -103,69 +182,97 @@ void edge_point(const float8 *d, __constant const char4 *way, const uint8 bit, f
        ? EIGHT_OF(int8, response + ROW(p, pixel.y + (dy)) + PAD + pixel.x - 2)      \
        : (int8)(0))
 
-/* One work-item per eight corners. */
+/* A work-item takes eight corners, then those that lie as many further on as all take. */
 __kernel void refine_eight(__global const RESPONSE *restrict response,
                            __global const PIXEL *restrict image,
                            __global const int2 *restrict list,
                            __global const uint *restrict totals, const uint rows,
                            const uint step, const uint room, const uint place,
                            const uint length, const float max_shift,
+#if SCALED
+                           const float scale, const uint full_rows, const uint full_columns,
+                           const uint full_step, const uint reach,
+                           __global const float8 *restrict ring_samples,
+#endif
 #if EDGE_STEP
                            __global float *restrict start, __global float *restrict lines,
 #endif
                            __global float *restrict result) {
-  const size_t n = get_global_id(0) * LANES, p = get_global_id(1);
-  const uint total = totals[place + p];
-  if (n >= total) return;
-  const size_t row = p * room + n;
+  const size_t p = get_global_id(1);
+  const uint total = SMALLER(totals[place + p], room);
+  for (size_t n = get_global_id(0) * LANES; n < total; n += get_global_size(0) * LANES) {
+    const size_t row = p * room + n;
 
-  int8 pixel_x, pixel_y, height, sum, sum_x, sum_y;
-  for (int lane = 0; lane < LANES; ++lane) {
-    const int2 pixel = list[p * room + SMALLER(n + lane, total - 1)];
-    const int8 above_2 = RESPONSES(-2), above = RESPONSES(-1), middle = RESPONSES(0);
-    const int8 below = RESPONSES(1), below_2 = RESPONSES(2);
-    const int8 columns = above_2 + above + middle + below + below_2;
-    const int8 slopes = 2 * (below_2 - above_2) + below - above;
-    OF_LANE(pixel_x, lane) = pixel.x;
-    OF_LANE(pixel_y, lane) = pixel.y;
-    OF_LANE(height, lane) = middle.s2;
-    OF_LANE(sum, lane) = columns.s0 + columns.s1 + columns.s2 + columns.s3 + columns.s4;
-    OF_LANE(sum_x, lane) = 2 * (columns.s4 - columns.s0) + columns.s3 - columns.s1;
-    OF_LANE(sum_y, lane) = slopes.s0 + slopes.s1 + slopes.s2 + slopes.s3 + slopes.s4;
-  }
-  const REAL total_response = floats_of(sum);
-  const REAL centroid_x = floats_of(pixel_x) + floats_of(sum_x) / total_response;
-  const REAL centroid_y = floats_of(pixel_y) + floats_of(sum_y) / total_response;
-  const int8 from_x = pixel_x + as_int8(NEAREST(sum_x));
-  const int8 from_y = pixel_y + as_int8(NEAREST(sum_y));
-  LANE(result, RESULT_RESPONSE) = floats_of(height);
-  LANE(result, RESULT_PIXEL_X) = floats_of(pixel_x);
-  LANE(result, RESULT_PIXEL_Y) = floats_of(pixel_y);
-  LANE(result, RESULT_SIGMA) = (REAL)(NAN);
-  LANE(result, RESULT_DOUBTFUL) = (REAL)(0.0f);
-
-  FOURS pixels[11 * 6]; /* 11 rows of 12 columns of eight corners */
-  const PIXEL *window = (const PIXEL *)pixels;
-  __global const PIXEL *frame = image + ROW(p, 0) + PAD - 5;
-  for (int dy = -5; dy <= 5; ++dy) {
-    const int8 y = SMALLER(LARGER(from_y + dy, (int8)(0)), (int8)((int)rows - 1));
-    const uint8 at = as_uint8(y) * step + as_uint8(from_x);
-#define SIXTEEN(k) *(__global const PIXELS_ANYWHERE *)(frame + at.s##k)
-    const PIXELS lines[] = {SIXTEEN(0), SIXTEEN(1), SIXTEEN(2), SIXTEEN(3),
-                            SIXTEEN(4), SIXTEEN(5), SIXTEEN(6), SIXTEEN(7)};
-    columns_of(lines, pixels + (dy + 5) * 6);
-  }
-
-  THRESHOLD
-  EDGE_RING(0, EDGE_RING_3, 16, way_3)
-  EDGE_RING(1, EDGE_RING_4, 24, way_4)
-  EDGE_RING(2, EDGE_RING_5, 28, way_5)
-  MATCH_RINGS
-  const REAL start_x = floats_of(from_x), start_y = floats_of(from_y);
-  EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
-#if EDGE_STEP
-  LANE(start, 0) = start_x;
-  LANE(start, 1) = start_y;
-  STORE_LINES
+    int8 pixel_x, pixel_y, height, sum, sum_x, sum_y;
+    for (int lane = 0; lane < LANES; ++lane) {
+      const int2 pixel = list[p * room + SMALLER(n + lane, total - 1)];
+      const int8 above_2 = RESPONSES(-2), above = RESPONSES(-1), middle = RESPONSES(0);
+      const int8 below = RESPONSES(1), below_2 = RESPONSES(2);
+      const int8 columns = above_2 + above + middle + below + below_2;
+      const int8 slopes = 2 * (below_2 - above_2) + below - above;
+      OF_LANE(pixel_x, lane) = pixel.x;
+      OF_LANE(pixel_y, lane) = pixel.y;
+      OF_LANE(height, lane) = middle.s2;
+      OF_LANE(sum, lane) = columns.s0 + columns.s1 + columns.s2 + columns.s3 + columns.s4;
+      OF_LANE(sum_x, lane) = 2 * (columns.s4 - columns.s0) + columns.s3 - columns.s1;
+      OF_LANE(sum_y, lane) = slopes.s0 + slopes.s1 + slopes.s2 + slopes.s3 + slopes.s4;
+    }
+    const REAL total_response = floats_of(sum);
+    const REAL offset_x = floats_of(sum_x) / total_response;
+    const REAL offset_y = floats_of(sum_y) / total_response;
+#if SCALED
+    const REAL centroid_x = (floats_of(pixel_x) + offset_x + 0.5f) / scale - 0.5f;
+    const REAL centroid_y = (floats_of(pixel_y) + offset_y + 0.5f) / scale - 0.5f;
+    const int8 from_x = INSIDE(ints_of(centroid_x + 0.5f), full_columns);
+    const int8 from_y = INSIDE(ints_of(centroid_y + 0.5f), full_rows);
+#else
+    const REAL centroid_x = floats_of(pixel_x) + offset_x;
+    const REAL centroid_y = floats_of(pixel_y) + offset_y;
+    const int8 from_x = pixel_x + as_int8(NEAREST(sum_x));
+    const int8 from_y = pixel_y + as_int8(NEAREST(sum_y));
 #endif
+    LANE(result, RESULT_RESPONSE) = floats_of(height);
+    LANE(result, RESULT_PIXEL_X) = floats_of(pixel_x);
+    LANE(result, RESULT_PIXEL_Y) = floats_of(pixel_y);
+    LANE(result, RESULT_SIGMA) = (REAL)(NAN);
+    LANE(result, RESULT_DOUBTFUL) = (REAL)(0.0f);
+
+#if SCALED
+    const int8 outside = (from_x < (int)reach) | (from_x + (int)reach >= (int)full_columns) |
+                         (from_y < (int)reach) | (from_y + (int)reach >= (int)full_rows);
+    const int4 any = outside.lo | outside.hi;
+    const int inside = !(any.x | any.y | any.z | any.w);
+    __global const PIXEL *frame = image + ((size_t)p * full_rows + 1) * full_step + PAD;
+    const uint8 at = as_uint8(from_y) * full_step + as_uint8(from_x);
+    REAL d[RING_32 + 1], threshold;
+    EDGE_RING(0)
+    EDGE_RING(1)
+    EDGE_RING(2)
+#else
+    FOURS pixels[11 * 6]; /* 11 rows of 12 columns of eight corners */
+    const PIXEL *window = (const PIXEL *)pixels;
+    __global const PIXEL *frame = image + ROW(p, 0) + PAD - 5;
+    for (int dy = -5; dy <= 5; ++dy) {
+      const int8 y = SMALLER(LARGER(from_y + dy, (int8)(0)), (int8)((int)rows - 1));
+      const uint8 at = as_uint8(y) * step + as_uint8(from_x);
+#define SIXTEEN(k) *(__global const PIXELS_ANYWHERE *)(frame + at.s##k)
+      const PIXELS lines[] = {SIXTEEN(0), SIXTEEN(1), SIXTEEN(2), SIXTEEN(3),
+                              SIXTEEN(4), SIXTEEN(5), SIXTEEN(6), SIXTEEN(7)};
+      columns_of(lines, pixels + (dy + 5) * 6);
+    }
+    THRESHOLD
+    REAL d[MOST_SAMPLES + 1];
+    EDGE_RING(0, EDGE_RING_3, 16, way_3)
+    EDGE_RING(1, EDGE_RING_4, 24, way_4)
+    EDGE_RING(2, EDGE_RING_5, 28, way_5)
+#endif
+    MATCH_RINGS
+    const REAL start_x = floats_of(from_x), start_y = floats_of(from_y);
+    EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
+#if EDGE_STEP
+    LANE(start, 0) = start_x;
+    LANE(start, 1) = start_y;
+    STORE_LINES
+#endif
+  }
 }

@@ -26,7 +26,8 @@ def detector_of_kind(device, kind, image, **settings):
     [
         (DeviceKind.CPU, {"refinement": EdgeStep()}, {"edge_step_eight"}),
         (DeviceKind.GPU, {"refinement": EdgeStep()}, {"edge_step"}),
-        (DeviceKind.CPU, {"refinement": EdgeStep(), "scale": 0.63}, {"edge_step"}),
+        (DeviceKind.CPU, {"refinement": EdgeStep(), "scale": 0.63}, {"edge_step_eight"}),
+        (DeviceKind.GPU, {"refinement": EdgeStep(), "scale": 0.63}, {"edge_step"}),
         (DeviceKind.CPU, {"refinement": EdgeLines()}, set()),
     ],
 )
@@ -64,3 +65,17 @@ def test_soft_corners(device, kind, depth):
     with detector_of_kind(device, kind, image, refinement=EdgeStep()) as detector:
         corners = assert_corners_equal(detector, image)
     assert (corners.method == Method.EDGE_STEP).sum() > 20
+
+
+@KINDS
+@pytest.mark.parametrize("cell", [20.0, 60.0, 130.0])
+def test_discs_of_a_scaled_image(device, kind, cell):
+    """Of a radius of 0.6 cells: in one part, in several, and with rows that leave the image."""
+    image = board(int(4 * cell), int(5 * cell), cell)[0]
+    config = {"scale": 15 / cell, "refinement": EdgeStep(cell=cell)}
+    with detector_of_kind(device, kind, image, **config) as detector:
+        corners = assert_corners_equal(detector, image)
+    stepped = corners.xy[corners.method == Method.EDGE_STEP]
+    distance = np.minimum(stepped, np.array(image.shape[::-1]) - 1 - stepped).min(axis=1)
+    assert (distance < 0.6 * cell).any()
+    assert (distance > 0.6 * cell).any()

@@ -6,6 +6,7 @@ import images
 import numpy as np
 import pytest
 from comparison import assert_corners_equal, assert_same_bytes
+from corner_images import board
 
 from cmp_cl import (
     AdaptiveMean,
@@ -45,7 +46,8 @@ def detector_of_kind(device, kind, image, mask=None, **settings):
         (DeviceKind.CPU, {"refinement": EdgeStep()}, True),
         (DeviceKind.CPU, {"refinement": Midlines()}, False),
         (DeviceKind.CPU, {"refinement": None}, False),
-        (DeviceKind.CPU, {"scale": 0.63}, False),
+        (DeviceKind.CPU, {"scale": 0.63}, True),
+        (DeviceKind.CPU, {"scale": 0.63, "refinement": Midlines()}, False),
         (DeviceKind.GPU, {}, False),
     ],
 )
@@ -102,6 +104,40 @@ def test_images_smaller_than_the_rings(device, kind, refinement, shape):
     image = images.texture((60, 60))[: shape[0], : shape[1]].copy()
     with detector_of_kind(device, kind, image, refinement=refinement, **DENSE) as detector:
         assert_corners_equal(detector, image)
+
+
+@KINDS
+@pytest.mark.parametrize("factor", [0.2, 0.63, 2.0])
+@pytest.mark.parametrize("depth", [8, 16])
+def test_rings_of_a_scaled_image_that_leave_it(device, kind, factor, depth):
+    """Corners everywhere, so that rings in a vector are inside, some, all or none of them."""
+    cell = 12 / factor
+    image = board(int(8 * cell), int(9 * cell), cell)[0]
+    image += np.random.default_rng(1).integers(0, 20, image.shape, dtype=np.uint8)
+    if depth == 16:
+        image = image.astype(np.uint16) * 16
+    changes = {"contrast": None, "nms_radius": 1, "full_scale": 255 if depth == 8 else 4095}
+    for refinement in (EdgeLines(), EdgeStep(cell=cell)):
+        with detector_of_kind(
+            device, kind, image, scale=factor, refinement=refinement, **changes
+        ) as detector:
+            found = assert_corners_equal(detector, image)
+        reach = 5 / factor + 1
+        distance = np.minimum(found.pixel, np.array(image.shape[::-1]) - 1 - found.pixel).min(1)
+        assert (distance < reach).sum() > 5
+        assert (distance > reach).sum() > 8
+
+
+@pytest.mark.parametrize("factor", [0.3, 0.63, 1.5])
+def test_the_forms_agree_to_the_bit_on_a_scaled_image(device, factor):
+    image = images.texture((240, 300), seed=4)
+    changes = {**DENSE, "scale": factor, "refinement": EdgeLines()}
+    results = []
+    for kind in (DeviceKind.CPU, DeviceKind.GPU):
+        with detector_of_kind(device, kind, image, **changes) as detector:
+            results.append(detector(image))
+    assert len(results[0]) > 20
+    assert_same_bytes(*results)
 
 
 @KINDS

@@ -69,12 +69,17 @@ def test_the_gate(detector_for, device):
     )
 
 
-def test_refinement(detector_for):
+def test_refinement(detector_for, device):
+    kernels = {
+        DeviceKind.CPU: ["refine_eight", "edge_step_eight"],
+        DeviceKind.GPU: ["edge_points", "edge_lines", "edge_step"],
+    }
+    buffers = {DeviceKind.CPU: [], DeviceKind.GPU: ["points"]}
     left_out(
         detector_for,
         FULL.replace(refinement=None),
-        launches=["edge_points", "edge_lines", "edge_step"],
-        buffers=["points", "lines"],
+        launches=kernels[device.kind],
+        buffers=["lines", *buffers[device.kind]],
     )
 
 
@@ -89,12 +94,14 @@ def test_extra_masks(detector_for, device):
     )
 
 
-def test_the_working_scale(detector_for):
+def test_the_working_scale(detector_for, device):
+    forms = {DeviceKind.CPU: ("scale_bands", "resample_bands")}
+    file, launch = forms.get(device.kind, ("scale", "resample"))
     left_out(
         detector_for,
         FULL.replace(scale=None, threshold=AdaptiveMean()),
-        files=["scale"],
-        launches=["resample"],
+        files=[file],
+        launches=[launch],
         buffers=["working"],
         than=FULL.replace(scale=2.0, threshold=AdaptiveMean()),
     )
