@@ -3,6 +3,7 @@
 import cmath
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +24,7 @@ NEAR = 0.3  # cells: how far from its prediction a node may be
 WHOLE = 1024  # weight of a corner with straight boundaries
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
 VOTERS = 96  # nodes that are looked up in the rest grid
+FEW = 400  # nodes that are quicker predicted one by one
 
 
 def build_grid(
@@ -89,20 +91,23 @@ class _Nodes:
     """A grid in the making.
 
     at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
-    status: (R, C) uint8 of NodeStatus; parity: as in Grid; free: (N,) bool, corners that have
-    not been in the grid.
+    status: (R, C) uint8 of NodeStatus; changed: (R, C) uint8, 1 where a node was put or dropped
+    since misfits were looked for; parity: as in Grid; free: (N,) bool, corners that have not
+    been in the grid.
     """
 
     def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
         self.at: Points = np.full(shape, NOWHERE)
         self.owner: Index = np.full(shape, -1)
         self.status: NDArray[np.uint8] = np.zeros(shape, np.uint8)
+        self.changed: NDArray[np.uint8] = np.zeros(shape, np.uint8)
         self.parity = parity
         self.free = free
 
     def put(self, row: Index, column: Index, at: Points, status: NodeStatus) -> None:
         self.at[row, column] = at
         self.status[row, column] = status
+        self.changed[row, column] = 1
 
     def drop(self, row: Index, column: Index) -> None:
         self.put(row, column, np.full(len(row), NOWHERE), NodeStatus.MISSING)
@@ -113,6 +118,7 @@ class _Nodes:
         self.at = np.pad(self.at, 1, constant_values=NOWHERE)
         self.owner = np.pad(self.owner, 1, constant_values=-1)
         self.status = np.pad(self.status, 1)
+        self.changed = np.pad(self.changed, 1)
 
     def crop(self) -> None:
         """Without the empty rows and columns around."""
@@ -120,7 +126,7 @@ class _Nodes:
         rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
         box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         self.at, self.owner = self.at[box], self.owner[box]
-        self.status = self.status[box]
+        self.status, self.changed = self.status[box], self.changed[box]
         self.parity = (self.parity + int(rows[0]) + int(columns[0])) % 2
 
     def turned(self, quarters: int) -> "_Nodes":
@@ -129,6 +135,7 @@ class _Nodes:
         turned = _Nodes(self.at.shape, (self.parity + first) % 2, self.free)
         turned.at, turned.owner = np.rot90(self.at, quarters), np.rot90(self.owner, quarters)
         turned.status = np.rot90(self.status, quarters)
+        turned.changed = np.rot90(self.changed, quarters)
         return turned
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "_Nodes":
@@ -333,6 +340,16 @@ PREDICTORS = _predictors()
 STEPS = np.array(sorted({step for _, factors in PREDICTORS for step in factors}))
 WEIGHTS = np.array([weight for weight, _ in PREDICTORS])
 FACTORS = np.array([[factors.get((r, c), 0) for r, c in STEPS] for _, factors in PREDICTORS])
+USES = (FACTORS != 0).astype(np.float64)
+WEIGHTED = WEIGHTS[:, None] * FACTORS
+AWAY = (STEPS**2).sum(1)
+ALIKE = [  # the factor of equally distant nodes in the mean of all predictors, and these
+    (float(WEIGHTED[:, AWAY == away].sum(0)[0] / WEIGHTS.sum()), STEPS[AWAY == away])
+    for away in np.unique(AWAY)
+]
+ENDS = np.array([1, 2, 2, 1])  # how many of the middle three of five nodes a step meets
+REACHED = np.zeros((7, 7), np.uint8)  # whose predictions or cells change with the middle node
+REACHED[1:6, 1:6] = REACHED[3] = REACHED[:, 3] = 1
 
 
 def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
@@ -346,9 +363,9 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
     near = padded.ravel()[(row + 3) * width + column + 3 + (STEPS @ [width, 1])[:, None]]
     unknown = np.isnan(near.real)
     near[unknown] = 0
-    known = (FACTORS != 0).astype(np.float64) @ unknown == 0
+    known = USES @ unknown == 0
     weight: Float = WEIGHTS @ known
-    factors = (WEIGHTS[:, None] * FACTORS).T @ known
+    factors = WEIGHTED.T @ known
     with np.errstate(invalid="ignore"):
         return (factors * near).sum(0) / weight, weight
 
@@ -358,8 +375,9 @@ def predict_within(at: Points) -> Points:
     padded = _bordered(at)
     rows, columns = at.shape
     total = np.zeros((rows, columns), np.complex128)
-    for (r, c), factor in zip(STEPS + 3, WEIGHTS @ FACTORS / WEIGHTS.sum(), strict=True):
-        total += factor * padded[r : r + rows, c : c + columns]
+    for factor, steps in ALIKE:
+        first, *others = (padded[r : r + rows, c : c + columns] for r, c in steps + 3)
+        total += factor * sum(others, first)
     return total
 
 
@@ -371,36 +389,29 @@ def _bordered(at: Points) -> Points:
     return padded
 
 
-def mean_steps(at: Points) -> tuple[Points, Points, Float]:
-    """The step to the next column, to the next row, and the cell, each (R, C), px.
+def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, Float]:
+    """The step to the next column, to the next row, and the cell there, each (M,), px.
 
     Means of the steps to and from the 3 x 3 nodes around; NaN where there are none.
     """
-    along, down = _mean_step(at), _mean_step(at.T).T
+    padded = _bordered(at)
+    width = padded.shape[1]
+    box = np.add.outer(np.arange(1, 6) * width, np.arange(1, 6))
+    near = padded.ravel()[box[..., None] + (row * width + column)]
+    along, down = _mean_step(near), _mean_step(near.swapaxes(0, 1))
     lengths = np.abs([along, down])
     lengths = np.where(np.isnan(lengths), lengths[::-1], lengths)
-    cell: Float = lengths.mean(0)
-    return along, down, cell
+    return along, down, lengths.mean(0)
 
 
-def _mean_step(at: Points) -> Points:
-    step = at[:, 1:] - at[:, :-1]
+def _mean_step(near: Points) -> Points:
+    """Along the second axis of (5, 5, M) nodes, of the steps to and from the middle nine."""
+    step = near[1:4, 1:] - near[1:4, :-1]
     known = ~np.isnan(step.real)
     step[~known] = 0
     with np.errstate(invalid="ignore"):
-        mean: Points = _around(step) / _around(known.astype(np.float64))
+        mean: Points = ENDS @ step.sum(0) / (ENDS @ known.sum(0))
     return mean
-
-
-def _around(steps: NDArray[Any]) -> NDArray[Any]:
-    """Sums over the steps to and from each of the 3 x 3 nodes, (R, C - 1) -> (R, C)."""
-    rows, columns = steps.shape
-    padded = np.zeros((rows + 2, columns + 4), steps.dtype)
-    padded[1:-1, 2:-2] = steps
-    total = padded[:-2] + padded[1:-1] + padded[2:]
-    total[:, 1:] += total[:, :-1].copy()
-    ends: NDArray[Any] = total[:, 1:-2] + total[:, 2:-1] + total[:, 3:]
-    return ends
 
 
 def _grow(nodes: _Nodes, z: Points, edges: NDArray[np.float32]) -> None:
@@ -431,22 +442,40 @@ def _fill(
 
 
 def _drop_misfits(nodes: _Nodes) -> None:
-    """Drop nodes far from a well supported prediction, the worst of each neighbourhood first."""
-    cell = mean_steps(nodes.at)[2]
-    while True:
-        row, column = np.nonzero(nodes.status != NodeStatus.MISSING)
-        prediction = predict_within(nodes.at)[row, column]
-        rim = np.flatnonzero(np.isnan(prediction))
-        prediction[rim], weight = predict(nodes.at, row[rim], column[rim])
-        off = np.abs(nodes.at[row, column] - prediction) / cell[row, column]
-        off[rim[weight < STRONG]] = 0
-        if not (off > NEAR).any():
+    """Drop nodes far from a well supported prediction, the worst of each neighbourhood first.
+
+    Only those are looked at around which something has changed since the last time.
+    """
+    while nodes.changed.any():
+        row, column = np.nonzero(
+            cv2.dilate(nodes.changed, REACHED) & (nodes.status != NodeStatus.MISSING)
+        )
+        off = _misfits(nodes.at, row, column)
+        bad = off > NEAR
+        nodes.changed[:] = 0
+        if not bad.any():
             return
+        nodes.changed[row[bad], column[bad]] = 1
         padded = np.zeros((nodes.at.shape[0] + 2, nodes.at.shape[1] + 2))
         padded[row + 1, column + 1] = off
         around = [padded[row + r, column + c] for r in range(3) for c in range(3)]
-        worst = (off > NEAR) & (off >= np.max(around, axis=0))
+        worst = bad & (off >= np.max(around, axis=0))
         nodes.drop(row[worst], column[worst])
+
+
+def _misfits(at: Points, row: Index, column: Index) -> Float:
+    """How far those nodes are from well supported predictions, cells; 0 below a pixel."""
+    prediction = np.full(len(row), NOWHERE)
+    if len(row) > FEW:
+        prediction = predict_within(at)[row, column]
+    rim = np.flatnonzero(np.isnan(prediction))
+    prediction[rim], weight = predict(at, row[rim], column[rim])
+    gap = np.abs(at[row, column] - prediction)
+    gap[rim[weight < STRONG]] = 0
+    far = np.flatnonzero(gap > 1)
+    off = np.zeros(len(row))
+    off[far] = gap[far] / mean_steps(at, row[far], column[far])[2]
+    return off
 
 
 def _expected(nodes: _Nodes, least: float) -> tuple[Index, Index, Points, Float, Float, Points]:
@@ -459,14 +488,14 @@ def _expected(nodes: _Nodes, least: float) -> tuple[Index, Index, Points, Float,
     if not len(row):
         return row, column, nodes.at[:0, 0], np.zeros(0), np.zeros(0), nodes.at[:0, 0]
     at, weight = predict(nodes.at, row, column)
-    along, down, cell = mean_steps(nodes.at)
-    kept = (weight >= least) & ~np.isnan(cell[row, column])
+    kept = weight >= least
     row, column, at, weight = row[kept], column[kept], at[kept], weight[kept]
+    along, down, cell = mean_steps(nodes.at, row, column)
     level = (nodes.parity + row + column) % 2 == 0
-    line = np.where(level, along[row, column], down[row, column])
+    line = np.where(level, along, down)
     line[np.isnan(line)] = 0
     line /= np.maximum(np.abs(line), 1e-6)
-    return row, column, at, weight, cell[row, column], line
+    return row, column, at, weight, cell, line
 
 
 def _attach(nodes: _Nodes, z: Points, edges: NDArray[np.float32]) -> bool:

@@ -58,10 +58,13 @@ def _look(
     cell: Float,
     line: Points,
 ) -> Points:
-    here = start
-    for _ in range(LOOKS):
-        before = here
-        here, along, sine = edge_lines(image, before, rings)
+    before = start
+    here, along, sine = edge_lines(image, start, rings)
+    for _ in range(1, LOOKS):
+        moved = np.flatnonzero(np.abs(np.rint(here) - np.rint(before)) > 0)
+        before = here.copy()
+        if len(moved):  # from the same pixel the answer is the same
+            here[moved], along[moved], sine[moved] = edge_lines(image, here[moved], rings[moved])
     good = (
         (np.abs(here - at) < NEAR * cell)
         & (np.abs(here - before) < STILL)
