@@ -1,7 +1,6 @@
 """Corners to rows and columns: numbering, orientation, holes, second look."""
 
 import cmath
-from typing import Any
 
 import cv2
 import numpy as np
@@ -342,12 +341,11 @@ WEIGHTS = np.array([weight for weight, _ in PREDICTORS])
 FACTORS = np.array([[factors.get((r, c), 0) for r, c in STEPS] for _, factors in PREDICTORS])
 USES = (FACTORS != 0).astype(np.float64)
 WEIGHTED = WEIGHTS[:, None] * FACTORS
-AWAY = (STEPS**2).sum(1)
 ALIKE = [  # the factor of equally distant nodes in the mean of all predictors, and these
-    (float(WEIGHTED[:, AWAY == away].sum(0)[0] / WEIGHTS.sum()), STEPS[AWAY == away])
-    for away in np.unique(AWAY)
+    (float(WEIGHTED[:, alike].sum(0)[0] / WEIGHTS.sum()), STEPS[alike])
+    for alike in ((STEPS**2).sum(1) == away for away in (1, 2, 4, 9))
 ]
-ENDS = np.array([1, 2, 2, 1])  # how many of the middle three of five nodes a step meets
+ENDS = np.array([1.0, 2, 2, 1])  # how many of the middle three of five nodes a step meets
 REACHED = np.zeros((7, 7), np.uint8)  # whose predictions or cells change with the middle node
 REACHED[1:6, 1:6] = REACHED[3] = REACHED[:, 3] = 1
 
