@@ -73,8 +73,8 @@ def build_grid(
             f"the largest lattice has {found.size[0]} of {len(inside)} corners, "
             f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
         )
-    nodes = _boxed(z, found)
     z = z.astype(np.complex128)
+    nodes = _boxed(z, found)
     _drop_misfits(nodes)
     _grow(nodes, z, edges)
     if like is not None:
@@ -130,6 +130,8 @@ class _Nodes:
 
     def turned(self, quarters: int) -> "_Nodes":
         """The same nodes with the numbers turned: row 0 is the last column, and so on."""
+        if not quarters:
+            return self
         first = (0, self.at.shape[1], sum(self.at.shape), self.at.shape[0])[quarters]
         turned = _Nodes(self.at.shape, (self.parity + first) % 2, self.free)
         turned.at, turned.owner = np.rot90(self.at, quarters), np.rot90(self.owner, quarters)
@@ -139,6 +141,8 @@ class _Nodes:
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "_Nodes":
         """The nodes from that row and column on."""
+        if (top, left, *shape) == (0, 0, *self.at.shape):
+            return self
         cut = _Nodes(shape, (self.parity + top + left) % 2, self.free)
         rows, columns = self.at.shape
         here = np.s_[
@@ -207,7 +211,7 @@ def _empty(corners: int, shape: tuple[int, int] | None) -> Grid:
     )
 
 
-def _boxed(z: NDArray[np.complex64], found: Lattice) -> _Nodes:
+def _boxed(z: Points, found: Lattice) -> _Nodes:
     """The largest component in the box that holds it, rows down and columns right."""
     member = np.flatnonzero(found.component == 0)
     member = member[np.argsort(found.support[member], kind="stable")]
@@ -222,8 +226,10 @@ def _boxed(z: NDArray[np.complex64], found: Lattice) -> _Nodes:
     parity = int(2 * np.count_nonzero(odd) > len(odd))
     nodes = _Nodes((int(row.max()) + 1, int(column.max()) + 1), parity, free)
     nodes.owner[row, column] = member  # the best supported is last and stays
-    row, column = np.nonzero(nodes.owner >= 0)
-    nodes.put(row, column, z[nodes.owner[row, column]].astype(np.complex128), NodeStatus.DETECTED)
+    seen = nodes.owner >= 0
+    nodes.at = np.where(seen, z[nodes.owner], NOWHERE)
+    nodes.status[seen] = NodeStatus.DETECTED
+    nodes.changed[:] = 1
     return nodes
 
 
@@ -264,15 +270,17 @@ def _fullest(nodes: _Nodes, bend: NDArray[np.float32], shape: tuple[int, int]) -
     return turned[best].window(int(row), int(column), shape)
 
 
-def _nearest_rest(at: Points, rest: Float, which: Mask) -> Index:
-    """The number of the nearest one of those of the rest nodes (M, 2), 0 if there is none."""
+def _nearest_rest(here: Float, rest: Float, which: Mask) -> Index:
+    """The number of the nearest one of those of the rest nodes, 0 if there is none.
+
+    here: (M, 3), x, y, 1. rest: (3, N), -x, -y and half the square of the distance from 0, so
+    that their product grows with the distance between the two.
+    """
     numbers = np.flatnonzero(which)
     if not len(numbers):
-        return np.zeros(len(at), np.int64)
-    x, y = rest.take(numbers, axis=0).T
-    nodes = np.stack([-x, -y, (x * x + y * y) / 2])
-    here = np.stack([at.real, at.imag, np.ones(len(at))], axis=1)
-    parts = [(here[k : k + 16] @ nodes).argmin(1) for k in range(0, len(here), 16)]
+        return np.zeros(len(here), np.int64)
+    rest = rest.take(numbers, axis=1)
+    parts = [(here[k : k + 16] @ rest).argmin(1) for k in range(0, len(here), 16)]
     nearest: Index = numbers[np.concatenate(parts)]
     return nearest
 
@@ -280,26 +288,47 @@ def _nearest_rest(at: Points, rest: Float, which: Mask) -> Index:
 def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
     """The turn and the window that agree with the rest grid.
 
+    The turn with the most common vote wins. Among its windows of the right colour, those that
+    hold about as much as the fullest compete, and the votes decide.
+    """
+    quarters, votes = _voted(nodes, like)
+    turned = nodes.turned(quarters)
+    top, left = divmod(int(votes.argmax()), votes.shape[1])
+    if (top, left, turned.parity) == (*like.shape, like.parity) and turned.at.shape == like.shape:
+        return turned  # no other window has more votes, and none holds as much
+    weights = _window_weights(turned, bend, like.shape)
+    odd = turned.parity + like.parity + sum(like.shape)
+    rows, columns = (np.arange(size) % 2 for size in weights.shape)
+    weights *= np.equal.outer((rows + odd) % 2, columns)
+    rivals = np.flatnonzero(weights >= weights.max() - WHOLE * min(like.shape) / 2)
+    choice = votes.ravel()[rivals] * (WHOLE * turned.at.size + 1) + weights.ravel()[rivals]
+    top, left = divmod(int(rivals[choice.argmax()]), weights.shape[1])
+    return turned.window(top - like.shape[0], left - like.shape[1], like.shape)
+
+
+def _voted(nodes: _Nodes, like: Grid) -> tuple[int, Index]:
+    """The quarter turn with the most common vote, and its votes by window as `_window_weights`.
+
     Some nodes vote for the numbers of the nearest rest node of their checker colour: most of
-    a pressed gel stays near its place, whatever the rest does. The turn with the most common
-    vote wins. Among its windows of the right colour, those that hold about as much as the
-    fullest compete, and the votes decide.
+    a pressed gel stays near its place, whatever the rest does.
     """
     places = np.flatnonzero(like.valid)
-    rest = like.xy.reshape(-1, 2).take(places, axis=0).astype(np.float64)
     rest_row, rest_column = np.divmod(places, like.shape[1])
     rest_colour = (like.parity + rest_row + rest_column) % 2
+    x, y = like.xy.reshape(-1, 2).take(places, axis=0).T.astype(np.float64)
+    rest = np.stack([-x, -y, (x * x + y * y) / 2])
     voters = np.flatnonzero(nodes.owner >= 0)
     count = min(VOTERS, len(voters))
     voters = voters[np.arange(count) * (len(voters) - 1) // max(count - 1, 1)]
-    here = nodes.at.ravel()[voters]
+    at = nodes.at.ravel()[voters]
+    here = np.stack([at.real, at.imag, np.ones(count)], axis=1)
     nearest = np.stack([_nearest_rest(here, rest, rest_colour == colour) for colour in (0, 1)])
     rows, columns = nodes.at.shape
     row, column = np.divmod(voters, columns)
     colour = (nodes.parity + row + column) % 2
     ballots = []
     for quarters in range(4):
-        chosen = nearest[(colour + quarters) % 2, np.arange(len(voters))]
+        chosen = nearest[(colour + quarters) % 2, np.arange(count)]
         windows = (rows + like.shape[0] + 1, columns + like.shape[1] + 1)
         top = row - rest_row[chosen] + like.shape[0]
         left = column - rest_column[chosen] + like.shape[1]
@@ -307,17 +336,7 @@ def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
         ballots.append((quarters, votes.reshape(windows)))
         row, column = columns - 1 - column, row
         rows, columns = columns, rows
-    quarters, votes = max(ballots, key=lambda ballot: int(ballot[1].max()))
-    turned = nodes.turned(quarters)
-    weights = _window_weights(turned, bend, like.shape)
-    first = np.add.outer(np.arange(votes.shape[0]), np.arange(votes.shape[1])) + sum(like.shape)
-    weights = np.where((turned.parity + first) % 2 == like.parity, weights, 0)
-    rival = weights >= weights.max() - WHOLE * min(like.shape) / 2
-    choice = np.where(rival, votes * (WHOLE * turned.at.size + 1) + weights, -1)
-    first_row, first_column = np.unravel_index(int(choice.argmax()), choice.shape)
-    return turned.window(
-        int(first_row) - like.shape[0], int(first_column) - like.shape[1], like.shape
-    )
+    return max(ballots, key=lambda ballot: int(ballot[1].max()))
 
 
 # (weight, {(row, column): factor, ...}) of each prediction of a node from its neighbours
@@ -345,7 +364,10 @@ ALIKE = [  # the factor of equally distant nodes in the mean of all predictors, 
     (float(WEIGHTED[:, alike].sum(0)[0] / WEIGHTS.sum()), STEPS[alike])
     for alike in ((STEPS**2).sum(1) == away for away in (1, 2, 4, 9))
 ]
-ENDS = np.array([1.0, 2, 2, 1])  # how many of the middle three of five nodes a step meets
+ALONG = np.array([(r, c) for r in (-1, 0, 1) for c in (-2, -1, 0, 1)])  # where steps begin
+BEGINS = np.concatenate([ALONG, ALONG[:, ::-1]])
+ENDS = BEGINS + np.repeat([[0, 1], [1, 0]], len(ALONG), axis=0)
+TOUCHED = np.kron(np.eye(2), [1, 2, 2, 1] * 3)  # how many of the 3 x 3 nodes a step touches
 REACHED = np.zeros((7, 7), np.uint8)  # whose predictions or cells change with the middle node
 REACHED[1:6, 1:6] = REACHED[3] = REACHED[:, 3] = 1
 
@@ -394,22 +416,16 @@ def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, F
     """
     padded = _bordered(at)
     width = padded.shape[1]
-    box = np.add.outer(np.arange(1, 6) * width, np.arange(1, 6))
-    near = padded.ravel()[box[..., None] + (row * width + column)]
-    along, down = _mean_step(near), _mean_step(near.swapaxes(0, 1))
-    lengths = np.abs([along, down])
-    lengths = np.where(np.isnan(lengths), lengths[::-1], lengths)
-    return along, down, lengths.mean(0)
-
-
-def _mean_step(near: Points) -> Points:
-    """Along the second axis of (5, 5, M) nodes, of the steps to and from the middle nine."""
-    step = near[1:4, 1:] - near[1:4, :-1]
+    place = (row + 3) * width + column + 3
+    begin, end = (padded.ravel()[(steps @ [width, 1])[:, None] + place] for steps in (BEGINS, ENDS))
+    step = end - begin
     known = ~np.isnan(step.real)
     step[~known] = 0
     with np.errstate(invalid="ignore"):
-        mean: Points = ENDS @ step.sum(0) / (ENDS @ known.sum(0))
-    return mean
+        mean: Points = TOUCHED @ step / (TOUCHED @ known)
+    length = np.abs(mean)
+    cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
+    return mean[0], mean[1], cell
 
 
 def _grow(nodes: _Nodes, z: Points, edges: NDArray[np.float32]) -> None:
@@ -445,9 +461,8 @@ def _drop_misfits(nodes: _Nodes) -> None:
     Only those are looked at around which something has changed since the last time.
     """
     while nodes.changed.any():
-        row, column = np.nonzero(
-            cv2.dilate(nodes.changed, REACHED) & (nodes.status != NodeStatus.MISSING)
-        )
+        near = cv2.dilate(nodes.changed, REACHED) != 0
+        row, column = np.nonzero(near & (nodes.status != NodeStatus.MISSING))
         off = _misfits(nodes.at, row, column)
         bad = off > NEAR
         nodes.changed[:] = 0

@@ -82,22 +82,14 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
     ahead = np.searchsorted(along, along + reach)
     below = np.searchsorted(along, along + (strip - reach))
     beyond = np.searchsorted(along, along + (strip + reach))
-    pairs = [
-        _near(z, np.arange(1, len(z) + 1), ahead, reach),
-        _near(z, below, beyond, reach),
-    ]
-    first, second = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    return order, first, second
-
-
-def _near(z: Complex, begin: Index, end: Index, reach: float) -> tuple[Index, Index]:
-    """Pairs within reach of each point and those from its begin to its end."""
+    here = np.arange(len(z))
+    begin, end = np.concatenate([here + 1, below]), np.concatenate([ahead, beyond])
     count = end - begin
-    first = np.repeat(np.arange(len(z)), count)
+    first = np.repeat(np.concatenate([here, here]), count)
     second = np.arange(len(first)) + np.repeat(begin - np.cumsum(count) + count, count)
     step = z[second] - z[first]
     near = np.flatnonzero(step.real**2 + step.imag**2 < reach**2)
-    return first[near], second[near]
+    return order, first[near], second[near]
 
 
 def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
@@ -146,7 +138,7 @@ def _boundary(
     even, odd = ((line * way).real for line in lines.take(corner, axis=1))
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
-    behind = np.where(is_odd, odd, even) < 0
+    behind = (is_odd & (odd < 0)) | (~is_odd & (even < 0))
     return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
@@ -162,11 +154,16 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
     across[other] = half
     onward = (across & ~3) | ((across + 3) & 3)
     twice = onward[onward]
-    cell = (twice[twice] == np.arange(nowhere + 4))[:nowhere]
-    start = np.flatnonzero(cell)
-    a, b, c, d = (z[h >> 2] for h in (start, onward[start], twice[start], onward[twice[start]]))
+    itself = np.arange(nowhere + 4)
+    lowest = (itself < onward) & (itself < twice)  # of its cell, or so: each is looked at once
+    start = np.flatnonzero(lowest & (twice[twice] == itself))
+    steps = np.stack([start, onward[start], twice[start], onward[twice[start]]])
+    a, b, c, d = z[steps >> 2]
     skew, first, second = (v.real**2 + v.imag**2 for v in (a + c - b - d, a - c, b - d))
-    cell[start] = skew < SKEW * (first + second)
+    cell = np.zeros(nowhere, np.bool_)
+    near = skew < SKEW * (first + second)
+    for step in steps:
+        cell[step] = near
     # a later link of the same cost may have taken the place of an earlier one
     held = (across[half] == other) & (across[other] == half)
     count: NDArray[np.int8] = held * (cell[half].view(np.int8) + cell[other].view(np.int8))

@@ -92,7 +92,7 @@ OFFSETS = tuple(ring(radius) for radius in RADII)
 STARTS_OF = np.cumsum([0, *map(len, OFFSETS)])[:-1]  # of each ring among all samples
 RING_OF = np.repeat(np.arange(len(RADII)), list(map(len, OFFSETS)))
 SAMPLES = np.concatenate(OFFSETS)
-ACROSS, DOWN = SAMPLES.real.astype(np.int32), SAMPLES.imag.astype(np.int32)
+ACROSS, DOWN = SAMPLES.real.astype(np.int64), SAMPLES.imag.astype(np.int64)
 AFTER, BEFORE = (
     np.concatenate(
         [
@@ -136,10 +136,9 @@ def edge_lines(
 
 def _samples(image: GreyImage, middle: Points) -> GreyImage:
     """Grey levels around each place, (M, n); beyond the image its border is repeated."""
-    beyond = 2 * RADII[-1]  # what lies farther out sees the border alone, too
     rows, columns = image.shape
-    x = np.clip(middle.real, -beyond, columns + beyond).astype(np.int32)[:, None] + ACROSS
-    y = np.clip(middle.imag, -beyond, rows + beyond).astype(np.int32)[:, None] + DOWN
+    x = middle.real.astype(np.int64)[:, None] + ACROSS
+    y = middle.imag.astype(np.int64)[:, None] + DOWN
     x, y = np.minimum(np.maximum(x, 0), columns - 1), np.minimum(np.maximum(y, 0), rows - 1)
     levels: GreyImage = image[y, x]
     return levels
