@@ -18,6 +18,7 @@ Mask = NDArray[np.bool_]
 REACH = 1.6  # cells: how far a neighbour may be; the cell is that of the sparser parts
 COSINE = 0.75  # least cosine between a boundary and the way to the neighbour
 SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, of the squares of its diagonals
+STRONG = 0.5  # share of the most votes that a join on less certain links must have
 UNITS = np.array([1, 1j, -1, -1j], np.complex64)
 
 
@@ -50,9 +51,10 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     half, other = _links(z, lines.take(order, axis=1), first, second)
     cells = _cells(z, half, other)
     sure = cells == 2
-    trees = _join(_planted(len(z), half[sure], other[sure]), half[sure], other[sure])
+    trees = _planted(len(z), half[sure], other[sure])
+    trees = _join(trees, half[sure], other[sure], 0)
     half, other = half[cells > 0], other[cells > 0]
-    trees = _join(trees, half, other)
+    trees = _join(trees, half, other, STRONG)  # between large trees a false cell is one of few
     return _arranged(z, bend, order, half, other, trees)
 
 
@@ -193,19 +195,22 @@ def _planted(corners: int, half: Index, other: Index) -> _Trees:
     return _hooked(alone, child, half >> 2, -UNITS[(half - other) & 3], UNITS[half & 3])
 
 
-def _join(trees: _Trees, half: Index, other: Index) -> _Trees:
+def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
     """Join trees along links until no link lies between two trees.
 
     In every pass each tree hooks to that tree of a lower root for which most links agree on
-    how the two frames lie to each other. The number of passes grows with the logarithm of the
-    size of the lattice.
+    how the two frames lie to each other; those with less than that share of the most votes
+    wait. The number of passes grows with the logarithm of the size of the lattice.
     """
     while True:
         apart = np.flatnonzero(trees.root[half >> 2] != trees.root[other >> 2])
         if not len(apart):
             return trees
         half, other = half[apart], other[apart]
-        trees = _hooked(trees, *_hooks(trees, half, other))
+        *hooks, votes = _hooks(trees, half, other)
+        strong = votes >= share * votes.max()
+        child, parent, spin, shift = (values[strong] for values in hooks)
+        trees = _hooked(trees, child, parent, spin, shift)
 
 
 def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Complex) -> _Trees:
@@ -231,8 +236,10 @@ def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Co
     )
 
 
-def _hooks(trees: _Trees, half: Index, other: Index) -> tuple[Index, Index, Complex, Complex]:
-    """For each tree that has a neighbour of lower root: itself, that root, its frame there."""
+def _hooks(
+    trees: _Trees, half: Index, other: Index
+) -> tuple[Index, Index, Complex, Complex, Index]:
+    """For each tree with a neighbour of lower root: itself, that root, its frame there, votes."""
     a, b = half >> 2, other >> 2
     spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
     shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
@@ -253,7 +260,7 @@ def _hooks(trees: _Trees, half: Index, other: Index) -> tuple[Index, Index, Comp
     rank = votes * len(start) + np.arange(len(start))[::-1]
     winner = len(start) - 1 - np.maximum.reduceat(rank, first) % len(start)
     best = order[start[winner]]
-    return child[best], parent[best], spin[best], shift[best]
+    return child[best], parent[best], spin[best], shift[best], votes[winner]
 
 
 def _starts(values: Index) -> Index:
