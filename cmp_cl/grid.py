@@ -160,7 +160,7 @@ class _Nodes:
 
 def _check_holds(image: GreyImage, corners: Corners) -> None:
     """Raise ImageError where a corner lies outside the image: it comes from another one."""
-    columns, rows = (int(line.max(initial=-1)) + 1 for line in corners.pixel.T)
+    columns, rows = (corners.pixel.max(axis=0, initial=-1) + 1).tolist()
     if rows > image.shape[0] or columns > image.shape[1]:
         raise ImageError(
             f"the corners reach over {rows} rows and {columns} columns, the image has shape "
@@ -279,9 +279,7 @@ def _nearest_rest(here: Float, rest: Float, which: Mask) -> Index:
     numbers = np.flatnonzero(which)
     if not len(numbers):
         return np.zeros(len(here), np.int64)
-    rest = rest.take(numbers, axis=1)
-    parts = [(here[k : k + 16] @ rest).argmin(1) for k in range(0, len(here), 16)]
-    nearest: Index = numbers[np.concatenate(parts)]
+    nearest: Index = numbers[(here @ rest.take(numbers, axis=1)).argmin(1)]
     return nearest
 
 
@@ -291,8 +289,7 @@ def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
     The turn with the most common vote wins. Among its windows of the right colour, those that
     hold about as much as the fullest compete, and the votes decide.
     """
-    quarters, votes = _voted(nodes, like)
-    turned = nodes.turned(quarters)
+    turned, votes = _voted(nodes, like)
     top, left = divmod(int(votes.argmax()), votes.shape[1])
     if (top, left, turned.parity) == (*like.shape, like.parity) and turned.at.shape == like.shape:
         return turned  # no other window has more votes, and none holds as much
@@ -306,8 +303,8 @@ def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
     return turned.window(top - like.shape[0], left - like.shape[1], like.shape)
 
 
-def _voted(nodes: _Nodes, like: Grid) -> tuple[int, Index]:
-    """The quarter turn with the most common vote, and its votes by window as `_window_weights`.
+def _voted(nodes: _Nodes, like: Grid) -> tuple[_Nodes, Index]:
+    """The turn with the most common vote, and its votes by window as in `_window_weights`.
 
     Some nodes vote for the numbers of the nearest rest node of their checker colour: most of
     a pressed gel stays near its place, whatever the rest does.
@@ -325,18 +322,18 @@ def _voted(nodes: _Nodes, like: Grid) -> tuple[int, Index]:
     nearest = np.stack([_nearest_rest(here, rest, rest_colour == colour) for colour in (0, 1)])
     rows, columns = nodes.at.shape
     row, column = np.divmod(voters, columns)
-    colour = (nodes.parity + row + column) % 2
-    ballots = []
-    for quarters in range(4):
-        chosen = nearest[(colour + quarters) % 2, np.arange(count)]
-        windows = (rows + like.shape[0] + 1, columns + like.shape[1] + 1)
-        top = row - rest_row[chosen] + like.shape[0]
-        left = column - rest_column[chosen] + like.shape[1]
-        votes = np.bincount(top * windows[1] + left, minlength=windows[0] * windows[1])
-        ballots.append((quarters, votes.reshape(windows)))
-        row, column = columns - 1 - column, row
-        rows, columns = columns, rows
-    return max(ballots, key=lambda ballot: int(ballot[1].max()))
+    turns = np.arange(4)[:, None]
+    chosen = nearest[(nodes.parity + row + column + turns) % 2, np.arange(count)]
+    up, back = rows - 1 - row, columns - 1 - column
+    top = np.stack([row, back, up, column]) - rest_row[chosen] + like.shape[0]
+    left = np.stack([column, row, back, up]) - rest_column[chosen] + like.shape[1]
+    most = rows + columns + sum(like.shape) + 1
+    polled, votes = np.unique((turns * most + top) * most + left, return_counts=True)
+    quarters = int(polled[votes.argmax()]) // most**2
+    turned = nodes.turned(quarters)
+    windows = np.add(turned.at.shape, like.shape) + 1
+    ballots = top[quarters] * windows[1] + left[quarters]
+    return turned, np.bincount(ballots, minlength=windows.prod()).reshape(windows)
 
 
 # (weight, {(row, column): factor, ...}) of each prediction of a node from its neighbours

@@ -117,7 +117,7 @@ def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Ind
     """
     step = z[second] - z[first]
     length = np.sqrt(step.real**2 + step.imag**2)
-    step /= np.maximum(length, np.float32(1e-6))
+    step *= 1 / np.maximum(length, np.float32(1e-6))
     k, cos_ahead = _boundary(lines, first, step)
     m, cos_back = _boundary(lines, second, -step)
     fits = (cos_ahead > COSINE) & (cos_back > COSINE) & ((k ^ m) & 1 == 1)
