@@ -2,12 +2,11 @@
 
 import cmath
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import GridError, ImageError
-from cmp_cl.lattice import Lattice, lattice
+from cmp_cl.lattice import Lattice, lattice, starts
 from cmp_cl.results import Corners, GreyImage, Grid, NodeStatus, check_image
 from cmp_cl.second_look import second_look
 
@@ -90,7 +89,7 @@ class _Nodes:
     """A grid in the making.
 
     at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
-    status: (R, C) uint8 of NodeStatus; changed: (R, C) uint8, 1 where a node was put or dropped
+    status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, where a node was put or dropped
     since misfits were looked for; parity: as in Grid; free: (N,) bool, corners that have not
     been in the grid.
     """
@@ -99,14 +98,14 @@ class _Nodes:
         self.at: Points = np.full(shape, NOWHERE)
         self.owner: Index = np.full(shape, -1)
         self.status: NDArray[np.uint8] = np.zeros(shape, np.uint8)
-        self.changed: NDArray[np.uint8] = np.zeros(shape, np.uint8)
+        self.changed: Mask = np.zeros(shape, np.bool_)
         self.parity = parity
         self.free = free
 
     def put(self, row: Index, column: Index, at: Points, status: NodeStatus) -> None:
         self.at[row, column] = at
         self.status[row, column] = status
-        self.changed[row, column] = 1
+        self.changed[row, column] = True
 
     def drop(self, row: Index, column: Index) -> None:
         self.put(row, column, np.full(len(row), NOWHERE), NodeStatus.MISSING)
@@ -160,7 +159,7 @@ class _Nodes:
 
 def _check_holds(image: GreyImage, corners: Corners) -> None:
     """Raise ImageError where a corner lies outside the image: it comes from another one."""
-    columns, rows = (corners.pixel.max(axis=0, initial=-1) + 1).tolist()
+    columns, rows = (int(line.max(initial=-1)) + 1 for line in corners.pixel.T)
     if rows > image.shape[0] or columns > image.shape[1]:
         raise ImageError(
             f"the corners reach over {rows} rows and {columns} columns, the image has shape "
@@ -229,7 +228,7 @@ def _boxed(z: Points, found: Lattice) -> _Nodes:
     seen = nodes.owner >= 0
     nodes.at = np.where(seen, z[nodes.owner], NOWHERE)
     nodes.status[seen] = NodeStatus.DETECTED
-    nodes.changed[:] = 1
+    nodes.changed[:] = True
     return nodes
 
 
@@ -328,8 +327,10 @@ def _voted(nodes: _Nodes, like: Grid) -> tuple[_Nodes, Index]:
     top = np.stack([row, back, up, column]) - rest_row[chosen] + like.shape[0]
     left = np.stack([column, row, back, up]) - rest_column[chosen] + like.shape[1]
     most = rows + columns + sum(like.shape) + 1
-    polled, votes = np.unique((turns * most + top) * most + left, return_counts=True)
-    quarters = int(polled[votes.argmax()]) // most**2
+    polled = np.sort(((turns * most + top) * most + left).ravel())
+    start = starts(polled)
+    winner = start[np.diff(start, append=len(polled)).argmax()]
+    quarters = int(polled[winner]) // most**2
     turned = nodes.turned(quarters)
     windows = np.add(turned.at.shape, like.shape) + 1
     ballots = top[quarters] * windows[1] + left[quarters]
@@ -365,8 +366,9 @@ ALONG = np.array([(r, c) for r in (-1, 0, 1) for c in (-2, -1, 0, 1)])  # where 
 BEGINS = np.concatenate([ALONG, ALONG[:, ::-1]])
 ENDS = BEGINS + np.repeat([[0, 1], [1, 0]], len(ALONG), axis=0)
 TOUCHED = np.kron(np.eye(2), [1, 2, 2, 1] * 3)  # how many of the 3 x 3 nodes a step touches
-REACHED = np.zeros((7, 7), np.uint8)  # whose predictions or cells change with the middle node
-REACHED[1:6, 1:6] = REACHED[3] = REACHED[:, 3] = 1
+REACHED = np.array(  # where predictions or cells change with the node in the middle
+    [(r, c) for r in range(-3, 4) for c in range(-3, 4) if 0 in (r, c) or max(abs(r), abs(c)) < 3]
+)
 
 
 def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
@@ -458,19 +460,32 @@ def _drop_misfits(nodes: _Nodes) -> None:
     Only those are looked at around which something has changed since the last time.
     """
     while nodes.changed.any():
-        near = cv2.dilate(nodes.changed, REACHED) != 0
-        row, column = np.nonzero(near & (nodes.status != NodeStatus.MISSING))
+        row, column = _near_changes(nodes)
         off = _misfits(nodes.at, row, column)
         bad = off > NEAR
-        nodes.changed[:] = 0
+        nodes.changed[:] = False
         if not bad.any():
             return
-        nodes.changed[row[bad], column[bad]] = 1
+        nodes.changed[row[bad], column[bad]] = True
         padded = np.zeros((nodes.at.shape[0] + 2, nodes.at.shape[1] + 2))
         padded[row + 1, column + 1] = off
         around = [padded[row + r, column + c] for r in range(3) for c in range(3)]
         worst = bad & (off >= np.max(around, axis=0))
         nodes.drop(row[worst], column[worst])
+
+
+def _near_changes(nodes: _Nodes) -> tuple[Index, Index]:
+    """Rows and columns of the nodes whose misfit may have changed."""
+    seen = nodes.status != NodeStatus.MISSING
+    rows, columns = seen.shape
+    if not nodes.changed.all():
+        near = np.zeros((rows + 6, columns + 6), np.bool_)
+        row, column = np.nonzero(nodes.changed)
+        reached = REACHED @ [columns + 6, 1]
+        near.ravel()[((row + 3) * (columns + 6) + column + 3)[:, None] + reached] = True
+        seen &= near[3:-3, 3:-3]
+    row, column = np.divmod(np.flatnonzero(seen), columns)
+    return row, column
 
 
 def _misfits(at: Points, row: Index, column: Index) -> Float:

@@ -254,16 +254,16 @@ def _hooks(
     key = key * (2 * reach) + (shift.real.astype(np.int64) + reach)
     key = key * (2 * reach) + (shift.imag.astype(np.int64) + reach)
     order = np.argsort(key)  # equal keys are equal hooks
-    start = _starts(key[order])
+    start = starts(key[order])
     votes = np.diff(start, append=len(key))
-    first = _starts(child[order[start]])
+    first = starts(child[order[start]])
     rank = votes * len(start) + np.arange(len(start))[::-1]
     winner = len(start) - 1 - np.maximum.reduceat(rank, first) % len(start)
     best = order[start[winner]]
     return child[best], parent[best], spin[best], shift[best], votes[winner]
 
 
-def _starts(values: Index) -> Index:
+def starts(values: Index) -> Index:
     """Where each run of equal values starts."""
     new = np.ones(len(values), np.bool_)
     np.not_equal(values[1:], values[:-1], out=new[1:])
