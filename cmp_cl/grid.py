@@ -63,8 +63,8 @@ def build_grid(
             "the corners have no edge angles, which the grid is built from; "
             "detect them with a refinement (EdgeLines, EdgeStep or Midlines)"
         )
-    z = (corners.xy[inside, 0] + 1j * corners.xy[inside, 1]).astype(np.complex64)
-    found = lattice(z, edges)
+    seen = corners.xy.take(inside, axis=0).view(np.complex64)[:, 0]
+    found = lattice(seen, edges)
     if not len(found.size):
         return _empty(len(corners), shape)
     if found.size[0] < SMALL * len(inside):
@@ -72,7 +72,7 @@ def build_grid(
             f"the largest lattice has {found.size[0]} of {len(inside)} corners, "
             f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
         )
-    z = z.astype(np.complex128)
+    z = seen.astype(np.complex128)
     nodes = _boxed(z, found)
     _drop_misfits(nodes)
     _grow(nodes, z, edges)
@@ -269,11 +269,11 @@ def _fullest(nodes: _Nodes, bend: NDArray[np.float32], shape: tuple[int, int]) -
     return turned[best].window(int(row), int(column), shape)
 
 
-def _nearest_rest(here: Float, rest: Float, which: Mask) -> Index:
+def _nearest_rest(here: NDArray[np.float32], rest: NDArray[np.float32], which: Mask) -> Index:
     """The number of the nearest one of those of the rest nodes, 0 if there is none.
 
-    here: (M, 3), x, y, 1. rest: (3, N), -x, -y and half the square of the distance from 0, so
-    that their product grows with the distance between the two.
+    here: (M, 3), x, y, 1. rest: (3, N), -x, -y and half the square of the distance from the
+    origin, so that their product grows with the distance between the two.
     """
     numbers = np.flatnonzero(which)
     if not len(numbers):
@@ -311,13 +311,15 @@ def _voted(nodes: _Nodes, like: Grid) -> tuple[_Nodes, Index]:
     places = np.flatnonzero(like.valid)
     rest_row, rest_column = np.divmod(places, like.shape[1])
     rest_colour = (like.parity + rest_row + rest_column) % 2
-    x, y = like.xy.reshape(-1, 2).take(places, axis=0).T.astype(np.float64)
+    x, y = like.xy.reshape(-1, 2).take(places, axis=0).T
+    middle = complex(x.mean(), y.mean())
+    x, y = x - middle.real, y - middle.imag
     rest = np.stack([-x, -y, (x * x + y * y) / 2])
     voters = np.flatnonzero(nodes.owner >= 0)
     count = min(VOTERS, len(voters))
     voters = voters[np.arange(count) * (len(voters) - 1) // max(count - 1, 1)]
-    at = nodes.at.ravel()[voters]
-    here = np.stack([at.real, at.imag, np.ones(count)], axis=1)
+    at = nodes.at.ravel()[voters] - middle
+    here = np.stack([at.real, at.imag, np.ones(count)], axis=1).astype(np.float32)
     nearest = np.stack([_nearest_rest(here, rest, rest_colour == colour) for colour in (0, 1)])
     rows, columns = nodes.at.shape
     row, column = np.divmod(voters, columns)
@@ -480,7 +482,7 @@ def _near_changes(nodes: _Nodes) -> tuple[Index, Index]:
     rows, columns = seen.shape
     if not nodes.changed.all():
         near = np.zeros((rows + 6, columns + 6), np.bool_)
-        row, column = np.nonzero(nodes.changed)
+        row, column = np.divmod(np.flatnonzero(nodes.changed), columns)
         reached = REACHED @ [columns + 6, 1]
         near.ravel()[((row + 3) * (columns + 6) + column + 3)[:, None] + reached] = True
         seen &= near[3:-3, 3:-3]
@@ -509,7 +511,8 @@ def _expected(nodes: _Nodes, least: float) -> tuple[Index, Index, Points, Float,
     Returns rows, columns, predictions, their weights, cells, and the direction in which the
     boundaries e0 and e2 should lie.
     """
-    row, column = np.nonzero(nodes.status == NodeStatus.MISSING)
+    missing = np.flatnonzero(nodes.status == NodeStatus.MISSING)
+    row, column = np.divmod(missing, nodes.at.shape[1])
     if not len(row):
         return row, column, nodes.at[:0, 0], np.zeros(0), np.zeros(0), nodes.at[:0, 0]
     at, weight = predict(nodes.at, row, column)
@@ -598,7 +601,7 @@ def _interpolate(nodes: _Nodes) -> None:
     nodes.put(row[kept], column[kept], at[kept], NodeStatus.INTERPOLATED)
 
 
-def _refuse_rival(found: Lattice, nodes: _Nodes, z: NDArray[np.complex64]) -> None:
+def _refuse_rival(found: Lattice, nodes: _Nodes, z: Points) -> None:
     """Raise GridError where another component is comparable and was not joined."""
     if len(found.size) < 2 or found.size[1] < RIVAL * found.size[0]:
         return

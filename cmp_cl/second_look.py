@@ -174,7 +174,7 @@ def _edge_points(
     after_k = AFTER[k]
     d, d_after = samples[row, k] - threshold[row], samples[row, after_k] - threshold[row]
     level = d == d_after
-    part = np.clip(d / np.where(level, 1, d - d_after), 0, 1)
+    part = np.minimum(np.maximum(d / np.where(level, 1, d - d_after), 0), 1)
     part[level] = 0.5
     point = (SAMPLES[k] + part * (SAMPLES[after_k] - SAMPLES[k])).reshape(-1, 4)
     to_white = black[row, k].reshape(-1, 4)[:, 0]

@@ -1,5 +1,6 @@
 """Corners to rows and columns."""
 
+import copy
 import dataclasses
 import json
 import time
@@ -13,10 +14,10 @@ from lattices import board, joined
 from cmp_cl import reference, synthetic
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import GridError, ImageError
-from cmp_cl.grid import build_grid, predict, predict_within
+from cmp_cl.grid import _drop_misfits, _Nodes, build_grid, mean_steps, predict, predict_within
 from cmp_cl.lattice import lattice
 from cmp_cl.results import Grid, NodeStatus
-from cmp_cl.second_look import ring, second_look
+from cmp_cl.second_look import RINGS, _look, edge_lines, ring, second_look
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
@@ -305,6 +306,20 @@ def test_a_prediction_is_exact_on_a_cubic():
     assert weight[0] == pytest.approx(17.4)
 
 
+def test_a_mean_step_takes_in_the_steps_of_the_nodes_around():
+    column, row = np.meshgrid(np.arange(7.0), np.arange(6.0))
+    at = (column**2 + 20 * column) + 1j * (row**2 + 30 * row)
+    along, down, cell = mean_steps(at, np.array([2, 0]), np.array([3, 0]))
+    np.testing.assert_allclose(along, [26, 20 + (2 * 1 + 1 * 3) / 3])
+    np.testing.assert_allclose(down, [34j, (30 + (2 * 1 + 1 * 3) / 3) * 1j])
+    np.testing.assert_allclose(cell, (np.abs(along) + np.abs(down)) / 2)
+    at[:] = complex(np.nan, np.nan)
+    at[2, 3:5] = 1, 21
+    along, down, cell = mean_steps(at, np.array([2, 5]), np.array([3, 0]))
+    assert (along[0], cell[0]) == (20, 20)
+    assert np.isnan([down[0], along[1], cell[1]]).all()
+
+
 def test_all_nodes_at_once_are_predicted_as_one_by_one_where_all_around_are_known():
     at = board(12, 9).truth
     at[2, 7] = complex(np.nan, np.nan)
@@ -315,6 +330,28 @@ def test_all_nodes_at_once_are_predicted_as_one_by_one_where_all_around_are_know
     assert 0 < whole.sum() < len(whole)
     np.testing.assert_array_equal(~np.isnan(at_once), whole)
     np.testing.assert_allclose(at_once[whole], one_by_one[whole], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_misfits_are_found_around_changes_alone(seed):
+    draw = np.random.default_rng(seed)
+    at = board(30, 26).truth
+    everywhere = _Nodes(at.shape, 0, np.zeros(0, np.bool_))
+    row, column = (index.ravel() for index in np.indices(at.shape))
+    everywhere.put(row, column, at.ravel(), NodeStatus.DETECTED)
+    _drop_misfits(everywhere)
+    assert (everywhere.status == NodeStatus.DETECTED).all()
+    assert not everywhere.changed.any()
+    around = copy.deepcopy(everywhere)
+    row, column = draw.integers(0, 26, (2, 12))
+    strayed = at[row, column] + 7 * np.exp(1j * draw.uniform(-np.pi, np.pi, 12))
+    for nodes in (everywhere, around):
+        nodes.put(row, column, strayed, NodeStatus.SECOND_LOOK)
+    everywhere.changed[:] = True
+    _drop_misfits(everywhere)
+    _drop_misfits(around)
+    assert 8 < (everywhere.status == NodeStatus.MISSING).sum() < 20
+    np.testing.assert_array_equal(around.status, everywhere.status)
 
 
 def test_the_same_corners_give_the_same_bytes():
@@ -378,6 +415,23 @@ def test_a_second_look_finds_the_corner_and_refuses_the_other_colour(dtype):
     assert not (np.abs(astray - aside) > 0.25 * cell).any()
     blank = np.full_like(image, 90)
     assert np.isnan(second_look(blank, at, cell, line).real).all()
+
+
+def test_looks_go_on_from_pixel_to_pixel():
+    scene = synthetic.Scene(markers=20, severity=1.0, corrosion=2.0, seed=3)
+    rendered = synthetic.render(scene)
+    at = (rendered.truth @ [1, 1j]).ravel() + 1.6 - 1.2j
+    cell, line = np.full(len(at), rendered.cell), np.full(len(at), np.exp(0.25j * np.pi))
+    rings = RINGS[:1].repeat(len(at), 0)
+    before = here = at
+    for _ in range(3):
+        before = here
+        here, along, sine = edge_lines(rendered.image, before, rings)
+    good = (np.abs(here - at) < 0.25 * cell) & (np.abs(here - before) < 0.5)
+    good &= (np.abs(sine) > 0.3) & (np.abs((along * line.conj()).real) > 0.7)
+    found = _look(rendered.image, at, at, rings, cell, line)
+    assert 20 < good.sum() < len(at)
+    np.testing.assert_array_equal(found, np.where(good, here, np.nan * (1 + 1j)))
 
 
 @pytest.mark.parametrize("markers", [20, 40])
