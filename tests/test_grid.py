@@ -12,6 +12,7 @@ import pytest
 from lattices import board, joined
 
 from cmp_cl import reference, synthetic
+from cmp_cl.commands.common import turned
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import _drop_misfits, _Nodes, build_grid, mean_steps, predict, predict_within
@@ -118,6 +119,19 @@ def test_part_of_a_pressed_pattern_is_numbered_as_at_rest(seed):
     assert (grid.status[: 3 + seed] == NodeStatus.MISSING).all()
     assert np.isnan(grid.xy[: 3 + seed]).all()
     assert grid.parity == rest.parity
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_part_of_a_pattern_is_numbered_as_at_rest_whatever_way_that_is(quarters):
+    corners, index, _ = board(24, 20, pull=0, twist=0)
+    rest = turned(build_grid(corners), quarters)
+    numbers = np.empty((24, 20, 2), int)
+    numbers[tuple(index.T)] = rest.index
+    now, index, _ = board(24, 20, pull=1.0, seed=1)
+    for seen in (index.min(1) > 2, (index[:, 0] < 21) & (index[:, 1] < 17), index[:, 1] > 5):
+        grid = build_grid(keep(now, seen), like=rest)
+        assert grid.shape == rest.shape
+        np.testing.assert_array_equal(grid.index, numbers[tuple(index[seen].T)])
 
 
 def test_a_whole_pattern_that_moved_by_cells_keeps_its_numbers():
@@ -332,14 +346,20 @@ def test_all_nodes_at_once_are_predicted_as_one_by_one_where_all_around_are_know
     np.testing.assert_allclose(at_once[whole], one_by_one[whole], rtol=0, atol=1e-10)
 
 
+def pattern(at):
+    """These nodes, without misfits."""
+    nodes = _Nodes(at.shape, 0, np.zeros(0, np.bool_))
+    row, column = np.nonzero(~np.isnan(at.real))
+    nodes.put(row, column, at[row, column], NodeStatus.DETECTED)
+    _drop_misfits(nodes)
+    return nodes
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_misfits_are_found_around_changes_alone(seed):
     draw = np.random.default_rng(seed)
     at = board(30, 26).truth
-    everywhere = _Nodes(at.shape, 0, np.zeros(0, np.bool_))
-    row, column = (index.ravel() for index in np.indices(at.shape))
-    everywhere.put(row, column, at.ravel(), NodeStatus.DETECTED)
-    _drop_misfits(everywhere)
+    everywhere = pattern(at)
     assert (everywhere.status == NodeStatus.DETECTED).all()
     assert not everywhere.changed.any()
     around = copy.deepcopy(everywhere)
@@ -352,6 +372,34 @@ def test_misfits_are_found_around_changes_alone(seed):
     _drop_misfits(around)
     assert 8 < (everywhere.status == NodeStatus.MISSING).sum() < 20
     np.testing.assert_array_equal(around.status, everywhere.status)
+
+
+def test_a_node_is_looked_at_again_when_its_neighbours_come():
+    whole = board(20, 20, jitter=0.0).truth
+    whole[9, 10] += 6j
+    alone = whole.copy()
+    alone[6:13, 7:14] = np.nan
+    alone[9, 10] = whole[9, 10]
+    nodes = pattern(alone)
+    assert nodes.status[9, 10] == NodeStatus.DETECTED
+    row, column = np.nonzero(nodes.status == NodeStatus.MISSING)
+    nodes.put(row, column, whole[row, column], NodeStatus.SECOND_LOOK)
+    _drop_misfits(nodes)
+    np.testing.assert_array_equal(np.argwhere(nodes.status == NodeStatus.MISSING), [[9, 10]])
+
+
+@pytest.mark.parametrize(("seed", "strayed"), [(0, 4), (20, 5), (69, 4), (204, 6), (209, 8)])
+def test_no_misfit_is_left_where_many_stray(seed, strayed):
+    draw = np.random.default_rng(seed)
+    at = board(24, 24, pull=0, twist=0, jitter=0.0).truth
+    astray = draw.uniform(-strayed, strayed, (2, 12, 12))
+    at[6:18, 6:18] += astray[0] + 1j * astray[1]
+    nodes = pattern(at)
+    left = nodes.status.copy()
+    nodes.changed[:] = True
+    _drop_misfits(nodes)
+    np.testing.assert_array_equal(nodes.status, left)
+    assert (left == NodeStatus.MISSING).sum() > 8
 
 
 def test_the_same_corners_give_the_same_bytes():
