@@ -18,7 +18,7 @@ Mask = NDArray[np.bool_]
 REACH = 1.6  # cells: how far a neighbour may be; the cell is that of the sparser parts
 COSINE = 0.75  # least cosine between a boundary and the way to the neighbour
 SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, of the squares of its diagonals
-STRONG = 0.5  # share of the most votes that a join on less certain links must have
+STRONG = 0.5  # share of the most votes that a join on less certain links needs
 UNITS = np.array([1, 1j, -1, -1j], np.complex64)
 
 
@@ -54,7 +54,7 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     trees = _planted(len(z), half[sure], other[sure])
     trees = _join(trees, half[sure], other[sure], 0)
     half, other = half[cells > 0], other[cells > 0]
-    trees = _join(trees, half, other, STRONG)  # between large trees a false cell is one of few
+    trees = _join(trees, half, other, STRONG)
     return _arranged(z, bend, order, half, other, trees)
 
 
@@ -157,7 +157,7 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
     onward = (across & ~3) | ((across + 3) & 3)
     twice = onward[onward]
     itself = np.arange(nowhere + 4)
-    lowest = (itself < onward) & (itself < twice)  # of its cell, or so: each is looked at once
+    lowest = (itself < onward) & (itself < twice)  # seldom more than one of a cell
     start = np.flatnonzero(lowest & (twice[twice] == itself))
     steps = np.stack([start, onward[start], twice[start], onward[twice[start]]])
     a, b, c, d = z[steps >> 2]
