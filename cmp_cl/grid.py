@@ -22,6 +22,7 @@ NEAR = 0.3  # cells: how far from its prediction a node may be
 WHOLE = 1024  # weight of a corner with straight boundaries
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
 VOTERS = 96  # nodes that are looked up in the rest grid
+HALFWAY = 0.7  # cells: half of the way to the next node of a colour
 FEW = 400  # nodes that are quicker predicted one by one
 
 
@@ -77,7 +78,7 @@ def build_grid(
     _drop_misfits(nodes)
     _grow(nodes, z, edges)
     if like is not None:
-        nodes = _like_rest(nodes, found.bend, like)
+        nodes = _like_rest(nodes, found, like)
     elif shape is not None:
         nodes = _fullest(nodes, found.bend, shape)
     _fill(nodes, z, edges, image, BRACKETED if shape is None else WEAK)
@@ -282,17 +283,19 @@ def _nearest_rest(here: NDArray[np.float32], rest: NDArray[np.float32], which: M
     return nearest
 
 
-def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
+def _like_rest(nodes: _Nodes, found: Lattice, like: Grid) -> _Nodes:
     """The turn and the window that agree with the rest grid.
 
     The turn with the most common vote wins. Among its windows of the right colour, those that
-    hold about as much as the fullest compete, and the votes decide.
+    hold about as much as the fullest compete, and the votes decide. Where most nodes are near
+    their places at rest there is nothing to vote on.
     """
+    if nodes.at.shape == like.shape and nodes.parity == like.parity:
+        away = np.abs(nodes.at - (like.xy[..., 0] + 1j * like.xy[..., 1]))
+        if 2 * np.count_nonzero(away < HALFWAY * abs(found.axis)) > away.size:
+            return nodes
     turned, votes = _voted(nodes, like)
-    top, left = divmod(int(votes.argmax()), votes.shape[1])
-    if (top, left, turned.parity) == (*like.shape, like.parity) and turned.at.shape == like.shape:
-        return turned  # no other window has more votes, and none holds as much
-    weights = _window_weights(turned, bend, like.shape)
+    weights = _window_weights(turned, found.bend, like.shape)
     odd = turned.parity + like.parity + sum(like.shape)
     rows, columns = (np.arange(size) % 2 for size in weights.shape)
     weights *= np.equal.outer((rows + odd) % 2, columns)

@@ -128,7 +128,8 @@ def test_part_of_a_pattern_is_numbered_as_at_rest_whatever_way_that_is(quarters)
     numbers = np.empty((24, 20, 2), int)
     numbers[tuple(index.T)] = rest.index
     now, index, _ = board(24, 20, pull=1.0, seed=1)
-    for seen in (index.min(1) > 2, (index[:, 0] < 21) & (index[:, 1] < 17), index[:, 1] > 5):
+    lower, upper = index.min(1) > 2, (index[:, 0] < 21) & (index[:, 1] < 17)
+    for seen in (index[:, 0] >= 0, lower, upper, index[:, 1] > 5):
         grid = build_grid(keep(now, seen), like=rest)
         assert grid.shape == rest.shape
         np.testing.assert_array_equal(grid.index, numbers[tuple(index[seen].T)])
@@ -154,6 +155,16 @@ def test_the_checker_colour_decides_where_a_view_is_shifted_by_most_of_a_cell():
     seen = (index[:, 1] > 0) & (index[:, 1] < 9)
     grid = build_grid(keep(corners, seen), like=rest)
     np.testing.assert_array_equal(grid.index, index[seen])
+
+
+def test_the_checker_colour_decides_where_all_but_one_column_seem_in_place():
+    corners, index, _ = board(12, 13, pull=0, twist=0, turn=0)
+    rest = build_grid(keep(corners, index[:, 1] < 12))
+    corners, index, _ = board(12, 13, pull=0, twist=0, turn=0, origin=60 + 50j - 0.6 * 13, seed=1)
+    seen = index[:, 1] > 0
+    grid = build_grid(keep(corners, seen), like=rest)
+    expected = np.where(index[:, 1:] < 12, index, -1)[seen]
+    np.testing.assert_array_equal(grid.index, expected)
 
 
 def test_junctions_with_the_surroundings_do_not_shift_the_window():
