@@ -4,7 +4,8 @@
 
 Rows are matched by what they say about themselves. Worse means: more time than `--slower`
 allows (of the ratio to the median of the peers in the same run, where there are peers, since
-machines differ), or any more missed, false or failed, or an error larger by over 5 %.
+machines differ), or any more missed, false, wrongly numbered or failed, or an error larger by
+over 5 %, or positions on two implementations that are no longer alike.
 The exit status is 1 where something got worse.
 """
 
@@ -15,8 +16,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-_COUNTS = ("missed", "false")
+_COUNTS = ("missed", "false", "wrong")
 _ERRORS = ("rmse", "p95")
+_UNSEEN = 1e-4  # px: positions that differ by less are alike
 
 
 def rows_of(result: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -44,9 +46,18 @@ def rows_of(result: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
             errors = {"rmse": row["moved_rms_um"], "p95": row["moved_p95_um"]}
             name = f"severity {row['severity']}: {row['config']}"
             yield name, {"frames": row["frames"], "success": right, **errors}
+        for row in result["numbering"]:
+            name = f"numbering, {row['form']}=, {row['stream']} frames"
+            yield name, {"frames": row["frames"], "wrong": row["wrong_index"], "ms": row["ms"]}
     elif result["kind"] == "scaling":
         for row in result["sizes"]:
             yield f"{row['shape'][1]} x {row['shape'][0]}", row
+    elif result["kind"] == "implementations":
+        scenes = result["scenes"]
+        for row in result["rows"]:
+            yield f"{row['name']}: digests", {"frames": scenes, "success": row["same"]}
+        for row in result["pairs"]:
+            yield f"{row['one']} and {row['other']}: positions", {"distance": row["px"]}
     else:
         raise SystemExit(f"nothing is known about results of kind {result['kind']!r}")
 
@@ -63,6 +74,12 @@ def worse(old: dict[str, Any], new: dict[str, Any], slower: float) -> list[str]:
         before, after = old.get(key), new.get(key)
         if before is not None and (after is None or after > 1.05 * before):
             found.append(f"{key} {before:.4f} -> {after if after is None else round(after, 4)}")
+    if "distance" in old:
+        before, after = old["distance"], new["distance"]  # None: not the same corners
+        if before is not None and (after is None or after > max(before, _UNSEEN)):
+            found.append(
+                f"distance {before:.1e} -> {after if after is None else f'{after:.1e}'} px"
+            )
     if old.get("ms") is not None and new["ms"] > slower * old["ms"]:
         found.append(f"{new['ms'] / old['ms']:.2f} times the time")
     return found

@@ -1,13 +1,12 @@
 """Corners to rows and columns: numbering, orientation, holes, second look."""
 
 import cmath
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import GridError, ImageError
-from cmp_cl.lattice import Lattice, lattice
+from cmp_cl.lattice import Lattice, lattice, starts
 from cmp_cl.results import Corners, GreyImage, Grid, NodeStatus, check_image
 from cmp_cl.second_look import second_look
 
@@ -23,6 +22,8 @@ NEAR = 0.3  # cells: how far from its prediction a node may be
 WHOLE = 1024  # weight of a corner with straight boundaries
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
 VOTERS = 96  # nodes that are looked up in the rest grid
+HALFWAY = 0.7  # cells: half of the way to the next node of a colour
+FEW = 400  # nodes that are quicker predicted one by one
 
 
 def build_grid(
@@ -63,8 +64,8 @@ def build_grid(
             "the corners have no edge angles, which the grid is built from; "
             "detect them with a refinement (EdgeLines, EdgeStep or Midlines)"
         )
-    z = (corners.xy[inside, 0] + 1j * corners.xy[inside, 1]).astype(np.complex64)
-    found = lattice(z, edges)
+    seen = corners.xy.take(inside, axis=0).view(np.complex64)[:, 0]
+    found = lattice(seen, edges)
     if not len(found.size):
         return _empty(len(corners), shape)
     if found.size[0] < SMALL * len(inside):
@@ -72,12 +73,12 @@ def build_grid(
             f"the largest lattice has {found.size[0]} of {len(inside)} corners, "
             f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
         )
+    z = seen.astype(np.complex128)
     nodes = _boxed(z, found)
-    z = z.astype(np.complex128)
     _drop_misfits(nodes)
     _grow(nodes, z, edges)
     if like is not None:
-        nodes = _like_rest(nodes, found.bend, like)
+        nodes = _like_rest(nodes, found, like)
     elif shape is not None:
         nodes = _fullest(nodes, found.bend, shape)
     _fill(nodes, z, edges, image, BRACKETED if shape is None else WEAK)
@@ -89,20 +90,23 @@ class _Nodes:
     """A grid in the making.
 
     at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
-    status: (R, C) uint8 of NodeStatus; parity: as in Grid; free: (N,) bool, corners that have
-    not been in the grid.
+    status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, where a node was put or dropped
+    since misfits were looked for; parity: as in Grid; free: (N,) bool, corners that have not
+    been in the grid.
     """
 
     def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
         self.at: Points = np.full(shape, NOWHERE)
         self.owner: Index = np.full(shape, -1)
         self.status: NDArray[np.uint8] = np.zeros(shape, np.uint8)
+        self.changed: Mask = np.zeros(shape, np.bool_)
         self.parity = parity
         self.free = free
 
     def put(self, row: Index, column: Index, at: Points, status: NodeStatus) -> None:
         self.at[row, column] = at
         self.status[row, column] = status
+        self.changed[row, column] = True
 
     def drop(self, row: Index, column: Index) -> None:
         self.put(row, column, np.full(len(row), NOWHERE), NodeStatus.MISSING)
@@ -113,6 +117,7 @@ class _Nodes:
         self.at = np.pad(self.at, 1, constant_values=NOWHERE)
         self.owner = np.pad(self.owner, 1, constant_values=-1)
         self.status = np.pad(self.status, 1)
+        self.changed = np.pad(self.changed, 1)
 
     def crop(self) -> None:
         """Without the empty rows and columns around."""
@@ -120,19 +125,24 @@ class _Nodes:
         rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
         box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         self.at, self.owner = self.at[box], self.owner[box]
-        self.status = self.status[box]
+        self.status, self.changed = self.status[box], self.changed[box]
         self.parity = (self.parity + int(rows[0]) + int(columns[0])) % 2
 
     def turned(self, quarters: int) -> "_Nodes":
         """The same nodes with the numbers turned: row 0 is the last column, and so on."""
+        if not quarters:
+            return self
         first = (0, self.at.shape[1], sum(self.at.shape), self.at.shape[0])[quarters]
         turned = _Nodes(self.at.shape, (self.parity + first) % 2, self.free)
         turned.at, turned.owner = np.rot90(self.at, quarters), np.rot90(self.owner, quarters)
         turned.status = np.rot90(self.status, quarters)
+        turned.changed = np.rot90(self.changed, quarters)
         return turned
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "_Nodes":
         """The nodes from that row and column on."""
+        if (top, left, *shape) == (0, 0, *self.at.shape):
+            return self
         cut = _Nodes(shape, (self.parity + top + left) % 2, self.free)
         rows, columns = self.at.shape
         here = np.s_[
@@ -201,7 +211,7 @@ def _empty(corners: int, shape: tuple[int, int] | None) -> Grid:
     )
 
 
-def _boxed(z: NDArray[np.complex64], found: Lattice) -> _Nodes:
+def _boxed(z: Points, found: Lattice) -> _Nodes:
     """The largest component in the box that holds it, rows down and columns right."""
     member = np.flatnonzero(found.component == 0)
     member = member[np.argsort(found.support[member], kind="stable")]
@@ -216,8 +226,10 @@ def _boxed(z: NDArray[np.complex64], found: Lattice) -> _Nodes:
     parity = int(2 * np.count_nonzero(odd) > len(odd))
     nodes = _Nodes((int(row.max()) + 1, int(column.max()) + 1), parity, free)
     nodes.owner[row, column] = member  # the best supported is last and stays
-    row, column = np.nonzero(nodes.owner >= 0)
-    nodes.put(row, column, z[nodes.owner[row, column]].astype(np.complex128), NodeStatus.DETECTED)
+    seen = nodes.owner >= 0
+    nodes.at = np.where(seen, z[nodes.owner], NOWHERE)
+    nodes.status[seen] = NodeStatus.DETECTED
+    nodes.changed[:] = True
     return nodes
 
 
@@ -258,60 +270,76 @@ def _fullest(nodes: _Nodes, bend: NDArray[np.float32], shape: tuple[int, int]) -
     return turned[best].window(int(row), int(column), shape)
 
 
-def _nearest_rest(at: Points, rest: Float, which: Mask) -> Index:
-    """The number of the nearest one of those of the rest nodes (M, 2), 0 if there is none."""
+def _nearest_rest(here: NDArray[np.float32], rest: NDArray[np.float32], which: Mask) -> Index:
+    """The number of the nearest one of those of the rest nodes, 0 if there is none.
+
+    here: (M, 3), x, y, 1. rest: (3, N), -x, -y and half the square of the distance from the
+    origin, so that their product grows with the distance between the two.
+    """
     numbers = np.flatnonzero(which)
     if not len(numbers):
-        return np.zeros(len(at), np.int64)
-    x, y = rest.take(numbers, axis=0).T
-    nodes = np.stack([-x, -y, (x * x + y * y) / 2])
-    here = np.stack([at.real, at.imag, np.ones(len(at))], axis=1)
-    parts = [(here[k : k + 16] @ nodes).argmin(1) for k in range(0, len(here), 16)]
-    nearest: Index = numbers[np.concatenate(parts)]
+        return np.zeros(len(here), np.int64)
+    nearest: Index = numbers[(here @ rest.take(numbers, axis=1)).argmin(1)]
     return nearest
 
 
-def _like_rest(nodes: _Nodes, bend: NDArray[np.float32], like: Grid) -> _Nodes:
+def _like_rest(nodes: _Nodes, found: Lattice, like: Grid) -> _Nodes:
     """The turn and the window that agree with the rest grid.
 
+    The turn with the most common vote wins. Among its windows of the right colour, those that
+    hold about as much as the fullest compete, and the votes decide. Where most nodes are near
+    their places at rest there is nothing to vote on.
+    """
+    if nodes.at.shape == like.shape and nodes.parity == like.parity:
+        away = np.abs(nodes.at - (like.xy[..., 0] + 1j * like.xy[..., 1]))
+        if 2 * np.count_nonzero(away < HALFWAY * abs(found.axis)) > away.size:
+            return nodes
+    turned, votes = _voted(nodes, like)
+    weights = _window_weights(turned, found.bend, like.shape)
+    odd = turned.parity + like.parity + sum(like.shape)
+    rows, columns = (np.arange(size) % 2 for size in weights.shape)
+    weights *= np.equal.outer((rows + odd) % 2, columns)
+    rivals = np.flatnonzero(weights >= weights.max() - WHOLE * min(like.shape) / 2)
+    choice = votes.ravel()[rivals] * (WHOLE * turned.at.size + 1) + weights.ravel()[rivals]
+    top, left = divmod(int(rivals[choice.argmax()]), weights.shape[1])
+    return turned.window(top - like.shape[0], left - like.shape[1], like.shape)
+
+
+def _voted(nodes: _Nodes, like: Grid) -> tuple[_Nodes, Index]:
+    """The turn with the most common vote, and its votes by window as in `_window_weights`.
+
     Some nodes vote for the numbers of the nearest rest node of their checker colour: most of
-    a pressed gel stays near its place, whatever the rest does. The turn with the most common
-    vote wins. Among its windows of the right colour, those that hold about as much as the
-    fullest compete, and the votes decide.
+    a pressed gel stays near its place, whatever the rest does.
     """
     places = np.flatnonzero(like.valid)
-    rest = like.xy.reshape(-1, 2).take(places, axis=0).astype(np.float64)
     rest_row, rest_column = np.divmod(places, like.shape[1])
     rest_colour = (like.parity + rest_row + rest_column) % 2
+    x, y = like.xy.reshape(-1, 2).take(places, axis=0).T
+    middle = complex(x.mean(), y.mean())
+    x, y = x - middle.real, y - middle.imag
+    rest = np.stack([-x, -y, (x * x + y * y) / 2])
     voters = np.flatnonzero(nodes.owner >= 0)
     count = min(VOTERS, len(voters))
     voters = voters[np.arange(count) * (len(voters) - 1) // max(count - 1, 1)]
-    here = nodes.at.ravel()[voters]
+    at = nodes.at.ravel()[voters] - middle
+    here = np.stack([at.real, at.imag, np.ones(count)], axis=1).astype(np.float32)
     nearest = np.stack([_nearest_rest(here, rest, rest_colour == colour) for colour in (0, 1)])
     rows, columns = nodes.at.shape
     row, column = np.divmod(voters, columns)
-    colour = (nodes.parity + row + column) % 2
-    ballots = []
-    for quarters in range(4):
-        chosen = nearest[(colour + quarters) % 2, np.arange(len(voters))]
-        windows = (rows + like.shape[0] + 1, columns + like.shape[1] + 1)
-        top = row - rest_row[chosen] + like.shape[0]
-        left = column - rest_column[chosen] + like.shape[1]
-        votes = np.bincount(top * windows[1] + left, minlength=windows[0] * windows[1])
-        ballots.append((quarters, votes.reshape(windows)))
-        row, column = columns - 1 - column, row
-        rows, columns = columns, rows
-    quarters, votes = max(ballots, key=lambda ballot: int(ballot[1].max()))
+    turns = np.arange(4)[:, None]
+    chosen = nearest[(nodes.parity + row + column + turns) % 2, np.arange(count)]
+    up, back = rows - 1 - row, columns - 1 - column
+    top = np.stack([row, back, up, column]) - rest_row[chosen] + like.shape[0]
+    left = np.stack([column, row, back, up]) - rest_column[chosen] + like.shape[1]
+    most = rows + columns + sum(like.shape) + 1
+    polled = np.sort(((turns * most + top) * most + left).ravel())
+    start = starts(polled)
+    winner = start[np.diff(start, append=len(polled)).argmax()]
+    quarters = int(polled[winner]) // most**2
     turned = nodes.turned(quarters)
-    weights = _window_weights(turned, bend, like.shape)
-    first = np.add.outer(np.arange(votes.shape[0]), np.arange(votes.shape[1])) + sum(like.shape)
-    weights = np.where((turned.parity + first) % 2 == like.parity, weights, 0)
-    rival = weights >= weights.max() - WHOLE * min(like.shape) / 2
-    choice = np.where(rival, votes * (WHOLE * turned.at.size + 1) + weights, -1)
-    first_row, first_column = np.unravel_index(int(choice.argmax()), choice.shape)
-    return turned.window(
-        int(first_row) - like.shape[0], int(first_column) - like.shape[1], like.shape
-    )
+    windows = np.add(turned.at.shape, like.shape) + 1
+    ballots = top[quarters] * windows[1] + left[quarters]
+    return turned, np.bincount(ballots, minlength=windows.prod()).reshape(windows)
 
 
 # (weight, {(row, column): factor, ...}) of each prediction of a node from its neighbours
@@ -333,6 +361,19 @@ PREDICTORS = _predictors()
 STEPS = np.array(sorted({step for _, factors in PREDICTORS for step in factors}))
 WEIGHTS = np.array([weight for weight, _ in PREDICTORS])
 FACTORS = np.array([[factors.get((r, c), 0) for r, c in STEPS] for _, factors in PREDICTORS])
+USES = (FACTORS != 0).astype(np.float64)
+WEIGHTED = WEIGHTS[:, None] * FACTORS
+ALIKE = [  # the factor of equally distant nodes in the mean of all predictors, and these
+    (float(WEIGHTED[:, alike].sum(0)[0] / WEIGHTS.sum()), STEPS[alike])
+    for alike in ((STEPS**2).sum(1) == away for away in (1, 2, 4, 9))
+]
+ALONG = np.array([(r, c) for r in (-1, 0, 1) for c in (-2, -1, 0, 1)])  # where steps begin
+BEGINS = np.concatenate([ALONG, ALONG[:, ::-1]])
+ENDS = BEGINS + np.repeat([[0, 1], [1, 0]], len(ALONG), axis=0)
+TOUCHED = np.kron(np.eye(2), [1, 2, 2, 1] * 3)  # how many of the 3 x 3 nodes a step touches
+REACHED = np.array(  # where predictions or cells change with the node in the middle
+    [(r, c) for r in range(-3, 4) for c in range(-3, 4) if 0 in (r, c) or max(abs(r), abs(c)) < 3]
+)
 
 
 def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
@@ -346,9 +387,9 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
     near = padded.ravel()[(row + 3) * width + column + 3 + (STEPS @ [width, 1])[:, None]]
     unknown = np.isnan(near.real)
     near[unknown] = 0
-    known = (FACTORS != 0).astype(np.float64) @ unknown == 0
+    known = USES @ unknown == 0
     weight: Float = WEIGHTS @ known
-    factors = (WEIGHTS[:, None] * FACTORS).T @ known
+    factors = WEIGHTED.T @ known
     with np.errstate(invalid="ignore"):
         return (factors * near).sum(0) / weight, weight
 
@@ -358,8 +399,9 @@ def predict_within(at: Points) -> Points:
     padded = _bordered(at)
     rows, columns = at.shape
     total = np.zeros((rows, columns), np.complex128)
-    for (r, c), factor in zip(STEPS + 3, WEIGHTS @ FACTORS / WEIGHTS.sum(), strict=True):
-        total += factor * padded[r : r + rows, c : c + columns]
+    for factor, steps in ALIKE:
+        first, *others = (padded[r : r + rows, c : c + columns] for r, c in steps + 3)
+        total += factor * sum(others, first)
     return total
 
 
@@ -371,36 +413,23 @@ def _bordered(at: Points) -> Points:
     return padded
 
 
-def mean_steps(at: Points) -> tuple[Points, Points, Float]:
-    """The step to the next column, to the next row, and the cell, each (R, C), px.
+def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, Float]:
+    """The step to the next column, to the next row, and the cell there, each (M,), px.
 
     Means of the steps to and from the 3 x 3 nodes around; NaN where there are none.
     """
-    along, down = _mean_step(at), _mean_step(at.T).T
-    lengths = np.abs([along, down])
-    lengths = np.where(np.isnan(lengths), lengths[::-1], lengths)
-    cell: Float = lengths.mean(0)
-    return along, down, cell
-
-
-def _mean_step(at: Points) -> Points:
-    step = at[:, 1:] - at[:, :-1]
+    padded = _bordered(at)
+    width = padded.shape[1]
+    place = (row + 3) * width + column + 3
+    begin, end = (padded.ravel()[(steps @ [width, 1])[:, None] + place] for steps in (BEGINS, ENDS))
+    step = end - begin
     known = ~np.isnan(step.real)
     step[~known] = 0
     with np.errstate(invalid="ignore"):
-        mean: Points = _around(step) / _around(known.astype(np.float64))
-    return mean
-
-
-def _around(steps: NDArray[Any]) -> NDArray[Any]:
-    """Sums over the steps to and from each of the 3 x 3 nodes, (R, C - 1) -> (R, C)."""
-    rows, columns = steps.shape
-    padded = np.zeros((rows + 2, columns + 4), steps.dtype)
-    padded[1:-1, 2:-2] = steps
-    total = padded[:-2] + padded[1:-1] + padded[2:]
-    total[:, 1:] += total[:, :-1].copy()
-    ends: NDArray[Any] = total[:, 1:-2] + total[:, 2:-1] + total[:, 3:]
-    return ends
+        mean: Points = TOUCHED @ step / (TOUCHED @ known)
+    length = np.abs(mean)
+    cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
+    return mean[0], mean[1], cell
 
 
 def _grow(nodes: _Nodes, z: Points, edges: NDArray[np.float32]) -> None:
@@ -431,22 +460,52 @@ def _fill(
 
 
 def _drop_misfits(nodes: _Nodes) -> None:
-    """Drop nodes far from a well supported prediction, the worst of each neighbourhood first."""
-    cell = mean_steps(nodes.at)[2]
-    while True:
-        row, column = np.nonzero(nodes.status != NodeStatus.MISSING)
-        prediction = predict_within(nodes.at)[row, column]
-        rim = np.flatnonzero(np.isnan(prediction))
-        prediction[rim], weight = predict(nodes.at, row[rim], column[rim])
-        off = np.abs(nodes.at[row, column] - prediction) / cell[row, column]
-        off[rim[weight < STRONG]] = 0
-        if not (off > NEAR).any():
+    """Drop nodes far from a well supported prediction, the worst of each neighbourhood first.
+
+    Only those are looked at around which something has changed since the last time.
+    """
+    while nodes.changed.any():
+        row, column = _near_changes(nodes)
+        off = _misfits(nodes.at, row, column)
+        bad = off > NEAR
+        nodes.changed[:] = False
+        if not bad.any():
             return
+        nodes.changed[row[bad], column[bad]] = True
         padded = np.zeros((nodes.at.shape[0] + 2, nodes.at.shape[1] + 2))
         padded[row + 1, column + 1] = off
         around = [padded[row + r, column + c] for r in range(3) for c in range(3)]
-        worst = (off > NEAR) & (off >= np.max(around, axis=0))
+        worst = bad & (off >= np.max(around, axis=0))
         nodes.drop(row[worst], column[worst])
+
+
+def _near_changes(nodes: _Nodes) -> tuple[Index, Index]:
+    """Rows and columns of the nodes whose misfit may have changed."""
+    seen = nodes.status != NodeStatus.MISSING
+    rows, columns = seen.shape
+    if not nodes.changed.all():
+        near = np.zeros((rows + 6, columns + 6), np.bool_)
+        row, column = np.divmod(np.flatnonzero(nodes.changed), columns)
+        reached = REACHED @ [columns + 6, 1]
+        near.ravel()[((row + 3) * (columns + 6) + column + 3)[:, None] + reached] = True
+        seen &= near[3:-3, 3:-3]
+    row, column = np.divmod(np.flatnonzero(seen), columns)
+    return row, column
+
+
+def _misfits(at: Points, row: Index, column: Index) -> Float:
+    """How far those nodes are from well supported predictions, cells; 0 below a pixel."""
+    prediction = np.full(len(row), NOWHERE)
+    if len(row) > FEW:
+        prediction = predict_within(at)[row, column]
+    rim = np.flatnonzero(np.isnan(prediction))
+    prediction[rim], weight = predict(at, row[rim], column[rim])
+    gap = np.abs(at[row, column] - prediction)
+    gap[rim[weight < STRONG]] = 0
+    far = np.flatnonzero(gap > 1)
+    off = np.zeros(len(row))
+    off[far] = gap[far] / mean_steps(at, row[far], column[far])[2]
+    return off
 
 
 def _expected(nodes: _Nodes, least: float) -> tuple[Index, Index, Points, Float, Float, Points]:
@@ -455,18 +514,19 @@ def _expected(nodes: _Nodes, least: float) -> tuple[Index, Index, Points, Float,
     Returns rows, columns, predictions, their weights, cells, and the direction in which the
     boundaries e0 and e2 should lie.
     """
-    row, column = np.nonzero(nodes.status == NodeStatus.MISSING)
+    missing = np.flatnonzero(nodes.status == NodeStatus.MISSING)
+    row, column = np.divmod(missing, nodes.at.shape[1])
     if not len(row):
         return row, column, nodes.at[:0, 0], np.zeros(0), np.zeros(0), nodes.at[:0, 0]
     at, weight = predict(nodes.at, row, column)
-    along, down, cell = mean_steps(nodes.at)
-    kept = (weight >= least) & ~np.isnan(cell[row, column])
+    kept = weight >= least
     row, column, at, weight = row[kept], column[kept], at[kept], weight[kept]
+    along, down, cell = mean_steps(nodes.at, row, column)
     level = (nodes.parity + row + column) % 2 == 0
-    line = np.where(level, along[row, column], down[row, column])
+    line = np.where(level, along, down)
     line[np.isnan(line)] = 0
     line /= np.maximum(np.abs(line), 1e-6)
-    return row, column, at, weight, cell[row, column], line
+    return row, column, at, weight, cell, line
 
 
 def _attach(nodes: _Nodes, z: Points, edges: NDArray[np.float32]) -> bool:
@@ -544,7 +604,7 @@ def _interpolate(nodes: _Nodes) -> None:
     nodes.put(row[kept], column[kept], at[kept], NodeStatus.INTERPOLATED)
 
 
-def _refuse_rival(found: Lattice, nodes: _Nodes, z: NDArray[np.complex64]) -> None:
+def _refuse_rival(found: Lattice, nodes: _Nodes, z: Points) -> None:
     """Raise GridError where another component is comparable and was not joined."""
     if len(found.size) < 2 or found.size[1] < RIVAL * found.size[0]:
         return

@@ -18,6 +18,7 @@ Mask = NDArray[np.bool_]
 REACH = 1.6  # cells: how far a neighbour may be; the cell is that of the sparser parts
 COSINE = 0.75  # least cosine between a boundary and the way to the neighbour
 SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, of the squares of its diagonals
+STRONG = 0.5  # share of the most votes that a join on less certain links needs
 UNITS = np.array([1, 1j, -1, -1j], np.complex64)
 
 
@@ -50,9 +51,10 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     half, other = _links(z, lines.take(order, axis=1), first, second)
     cells = _cells(z, half, other)
     sure = cells == 2
-    trees = _join(_planted(len(z), half[sure], other[sure]), half[sure], other[sure])
+    trees = _planted(len(z), half[sure], other[sure])
+    trees = _join(trees, half[sure], other[sure], 0)
     half, other = half[cells > 0], other[cells > 0]
-    trees = _join(trees, half, other)
+    trees = _join(trees, half, other, STRONG)
     return _arranged(z, bend, order, half, other, trees)
 
 
@@ -82,22 +84,14 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
     ahead = np.searchsorted(along, along + reach)
     below = np.searchsorted(along, along + (strip - reach))
     beyond = np.searchsorted(along, along + (strip + reach))
-    pairs = [
-        _near(z, np.arange(1, len(z) + 1), ahead, reach),
-        _near(z, below, beyond, reach),
-    ]
-    first, second = (np.concatenate(each) for each in zip(*pairs, strict=True))
-    return order, first, second
-
-
-def _near(z: Complex, begin: Index, end: Index, reach: float) -> tuple[Index, Index]:
-    """Pairs within reach of each point and those from its begin to its end."""
+    here = np.arange(len(z))
+    begin, end = np.concatenate([here + 1, below]), np.concatenate([ahead, beyond])
     count = end - begin
-    first = np.repeat(np.arange(len(z)), count)
+    first = np.repeat(np.concatenate([here, here]), count)
     second = np.arange(len(first)) + np.repeat(begin - np.cumsum(count) + count, count)
     step = z[second] - z[first]
     near = np.flatnonzero(step.real**2 + step.imag**2 < reach**2)
-    return first[near], second[near]
+    return order, first[near], second[near]
 
 
 def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
@@ -123,7 +117,7 @@ def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Ind
     """
     step = z[second] - z[first]
     length = np.sqrt(step.real**2 + step.imag**2)
-    step /= np.maximum(length, np.float32(1e-6))
+    step *= 1 / np.maximum(length, np.float32(1e-6))
     k, cos_ahead = _boundary(lines, first, step)
     m, cos_back = _boundary(lines, second, -step)
     fits = (cos_ahead > COSINE) & (cos_back > COSINE) & ((k ^ m) & 1 == 1)
@@ -146,7 +140,7 @@ def _boundary(
     even, odd = ((line * way).real for line in lines.take(corner, axis=1))
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
-    behind = np.where(is_odd, odd, even) < 0
+    behind = (is_odd & (odd < 0)) | (~is_odd & (even < 0))
     return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
@@ -162,11 +156,16 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
     across[other] = half
     onward = (across & ~3) | ((across + 3) & 3)
     twice = onward[onward]
-    cell = (twice[twice] == np.arange(nowhere + 4))[:nowhere]
-    start = np.flatnonzero(cell)
-    a, b, c, d = (z[h >> 2] for h in (start, onward[start], twice[start], onward[twice[start]]))
+    itself = np.arange(nowhere + 4)
+    lowest = (itself < onward) & (itself < twice)  # seldom more than one of a cell
+    start = np.flatnonzero(lowest & (twice[twice] == itself))
+    steps = np.stack([start, onward[start], twice[start], onward[twice[start]]])
+    a, b, c, d = z[steps >> 2]
     skew, first, second = (v.real**2 + v.imag**2 for v in (a + c - b - d, a - c, b - d))
-    cell[start] = skew < SKEW * (first + second)
+    cell = np.zeros(nowhere, np.bool_)
+    near = skew < SKEW * (first + second)
+    for step in steps:
+        cell[step] = near
     # a later link of the same cost may have taken the place of an earlier one
     held = (across[half] == other) & (across[other] == half)
     count: NDArray[np.int8] = held * (cell[half].view(np.int8) + cell[other].view(np.int8))
@@ -196,19 +195,22 @@ def _planted(corners: int, half: Index, other: Index) -> _Trees:
     return _hooked(alone, child, half >> 2, -UNITS[(half - other) & 3], UNITS[half & 3])
 
 
-def _join(trees: _Trees, half: Index, other: Index) -> _Trees:
+def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
     """Join trees along links until no link lies between two trees.
 
     In every pass each tree hooks to that tree of a lower root for which most links agree on
-    how the two frames lie to each other. The number of passes grows with the logarithm of the
-    size of the lattice.
+    how the two frames lie to each other; those with less than that share of the most votes
+    wait. The number of passes grows with the logarithm of the size of the lattice.
     """
     while True:
         apart = np.flatnonzero(trees.root[half >> 2] != trees.root[other >> 2])
         if not len(apart):
             return trees
         half, other = half[apart], other[apart]
-        trees = _hooked(trees, *_hooks(trees, half, other))
+        *hooks, votes = _hooks(trees, half, other)
+        strong = votes >= share * votes.max()
+        child, parent, spin, shift = (values[strong] for values in hooks)
+        trees = _hooked(trees, child, parent, spin, shift)
 
 
 def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Complex) -> _Trees:
@@ -234,8 +236,10 @@ def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Co
     )
 
 
-def _hooks(trees: _Trees, half: Index, other: Index) -> tuple[Index, Index, Complex, Complex]:
-    """For each tree that has a neighbour of lower root: itself, that root, its frame there."""
+def _hooks(
+    trees: _Trees, half: Index, other: Index
+) -> tuple[Index, Index, Complex, Complex, Index]:
+    """For each tree with a neighbour of lower root: itself, that root, its frame there, votes."""
     a, b = half >> 2, other >> 2
     spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
     shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
@@ -250,16 +254,16 @@ def _hooks(trees: _Trees, half: Index, other: Index) -> tuple[Index, Index, Comp
     key = key * (2 * reach) + (shift.real.astype(np.int64) + reach)
     key = key * (2 * reach) + (shift.imag.astype(np.int64) + reach)
     order = np.argsort(key)  # equal keys are equal hooks
-    start = _starts(key[order])
+    start = starts(key[order])
     votes = np.diff(start, append=len(key))
-    first = _starts(child[order[start]])
+    first = starts(child[order[start]])
     rank = votes * len(start) + np.arange(len(start))[::-1]
     winner = len(start) - 1 - np.maximum.reduceat(rank, first) % len(start)
     best = order[start[winner]]
-    return child[best], parent[best], spin[best], shift[best]
+    return child[best], parent[best], spin[best], shift[best], votes[winner]
 
 
-def _starts(values: Index) -> Index:
+def starts(values: Index) -> Index:
     """Where each run of equal values starts."""
     new = np.ones(len(values), np.bool_)
     np.not_equal(values[1:], values[:-1], out=new[1:])

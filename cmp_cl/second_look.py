@@ -58,10 +58,13 @@ def _look(
     cell: Float,
     line: Points,
 ) -> Points:
-    here = start
-    for _ in range(LOOKS):
-        before = here
-        here, along, sine = edge_lines(image, before, rings)
+    before = start
+    here, along, sine = edge_lines(image, start, rings)
+    for _ in range(1, LOOKS):
+        moved = np.flatnonzero(np.abs(np.rint(here) - np.rint(before)) > 0)
+        before = here.copy()
+        if len(moved):  # from the same pixel the answer is the same
+            here[moved], along[moved], sine[moved] = edge_lines(image, here[moved], rings[moved])
     good = (
         (np.abs(here - at) < NEAR * cell)
         & (np.abs(here - before) < STILL)
@@ -89,7 +92,7 @@ OFFSETS = tuple(ring(radius) for radius in RADII)
 STARTS_OF = np.cumsum([0, *map(len, OFFSETS)])[:-1]  # of each ring among all samples
 RING_OF = np.repeat(np.arange(len(RADII)), list(map(len, OFFSETS)))
 SAMPLES = np.concatenate(OFFSETS)
-ACROSS, DOWN = SAMPLES.real.astype(np.int32), SAMPLES.imag.astype(np.int32)
+ACROSS, DOWN = SAMPLES.real.astype(np.int64), SAMPLES.imag.astype(np.int64)
 AFTER, BEFORE = (
     np.concatenate(
         [
@@ -117,32 +120,26 @@ def edge_lines(
     samples = _samples(image, middle)
     threshold = _threshold(samples, rings.argmax(axis=1))
     valid, edges = _edge_points(samples, threshold, rings & known[:, None])
-    place = np.nonzero(valid)[0]
+    pairs = np.zeros((*valid.shape, 2, 2), np.complex128)  # e0 e1, e2 e3; zeros add nothing
+    pairs[valid] = edges.reshape(-1, 2, 2)
+    total, squares = pairs.sum(2).sum(1), (pairs**2).sum(2).sum(1)
     count = valid.sum(axis=1)
-    sums = np.zeros((4, len(at)), np.complex128)  # p and p^2 of e0 e2, of e1 e3
-    for k in (0, 1):
-        pair = edges[:, k::2]
-        for row, values in ((2 * k, pair.sum(1)), (2 * k + 1, (pair**2).sum(1))):
-            sums[row] = np.bincount(place, values.real, len(at))
-            sums[row].imag = np.bincount(place, values.imag, len(at))
-    points = 2 * np.maximum(count, 1)
-    mean, spread = sums[::2] / points, sums[1::2] - sums[::2] ** 2 / points
-    first, second = np.sqrt(spread / np.maximum(np.abs(spread), 1e-12))
+    points = 2 * np.maximum(count, 1)[:, None]
+    mean, spread = total / points, squares - total**2 / points
+    first, second = np.sqrt(spread / np.maximum(np.abs(spread), 1e-12)).T
     sine = (first.conj() * second).imag
     enough = (count >= 2) & (np.abs(sine) > LEAST_SINE)
-    gap = (mean[1] - mean[0]).conj() * second
-    meet = middle + mean[0] + gap.imag / np.where(enough, sine, 1) * first
+    gap = (mean[:, 1] - mean[:, 0]).conj() * second
+    meet = middle + mean[:, 0] + gap.imag / np.where(enough, sine, 1) * first
     return np.where(enough, meet, complex(np.nan, np.nan)), first, sine
 
 
 def _samples(image: GreyImage, middle: Points) -> GreyImage:
     """Grey levels around each place, (M, n); beyond the image its border is repeated."""
-    beyond = 2 * RADII[-1]  # what lies farther out sees the border alone, too
     rows, columns = image.shape
-    x = np.clip(middle.real, -beyond, columns + beyond).astype(np.int32)[:, None] + ACROSS
-    y = np.clip(middle.imag, -beyond, rows + beyond).astype(np.int32)[:, None] + DOWN
-    np.clip(x, 0, columns - 1, out=x)
-    np.clip(y, 0, rows - 1, out=y)
+    x = middle.real.astype(np.int64)[:, None] + ACROSS
+    y = middle.imag.astype(np.int64)[:, None] + DOWN
+    x, y = np.minimum(np.maximum(x, 0), columns - 1), np.minimum(np.maximum(y, 0), rows - 1)
     levels: GreyImage = image[y, x]
     return levels
 
@@ -150,13 +147,13 @@ def _samples(image: GreyImage, middle: Points) -> GreyImage:
 def _threshold(samples: GreyImage, ring_of: NDArray[np.int64]) -> Float:
     """Mean of the mean of the lowest and of the highest quarter of that ring, (M,)."""
     level = np.empty(len(samples))
-    for number, start in enumerate(STARTS_OF):
+    for number in set(ring_of.tolist()):
         some = ring_of == number
-        if some.any():
-            own = len(OFFSETS[number])
-            ordered = np.sort(samples[some, start : start + own], axis=1)
-            quarter = own // 4
-            level[some] = (ordered[:, :quarter].mean(1) + ordered[:, -quarter:].mean(1)) / 2
+        start, own = STARTS_OF[number], len(OFFSETS[number])
+        ordered = np.sort(samples[some, start : start + own], axis=1)
+        quarter = own // 4
+        ends = ordered[:, :quarter].sum(1) + ordered[:, -quarter:].sum(1)
+        level[some] = ends / (2 * quarter)
     return level
 
 
@@ -168,22 +165,24 @@ def _edge_points(
     A ring without four boundaries gets one majority of three.
     """
     black = samples < threshold[:, None]
-    odd = (_transitions(black) != 4)[:, RING_OF]
-    majority = black.astype(np.int8) + black[:, AFTER] + black[:, BEFORE] >= 2
+    odd = (_transitions(black) != 4).take(RING_OF, axis=1)
+    before, after = black.take(BEFORE, axis=1), black.take(AFTER, axis=1)
+    majority = (black & (before | after)) | (before & after)
     black = np.where(odd, majority, black)
     valid = rings & (_transitions(black) == 4)
-    row, k = np.nonzero((black != black[:, AFTER]) & valid[:, RING_OF])
-    after = AFTER[k]
-    d, d_after = samples[row, k] - threshold[row], samples[row, after] - threshold[row]
-    part = np.clip(d / np.where(d == d_after, 1, d - d_after), 0, 1)
-    part[d == d_after] = 0.5
-    point = (SAMPLES[k] + part * (SAMPLES[after] - SAMPLES[k])).reshape(-1, 4)
+    row, k = np.nonzero((black != black.take(AFTER, axis=1)) & valid.take(RING_OF, axis=1))
+    after_k = AFTER[k]
+    d, d_after = samples[row, k] - threshold[row], samples[row, after_k] - threshold[row]
+    level = d == d_after
+    part = np.minimum(np.maximum(d / np.where(level, 1, d - d_after), 0), 1)
+    part[level] = 0.5
+    point = (SAMPLES[k] + part * (SAMPLES[after_k] - SAMPLES[k])).reshape(-1, 4)
     to_white = black[row, k].reshape(-1, 4)[:, 0]
-    return valid, np.where(to_white[:, None], np.roll(point, -1, 1), point)
+    return valid, np.where(to_white[:, None], point[:, [1, 2, 3, 0]], point)
 
 
 def _transitions(black: NDArray[np.bool_]) -> NDArray[np.int8]:
     """How many boundaries each ring has, (M, 4)."""
-    change = (black != black[:, AFTER]).view(np.int8)
+    change = (black != black.take(AFTER, axis=1)).view(np.int8)
     count: NDArray[np.int8] = np.add.reduceat(change, STARTS_OF, axis=1)
     return count

@@ -67,14 +67,53 @@ def test_a_wrong_index_and_a_larger_error_in_space_are_worse():
     compare = load("compare")
     row = {"config": "run", "severity": 1.0, "frames": 4, "index_right": 1.0}
     row |= {"moved_rms_um": 10.0, "moved_p95_um": 20.0}
-    old = {"kind": "field", "by_severity": [row]}
-    new = {"kind": "field", "by_severity": [row | {"index_right": 0.75, "moved_rms_um": 11.0}]}
+    old = {"kind": "field", "by_severity": [row], "numbering": []}
+    new = old | {"by_severity": [row | {"index_right": 0.75, "moved_rms_um": 11.0}]}
     assert compare.comparison(old, old, 1.15) == ([], [])
     lines, _ = compare.comparison(old, new, 1.15)
     assert lines == [
         "severity 1.0: run: success 4 -> 3 of 4",
         "severity 1.0: run: rmse 10.0000 -> 11.0",
     ]
+
+
+def test_a_wrong_number_and_a_slower_numbering_are_worse():
+    compare = load("compare")
+    row = {"form": "like", "stream": "torn", "frames": 120, "wrong_index": 0, "ms": 3.0}
+    old = {"kind": "field", "by_severity": [], "numbering": [row]}
+    new = old | {"numbering": [row | {"wrong_index": 2, "ms": 3.6}]}
+    assert compare.comparison(old, old, 1.15) == ([], [])
+    assert compare.comparison(old, new, 1.15)[0] == [
+        "numbering, like=, torn frames: wrong 0 -> 2",
+        "numbering, like=, torn frames: 1.20 times the time",
+    ]
+
+
+def implementations(same=18, px=1.5e-5):
+    rows = [{"name": "one", "same": 18}, {"name": "other", "same": same}]
+    pairs = [{"one": "one", "other": "other", "px": px}]
+    return {"kind": "implementations", "scenes": 18, "rows": rows, "pairs": pairs}
+
+
+@pytest.mark.parametrize(
+    ("change", "lines"),
+    [
+        ({"px": 3e-5}, []),
+        ({"same": 17}, ["other: digests: success 18 -> 17 of 18"]),
+        ({"px": 2e-3}, ["one and other: positions: distance 1.5e-05 -> 2.0e-03 px"]),
+        ({"px": None}, ["one and other: positions: distance 1.5e-05 -> None px"]),
+    ],
+)
+def test_an_implementation_that_no_longer_agrees_is_worse(change, lines):
+    compare = load("compare")
+    assert compare.comparison(implementations(), implementations(**change), 1.15) == (lines, [])
+
+
+def test_an_implementation_that_is_gone_is_named():
+    gone = implementations()
+    gone["rows"] = gone["rows"][:1]
+    lines, single = load("compare").comparison(implementations(), gone, 1.15)
+    assert (lines, single) == ([], ["other: digests"])
 
 
 def test_results_of_different_kinds_are_refused():

@@ -477,6 +477,32 @@ def test_calibrate_finds_the_cameras_again(run, boards, monkeypatch):
     assert overall < 0.1
 
 
+def test_a_rectangle_in_each_view_says_which_of_two_boards_is_meant(run, boards):
+    left, right = [], []
+    for number, views in enumerate(boards):
+        other = boards[number - 1][0]
+        left.append(f"l{number}.png")
+        right.append(f"r{number}.png")
+        cv2.imwrite(left[-1], np.hstack([other, views[0]]))
+        cv2.imwrite(right[-1], np.hstack([views[1], other]))
+        cv2.imwrite(f"{number}.png", np.hstack([other, *views, other]))
+    frames = [f"{number}.png" for number in range(4)]
+    status, _, err = run("calibrate", *frames, *BOARD)
+    assert status == 2
+    assert err.count("left out") == err.count("two patterns") == 4
+    wide, high = VIEW[1], VIEW[0]
+    boxes = f"{wide},0,{wide},{high}:{2 * wide},0,{wide},{high}"
+    assert run("calibrate", *frames, *BOARD, "--region", boxes)[0] == 0
+    of_frames = StereoRig.load("rig.yaml")
+    assert of_frames.K1[0, 2] == pytest.approx(RIG.K1[0, 2] + wide, abs=3)
+    assert of_frames.K2[0, 2] == pytest.approx(RIG.K2[0, 2], abs=3)
+    assert np.linalg.norm(of_frames.T) == pytest.approx(np.linalg.norm(RIG.T), rel=0.02)
+    files = "--left", *left, "--right", *right
+    boxes = f"{wide},0,{wide},{high}:0,0,{wide},{high}"
+    assert run("calibrate", *files, *BOARD, "--region", boxes)[0] == 0
+    np.testing.assert_allclose(StereoRig.load("rig.yaml").K1, of_frames.K1, atol=1e-9)
+
+
 def test_two_cameras_with_files_of_their_own(run, boards):
     for number, (left, right) in enumerate(boards):
         cv2.imwrite(f"l{number}.png", left)
@@ -501,6 +527,8 @@ def test_two_cameras_with_files_of_their_own(run, boards):
         (["0.png", "--out", "rig.txt"], ["yaml"]),
         (["0.png", "--out", "no/rig.yaml"], ["there is no folder", "no'"]),
         (["--left", "0.png", "--right", "1.png", "--split", "halves"], ["--split"]),
+        (["0.png", "--region", "0,0,9,9"], ["a rectangle for each view", "here 2"]),
+        (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["0,0,9,9", "outside"]),
     ],
 )
 def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
@@ -585,6 +613,17 @@ def test_tune_writes_settings_that_lose_nothing(run, recording, press, monkeypat
             assert np.linalg.norm(grid.xy - shot.left.truth, axis=2).max() < 2
 
 
+def test_tune_looks_at_the_pattern_in_the_region_alone(run, press, monkeypatch):
+    monkeypatch.setattr(tune, "changes", lambda *_: {})
+    cv2.imwrite("0.png", np.hstack([press[1].right.image, press[1].left.image]))
+    arguments = "tune", "0.png", "--markers", "12x12"
+    fails_in_one_line(run(*arguments), "two patterns")
+    status, out, err = run(*arguments, "--region", f"{VIEW[1]},0,{VIEW[1]},{VIEW[0]}")
+    assert (status, err) == (0, "")
+    row = next(line for line in out.splitlines() if line.startswith("everything"))
+    assert row.split()[1:3] == ["0", "0"]
+
+
 def test_changes_are_kept_while_they_lose_nothing_and_save_time(monkeypatch):
     full = exact_config(20.0)
     ways = tune.changes(full, 20.0)
@@ -659,6 +698,7 @@ def test_missed_extra_and_rough_corners_are_counted():
     missed, extra, off = tune.judge(found, frame)
     assert (missed, extra) == (1, 2)
     assert off.max() == pytest.approx(0.6, abs=0.2)
+    assert tune.judge(found, frame._replace(region=(0, 0, 90, 90)))[1] == 1
     nothing = tune.judge(np.empty((0, 2), np.float32), frame)
     assert nothing[:2] == (36, 0)
 
@@ -681,6 +721,7 @@ def test_what_is_lost_is_named():
         (["0.png", "--markers", "many"], ["many"]),
         (["0.png"], ["no frame shows the pattern"]),
         (["0.png", "1.png"], ["one size"]),
+        (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["a rectangle for each view", "here 1"]),
     ],
 )
 def test_a_wrong_argument_of_tune_is_one_line_and_no_file(

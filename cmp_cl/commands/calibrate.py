@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from cmp_cl import io
 from cmp_cl.commands.common import (
     Progress,
+    Region,
     add_device,
     add_full_scale,
+    add_region,
     add_split,
     alike,
     counted,
@@ -22,8 +24,11 @@ from cmp_cl.commands.common import (
     find_pattern,
     grid_shape,
     one_line,
+    regions_in,
     shown,
     split_of,
+    views_of,
+    whole,
 )
 from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep, window_for_cell
 from cmp_cl.detector import Detector
@@ -73,6 +78,12 @@ def add_parser(commands: Any) -> None:
         help_="where the views are in a frame that shows both: halves (the default), or "
         "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
     )
+    add_region(
+        parser,
+        help_="which of several patterns is the board: X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, px, in "
+        "the left and in the right view of the frame, or in left and in right images; corners "
+        "outside are left out in all of them",
+    )
     parser.add_argument(
         "--max-sigma",
         metavar="PX",
@@ -86,11 +97,12 @@ def add_parser(commands: Any) -> None:
 
 
 class _Pair(NamedTuple):
-    """The two views of one moment. name: as messages call it."""
+    """The two views of one moment. name: as messages call it. regions: where the board is."""
 
     name: str
     left: GreyImage
     right: GreyImage
+    regions: tuple[Region | None, ...]
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -113,6 +125,7 @@ def run(arguments: argparse.Namespace) -> int:
                     device,
                     max_sigma=arguments.max_sigma,
                     full_scale=arguments.full_scale,
+                    regions=pair.regions,
                 )
                 size = pair.left.shape
             except (GridError, ImageError) as error:
@@ -164,12 +177,14 @@ def _read(paths: tuple[Path, ...], arguments: argparse.Namespace) -> _Pair:
     images = [io.read_image(path) for path in paths]
     if len(images) == 2:
         left, right = images
+        regions = regions_in(arguments.region, whole(left), whole(right))
     else:
         split = split_of(arguments.split or "halves", arguments.mirror, images[0].shape)
         left, right = split(images[0])
+        regions = regions_in(arguments.region, *views_of(split))
     if left.shape != right.shape:
         raise ImageError(f"the two views are {left.shape} and {right.shape}, not of one size")
-    return _Pair(name, left, right)
+    return _Pair(name, left, right, regions)
 
 
 def board_pair(
@@ -179,15 +194,18 @@ def board_pair(
     *,
     max_sigma: float = SIGMA,
     full_scale: int | None = None,
+    regions: tuple[Region | None, ...] = (None, None),
 ) -> tuple[Grid, Grid]:
     """The corners of a rigid board in two views, numbered alike, only those to be trusted.
+
+    regions: of each view (x0, y0, x1, y1), px, where the board is, or None.
 
     Raises GridError where a view does not show the board up to all four of its sides: then
     nobody knows which corner is which.
     """
     left, right = (
-        find_board(view, shape, device, full_scale=full_scale, name=name)
-        for view, name in zip(views, ("left", "right"), strict=True)
+        find_board(view, shape, device, full_scale=full_scale, region=region, name=name)
+        for view, region, name in zip(views, regions, ("left", "right"), strict=True)
     )
     right = alike(left, right)
     return trusted(left, max_sigma), trusted(right, max_sigma)
@@ -199,6 +217,7 @@ def find_board(
     device: Device,
     *,
     full_scale: int | None = None,
+    region: Region | None = None,
     name: str = "",
 ) -> Grid:
     """The grid of a rigid board; its corners are refined at full size where it is found so.
@@ -206,7 +225,7 @@ def find_board(
     A rigid board has sharp corners: at full size the narrow rings see less of their
     surroundings than at a working scale, and do not reach over narrow outer squares.
     """
-    cell, _ = find_pattern(view, shape, device, full_scale)
+    cell, _ = find_pattern(view, shape, device, full_scale, region)
     scaled = DetectorConfig.for_cell(cell).replace(
         refinement=EdgeStep(cell=cell), full_scale=full_scale
     )
@@ -216,7 +235,7 @@ def find_board(
     grids = []
     for config in (plain, scaled):
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
-            grids.append(detector.grid(view, shape=shape)[1])
+            grids.append(detector.grid(view, shape=shape, region=region)[1])
         if detected(grids[-1]) == shape[0] * shape[1]:
             break
     grid = max(grids, key=detected)

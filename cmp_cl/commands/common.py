@@ -5,6 +5,7 @@ import contextlib
 import os
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -25,6 +26,7 @@ _BOX = r"(\d+),(\d+),(\d+),(\d+)"
 
 Box = tuple[int, int, int, int]  # x, y, width, height, px
 Region = tuple[float, float, float, float]  # x0, y0, x1, y1, px
+View = tuple[Box, bool]  # where it is in the frame, and whether it is mirrored
 
 
 def shown(name: object) -> str:
@@ -77,6 +79,10 @@ def add_split(parser: argparse.ArgumentParser, *, help_: str) -> None:
     )
 
 
+def add_region(parser: argparse.ArgumentParser, *, help_: str) -> None:
+    parser.add_argument("--region", metavar="WHERE", type=boxes, help=help_)
+
+
 def grid_shape(text: str) -> tuple[int, int]:
     """Rows and columns from a text such as 40x40."""
     match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text)
@@ -96,6 +102,34 @@ def boxes(text: str) -> tuple[Box, ...]:
             "between"
         )
     return tuple(found)
+
+
+def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | None, ...]:
+    """Of each view the region that --region chooses in its frame, None without it.
+
+    Raises ConfigError where there are not as many rectangles as views, or one lies outside.
+    """
+    if chosen is None:
+        return (None,) * len(views)
+    if len(chosen) != len(views):
+        raise ConfigError(
+            f"--region needs a rectangle for each view, here {len(views)}, with a colon between "
+            f"two; it has {len(chosen)}"
+        )
+    return tuple(
+        region_in(view, box, mirror=mirror)
+        for box, (view, mirror) in zip(chosen, views, strict=True)
+    )
+
+
+def whole(image: GreyImage) -> View:
+    """The view that is all of the frame."""
+    return (0, 0, image.shape[1], image.shape[0]), False
+
+
+def views_of(split: BinocularSplit) -> tuple[View, View]:
+    """The left and the right view."""
+    return (split.left, split.mirror_left), (split.right, split.mirror_right)
 
 
 def region_in(view: Box, box: Box, *, mirror: bool) -> Region:

@@ -14,18 +14,18 @@ import numpy as np
 
 from cmp_cl import io
 from cmp_cl.commands.common import (
-    Box,
     Progress,
-    Region,
     add_device,
     add_full_scale,
+    add_region,
     add_split,
-    boxes,
     counted,
     grid_shape,
-    region_in,
+    regions_in,
     shown,
     split_of,
+    views_of,
+    whole,
 )
 from cmp_cl.commands.measure import (
     Measured,
@@ -83,11 +83,9 @@ def add_parser(commands: Any) -> None:
         help_="where the views are with --stereo: halves (the default), or "
         "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
     )
-    parser.add_argument(
-        "--region",
-        metavar="WHERE",
-        type=boxes,
-        help="which of several patterns is meant: X,Y,WIDTH,HEIGHT, px of the frame, or with "
+    add_region(
+        parser,
+        help_="which of several patterns is meant: X,Y,WIDTH,HEIGHT, px of the frame, or with "
         "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
         "outside are left out in every frame",
     )
@@ -298,34 +296,16 @@ def _measurement(
 ) -> Measurement:
     try:
         if rig is None:
-            whole = (0, 0, rest.shape[1], rest.shape[0])
-            return OneView(
-                rest, wanted._replace(regions=_regions(arguments.region, (whole, False)))
-            )
+            regions = regions_in(arguments.region, whole(rest))
+            return OneView(rest, wanted._replace(regions=regions))
         split = split_of(arguments.split or "halves", arguments.mirror, rest.shape)
-        left, right = (split.left, split.mirror_left), (split.right, split.mirror_right)
-        wanted = wanted._replace(regions=_regions(arguments.region, left, right))
+        wanted = wanted._replace(regions=regions_in(arguments.region, *views_of(split)))
         return TwoViews(rest, rig, split, wanted)
     except GridError as error:
         hint = ""
         if rig is None:
             hint = "; --region picks one of several patterns; frames of two views need --stereo"
         raise GridError(f"the rest frame {arguments.rest_frame}: {error}{hint}") from error
-
-
-def _regions(chosen: Sequence[Box] | None, *views: tuple[Box, bool]) -> tuple[Region | None, ...]:
-    """Of each view (its rectangle, whether it is mirrored) the region chosen in the frame."""
-    if chosen is None:
-        return (None,) * len(views)
-    if len(chosen) != len(views):
-        raise ConfigError(
-            "--region needs a rectangle for each view: two, with a colon between, with --stereo, "
-            "else one"
-        )
-    return tuple(
-        region_in(view, box, mirror=mirror)
-        for box, (view, mirror) in zip(chosen, views, strict=True)
-    )
 
 
 def _film(path: str | None, stack: contextlib.ExitStack) -> RerunLog | None:

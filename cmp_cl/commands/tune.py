@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from cmp_cl import io, scoring
 from cmp_cl.commands.common import (
     Progress,
+    Region,
     add_device,
     add_full_scale,
+    add_region,
     add_split,
     cell_of,
     counted,
@@ -25,8 +27,11 @@ from cmp_cl.commands.common import (
     find_pattern,
     grid_shape,
     one_line,
+    regions_in,
     shown,
     split_of,
+    views_of,
+    whole,
 )
 from cmp_cl.config import (
     AdaptiveMean,
@@ -84,18 +89,28 @@ def add_parser(commands: Any) -> None:
         help_="for frames that show two views: halves, or "
         "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
     )
+    add_region(
+        parser,
+        help_="which of several patterns is meant: X,Y,WIDTH,HEIGHT, px of the frame, or with "
+        "--split X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
+        "outside are left out in every frame",
+    )
     add_full_scale(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
 
 class Frame(NamedTuple):
-    """A view, its reference grid, and places (K, 2), px, where a detection counts for nothing."""
+    """A view, its reference grid, and where detections count for nothing.
+
+    ignored: (K, 2) places, px. region: (x0, y0, x1, y1), px, outside of which all do, or None.
+    """
 
     image: GreyImage
     grid: Grid
     cell: float
     ignored: NDArray[np.float64]
+    region: Region | None = None
 
 
 class Row(NamedTuple):
@@ -183,38 +198,41 @@ def _line(row: Row, full: Row) -> str:
     )
 
 
-def _views(arguments: argparse.Namespace) -> list[GreyImage]:
+def _views(arguments: argparse.Namespace) -> list[tuple[GreyImage, Region | None]]:
     """Some of the views that are given, of one size, spread over all of them."""
-    kept: list[GreyImage] = []
+    kept: list[tuple[GreyImage, Region | None]] = []
     step = 1
-    for number, view in enumerate(_every_view(arguments)):
-        if kept and (view.shape != kept[0].shape or view.dtype != kept[0].dtype):
+    for number, (view, region) in enumerate(_every_view(arguments)):
+        first = kept[0][0] if kept else view
+        if view.shape != first.shape or view.dtype != first.dtype:
             raise ImageError(
-                f"views of {view.shape} {view.dtype} and {kept[0].shape} {kept[0].dtype}: "
+                f"views of {view.shape} {view.dtype} and {first.shape} {first.dtype}: "
                 "give frames of one size and type"
             )
         if number % step == 0:
-            kept.append(view)
+            kept.append((view, region))
         if len(kept) == 2 * MOST_VIEWS:
             kept, step = kept[::2], 2 * step
     places = np.linspace(0, len(kept) - 1, min(len(kept), MOST_VIEWS)).round().astype(int)
     return [kept[place] for place in places]
 
 
-def _every_view(arguments: argparse.Namespace) -> Iterator[GreyImage]:
+def _every_view(arguments: argparse.Namespace) -> Iterator[tuple[GreyImage, Region | None]]:
     for path in io.find_inputs(arguments.frames):
         for frame in io.read_frames(path):
             if frame.image is None:
                 continue
             if arguments.split is None:
-                yield frame.image
+                (region,) = regions_in(arguments.region, whole(frame.image))
+                yield frame.image, region
             else:
                 split = split_of(arguments.split, arguments.mirror, frame.image.shape)
-                yield from split(frame.image)
+                regions = regions_in(arguments.region, *views_of(split))
+                yield from zip(split(frame.image), regions, strict=True)
 
 
 def _reference(
-    views: Sequence[GreyImage],
+    views: Sequence[tuple[GreyImage, Region | None]],
     shape: tuple[int, int],
     device: Device,
     full_scale: int | None,
@@ -222,25 +240,24 @@ def _reference(
     """The most complete configuration, and the views in which it finds the pattern."""
     cells = []
     why = "there is no frame that can be read"
-    for view in views:
+    for view, region in views:
         try:
-            cells.append(find_pattern(view, shape, device, full_scale)[0])
+            cells.append(find_pattern(view, shape, device, full_scale, region)[0])
         except GridError as error:
             why = one_line(error)
     if not cells:
         raise GridError(f"no frame shows the pattern: {why}")
     config = exact_config(float(np.median(cells)), full_scale)
     frames = []
-    with Detector(
-        shape=views[0].shape, dtype=views[0].dtype, config=config, device=device
-    ) as detector:
-        for view in views:
+    first = views[0][0]
+    with Detector(shape=first.shape, dtype=first.dtype, config=config, device=device) as detector:
+        for view, region in views:
             try:
-                grid = detector.grid(view, shape=shape)[1]
+                grid = detector.grid(view, shape=shape, region=region)[1]
             except GridError:
                 continue
             if grid.valid.any():
-                frames.append(Frame(view, grid, cell_of(grid), around(grid)))
+                frames.append(Frame(view, grid, cell_of(grid), around(grid), region))
     if not frames:
         raise GridError("no frame shows the pattern with the most complete settings")
     if len(frames) < len(views):
@@ -300,6 +317,9 @@ def measure(
 
 def judge(xy: NDArray[np.float32], frame: Frame) -> tuple[int, int, NDArray[np.float64]]:
     """Corners missed, extra ones, and how far the others are from their predictions, px."""
+    if frame.region is not None:
+        low, high = frame.region[:2], frame.region[2:]
+        xy = xy[((xy >= low) & (xy <= high)).all(axis=1)]
     valid = frame.grid.valid
     place = np.argwhere(valid)
     partner = scoring.match(xy, frame.grid.xy[valid], scoring.reach(frame.cell))
