@@ -110,7 +110,7 @@ class Plan:
             "MEANS": "int" if deep else "short",
             "RADIUS": self.config.nms_radius,
             "RESPONSE": "uchar" if rapid else "int",
-            "RESPONSES": "uchar8" if rapid else "int2",
+            "RESPONSE_WORD": "uchar8" if rapid else "int2",
             "SCORE": "ushort" if rapid else "int",
             "SCALED": int(self.scale is not None),
             "REFINED": int(self.config.refinement is not None),

@@ -41,5 +41,5 @@
     }                                                                               \
   }
 
-LISTS(count_candidates, list_candidates, RESPONSE, RESPONSES)
+LISTS(count_candidates, list_candidates, RESPONSE, RESPONSE_WORD)
 LISTS(count_maxima, list_maxima, uchar, uchar8)

@@ -1,6 +1,9 @@
 """The one place that builds: sources, errors, kept binaries."""
 
+import dataclasses
 import re
+import secrets
+import warnings
 from pathlib import Path
 
 import images
@@ -9,7 +12,17 @@ import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
 
-from cmp_cl import Detector, DetectorConfig, program
+from cmp_cl import (
+    AdaptiveMean,
+    Detector,
+    DetectorConfig,
+    DeviceKind,
+    EdgeStep,
+    Fit,
+    Midlines,
+    SpectralCriteria,
+    program,
+)
 from cmp_cl.errors import KernelBuildError
 
 IMAGE = images.eight_bits()["board"]
@@ -55,6 +68,38 @@ def test_a_missing_macro_is_an_error(device):
         program.build(context, ["nms"], {})
     with pytest.raises(KernelBuildError, match="OUTER_RADIUS must be"):
         program.build(context, ["nms"], {"PIXEL": "uchar", "PAD": 16, "OUTER_RADIUS": 6})
+
+
+CONFIGS = {
+    "default": DetectorConfig(),
+    "three masks, step, scaled": DetectorConfig(
+        threshold=AdaptiveMean(masks=3), refinement=EdgeStep(), scale=0.5
+    ),
+    "midlines": DetectorConfig(contrast=None, refinement=Midlines(fit=Fit.QUADRATIC)),
+    "spectral": DetectorConfig(criteria=SpectralCriteria(), refinement=None),
+}
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+@pytest.mark.parametrize("kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value)
+def test_compilers_have_nothing_to_remark(device, monkeypatch, capfd, kind, config, dtype):
+    programs = []
+
+    def compiled(source, options):
+        """Under a macro of its own, so that no cache answers in the compiler's place."""
+        built = cl.Program.build(source, [*options, f"-DTRY={secrets.randbits(31)}"])
+        programs.append(built)
+        return built
+
+    monkeypatch.setattr(program, "_built", compiled)
+    monkeypatch.setattr(program, "_place", lambda *_: None)
+    device = dataclasses.replace(device, kind=kind)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        Detector(shape=(64, 64), dtype=dtype, config=config, device=device).close()
+    log = programs[0].get_build_info(device.handle, cl.program_build_info.LOG)
+    assert "warning" not in (log + capfd.readouterr().err).lower()
 
 
 def test_missing_kernels(monkeypatch, tmp_path):
