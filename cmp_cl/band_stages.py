@@ -4,20 +4,15 @@ a word. The results are those of `pixel_stages` to the bit, for the rapid criter
 Memory in passing is that of the bands, not of the image.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.config import RapidCriteria, SectorContrast
-from cmp_cl.launch import Launch, level_type, multiple
 from cmp_cl.pixel_stages import CONTRASTS, percentile_sizes, percentile_stages
-
-if TYPE_CHECKING:
-    from cmp_cl.plan import Plan
+from cmp_cl.plan_base import Launch, PlanBase, level_type, multiple
 
 RING_REACH = 5  # rows above and below the image in a plane of words: what rings look at
 WORDS = 64  # words of a group of the criteria: small enough to share them out evenly
@@ -25,31 +20,31 @@ BEYOND = 8  # elements behind a row's running sums that a vector may reach
 BEHIND = 16  # entries behind a list of contrasts that a vector may reach
 
 
-def plane_words(plan: Plan) -> int:
+def plane_words(plan: PlanBase) -> int:
     """Words of a plane, with the rows above and below."""
     return multiple((plan.working[0] + 2 * RING_REACH) * plan.step // 32, WORDS)
 
 
-def words_margin(plan: Plan) -> int:
+def words_margin(plan: PlanBase) -> int:
     """Words before and after the planes that rings may look at."""
     return multiple(RING_REACH * plan.step // 32 + 8, 32)
 
 
-def files(plan: Plan) -> list[str]:
+def files(plan: PlanBase) -> list[str]:
     """The kernel files, in the order of the stages."""
     gate = ["gate", "gate_words"] if plan.config.contrast is not None else []
     return ["binarize_bands", "criteria", "criteria_words", *gate, "nms", "nms_bands"]
 
 
-def defines(plan: Plan) -> dict[str, str | int]:
+def defines(plan: PlanBase) -> dict[str, str | int]:
     return {"IN_WORDS": 1, "WORDS_MARGIN": words_margin(plan), "BEYOND": BEYOND}
 
 
-def macros(plan: Plan) -> dict[str, str]:
+def macros(plan: PlanBase) -> dict[str, str]:
     return {}
 
 
-def sizes(plan: Plan) -> dict[str, int]:
+def sizes(plan: PlanBase) -> dict[str, int]:
     """Bytes of the buffers."""
     planes, words = plan.frames * plan.masks, 4 * plane_words(plan)
     plane = plan.working[0] * plan.step
@@ -67,8 +62,8 @@ def sizes(plan: Plan) -> dict[str, int]:
     return sizes
 
 
-def layouts(plan: Plan) -> list[dict[str, int]]:
-    """Bytes of the arrays that are needed only in passing, see `Plan.layouts`."""
+def layouts(plan: PlanBase) -> list[dict[str, int]]:
+    """Bytes of the arrays that are needed only in passing, see `Plan._layouts`."""
     pixel, bands = plan.dtype.itemsize, plan.frames * _bands(plan)
     row, long_row = bands * plan.step, bands * (plan.step + BEYOND)
     binarization = {"sums": 2 * pixel * row, "prefix": 4 * long_row, "black": plan.masks * row}
@@ -83,7 +78,7 @@ def layouts(plan: Plan) -> list[dict[str, int]]:
     return [binarization, {**lists, "kept": 2 * kept * row}]
 
 
-def allowed_places(plan: Plan, allowed: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def allowed_places(plan: PlanBase, allowed: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """The content of the buffer "mask"."""
     bits = np.zeros(plane_words(plan) * 32, np.bool_)
     rows, columns = plan.working
@@ -92,30 +87,30 @@ def allowed_places(plan: Plan, allowed: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return np.packbits(bits, bitorder="little")
 
 
-def launches(plan: Plan) -> list[Launch]:
+def launches(plan: PlanBase) -> list[Launch]:
     """From the image at its working scale to the list of the corners."""
     criteria, gate = cast(RapidCriteria, plan.config.criteria), plan.config.contrast
     contrasts = _contrasts(plan, criteria) if gate is None else _gate(plan, criteria, gate)
     return [_binarize(plan), _criteria(plan, criteria), *contrasts, *_suppress(plan)]
 
 
-def _bands(plan: Plan) -> int:
+def _bands(plan: PlanBase) -> int:
     return -(-plan.working[0] // _band_rows(plan))
 
 
-def _band_rows(plan: Plan) -> int:
+def _band_rows(plan: PlanBase) -> int:
     """Rows of a band. Its start costs a share of the window and the rows beside it, and eight
     bands for each of a device's units share the work out evenly."""
     share = -(-plan.working[0] // (8 * plan.device.handle.max_compute_units))
     return max(share, plan.config.threshold.window // 4, 16)
 
 
-def _banded(plan: Plan, name: str, planes: int, *arguments: Any) -> Launch:
+def _banded(plan: PlanBase, name: str, planes: int, *arguments: Any) -> Launch:
     """A kernel with one work-item per band of rows."""
     return plan.stage(name, (_bands(plan), planes), (1, 1), *arguments)
 
 
-def _binarize(plan: Plan) -> Launch:
+def _binarize(plan: PlanBase) -> Launch:
     """To words, and the noise of the bands."""
     threshold, b = plan.config.threshold, plan.arrays
     sizes = (*plan.working, plan.step, _band_rows(plan), threshold.window, plane_words(plan))
@@ -130,7 +125,7 @@ def _binarize(plan: Plan) -> Launch:
     return _banded(plan, "binarize_bands", plan.frames, *arguments, b["black"], b["words"])
 
 
-def _criteria(plan: Plan, criteria: RapidCriteria) -> Launch:
+def _criteria(plan: PlanBase, criteria: RapidCriteria) -> Launch:
     words, b = plane_words(plan), plan.arrays
     thresholds = (criteria.sector_threshold, criteria.ring_threshold)
     bounds = (np.int32(n) for n in (*thresholds, criteria.corrosion_threshold or 0))
@@ -140,7 +135,7 @@ def _criteria(plan: Plan, criteria: RapidCriteria) -> Launch:
     return plan.stage("rapid_criteria_words", items, (WORDS // 8, 1), *arguments, *found)
 
 
-def _found(plan: Plan, criteria: RapidCriteria) -> tuple[Any, ...]:
+def _found(plan: PlanBase, criteria: RapidCriteria) -> tuple[Any, ...]:
     """Where the candidates are, and the sector threshold."""
     b, signed = plan.arrays, np.int32 if plan.dtype == np.uint16 else np.int16
     sizes = (plan.working[0], plan.step, plane_words(plan), plan.candidate_room, _band_rows(plan))
@@ -148,14 +143,14 @@ def _found(plan: Plan, criteria: RapidCriteria) -> tuple[Any, ...]:
     return b["words"], b["candidate_words"], *counts, signed(criteria.sector_threshold)
 
 
-def _contrasts(plan: Plan, criteria: RapidCriteria) -> list[Launch]:
+def _contrasts(plan: PlanBase, criteria: RapidCriteria) -> list[Launch]:
     """Without the gate: the responses of the candidates alone."""
     b, planes = plan.arrays, plan.frames * plan.masks
     lists = (b["totals"], b["row_starts"], b["sector_response"])
     return [_banded(plan, "sector_responses", planes, *_found(plan, criteria), *lists)]
 
 
-def _gate(plan: Plan, criteria: RapidCriteria, gate: SectorContrast) -> list[Launch]:
+def _gate(plan: PlanBase, criteria: RapidCriteria, gate: SectorContrast) -> list[Launch]:
     b, planes, bands = plan.arrays, plan.frames * plan.masks, _bands(plan)
     lists = (b["totals"], b["row_starts"], *(b[name] for name in CONTRASTS), b["bins_of_bands"])
     return [
@@ -164,7 +159,7 @@ def _gate(plan: Plan, criteria: RapidCriteria, gate: SectorContrast) -> list[Lau
     ]
 
 
-def _suppress(plan: Plan) -> list[Launch]:
+def _suppress(plan: PlanBase) -> list[Launch]:
     b = plan.arrays
     rows, step, band_rows = (np.uint32(n) for n in (plan.working[0], plan.step, _band_rows(plan)))
     sizes = (rows, step, np.uint32(plane_words(plan)), np.uint32(plan.candidate_room), band_rows)
@@ -179,6 +174,6 @@ def _suppress(plan: Plan) -> list[Launch]:
     ]
 
 
-def response_of(plan: Plan) -> cl.Buffer:
+def response_of(plan: PlanBase) -> cl.Buffer:
     """The response that suppression looks at."""
     return plan.arrays["response"]

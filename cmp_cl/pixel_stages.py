@@ -4,10 +4,8 @@ From the image to the list of corners; `refine_stages` goes on from there. `band
 same results in the form that is fastest on CPUs.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -15,11 +13,8 @@ from numpy.typing import NDArray
 
 from cmp_cl import spectrum
 from cmp_cl.config import RapidCriteria, SectorContrast, SpectralCriteria
-from cmp_cl.launch import GROUP, Launch, level_type
+from cmp_cl.plan_base import GROUP, Launch, PlanBase, level_type
 from cmp_cl.program import sum_of_terms
-
-if TYPE_CHECKING:
-    from cmp_cl.plan import Plan
 
 NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
 CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
@@ -27,18 +22,18 @@ CONTRASTS = ("inner_contrast", "contrast", "mean_difference", "sector_response")
 BINS = 256
 
 
-def files(plan: Plan) -> list[str]:
+def files(plan: PlanBase) -> list[str]:
     """The kernel files, in the order of the stages."""
     rapid = isinstance(plan.config.criteria, RapidCriteria)
     gate = ["gate"] if plan.config.contrast is not None else []
     return ["binarize", "criteria" if rapid else "spectral", *gate, "nms", "collect"]
 
 
-def defines(plan: Plan) -> dict[str, str | int]:
+def defines(plan: PlanBase) -> dict[str, str | int]:
     return {"IN_WORDS": 0, "NOISE_BAND": NOISE_BAND}
 
 
-def macros(plan: Plan) -> dict[str, str]:
+def macros(plan: PlanBase) -> dict[str, str]:
     """Those of binarize.cl: the sum over the window, and the one of sums of columns, as many of
     which are added in their own type as it can hold."""
     window = plan.config.threshold.window
@@ -54,7 +49,7 @@ def macros(plan: Plan) -> dict[str, str]:
     }
 
 
-def sizes(plan: Plan) -> dict[str, int]:
+def sizes(plan: PlanBase) -> dict[str, int]:
     """Bytes of the buffers."""
     planes = plan.frames * plan.masks
     plane, spare = plan.working[0] * plan.step, 2 * plan.step
@@ -74,8 +69,8 @@ def sizes(plan: Plan) -> dict[str, int]:
     return sizes
 
 
-def layouts(plan: Plan) -> list[dict[str, int]]:
-    """Bytes of the arrays that are needed only in passing, see `Plan.layouts`."""
+def layouts(plan: PlanBase) -> list[dict[str, int]]:
+    """Bytes of the arrays that are needed only in passing, see `Plan._layouts`."""
     pixel = plan.dtype.itemsize
     plane = (plan.frames * plan.working[0] + 2) * plan.step
     score = _bytes_of_results(plan)[1]
@@ -92,7 +87,7 @@ def layouts(plan: Plan) -> list[dict[str, int]]:
     return [*layouts, {"key": score * plane, "tent": score * plane}]
 
 
-def allowed_places(plan: Plan, allowed: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def allowed_places(plan: PlanBase, allowed: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """The content of the buffer "mask"."""
     rows, columns = plan.working
     plane = np.zeros((rows + 2, plan.step), np.uint8)
@@ -100,7 +95,7 @@ def allowed_places(plan: Plan, allowed: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return plane
 
 
-def launches(plan: Plan) -> list[Launch]:
+def launches(plan: PlanBase) -> list[Launch]:
     """From the image at its working scale to the list of the corners."""
     stages = [*_binarize(plan), *_criteria(plan)]
     if plan.config.contrast is not None:
@@ -109,29 +104,29 @@ def launches(plan: Plan) -> list[Launch]:
     return stages + _suppress(plan)
 
 
-def _bytes_of_results(plan: Plan) -> tuple[int, int]:
+def _bytes_of_results(plan: PlanBase) -> tuple[int, int]:
     """Of a response and of a key of suppression."""
     return (1, 2) if isinstance(plan.config.criteria, RapidCriteria) else (4, 4)
 
 
-def _bands(plan: Plan) -> int:
+def _bands(plan: PlanBase) -> int:
     """Bands of rows of the noise estimate."""
     return -(-plan.working[0] // NOISE_BAND)
 
 
-def _dense(plan: Plan, name: str, planes: int, *arguments: Any) -> Launch:
+def _dense(plan: PlanBase, name: str, planes: int, *arguments: Any) -> Launch:
     """A kernel with one work-item per pixel of rows with their pads."""
     items = (plan.step, plan.working[0], planes)
     return plan.stage(name, items, (plan.width, 1, 1), *arguments)
 
 
-def _of_candidates(plan: Plan, name: str, *arguments: Any) -> Launch:
+def _of_candidates(plan: PlanBase, name: str, *arguments: Any) -> Launch:
     """A kernel with one work-item per entry of the list of candidates."""
     items = (plan.candidate_room, plan.frames * plan.masks)
     return plan.stage(name, items, (GROUP, 1), *arguments)
 
 
-def _binarize(plan: Plan) -> list[Launch]:
+def _binarize(plan: PlanBase) -> list[Launch]:
     threshold = plan.config.threshold
     rows, columns, step = (np.uint32(n) for n in (*plan.working, plan.step))
     deep = plan.dtype == np.uint16
@@ -160,7 +155,7 @@ def _binarize(plan: Plan) -> list[Launch]:
     return [*stages, border]
 
 
-def _criteria(plan: Plan) -> list[Launch]:
+def _criteria(plan: PlanBase) -> list[Launch]:
     criteria = plan.config.criteria
     corrosion = np.int8(criteria.corrosion_threshold or 0)
     rows, step = np.uint32(plan.working[0]), np.uint32(plan.step)
@@ -178,7 +173,7 @@ def _criteria(plan: Plan) -> list[Launch]:
     return [_dense(plan, "rapid_criteria", planes, *arguments)]
 
 
-def _list(plan: Plan, what: str, masks: int, image: cl.Buffer, place: int) -> list[Launch]:
+def _list(plan: PlanBase, what: str, masks: int, image: cl.Buffer, place: int) -> list[Launch]:
     """The two stages that list the pixels of an image that are not 0."""
     rows, columns, step = (np.uint32(n) for n in (*plan.working, plan.step))
     b, planes = plan.arrays, plan.frames * masks
@@ -193,7 +188,7 @@ def _list(plan: Plan, what: str, masks: int, image: cl.Buffer, place: int) -> li
     ]
 
 
-def _gate(plan: Plan, gate: SectorContrast) -> list[Launch]:
+def _gate(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     rows, columns, step = (np.uint32(n) for n in (*plan.working, plan.step))
     b, room = plan.arrays, np.uint32(plan.candidate_room)
     deep = plan.dtype == np.uint16
@@ -222,7 +217,7 @@ def _gate(plan: Plan, gate: SectorContrast) -> list[Launch]:
     return [*stages, _of_candidates(plan, "keep", *keep)]
 
 
-def percentile_sizes(plan: Plan, bands: int, *, counted: bool = False) -> dict[str, int]:
+def percentile_sizes(plan: PlanBase, bands: int, *, counted: bool = False) -> dict[str, int]:
     """Bytes of the buffers of `percentile_stages`."""
     planes = plan.frames * plan.masks
     sizes = {"noise": 8 * plan.frames * bands, "found": 8 * planes, "bounds": 8 * planes}
@@ -234,7 +229,7 @@ def percentile_sizes(plan: Plan, bands: int, *, counted: bool = False) -> dict[s
 
 
 def percentile_stages(
-    plan: Plan, gate: SectorContrast, bands: int, *, counted: bool = False
+    plan: PlanBase, gate: SectorContrast, bands: int, *, counted: bool = False
 ) -> list[Launch]:
     """From the inner contrasts of the candidates to the bounds of the gate.
 
@@ -266,7 +261,7 @@ def percentile_stages(
     return stages
 
 
-def _suppress(plan: Plan) -> list[Launch]:
+def _suppress(plan: PlanBase) -> list[Launch]:
     rows, step = np.uint32(plan.working[0]), np.uint32(plan.step)
     rapid = isinstance(plan.config.criteria, RapidCriteria)
     b, frames = plan.arrays, plan.frames
@@ -286,6 +281,6 @@ def _suppress(plan: Plan) -> list[Launch]:
     ]
 
 
-def response_of(plan: Plan) -> cl.Buffer:
+def response_of(plan: PlanBase) -> cl.Buffer:
     """The response that suppression looks at."""
     return plan.arrays["response" if plan.masks == 3 else "responses"]

@@ -15,13 +15,11 @@ from cmp_cl import band_stages, pixel_stages, refine_stages, scale_stages
 from cmp_cl.config import DetectorConfig, EdgeStep, Fit, Midlines, RapidCriteria
 from cmp_cl.device import Device, DeviceKind
 from cmp_cl.errors import CapacityError
-from cmp_cl.launch import GROUP, Launch, multiple
+from cmp_cl.plan_base import GROUP, Launch, PlanBase, multiple
 from cmp_cl.program import Kernels, build
 from cmp_cl.refine_stages import RESULT_FIELDS
-from cmp_cl.resampling import working_shape
 from cmp_cl.results import GreyImage
 
-REACH = 16  # columns on either side of the pixels, at least: what rings and tents need
 ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
 
 
@@ -34,7 +32,7 @@ class Overflow(Exception):
         self.corners = corners
 
 
-class Plan:
+class Plan(PlanBase):
     """Buffers and bound kernels for `frames` frames of one shape at one working scale.
 
     scale: the working scale, or None for the image as it is.
@@ -53,26 +51,11 @@ class Plan:
         mask: NDArray[np.bool_] | None,
         frames: int,
     ) -> None:
-        self.queue = queue
-        self.device = device
-        self.shape = shape
-        self.dtype = dtype
-        self.config = config
-        self.scale = None if scale == 1 else scale
-        self.frames = frames
-        self.masks = config.threshold.masks
-        self.working = shape if self.scale is None else working_shape(shape, self.scale)
-        self.pad = multiple(max(REACH, config.threshold.window // 2), REACH)
-        self.step = multiple(self.working[1] + 2 * self.pad, GROUP)
-        self.full_step = multiple(shape[1] + 2 * self.pad, GROUP)
+        super().__init__(queue, device, shape, dtype, config, scale, frames)
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
         self.uploads: list[cl.Event] = []  # on their way, and with them the frames
         self._mask = mask
-        pixels = self.working[0] * self.working[1]
-        self.candidate_room = multiple(pixels // 14 + 1, GROUP)
-        self.corner_room = multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
-        self.buffers: dict[str, cl.Buffer] = {}
         rapid = isinstance(config.criteria, RapidCriteria)
         self.front_stages = band_stages if rapid and device.kind is DeviceKind.CPU else pixel_stages
         self.kernels = self._build()
@@ -210,11 +193,6 @@ class Plan:
                 place += multiple(size, ALIGNMENT)
         return parts
 
-    def constant(self, table: NDArray[Any]) -> cl.Buffer:
-        """The table on the device."""
-        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.queue.context, flags, hostbuf=np.ascontiguousarray(table))
-
     def _upload_mask(self) -> None:
         rows, columns = self.working
         allowed = np.ones(self.working, np.bool_)
@@ -243,30 +221,6 @@ class Plan:
         self.front = [*scale_stages.launches(self), *self.front_stages.launches(self)]
         self.launches = [*self.front, *refine_stages.launches(self)]
         self._likely = self.corner_room  # corners of a frame, at most
-
-    def stage(
-        self, name: str, items: tuple[int, ...], group: tuple[int, ...] | None, *arguments: Any
-    ) -> Launch:
-        """A kernel over work-items in groups, None for any."""
-        return Launch(name, self.kernels.bind(name, *arguments), items, group, arguments)
-
-    @property
-    def width(self) -> int:
-        """Work-items of a group of a dense kernel: a share of the row, pads included."""
-        most = min(self.device.handle.max_work_group_size, 1024)
-        if self.device.kind is not DeviceKind.CPU:
-            most = min(most, 128)
-        units = self.step // GROUP
-        return max(
-            GROUP * n
-            for n in range(1, units + 1)
-            if units % n == 0 and GROUP * n <= max(most, GROUP)
-        )
-
-    def rows(self, name: str, rows: int, planes: int, *arguments: Any) -> Launch:
-        """A kernel with one work-item per row, or per something else of which there are few."""
-        group = (1, 1) if self.device.kind is DeviceKind.CPU else None
-        return self.stage(name, (rows, planes), group, *arguments)
 
     # What happens in a frame
 

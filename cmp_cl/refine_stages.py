@@ -2,20 +2,15 @@
 in a vector.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
 from cmp_cl.config import EdgeLines, EdgeStep, Midlines
 from cmp_cl.device import DeviceKind
-from cmp_cl.launch import GROUP, Launch
-
-if TYPE_CHECKING:
-    from cmp_cl.plan import Plan
+from cmp_cl.plan_base import GROUP, Launch, PlanBase
 
 RESULT_FIELDS = 12  # of kernels/refine.cl, like the next
 START_FIELDS = 2
@@ -28,7 +23,7 @@ RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
 
 
-def files(plan: Plan) -> list[str]:
+def files(plan: PlanBase) -> list[str]:
     """The kernel files, in the order of the stages."""
     if not _by_eight(plan):
         return ["refine"]
@@ -36,13 +31,13 @@ def files(plan: Plan) -> list[str]:
     return ["refine", "refine_eight", *step]
 
 
-def lanes(plan: Plan) -> int:
+def lanes(plan: PlanBase) -> int:
     """Corners that a work-item takes."""
     return LANES if _by_eight(plan) else 1
 
 
-def layout(plan: Plan) -> dict[str, int]:
-    """Bytes of what the kernels leave to one another, see `Plan.layouts`."""
+def layout(plan: PlanBase) -> dict[str, int]:
+    """Bytes of what the kernels leave to one another, see `Plan._layouts`."""
     refinement = plan.config.refinement
     step = isinstance(refinement, EdgeStep)
     fields = {}
@@ -57,7 +52,7 @@ def layout(plan: Plan) -> dict[str, int]:
     return {name: 4 * n * plan.frames * plan.corner_room for name, n in fields.items()}
 
 
-def launches(plan: Plan) -> list[Launch]:
+def launches(plan: PlanBase) -> list[Launch]:
     """From the maxima to positions."""
     refinement, b = plan.config.refinement, plan.arrays
     sizes = (np.uint32(plan.working[0]), np.uint32(plan.step))
@@ -77,12 +72,12 @@ def launches(plan: Plan) -> list[Launch]:
     return stages
 
 
-def _by_eight(plan: Plan) -> bool:
+def _by_eight(plan: PlanBase) -> bool:
     lines = isinstance(plan.config.refinement, EdgeLines | EdgeStep)
     return lines and plan.device.kind is DeviceKind.CPU
 
 
-def _of_corners(plan: Plan, name: str, *arguments: Any) -> Launch:
+def _of_corners(plan: PlanBase, name: str, *arguments: Any) -> Launch:
     """A kernel over the list of corners: one each, or some work-items that share them out."""
     if not _by_eight(plan):
         return plan.stage(name, (plan.corner_room, plan.frames), (GROUP, 1), *arguments)
@@ -90,7 +85,7 @@ def _of_corners(plan: Plan, name: str, *arguments: Any) -> Launch:
     return plan.stage(name, (shares, plan.frames), (1, 1), *arguments)
 
 
-def _scaled(plan: Plan) -> tuple[Any, ...]:
+def _scaled(plan: PlanBase) -> tuple[Any, ...]:
     """What rings around corners of a scaled image need: the scale, the full image's size, how far
     they reach from the start, and their samples."""
     if plan.scale is None:
@@ -99,7 +94,7 @@ def _scaled(plan: Plan) -> tuple[Any, ...]:
     return np.float32(plan.scale), *(np.uint32(n) for n in sizes), _ring_samples(plan, plan.scale)
 
 
-def _ring_samples(plan: Plan, scale: float) -> cl.Buffer:
+def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
     """(rings, 32, 8) float32, see RING_32 in kernels/refine.cl."""
     angle = np.arange(RING_SAMPLES) * (math.tau / RING_SAMPLES)
     circle = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
@@ -109,7 +104,7 @@ def _ring_samples(plan: Plan, scale: float) -> cl.Buffer:
     return plan.constant(np.concatenate(parts, axis=2))
 
 
-def _edges(plan: Plan, refinement: EdgeLines | EdgeStep | Midlines) -> list[Launch]:
+def _edges(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> list[Launch]:
     """From the starts to edge points and where their lines meet, one by one."""
     b = plan.arrays
     grey, corners = (b["image"], b["start"], b["totals"]), _rows(plan)
@@ -133,7 +128,7 @@ def _edges(plan: Plan, refinement: EdgeLines | EdgeStep | Midlines) -> list[Laun
     return [*stages, _of_corners(plan, "edge_lines", *given, *between, b["result"])]
 
 
-def _step(plan: Plan, refinement: EdgeStep) -> Launch:
+def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
     b, factor = plan.arrays, plan.scale or 1.0
     radius = np.float32(min(max(0.75 * refinement.cell * factor, 4.5), 9.0) / factor)
     given = (b["image"], b["start"], b["lines"], b["totals"])
@@ -144,13 +139,13 @@ def _step(plan: Plan, refinement: EdgeStep) -> Launch:
     return _of_corners(plan, name, *arguments)
 
 
-def _rows(plan: Plan) -> tuple[np.uint32, np.uint32, np.uint32]:
+def _rows(plan: PlanBase) -> tuple[np.uint32, np.uint32, np.uint32]:
     """What says where a corner's row is: room of a frame, place of its total, all rows."""
     frames, room = plan.frames, plan.corner_room
     return np.uint32(room), np.uint32(frames * plan.masks), np.uint32(frames * room)
 
 
-def _largest_shift(plan: Plan) -> np.float32:
+def _largest_shift(plan: PlanBase) -> np.float32:
     """Of a refined position from its start, px of the image."""
     refinement = plan.config.refinement
     shift = refinement.max_shift if isinstance(refinement, EdgeLines | Midlines) else 2.0

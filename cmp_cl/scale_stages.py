@@ -1,18 +1,13 @@
 """The stage from the image to its working scale: pixel by pixel, or for CPUs in bands of rows."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.device import DeviceKind
-from cmp_cl.launch import GROUP, Launch, multiple
+from cmp_cl.plan_base import GROUP, Launch, PlanBase, multiple
 from cmp_cl.resampling import resampling_weights
-
-if TYPE_CHECKING:
-    from cmp_cl.plan import Plan
 
 VECTOR = 8  # columns that kernels/scale_bands.cl takes at a time
 FOUR = 4  # taps that it reads at once
@@ -21,15 +16,15 @@ BANDS = 8  # for each of a device's units: they share the work out evenly
 Weights = tuple[NDArray[np.int32], NDArray[np.int32]]  # of an axis, see `resampling_weights`
 
 
-def files(plan: Plan) -> list[str]:
+def files(plan: PlanBase) -> list[str]:
     """The kernel files."""
     if plan.scale is None:
         return []
     return ["scale_bands" if _by_bands(plan) else "scale"]
 
 
-def layout(plan: Plan) -> dict[str, int]:
-    """Bytes of the arrays that are needed only in passing, see `Plan.layouts`."""
+def layout(plan: PlanBase) -> dict[str, int]:
+    """Bytes of the arrays that are needed only in passing, see `Plan._layouts`."""
     if plan.scale is None or not _by_bands(plan):
         return {}
     bands = 4 * plan.frames * _bands(plan)
@@ -39,7 +34,7 @@ def layout(plan: Plan) -> dict[str, int]:
     }
 
 
-def launches(plan: Plan) -> list[Launch]:
+def launches(plan: PlanBase) -> list[Launch]:
     """From the image to that at its working scale."""
     if plan.scale is None:
         return []
@@ -52,23 +47,25 @@ def launches(plan: Plan) -> list[Launch]:
     return [_pixels(plan, rows, columns)]
 
 
-def _by_bands(plan: Plan) -> bool:
+def _by_bands(plan: PlanBase) -> bool:
     return plan.device.kind is DeviceKind.CPU
 
 
-def _bands(plan: Plan) -> int:
+def _bands(plan: PlanBase) -> int:
     return -(-plan.working[0] // _band_rows(plan))
 
 
-def _band_rows(plan: Plan) -> int:
+def _band_rows(plan: PlanBase) -> int:
     return -(-plan.working[0] // (BANDS * plan.device.handle.max_compute_units))
 
 
-def _tables(plan: Plan, first: NDArray[np.int32], weights: NDArray[np.int32]) -> tuple[Any, ...]:
+def _tables(
+    plan: PlanBase, first: NDArray[np.int32], weights: NDArray[np.int32]
+) -> tuple[Any, ...]:
     return plan.constant(first), plan.constant(weights), np.uint32(weights.shape[1])
 
 
-def _pixels(plan: Plan, rows: Weights, columns: Weights) -> Launch:
+def _pixels(plan: PlanBase, rows: Weights, columns: Weights) -> Launch:
     first_x, weights_x = columns
     by_tap = (plan.constant(first_x), plan.constant(weights_x.T), np.uint32(weights_x.shape[1]))
     sizes = (plan.shape[0], plan.full_step, *plan.working, plan.step)
@@ -77,7 +74,7 @@ def _pixels(plan: Plan, rows: Weights, columns: Weights) -> Launch:
     return plan.stage("resample", items, (GROUP, 1, 1), plan.buffers["image"], *arguments)
 
 
-def _bands_of_rows(plan: Plan, rows: Weights, columns: Weights) -> Launch:
+def _bands_of_rows(plan: PlanBase, rows: Weights, columns: Weights) -> Launch:
     first_y, weights_y = rows[0], _padded(rows[1], len(rows[1]), max(rows[1].shape[1], 2))
     count, taps = multiple(plan.working[1], VECTOR), multiple(columns[1].shape[1], FOUR)
     first_x = plan.constant(np.pad(columns[0], (0, count - plan.working[1])))

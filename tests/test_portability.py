@@ -21,8 +21,8 @@ from cmp_cl import (
     SpectralCriteria,
 )
 from cmp_cl.device import DeviceKind
-from cmp_cl.launch import GROUP
 from cmp_cl.plan import Plan
+from cmp_cl.plan_base import GROUP
 from cmp_cl.program import kernel_folder
 
 FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31
