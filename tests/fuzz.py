@@ -148,21 +148,19 @@ def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
     return np.ascontiguousarray(np.clip(image, 0, high - 1).astype(dtype))
 
 
-def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarray:
-    """(N,) how far the oracle's own positions move, px, where its edge points are rounded as
-    float32 rounds them: centrelines through points that nearly coincide hang on every digit."""
+def rounded(image: np.ndarray, config: DetectorConfig) -> list[Corners]:
+    """The oracle's own corners where its edge points are rounded as float32 rounds them, often:
+    centrelines through points that nearly coincide hang on every digit."""
     exact, rng = reference.refine.edge_points, np.random.default_rng(0)
 
-    def rounded(*arguments: Any) -> Any:
+    def inexact(*arguments: Any) -> Any:
         points = exact(*arguments)
         return dataclasses.replace(
             points, point=points.point + rng.normal(0, ROUNDING, points.point.shape)
         )
 
-    there = reference.detect(image, config).xy
-    with mock.patch.object(reference.refine, "edge_points", rounded):
-        moved = [np.abs(reference.detect(image, config).xy - there) for _ in range(20)]
-    return np.max(moved, axis=(0, 2))
+    with mock.patch.object(reference.refine, "edge_points", inexact):
+        return [reference.detect(image, config) for _ in range(20)]
 
 
 def assert_as_expected(
@@ -173,12 +171,15 @@ def assert_as_expected(
     np.testing.assert_array_equal(found.pixel, expected.pixel)
     np.testing.assert_array_equal(found.response, expected.response)
     decided = margin > tolerances.MARGIN
-    np.testing.assert_array_equal(found.method[decided], expected.method[decided])
     assert np.isfinite(found.xy).all()
     distance = np.abs(found.xy - expected.xy).max(axis=1, initial=0)
-    if (distance[decided] > tolerances.POSITION).any():
-        loose = distance > tolerances.POSITION
-        allowed = 5 * movement_by_rounding(image, config)
+    loose = (distance > tolerances.POSITION) | (found.method != expected.method)
+    if loose[decided].any():
+        others = rounded(image, config)
+        methods = np.array([expected.method, *(other.method for other in others)])
+        assert (found.method == methods).any(axis=0)[decided].all(), (found.method, methods)
+        moved = [np.abs(other.xy - expected.xy).max(axis=1) for other in others]
+        allowed = 5 * np.max(moved, axis=0)
         assert (distance <= tolerances.POSITION + allowed)[decided].all(), (distance, allowed)
         counts["loose"] += int((decided & loose).sum())
         decided &= ~loose
