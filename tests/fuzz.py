@@ -148,19 +148,21 @@ def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
     return np.ascontiguousarray(np.clip(image, 0, high - 1).astype(dtype))
 
 
-def rounded(image: np.ndarray, config: DetectorConfig) -> list[Corners]:
-    """The oracle's own corners where its edge points are rounded as float32 rounds them, often:
-    centrelines through points that nearly coincide hang on every digit."""
+def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarray:
+    """(N,) how far the oracle's own positions move, px, where its edge points are rounded as
+    float32 rounds them: centrelines through points that nearly coincide hang on every digit."""
     exact, rng = reference.refine.edge_points, np.random.default_rng(0)
 
-    def inexact(*arguments: Any) -> Any:
+    def rounded(*arguments: Any) -> Any:
         points = exact(*arguments)
         return dataclasses.replace(
             points, point=points.point + rng.normal(0, ROUNDING, points.point.shape)
         )
 
-    with mock.patch.object(reference.refine, "edge_points", inexact):
-        return [reference.detect(image, config) for _ in range(20)]
+    there = reference.detect(image, config).xy
+    with mock.patch.object(reference.refine, "edge_points", rounded):
+        moved = [np.abs(reference.detect(image, config).xy - there) for _ in range(20)]
+    return np.max(moved, axis=(0, 2))
 
 
 def assert_as_expected(
@@ -175,12 +177,10 @@ def assert_as_expected(
     distance = np.abs(found.xy - expected.xy).max(axis=1, initial=0)
     loose = (distance > tolerances.POSITION) | (found.method != expected.method)
     if loose[decided].any():
-        others = rounded(image, config)
-        methods = np.array([expected.method, *(other.method for other in others)])
-        assert (found.method == methods).any(axis=0)[decided].all(), (found.method, methods)
-        moved = [np.abs(other.xy - expected.xy).max(axis=1) for other in others]
-        allowed = 5 * np.max(moved, axis=0)
-        assert (distance <= tolerances.POSITION + allowed)[decided].all(), (distance, allowed)
+        moved = movement_by_rounding(image, config)
+        decided &= margin > moved  # a guard that rounding may carry over its bound
+        np.testing.assert_array_equal(found.method[decided], expected.method[decided])
+        assert (distance <= tolerances.POSITION + 5 * moved)[decided].all(), (distance, moved)
         counts["loose"] += int((decided & loose).sum())
         decided &= ~loose
     counts["corners"] += len(found)
