@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from test_determinism import DIGESTS, config_for, digest, load
 
 ORACLE = "the oracle, float64"
-LIMIT = 100  # seconds for all scenes on an implementation
+LIMIT = 200  # seconds for all scenes on an implementation
 
 
 def libraries() -> Iterator[tuple[str, str]]:
