@@ -1,6 +1,6 @@
 """All measurements and the report, in one command.
 
-python bench/run.py --quick         a few minutes; into a folder for temporary files
+python bench/run.py --quick         two or three minutes; into a folder for temporary files
 python bench/run.py                 about 45 minutes on two quiet cores; into results/
 """
 
@@ -17,11 +17,9 @@ from environment import environment
 
 HERE = Path(__file__).parent
 QUICK = Path(tempfile.gettempdir()) / "cmp_cl-bench"
-PARTS = (
-    *("speed", "scaling", "theory", "criteria", "photographs", "field", "accuracy", "stability"),
-    "implementations",
-)
-WHOLE = ("theory", "photographs", "implementations")  # have no short form
+PARTS = ("speed", "scaling", "theory", "criteria", "photographs", "field", "accuracy", "stability")
+LONG = ("implementations",)  # only in the long form
+WHOLE = ("theory", "photographs")  # have no short form
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -34,10 +32,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     around = environment()
     failed = []
     seconds = {}
-    for number, part in enumerate(PARTS, 1):
+    parts = PARTS if arguments.quick else PARTS + LONG
+    for number, part in enumerate(parts, 1):
         command = [sys.executable, str(HERE / f"{part}.py"), "--out", str(out / f"{part}.json")]
         command += ["--quick"] if arguments.quick and part not in WHOLE else []
-        print(f"\n[{number} of {len(PARTS)}] {part}", flush=True)
+        print(f"\n[{number} of {len(parts)}] {part}", flush=True)
         start = time.perf_counter()
         if subprocess.run(command).returncode:
             failed.append(part)
