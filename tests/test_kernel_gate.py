@@ -1,14 +1,19 @@
 """kernels/gate.cl: the contrast gate, equal to the oracle."""
 
+import dataclasses
+
 import images
 import numpy as np
+import pyopencl as cl
 import pytest
 from comparison import assert_maps_equal
 from corner_images import corner, noise
 
 from cmp_cl import (
     AdaptiveMean,
+    Detector,
     DetectorConfig,
+    DeviceKind,
     RapidCriteria,
     SectorContrast,
     SpectralCriteria,
@@ -154,3 +159,30 @@ def test_one_candidate_sets_the_percentile(detector_for):
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (2, 31), (31, 2), (3, 3)])
 def test_images_without_an_inner_pixel(detector_for, shape):
     check(detector_for, noise(shape, seed=4))
+
+
+@pytest.mark.parametrize("columns", [2, 3, 4, 5, 6, 7, 8, 31])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value)
+def test_noise_in_every_width_and_form(device, kind, dtype, columns):
+    image = np.random.default_rng(6).integers(0, np.iinfo(dtype).max + 1, (19, columns), dtype)
+    device = dataclasses.replace(device, kind=kind)
+    with Detector(shape=image.shape, dtype=dtype, device=device) as detector:
+        detector(image)
+        plan = detector._plan(None)
+        sums = np.empty(plan.sizes["noise"] // 8, np.uint64)
+        cl.enqueue_copy(plan.queue, sums, plan.arrays["noise"])
+    assert int(sums.sum()) == gate.noise_amplitude(image)[0]
+
+
+@pytest.mark.parametrize("relative", [0.3, 0.6, 0.9, 1])
+@pytest.mark.parametrize("kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value)
+def test_both_levels_of_the_percentile_in_every_form(device, kind, relative):
+    """Contrasts whose lower eight bits decide, frame after frame."""
+    texture = images.texture((90, 80)).astype(np.uint16) * 3 + 100
+    contrast = SectorContrast(minimum=0, relative=relative, noise=0)
+    config = DetectorConfig(contrast=contrast)
+    device = dataclasses.replace(device, kind=kind)
+    with Detector(shape=texture.shape, dtype=np.uint16, config=config, device=device) as detector:
+        for image in (texture, texture[::-1].copy(), texture):
+            assert_maps_equal(detector, image)
