@@ -1,5 +1,6 @@
 """demo, run, calibrate and tune as a user has them, on small rendered frames."""
 
+import contextlib
 import dataclasses
 import signal
 import sys
@@ -297,6 +298,7 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
         (["frames", *STEREO, "--out", "press.csv"], ["npz"]),
         (["frames", *STEREO, "--out", "no/press.npz"], ["there is no folder", "no'"]),
         (["frames", *STEREO, "--rerun", "press.txt"], ["rrd"]),
+        (["frames", *STEREO, "--rerun", "press.rrd", "--show"], ["--show", "--rerun"]),
         (["frames", *STEREO, "--stereo", "frames/0.png"], ["frames/0.png"]),
         (["frames", "--out", "a.npz", "--split", "halves"], ["--stereo"]),
         (["frames", *STEREO, "--region", "1,2,3"], ["X,Y,WIDTH,HEIGHT"]),
@@ -371,12 +373,41 @@ def test_a_region_follows_its_rectangle_into_the_view(mirror):
     assert (x.min() - x0, y.min() - y0, x1 - x.max(), y1 - y.max()) == (0.5,) * 4
 
 
-def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch):
+@pytest.mark.parametrize("option", [["--rerun", "a.rrd"], ["--show"]])
+def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch, option):
     monkeypatch.setitem(sys.modules, "rerun", None)
     fails_in_one_line(
-        run("run", recording, *STEREO, "--rerun", "a.rrd"), "pip install 'rerun-sdk>=0.23'"
+        run("run", recording, *STEREO, *option), option[0], "pip install 'rerun-sdk>=0.23'"
     )
     assert not list(tmp_path.glob("*.npz"))
+
+
+def test_without_its_viewer_rerun_shows_nothing_and_says_why(run, recording, tmp_path, monkeypatch):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    fails_in_one_line(run("run", recording, *STEREO, "--show"), "--show", "Viewer")
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatch):
+    shown = []
+
+    class Viewer(contextlib.nullcontext):
+        def __init__(self, path):
+            assert path is None
+            super().__init__(self)
+
+        def frame(self, **what):
+            shown.append(what)
+
+    monkeypatch.setattr("cmp_cl.commands.run.RerunLog", Viewer)
+    status, _, err = run("run", recording, *STEREO, "--show")
+    assert (status, err) == (0, "")
+    assert [what["index"] for what in shown] == list(range(len(press)))
+    for what, shot in zip(shown, press, strict=True):
+        np.testing.assert_array_equal(what["image"], shot.left.image)
+        assert what["grid"].valid.all()
+    assert np.nanmax(np.abs(shown[-1]["field"].displacement)) > 0.1
 
 
 # demo

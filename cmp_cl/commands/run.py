@@ -89,8 +89,14 @@ def add_parser(commands: Any) -> None:
         "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
         "outside are left out in every frame",
     )
-    parser.add_argument(
+    film = parser.add_mutually_exclusive_group()
+    film.add_argument(
         "--rerun", metavar="RRD", help="record a film for the Rerun viewer (the left view)"
+    )
+    film.add_argument(
+        "--show",
+        action="store_true",
+        help="open the Rerun viewer and show there each frame as it is measured (the left view)",
     )
     parser.add_argument(
         "--config",
@@ -256,7 +262,7 @@ def run(arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         stopped = stack.enter_context(_ctrl_c())
         measure = stack.enter_context(_measurement(rest, rig, wanted, arguments))
-        film = _film(arguments.rerun, stack)
+        film = _film(arguments, stack)
         series = stack.enter_context(SeriesWriter(arguments.out, **measure.constants))
         stack.callback(signal.signal, signal.SIGINT, signal.SIG_IGN)  # while it is written
         progress = stack.enter_context(Progress(source.total, "frames"))
@@ -308,13 +314,16 @@ def _measurement(
         raise GridError(f"the rest frame {arguments.rest_frame}: {error}{hint}") from error
 
 
-def _film(path: str | None, stack: contextlib.ExitStack) -> RerunLog | None:
-    if path is None:
+def _film(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> RerunLog | None:
+    if arguments.rerun is None and not arguments.show:
         return None
+    option = "--show" if arguments.show else "--rerun"
     try:
-        return stack.enter_context(RerunLog(path))
+        return stack.enter_context(RerunLog(arguments.rerun))
     except ImportError as error:
-        raise ConfigError("--rerun needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
+        raise ConfigError(f"{option} needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
+    except RuntimeError as error:
+        raise ConfigError(f"{option}: {str(error).strip().splitlines()[0]}") from error
 
 
 def _why_broken(shot: _Shot, rest: GreyImage) -> str:
