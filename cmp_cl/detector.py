@@ -15,6 +15,8 @@ from cmp_cl.config import DetectorConfig, EdgeStep, Pyramid
 from cmp_cl.device import Device, describe_handle, select_device
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.plan import Overflow, Plan
+from cmp_cl.plan_base import multiple
+from cmp_cl.refine_stages import LANES, RESULT_FIELDS, RESULT_HEAD
 from cmp_cl.resampling import full_pixels
 from cmp_cl.results import Corners, GreyImage, Grid, Maps, Method, check_image
 
@@ -169,6 +171,7 @@ class Detector:
         Frames that are on the device already are given as the pyopencl.Buffer that holds them,
         without gaps, in the context of this detector's `queue`; they are read after what that
         queue was given before, and may be overwritten through it at once.
+        The results share one block of memory: copy what is kept of a frame without the others.
         Raises what a call raises, ImageError where the buffer does not hold whole frames,
         DeviceError where it is of another context.
         """
@@ -266,7 +269,7 @@ class Detector:
         try:
             while True:
                 try:
-                    return _corners(*plan.read(self._transfers), plan)
+                    return _corners(plan.read(self._transfers), plan)
                 except Overflow as overflow:
                     self._grow(plan, overflow)
         except cl.MemoryError as error:
@@ -356,54 +359,48 @@ def detect(
         return detector(image)
 
 
-def _corners(columns: NDArray[np.float32], counts: NDArray[np.uint32], plan: Plan) -> list[Corners]:
-    """The results of each frame, from the columns that the refinement kernels wrote."""
-    found = []
-    for p, count in enumerate(counts.tolist()):
-        own = columns[:, p, :count]
-        sigma, doubtful = _deviation(own, plan.config)
-        pixel = _rows(own[7:9], np.int32)
+def _corners(rows: NDArray[np.float32], plan: Plan) -> list[Corners]:
+    """The corners of each frame: parts of what `Plan.read` has fetched."""
+    device, found = str(plan.device), []
+    for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
+        places = multiple(count, LANES)
+        numbers = row[RESULT_HEAD:][: RESULT_FIELDS * places]
+        fields = numbers.reshape(RESULT_FIELDS, places)
+        sigma, doubtful = _deviation(fields[:, :count], plan.config)
+        pixel = fields[2:4].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
             pixel = full_pixels(pixel, plan.shape, plan.scale)
         found.append(
             Corners(
-                xy=_rows(own[0:2], np.float32),
+                xy=fields[0:2].reshape(-1, 2)[:count],
                 pixel=pixel,
-                response=own[6].copy(),
-                method=own[9].astype(np.uint8),
+                response=fields[8, :count],
+                method=fields[9, :count].astype(np.uint8),
                 sigma=sigma,
-                edges=_rows(own[2:6], np.float32),
+                edges=fields[4:8].reshape(-1, 4)[:count],
                 doubtful=doubtful,
-                device=str(plan.device),
+                device=device,
             )
         )
     return found
 
 
-def _rows(columns: NDArray[np.float32], dtype: Any) -> NDArray[Any]:
-    """The columns side by side; a copy of the transpose takes NumPy three times as long."""
-    rows = np.empty(columns.shape[::-1], dtype)
-    for k, column in enumerate(columns):
-        rows[:, k] = column
-    return rows
-
-
 def _deviation(
-    words: NDArray[np.float32], config: DetectorConfig
+    fields: NDArray[np.float32], config: DetectorConfig
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Standard deviation of each position, px, and which corners do not look like one: where
     what the model leaves is more correlated than in the middle one of the frame's corners."""
-    count = words.shape[1]
+    count = fields.shape[1]
     if not isinstance(config.refinement, EdgeStep):
         return np.full(count, np.nan, np.float32), np.zeros(count, np.bool_)
-    accepted = words[9] == Method.EDGE_STEP
-    correlation = words[11]
+    accepted = fields[9] == Method.EDGE_STEP
+    correlation = fields[11]
     excess = np.zeros(count, np.float32)
     if accepted.any():
         middle = (np.count_nonzero(accepted) - 1) // 2
         typical = np.partition(correlation[accepted], middle)[middle]
         excess[accepted] = np.maximum(correlation[accepted] - typical, 0)
-    variance = config.refinement.sigma0**2 + np.maximum(words[10], 0) + 1000 * excess**2
+    variance = config.refinement.sigma0**2 + np.maximum(fields[10], 0) + 1000 * excess**2
     return np.sqrt(variance), excess > DOUBTFUL_EXCESS
 
 

@@ -17,7 +17,7 @@ from cmp_cl.device import Device, DeviceKind
 from cmp_cl.errors import CapacityError
 from cmp_cl.plan_base import GROUP, Launch, PlanBase, multiple
 from cmp_cl.program import Kernels, build
-from cmp_cl.refine_stages import RESULT_FIELDS
+from cmp_cl.refine_stages import LANES, RESULT_FIELDS, RESULT_HEAD
 from cmp_cl.results import GreyImage
 
 ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
@@ -132,7 +132,8 @@ class Plan(PlanBase):
             **self.front_stages.sizes(self),
             "work": max(sum(sizes) for sizes in parts),
             "corners": 8 * rows,
-            "result": 4 * (RESULT_FIELDS + 1) * rows,  # and the totals, fetched with it
+            "result": self.frames * refine_stages.result_size(self),
+            "totals": 4 * self.frames * (self.masks + 1),  # candidates of planes, corners
         }
         if self.scale is not None:
             sizes["working"] = (self.frames * self.working[0] + 2) * self.step * pixel
@@ -159,7 +160,7 @@ class Plan(PlanBase):
                     self._clear(buffer)
                     self.buffers[name] = buffer
             self.queue.finish()
-            self.arrays = {**self.buffers, **self._parts_of_work(), **self._parts_of_result()}
+            self.arrays = {**self.buffers, **self._parts_of_work()}
         except cl.Error as error:  # of memory, or of a size above the device's largest
             raise self.refused(error) from error
         self._upload_mask()
@@ -171,15 +172,6 @@ class Plan(PlanBase):
             f"it has {self.device.memory}: {error}; close what else uses it, or use smaller "
             "images or fewer frames at a time"
         )
-
-    def _parts_of_result(self) -> dict[str, cl.Buffer]:
-        """Behind the columns the totals: candidates of each plane, corners of each frame."""
-        result, columns = self.buffers["result"], 4 * RESULT_FIELDS * self.frames * self.corner_room
-        totals = 4 * self.frames * (self.masks + 1)
-        return {
-            "result": result.get_sub_region(0, columns),
-            "totals": result.get_sub_region(columns, totals),
-        }
 
     def _clear(self, buffer: cl.Buffer) -> None:
         cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, buffer.size)
@@ -271,37 +263,36 @@ class Plan(PlanBase):
                 self.events.append((stage, self._last))
         queue.flush()
 
-    def read(self, queue: cl.CommandQueue) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-        """The results, (fields, frames, most corners of a frame) float32, and the number of
-        corners of each frame, once the launches are done; raises Overflow."""
-        planes = self.frames * self.masks
-        columns = self._fetch(queue, self._likely)
+    def read(self, queue: cl.CommandQueue) -> NDArray[np.float32]:
+        """The result of each frame as kernels/refine.cl has it, (frames, numbers), once the
+        launches are done; raises Overflow."""
+        rows = self._fetch(queue, self._likely)
         self.uploads.clear()
-        totals = columns[RESULT_FIELDS].reshape(-1)[: planes + self.frames].view(np.uint32)
-        candidates, counts = int(totals[:planes].max()), totals[planes:]
-        most = int(counts.max())
+        head = rows[:, : 1 + self.masks].view(np.uint32)
+        most, candidates = int(head[:, 0].max()), int(head[:, 1:].max())
         if candidates > self.candidate_room or most > self.corner_room:
             raise Overflow(candidates, most)
-        if most > columns.shape[2]:
-            columns = self._fetch(queue, most)
-        self._likely = min(max(most * 9 // 8, len(totals)), self.corner_room)
-        return columns[:RESULT_FIELDS, :, :most], counts
+        if most > self._likely:
+            rows = self._fetch(queue, most)
+        self._likely = min(most * 9 // 8, self.corner_room)
+        return rows
 
     def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
-        """The first columns of the result; of its last row as many as there are totals."""
-        columns = np.empty((RESULT_FIELDS + 1, self.frames, most), np.float32)
+        """The result of each frame, as much as holds that many corners."""
+        numbers = RESULT_HEAD + RESULT_FIELDS * multiple(most, LANES)
+        rows = np.empty((self.frames, numbers), np.float32)
         _copy_rectangle(
             queue,
-            columns,
+            rows,
             self.buffers["result"],
             buffer_origin=(0, 0, 0),
             host_origin=(0, 0, 0),
-            region=(4 * most, self.frames, RESULT_FIELDS + 1),
-            buffer_pitches=(4 * self.corner_room, 4 * self.frames * self.corner_room),
-            host_pitches=(4 * most, 4 * self.frames * most),
+            region=(4 * numbers, self.frames, 1),
+            buffer_pitches=(refine_stages.result_size(self), 0),
+            host_pitches=(4 * numbers, 0),
             wait_for=[self._last],
         )
-        return columns
+        return rows
 
     def grow(self, overflow: Overflow) -> None:
         """Make room for what did not fit; the frames stay on the device."""

@@ -13,6 +13,7 @@ from cmp_cl.device import DeviceKind
 from cmp_cl.plan_base import GROUP, Launch, PlanBase
 
 RESULT_FIELDS = 12  # of kernels/refine.cl, like the next
+RESULT_HEAD = 16  # numbers before the fields of a frame
 START_FIELDS = 2
 POINT_FIELDS = 27
 LINE_FIELDS = 6
@@ -50,6 +51,11 @@ def layout(plan: PlanBase) -> dict[str, int]:
         if plan.scale is None:
             fields["edge_samples"] = EDGE_SAMPLES
     return {name: 4 * n * plan.frames * plan.corner_room for name, n in fields.items()}
+
+
+def result_size(plan: PlanBase) -> int:
+    """Bytes of the result of a frame."""
+    return 4 * (RESULT_HEAD + RESULT_FIELDS * plan.corner_room)
 
 
 def launches(plan: PlanBase) -> list[Launch]:

@@ -93,13 +93,14 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
   const float core_radius = SMALLER(4.0f, radius / 2), core_2 = core_radius * core_radius;
   const int reach = (int)(radius + 0.5f);
 
+  RESULT_OF_FRAME
   Part part;
   Values values;
   list_part(&part, -reach, reach, radius_2);
   const int whole = part.end > reach;
   for (size_t n = get_global_id(0); n < total; n += get_global_size(0)) {
     const size_t row = p * room + n;
-    if (FIELD(RESULT_METHOD) != METHOD_EDGE_LINES) continue;
+    if (*RESULT_METHOD != METHOD_EDGE_LINES) continue;
     const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
     const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
     const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);

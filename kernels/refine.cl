@@ -2,21 +2,35 @@
  * One work-item per corner; positions are relative to the pixel they start from, so that
  * float32 is exact enough on an image of any size.
  *
- * Corner n of frame p has row p * room + n of every array; a column has `length` rows. There are
- * totals[place + p] corners, or as many as there is room for. `result` has a column per field;
- * its pixel is that of the working image. */
+ * Corner n of frame p has row p * room + n of every array in between; a column has `length` rows.
+ * There are totals[place + p] corners, or as many as there is room for.
+ *
+ * `result` holds what a host hands out as it is. Of each frame: the number of corners, that of
+ * the candidates of each mask, and, HEAD numbers from the beginning on, field after field, each
+ * with `places` corners, so many that vectors of eight end within. Pixels are integers of the
+ * working image; variance and correlation are those of EDGE_STEP. */
 
 #define COLUMN_OF(array, k) array[(size_t)(k) * length + row]
-#define FIELD(k) COLUMN_OF(result, k)
-#define RESULT_X 0
-#define RESULT_Y 1
-#define RESULT_EDGES 2
-#define RESULT_RESPONSE 6
-#define RESULT_PIXEL_X 7
-#define RESULT_PIXEL_Y 8
-#define RESULT_METHOD 9
-#define RESULT_SIGMA 10
-#define RESULT_DOUBTFUL 11
+
+#define HEAD 16
+#define RESULT_FIELDS 12
+#define RESULT_OF_FRAME                                                             \
+  const uint places = (SMALLER(totals[place + p], room) + 7) / 8 * 8;               \
+  __global float *own = result + p * (HEAD + RESULT_FIELDS * (size_t)room) + HEAD;
+#define RESULT_POSITION (own + 2 * n)
+#define RESULT_PIXEL (own + 2 * places + 2 * n)
+#define RESULT_EDGES (own + 4 * places + 4 * n)
+#define RESULT_RESPONSE (own + 8 * places + n)
+#define RESULT_METHOD (own + 9 * places + n)
+#define RESULT_VARIANCE (own + 10 * places + n)
+#define RESULT_CORRELATION (own + 11 * places + n)
+
+void write_head(__global float *own, __global const uint *totals, const uint place,
+                const size_t p) {
+  __global uint *head = (__global uint *)(own - HEAD);
+  head[0] = totals[place + p];
+  for (uint mask = 0; mask < MASKS; ++mask) head[1 + mask] = totals[p * MASKS + mask];
+}
 
 #define CENTROID 0
 #define METHOD_EDGE_LINES 1
@@ -26,23 +40,38 @@
 #define METHOD_KEPT 5
 
 /* A work-item takes LANES corners: one, or with refine_eight.cl the eight that a vector holds.
- * LANE(array, k) is their part of column k. */
+ * LANE(array, k) is their part of column k; STORE writes a field of the result. */
 #if LANES == 1
 typedef float REAL;
 typedef uint BITS;
 #define AS_BITS(v) as_uint(v)
 #define AS_REAL(v) as_float(v)
 #define WHERE(condition) (0u - (uint)(condition))
+#define STORE_PAIRS(field, a, b) *(__global float2 *)(field) = (float2)(a, b);
+#define STORE_FOURS(field, a, b, c, d) *(__global float4 *)(field) = (float4)(a, b, c, d);
 #elif LANES == 8
 typedef float8 REAL;
 typedef uint8 BITS;
 #define AS_BITS(v) as_uint8(v)
 #define AS_REAL(v) as_float8(v)
 #define WHERE(condition) as_uint8(condition)
+#define TWO(k, a, b) (a).s##k, (b).s##k
+#define STORE_PAIRS(field, a, b)                                                    \
+  *(__global float16 *)(field) = (float16)(TWO(0, a, b), TWO(1, a, b), TWO(2, a, b), \
+                                           TWO(3, a, b), TWO(4, a, b), TWO(5, a, b), \
+                                           TWO(6, a, b), TWO(7, a, b));
+#define FOUR(k, a, b, c, d) TWO(k, a, b), TWO(k, c, d)
+#define STORE_FOURS(field, a, b, c, d)                                              \
+  *(__global float16 *)(field) = (float16)(FOUR(0, a, b, c, d), FOUR(1, a, b, c, d), \
+                                           FOUR(2, a, b, c, d), FOUR(3, a, b, c, d)); \
+  *(__global float16 *)((field) + 16) =                                             \
+      (float16)(FOUR(4, a, b, c, d), FOUR(5, a, b, c, d), FOUR(6, a, b, c, d),      \
+                FOUR(7, a, b, c, d));
 #else
 #error "LANES must be 1 or 8"
 #endif
 #define LANE(array, k) *(__global REAL *)(array + (size_t)(k) * length + row)
+#define STORE(field, v) *(__global REAL *)(field) = v;
 #define CHOOSE(mask, a, b) AS_REAL((AS_BITS(a) & (mask)) | (AS_BITS(b) & ~(mask)))
 
 /* A vector of eight elements, whatever their type: vload8 and convert_float8 are calls of 30 ns
@@ -64,6 +93,8 @@ __kernel void centroid(__global const RESPONSE *restrict response,
                        const float scale, const uint full_rows, const uint full_columns,
                        __global float *restrict start, __global float *restrict result) {
   const size_t n = get_global_id(0), p = get_global_id(1);
+  RESULT_OF_FRAME
+  if (n == 0) write_head(own, totals, place, p);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
   const int2 pixel = list[p * room + n];
@@ -90,15 +121,12 @@ __kernel void centroid(__global const RESPONSE *restrict response,
 #endif
   start[row] = (float)from.x;
   start[length + row] = (float)from.y;
-  FIELD(RESULT_X) = x;
-  FIELD(RESULT_Y) = y;
-  FIELD(RESULT_RESPONSE) = (float)response[ROW(p, pixel.y) + PAD + pixel.x];
-  FIELD(RESULT_PIXEL_X) = (float)pixel.x;
-  FIELD(RESULT_PIXEL_Y) = (float)pixel.y;
-  FIELD(RESULT_METHOD) = (float)(REFINED ? METHOD_KEPT : CENTROID);
-  FIELD(RESULT_SIGMA) = NAN;
-  FIELD(RESULT_DOUBTFUL) = 0;
-  for (int k = 0; k < 4; ++k) FIELD(RESULT_EDGES + k) = NAN;
+  STORE_PAIRS(RESULT_POSITION, x, y)
+  STORE_PAIRS(RESULT_PIXEL, as_float(pixel.x), as_float(pixel.y))
+  STORE_FOURS(RESULT_EDGES, NAN, NAN, NAN, NAN)
+  STORE(RESULT_RESPONSE, (float)response[ROW(p, pixel.y) + PAD + pixel.x])
+  STORE(RESULT_METHOD, (float)(REFINED ? METHOD_KEPT : CENTROID))
+  STORE(RESULT_VARIANCE, NAN)
 }
 
 #endif
@@ -413,12 +441,18 @@ REAL angle_of(const REAL y, const REAL x) {
     uy += weight * y##r##e;                                                         \
   }
 #define EDGE_ANGLE(e)                                                               \
+  REAL angle##e;                                                                    \
   {                                                                                 \
     REAL ux = 0, uy = 0;                                                            \
     UNIT(0, e) UNIT(1, e) UNIT(2, e)                                                \
-    LANE(result, RESULT_EDGES + e) =                                                \
-        CHOOSE(WHERE(valid_rings >= 2), angle_of(uy, ux), (REAL)(NAN));             \
+    angle##e = CHOOSE(WHERE(valid_rings >= 2), angle_of(uy, ux), (REAL)(NAN));      \
   }
+#define EDGE_ANGLES                                                                 \
+  EDGE_ANGLE(0)                                                                     \
+  EDGE_ANGLE(1)                                                                     \
+  EDGE_ANGLE(2)                                                                     \
+  EDGE_ANGLE(3)                                                                     \
+  STORE_FOURS(RESULT_EDGES, angle0, angle1, angle2, angle3)
 
 /* The unit direction of the total-least-squares line with these central moments: half the
  * angle of (sxx - syy, 2 sxy), from the half whose root does not cancel. */
@@ -461,10 +495,7 @@ REAL angle_of(const REAL y, const REAL x) {
  * result and, for EDGE_STEP, the unit normals and the intersection relative to the start, which
  * lies at (from_x, from_y); the centroid is kept where a guard refuses. */
 #define EDGE_LINES(from_x, from_y, kept_x, kept_y)                                  \
-  EDGE_ANGLE(0)                                                                     \
-  EDGE_ANGLE(1)                                                                     \
-  EDGE_ANGLE(2)                                                                     \
-  EDGE_ANGLE(3)                                                                     \
+  EDGE_ANGLES                                                                       \
   REAL n1x, n1y, h1, n2x, n2y, h2;                                                  \
   EDGE_LINE(0, 2, n1x, n1y, h1)                                                     \
   EDGE_LINE(1, 3, n2x, n2y, h2)                                                     \
@@ -472,9 +503,9 @@ REAL angle_of(const REAL y, const REAL x) {
   const REAL x = (h1 * n2y - h2 * n1y) / sine, y = (h2 * n1x - h1 * n2x) / sine;    \
   const BITS good = WHERE(MAGNITUDE(sine) > 0.17f) & WHERE(valid_rings >= 2) &      \
                     WHERE(x * x + y * y <= max_shift * max_shift);                  \
-  LANE(result, RESULT_X) = CHOOSE(good, from_x + x, kept_x);                        \
-  LANE(result, RESULT_Y) = CHOOSE(good, from_y + y, kept_y);                        \
-  LANE(result, RESULT_METHOD) = CHOOSE(good, (REAL)(METHOD_EDGE_LINES), (REAL)(METHOD_KEPT));
+  const REAL at_x = CHOOSE(good, from_x + x, kept_x), at_y = CHOOSE(good, from_y + y, kept_y); \
+  STORE_PAIRS(RESULT_POSITION, at_x, at_y)                                          \
+  STORE(RESULT_METHOD, CHOOSE(good, (REAL)(METHOD_EDGE_LINES), (REAL)(METHOD_KEPT)))
 
 #define STORE_LINES                                                                 \
   LANE(lines, 0) = n1x;                                                             \
@@ -501,7 +532,9 @@ __kernel void edge_lines(__global const float *restrict points,
   LOAD_RING(1)
   LOAD_RING(2)
   MATCH_RINGS
-  EDGE_LINES(COLUMN_OF(start, 0), COLUMN_OF(start, 1), FIELD(RESULT_X), FIELD(RESULT_Y))
+  RESULT_OF_FRAME
+  const float kept_x = RESULT_POSITION[0], kept_y = RESULT_POSITION[1];
+  EDGE_LINES(COLUMN_OF(start, 0), COLUMN_OF(start, 1), kept_x, kept_y)
 #if EDGE_STEP
   STORE_LINES
 #endif
@@ -585,10 +618,8 @@ __kernel void midlines(__global const float *restrict points,
   LOAD_RING(1)
   LOAD_RING(2)
   MATCH_RINGS
-  EDGE_ANGLE(0)
-  EDGE_ANGLE(1)
-  EDGE_ANGLE(2)
-  EDGE_ANGLE(3)
+  RESULT_OF_FRAME
+  EDGE_ANGLES
   if (valid_rings < 2) return;
   const float valid[] = {valid0, valid1, valid2};
   const float2 edge[4][RINGS] = {{(float2)(x00, y00), (float2)(x10, y10), (float2)(x20, y20)},
@@ -629,9 +660,9 @@ __kernel void midlines(__global const float *restrict points,
     if (!(open && dot(position, position) <= max_shift * max_shift)) return;
     method = METHOD_CUSP;
   }
-  FIELD(RESULT_X) = COLUMN_OF(start, 0) + position.x;
-  FIELD(RESULT_Y) = COLUMN_OF(start, 1) + position.y;
-  FIELD(RESULT_METHOD) = method;
+  position += (float2)(COLUMN_OF(start, 0), COLUMN_OF(start, 1));
+  STORE_PAIRS(RESULT_POSITION, position.x, position.y)
+  STORE(RESULT_METHOD, method)
 }
 
 #endif
@@ -693,13 +724,13 @@ float sum_of_eight(const float8 v) {
 
 /* The result; `products` sum the rest's pairs of neighbours, `weights` their weights. */
 #define STORE_STEP                                                                  \
-  FIELD(RESULT_X) = (float)from_x + to_x;                                           \
-  FIELD(RESULT_Y) = (float)from_y + to_y;                                           \
-  FIELD(RESULT_METHOD) = METHOD_EDGE_STEP;                                          \
+  RESULT_POSITION[0] = (float)from_x + to_x;                                        \
+  RESULT_POSITION[1] = (float)from_y + to_y;                                        \
+  *RESULT_METHOD = METHOD_EDGE_STEP;                                                \
   const float trace = BLUR * BLUR * (saa + sbb + 2 * sab * (n1x * n2x + n1y * n2y)) * \
                       radius_2 * core_2 / (d * sine * sine);                        \
-  FIELD(RESULT_SIGMA) = 0.25f * trace * (sii - m * si - c * spi) / (s1 * c * c);    \
-  FIELD(RESULT_DOUBTFUL) = sum_of_eight(products) / (c * c * sum_of_eight(weights));
+  *RESULT_VARIANCE = 0.25f * trace * (sii - m * si - c * spi) / (s1 * c * c);       \
+  *RESULT_CORRELATION = sum_of_eight(products) / (c * c * sum_of_eight(weights));
 
 #define REST(I, P) (I - m - c * P)
 
@@ -737,7 +768,8 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
-  if (FIELD(RESULT_METHOD) != METHOD_EDGE_LINES) return;
+  RESULT_OF_FRAME
+  if (*RESULT_METHOD != METHOD_EDGE_LINES) return;
   const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
   const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
   const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);

@@ -200,9 +200,9 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
                            __global float *restrict result) {
   const size_t p = get_global_id(1);
   const uint total = SMALLER(totals[place + p], room);
+  RESULT_OF_FRAME
+  if (get_global_id(0) == 0) write_head(own, totals, place, p);
   for (size_t n = get_global_id(0) * LANES; n < total; n += get_global_size(0) * LANES) {
-    const size_t row = p * room + n;
-
     int8 pixel_x, pixel_y, height, sum, sum_x, sum_y;
     for (int lane = 0; lane < LANES; ++lane) {
       const int2 pixel = list[p * room + SMALLER(n + lane, total - 1)];
@@ -231,11 +231,9 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
     const int8 from_x = pixel_x + as_int8(NEAREST(sum_x));
     const int8 from_y = pixel_y + as_int8(NEAREST(sum_y));
 #endif
-    LANE(result, RESULT_RESPONSE) = floats_of(height);
-    LANE(result, RESULT_PIXEL_X) = floats_of(pixel_x);
-    LANE(result, RESULT_PIXEL_Y) = floats_of(pixel_y);
-    LANE(result, RESULT_SIGMA) = (REAL)(NAN);
-    LANE(result, RESULT_DOUBTFUL) = (REAL)(0.0f);
+    STORE(RESULT_RESPONSE, floats_of(height))
+    STORE_PAIRS(RESULT_PIXEL, AS_REAL(pixel_x), AS_REAL(pixel_y))
+    STORE(RESULT_VARIANCE, (REAL)(NAN))
 
 #if SCALED
     const int8 outside = (from_x < (int)reach) | (from_x + (int)reach >= (int)full_columns) |
@@ -270,6 +268,7 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
     const REAL start_x = floats_of(from_x), start_y = floats_of(from_y);
     EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
 #if EDGE_STEP
+    const size_t row = p * room + n;
     LANE(start, 0) = start_x;
     LANE(start, 1) = start_y;
     STORE_LINES

@@ -379,9 +379,10 @@ def test_memory_does_not_grow_with_the_recording(tmp_path):
 
 
 INTERRUPTED = """
-import sys, time
+import signal, sys, time
 import numpy as np
 from cmp_cl.field import SeriesWriter
+signal.signal(signal.SIGINT, signal.default_int_handler)  # where it began in the background
 with SeriesWriter(sys.argv[1]) as series:
     for index in range(10**6):
         series.append(index=index, time_ms=index, value=np.full((20, 20), index))

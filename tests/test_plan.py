@@ -18,6 +18,7 @@ from cmp_cl import (
     RapidCriteria,
     SpectralCriteria,
 )
+from cmp_cl.refine_stages import RESULT_HEAD
 
 IMAGE = images.eight_bits()["board"]
 FULL = DetectorConfig(
@@ -157,7 +158,7 @@ def test_a_flat_frame_needs_no_refinement(device, kind, refinement):
         assert len(detector(images.eight_bits()["black"])) == 0
         after = np.empty_like(before)
         cl.enqueue_copy(plan.queue, after, result)
-        np.testing.assert_array_equal(after, before)
+        np.testing.assert_array_equal(after[RESULT_HEAD:], before[RESULT_HEAD:])
         assert len(detector(IMAGE)) > 0
         cl.enqueue_copy(plan.queue, after, result)
-        assert (after != before).any()
+        assert (after != before)[RESULT_HEAD:].any()
