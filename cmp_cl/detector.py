@@ -16,7 +16,18 @@ from cmp_cl.device import Device, describe_handle, select_device
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.plan import Overflow, Plan
 from cmp_cl.plan_base import multiple
-from cmp_cl.refine_stages import LANES, RESULT_FIELDS, RESULT_HEAD
+from cmp_cl.refine_stages import (
+    CORRELATION,
+    EDGES,
+    LANES,
+    METHOD,
+    PIXEL,
+    POSITION,
+    RESPONSE,
+    RESULT_FIELDS,
+    RESULT_HEAD,
+    VARIANCE,
+)
 from cmp_cl.resampling import full_pixels
 from cmp_cl.results import Corners, GreyImage, Grid, Maps, Method, check_image
 
@@ -367,17 +378,17 @@ def _corners(rows: NDArray[np.float32], plan: Plan) -> list[Corners]:
         numbers = row[RESULT_HEAD:][: RESULT_FIELDS * places]
         fields = numbers.reshape(RESULT_FIELDS, places)
         sigma, doubtful = _deviation(fields[:, :count], plan.config)
-        pixel = fields[2:4].view(np.int32).reshape(-1, 2)[:count]
+        pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
             pixel = full_pixels(pixel, plan.shape, plan.scale)
         found.append(
             Corners(
-                xy=fields[0:2].reshape(-1, 2)[:count],
+                xy=fields[POSITION].reshape(-1, 2)[:count],
                 pixel=pixel,
-                response=fields[8, :count],
-                method=fields[9, :count].astype(np.uint8),
+                response=fields[RESPONSE, :count],
+                method=fields[METHOD, :count].astype(np.uint8),
                 sigma=sigma,
-                edges=fields[4:8].reshape(-1, 4)[:count],
+                edges=fields[EDGES].reshape(-1, 4)[:count],
                 doubtful=doubtful,
                 device=device,
             )
@@ -393,14 +404,14 @@ def _deviation(
     count = fields.shape[1]
     if not isinstance(config.refinement, EdgeStep):
         return np.full(count, np.nan, np.float32), np.zeros(count, np.bool_)
-    accepted = fields[9] == Method.EDGE_STEP
-    correlation = fields[11]
+    accepted = fields[METHOD] == Method.EDGE_STEP
+    correlation = fields[CORRELATION]
     excess = np.zeros(count, np.float32)
     if accepted.any():
         middle = (np.count_nonzero(accepted) - 1) // 2
         typical = np.partition(correlation[accepted], middle)[middle]
         excess[accepted] = np.maximum(correlation[accepted] - typical, 0)
-    variance = config.refinement.sigma0**2 + np.maximum(fields[10], 0) + 1000 * excess**2
+    variance = config.refinement.sigma0**2 + np.maximum(fields[VARIANCE], 0) + 1000 * excess**2
     return np.sqrt(variance), excess > DOUBTFUL_EXCESS
 
 

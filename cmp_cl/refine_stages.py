@@ -12,8 +12,10 @@ from cmp_cl.config import EdgeLines, EdgeStep, Midlines
 from cmp_cl.device import DeviceKind
 from cmp_cl.plan_base import GROUP, Launch, PlanBase
 
-RESULT_FIELDS = 12  # of kernels/refine.cl, like the next
-RESULT_HEAD = 16  # numbers before the fields of a frame
+RESULT_HEAD = 16  # numbers before the fields of a frame, like the next of kernels/refine.cl
+RESULT_FIELDS = 12
+POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
+RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
 START_FIELDS = 2
 POINT_FIELDS = 27
 LINE_FIELDS = 6
