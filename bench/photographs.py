@@ -18,7 +18,7 @@ import cv2
 import methods
 import numpy as np
 from environment import RESULTS, environment
-from peers import PEERS, Pattern, available
+from peers import PEERS, Pattern, available, keep_freed_memory
 
 from cmp_cl import Detector, DetectorConfig, EdgeStep
 from cmp_cl.config import window_for_cell
@@ -147,6 +147,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not DATA.is_dir():
         print(f"there are no photographs: {DATA} is missing")
         return 2
+    keep_freed_memory()
     found, reasons = available()
     whole = []
     for name in PICTURES:

@@ -18,7 +18,7 @@ import methods
 import numpy as np
 from environment import RESULTS, environment
 from methods import DEFAULT, STEP, Method
-from peers import PEERS, Pattern, available
+from peers import PEERS, Pattern, available, keep_freed_memory
 from scenes import TEST_SEED, Frame, vga, wide
 
 from cmp_cl import Detector, DetectorConfig
@@ -166,6 +166,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     own = [DEFAULT, STEP, "cmp_cl, three masks"] if arguments.quick else None
     count, rounds = (2, 8) if arguments.quick else (4, 30)
     rounds = arguments.rounds or rounds
+    keep_freed_memory()
     around = environment()
     print(f"{around['device']}, driver {around['driver']}, commit {around['commit']}")
     print(f"cores at other work: {around['others']}")
