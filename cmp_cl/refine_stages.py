@@ -17,9 +17,7 @@ RESULT_FIELDS = 12
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
 RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
 START_FIELDS = 2
-POINT_FIELDS = 27
 LINE_FIELDS = 6
-EDGE_SAMPLES = 68  # of the three rings
 LANES = 8
 SHARES = 32  # for each of a device's units, of the corners
 RADII = (3, 4, 5)  # of the rings, px of the working image
@@ -48,10 +46,6 @@ def layout(plan: PlanBase) -> dict[str, int]:
         fields["start"] = START_FIELDS
     if step:
         fields["lines"] = LINE_FIELDS
-    if refinement is not None and not _by_eight(plan):
-        fields["points"] = POINT_FIELDS
-        if plan.scale is None:
-            fields["edge_samples"] = EDGE_SAMPLES
     return {name: 4 * n * plan.frames * plan.corner_room for name, n in fields.items()}
 
 
@@ -74,7 +68,7 @@ def launches(plan: PlanBase) -> list[Launch]:
         places = (scale, *size, b["start"], b["result"])
         stages = [_of_corners(plan, "centroid", plan.response, *lists, *places)]
         if refinement is not None:
-            stages += _edges(plan, refinement)
+            stages.append(_lines(plan, refinement))
     if isinstance(refinement, EdgeStep):
         stages.append(_step(plan, refinement))
     return stages
@@ -112,28 +106,18 @@ def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
     return plan.constant(np.concatenate(parts, axis=2))
 
 
-def _edges(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> list[Launch]:
-    """From the starts to edge points and where their lines meet, one by one."""
+def _lines(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Launch:
+    """From the starts to where the lines through the edge points meet, one by one."""
     b = plan.arrays
-    grey, corners = (b["image"], b["start"], b["totals"]), _rows(plan)
-    full_rows, full_step = np.uint32(plan.shape[0]), np.uint32(plan.full_step)
-    if plan.scale is None:
-        samples = b["edge_samples"]
-        arguments = (*grey, full_rows, full_step, *corners, samples)
-        points = (samples, b["totals"], *corners, b["points"])
-        stages = [
-            _of_corners(plan, "sample_edges", *arguments),
-            _of_corners(plan, "edge_points", *points),
-        ]
-    else:
-        size = (full_rows, np.uint32(plan.shape[1]), full_step)
-        scaled = (*grey, *size, *corners, _ring_samples(plan, plan.scale), b["points"])
-        stages = [_of_corners(plan, "edge_points", *scaled)]
-    given = (b["points"], b["start"], b["totals"], *corners, _largest_shift(plan))
-    if isinstance(refinement, Midlines):
-        return [*stages, _of_corners(plan, "midlines", *given, b["result"])]
-    between = (b["lines"],) if isinstance(refinement, EdgeStep) else ()
-    return [*stages, _of_corners(plan, "edge_lines", *given, *between, b["result"])]
+    rows, columns, step = (np.uint32(n) for n in (*plan.shape, plan.full_step))
+    arguments = [b["image"], b["start"], b["totals"], rows, columns, step, *_rows(plan)]
+    arguments.append(_largest_shift(plan))
+    if plan.scale is not None:
+        arguments.append(_ring_samples(plan, plan.scale))
+    if isinstance(refinement, EdgeStep):
+        arguments.append(b["lines"])
+    name = "midlines" if isinstance(refinement, Midlines) else "edge_lines"
+    return _of_corners(plan, name, *arguments, b["result"])
 
 
 def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:

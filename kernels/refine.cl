@@ -134,9 +134,7 @@ __kernel void centroid(__global const RESPONSE *restrict response,
 #if REFINED
 
 /* The edge points: on each of three rings the four boundaries of black and white, e0 to e3
- * clockwise, e0 from white to black. A ring has nine columns of `points`: x and y of each, and
- * whether it has four boundaries. */
-#define POINT(ring, k) COLUMN_OF(points, (ring) * 9 + (k))
+ * clockwise, e0 from white to black: x0, y0 to x3, y3, and `valid`, 1 where there are four. */
 #define RINGS 3
 
 #define ONES_2(v) ((v) - ((v) >> 1 & 0x55555555u))
@@ -180,10 +178,6 @@ REAL crossing(const REAL here, const REAL next) {
 
 /* The pixels of row y of frame p, y held inside the image. */
 #define CLAMPED_ROW(y) (ROW(p, SMALLER(LARGER(y, 0), (int)rows - 1)) + PAD)
-
-/* One ring; EDGE_GREY(k, dx, dy) is its sample k, d0, d1, ... grey minus threshold. */
-#define SAMPLE(k, dx, dy, next, next_x, next_y) const REAL d##k = EDGE_GREY(k, dx, dy) - threshold;
-#define COLOUR(k, dx, dy, next, next_x, next_y) black |= WHERE(d##k < 0) & (1u << (k));
 
 /* The threshold: mean of the means of the lowest and of the highest quarter of the inner ring.
  * Of two sorted fours, the first of each pair (first, last), (second, third), ... is one of the
@@ -242,149 +236,123 @@ REAL threshold_of(const REAL *grey) {
 
 #endif
 
-#if LANES == 1 && !SCALED
+/* The rings: d is a ring's grey minus threshold, the first one again behind the last. EDGE_GREY
+ * is a sample of the image, or with a working scale RING_GREY one of the table's. */
+#if SCALED
 
-/* Copy the greys of the three rings, in blocks of GROUP corners. One work-item per corner. */
-#define EDGE_SAMPLES 68
-#define SAMPLES_FROM(row) samples + (row) / GROUP * GROUP * EDGE_SAMPLES + (row) % GROUP
-__kernel void sample_edges(__global const PIXEL *restrict image,
-                           __global const float *restrict start,
-                           __global const uint *restrict totals, const uint rows,
-                           const uint step, const uint room, const uint place,
-                           const uint length, __global float *restrict samples) {
-  const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= totals[place + p]) return;
-  const size_t row = p * room + n;
-  const int x = (int)COLUMN_OF(start, 0), y = (int)COLUMN_OF(start, 1);
-  const size_t line[] = {CLAMPED_ROW(y - 5), CLAMPED_ROW(y - 4), CLAMPED_ROW(y - 3),
-                         CLAMPED_ROW(y - 2), CLAMPED_ROW(y - 1), CLAMPED_ROW(y),
-                         CLAMPED_ROW(y + 1), CLAMPED_ROW(y + 2), CLAMPED_ROW(y + 3),
-                         CLAMPED_ROW(y + 4), CLAMPED_ROW(y + 5)};
-  __global float *to = SAMPLES_FROM(row);
-#define COPY(k, dx, dy, next, next_x, next_y) \
-  to[(FIRST_OF_RING + (k)) * GROUP] = (float)image[line[(dy) + 5] + (size_t)(x + (dx))];
-#define FIRST_OF_RING 0
-  EDGE_RING_3(COPY)
-#undef FIRST_OF_RING
-#define FIRST_OF_RING 16
-  EDGE_RING_4(COPY)
-#undef FIRST_OF_RING
-#define FIRST_OF_RING 40
-  EDGE_RING_5(COPY)
-#undef FIRST_OF_RING
-}
+#define RING_TABLE __global const float8
+#define EDGE_RING(ring)                                                             \
+  for (uint k = 0; k < RING_32; ++k) {                                              \
+    const float8 sample = ring_samples[ring * RING_32 + k];                         \
+    d[k] = RING_GREY(sample);                                                       \
+  }                                                                                 \
+  if (ring == 0) threshold = threshold_of(d);                                       \
+  for (uint k = 0; k < RING_32; ++k) d[k] -= threshold;                             \
+  d[RING_32] = d[0];                                                                \
+  EDGE_POINTS(ring, RING_32, ring_samples + ring * RING_32)
+#define EDGE_RINGS                                                                  \
+  REAL d[RING_32 + 1], threshold;                                                   \
+  EDGE_RING(0)                                                                      \
+  EDGE_RING(1)                                                                      \
+  EDGE_RING(2)
 
-#define EDGE_POINT(k, dx, dy, next, next_x, next_y)                                 \
+#else
+
+/* A ring's samples: x, y and the way to the next one. */
+#define WAY(k, dx, dy, next, next_x, next_y) \
+  (char4)(dx, dy, (next_x) - (dx), (next_y) - (dy)),
+__constant char4 way_3[] = {EDGE_RING_3(WAY)};
+__constant char4 way_4[] = {EDGE_RING_4(WAY)};
+__constant char4 way_5[] = {EDGE_RING_5(WAY)};
+
+#define RING_TABLE __constant const char4
+#define MOST_SAMPLES 28
+#define KEEP(k, dx, dy, next, next_x, next_y) d[k] = EDGE_GREY(k, dx, dy) - threshold;
+#define EDGE_RING(ring, SAMPLES, count, table)                                      \
+  SAMPLES(KEEP)                                                                     \
+  d[count] = d[0];                                                                  \
+  EDGE_POINTS(ring, count, table)
+#define EDGE_RINGS                                                                  \
+  THRESHOLD                                                                         \
+  REAL d[MOST_SAMPLES + 1];                                                         \
+  EDGE_RING(0, EDGE_RING_3, 16, way_3)                                              \
+  EDGE_RING(1, EDGE_RING_4, 24, way_4)                                              \
+  EDGE_RING(2, EDGE_RING_5, 28, way_5)
+
+#endif
+
+#define EDGE_POINTS(ring, count, table)                                             \
+  REAL x##ring##0, y##ring##0, x##ring##1, y##ring##1;                              \
+  REAL x##ring##2, y##ring##2, x##ring##3, y##ring##3, valid##ring;                 \
   {                                                                                 \
-    const REAL f = crossing(d##k, d##next);                                         \
-    const BITS px = AS_BITS((float)(dx) + f * (float)((next_x) - (dx)));            \
-    const BITS py = AS_BITS((float)(dy) + f * (float)((next_y) - (dy)));            \
-    const BITS is_e0 = 0u - (e0 >> (k) & 1), is_e1 = 0u - (e1 >> (k) & 1);          \
-    const BITS is_e2 = 0u - (e2 >> (k) & 1), is_e3 = 0u - (e3 >> (k) & 1);          \
-    x0 |= px & is_e0;                                                               \
-    y0 |= py & is_e0;                                                               \
-    x1 |= px & is_e1;                                                               \
-    y1 |= py & is_e1;                                                               \
-    x2 |= px & is_e2;                                                               \
-    y2 |= py & is_e2;                                                               \
-    x3 |= px & is_e3;                                                               \
-    y3 |= py & is_e3;                                                               \
-  }
-#define EDGE_RING(ring, SAMPLES, count)                                             \
-  {                                                                                 \
-    SAMPLES(SAMPLE)                                                                 \
     BITS black = 0;                                                                 \
-    SAMPLES(COLOUR)                                                                 \
+    for (uint k = 0; k < count; ++k) black |= WHERE(d[k] < 0) & (1u << k);          \
     const BITS change = changes(&black, count);                                     \
     BOUNDARIES                                                                      \
-    BITS x0 = 0, y0 = 0, x1 = 0, y1 = 0, x2 = 0, y2 = 0, x3 = 0, y3 = 0;            \
-    SAMPLES(EDGE_POINT)                                                             \
     const BITS four = WHERE(ones(change) == 4);                                     \
-    COLUMN_OF(points, 9 * (ring)) = AS_REAL(x0 & four);                             \
-    COLUMN_OF(points, 9 * (ring) + 1) = AS_REAL(y0 & four);                         \
-    COLUMN_OF(points, 9 * (ring) + 2) = AS_REAL(x1 & four);                         \
-    COLUMN_OF(points, 9 * (ring) + 3) = AS_REAL(y1 & four);                         \
-    COLUMN_OF(points, 9 * (ring) + 4) = AS_REAL(x2 & four);                         \
-    COLUMN_OF(points, 9 * (ring) + 5) = AS_REAL(y2 & four);                         \
-    COLUMN_OF(points, 9 * (ring) + 6) = AS_REAL(x3 & four);                         \
-    COLUMN_OF(points, 9 * (ring) + 7) = AS_REAL(y3 & four);                         \
-    COLUMN_OF(points, 9 * (ring) + 8) = CHOOSE(four, (REAL)(1.0f), (REAL)(0.0f));   \
+    const BITS other = ~four & 1;                                                   \
+    edge_point(d, table, (e0 & four) | other, &x##ring##0, &y##ring##0);            \
+    edge_point(d, table, (e1 & four) | other, &x##ring##1, &y##ring##1);            \
+    edge_point(d, table, (e2 & four) | other, &x##ring##2, &y##ring##2);            \
+    edge_point(d, table, (e3 & four) | other, &x##ring##3, &y##ring##3);            \
+    valid##ring = CHOOSE(four, (REAL)(1.0f), (REAL)(0.0f));                         \
   }
 
-__kernel void edge_points(__global const float *restrict samples,
-                          __global const uint *restrict totals, const uint room,
-                          const uint place, const uint length,
-                          __global float *restrict points) {
-  const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= totals[place + p]) return;
-  const size_t row = p * room + n;
-  __global const float *grey = SAMPLES_FROM(row);
-#define EDGE_GREY(k, dx, dy) grey[(k) * GROUP]
-  THRESHOLD
-  EDGE_RING(0, EDGE_RING_3, 16)
-  grey += 16 * GROUP;
-  EDGE_RING(1, EDGE_RING_4, 24)
-  grey += 24 * GROUP;
-  EDGE_RING(2, EDGE_RING_5, 28)
+#if LANES == 1
+
+/* The edge point after the sample whose bit is set. */
+void edge_point(const float *d, RING_TABLE *ring, const uint bit, float *x, float *y) {
+  const uint k = 31 - clz(bit);
+  const float f = crossing(d[k], d[k + 1]);
+#if SCALED
+  *x = ring[k].s0 + f * ring[k].s2;
+  *y = ring[k].s1 + f * ring[k].s3;
+#else
+  *x = (float)ring[k].s0 + f * (float)ring[k].s2;
+  *y = (float)ring[k].s1 + f * (float)ring[k].s3;
+#endif
 }
 
-#elif LANES == 1
+#if SCALED
 
-/* The same at full size for a detector that works on a scaled image, from RING_32 samples. */
-__kernel void edge_points(__global const PIXEL *restrict image,
-                          __global const float *restrict start,
-                          __global const uint *restrict totals, const uint rows,
-                          const uint columns, const uint step, const uint room,
-                          const uint place, const uint length,
-                          __global const float8 *restrict ring_samples,
-                          __global float *restrict points) {
-  const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= totals[place + p]) return;
-  const size_t row = p * room + n;
-  const int x = (int)COLUMN_OF(start, 0), y = (int)COLUMN_OF(start, 1);
-  float threshold = 0;
-  for (int ring = 0; ring < RINGS; ++ring) {
-    float d[RING_32];
-    for (int k = 0; k < RING_32; ++k) {
-      const float8 sample = ring_samples[ring * RING_32 + k];
-      const int left = x + (int)sample.s4, top = y + (int)sample.s5;
-      __global const PIXEL *upper = image + CLAMPED_ROW(top);
-      __global const PIXEL *lower = image + CLAMPED_ROW(top + 1);
-      const int x0 = clamp(left, 0, (int)columns - 1), x1 = clamp(left + 1, 0, (int)columns - 1);
-      const float a0 = (float)upper[x0], a1 = (float)upper[x1];
-      const float b0 = (float)lower[x0], b1 = (float)lower[x1];
-      d[k] = BETWEEN(sample, a0, a1, b0, b1);
-    }
-    if (ring == 0) threshold = threshold_of(d);
-    uint black = 0;
-    for (int k = 0; k < RING_32; ++k) {
-      d[k] -= threshold;
-      black |= (uint)(d[k] < 0) << k;
-    }
-    const uint change = changes(&black, RING_32);
-    BOUNDARIES
-    const uint edges[4] = {e0, e1, e2, e3};
-    for (int e = 0; e < 4; ++e) {
-      const int k = edges[e] ? 31 - (int)clz(FIRST_BIT(edges[e])) : 0;
-      const float f = crossing(d[k], d[(k + 1) % RING_32]);
-      const float8 sample = ring_samples[ring * RING_32 + k];
-      POINT(ring, 2 * e) = sample.s0 + f * sample.s2;
-      POINT(ring, 2 * e + 1) = sample.s1 + f * sample.s3;
-    }
-    POINT(ring, 8) = ones(change) == 4 ? 1.0f : 0.0f;
-  }
+/* The grey of a sample around (x, y). */
+float ring_grey(const float8 sample, __global const PIXEL *image, const size_t p, const uint rows,
+                const uint columns, const uint step, const int x, const int y) {
+  const int left = x + (int)sample.s4, top = y + (int)sample.s5;
+  __global const PIXEL *upper = image + CLAMPED_ROW(top), *lower = image + CLAMPED_ROW(top + 1);
+  const int x0 = clamp(left, 0, (int)columns - 1), x1 = clamp(left + 1, 0, (int)columns - 1);
+  const float a0 = (float)upper[x0], a1 = (float)upper[x1];
+  const float b0 = (float)lower[x0], b1 = (float)lower[x1];
+  return BETWEEN(sample, a0, a1, b0, b1);
 }
+
+#define RING_GREY(sample) ring_grey(sample, image, p, rows, columns, step, from_x, from_y)
+#define LINES_OF_IMAGE
+
+#else
+
+#define EDGE_GREY(k, dx, dy) (float)image[line[(dy) + 5] + (size_t)(from_x + (dx))]
+#define LINES_OF_IMAGE                                                              \
+  const size_t line[] = {CLAMPED_ROW(from_y - 5), CLAMPED_ROW(from_y - 4),          \
+                         CLAMPED_ROW(from_y - 3), CLAMPED_ROW(from_y - 2),          \
+                         CLAMPED_ROW(from_y - 1), CLAMPED_ROW(from_y),              \
+                         CLAMPED_ROW(from_y + 1), CLAMPED_ROW(from_y + 2),          \
+                         CLAMPED_ROW(from_y + 3), CLAMPED_ROW(from_y + 4),          \
+                         CLAMPED_ROW(from_y + 5)};
+
+#endif
+
+/* The edge points around the start of a corner. */
+#define EDGES_OF_CORNER                                                             \
+  const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);   \
+  LINES_OF_IMAGE                                                                    \
+  EDGE_RINGS                                                                        \
+  MATCH_RINGS
 
 #endif
 
 /* The edge points of a corner in the order of the smallest valid ring: a ring whose first
  * black sector lies on the other side swaps its pairs of boundaries. */
-#define LOAD_RING(r)                                                                \
-  const float valid##r = POINT(r, 8);                                               \
-  float x##r##0 = POINT(r, 0), y##r##0 = POINT(r, 1);                               \
-  float x##r##1 = POINT(r, 2), y##r##1 = POINT(r, 3);                               \
-  float x##r##2 = POINT(r, 4), y##r##2 = POINT(r, 5);                               \
-  float x##r##3 = POINT(r, 6), y##r##3 = POINT(r, 7);
 #define EXCHANGE(a, b, when)                                                        \
   {                                                                                 \
     const REAL one = a, other = b;                                                  \
@@ -517,10 +485,14 @@ REAL angle_of(const REAL y, const REAL x) {
 
 #if LANES == 1
 
-__kernel void edge_lines(__global const float *restrict points,
+__kernel void edge_lines(__global const PIXEL *restrict image,
                          __global const float *restrict start,
-                         __global const uint *restrict totals, const uint room,
+                         __global const uint *restrict totals, const uint rows,
+                         const uint columns, const uint step, const uint room,
                          const uint place, const uint length, const float max_shift,
+#if SCALED
+                         __global const float8 *restrict ring_samples,
+#endif
 #if EDGE_STEP
                          __global float *restrict lines,
 #endif
@@ -528,13 +500,10 @@ __kernel void edge_lines(__global const float *restrict points,
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
-  LOAD_RING(0)
-  LOAD_RING(1)
-  LOAD_RING(2)
-  MATCH_RINGS
+  EDGES_OF_CORNER
   RESULT_OF_FRAME
   const float kept_x = RESULT_POSITION[0], kept_y = RESULT_POSITION[1];
-  EDGE_LINES(COLUMN_OF(start, 0), COLUMN_OF(start, 1), kept_x, kept_y)
+  EDGE_LINES((float)from_x, (float)from_y, kept_x, kept_y)
 #if EDGE_STEP
   STORE_LINES
 #endif
@@ -606,18 +575,19 @@ float2 on_parabola(const float3 fit, const Line *line, const float u, float2 *ta
 /* MIDLINE: the intersection of the centrelines of the black sectors e0 e1 and e2 e3. Where they
  * are nearly one line or meet too far away, CUSP: per black sector the intersection of its own
  * two edge lines, and the midpoint of the two cusps. */
-__kernel void midlines(__global const float *restrict points,
+__kernel void midlines(__global const PIXEL *restrict image,
                        __global const float *restrict start,
-                       __global const uint *restrict totals, const uint room,
+                       __global const uint *restrict totals, const uint rows,
+                       const uint columns, const uint step, const uint room,
                        const uint place, const uint length, const float max_shift,
+#if SCALED
+                       __global const float8 *restrict ring_samples,
+#endif
                        __global float *restrict result) {
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
-  LOAD_RING(0)
-  LOAD_RING(1)
-  LOAD_RING(2)
-  MATCH_RINGS
+  EDGES_OF_CORNER
   RESULT_OF_FRAME
   EDGE_ANGLES
   if (valid_rings < 2) return;
@@ -660,7 +630,7 @@ __kernel void midlines(__global const float *restrict points,
     if (!(open && dot(position, position) <= max_shift * max_shift)) return;
     method = METHOD_CUSP;
   }
-  position += (float2)(COLUMN_OF(start, 0), COLUMN_OF(start, 1));
+  position += (float2)((float)from_x, (float)from_y);
   STORE_PAIRS(RESULT_POSITION, position.x, position.y)
   STORE(RESULT_METHOD, method)
 }

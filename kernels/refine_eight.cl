@@ -59,25 +59,9 @@ void columns_of(const PIXELS *row, FOURS *column) {
   column[5] = (FOURS)(upper[2].s2, lower[2].s2, upper[2].s3, lower[2].s3);
 }
 
-/* A ring's samples: x, y and the way to the next one. */
-#define WAY(k, dx, dy, next, next_x, next_y) \
-  (char4)(dx, dy, (next_x) - (dx), (next_y) - (dy)),
-__constant char4 way_3[] = {EDGE_RING_3(WAY)};
-__constant char4 way_4[] = {EDGE_RING_4(WAY)};
-__constant char4 way_5[] = {EDGE_RING_5(WAY)};
-
-#define RING_TABLE __constant const char4
-#define MOST_SAMPLES 28
 #define EDGE_GREY(k, dx, dy) EIGHT_OF(float8, window + (((dy) + 5) * 12 + (dx) + 5) * LANES)
-#define KEEP(k, dx, dy, next, next_x, next_y) d[k] = EDGE_GREY(k, dx, dy) - threshold;
-#define EDGE_RING(ring, SAMPLES, count, table)                                      \
-  SAMPLES(KEEP)                                                                     \
-  d[count] = d[0];                                                                  \
-  EDGE_POINTS(ring, count, table)
 
 #else
-
-#define RING_TABLE __global const float8
 
 /* Two neighbouring pixels. */
 #if PIXEL_BITS == 8
@@ -121,16 +105,9 @@ float8 greys_inside(const float8 sample, __global const PIXEL *frame, const uint
   return BETWEEN(sample, a0, a1, b0, b1);
 }
 
-#define EDGE_RING(ring)                                                             \
-  for (uint k = 0; k < RING_32; ++k) {                                              \
-    const float8 sample = ring_samples[ring * RING_32 + k];                         \
-    d[k] = inside ? greys_inside(sample, frame, full_step, at)                      \
-                  : greys_of(sample, frame, full_rows, full_columns, full_step, from_x, from_y); \
-  }                                                                                 \
-  if (ring == 0) threshold = threshold_of(d);                                       \
-  for (uint k = 0; k < RING_32; ++k) d[k] -= threshold;                             \
-  d[RING_32] = d[0];                                                                \
-  EDGE_POINTS(ring, RING_32, ring_samples + ring * RING_32)
+#define RING_GREY(sample)                                                           \
+  (inside ? greys_inside(sample, frame, full_step, at)                              \
+          : greys_of(sample, frame, full_rows, full_columns, full_step, from_x, from_y))
 
 #endif
 
@@ -157,24 +134,6 @@ void edge_point(const float8 *d, RING_TABLE *ring, const uint8 bit, float8 *x, f
   *y = floats_of(to_y) + f * floats_of(by_y);
 #endif
 }
-
-/* The edge points of a ring from d[count + 1], whose last one is the first again. */
-#define EDGE_POINTS(ring, count, table)                                             \
-  REAL x##ring##0, y##ring##0, x##ring##1, y##ring##1;                              \
-  REAL x##ring##2, y##ring##2, x##ring##3, y##ring##3, valid##ring;                 \
-  {                                                                                 \
-    BITS black = 0;                                                                 \
-    for (uint k = 0; k < count; ++k) black |= WHERE(d[k] < 0) & (1u << k);          \
-    const BITS change = changes(&black, count);                                     \
-    BOUNDARIES                                                                      \
-    const BITS four = WHERE(ones(change) == 4);                                     \
-    const BITS other = ~four & 1;                                                   \
-    edge_point(d, table, (e0 & four) | other, &x##ring##0, &y##ring##0);            \
-    edge_point(d, table, (e1 & four) | other, &x##ring##1, &y##ring##1);            \
-    edge_point(d, table, (e2 & four) | other, &x##ring##2, &y##ring##2);            \
-    edge_point(d, table, (e3 & four) | other, &x##ring##3, &y##ring##3);            \
-    valid##ring = CHOOSE(four, (REAL)(1.0f), (REAL)(0.0f));                         \
-  }
 
 /* Responses in row dy around a maximum, from two columns before it on; 0 outside the image. */
 #define RESPONSES(dy)                                                               \
@@ -242,10 +201,6 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
     const int inside = !(any.x | any.y | any.z | any.w);
     __global const PIXEL *frame = image + ((size_t)p * full_rows + 1) * full_step + PAD;
     const uint8 at = as_uint8(from_y) * full_step + as_uint8(from_x);
-    REAL d[RING_32 + 1], threshold;
-    EDGE_RING(0)
-    EDGE_RING(1)
-    EDGE_RING(2)
 #else
     FOURS pixels[11 * 6]; /* 11 rows of 12 columns of eight corners */
     const PIXEL *window = (const PIXEL *)pixels;
@@ -258,12 +213,8 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
                               SIXTEEN(4), SIXTEEN(5), SIXTEEN(6), SIXTEEN(7)};
       columns_of(lines, pixels + (dy + 5) * 6);
     }
-    THRESHOLD
-    REAL d[MOST_SAMPLES + 1];
-    EDGE_RING(0, EDGE_RING_3, 16, way_3)
-    EDGE_RING(1, EDGE_RING_4, 24, way_4)
-    EDGE_RING(2, EDGE_RING_5, 28, way_5)
 #endif
+    EDGE_RINGS
     MATCH_RINGS
     const REAL start_x = floats_of(from_x), start_y = floats_of(from_y);
     EDGE_LINES(start_x, start_y, centroid_x, centroid_y)

@@ -73,14 +73,13 @@ def test_the_gate(detector_for, device):
 def test_refinement(detector_for, device):
     kernels = {
         DeviceKind.CPU: ["refine_eight", "edge_step_eight"],
-        DeviceKind.GPU: ["edge_points", "edge_lines", "edge_step"],
+        DeviceKind.GPU: ["edge_lines", "edge_step"],
     }
-    buffers = {DeviceKind.CPU: [], DeviceKind.GPU: ["points"]}
     left_out(
         detector_for,
         FULL.replace(refinement=None),
         launches=kernels[device.kind],
-        buffers=["lines", *buffers[device.kind]],
+        buffers=["lines"],
     )
 
 
