@@ -234,13 +234,8 @@ REAL threshold_of(const REAL *grey) {
   return sum / (RING_32 / 2);
 }
 
-#endif
-
-/* The rings: d is a ring's grey minus threshold, the first one again behind the last. EDGE_GREY
- * is a sample of the image, or with a working scale RING_GREY one of the table's. */
-#if SCALED
-
 #define RING_TABLE __global const float8
+/* d: grey minus threshold, the first one again behind the last. RING_GREY is that of a sample. */
 #define EDGE_RING(ring)                                                             \
   for (uint k = 0; k < RING_32; ++k) {                                              \
     const float8 sample = ring_samples[ring * RING_32 + k];                         \
@@ -258,7 +253,7 @@ REAL threshold_of(const REAL *grey) {
 
 #else
 
-/* A ring's samples: x, y and the way to the next one. */
+/* A ring's samples: x, y and the way to the next one; EDGE_GREY is the grey of one. */
 #define WAY(k, dx, dy, next, next_x, next_y) \
   (char4)(dx, dy, (next_x) - (dx), (next_y) - (dy)),
 __constant char4 way_3[] = {EDGE_RING_3(WAY)};
