@@ -143,8 +143,8 @@ __kernel void sample_rings(__global const PIXEL *restrict image,
 #define ONE_BOTH(i) (PIXEL)(lo##i & hi##i & 1)
 
 /* Contrast of the inner ring, the smaller one of both rings, the difference of the sector means
- * in eighths of twice a grey level, and the response (Eqs. 21 and 24). One work-item per candidate; the entries past the
- * last candidate hold nothing and are never used. */
+ * in eighths of twice a grey level, and the response (Eqs. 21 and 24). One work-item per
+ * candidate; the entries past the last candidate hold nothing and are never used. */
 __kernel void sector_contrast(__global const PIXEL *restrict samples, const uint room,
                               const CONTRAST sector_threshold, const PIXEL zero,
                               __global CONTRAST *restrict inner_contrast,

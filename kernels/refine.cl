@@ -276,6 +276,7 @@ __constant char4 way_5[] = {EDGE_RING_5(WAY)};
 
 #endif
 
+/* The edge points of a ring of `count` samples from d, and whether there are four. */
 #define EDGE_POINTS(ring, count, table)                                             \
   REAL x##ring##0, y##ring##0, x##ring##1, y##ring##1;                              \
   REAL x##ring##2, y##ring##2, x##ring##3, y##ring##3, valid##ring;                 \
