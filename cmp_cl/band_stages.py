@@ -7,11 +7,10 @@ Memory in passing is that of the bands, not of the image.
 from typing import Any, cast
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.config import RapidCriteria, SectorContrast
-from cmp_cl.pixel_stages import CONTRASTS, percentile_sizes, percentile_stages
+from cmp_cl.pixel_stages import CONTRASTS, list_maxima, percentile_sizes, percentile_stages
 from cmp_cl.plan_base import Launch, PlanBase, level_type, multiple
 
 RING_REACH = 5  # rows above and below the image in a plane of words: what rings look at
@@ -33,7 +32,7 @@ def words_margin(plan: PlanBase) -> int:
 def files(plan: PlanBase) -> list[str]:
     """The kernel files, in the order of the stages."""
     gate = ["gate", "gate_words"] if plan.config.contrast is not None else []
-    return ["binarize_bands", "criteria", "criteria_words", *gate, "nms", "nms_bands"]
+    return ["binarize_bands", "criteria", "criteria_words", *gate, "nms", "nms_bands", "collect"]
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
@@ -53,12 +52,12 @@ def sizes(plan: PlanBase) -> dict[str, int]:
         "words": planes * words + 8 * words_margin(plan),
         "candidate_words": planes * words,
         "row_starts": 4 * planes * plan.working[0],
-        "row_counts": 4 * planes * plan.working[0],
+        "row_counts": 4 * plan.frames * plan.working[0],
         "maxima": plan.frames * plane // 8,
         "response": plan.frames * plane + 2 * plan.step,
     }
     if plan.config.contrast is not None:
-        sizes |= percentile_sizes(plan, _bands(plan), counted=True)
+        sizes |= percentile_sizes(plan, _bands(plan), _bands(plan))
     return sizes
 
 
@@ -73,7 +72,7 @@ def layouts(plan: PlanBase) -> list[dict[str, int]]:
     if gate:
         binarization["curved"] = 2 * pixel * row
     room = plan.frames * plan.masks * plan.candidate_room + BEHIND
-    lists = dict.fromkeys(CONTRASTS if gate else ("sector_response",), 2 * pixel * room)
+    lists = dict.fromkeys((*(CONTRASTS if gate else ()), "sector_response"), 2 * pixel * room)
     kept = 2 * (2 * plan.config.nms_radius + 3) + 1  # rows of a band
     return [binarization, {**lists, "kept": 2 * kept * row}]
 
@@ -152,10 +151,11 @@ def _contrasts(plan: PlanBase, criteria: RapidCriteria) -> list[Launch]:
 
 def _gate(plan: PlanBase, criteria: RapidCriteria, gate: SectorContrast) -> list[Launch]:
     b, planes, bands = plan.arrays, plan.frames * plan.masks, _bands(plan)
-    lists = (b["totals"], b["row_starts"], *(b[name] for name in CONTRASTS), b["bins_of_bands"])
+    contrasts = (*(b[name] for name in CONTRASTS), b["sector_response"])
+    lists = (b["totals"], b["row_starts"], *contrasts, b["bins_of_bands"])
     return [
         _banded(plan, "gate_words", planes, plan.image, *_found(plan, criteria), *lists),
-        *percentile_stages(plan, gate, bands, counted=True),
+        *percentile_stages(plan, gate, bands, b["bins_of_bands"], bands),
     ]
 
 
@@ -166,14 +166,7 @@ def _suppress(plan: PlanBase) -> list[Launch]:
     gated = ("contrast", "mean_difference", "bounds") if plan.config.contrast is not None else ()
     lists = (b[name] for name in ("candidate_words", "row_starts", *gated, "sector_response"))
     found = (b["kept"], b["response"], b["maxima"], b["row_counts"])
-    places = (np.uint32(plan.corner_room), np.uint32(plan.frames * plan.masks), band_rows)
-    listed = (b["maxima"], b["row_counts"], rows, step, *places, b["corners"], b["totals"])
     return [
         _banded(plan, "suppress_bands", plan.frames, *lists, *sizes, *found),
-        _banded(plan, "list_maxima_words", plan.frames, *listed),
+        list_maxima(plan, _band_rows(plan)),
     ]
-
-
-def response_of(plan: PlanBase) -> cl.Buffer:
-    """The response that suppression looks at."""
-    return plan.arrays["response"]

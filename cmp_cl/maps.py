@@ -28,7 +28,6 @@ def read_maps(plan: Plan) -> Maps:
     """Run the stages on the frame that is on the device, and read each result before a later
     stage takes its place."""
     rapid = isinstance(plan.config.criteria, RapidCriteria)
-    response = np.uint8 if rapid else np.int32
     values: dict[str, Any] = {}
     values["contrast"] = None
     for launch in plan.front:
@@ -37,31 +36,31 @@ def read_maps(plan: Plan) -> Maps:
             if launch.stage == "binarize_bands":
                 values["binary"] = _words(plan, "words", words_margin(plan))
             else:
-                values["binary"] = _plane(plan, plan.arrays["binary"], np.uint8) > 0
-            values |= _rapid_maps(plan, values["binary"]) if rapid else _spectral_maps(plan)
+                values["binary"] = _binary(plan)
+            values |= (_rapid_maps if rapid else _spectral_maps)(plan, values["binary"])
             if plan.config.criteria.corrosion_threshold is None:
                 values["corrosion"] = None
-        elif launch.stage in ("rapid_criteria", "spectral_criteria"):
-            values["candidate"] = _plane(plan, plan.arrays["responses"], response) > 0
+        elif launch.stage == "list_candidates":
+            values["candidate"] = _at_candidates(plan, np.bool_, None)
         elif launch.stage == "rapid_criteria_words":
             values["candidate"] = _words(plan, "candidate_words", 0)
         elif launch.stage == "keep":
-            values["contrast"] = _contrast(plan)
+            if plan.config.contrast is not None:
+                values["contrast"] = _at_candidates(plan, np.int32, "contrast")
         elif launch.stage == "suppress_bands":
             if plan.config.contrast is not None:
                 values["contrast"] = _contrast_in_words(plan, values["candidate"])
             values |= _responses(plan)
-            values["maximum"] = _maxima_words(plan)
-        elif launch.stage == "tent_rows":
-            values |= _responses(plan)
+            values["maximum"] = _maxima(plan)
         elif launch.stage == "maximum":
-            values["maximum"] = _plane(plan, plan.arrays["binary"], np.uint8, masks=False) > 0
+            values |= _responses(plan)
+            values["maximum"] = _maxima(plan)
     return Maps(**values)
 
 
 def _responses(plan: Plan) -> dict[str, NDArray[np.int32]]:
     rapid = isinstance(plan.config.criteria, RapidCriteria)
-    kept = _plane(plan, plan.response, np.uint8 if rapid else np.int32, masks=False)
+    kept = _plane(plan, plan.response, np.uint8 if rapid else np.uint16, planes=1)
     return {"response": kept.astype(np.int32), "score": _score_map(plan)}
 
 
@@ -84,9 +83,8 @@ def no_maps(shape: tuple[int, int], config: DetectorConfig) -> Maps:
     return Maps(**values | {"maximum": np.empty(shape, np.bool_)})
 
 
-def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any, *, masks: bool = True) -> NDArray[Any]:
-    """The planes of a buffer without their pads: (H, W), or (3, H, W) with three masks."""
-    planes = plan.masks if masks else 1
+def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any, planes: int) -> NDArray[Any]:
+    """The planes of a buffer without their pads: (H, W), or (3, H, W)."""
     rows, columns = plan.working
     padded = np.empty((planes * rows + 2, plan.step), dtype)
     cl.enqueue_copy(plan.queue, padded, buffer)
@@ -104,29 +102,42 @@ def _per_pixel(plan: Plan, name: str, outputs: list[Any], *inputs: Any) -> list[
     ]
     kernel = plan.kernels.bind(name, *inputs, np.uint32(rows), np.uint32(plan.step), *buffers)
     cl.enqueue_nd_range_kernel(plan.queue, kernel, (plan.step, rows, plan.masks), None)
-    return [_plane(plan, buffer, dtype) for buffer, dtype in zip(buffers, outputs, strict=True)]
+    return [
+        _plane(plan, buffer, dtype, plan.masks)
+        for buffer, dtype in zip(buffers, outputs, strict=True)
+    ]
 
 
-def _rapid_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[Any] | None]:
+def _binary(plan: Plan) -> NDArray[np.bool_]:
+    """The masks, bit k of a pixel being its colour in mask k."""
+    bits = _plane(plan, plan.arrays["binary"], np.uint8, 1)
+    if plan.masks == 1:
+        return bits > 0
+    return np.stack([bits >> k & 1 for k in range(plan.masks)]) > 0
+
+
+def _black(plan: Plan, binary: NDArray[np.bool_]) -> cl.Buffer:
+    """The masks as planes of their own, with pads."""
     rows, columns = plan.working
     after = plan.step - plan.pad - columns
     planes = np.pad(
         binary.reshape(plan.masks, rows, columns), ((0, 0), (0, 0), (plan.pad, after)), "edge"
     )
-    padded = np.pad(planes.reshape(-1, plan.step), ((1, 1), (0, 0)))
-    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    black = cl.Buffer(plan.queue.context, flags, hostbuf=padded)
+    return plan.constant(np.pad(planes.reshape(-1, plan.step), ((1, 1), (0, 0))))
+
+
+def _rapid_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[Any] | None]:
     dtypes = [np.uint16, np.uint16, *(dtype for _, dtype in _RAPID_MAPS)]
-    inner, outer, *rest = _per_pixel(plan, "ring_maps", dtypes, black)
+    inner, outer, *rest = _per_pixel(plan, "ring_maps", dtypes, _black(plan, binary))
     values: dict[str, NDArray[Any] | None] = {"inner": inner, "outer": outer}
     values |= {name: values for (name, _), values in zip(_RAPID_MAPS, rest, strict=True)}
     return values | dict.fromkeys(_SPECTRAL_MAPS)
 
 
-def _spectral_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
+def _spectral_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[Any] | None]:
     dtypes = [np.uint16, np.uint16, np.int8, np.uint8, np.uint8]
     inner, outer, corrosion, best, half_samples = _per_pixel(
-        plan, "spectral_maps", dtypes, plan.arrays["binary"]
+        plan, "spectral_maps", dtypes, _black(plan, binary)
     )
     margins = spectrum.margins()
     smaller = np.minimum(margins[inner], margins[outer]).astype(np.float32)
@@ -145,20 +156,22 @@ def _spectral_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
     }
 
 
-def _contrast(plan: Plan) -> NDArray[np.int32]:
-    """The smaller contrast of every candidate in its place, 0 elsewhere."""
-    room, planes = plan.candidate_room, plan.masks
+def _at_candidates(plan: Plan, dtype: Any, name: str | None) -> NDArray[Any]:
+    """A list of the candidates' numbers as an image, 0 elsewhere; 1 where no list is named."""
+    rows, planes, room = plan.working[0], plan.masks, plan.candidate_room
     totals = np.empty(plan.frames * (planes + 1), np.uint32)
-    positions = np.empty((planes, room, 2), np.int32)
-    contrast = np.empty((planes, room), np.int16 if plan.dtype == np.uint8 else np.int32)
+    places = np.empty((planes, room), np.uint32)
+    numbers = np.ones((planes, room), np.int16 if plan.dtype == np.uint8 else np.int32)
     cl.enqueue_copy(plan.queue, totals, plan.arrays["totals"])
-    cl.enqueue_copy(plan.queue, positions, plan.arrays["candidates"])
-    cl.enqueue_copy(plan.queue, contrast, plan.arrays["contrast"])
-    image = np.zeros((planes, *plan.working), np.int32)
+    cl.enqueue_copy(plan.queue, places, plan.arrays["candidates"])
+    if name is not None:
+        cl.enqueue_copy(plan.queue, numbers, plan.arrays[name])
+    image = np.zeros((planes, rows * plan.step), dtype)
     for plane in range(planes):
-        x, y = positions[plane, : totals[plane]].T
-        image[plane, y, x] = contrast[plane, : totals[plane]]
-    return image[0] if planes == 1 else image
+        count = totals[plane]
+        image[plane, places[plane, :count]] = numbers[plane, :count]
+    inside = image.reshape(planes, rows, plan.step)[..., plan.pad :][..., : plan.working[1]]
+    return inside[0] if planes == 1 else inside
 
 
 def _contrast_in_words(plan: Plan, candidate: NDArray[np.bool_]) -> NDArray[np.int32]:
@@ -177,7 +190,7 @@ def _contrast_in_words(plan: Plan, candidate: NDArray[np.bool_]) -> NDArray[np.i
     return image
 
 
-def _maxima_words(plan: Plan) -> NDArray[np.bool_]:
+def _maxima(plan: Plan) -> NDArray[np.bool_]:
     rows, columns = plan.working
     bits = np.empty((rows, plan.step // 8), np.uint8)
     cl.enqueue_copy(plan.queue, bits, plan.arrays["maxima"])

@@ -17,9 +17,9 @@ from cmp_cl.plan_base import GROUP, Launch, PlanBase, level_type
 from cmp_cl.program import sum_of_terms
 
 NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
-CHANNELS = 48  # samples that the gate copies per candidate: inner, outer, colours
-CONTRASTS = ("inner_contrast", "contrast", "mean_difference", "sector_response")
+CONTRASTS = ("inner_contrast", "contrast", "mean_difference")
 BINS = 256
+SLAB = 4  # bytes of sums a pixel; more are worked out slab by slab
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -52,19 +52,17 @@ def macros(plan: PlanBase) -> dict[str, str]:
 def sizes(plan: PlanBase) -> dict[str, int]:
     """Bytes of the buffers."""
     planes = plan.frames * plan.masks
-    plane, spare = plan.working[0] * plan.step, 2 * plan.step
-    response, score = _bytes_of_results(plan)
+    plane = plan.working[0] * plan.step
+    image = plan.frames * plane + 2 * plan.step
     sizes = {
-        "mask": plane + spare,
-        "row_counts": 4 * planes * plan.working[0],
-        "binary": planes * plane + spare,
-        "responses": response * (planes * plane + spare),
-        "zeros": score * plan.step,
+        "mask": plane // 8,
+        "binary": image,
+        "response": _bytes_of_results(plan)[0] * image,
+        "candidates": 4 * planes * plan.candidate_room,
+        "maxima": plan.frames * plane // 8,
+        "row_counts": 4 * plan.frames * plan.working[0],
     }
-    if plan.masks == 3:
-        sizes["response"] = response * (plan.frames * plane + spare)
     if plan.config.contrast is not None:
-        sizes["candidates"] = 8 * planes * plan.candidate_room
         sizes |= percentile_sizes(plan, _bands(plan))
     return sizes
 
@@ -72,41 +70,45 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 def layouts(plan: PlanBase) -> list[dict[str, int]]:
     """Bytes of the arrays that are needed only in passing, see `Plan._layouts`."""
     pixel = plan.dtype.itemsize
-    plane = (plan.frames * plan.working[0] + 2) * plan.step
-    score = _bytes_of_results(plan)[1]
-    layouts = [{"sums": 2 * pixel * plane}]
+    slab = (plan.frames * _slab_rows(plan) + 2) * plan.step
+    binarization = {"sums": 2 * pixel * slab}
     if plan.masks == 3:
-        layouts[0]["squares"] = 4 * pixel * plane
+        binarization["squares"] = 4 * pixel * slab
+    response, key = _bytes_of_results(plan)
+    room = plan.frames * plan.masks * plan.candidate_room
+    lists = {"responses": response * room}
     if plan.config.contrast is not None:
-        layouts.append({"noise_sums": 2 * pixel * plan.frames * _bands(plan) * plan.step})
-        room = plan.frames * plan.masks * plan.candidate_room
-        lists = dict.fromkeys(CONTRASTS, 2 * pixel * room)
-        if isinstance(plan.config.criteria, RapidCriteria):
-            lists["samples"] = CHANNELS * pixel * room
-        layouts.append(lists)
-    return [*layouts, {"key": score * plane, "tent": score * plane}]
+        lists["noise_sums"] = 2 * pixel * plan.frames * _bands(plan) * plan.step
+        lists |= dict.fromkeys(CONTRASTS, 2 * pixel * room)
+    return [binarization, lists, {"key": key * (plan.frames * plan.working[0] + 2) * plan.step}]
 
 
 def allowed_places(plan: PlanBase, allowed: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """The content of the buffer "mask"."""
-    rows, columns = plan.working
-    plane = np.zeros((rows + 2, plan.step), np.uint8)
-    plane[1:-1, plan.pad : plan.pad + columns] = allowed
-    return plane
+    after = plan.step - plan.pad - plan.working[1]
+    return np.packbits(np.pad(allowed, ((0, 0), (plan.pad, after))), bitorder="little")
 
 
 def launches(plan: PlanBase) -> list[Launch]:
     """From the image at its working scale to the list of the corners."""
-    stages = [*_binarize(plan), *_criteria(plan)]
-    if plan.config.contrast is not None:
-        stages += _list(plan, "candidates", plan.masks, plan.arrays["responses"], 0)
-        stages += _gate(plan, plan.config.contrast)
+    gate = plan.config.contrast
+    stages = [*_binarize(plan)]
+    for layer in range(plan.masks):
+        stages += _criteria(plan, np.uint32(layer))
+    if gate is not None:
+        stages += _gate(plan, gate)
     return stages + _suppress(plan)
 
 
 def _bytes_of_results(plan: PlanBase) -> tuple[int, int]:
     """Of a response and of a key of suppression."""
-    return (1, 2) if isinstance(plan.config.criteria, RapidCriteria) else (4, 4)
+    return (1, 2) if isinstance(plan.config.criteria, RapidCriteria) else (2, 4)
+
+
+def _slab_rows(plan: PlanBase) -> int:
+    """Rows of a slab of the binarization."""
+    size = plan.dtype.itemsize * (6 if plan.masks == 3 else 2)
+    return -(-plan.working[0] // -(-size // SLAB))
 
 
 def _bands(plan: PlanBase) -> int:
@@ -114,9 +116,9 @@ def _bands(plan: PlanBase) -> int:
     return -(-plan.working[0] // NOISE_BAND)
 
 
-def _dense(plan: PlanBase, name: str, planes: int, *arguments: Any) -> Launch:
+def _dense(plan: PlanBase, name: str, *arguments: Any, rows: int | None = None) -> Launch:
     """A kernel with one work-item per pixel of rows with their pads."""
-    items = (plan.step, plan.working[0], planes)
+    items = (plan.step, rows or plan.working[0], plan.frames)
     return plan.stage(name, items, (plan.width, 1, 1), *arguments)
 
 
@@ -126,115 +128,105 @@ def _of_candidates(plan: PlanBase, name: str, *arguments: Any) -> Launch:
     return plan.stage(name, items, (GROUP, 1), *arguments)
 
 
+def _listed(plan: PlanBase) -> tuple[Any, ...]:
+    """What a kernel over the candidates is given first."""
+    sizes = (plan.working[0], plan.step, plan.candidate_room)
+    return plan.arrays["candidates"], plan.arrays["totals"], *(np.uint32(n) for n in sizes)
+
+
 def _binarize(plan: PlanBase) -> list[Launch]:
-    threshold = plan.config.threshold
     rows, columns, step = (np.uint32(n) for n in (*plan.working, plan.step))
+    frame_rows, b = plan.frames * plan.working[0], plan.arrays
+    stages = [plan.rows("repeat_border", frame_rows, 1, rows, columns, step, plan.image)]
+    for first in range(0, plan.working[0], _slab_rows(plan)):
+        stages += _binarize_slab(plan, first)
+    emptied = (b["totals"], b["row_counts"], b["maxima"])
+    border = (rows, columns, step, b["binary"], *emptied)
+    return [*stages, plan.rows("repeat_border_binary", frame_rows, 1, *border)]
+
+
+def _binarize_slab(plan: PlanBase, first: int) -> list[Launch]:
+    """Rows from the first one on."""
+    threshold, b = plan.config.threshold, plan.arrays
     deep = plan.dtype == np.uint16
     column = np.uint32 if deep else np.uint16
-    count = threshold.window**2
-    planes, b = plan.frames * plan.masks, plan.arrays
-    size, image = (rows, columns, step), (plan.image, rows, step)
-    stages = [
-        plan.rows("repeat_border", plan.frames * plan.working[0], 1, *size, plan.image),
-        _dense(plan, "column_sums", plan.frames, *image, column(0), b["sums"]),
-    ]
+    count, slab = threshold.window**2, _slab_rows(plan)
+    rows = min(slab, plan.working[0] - first)
+    sizes = tuple(np.uint32(n) for n in (plan.working[0], plan.step, first, slab))
+    stages = [_dense(plan, "column_sums", plan.image, *sizes, column(0), b["sums"], rows=rows)]
     if plan.masks == 1:
         level, offset = level_type(threshold, plan.dtype)
         levels = (level(count), level(offset), np.uint32(0))
-        images = (plan.image, b["sums"], rows, step)
-        stages.append(_dense(plan, "binarize", plan.frames, *images, *levels, b["binary"]))
-    else:
-        zero = np.uint64(0) if deep else np.uint32(0)
-        both = (plan.image, b["sums"], b["squares"], rows, step)
-        counts = (np.uint64(count), np.uint64(0))
-        stages += [
-            _dense(plan, "column_squares", plan.frames, *image, zero, b["squares"]),
-            _dense(plan, "binarize_three", plan.frames, *both, *counts, b["binary"]),
-        ]
-    border = plan.rows("repeat_border_binary", planes * plan.working[0], 1, *size, b["binary"])
-    return [*stages, border]
+        given = (plan.image, b["sums"], *sizes, *levels, b["binary"])
+        return [*stages, _dense(plan, "binarize", *given, rows=rows)]
+    zero = np.uint64(0) if deep else np.uint32(0)
+    squared = (plan.image, *sizes, zero, b["squares"])
+    counts = (np.uint64(count), np.uint64(0))
+    given = (plan.image, b["sums"], b["squares"], *sizes, *counts, b["binary"])
+    return [
+        *stages,
+        _dense(plan, "column_squares", *squared, rows=rows),
+        _dense(plan, "binarize_three", *given, rows=rows),
+    ]
 
 
-def _criteria(plan: PlanBase) -> list[Launch]:
-    criteria = plan.config.criteria
+def _criteria(plan: PlanBase, layer: np.uint32) -> list[Launch]:
+    """The candidates of one mask."""
+    criteria, b = plan.config.criteria, plan.arrays
     corrosion = np.int8(criteria.corrosion_threshold or 0)
-    rows, step = np.uint32(plan.working[0]), np.uint32(plan.step)
-    b = plan.arrays
-    planes = plan.frames * plan.masks
-    images = (b["binary"], b["mask"])
+    sizes = (np.uint32(plan.working[0]), np.uint32(plan.step))
     if isinstance(criteria, SpectralCriteria):
         tables = (*spectrum.response_tables(), spectrum.least_correlation(criteria.correlation))
         bounds = (np.int32(spectrum.phase_bound(criteria.phase)), corrosion)
         constants = (plan.constant(table) for table in tables)
-        arguments = (*images, *constants, rows, step, *bounds, b["responses"])
-        return [_dense(plan, "spectral_criteria", planes, *arguments)]
-    thresholds = (np.uint8(criteria.sector_threshold), np.uint8(criteria.ring_threshold), corrosion)
-    arguments = (*images, rows, step, *thresholds, np.uint8(0), b["responses"])
-    return [_dense(plan, "rapid_criteria", planes, *arguments)]
-
-
-def _list(plan: PlanBase, what: str, masks: int, image: cl.Buffer, place: int) -> list[Launch]:
-    """The two stages that list the pixels of an image that are not 0."""
-    rows, columns, step = (np.uint32(n) for n in (*plan.working, plan.step))
-    b, planes = plan.arrays, plan.frames * masks
-    candidates = what == "candidates"
-    room = np.uint32(plan.candidate_room if candidates else plan.corner_room)
-    counts = (image, rows, columns, step, b["row_counts"])
-    listed = (image, b["row_counts"], rows, columns, step, room, np.uint32(place))
-    lists = (b["candidates" if candidates else "corners"], b["totals"])
-    return [
-        plan.rows(f"count_{what}", plan.working[0], planes, *counts),
-        plan.rows(f"list_{what}", plan.working[0], planes, *listed, *lists),
-    ]
+        given = (b["binary"], b["mask"], layer, *constants, *sizes, *bounds, b["response"])
+        dense = _dense(plan, "spectral_criteria", *given)
+    else:
+        both = (np.uint8(criteria.sector_threshold), np.uint8(criteria.ring_threshold))
+        bounds_of_bytes = (*both, corrosion, np.uint8(0))
+        given = (b["binary"], np.uint8(128 >> layer), *sizes, *bounds_of_bytes, b["response"])
+        dense = _dense(plan, "rapid_criteria", *given)
+    room = np.uint32(plan.candidate_room)
+    lists = (b["candidates"], b["responses"], b["totals"])
+    given = (b["response"], b["mask"], layer, *sizes, room, *lists)
+    eights = (plan.step // 8, plan.working[0], plan.frames)
+    return [dense, plan.stage("list_candidates", eights, None, *given)]
 
 
 def _gate(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     rows, columns, step = (np.uint32(n) for n in (*plan.working, plan.step))
-    b, room = plan.arrays, np.uint32(plan.candidate_room)
-    deep = plan.dtype == np.uint16
-    signed, pixel = (np.int32, np.uint16) if deep else (np.int16, np.uint8)
-    bands = _bands(plan)
+    b, bands = plan.arrays, _bands(plan)
+    signed = np.int32 if plan.dtype == np.uint16 else np.int16
     noise = (plan.image, rows, step, signed(0), b["noise_sums"])
     summed = (b["noise_sums"], columns, step, b["noise"], b["bins"])
     contrasts = [b[name] for name in CONTRASTS]
-    listed = (b["candidates"], b["totals"], rows, step, room)
-    stages = [
+    given = (plan.image, b["binary"], *_listed(plan), *contrasts, b["bins"])
+    return [
         plan.stage("noise", (plan.step, bands, plan.frames), (plan.width, 1, 1), *noise),
         plan.rows("noise_of_band", bands, plan.frames, *summed),
+        _of_candidates(plan, "sector_contrast", *given),
+        *percentile_stages(plan, gate, bands, b["bins"], 1),
     ]
-    criteria, images = plan.config.criteria, (plan.image, b["binary"])
-    if isinstance(criteria, RapidCriteria):
-        samples = (b["samples"], room, signed(criteria.sector_threshold), pixel(0), *contrasts)
-        stages += [
-            _of_candidates(plan, "sample_rings", *images, *listed, b["samples"]),
-            _of_candidates(plan, "sector_contrast", *samples),
-        ]
-    else:
-        arguments = (*images, *listed, *contrasts[:3])
-        stages.append(_of_candidates(plan, "sector_contrast_any", *arguments))
-    stages += percentile_stages(plan, gate, bands)
-    keep = (*contrasts[1:], *listed[:2], b["bounds"], *listed[2:], b["responses"])
-    return [*stages, _of_candidates(plan, "keep", *keep)]
 
 
-def percentile_sizes(plan: PlanBase, bands: int, *, counted: bool = False) -> dict[str, int]:
-    """Bytes of the buffers of `percentile_stages`."""
+def percentile_sizes(plan: PlanBase, bands: int, parts: int = 0) -> dict[str, int]:
+    """Bytes of the buffers of `percentile_stages`; parts: of the counts, beside the bins."""
     planes = plan.frames * plan.masks
     sizes = {"noise": 8 * plan.frames * bands, "found": 8 * planes, "bounds": 8 * planes}
-    if counted:
-        sizes["bins_of_bands"] = 4 * planes * bands * BINS
-    if plan.dtype == np.uint16 or not counted:
+    if parts:
+        sizes["bins_of_bands"] = 4 * planes * parts * BINS
+    if plan.dtype == np.uint16 or not parts:
         sizes["bins"] = 4 * planes * BINS
     return sizes
 
 
 def percentile_stages(
-    plan: PlanBase, gate: SectorContrast, bands: int, *, counted: bool = False
+    plan: PlanBase, gate: SectorContrast, bands: int, counts: cl.Buffer, parts: int
 ) -> list[Launch]:
     """From the inner contrasts of the candidates to the bounds of the gate.
 
-    bands: those of the noise; counted: for each of them the highest eight bits are in
-    "bins_of_bands".
+    bands: those of the noise; counts: how often the highest eight bits of the contrasts occur, in
+    so many parts for each plane.
     """
     deep = plan.dtype == np.uint16
     levels = np.arange(2**16 if deep else 2**8)
@@ -246,41 +238,41 @@ def percentile_stages(
     factor = np.uint32(math.floor(6.68 * least_noise + 0.5))
     rows, columns, room = (np.uint32(n) for n in (*plan.working, plan.candidate_room))
     b, planes = plan.arrays, plan.frames * plan.masks
-    stages = []
-    for shift in (8, 0) if deep else (0,):
-        bins = b["bins" if "bins" in b else "bins_of_bands"]
-        if not counted:
-            listed = (b["inner_contrast"], b["totals"], b["found"], room, np.uint32(shift))
-            stages.append(_of_candidates(plan, "histogram", *listed, bins))
-        counts, parts = (b["bins_of_bands"], bands) if counted else (bins, 1)
+    bins = b.get("bins", counts)
+
+    def percentile(counts: cl.Buffer, parts: int, shift: int) -> Launch:
         given = (counts, b["totals"], b["noise"], limit, rows, columns)
         sizes = (np.uint32(bands), room, np.uint32(shift), np.uint32(parts), factor)
         left = (bins, b["found"], b["bounds"])
-        stages.append(plan.rows("percentile", planes, 1, *given, *sizes, *left))
-        counted = False
-    return stages
+        return plan.rows("percentile", planes, 1, *given, *sizes, *left)
 
-
-def _suppress(plan: PlanBase) -> list[Launch]:
-    rows, step = np.uint32(plan.working[0]), np.uint32(plan.step)
-    rapid = isinstance(plan.config.criteria, RapidCriteria)
-    b, frames = plan.arrays, plan.frames
-    stages = []
-    if plan.masks == 3:
-        stages.append(_dense(plan, "combine", frames, b["responses"], rows, step, b["response"]))
-    response, key, rest = response_of(plan), b["key"], b["tent"]
-    common = (rows, step, np.uint16(0) if rapid else np.int32(0))
-    # What the binary image was needed for is over: the maxima take its place.
+    if not deep:
+        return [percentile(counts, parts, 0)]
+    lower = (b["inner_contrast"], b["totals"], b["found"], room, bins)
     return [
-        *stages,
-        _dense(plan, "tent_rows", frames, response, *common, rest),
-        _dense(plan, "score", frames, response, rest, b["zeros"], *common, key),
-        _dense(plan, "row_maximum", frames, key, *common, rest),
-        _dense(plan, "maximum", frames, key, rest, b["zeros"], *common, b["binary"]),
-        *_list(plan, "maxima", 1, b["binary"], frames * plan.masks),
+        percentile(counts, parts, 8),
+        _of_candidates(plan, "histogram", *lower),
+        percentile(bins, 1, 0),
     ]
 
 
-def response_of(plan: PlanBase) -> cl.Buffer:
-    """The response that suppression looks at."""
-    return plan.arrays["response" if plan.masks == 3 else "responses"]
+def list_maxima(plan: PlanBase, band_rows: int) -> Launch:
+    """From the maxima to the list of the corners."""
+    b = plan.arrays
+    sizes = (plan.working[0], plan.step, plan.corner_room, plan.frames * plan.masks, band_rows)
+    counts = (np.uint32(n) for n in sizes)
+    given = (b["maxima"], b["row_counts"], *counts, b["corners"], b["totals"])
+    return plan.rows("list_maxima", -(-plan.working[0] // band_rows), plan.frames, *given)
+
+
+def _suppress(plan: PlanBase) -> list[Launch]:
+    b, listed = plan.arrays, _listed(plan)
+    gated = ("contrast", "mean_difference", "bounds") if plan.config.contrast is not None else ()
+    kept = (*(b[name] for name in gated), b["responses"], b["response"])
+    found = (b["response"], b["key"], b["maxima"], b["row_counts"])
+    return [
+        _of_candidates(plan, "keep", *listed, *kept),
+        _of_candidates(plan, "score", *listed, b["response"], b["key"]),
+        _of_candidates(plan, "maximum", *listed, *found),
+        list_maxima(plan, 1),
+    ]

@@ -92,8 +92,7 @@ class Plan(PlanBase):
             "SUM": "uint" if deep else "ushort",
             "MEANS": "int" if deep else "short",
             "RADIUS": self.config.nms_radius,
-            "RESPONSE": "uchar" if rapid else "int",
-            "RESPONSE_WORD": "uchar8" if rapid else "int2",
+            "RESPONSE": "uchar" if rapid else "ushort",
             "SCORE": "ushort" if rapid else "int",
             "SCALED": int(self.scale is not None),
             "REFINED": int(self.config.refinement is not None),
@@ -209,7 +208,7 @@ class Plan(PlanBase):
 
     def _bind(self) -> None:
         self.image = self.arrays["image" if self.scale is None else "working"]
-        self.response = self.front_stages.response_of(self)
+        self.response = self.arrays["response"]
         self.front = [*scale_stages.launches(self), *self.front_stages.launches(self)]
         self.launches = [*self.front, *refine_stages.launches(self)]
         self._likely = self.corner_room  # corners of a frame, at most

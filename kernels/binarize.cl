@@ -1,5 +1,8 @@
 /* Binarization (section 3.1): black iff (I + C) n < S, with S the sum of the n = w w pixels
- * of the window, border repeated.
+ * of the window, border repeated. Bit k of a pixel is its colour in mask k, 1 where black.
+ *
+ * The sums are those of a slab, `slab` rows of each frame from `first` on, with one spare row
+ * before the first slab and after the last.
  *
  * WINDOW_SUM(T, F) adds F(-w/2) .. F(w/2) in type T; WIDE_SUM(T, F) adds as many of them in type
  * COLUMN as it can hold, and these sums in type T. */
@@ -8,51 +11,70 @@
 #error "WINDOW_SUM must add over the window"
 #endif
 
-/* Repeat the border pixel in the PAD columns on either side. One work-item per row. */
-#define REPEAT_BORDER(NAME, T)                                                      \
-  __kernel void NAME(const uint rows, const uint columns, const uint step,          \
-                     __global T *restrict image) {                                  \
-    __global T *row = image + ROW(0, get_global_id(0)) + PAD;                       \
-    const T first = row[0], last = row[columns - 1];                                \
-    for (int k = 1; k <= PAD; ++k) row[-k] = first;                                 \
-    for (int k = 0; k < (int)(step - PAD - columns); ++k) row[columns + k] = last;  \
+/* Repeat the border pixel in the PAD columns on either side. */
+#define REPEAT_BORDER(T, row)                                                       \
+  {                                                                                 \
+    const T first = (row)[0], last = (row)[columns - 1];                            \
+    for (int k = 1; k <= PAD; ++k) (row)[-k] = first;                               \
+    for (int k = 0; k < (int)(step - PAD - columns); ++k) (row)[columns + k] = last; \
   }
 
-REPEAT_BORDER(repeat_border, PIXEL)
-REPEAT_BORDER(repeat_border_binary, uchar)
+/* One work-item per row. */
+__kernel void repeat_border(const uint rows, const uint columns, const uint step,
+                            __global PIXEL *restrict image) {
+  REPEAT_BORDER(PIXEL, image + ROW(0, get_global_id(0)) + PAD)
+}
+
+/* The same of the binary image; the lists and the maxima are then empty. One work-item per row. */
+__kernel void repeat_border_binary(const uint rows, const uint columns, const uint step,
+                                   __global uchar *restrict binary,
+                                   __global uint *restrict totals,
+                                   __global uint *restrict row_counts,
+                                   __global uint *restrict maxima) {
+  const size_t row = get_global_id(0);
+  REPEAT_BORDER(uchar, binary + ROW(0, row) + PAD)
+  if (row % rows == 0)
+    for (uint mask = 0; mask < MASKS; ++mask) totals[row / rows * MASKS + mask] = 0;
+  row_counts[row] = 0;
+  for (uint word = 0; word < step / 32; ++word) maxima[row * (step / 32) + word] = 0;
+}
+
+#define SUMS_ROW(p, y) (((size_t)(p) * slab + (y) + 1) * step)
 
 /* Sum of each pixel's column within the window. */
 __kernel void column_sums(__global const PIXEL *restrict image, const uint rows,
-                          const uint step, const COLUMN zero,
-                          __global COLUMN *restrict sums) {
+                          const uint step, const uint first, const uint slab,
+                          const COLUMN zero, __global COLUMN *restrict sums) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-#define TERM(k) image[NEAR_ROW(p, (int)y + (k)) + x]
-  sums[ROW(p, y) + x] = WINDOW_SUM(COLUMN, TERM);
+#define TERM(k) image[NEAR_ROW(p, (int)(first + y) + (k)) + x]
+  sums[SUMS_ROW(p, y) + x] = WINDOW_SUM(COLUMN, TERM);
 #undef TERM
 }
+
+#if MASKS == 1
 
 /* Sum over the window of the columns' sums, and the comparison. */
 __kernel void binarize(__global const PIXEL *restrict image,
                        __global const COLUMN *restrict sums, const uint rows,
-                       const uint step, const LEVEL count, const LEVEL offset,
-                       const uint zero, __global uchar *restrict binary) {
+                       const uint step, const uint first, const uint slab, const LEVEL count,
+                       const LEVEL offset, const uint zero, __global uchar *restrict binary) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  const size_t i = ROW(p, y) + x;
-#define TERM(k) sums[i + (k)]
+  const size_t i = ROW(p, first + y) + x, window = SUMS_ROW(p, y) + x;
+#define TERM(k) sums[window + (k)]
   binary[i] = (uchar)(((LEVEL)image[i] + offset) * count < (LEVEL)WIDE_SUM(uint, TERM));
 #undef TERM
 }
 
-#if MASKS == 3
+#else
 
 /* Sum of squares of each pixel's column within the window. */
 __kernel void column_squares(__global const PIXEL *restrict image, const uint rows,
-                             const uint step, const SQUARE zero,
-                             __global SQUARE *restrict squares) {
+                             const uint step, const uint first, const uint slab,
+                             const SQUARE zero, __global SQUARE *restrict squares) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-#define GREY(k) (SQUARE)image[NEAR_ROW(p, (int)y + (k)) + x]
+#define GREY(k) (SQUARE)image[NEAR_ROW(p, (int)(first + y) + (k)) + x]
 #define TERM(k) GREY(k) * GREY(k)
-  squares[ROW(p, y) + x] = WINDOW_SUM(SQUARE, TERM);
+  squares[SUMS_ROW(p, y) + x] = WINDOW_SUM(SQUARE, TERM);
 #undef TERM
 #undef GREY
 }
@@ -62,22 +84,23 @@ __kernel void column_squares(__global const PIXEL *restrict image, const uint ro
 __kernel void binarize_three(__global const PIXEL *restrict image,
                              __global const COLUMN *restrict sums,
                              __global const SQUARE *restrict squares, const uint rows,
-                             const uint step, const ulong count, const ulong zero,
+                             const uint step, const uint first, const uint slab,
+                             const ulong count, const ulong zero,
                              __global uchar *restrict binary) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  const size_t i = ROW(p, y) + x;
-#define TERM(k) (ulong)sums[i + (k)]
+  const size_t i = ROW(p, first + y) + x, window = SUMS_ROW(p, y) + x;
+#define TERM(k) (ulong)sums[window + (k)]
   const ulong s = WINDOW_SUM(ulong, TERM);
 #undef TERM
-#define TERM(k) (ulong)squares[i + (k)]
+#define TERM(k) (ulong)squares[window + (k)]
   const ulong v = count * WINDOW_SUM(ulong, TERM) - s * s;
 #undef TERM
   const ulong level = count * (ulong)image[i];
   const ulong distance = level < s ? s - level : level - s;
   const ulong square = distance * distance;
-  binary[ROW(3 * p, y) + x] = (uchar)(level < s);
-  binary[ROW(3 * p + 1, y) + x] = (uchar)(level < s || square < (v + 3) / 4);
-  binary[ROW(3 * p + 2, y) + x] = (uchar)(level < s && square > v / 4);
+  const uchar black = level < s, more_black = level < s || square < (v + 3) / 4;
+  const uchar less_black = level < s && square > v / 4;
+  binary[i] = (uchar)(black | more_black << 1 | less_black << 2);
 }
 
 #endif

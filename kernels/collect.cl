@@ -1,45 +1,59 @@
-/* Lists of the pixels that are not 0, in (y, x) order whatever the order of the work-items.
- *
- * Pads hold 0, and rows are aligned to 64 bits, which WORD holds: few of them are read one after
- * the other. The list of plane p has `room` entries; its count, at place + p, runs past the room. */
+/* Lists of the pixels that are left. The list of plane p has `room` entries; its count runs past
+ * the room. */
 
-#define LISTS(COUNT, LIST, T, WORD)                                                 \
-  /* Pixels of each row that are not 0. One work-item per row. */                   \
-  __kernel void COUNT(__global const T *restrict image, const uint rows,            \
-                      const uint columns, const uint step,                          \
-                      __global uint *restrict counts) {                             \
-    const size_t y = get_global_id(0), p = get_global_id(1);                        \
-    __global const WORD *words = (__global const WORD *)(image + ROW(p, y) + PAD);  \
-    const uint pixels = sizeof(WORD) / sizeof(T);                                   \
-    uint bits = 0;                                                                  \
-    for (uint word = 0; word * pixels < columns; ++word)                            \
-      bits += (uint)popcount(as_ulong(words[word] != (WORD)(0)));                   \
-    counts[p * rows + y] = bits / (8 * sizeof(T));                                  \
-  }                                                                                 \
-  /* Their positions and the count of the plane. One work-item per row. */          \
-  __kernel void LIST(__global const T *restrict image,                              \
-                     __global const uint *restrict counts, const uint rows,         \
-                     const uint columns, const uint step, const uint room,          \
-                     const uint place, __global int2 *restrict list,                \
-                     __global uint *restrict totals) {                              \
-    const size_t y = get_global_id(0), p = get_global_id(1);                        \
-    __global const T *row = image + ROW(p, y) + PAD;                                \
-    const uint count = counts[p * rows + y];                                        \
-    uint n = 0;                                                                     \
-    for (uint k = 0; k < y; ++k) n += counts[p * rows + k];                         \
-    const uint end = n + count;                                                     \
-    if (y == rows - 1) totals[place + p] = end;                                     \
-    __global const ulong *words = (__global const ulong *)row;                      \
-    for (uint word = 0; n < end; ++word) {                                          \
-      if (words[word] == 0) continue;                                               \
-      const uint first = word * (sizeof(ulong) / sizeof(T));                        \
-      for (uint x = first; x < first + sizeof(ulong) / sizeof(T); ++x)              \
-        if (row[x] != 0) {                                                          \
-          if (n < room) list[p * room + n] = (int2)((int)x, (int)y);                \
-          ++n;                                                                      \
-        }                                                                           \
-    }                                                                               \
+#if !IN_WORDS
+
+/* Eight pixels, and whether any of them is not 0. */
+#if RAPID
+typedef uchar8 RESPONSES_8;
+#define ANY_OF_EIGHT(v) (as_ulong(v) != 0)
+#else
+typedef ushort8 RESPONSES_8;
+#define ANY_OF_EIGHT(v) ((as_ulong2(v).x | as_ulong2(v).y) != 0)
+#endif
+
+/* The candidates within the area in any order: their places from the start of the frame's rows
+ * on, and their responses, of which the image keeps none. `area` has a bit for every pixel. One
+ * work-item per eight pixels. */
+__kernel void list_candidates(__global RESPONSE *restrict response,
+                              __global const uchar *restrict area, const uint layer,
+                              const uint rows, const uint step, const uint room,
+                              __global uint *restrict list,
+                              __global RESPONSE *restrict list_of_responses,
+                              __global uint *restrict totals) {
+  const uint place = get_global_id(1) * step + 8 * get_global_id(0);
+  const size_t frame = get_global_id(2), p = frame * MASKS + layer;
+  __global RESPONSE *eight = response + ROW(frame, 0) + place;
+  if (!ANY_OF_EIGHT(*(__global RESPONSES_8 *)eight)) return;
+  uint left = 0;
+  for (uint k = 0; k < 8; ++k) left |= (uint)(eight[k] != 0) << k;
+  left &= area[place / 8];
+  for (uint n = atomic_add(totals + p, popcount(left)); left && n < room; ++n, left &= left - 1) {
+    const uint k = 31 - clz(left & (0u - left));
+    list[p * room + n] = place + k;
+    list_of_responses[p * room + n] = eight[k];
   }
+  *(__global RESPONSES_8 *)eight = 0;
+}
 
-LISTS(count_candidates, list_candidates, RESPONSE, RESPONSE_WORD)
-LISTS(count_maxima, list_maxima, uchar, uchar8)
+#endif
+
+/* The maxima, bit k of word i of a row being pixel 32 i + k, in (y, x) order whatever the order
+ * of the work-items; `counts` are those of the rows. One work-item per band of rows. */
+__kernel void list_maxima(__global const uint *restrict maxima,
+                          __global const uint *restrict counts, const uint rows,
+                          const uint step, const uint room, const uint place,
+                          const uint band_rows, __global int2 *restrict list,
+                          __global uint *restrict totals) {
+  const size_t band = get_global_id(0), p = get_global_id(1);
+  const uint top = (uint)band * band_rows, end = SMALLER(top + band_rows, rows);
+  uint n = 0;
+  for (uint y = 0; y < top; ++y) n += counts[p * rows + y];
+  for (uint y = top; y < end; ++y)
+    for (uint i = 0; i < step / 32; ++i)
+      for (uint left = maxima[(p * rows + y) * (step / 32) + i]; left; left &= left - 1, ++n)
+        if (n < room)
+          list[p * room + n] =
+              (int2)((int)(32 * i + 31 - clz(left & (0u - left))) - PAD, (int)y);
+  if (end == rows) totals[place + p] = n;
+}

@@ -1,6 +1,6 @@
 /* Double-layer sampling and the four rapid criteria (sections 3.2 and 3.4, Eqs. 18 to 24).
  *
- * A binary pixel is 0 or 1. a0..a15 are the inner ring's samples, b0..b15 the outer ring's.
+ * A colour is 0 or 1, black. a0..a15 are the inner ring's samples, b0..b15 the outer ring's.
  * Everything is a byte and nothing branches, so that a vector holds 32 or 64 pixels. */
 
 /* The runs of the inner ring from sample 0 on are numbered modulo 4 by two bits:
@@ -15,16 +15,23 @@
   RUN_INDEX(11, 10) RUN_INDEX(12, 11) RUN_INDEX(13, 12) RUN_INDEX(14, 13)           \
   RUN_INDEX(15, 14)
 
-#define LOAD_INNER(i, dx, dy) const uchar a##i = binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)];
-#define LOAD_OUTER(i, dx, dy) const uchar b##i = binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)];
-#define LOAD_REGION(i, dx, dy) const uchar r##i = binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)];
-
 #if RAPID && !IN_WORDS
 
-/* Response R of Eq. 24 where all criteria hold and the mask is set, 0 elsewhere. */
-__kernel void rapid_criteria(__global const uchar *restrict binary,
-                             __global const uchar *restrict mask, const uint rows,
-                             const uint step, const uchar sector_threshold,
+/* The colour in a mask, whose bit `to_top` brings to the highest place: LLVM packs products of
+ * bytes, not shifts by a variable. */
+#if MASKS == 1
+#define COLOUR(v) (v)
+#else
+#define COLOUR(v) (uchar)((uchar)((v) * to_top) >> 7)
+#endif
+#define BLACK_AT(dx, dy) COLOUR(binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)])
+#define LOAD_INNER(i, dx, dy) const uchar a##i = BLACK_AT(dx, dy);
+#define LOAD_OUTER(i, dx, dy) const uchar b##i = BLACK_AT(dx, dy);
+#define LOAD_REGION(i, dx, dy) const uchar r##i = BLACK_AT(dx, dy);
+
+/* Response R of Eq. 24 where all criteria hold in one of the masks, 0 elsewhere. */
+__kernel void rapid_criteria(__global const uchar *restrict binary, const uchar to_top,
+                             const uint rows, const uint step, const uchar sector_threshold,
                              const uchar ring_threshold, const char corrosion_threshold,
                              const uchar zero, __global uchar *restrict response) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
@@ -76,9 +83,8 @@ __kernel void rapid_criteria(__global const uchar *restrict binary,
   holds &= (uchar)(LARGER(black_loss, white_loss) < corrosion_threshold);
 #endif
 
-  const size_t i = ROW(p, y) + x;
-  const uchar inside = mask[ROW(0, y) + x];
-  response[i] = (uchar)((sector_threshold - sector_difference) & (uchar)(0 - (holds & inside)));
+  response[ROW(p, y) + x] =
+      (uchar)((sector_threshold - sector_difference) & (uchar)(0 - holds));
 }
 
 #endif

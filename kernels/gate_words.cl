@@ -87,6 +87,20 @@ void transpose(GREYS *v) {
   interleave(other, v);
 }
 
+/* floor(8 s / n), exactly. A byte's quotient lies at least 0.5 / 16 from where rounding could
+ * change its floor; a longer one is put right by its remainder. */
+MEANS mean_of_run(const SUM s, const PIXEL n) {
+  const int count = n > 0 ? n : 1;
+#if PIXEL_BITS == 8
+  return (MEANS)(((float)(int)(8 * s) + 0.5f) / (float)count);
+#else
+  const int sum = (int)(8 * s);
+  const int quotient = (int)((float)sum / (float)count);
+  const int rest = sum - quotient * count;
+  return quotient + (rest >= count) - (rest < 0);
+#endif
+}
+
 /* Lane k of a vector. */
 #define LANE_OF(T, v, k) ((T *)&(v))[k]
 
@@ -96,7 +110,7 @@ void transpose(GREYS *v) {
     LANE_OF(CONTRAST, means, k) =                                                   \
         mean_of_run(LANE_OF(const SUM, sums, k), LANE_OF(const PIXEL, lengths, k));
 
-/* Eqs. 21 and 24, and the gate's contrasts, as sector_contrast of gate.cl has them. */
+/* Eqs. 21 and 24, and the contrasts that sector_contrast of gate.cl has. */
 Sectors sectors_of(Samples *samples, const CONTRAST sector_threshold) {
   const int inner_order[] = INNER_ORDER, outer_order[] = OUTER_ORDER;
   const ushort16 colours = samples->colours;

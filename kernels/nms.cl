@@ -2,7 +2,12 @@
  * and y; a candidate is kept iff its key 10 S + R is the largest of its window, the earlier
  * pixel in raster order winning a tie. The response is 0 outside the image.
  *
- * OVER_SUPPRESSION(F) is F(1) .. F(r) with r the radius of the window. */
+ * Candidates are places from the start of the frame's rows on. Where there is none the response
+ * is 0, and a key means nothing. */
+
+#ifndef RADIUS
+#error "RADIUS must be that of suppression"
+#endif
 
 /* S at every pixel, where there is no response too. */
 __kernel void score_map(__global const RESPONSE *restrict response, const uint rows,
@@ -18,80 +23,77 @@ __kernel void score_map(__global const RESPONSE *restrict response, const uint r
 
 #if !IN_WORDS
 
-#ifndef OVER_SUPPRESSION
-#error "OVER_SUPPRESSION must list the distances 1 to the radius"
+#define CANDIDATE                                                                   \
+  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / MASKS;       \
+  if (n >= min(totals[p], room)) return;                                            \
+  const uint place = list[p * room + n];                                            \
+  const size_t i = ROW(frame, 0) + place;                                           \
+  const int y = (int)(place / step);
+
+/* The responses of the candidates that the gate keeps; of three masks together
+ * 2 R(0) + R(-1/2) + R(+1/2), each added within the word that holds it. */
+__kernel void keep(__global const uint *restrict list, __global const uint *restrict totals,
+                   const uint rows, const uint step, const uint room,
+#if GATE
+                   __global const CONTRAST *restrict contrast,
+                   __global const CONTRAST *restrict mean_difference,
+                   __global const int2 *restrict bounds,
 #endif
-
-#define RESPONSE_AT(dx) (SCORE)response[i + (dx)]
-
-/* The tent along x. */
-__kernel void tent_rows(__global const RESPONSE *restrict response, const uint rows,
-                        const uint step, const SCORE zero, __global SCORE *restrict tent) {
-  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  const size_t i = ROW(p, y) + x;
-  const SCORE near = SUM3(SCORE, RESPONSE_AT(-1), RESPONSE_AT(1), RESPONSE_AT(0));
-  tent[i] = SUM3(SCORE, SUM3(SCORE, RESPONSE_AT(-2), RESPONSE_AT(2), RESPONSE_AT(0)),
-                 near, near);
+                   __global const RESPONSE *restrict list_of_responses,
+                   __global RESPONSE *restrict response) {
+  CANDIDATE
+#if GATE
+  const int2 bound = bounds[p];
+  if (contrast[p * room + n] < bound.x || mean_difference[p * room + n] < bound.y) return;
+#endif
+  const RESPONSE r = list_of_responses[p * room + n];
+#if MASKS == 1
+  response[i] = r;
+#else
+  const uint pixels = sizeof(uint) / sizeof(RESPONSE), weight = p % MASKS == 0 ? 2 : 1;
+  __global uint *word = (__global uint *)response + i / pixels;
+  atomic_add(word, (weight * r) << (32 / pixels * (i % pixels)));
+#endif
 }
 
-/* What lies at a distance in y; a row of zeros outside the image. */
-#define AT(image, dy)                                                               \
-  ((int)y + (dy) >= 0 && (int)y + (dy) < (int)rows ? image + ROW(p, (int)y + (dy)) : zeros)[x]
-
-/* The tent along y, and the key; the key is 0 where there is no response. */
-__kernel void score(__global const RESPONSE *restrict response,
-                    __global const SCORE *restrict tent,
-                    __global const SCORE *restrict zeros, const uint rows, const uint step,
-                    const SCORE zero, __global SCORE *restrict key) {
-  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  const size_t i = ROW(p, y) + x;
-  const SCORE near = SUM3(SCORE, AT(tent, -1), AT(tent, 1), tent[i]);
-  const SCORE s = SUM3(SCORE, SUM3(SCORE, AT(tent, -2), AT(tent, 2), tent[i]), near, near);
-  const SCORE r = (SCORE)response[i];
-  key[i] = (SCORE)(r != 0 ? 10 * s + r : 0);
+/* The keys. */
+__kernel void score(__global const uint *restrict list, __global const uint *restrict totals,
+                    const uint rows, const uint step, const uint room,
+                    __global const RESPONSE *restrict response, __global SCORE *restrict key) {
+  CANDIDATE
+  if (response[i] == 0) return;
+  int s = 0;
+  for (int dy = -2; dy <= 2; ++dy) {
+    if (y + dy < 0 || y + dy >= (int)rows) continue;
+    __global const RESPONSE *row = response + i + dy * (long)step;
+    s += (3 - abs(dy)) * (row[-2] + row[2] + 2 * (row[-1] + row[1]) + 3 * row[0]);
+  }
+  key[i] = (SCORE)(10 * s + response[i]);
 }
 
-/* The largest key of the window's row. */
-__kernel void row_maximum(__global const SCORE *restrict key, const uint rows, const uint step,
-                          const SCORE zero, __global SCORE *restrict largest) {
-  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  const size_t i = ROW(p, y) + x;
-  SCORE m = key[i];
-#define EITHER_SIDE(d) m = LARGEST3(SCORE, key[i - (d)], key[i + (d)], m);
-  OVER_SUPPRESSION(EITHER_SIDE)
-  largest[i] = m;
-}
-
-/* A key that is above all earlier ones and not below any later one is kept. */
-__kernel void maximum(__global const SCORE *restrict key, __global const SCORE *restrict largest,
-                      __global const SCORE *restrict zeros, const uint rows,
-                      const uint step, const SCORE zero, __global uchar *restrict maxima) {
-  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  const size_t i = ROW(p, y) + x;
-  SCORE earlier = 0, later = largest[i];
-#define EARLIER(d)                                                                  \
-  const SCORE left##d = key[i - (d)], above##d = AT(largest, -(d));                 \
-  earlier = LARGEST3(SCORE, left##d, above##d, earlier);
-  OVER_SUPPRESSION(EARLIER)
-#define LATER(d)                                                                    \
-  const SCORE below##d = AT(largest, d);                                            \
-  later = (SCORE)LARGER(below##d, later) ^ zero;
-  OVER_SUPPRESSION(LATER)
+/* A key that is above all earlier ones and not below any later one is kept, once: masks have
+ * candidates in common. */
+__kernel void maximum(__global const uint *restrict list, __global const uint *restrict totals,
+                      const uint rows, const uint step, const uint room,
+                      __global const RESPONSE *restrict response,
+                      __global const SCORE *restrict key, __global uint *restrict maxima,
+                      __global uint *restrict row_counts) {
+  CANDIDATE
+  if (response[i] == 0) return;
   const SCORE k = key[i];
-  maxima[i] = (uchar)((k > earlier) & (k >= later));
+  for (int dy = -RADIUS; dy <= RADIUS; ++dy) {
+    if (y + dy < 0 || y + dy >= (int)rows) continue;
+    for (int dx = -RADIUS; dx <= RADIUS; ++dx) {
+      const size_t other = i + dy * (long)step + dx;
+      if (response[other] == 0) continue;
+      const bool earlier = dy < 0 || (dy == 0 && dx < 0);
+      if (key[other] > k || (earlier && key[other] == k)) return;
+    }
+  }
+  const uint bit = 1u << place % 32;
+  const size_t row = frame * rows + y;
+  if (!(atomic_or(maxima + row * (step / 32) + place % step / 32, bit) & bit))
+    atomic_inc(row_counts + row);
 }
-
-#if MASKS == 3
-
-/* The responses of the three masks together: 2 R(0) + R(-1/2) + R(+1/2). */
-__kernel void combine(__global const RESPONSE *restrict responses, const uint rows,
-                      const uint step, __global RESPONSE *restrict response) {
-  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  response[ROW(p, y) + x] =
-      (RESPONSE)(2 * responses[ROW(3 * p, y) + x] + responses[ROW(3 * p + 1, y) + x] +
-                 responses[ROW(3 * p + 2, y) + x]);
-}
-
-#endif
 
 #endif

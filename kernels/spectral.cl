@@ -4,7 +4,7 @@
  * |F3|, 0 for the others, and whether an outer mask is such. Masks have bit i for sample i. */
 
 #define RING_BIT(i, dx, dy) \
-  | ((uint)binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] << (i))
+  | ((uint)(binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] >> layer & 1) << (i))
 #define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
 
 /* The largest correlation of the two masks over all turns, and the smallest |centre| of the runs
@@ -28,19 +28,20 @@ uint2 best_turn(const uint g1, const uint g2) {
   return (uint2)(best, smallest);
 }
 
-/* Response of the inner ring where all criteria hold and the mask is set, 0 elsewhere. */
+/* Response of the inner ring where all criteria hold in the mask `layer`, 0 elsewhere. `area` has
+ * a bit for every pixel, set where candidates may be. */
 __kernel void spectral_criteria(__global const uchar *restrict binary,
-                                __global const uchar *restrict mask,
+                                __global const uchar *restrict area, const uint layer,
                                 __global const int *restrict inner_response,
                                 __global const uchar *restrict outer_passes,
                                 __global const uchar *restrict least_correlation,
                                 const uint rows, const uint step, const int phase_bound,
                                 const char corrosion_threshold,
-                                __global int *restrict response) {
+                                __global RESPONSE *restrict response) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
   const size_t i = ROW(p, y) + x;
   response[i] = 0;
-  if (!mask[ROW(0, y) + x]) return;
+  if (!(area[(y * step + x) / 8] >> x % 8 & 1)) return;
   const uint g2 = 0 INNER_RING(RING_BIT);
   const int r = inner_response[g2];
   if (r == 0) return;
@@ -53,10 +54,10 @@ __kernel void spectral_criteria(__global const uchar *restrict binary,
   const uint2 turn = best_turn(g1, g2);
   if (turn.x < least_correlation[popcount(g1) * popcount(g2)]) return;
   if ((int)turn.y >= phase_bound) return;
-  response[i] = r;
+  response[i] = (RESPONSE)r;
 }
 
-/* Ring masks, corrosion, best correlation and phase in half samples, at every pixel. */
+/* Ring masks, corrosion, best correlation and phase in half samples, at every pixel of a plane. */
 __kernel void spectral_maps(__global const uchar *restrict binary, const uint rows,
                             const uint step, __global ushort *restrict inner,
                             __global ushort *restrict outer, __global char *restrict corrosion,
@@ -64,6 +65,7 @@ __kernel void spectral_maps(__global const uchar *restrict binary, const uint ro
                             __global uchar *restrict phase) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
   const size_t i = ROW(p, y) + x;
+  const uint layer = 0;
   const uint g2 = 0 INNER_RING(RING_BIT);
   const uint g1 = 0 OUTER_RING(RING_BIT);
   const int n1 = (int)popcount(g1), nr = (int)popcount(0u REGION(RING_BIT));
