@@ -85,7 +85,7 @@ class Detector:
         context = queue.context if queue is not None else cl.Context([self.device.handle])
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
-        self._transfers = cl.CommandQueue(context)
+        self._transfers = cl.CommandQueue(context)  # of streams, beside the kernels
         self._lock = threading.RLock()
         self._process = os.getpid()
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
@@ -160,17 +160,17 @@ class Detector:
                 with self._lock:
                     self._check_alive()
                     plan = self._plan(self._factors[0])
-                    self._start(plan, [frame])
+                    self._start(plan, [frame], self._transfers)
                     plan.awaited = True
                     ready, waiting = waiting, plan
-                    done = [] if ready is None else self._finish(ready)
+                    done = [] if ready is None else self._finish(ready, self._transfers)
                     cl.wait_for_events(plan.uploads)
                 yield from done
             if waiting is not None:
                 with self._lock:
                     self._check_alive()
                     ready, waiting = waiting, None
-                    done = self._finish(ready)
+                    done = self._finish(ready, self._transfers)
                 yield from done
         finally:
             if waiting is not None:
@@ -264,38 +264,40 @@ class Detector:
             )
         return self._plans[key]
 
-    def _start(self, plan: Plan, frames: list[GreyImage] | cl.Buffer) -> None:
+    def _start(
+        self, plan: Plan, frames: list[GreyImage] | cl.Buffer, transfers: cl.CommandQueue
+    ) -> None:
         plan.events.clear()
         try:
             if isinstance(frames, list):
-                plan.upload(self._transfers, frames)
+                plan.upload(transfers, frames)
             else:
                 plan.copy(frames)
             plan.launch(plan.launches)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
-    def _finish(self, plan: Plan) -> list[Corners]:
+    def _finish(self, plan: Plan, transfers: cl.CommandQueue) -> list[Corners]:
         plan.awaited = False
         try:
             while True:
                 try:
-                    return _corners(plan.read(self._transfers), plan)
+                    return _corners(plan.read(transfers), plan)
                 except Overflow as overflow:
                     self._grow(plan, overflow)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
     def _each_factor(self, frames: list[GreyImage] | cl.Buffer, count: int) -> list[list[Corners]]:
-        """The results at each factor; the kernels of the next run while those of one are read."""
+        """The results at each factor."""
         plans = [self._plan(factor, frames=count) for factor in self._factors]
         for plan in plans:
-            self._start(plan, frames)
-        return [self._finish(plan) for plan in plans]
+            self._start(plan, frames, self._queue)
+        return [self._finish(plan, self._queue) for plan in plans]
 
     def _whole(self, plan: Plan, frames: list[GreyImage] | cl.Buffer) -> list[Corners]:
-        self._start(plan, frames)
-        return self._finish(plan)
+        self._start(plan, frames, self._queue)
+        return self._finish(plan, self._queue)
 
     def _grow(self, plan: Plan, overflow: Overflow) -> None:
         """Make room and start again on the frames that are on the device."""

@@ -54,7 +54,7 @@ class Plan(PlanBase):
         super().__init__(queue, device, shape, dtype, config, scale, frames)
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
-        self.uploads: list[cl.Event] = []  # on their way, and with them the frames
+        self.uploads: list[cl.Event] = []  # on their way in another queue
         self._mask = mask
         rapid = isinstance(config.criteria, RapidCriteria)
         self.front_stages = band_stages if rapid and device.kind is DeviceKind.CPU else pixel_stages
@@ -216,7 +216,8 @@ class Plan(PlanBase):
     # What happens in a frame
 
     def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> None:
-        """Start to copy the frames to the device; they may be changed once `uploads` are over."""
+        """Start to copy the frames to the device; they may be changed once `uploads` are over,
+        or after `read` where the queue is the kernels' own."""
         size = self.dtype.itemsize
         for n, frame in enumerate(frames):
             pitch = frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * size
@@ -232,7 +233,8 @@ class Plan(PlanBase):
                 host_pitches=(pitch, 0),
                 is_blocking=False,
             )
-            self.uploads.append(copy)
+            if queue is not self.queue:
+                self.uploads.append(copy)
         queue.flush()
 
     def copy(self, frames: cl.Buffer) -> None:

@@ -6,16 +6,13 @@ fails every test that needs one.
 """
 
 import os
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
-import numpy as np
 import pytest
+from detectors import MakeDetector, detectors_on
 
-from cmp_cl import Detector, DetectorConfig, Device, select_device
+from cmp_cl import Device, select_device
 from cmp_cl.device import DEVICE_VARIABLE
-
-MakeDetector = Callable[..., Detector]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -51,19 +48,5 @@ def device(request: pytest.FixtureRequest) -> Device:
 @pytest.fixture(scope="session")
 def detector_for(device: Device) -> Iterator[MakeDetector]:
     """detector_for(image, config, mask): a detector for images like it, made only once."""
-    made: dict[Any, Detector] = {}
-
-    def make(
-        image: np.ndarray, config: DetectorConfig | None = None, mask: np.ndarray | None = None
-    ) -> Detector:
-        config = config or DetectorConfig()
-        key = (image.shape, image.dtype, config, None if mask is None else mask.tobytes())
-        if key not in made:
-            made[key] = Detector(
-                shape=image.shape, dtype=image.dtype, config=config, device=device, mask=mask
-            )
-        return made[key]
-
-    yield make
-    for detector in made.values():
-        detector.close()
+    with detectors_on(device) as make:
+        yield make

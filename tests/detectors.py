@@ -1,0 +1,34 @@
+"""Detectors that tests share."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from cmp_cl import Detector, DetectorConfig, Device
+
+MakeDetector = Callable[..., Detector]
+
+
+@contextlib.contextmanager
+def detectors_on(device: Device) -> Iterator[MakeDetector]:
+    """make(image, config, mask): a detector for images like it, made only once."""
+    made: dict[Any, Detector] = {}
+
+    def make(
+        image: np.ndarray, config: DetectorConfig | None = None, mask: np.ndarray | None = None
+    ) -> Detector:
+        config = config or DetectorConfig()
+        key = (image.shape, image.dtype, config, None if mask is None else mask.tobytes())
+        if key not in made:
+            made[key] = Detector(
+                shape=image.shape, dtype=image.dtype, config=config, device=device, mask=mask
+            )
+        return made[key]
+
+    try:
+        yield make
+    finally:
+        for detector in made.values():
+            detector.close()
