@@ -81,7 +81,8 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
   CANDIDATE
   if (response[i] == 0) return;
   const SCORE k = key[i];
-  for (int dy = -RADIUS; dy <= RADIUS; ++dy) {
+  for (int row = 0; row <= 2 * RADIUS; ++row) { /* the nearest ones first */
+    const int dy = row % 2 ? row / 2 + 1 : -(row / 2);
     if (y + dy < 0 || y + dy >= (int)rows) continue;
     for (int dx = -RADIUS; dx <= RADIUS; ++dx) {
       const size_t other = i + dy * (long)step + dx;
@@ -91,9 +92,8 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
     }
   }
   const uint bit = 1u << place % 32;
-  const size_t row = frame * rows + y;
-  if (!(atomic_or(maxima + row * (step / 32) + place % step / 32, bit) & bit))
-    atomic_inc(row_counts + row);
+  __global uint *word = maxima + (frame * rows + y) * (step / 32) + place % step / 32;
+  if (!(atomic_or(word, bit) & bit)) atomic_inc(row_counts + frame * rows + y);
 }
 
 #endif

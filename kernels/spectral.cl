@@ -3,8 +3,13 @@
  * The tables hold, by ring mask, the response of an inner mask whose |F2| is above |F1| and
  * |F3|, 0 for the others, and whether an outer mask is such. Masks have bit i for sample i. */
 
+#if MASKS == 1
+#define COLOUR(v) (v)
+#else
+#define COLOUR(v) ((v) >> layer & 1)
+#endif
 #define RING_BIT(i, dx, dy) \
-  | ((uint)(binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] >> layer & 1) << (i))
+  | ((uint)COLOUR(binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)]) << (i))
 #define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
 
 /* The largest correlation of the two masks over all turns, and the smallest |centre| of the runs
