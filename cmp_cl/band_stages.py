@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import RapidCriteria, SectorContrast
-from cmp_cl.pixel_stages import CONTRASTS, list_maxima, percentile_sizes, percentile_stages
+from cmp_cl.pixel_stages import CONTRASTS, percentile_sizes, percentile_stages
 from cmp_cl.plan_base import Launch, PlanBase, level_type, multiple
 
 RING_REACH = 5  # rows above and below the image in a plane of words: what rings look at
@@ -32,7 +32,7 @@ def words_margin(plan: PlanBase) -> int:
 def files(plan: PlanBase) -> list[str]:
     """The kernel files, in the order of the stages."""
     gate = ["gate", "gate_words"] if plan.config.contrast is not None else []
-    return ["binarize_bands", "criteria", "criteria_words", *gate, "nms", "nms_bands", "collect"]
+    return ["binarize_bands", "criteria", "criteria_words", *gate, "nms", "nms_bands"]
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
@@ -87,10 +87,10 @@ def allowed_places(plan: PlanBase, allowed: NDArray[np.bool_]) -> NDArray[np.uin
 
 
 def launches(plan: PlanBase) -> list[Launch]:
-    """From the image at its working scale to the list of the corners."""
+    """From the image at its working scale to the maxima of the response."""
     criteria, gate = cast(RapidCriteria, plan.config.criteria), plan.config.contrast
     contrasts = _contrasts(plan, criteria) if gate is None else _gate(plan, criteria, gate)
-    return [_binarize(plan), _criteria(plan, criteria), *contrasts, *_suppress(plan)]
+    return [_binarize(plan), _criteria(plan, criteria), *contrasts, _suppress(plan)]
 
 
 def _bands(plan: PlanBase) -> int:
@@ -159,14 +159,11 @@ def _gate(plan: PlanBase, criteria: RapidCriteria, gate: SectorContrast) -> list
     ]
 
 
-def _suppress(plan: PlanBase) -> list[Launch]:
+def _suppress(plan: PlanBase) -> Launch:
     b = plan.arrays
     rows, step, band_rows = (np.uint32(n) for n in (plan.working[0], plan.step, _band_rows(plan)))
     sizes = (rows, step, np.uint32(plane_words(plan)), np.uint32(plan.candidate_room), band_rows)
     gated = ("contrast", "mean_difference", "bounds") if plan.config.contrast is not None else ()
     lists = (b[name] for name in ("candidate_words", "row_starts", *gated, "sector_response"))
     found = (b["kept"], b["response"], b["maxima"], b["row_counts"])
-    return [
-        _banded(plan, "suppress_bands", plan.frames, *lists, *sizes, *found),
-        list_maxima(plan, _band_rows(plan)),
-    ]
+    return _banded(plan, "suppress_bands", plan.frames, *lists, *sizes, *found)

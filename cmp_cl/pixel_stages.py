@@ -1,7 +1,7 @@
 """The stages up to the corners with one work-item per pixel: what runs on any device.
 
-From the image to the list of corners; `refine_stages` goes on from there. `band_stages` has the
-same results in the form that is fastest on CPUs.
+From the image to the maxima of the response; `refine_stages` goes on from there. `band_stages`
+has the same results in the form that is fastest on CPUs.
 """
 
 import math
@@ -26,7 +26,7 @@ def files(plan: PlanBase) -> list[str]:
     """The kernel files, in the order of the stages."""
     rapid = isinstance(plan.config.criteria, RapidCriteria)
     gate = ["gate"] if plan.config.contrast is not None else []
-    return ["binarize", "criteria" if rapid else "spectral", *gate, "nms", "collect"]
+    return ["binarize", "criteria" if rapid else "spectral", "collect", *gate, "nms"]
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
@@ -90,7 +90,7 @@ def allowed_places(plan: PlanBase, allowed: NDArray[np.bool_]) -> NDArray[np.uin
 
 
 def launches(plan: PlanBase) -> list[Launch]:
-    """From the image at its working scale to the list of the corners."""
+    """From the image at its working scale to the maxima of the response."""
     gate = plan.config.contrast
     stages = [*_binarize(plan)]
     for layer in range(plan.masks):
@@ -256,15 +256,6 @@ def percentile_stages(
     ]
 
 
-def list_maxima(plan: PlanBase, band_rows: int) -> Launch:
-    """From the maxima to the list of the corners."""
-    b = plan.arrays
-    sizes = (plan.working[0], plan.step, plan.corner_room, plan.frames * plan.masks, band_rows)
-    counts = (np.uint32(n) for n in sizes)
-    given = (b["maxima"], b["row_counts"], *counts, b["corners"], b["totals"])
-    return plan.rows("list_maxima", -(-plan.working[0] // band_rows), plan.frames, *given)
-
-
 def _suppress(plan: PlanBase) -> list[Launch]:
     b, listed = plan.arrays, _listed(plan)
     gated = ("contrast", "mean_difference", "bounds") if plan.config.contrast is not None else ()
@@ -274,5 +265,4 @@ def _suppress(plan: PlanBase) -> list[Launch]:
         _of_candidates(plan, "keep", *listed, *kept),
         _of_candidates(plan, "score", *listed, b["response"], b["key"]),
         _of_candidates(plan, "maximum", *listed, *found),
-        list_maxima(plan, 1),
     ]

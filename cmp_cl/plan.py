@@ -124,13 +124,12 @@ class Plan(PlanBase):
     @property
     def sizes(self) -> dict[str, int]:
         """Bytes of every buffer."""
-        pixel, rows = self.dtype.itemsize, self.frames * self.corner_room
+        pixel = self.dtype.itemsize
         parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in self._layouts]
         sizes = {
             "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
             **self.front_stages.sizes(self),
             "work": max(sum(sizes) for sizes in parts),
-            "corners": 8 * rows,
             "result": self.frames * refine_stages.result_size(self),
             "totals": 4 * self.frames * (self.masks + 1),  # candidates of planes, corners
         }

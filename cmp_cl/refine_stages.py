@@ -1,5 +1,5 @@
-"""The stages from the list of corners to positions: corner by corner, or for CPUs eight at a time
-in a vector.
+"""The stages from the maxima of the response to positions: corner by corner from a list of them, or
+for CPUs eight at a time in a vector.
 """
 
 import math
@@ -16,10 +16,11 @@ RESULT_HEAD = 16  # numbers before the fields of a frame, like the next of kerne
 RESULT_FIELDS = 12
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
 RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
-START_FIELDS = 2
+PLACE_FIELDS = START_FIELDS = 2
 LINE_FIELDS = 6
 LANES = 8
 SHARES = 32  # for each of a device's units, of the corners
+BANDS = 8  # the same, of the rows with them
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
 
@@ -42,6 +43,8 @@ def layout(plan: PlanBase) -> dict[str, int]:
     refinement = plan.config.refinement
     step = isinstance(refinement, EdgeStep)
     fields = {}
+    if not _by_eight(plan):
+        fields["corners"] = PLACE_FIELDS
     if step or not _by_eight(plan):
         fields["start"] = START_FIELDS
     if step:
@@ -57,21 +60,34 @@ def result_size(plan: PlanBase) -> int:
 def launches(plan: PlanBase) -> list[Launch]:
     """From the maxima to positions."""
     refinement, b = plan.config.refinement, plan.arrays
-    sizes = (np.uint32(plan.working[0]), np.uint32(plan.step))
-    lists = (b["corners"], b["totals"], *sizes, *_rows(plan))
+    given = (b["totals"], np.uint32(plan.working[0]), np.uint32(plan.step), *_rows(plan))
     if _by_eight(plan):
-        arguments = (plan.response, b["image"], *lists, _largest_shift(plan), *_scaled(plan))
+        found = (plan.response, b["image"], b["maxima"], b["row_counts"])
+        arguments = (*found, *given, _largest_shift(plan), *_scaled(plan))
         between = (b["start"], b["lines"]) if isinstance(refinement, EdgeStep) else ()
         stages = [_of_corners(plan, "refine_eight", *arguments, *between, b["result"])]
     else:
         scale, size = np.float32(plan.scale or 1), (np.uint32(n) for n in plan.shape)
         places = (scale, *size, b["start"], b["result"])
-        stages = [_of_corners(plan, "centroid", plan.response, *lists, *places)]
+        listed = (plan.response, b["corners"], *given, *places)
+        stages = [_list(plan), _of_corners(plan, "centroid", *listed)]
         if refinement is not None:
             stages.append(_lines(plan, refinement))
     if isinstance(refinement, EdgeStep):
         stages.append(_step(plan, refinement))
     return stages
+
+
+def _list(plan: PlanBase) -> Launch:
+    """The list of the corners."""
+    rows, b = plan.working[0], plan.arrays
+    band = 1
+    if plan.device.kind is DeviceKind.CPU:
+        band = -(-rows // (BANDS * plan.device.handle.max_compute_units))
+    sizes = (rows, plan.step, plan.corner_room, plan.frames * plan.masks, band)
+    counts = (np.uint32(n) for n in sizes)
+    given = (b["maxima"], b["row_counts"], *counts, b["corners"], b["totals"])
+    return plan.rows("list_maxima", -(-rows // band), plan.frames, *given)
 
 
 def _by_eight(plan: PlanBase) -> bool:

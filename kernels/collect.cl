@@ -1,8 +1,3 @@
-/* Lists of the pixels that are left. The list of plane p has `room` entries; its count runs past
- * the room. */
-
-#if !IN_WORDS
-
 /* Eight pixels, and whether any of them is not 0. */
 #if RAPID
 typedef uchar8 RESPONSES_8;
@@ -12,9 +7,10 @@ typedef ushort8 RESPONSES_8;
 #define ANY_OF_EIGHT(v) ((as_ulong2(v).x | as_ulong2(v).y) != 0)
 #endif
 
-/* The candidates within the area in any order: their places from the start of the frame's rows
- * on, and their responses, of which the image keeps none. `area` has a bit for every pixel. One
- * work-item per eight pixels. */
+/* The candidates of a mask within the area, in any order: their places from the start of the
+ * frame's rows on, and their responses, of which the image keeps none. `area` has a bit for every
+ * pixel. The list of plane p has `room` entries; its count runs past the room. One work-item per
+ * eight pixels. */
 __kernel void list_candidates(__global RESPONSE *restrict response,
                               __global const uchar *restrict area, const uint layer,
                               const uint rows, const uint step, const uint room,
@@ -34,26 +30,4 @@ __kernel void list_candidates(__global RESPONSE *restrict response,
     list_of_responses[p * room + n] = eight[k];
   }
   *(__global RESPONSES_8 *)eight = 0;
-}
-
-#endif
-
-/* The maxima, bit k of word i of a row being pixel 32 i + k, in (y, x) order whatever the order
- * of the work-items; `counts` are those of the rows. One work-item per band of rows. */
-__kernel void list_maxima(__global const uint *restrict maxima,
-                          __global const uint *restrict counts, const uint rows,
-                          const uint step, const uint room, const uint place,
-                          const uint band_rows, __global int2 *restrict list,
-                          __global uint *restrict totals) {
-  const size_t band = get_global_id(0), p = get_global_id(1);
-  const uint top = (uint)band * band_rows, end = SMALLER(top + band_rows, rows);
-  uint n = 0;
-  for (uint y = 0; y < top; ++y) n += counts[p * rows + y];
-  for (uint y = top; y < end; ++y)
-    for (uint i = 0; i < step / 32; ++i)
-      for (uint left = maxima[(p * rows + y) * (step / 32) + i]; left; left &= left - 1, ++n)
-        if (n < room)
-          list[p * room + n] =
-              (int2)((int)(32 * i + 31 - clz(left & (0u - left))) - PAD, (int)y);
-  if (end == rows) totals[place + p] = n;
 }

@@ -93,7 +93,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
   const float core_radius = SMALLER(4.0f, radius / 2), core_2 = core_radius * core_radius;
   const int reach = (int)(radius + 0.5f);
 
-  RESULT_OF_FRAME
+  RESULT_OF_FRAME(total)
   Part part;
   Values values;
   list_part(&part, -reach, reach, radius_2);

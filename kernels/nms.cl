@@ -97,3 +97,27 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
 }
 
 #endif
+
+#if LANES == 1
+
+/* The list of the maxima, bit k of word i of a row being pixel 32 i + k, in (y, x) order whatever
+ * the order of the work-items; its count runs past the room. One work-item per band of rows. */
+__kernel void list_maxima(__global const uint *restrict maxima,
+                          __global const uint *restrict counts, const uint rows,
+                          const uint step, const uint room, const uint place,
+                          const uint band_rows, __global int2 *restrict list,
+                          __global uint *restrict totals) {
+  const size_t band = get_global_id(0), p = get_global_id(1);
+  const uint top = (uint)band * band_rows, end = SMALLER(top + band_rows, rows);
+  uint n = 0;
+  for (uint y = 0; y < top; ++y) n += counts[p * rows + y];
+  for (uint y = top; y < end; ++y)
+    for (uint i = 0; i < step / 32; ++i)
+      for (uint left = maxima[(p * rows + y) * (step / 32) + i]; left; left &= left - 1, ++n)
+        if (n < room)
+          list[p * room + n] =
+              (int2)((int)(32 * i + 31 - clz(left & (0u - left))) - PAD, (int)y);
+  if (end == rows) totals[place + p] = n;
+}
+
+#endif

@@ -14,8 +14,8 @@
 
 #define HEAD 16
 #define RESULT_FIELDS 12
-#define RESULT_OF_FRAME                                                             \
-  const uint places = (SMALLER(totals[place + p], room) + 7) / 8 * 8;               \
+#define RESULT_OF_FRAME(total)                                                      \
+  const uint places = (SMALLER(total, room) + 7) / 8 * 8;                           \
   __global float *own = result + p * (HEAD + RESULT_FIELDS * (size_t)room) + HEAD;
 #define RESULT_POSITION (own + 2 * n)
 #define RESULT_PIXEL (own + 2 * places + 2 * n)
@@ -93,7 +93,7 @@ __kernel void centroid(__global const RESPONSE *restrict response,
                        const float scale, const uint full_rows, const uint full_columns,
                        __global float *restrict start, __global float *restrict result) {
   const size_t n = get_global_id(0), p = get_global_id(1);
-  RESULT_OF_FRAME
+  RESULT_OF_FRAME(totals[place + p])
   if (n == 0) write_head(own, totals, place, p);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
@@ -497,7 +497,7 @@ __kernel void edge_lines(__global const PIXEL *restrict image,
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
   EDGES_OF_CORNER
-  RESULT_OF_FRAME
+  RESULT_OF_FRAME(totals[place + p])
   const float kept_x = RESULT_POSITION[0], kept_y = RESULT_POSITION[1];
   EDGE_LINES((float)from_x, (float)from_y, kept_x, kept_y)
 #if EDGE_STEP
@@ -584,7 +584,7 @@ __kernel void midlines(__global const PIXEL *restrict image,
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
   EDGES_OF_CORNER
-  RESULT_OF_FRAME
+  RESULT_OF_FRAME(totals[place + p])
   EDGE_ANGLES
   if (valid_rings < 2) return;
   const float valid[] = {valid0, valid1, valid2};
@@ -734,7 +734,7 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= totals[place + p]) return;
   const size_t row = p * room + n;
-  RESULT_OF_FRAME
+  RESULT_OF_FRAME(totals[place + p])
   if (*RESULT_METHOD != METHOD_EDGE_LINES) return;
   const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
   const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);

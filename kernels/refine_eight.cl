@@ -141,11 +141,38 @@ void edge_point(const float8 *d, RING_TABLE *ring, const uint8 bit, float8 *x, f
        ? EIGHT_OF(int8, response + ROW(p, pixel.y + (dy)) + PAD + pixel.x - 2)      \
        : (int8)(0))
 
-/* A work-item takes eight corners, then those that lie as many further on as all take. */
+/* The maxima of a frame in (y, x) order: of the words of bits the one that is looked at, and what
+ * is left of it. */
+typedef struct {
+  __global const uint *words;
+  uint word, left;
+} Maxima;
+
+/* From maximum n on. */
+Maxima maxima_from(uint n, __global const uint *words, __global const uint *row_counts,
+                   const uint width) {
+  uint row = 0;
+  for (; n >= row_counts[row]; ++row) n -= row_counts[row];
+  Maxima maxima = {words, row * width, words[row * width]};
+  for (uint bits; n >= (bits = bits_set(maxima.left)); n -= bits)
+    maxima.left = words[++maxima.word];
+  for (; n > 0; --n) maxima.left &= maxima.left - 1;
+  return maxima;
+}
+
+int2 next_maximum(Maxima *maxima, const uint width) {
+  while (maxima->left == 0) maxima->left = maxima->words[++maxima->word];
+  const uint x = maxima->word % width * 32 + lowest_bit(maxima->left);
+  maxima->left &= maxima->left - 1;
+  return (int2)((int)x - PAD, (int)(maxima->word / width));
+}
+
+/* A work-item takes its share of the corners, eight at a time. */
 __kernel void refine_eight(__global const RESPONSE *restrict response,
                            __global const PIXEL *restrict image,
-                           __global const int2 *restrict list,
-                           __global const uint *restrict totals, const uint rows,
+                           __global const uint *restrict all_maxima,
+                           __global const uint *restrict row_counts,
+                           __global uint *restrict totals, const uint rows,
                            const uint step, const uint room, const uint place,
                            const uint length, const float max_shift,
 #if SCALED
@@ -158,13 +185,25 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
 #endif
                            __global float *restrict result) {
   const size_t p = get_global_id(1);
-  const uint total = SMALLER(totals[place + p], room);
-  RESULT_OF_FRAME
-  if (get_global_id(0) == 0) write_head(own, totals, place, p);
-  for (size_t n = get_global_id(0) * LANES; n < total; n += get_global_size(0) * LANES) {
+  __global const uint *counts = row_counts + p * rows;
+  const uint width = step / 32;
+  uint total = 0;
+  for (uint y = 0; y < rows; ++y) total += counts[y];
+  RESULT_OF_FRAME(total)
+  if (get_global_id(0) == 0) {
+    totals[place + p] = total;
+    write_head(own, totals, place, p);
+  }
+  const uint shares = get_global_size(0), eights = (places / LANES + shares - 1) / shares;
+  const uint first = get_global_id(0) * eights * LANES;
+  const uint end = SMALLER(SMALLER(total, room), first + eights * LANES);
+  if (first >= end) return;
+  Maxima maxima = maxima_from(first, all_maxima + p * rows * width, counts, width);
+  for (uint n = first; n < end; n += LANES) {
     int8 pixel_x, pixel_y, height, sum, sum_x, sum_y;
-    for (int lane = 0; lane < LANES; ++lane) {
-      const int2 pixel = list[p * room + SMALLER(n + lane, total - 1)];
+    int2 pixel;
+    for (uint lane = 0; lane < LANES; ++lane) {
+      if (n + lane < end) pixel = next_maximum(&maxima, width);
       const int8 above_2 = RESPONSES(-2), above = RESPONSES(-1), middle = RESPONSES(0);
       const int8 below = RESPONSES(1), below_2 = RESPONSES(2);
       const int8 columns = above_2 + above + middle + below + below_2;

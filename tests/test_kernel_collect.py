@@ -1,4 +1,4 @@
-"""kernels/collect.cl: lists in (y, x) order, whose counts run past their room."""
+"""kernels/collect.cl and the maxima: each is listed once; counts run past their room."""
 
 import dataclasses
 
