@@ -34,7 +34,7 @@ uint2 best_turn(const uint g1, const uint g2) {
 }
 
 /* Response of the inner ring where all criteria hold in the mask `layer`, 0 elsewhere. `area` has
- * a bit for every pixel, set where candidates may be. */
+ * a bit for every pixel, set where candidates may be: nothing else is worked out. */
 __kernel void spectral_criteria(__global const uchar *restrict binary,
                                 __global const uchar *restrict area, const uint layer,
                                 __global const int *restrict inner_response,

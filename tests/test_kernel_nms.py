@@ -1,12 +1,21 @@
 """kernels/nms.cl: suppression by the smoothed response, equal to the oracle."""
 
+import dataclasses
+
 import images
 import numpy as np
 import pytest
-from comparison import assert_maps_equal
+from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
 from corner_images import noise
 
-from cmp_cl import AdaptiveMean, DetectorConfig, RapidCriteria, SpectralCriteria
+from cmp_cl import (
+    AdaptiveMean,
+    Detector,
+    DetectorConfig,
+    DeviceKind,
+    RapidCriteria,
+    SpectralCriteria,
+)
 
 EIGHT = images.eight_bits()
 FIELDS = ("response", "score", "maximum")
@@ -75,3 +84,17 @@ def test_a_plateau_has_one_winner_the_first_in_raster_order(detector_for):
 @pytest.mark.parametrize("radius", [3, 7])
 def test_windows_larger_than_the_image(detector_for, shape, radius):
     check(detector_for, noise(shape, seed=6), nms_radius=radius)
+
+
+@pytest.mark.parametrize("kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value)
+def test_frames_of_a_batch_do_not_see_each_other(device, kind):
+    """Cut so that corners lie on the first and the last row: there is no response beyond."""
+    texture = images.texture((120, 83))
+    frames = [np.ascontiguousarray(texture[y : y + 40]) for y in range(16)]
+    device = dataclasses.replace(device, kind=kind)
+    with Detector(shape=frames[0].shape, config=DENSE, device=device) as detector:
+        together = detector.batch(frames)
+        for frame, corners in zip(frames, together, strict=True):
+            assert_same_bytes(corners, assert_corners_equal(detector, frame))
+    rows = np.concatenate([corners.pixel[:, 1] for corners in together])
+    assert {0, 39} <= set(rows)
