@@ -19,7 +19,7 @@ from cmp_cl.program import sum_of_terms
 NOISE_BAND = 8  # rows that a work-item of the noise estimate takes
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference")
 BINS = 256
-SLAB = 4  # bytes of sums a pixel; more are worked out slab by slab
+SLAB = 3  # bytes of sums a pixel: what three masks need is worked out slab by slab
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -107,8 +107,9 @@ def _bytes_of_results(plan: PlanBase) -> tuple[int, int]:
 
 def _slab_rows(plan: PlanBase) -> int:
     """Rows of a slab of the binarization."""
-    size = plan.dtype.itemsize * (6 if plan.masks == 3 else 2)
-    return -(-plan.working[0] // -(-size // SLAB))
+    if plan.masks == 1:
+        return plan.working[0]
+    return -(-plan.working[0] // (6 * plan.dtype.itemsize // SLAB))
 
 
 def _bands(plan: PlanBase) -> int:

@@ -178,11 +178,11 @@ def test_a_flat_frame_needs_no_refinement(device, kind, refinement):
         assert (after != before)[RESULT_HEAD:].any()
 
 
+@pytest.mark.parametrize("shape", [(480, 640), (1200, 1600)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_the_full_configuration_needs_at_most_eight_bytes_a_pixel(form, dtype):
+def test_the_full_configuration_needs_at_most_eight_bytes_a_pixel(form, dtype, shape):
     """Beyond the image, on which three masks, the gate and EDGE_STEP work."""
     config = DetectorConfig(threshold=AdaptiveMean(masks=3), refinement=EdgeStep())
-    shape = (1200, 1600)
     with Detector(shape=shape, dtype=dtype, config=config, device=form) as detector:
         beyond = detector.memory - detector._plan(None).sizes["image"]
     assert beyond <= 8 * shape[0] * shape[1]
