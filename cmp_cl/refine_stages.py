@@ -20,7 +20,7 @@ PLACE_FIELDS = START_FIELDS = 2
 LINE_FIELDS = 6
 LANES = 8
 SHARES = 32  # for each of a device's units, of the corners
-BANDS = 8  # the same, of the rows with them
+BANDS = 8  # for each of a device's units, of the rows that are listed
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
 

@@ -1,11 +1,10 @@
 /* The contrast gate: does a candidate have four sectors of clearly different grey?
  *
  * The four sectors are the runs of the inner ring; sample i of either ring belongs to the
- * sector of inner sample i. With h = grey where white and the complement where black, the
- * contrast of a ring is min(M0, M2) + min(M1, M3) - FULL for the largest h of each run: the
- * smallest white maximum minus the largest black minimum, whichever colour run 0 has. */
+ * sector of inner sample i. The contrast of a ring is the smallest white maximum minus the
+ * largest black minimum. */
 
-#define FULL ((PIXEL)(-1)) /* the complement of g is FULL - g = g ^ FULL */
+#define FULL ((PIXEL)(-1)) /* the largest grey */
 
 #define BINS 256 /* of the histograms that the percentile is read from */
 

@@ -2,7 +2,10 @@
  * sixteen candidates in a vector.
  *
  * The candidates of a band of rows lie one after the other in the lists, in (y, x) order; where
- * those of row y begin is in row_starts. The bands come in any order. */
+ * those of row y begin is in row_starts. The bands come in any order.
+ *
+ * With h = grey where white and the complement, grey ^ FULL, where black, the contrast of a ring
+ * is min(M0, M2) + min(M1, M3) - FULL for the largest h of each run, whichever colour run 0 has. */
 
 #define BLOCK 16 /* candidates */
 

@@ -9,16 +9,22 @@
 #error "RADIUS must be that of suppression"
 #endif
 
+/* S of a pixel of row y. */
+int tent(__global const RESPONSE *pixel, const int y, const uint rows, const uint step) {
+  int s = 0;
+  for (int dy = -2; dy <= 2; ++dy) {
+    if (y + dy < 0 || y + dy >= (int)rows) continue;
+    __global const RESPONSE *row = pixel + dy * (long)step;
+    s += (3 - abs(dy)) * (row[-2] + row[2] + 2 * (row[-1] + row[1]) + 3 * row[0]);
+  }
+  return s;
+}
+
 /* S at every pixel, where there is no response too. */
 __kernel void score_map(__global const RESPONSE *restrict response, const uint rows,
                         const uint step, __global int *restrict scores) {
   const int x = (int)get_global_id(0), y = (int)get_global_id(1);
-  int s = 0;
-  for (int dy = -2; dy <= 2; ++dy)
-    for (int dx = -2; dx <= 2; ++dx)
-      if (y + dy >= 0 && y + dy < (int)rows)
-        s += (3 - abs(dx)) * (3 - abs(dy)) * response[ROW(0, y + dy) + PAD + x + dx];
-  scores[(size_t)y * get_global_size(0) + x] = s;
+  scores[(size_t)y * get_global_size(0) + x] = tent(response + ROW(0, y) + PAD + x, y, rows, step);
 }
 
 #if !IN_WORDS
@@ -62,13 +68,7 @@ __kernel void score(__global const uint *restrict list, __global const uint *res
                     __global const RESPONSE *restrict response, __global SCORE *restrict key) {
   CANDIDATE
   if (response[i] == 0) return;
-  int s = 0;
-  for (int dy = -2; dy <= 2; ++dy) {
-    if (y + dy < 0 || y + dy >= (int)rows) continue;
-    __global const RESPONSE *row = response + i + dy * (long)step;
-    s += (3 - abs(dy)) * (row[-2] + row[2] + 2 * (row[-1] + row[1]) + 3 * row[0]);
-  }
-  key[i] = (SCORE)(10 * s + response[i]);
+  key[i] = (SCORE)(10 * tent(response + i, y, rows, step) + response[i]);
 }
 
 /* A key that is above all earlier ones and not below any later one is kept, once: masks have
