@@ -24,8 +24,8 @@ from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
 
-from cmp_cl.scoring import Score, match, reach, total
 from cmp_cl.synthetic import Indenter, Mode, Scene, random_scene
+from cmp_cl.synthetic.scoring import Score, match, reach, total
 
 DENSITIES = (20, 30, 40, 44)
 SEVERITIES = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)

@@ -20,10 +20,10 @@ from speed import stages
 
 from cmp_cl import DetectorConfig, EdgeLines, SpectralCriteria, reference
 from cmp_cl.config import RapidCriteria
+from cmp_cl.image import GreyImage
 from cmp_cl.reference import criteria, gate, nms, refine, ring
-from cmp_cl.results import GreyImage
-from cmp_cl.scoring import total
 from cmp_cl.synthetic import random_scene
+from cmp_cl.synthetic.scoring import total
 
 SEED = TEST_SEED + 800_000
 SEVERITIES = (0.25, 0.75, 1.25)

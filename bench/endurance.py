@@ -19,15 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from cmp_cl import (
-    AdaptiveMean,
-    Corners,
-    Detector,
-    DetectorConfig,
-    EdgeStep,
-    select_device,
-    synthetic,
-)
+from cmp_cl import AdaptiveMean, Corners, Detector, DetectorConfig, EdgeStep, select_device
+from cmp_cl.synthetic import scene as synthetic
 
 GROWTH = 16.0  # MB that the process may grow: allocators keep some pieces
 

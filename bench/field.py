@@ -38,11 +38,11 @@ from cmp_cl import (
     calibrate,
     select_device,
 )
-from cmp_cl.commands.calibrate import SIGMA, square_sides, trusted
-from cmp_cl.commands.common import Progress, alike, exact_config, find_pattern
-from cmp_cl.commands.demo import wrongly_numbered
-from cmp_cl.commands.measure import TwoViews, Wanted
-from cmp_cl.results import GreyImage
+from cmp_cl.cli.calibrate import SIGMA, square_sides, trusted
+from cmp_cl.cli.common import Progress, alike, exact_config, find_pattern
+from cmp_cl.cli.demo import wrongly_numbered
+from cmp_cl.cli.measure import TwoViews, Wanted
+from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -313,7 +313,7 @@ def spread(sides: Sequence[np.ndarray]) -> dict[str, Any]:
 
 
 def published_rig(path: Path) -> StereoRig:
-    sys.path.append(str(Path(__file__).parents[1] / "tests"))
+    sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
     from stereo_data import bumblebee_rig
 
     return bumblebee_rig(path)

@@ -26,6 +26,7 @@ from environment import RESULTS, environment
 import cmp_cl
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from test_determinism import DIGESTS, config_for, digest, load
 

@@ -23,8 +23,8 @@ from cmp_cl import (
 )
 from cmp_cl.errors import GridError
 from cmp_cl.grid import build_grid
+from cmp_cl.image import GreyImage
 from cmp_cl.reference import refine
-from cmp_cl.results import GreyImage
 
 DEFAULT = "cmp_cl, default"
 STEP = "cmp_cl, EDGE_STEP"

@@ -22,8 +22,8 @@ from peers import PEERS, Pattern, available, keep_freed_memory
 
 from cmp_cl import Detector, DetectorConfig, EdgeStep
 from cmp_cl.config import window_for_cell
-from cmp_cl.results import GreyImage
-from cmp_cl.scoring import match
+from cmp_cl.image import GreyImage
+from cmp_cl.synthetic.scoring import match
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 PICTURES = ("water/reference_df", "water/ellipse_10", "puzzleboard/example1", "curved/curve_4")

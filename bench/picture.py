@@ -18,8 +18,8 @@ from methods import DEFAULT, FULL, PAPER, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 
-from cmp_cl.scoring import match, reach
 from cmp_cl.synthetic import Indenter, Mode, random_scene
+from cmp_cl.synthetic.scoring import match, reach
 
 WINDOW = (slice(150, 330), slice(180, 360))
 ZOOM = 2

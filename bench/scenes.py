@@ -10,9 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl import synthetic
-from cmp_cl.results import GreyImage
-from cmp_cl.scoring import Score, score
+from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import (
     Rendered,
     Scene,
@@ -22,6 +20,8 @@ from cmp_cl.synthetic import (
     render,
     render_stereo,
 )
+from cmp_cl.synthetic import scene as synthetic
+from cmp_cl.synthetic.scoring import Score, score
 
 TEST_SEED = 1000  # scenes of the report: 1000 and up
 SEARCH_SEED = 900_000  # scenes that peer settings are searched on: never those of the report

@@ -19,8 +19,8 @@ from peers import FOUND_SETTINGS, PEERS, Pattern, Settings, available
 from scenes import SEARCH_SEED, Frame, rendered
 from tqdm import tqdm
 
-from cmp_cl.scoring import Score, total
 from cmp_cl.synthetic import random_scene
+from cmp_cl.synthetic.scoring import Score, total
 
 DENSITIES = (20, 30, 40, 44)
 SEVERITIES = (0.25, 0.5, 0.75, 1.0)

@@ -22,7 +22,7 @@ from peers import PEERS, Pattern, available, keep_freed_memory
 from scenes import TEST_SEED, Frame, vga, wide
 
 from cmp_cl import Detector, DetectorConfig
-from cmp_cl.scoring import total
+from cmp_cl.synthetic.scoring import total
 
 QUICK_PEERS = (
     "good_features",

@@ -21,19 +21,11 @@ from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
 
-from cmp_cl import (
-    Corners,
-    Detector,
-    DetectorConfig,
-    EdgeLines,
-    EdgeStep,
-    Midlines,
-    reference,
-)
+from cmp_cl import Corners, Detector, DetectorConfig, EdgeLines, EdgeStep, Midlines, reference
 from cmp_cl.errors import ConfigError
 from cmp_cl.reference import refine
-from cmp_cl.scoring import match, reach, total
 from cmp_cl.synthetic import Scene, Surround, random_scene
+from cmp_cl.synthetic.scoring import match, reach, total
 
 SEED = TEST_SEED + 700_000
 CLOSE = 1e-4  # a guard this near to its bound may fall either way in float32

@@ -14,8 +14,8 @@ from cmp_cl.config import (
     SectorContrast,
     SpectralCriteria,
 )
+from cmp_cl.corners import Corners, Method
 from cmp_cl.detector import Detector, detect
-from cmp_cl.device import Device, DeviceKind, list_devices, select_device
 from cmp_cl.errors import (
     CalibrationError,
     CapacityError,
@@ -27,20 +27,18 @@ from cmp_cl.errors import (
     ImageError,
     KernelBuildError,
 )
-from cmp_cl.field import SeriesWriter, displacement
-from cmp_cl.grid import build_grid
-from cmp_cl.markers import refine_markers
-from cmp_cl.results import (
-    Corners,
-    DisplacementField,
-    Grid,
-    Maps,
-    Method,
-    NodeStatus,
+from cmp_cl.field import DisplacementField, SeriesWriter, displacement
+from cmp_cl.grid import Grid, NodeStatus, build_grid, refine_markers
+from cmp_cl.maps import Maps
+from cmp_cl.opencl.device import Device, DeviceKind, list_devices, select_device
+from cmp_cl.stereo import (
+    BinocularSplit,
     Points3D,
     PointStatus,
+    StereoRig,
+    calibrate,
+    calibrate_camera,
 )
-from cmp_cl.stereo import BinocularSplit, StereoRig, calibrate, calibrate_camera
 
 __all__ = [
     "AdaptiveMean",

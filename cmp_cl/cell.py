@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.results import GreyImage, check_image
+from cmp_cl.image import GreyImage, check_image
 
 _WINDOW = 63
 _NONE_FOUND = 24.0

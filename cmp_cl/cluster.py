@@ -26,10 +26,11 @@ from typing import Any
 import numpy as np
 
 from cmp_cl.config import DetectorConfig, to_toml
+from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import write_bytes, write_text
-from cmp_cl.results import Corners, GreyImage, check_image
+from cmp_cl.image import GreyImage, check_image
 
 _ABOUT = "about.json"
 _ARRAYS = ("xy", "pixel", "response", "method", "sigma", "edges", "doubtful")

@@ -17,7 +17,7 @@ from cmp_cl.errors import ConfigError
 from cmp_cl.files import write_text
 
 if TYPE_CHECKING:
-    from cmp_cl.results import GreyImage
+    from cmp_cl.image import GreyImage
 
 
 Part = TypeVar("Part")

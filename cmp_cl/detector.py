@@ -12,11 +12,15 @@ import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.config import DetectorConfig, EdgeStep, Pyramid
-from cmp_cl.device import Device, describe_handle, select_device
+from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
-from cmp_cl.plan import Overflow, Plan
-from cmp_cl.plan_base import multiple
-from cmp_cl.refine_stages import (
+from cmp_cl.grid.grid import Grid
+from cmp_cl.image import GreyImage, check_image
+from cmp_cl.maps import Maps
+from cmp_cl.opencl.device import Device, describe_handle, select_device
+from cmp_cl.stages.plan import Overflow, Plan
+from cmp_cl.stages.plan_base import multiple
+from cmp_cl.stages.refine_stages import (
     CORRELATION,
     EDGES,
     LANES,
@@ -28,8 +32,7 @@ from cmp_cl.refine_stages import (
     RESULT_HEAD,
     VARIANCE,
 )
-from cmp_cl.resampling import full_pixels
-from cmp_cl.results import Corners, GreyImage, Grid, Maps, Method, check_image
+from cmp_cl.stages.resampling import full_pixels
 
 DOUBTFUL_EXCESS = 0.010  # of the autocorrelation of what the corner model leaves
 
@@ -205,7 +208,7 @@ class Detector:
 
         Raises what a call raises.
         """
-        from cmp_cl.maps import no_maps, read_maps
+        from cmp_cl.stages.maps import no_maps, read_maps
 
         self._check(frame)
         with self._lock:
@@ -230,7 +233,7 @@ class Detector:
 
         Raises what a call and `build_grid` raise.
         """
-        from cmp_cl.grid import build_grid
+        from cmp_cl.grid.build import build_grid
 
         corners = self(frame)
         return corners, build_grid(corners, frame, shape=shape, like=like, region=region)

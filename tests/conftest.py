@@ -12,7 +12,7 @@ import pytest
 from detectors import MakeDetector, detectors_on
 
 from cmp_cl import Device, select_device
-from cmp_cl.device import DEVICE_VARIABLE
+from cmp_cl.opencl.device import DEVICE_VARIABLE
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

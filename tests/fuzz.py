@@ -45,9 +45,9 @@ from cmp_cl import (
     RapidCriteria,
     SectorContrast,
     SpectralCriteria,
-    plan,
     reference,
 )
+from cmp_cl.stages import plan
 
 BATCH = 25
 SHARING = 5  # configurations in a row that compile the same

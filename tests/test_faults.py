@@ -12,9 +12,10 @@ import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
 
-from cmp_cl import Detector, DetectorConfig, program
+from cmp_cl import Detector, DetectorConfig
 from cmp_cl.errors import CapacityError
-from cmp_cl.plan import Plan
+from cmp_cl.opencl import program
+from cmp_cl.stages.plan import Plan
 
 TEXTURE = images.texture(images.SHAPE)
 BOARD = images.eight_bits()["board"]
@@ -38,7 +39,7 @@ def test_memory_that_is_refused_is_a_capacity_error(device, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "call", ["pyopencl.enqueue_nd_range_kernel", "cmp_cl.plan._copy_rectangle"]
+    "call", ["pyopencl.enqueue_nd_range_kernel", "cmp_cl.stages.plan._copy_rectangle"]
 )
 def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch, call):
     with Detector(shape=images.SHAPE, device=device) as detector:

@@ -19,8 +19,9 @@ import pytest
 from stereo_data import gel, grid_of, points, project, toed_in_rig
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.field import SeriesWriter, _Column, displacement, green_lagrange
-from cmp_cl.results import NodeStatus, PointStatus
+from cmp_cl.field.field import SeriesWriter, _Column, displacement, green_lagrange
+from cmp_cl.grid import NodeStatus
+from cmp_cl.stereo import PointStatus
 
 
 def pressed():

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_cl import io
+from cmp_cl import media
+from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import ImageError
 from cmp_cl.files import whole_file
-from cmp_cl.results import Corners, Method
 
 NOISE = np.random.default_rng(1).integers(0, 256, (48, 64), dtype=np.uint8)
 
@@ -35,8 +35,8 @@ def test_grey_comes_back_as_it_was_written(tmp_path):
     deep = NOISE.astype(np.uint16) * 16
     for suffix in (".png", ".tif", ".pgm"):
         for image in (NOISE, deep):
-            io.write_image(tmp_path / f"a{suffix}", image)
-            read = io.read_image(tmp_path / f"a{suffix}")
+            media.write_image(tmp_path / f"a{suffix}", image)
+            read = media.read_image(tmp_path / f"a{suffix}")
             assert read.dtype == image.dtype
             np.testing.assert_array_equal(read, image)
 
@@ -46,8 +46,8 @@ def test_colour_is_read_as_opencv_reads_it_grey(tmp_path):
     alpha = np.dstack([colour, NOISE])
     for name, image in (("c.png", colour), ("c.jpg", colour), ("a.png", alpha)):
         path = tmp_path / name
-        io.write_image(path, image)
-        read = io.read_image(path)
+        media.write_image(path, image)
+        read = media.read_image(path)
         assert read.shape == NOISE.shape
         np.testing.assert_array_equal(read, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
 
@@ -55,32 +55,32 @@ def test_colour_is_read_as_opencv_reads_it_grey(tmp_path):
 @pytest.mark.parametrize("name", ["a.jpg", "a.bmp", "a.xyz", "a"])
 def test_16_bits_are_refused_by_formats_that_would_cut_them(name, tmp_path):
     with pytest.raises(ImageError, match="cannot write uint16 pixels"):
-        io.write_image(tmp_path / name, NOISE.astype(np.uint16))
+        media.write_image(tmp_path / name, NOISE.astype(np.uint16))
     assert os.listdir(tmp_path) == []
 
 
 def test_what_is_no_image_is_an_image_error_with_its_name(tmp_path):
     (tmp_path / "text.png").write_text("hello")
     (tmp_path / "empty.png").write_bytes(b"")
-    io.write_image(tmp_path / "whole.png", NOISE)
+    media.write_image(tmp_path / "whole.png", NOISE)
     (tmp_path / "cut.png").write_bytes((tmp_path / "whole.png").read_bytes()[:60])
     for name in ("text.png", "empty.png", "cut.png"):
         with pytest.raises(ImageError, match=f"{name}' is no image"):
-            io.read_image(tmp_path / name)
+            media.read_image(tmp_path / name)
     with pytest.raises(ImageError, match=r"cannot read .*missing.png"):
-        io.read_image(tmp_path / "missing.png")
+        media.read_image(tmp_path / "missing.png")
 
 
 def test_pixels_of_another_type_are_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "f.tif"), NOISE.astype(np.float32))
     with pytest.raises(ImageError, match="holds float32 pixels, expected 8 or 16 bits"):
-        io.read_image(tmp_path / "f.tif")
+        media.read_image(tmp_path / "f.tif")
 
 
 def test_every_page_of_a_stack_is_a_frame(tmp_path):
     pages = [NOISE, NOISE[::-1].copy(), NOISE[:, ::-1].copy()]
     assert cv2.imwritemulti(str(tmp_path / "stack.tif"), pages)
-    frames = list(io.read_frames(tmp_path / "stack.tif"))
+    frames = list(media.read_frames(tmp_path / "stack.tif"))
     assert [frame.index for frame in frames] == [0, 1, 2]
     for frame, page in zip(frames, pages, strict=True):
         np.testing.assert_array_equal(frame.image, page)
@@ -95,8 +95,8 @@ def write_video(path, frames=8, code="FFV1"):
 
 def test_a_video_gives_its_frames_in_order_as_grey(tmp_path):
     write_video(tmp_path / "press.avi")
-    frames = list(io.read_frames(tmp_path / "press.avi"))
-    assert io.count_frames(tmp_path / "press.avi") == len(frames) == 8
+    frames = list(media.read_frames(tmp_path / "press.avi"))
+    assert media.count_frames(tmp_path / "press.avi") == len(frames) == 8
     for index, frame in enumerate(frames):
         assert frame.index == index
         assert frame.image.shape == (48, 64)
@@ -107,7 +107,7 @@ def test_a_video_cut_off_gives_what_is_left_and_marks_the_rest(tmp_path):
     write_video(tmp_path / "press.avi", frames=40, code="MJPG")
     whole = (tmp_path / "press.avi").read_bytes()
     (tmp_path / "cut.avi").write_bytes(whole[: len(whole) // 2])
-    frames = list(io.read_frames(tmp_path / "cut.avi"))
+    frames = list(media.read_frames(tmp_path / "cut.avi"))
     broken = [frame.index for frame in frames if frame.image is None]
     assert [frame.index for frame in frames] == list(range(40))
     assert 1 < len(broken) < 39
@@ -136,36 +136,36 @@ class Dead:
 def test_frames_that_never_come_are_not_waited_for(tmp_path, monkeypatch):
     monkeypatch.setattr(cv2, "VideoCapture", Dead)
     (tmp_path / "dead.avi").write_bytes(b"")
-    for frames in (io.read_frames(tmp_path / "dead.avi"), io.read_camera(0)):
-        some = list(itertools.islice(frames, 2 * io.LONGEST_GAP))
-        assert [frame.image for frame in some] == [None] * io.LONGEST_GAP
+    for frames in (media.read_frames(tmp_path / "dead.avi"), media.read_camera(0)):
+        some = list(itertools.islice(frames, 2 * media.LONGEST_GAP))
+        assert [frame.image for frame in some] == [None] * media.LONGEST_GAP
 
 
 def test_a_video_that_is_none_is_an_image_error(tmp_path):
     (tmp_path / "text.mp4").write_text("hello")
     for name in ("text.mp4", "missing.mp4"):
         with pytest.raises(ImageError, match=name):
-            next(io.read_frames(tmp_path / name))
+            next(media.read_frames(tmp_path / name))
 
 
 def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
     for name in ("b.png", "a.JPG", "c.avi", "notes.txt", "d.csv"):
         (tmp_path / name).touch()
     (tmp_path / "e.png").mkdir()
-    found = io.find_inputs([tmp_path, tmp_path / "notes.txt"])
+    found = media.find_inputs([tmp_path, tmp_path / "notes.txt"])
     assert [path.name for path in found] == ["a.JPG", "b.png", "c.avi", "notes.txt"]
     with pytest.raises(FileNotFoundError, match="no image and no video in the folder"):
-        io.find_inputs([tmp_path / "e.png"])
+        media.find_inputs([tmp_path / "e.png"])
     with pytest.raises(FileNotFoundError, match="there is no file"):
-        io.find_inputs([tmp_path / "missing.png"])
+        media.find_inputs([tmp_path / "missing.png"])
 
 
 def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
     corners = corners_at([[1.1, 2.2], [63.000004, 47]])
     name = 'a "b",\nc.png'
     with whole_file(tmp_path / "c.csv") as file:
-        table = io.Table(file, io.CORNER_COLUMNS)
-        table.write(name, 3, io.corner_rows(corners))
+        table = media.Table(file, media.CORNER_COLUMNS)
+        table.write(name, 3, media.corner_rows(corners))
         assert table.rows == 2
     with open(tmp_path / "c.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -181,6 +181,6 @@ def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
 
 def test_a_name_that_is_no_text_does_not_stop_the_csv(tmp_path):
     with whole_file(tmp_path / "c.csv") as file:
-        table = io.Table(file, io.CORNER_COLUMNS)
-        table.write(os.fsdecode(b"\xff.png"), 0, io.corner_rows(corners_at([[1, 2]])))
+        table = media.Table(file, media.CORNER_COLUMNS)
+        table.write(os.fsdecode(b"\xff.png"), 0, media.corner_rows(corners_at([[1, 2]])))
     assert (tmp_path / "c.csv").read_text(encoding="utf-8").count("\n") == 2

@@ -19,7 +19,7 @@ from cmp_cl import (
     RapidCriteria,
     SpectralCriteria,
 )
-from cmp_cl.refine_stages import RESULT_HEAD
+from cmp_cl.stages.refine_stages import RESULT_HEAD
 
 IMAGE = images.eight_bits()["board"]
 FULL = DetectorConfig(

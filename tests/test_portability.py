@@ -11,19 +11,11 @@ import numpy as np
 import pytest
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
 
-from cmp_cl import (
-    AdaptiveMean,
-    Detector,
-    DetectorConfig,
-    EdgeStep,
-    Fit,
-    Midlines,
-    SpectralCriteria,
-)
-from cmp_cl.device import DeviceKind
-from cmp_cl.plan import Plan
-from cmp_cl.plan_base import GROUP
-from cmp_cl.program import kernel_folder
+from cmp_cl import AdaptiveMean, Detector, DetectorConfig, EdgeStep, Fit, Midlines, SpectralCriteria
+from cmp_cl.opencl.device import DeviceKind
+from cmp_cl.opencl.program import kernel_folder
+from cmp_cl.stages.plan import Plan
+from cmp_cl.stages.plan_base import GROUP
 
 FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31
 FEW = np.where(np.arange(31) < 16, FRAME, 128).astype(np.uint8)

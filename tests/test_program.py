@@ -21,9 +21,9 @@ from cmp_cl import (
     Fit,
     Midlines,
     SpectralCriteria,
-    program,
 )
 from cmp_cl.errors import KernelBuildError
+from cmp_cl.opencl import program
 
 IMAGE = images.eight_bits()["board"]
 
@@ -103,7 +103,7 @@ def test_compilers_have_nothing_to_remark(device, monkeypatch, capfd, kind, conf
 
 
 def test_missing_kernels(monkeypatch, tmp_path):
-    monkeypatch.setattr(program, "__file__", str(tmp_path / "package" / "program.py"))
+    monkeypatch.setattr(program, "__file__", str(tmp_path / "package" / "opencl" / "program.py"))
     with pytest.raises(KernelBuildError, match="install cmp-cl again"):
         program.kernel_folder()
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cmp_cl.scoring import match, reach, score, total
+from cmp_cl.synthetic.scoring import match, reach, score, total
 
 
 def test_reach_is_a_share_of_a_cell_and_at_most_three_pixels():

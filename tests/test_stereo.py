@@ -20,9 +20,10 @@ from stereo_data import (
 )
 
 from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
-from cmp_cl.results import NodeStatus, PointStatus
+from cmp_cl.grid import NodeStatus
 from cmp_cl.stereo import (
     BinocularSplit,
+    PointStatus,
     StereoRig,
     calibrate,
     calibrate_camera,

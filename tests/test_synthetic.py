@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_cl import synthetic
 from cmp_cl.errors import ConfigError
 from cmp_cl.synthetic import Indenter, Mode, Scene, Surround
+from cmp_cl.synthetic import scene as synthetic
 
 PRESSED = [kind for kind in Indenter if kind is not Indenter.NONE]
 CLEAN = {"corrosion": 0.0, "noise": 0.0, "light": 0.0, "vignetting": 1.0, "bits": 12}

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from stereo_data import field_of, gel, grid_of
 
+from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import FieldError
-from cmp_cl.results import Corners, Method, NodeStatus
+from cmp_cl.grid import NodeStatus
 from cmp_cl.viz import (
     METHOD_COLOURS,
     STATUS_COLOURS,

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import DetectorConfig, Pyramid, RapidCriteria
+from cmp_cl.corners import Corners
 from cmp_cl.errors import ImageError
+from cmp_cl.image import GreyImage, check_image
+from cmp_cl.maps import Maps
 from cmp_cl.reference import binarize, criteria, gate, nms, refine, ring, scale, spectral
-from cmp_cl.results import Corners, GreyImage, Maps, check_image
 
 __all__ = ["detect", "detect_with_margin", "maps"]
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import AdaptiveMean
-from cmp_cl.results import GreyImage
+from cmp_cl.image import GreyImage
 
 
 def binarize(image: GreyImage, threshold: AdaptiveMean) -> NDArray[np.bool_]:

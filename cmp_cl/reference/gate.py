@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import SectorContrast
+from cmp_cl.image import GreyImage
 from cmp_cl.reference import ring
-from cmp_cl.results import GreyImage
 
 
 def gate(

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.results import GreyImage
+from cmp_cl.image import GreyImage
 
 HALF = 8
 QUARTER = 4
@@ -18,7 +18,7 @@ def refine_markers(
 ) -> NDArray[np.float64]:
     """How far along its normal the edge is from each marker, (M,) px; NaN where there is none.
 
-    image: (H, W) uint8 or uint16. pixel, line, reach: as in cmp_cl.markers.Profiles.
+    image: (H, W) uint8 or uint16. pixel, line, reach: as in cmp_cl.grid.markers.Profiles.
     contrast: grey levels by which the white side must be brighter than the black side.
 
     The profile has 17 samples from -reach to reach, each the mean of three bilinear samples

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
+from cmp_cl.corners import Method
+from cmp_cl.image import GreyImage
 from cmp_cl.reference.ring import ring_greys
-from cmp_cl.results import GreyImage, Method
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -34,7 +35,7 @@ DOUBT = 0.010
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Refined:
-    """Refined corners; fields as in `cmp_cl.results.Corners`, all float64, and
+    """Refined corners; fields as in `cmp_cl.corners.Corners`, all float64, and
 
     margin: (N,) the smallest relative distance of a guard's quantity from its bound. A
         float32 implementation may decide otherwise where it is below about 1e-4.

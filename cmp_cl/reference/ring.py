@@ -10,7 +10,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.results import GreyImage
+from cmp_cl.image import GreyImage
 
 INNER = (
     (0, -3),

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.results import GreyImage
+from cmp_cl.image import GreyImage
 
 ONE = 2048
 

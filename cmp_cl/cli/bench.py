@@ -1,0 +1,86 @@
+"""A quick measurement of this machine's device: `cmp-cl bench`."""
+
+import argparse
+import statistics
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from cmp_cl.cli.common import add_device
+from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep
+from cmp_cl.corners import Corners
+from cmp_cl.detector import Detector
+from cmp_cl.errors import ConfigError
+from cmp_cl.image import GreyImage
+from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.synthetic import Rendered, random_scene, render
+from cmp_cl.synthetic.scoring import score
+
+
+def add_parser(commands: Any) -> None:
+    """Add `bench` to the commands of an argparse parser."""
+    parser = commands.add_parser(
+        "bench",
+        help="times the detector on this machine's device",
+        description="Times the detector on a rendered 640 x 480 frame of 1936 corners, checks the "
+        "answer against the truth, and shows where the time goes.",
+    )
+    parser.add_argument("--repeats", type=int, default=100, help="frames of each configuration")
+    add_device(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Time a few configurations on a rendered VGA frame, and check their answers.
+
+    Raises ConfigError where there is nothing to repeat, and what Detector raises.
+    """
+    if arguments.repeats < 1:
+        raise ConfigError(f"--repeats must be 1 or more, not {arguments.repeats}")
+    measure(select_device(arguments.device), arguments.repeats)
+    return 0
+
+
+def measure(device: Device, repeats: int) -> None:
+    """Print the table for a device, and the stages of the default configuration."""
+    scene = render(random_scene(1000, markers=44, severity=0.25, corrosion=0.3))
+    default = DetectorConfig()
+    configs = {
+        "default": default,
+        "EDGE_STEP": default.replace(refinement=EdgeStep(cell=scene.cell)),
+        "three masks": default.replace(threshold=AdaptiveMean(masks=3)),
+        "centroids": default.replace(refinement=None),
+    }
+    print(f"{device}, driver {device.driver}")
+    print(f"640 x 480, {scene.truth.shape[0] * scene.truth.shape[1]} corners, one frame at a time")
+    print(f"{'configuration':16}{'ms':>8}{'95 %':>8}{'missed':>8}{'false':>7}{'RMSE px':>9}")
+    for name, config in configs.items():
+        with Detector(shape=scene.image.shape, config=config, device=device) as detector:
+            spent, corners = _timed(detector, scene.image, repeats)
+        answer = _answer(corners, scene)
+        print(f"{name:16}{statistics.median(spent):8.3f}{_late(spent):8.3f}{answer}")
+    with Detector(shape=scene.image.shape, config=default, device=device, profile=True) as detector:
+        _timed(detector, scene.image, 10)
+        longest = sorted(detector.times.items(), key=lambda stage: -stage[1])
+    print("kernels of the default, us: " + ", ".join(f"{k} {1e3 * ms:.0f}" for k, ms in longest))
+
+
+def _timed(detector: Detector, image: GreyImage, repeats: int) -> tuple[list[float], Corners]:
+    """Milliseconds of each call, after five that do not count, and the last answer."""
+    spent = []
+    for k in range(repeats + 5):
+        start = time.perf_counter()
+        corners = detector(image)
+        if k >= 5:
+            spent.append((time.perf_counter() - start) * 1e3)
+    return spent, corners
+
+
+def _late(spent: Sequence[float]) -> float:
+    """The 95th percentile."""
+    return sorted(spent)[min(len(spent) - 1, int(0.95 * len(spent)))]
+
+
+def _answer(corners: Corners, scene: Rendered) -> str:
+    answer = score(corners.xy, scene.truth, scene.cell, scene.junctions)
+    return f"{answer.missed:8}{answer.false:7}{answer.rmse:9.3f}"

@@ -1,0 +1,299 @@
+"""`cmp-cl calibrate`: two cameras from views of a rigid board."""
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl import media
+from cmp_cl.cli.common import (
+    Progress,
+    Region,
+    add_device,
+    add_full_scale,
+    add_region,
+    add_split,
+    alike,
+    counted,
+    detected,
+    find_pattern,
+    grid_shape,
+    one_line,
+    regions_in,
+    shown,
+    split_of,
+    views_of,
+    whole,
+)
+from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep, window_for_cell
+from cmp_cl.detector import Detector
+from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
+from cmp_cl.files import check_target
+from cmp_cl.grid import Grid, NodeStatus
+from cmp_cl.image import GreyImage
+from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.stereo import Points3D, StereoCalibration, calibrate
+
+SIGMA = 0.2  # px: corners less certain than this are left out
+
+
+def add_parser(commands: Any) -> None:
+    """Add `calibrate` to the commands of an argparse parser."""
+    parser = commands.add_parser(
+        "calibrate",
+        help="the two cameras from views of a rigid board",
+        description="Finds the corners of a flat, rigid checkerboard in at least three pairs of "
+        "views, tilted in different directions, calibrates both cameras and the pose between "
+        "them, and prints the reprojection error of every view. Corners that the detector did "
+        "not see itself, or whose own standard deviation is above --max-sigma, are left out.",
+    )
+    parser.add_argument(
+        "images",
+        nargs="*",
+        metavar="IMAGE",
+        help="frames, or folders of them, that show both views",
+    )
+    parser.add_argument("--left", nargs="+", metavar="IMAGE", default=[], help="left views")
+    parser.add_argument(
+        "--right", nargs="+", metavar="IMAGE", default=[], help="right views, in the same order"
+    )
+    parser.add_argument(
+        "--board",
+        metavar="9x6",
+        type=grid_shape,
+        required=True,
+        help="inner corners of the board, either number first",
+    )
+    parser.add_argument(
+        "--square", metavar="LENGTH", type=float, required=True, help="side of a square"
+    )
+    parser.add_argument("--unit", default="mm", help="of --square and of the result; default: mm")
+    parser.add_argument("--out", metavar="YAML", required=True, help="the calibration to write")
+    add_split(
+        parser,
+        help_="where the views are in a frame that shows both: halves (the default), or "
+        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
+    )
+    add_region(
+        parser,
+        help_="which of several patterns is the board: X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, px, in "
+        "the left and in the right view of the frame, or in left and in right images; corners "
+        "outside are left out in all of them",
+    )
+    parser.add_argument(
+        "--max-sigma",
+        metavar="PX",
+        type=float,
+        default=SIGMA,
+        help=f"largest standard deviation of a corner that is used; default: {SIGMA:g} px",
+    )
+    add_full_scale(parser)
+    add_device(parser)
+    parser.set_defaults(run=run)
+
+
+class _Pair(NamedTuple):
+    """The two views of one moment. name: as messages call it. regions: where the board is."""
+
+    name: str
+    left: GreyImage
+    right: GreyImage
+    regions: tuple[Region | None, ...]
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns its exit status."""
+    _check(arguments)
+    names = _names(arguments)
+    device = select_device(arguments.device)
+    views: list[tuple[Grid, Grid]] = []
+    used: list[str] = []
+    size: tuple[int, ...] | None = None
+    with Progress(len(names), "views") as progress:
+        for name in names:
+            try:
+                pair = _read(name, arguments)
+                if size is not None and pair.left.shape != size:
+                    raise ImageError(f"its views are {pair.left.shape}, the others' are {size}")
+                grids = board_pair(
+                    (pair.left, pair.right),
+                    arguments.board,
+                    device,
+                    max_sigma=arguments.max_sigma,
+                    full_scale=arguments.full_scale,
+                    regions=pair.regions,
+                )
+                size = pair.left.shape
+            except (GridError, ImageError) as error:
+                progress.say(f"cmp-cl: left out {name[0]}: {one_line(error)}", sys.stderr)
+            else:
+                views.append(grids)
+                used.append(pair.name)
+            progress.step()
+    if size is None:
+        raise CalibrationError(f"none of the {len(names)} views shows the board")
+    found = calibrate(
+        views, spacing=arguments.square, image_size=(size[1], size[0]), unit=arguments.unit
+    )
+    found.rig.save(arguments.out)
+    _report(found, views, used, arguments)
+    print(f"wrote {shown(arguments.out)}: {counted(len(views), 'view')} on {device}")
+    return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if bool(arguments.images) == bool(arguments.left or arguments.right):
+        raise ConfigError("give frames that show both views, or --left and --right")
+    if len(arguments.left) != len(arguments.right):
+        raise ConfigError(
+            f"{len(arguments.left)} left and {len(arguments.right)} right views do not make pairs"
+        )
+    if arguments.left and (arguments.split or arguments.mirror):
+        raise ConfigError("--split and --mirror are for frames that show both views")
+    if not 0 < arguments.square < np.inf:
+        raise ConfigError(f"--square must be a positive length, not {arguments.square}")
+    if not arguments.max_sigma > 0:
+        raise ConfigError(f"--max-sigma must be above 0 px, not {arguments.max_sigma}")
+    if Path(arguments.out).suffix.lower() not in (".yaml", ".yml"):
+        raise ConfigError(f"--out {shown(arguments.out)} must end in .yaml or .yml")
+    check_target(arguments.out)
+
+
+def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:
+    """The file or the two files of each pair of views."""
+    if arguments.left:
+        return list(
+            zip(media.find_inputs(arguments.left), media.find_inputs(arguments.right), strict=True)
+        )
+    return [(path,) for path in media.find_inputs(arguments.images)]
+
+
+def _read(paths: tuple[Path, ...], arguments: argparse.Namespace) -> _Pair:
+    name = ", ".join(shown(path.name) for path in paths)
+    images = [media.read_image(path) for path in paths]
+    if len(images) == 2:
+        left, right = images
+        regions = regions_in(arguments.region, whole(left), whole(right))
+    else:
+        split = split_of(arguments.split or "halves", arguments.mirror, images[0].shape)
+        left, right = split(images[0])
+        regions = regions_in(arguments.region, *views_of(split))
+    if left.shape != right.shape:
+        raise ImageError(f"the two views are {left.shape} and {right.shape}, not of one size")
+    return _Pair(name, left, right, regions)
+
+
+def board_pair(
+    views: tuple[GreyImage, GreyImage],
+    shape: tuple[int, int],
+    device: Device,
+    *,
+    max_sigma: float = SIGMA,
+    full_scale: int | None = None,
+    regions: tuple[Region | None, ...] = (None, None),
+) -> tuple[Grid, Grid]:
+    """The corners of a rigid board in two views, numbered alike, only those to be trusted.
+
+    regions: of each view (x0, y0, x1, y1), px, where the board is, or None.
+
+    Raises GridError where a view does not show the board up to all four of its sides: then
+    nobody knows which corner is which.
+    """
+    left, right = (
+        find_board(view, shape, device, full_scale=full_scale, region=region, name=name)
+        for view, region, name in zip(views, regions, ("left", "right"), strict=True)
+    )
+    right = alike(left, right)
+    return trusted(left, max_sigma), trusted(right, max_sigma)
+
+
+def find_board(
+    view: GreyImage,
+    shape: tuple[int, int],
+    device: Device,
+    *,
+    full_scale: int | None = None,
+    region: Region | None = None,
+    name: str = "",
+) -> Grid:
+    """The grid of a rigid board; its corners are refined at full size where it is found so.
+
+    A rigid board has sharp corners: at full size the narrow rings see less of their
+    surroundings than at a working scale, and do not reach over narrow outer squares.
+    """
+    cell, _ = find_pattern(view, shape, device, full_scale, region)
+    scaled = DetectorConfig.for_cell(cell).replace(
+        refinement=EdgeStep(cell=cell), full_scale=full_scale
+    )
+    plain = scaled.replace(
+        threshold=AdaptiveMean(window=min(window_for_cell(cell), 21)), scale=None
+    )
+    grids = []
+    for config in (plain, scaled):
+        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
+            grids.append(detector.grid(view, shape=shape, region=region)[1])
+        if detected(grids[-1]) == shape[0] * shape[1]:
+            break
+    grid = max(grids, key=detected)
+    seen = grid.status == NodeStatus.DETECTED
+    if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
+        raise GridError(
+            f"the {name} view shows {detected(grid)} of {seen.size} corners, and not those of "
+            "every side"
+        )
+    return grid
+
+
+def trusted(grid: Grid, max_sigma: float) -> Grid:
+    """The grid without the nodes that were not detected or are less certain than that, px."""
+    good = (grid.status == NodeStatus.DETECTED) & (grid.sigma <= max_sigma)
+    return dataclasses.replace(
+        grid,
+        xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
+        status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
+        sigma=np.where(good, grid.sigma, np.float32(np.nan)),
+    )
+
+
+def square_sides(points: Points3D) -> NDArray[np.float64]:
+    """The distances between neighbouring nodes that were placed, in the rig's unit."""
+    sides = [np.linalg.norm(np.diff(points.xyz, axis=axis), axis=2).ravel() for axis in (0, 1)]
+    every: NDArray[np.float64] = np.concatenate(sides)
+    return every[np.isfinite(every)]
+
+
+def _report(
+    found: StereoCalibration,
+    views: Sequence[tuple[Grid, Grid]],
+    names: Sequence[str],
+    arguments: argparse.Namespace,
+) -> None:
+    print("corners used, left and right, and root mean square reprojection error, px:")
+    for (left, right), errors, name in zip(views, found.view_errors, names, strict=True):
+        print(
+            f"  {left.valid.sum():4} {right.valid.sum():4}  {errors[0]:.3f} {errors[1]:.3f}  {name}"
+        )
+    everything = len(views) * arguments.board[0] * arguments.board[1]
+    kept = [sum(int(grid.valid.sum()) for grid in side) for side in zip(*views, strict=True)]
+    print(
+        f"all views: {found.error:.3f} px (left alone {found.left.error:.3f}, right alone "
+        f"{found.right.error:.3f}); left out as unseen or uncertain: "
+        f"{everything - kept[0]} and {everything - kept[1]} of {everything} corners"
+    )
+    rig, unit = found.rig, arguments.unit
+    for name, matrix, camera in (("left", rig.K1, found.left), ("right", rig.K2, found.right)):
+        print(
+            f"{name}: focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} px "
+            f"(+- {camera.focal_sigma:.1f}), centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f})"
+        )
+    angle = np.degrees(np.arccos(np.clip((np.trace(rig.R) - 1) / 2, -1, 1)))
+    sides = np.concatenate([square_sides(rig.triangulate(*pair)) for pair in views])
+    print(
+        f"between the cameras: {np.linalg.norm(rig.T):.3f} {unit}, {angle:.2f} degrees; the "
+        f"squares measure {sides.mean():.3f} {unit} with a standard deviation of {sides.std():.3f}"
+    )

@@ -1,0 +1,224 @@
+"""`cmp-cl demo`: a rendered press, measured in space and compared with the exact truth."""
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl import media
+from cmp_cl.cli.common import add_device, cell_of, shown
+from cmp_cl.cli.measure import MeasuredInSpace, TwoViews, Wanted
+from cmp_cl.field import DisplacementField
+from cmp_cl.grid import Grid
+from cmp_cl.image import GreyImage
+from cmp_cl.opencl.device import select_device
+from cmp_cl.stereo import BinocularSplit, StereoRig
+from cmp_cl.synthetic import (
+    Indenter,
+    Mode,
+    Rendered,
+    Scene,
+    binocular_frame,
+    default_rig,
+    render_stereo,
+)
+from cmp_cl.synthetic.scoring import score
+from cmp_cl.viz import (
+    Projection,
+    arrow_figure,
+    corner_overlay,
+    grid_overlay,
+    save_figure,
+    surface_figure,
+)
+
+VIEW = (1200, 800)  # rows and columns of each view, px
+SCENE = Scene(
+    shape=VIEW,
+    indenter=Indenter.TORUS,
+    mode=Mode.TWIST,
+    contact=(1.5, -1.0),
+    rotation=0.02,
+    seed=7,
+)
+FIELDS = "field.npz", "field.csv", "field.ply", "field.vtp"
+
+
+def add_parser(commands: Any) -> None:
+    """Add `demo` to the commands of an argparse parser."""
+    parser = commands.add_parser(
+        "demo",
+        help="a rendered press in two views, measured in space, with pictures and errors",
+        description="Renders a gel at rest and under a torus that presses and twists, as two "
+        "mirrors show it to one camera; finds and numbers the corners, places them in space, "
+        "and writes pictures, the deformation field and a table of the errors against the "
+        "exact truth.",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FOLDER",
+        default="cmp-demo",
+        help="where to write, made if missing; default: cmp-demo",
+    )
+    add_device(parser)
+    parser.set_defaults(run=run)
+
+
+class _Truth(NamedTuple):
+    """A rendered frame: both views, the frame that holds them, the nodes in space, mm."""
+
+    left: Rendered
+    right: Rendered
+    xyz: NDArray[np.float64]
+
+    @property
+    def frame(self) -> GreyImage:
+        return binocular_frame(self.left, self.right)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns its exit status."""
+    begin = time.perf_counter()
+    device = select_device(arguments.device)
+    folder = Path(arguments.out)
+    (folder / "frames").mkdir(parents=True, exist_ok=True)
+    rig = StereoRig(*default_rig(VIEW))
+    shape = (SCENE.markers, SCENE.markers)
+
+    def tell(what: str) -> None:
+        print(f"{time.perf_counter() - begin:5.1f} s  {what}", flush=True)
+
+    rest = _Truth(*render_stereo(SCENE.at_rest(), rig))
+    now = _Truth(*render_stereo(SCENE, rig))
+    rows, columns = rest.frame.shape
+    tell(f"rendered rest and press, {columns} x {rows} px, {shape[0]} x {shape[1]} corners a view")
+    split = BinocularSplit.halves(columns, rows)
+    with TwoViews(rest.frame, rig, split, Wanted(device, shape)) as measure:
+        tell(f"found and numbered the pattern at rest on {device}")
+        start = time.perf_counter()
+        measured = measure(now.frame)
+        spent = (time.perf_counter() - start) * 1e3
+        tell(f"found, numbered and placed {measured.nodes} nodes of the press in {spent:.0f} ms")
+        table = _table(measured, rest, now)
+        left_at_rest = measure.rest_grids[0]
+    frames = {"frames/000-rest.png": rest.frame, "frames/001-press.png": now.frame}
+    written = [
+        *_files(folder, rig, frames, measured.field, table),
+        *_pictures(folder, measured, left_at_rest),
+    ]
+    tell("wrote the files")
+    width = max(len(what) for what, _, _ in table)
+    for what, value, unit in table:
+        print(f"  {what:{width}}  {value:>8}  {unit}".rstrip())
+    print(f"wrote to {shown(folder)}: {', '.join(written)}")
+    print(
+        "the same through files: "
+        f"cmp-cl run {shown(folder / 'frames')} --stereo {shown(folder / 'rig.yaml')} "
+        f"--grid {shape[0]}x{shape[1]} --out press.npz"
+    )
+    return 0
+
+
+def wrongly_numbered(grid: Grid, view: Rendered) -> int:
+    """How many nodes are nearer to another corner's place: over half a cell from their own."""
+    off = np.linalg.norm(grid.xy - view.truth, axis=2)
+    return int(np.count_nonzero(off > 0.5 * view.cell))
+
+
+def _table(measured: MeasuredInSpace, rest: _Truth, now: _Truth) -> list[tuple[str, str, str]]:
+    """The errors against the exact truth: what, value, unit."""
+    table = []
+    for side, view, corners, grid in zip(
+        ("left", "right"), (now.left, now.right), measured.corners, measured.grids, strict=True
+    ):
+        answer = score(corners.xy, view.truth, view.cell, view.junctions)
+        table += [
+            (f"{side} view: corners", str(answer.expected), ""),
+            (f"{side} view: missed by the detector", str(answer.missed), ""),
+            (f"{side} view: false ones of the detector", str(answer.false), ""),
+            (f"{side} view: error of a corner, RMS", f"{answer.rmse:.3f}", "px"),
+            (f"{side} view: nodes with a position", str(int(grid.valid.sum())), ""),
+            (f"{side} view: nodes with a wrong number", str(wrongly_numbered(grid, view)), ""),
+        ]
+    points, field = measured.points, measured.field
+    place = (points.xyz - now.xyz)[points.valid] * 1e3
+    moved = (field.displacement - (now.xyz - rest.xyz))[field.valid] * 1e3
+    length = np.linalg.norm(now.xyz - rest.xyz, axis=2)
+    for name, off in (("position in space", place), ("displacement", moved)):
+        size = np.linalg.norm(off, axis=1)
+        table += [
+            (f"{name}: RMS error", f"{np.sqrt(np.mean(size**2)):.1f}", "um"),
+            (f"{name}: across and along the view, RMS", _across_and_along(off), "um"),
+            (f"{name}: 95 % of the errors below", f"{np.percentile(size, 95):.1f}", "um"),
+        ]
+    table.append(("displacement: the largest there is", f"{length.max():.3f}", "mm"))
+    return table
+
+
+def _across_and_along(off: NDArray[np.float64]) -> str:
+    """Root mean squares of (N, 3) in the image plane of the left camera, and along its axis."""
+    across = np.sqrt(np.mean(np.square(off[:, :2]).sum(axis=1)))
+    return f"{across:.1f}, {np.sqrt(np.mean(off[:, 2] ** 2)):.1f}"
+
+
+def _files(
+    folder: Path,
+    rig: StereoRig,
+    frames: dict[str, GreyImage],
+    field: DisplacementField,
+    table: Sequence[Sequence[str]],
+) -> list[str]:
+    """Write the frames, the rig, the field with its strain, and the table; returns the names."""
+    for name, frame in frames.items():
+        media.write_image(folder / name, frame)
+    rig.save(folder / "rig.yaml")
+    with_strain = field.with_strain()
+    for name in FIELDS:
+        with_strain.save(folder / name)
+    media.write_csv(folder / "errors.csv", ("what", "value", "unit"), table)
+    return [*frames, "rig.yaml", *FIELDS, "errors.csv"]
+
+
+def _around(grid: Grid, view: GreyImage) -> tuple[int, int, int, int]:
+    """The rectangle of a view that shows the pattern: left, top, right, bottom, px."""
+    xy = grid.xy[grid.valid]
+    edge = 2 * cell_of(grid)
+    left, top = np.maximum(xy.min(axis=0) - edge, 0)
+    right, bottom = xy.max(axis=0) + edge
+    return int(left), int(top), min(int(right), view.shape[1]), min(int(bottom), view.shape[0])
+
+
+def _pictures(folder: Path, measured: MeasuredInSpace, left_at_rest: Grid) -> list[str]:
+    """Draw the left view, and the surface where matplotlib is installed; returns the names."""
+    view, grid, corners = measured.views[0], measured.grids[0], measured.corners[0]
+    left, top, right, bottom = _around(grid, view)
+    cut, origin = view[top:bottom, left:right], np.array([left, top], np.float32)
+    around = dataclasses.replace(corners, xy=corners.xy - origin)
+    media.write_image(folder / "corners.png", corner_overlay(cut, around))
+    numbered = dataclasses.replace(grid, xy=grid.xy - origin)
+    media.write_image(folder / "grid.png", grid_overlay(cut, numbered))
+    written = ["corners.png", "grid.png"]
+    try:
+        figures = {
+            "arrows.png": arrow_figure(view, left_at_rest, grid, field=measured.field),
+            "surface.png": surface_figure(measured.field),
+            "surface-orthographic.png": surface_figure(
+                measured.field, projection=Projection.ORTHOGRAPHIC
+            ),
+        }
+    except ImportError:
+        print(
+            "cmp-cl: arrows and surfaces need matplotlib, which is not installed: "
+            "pip install matplotlib",
+            file=sys.stderr,
+        )
+        return written
+    for name, figure in figures.items():
+        save_figure(folder / name, figure)
+    return [*written, *figures]

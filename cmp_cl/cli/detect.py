@@ -1,0 +1,312 @@
+"""`cmp-cl detect`: the corners of images, folders of images and videos."""
+
+import argparse
+import contextlib
+import os
+import statistics
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cmp_cl import media
+from cmp_cl.cli.common import Progress, add_device, add_full_scale, grid_shape, one_line, shown
+from cmp_cl.config import DetectorConfig
+from cmp_cl.corners import Corners
+from cmp_cl.detector import Detector
+from cmp_cl.errors import ConfigError, GridError, ImageError
+from cmp_cl.files import whole_file
+from cmp_cl.grid import Grid, build_grid
+from cmp_cl.image import GreyImage
+from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.viz import corner_overlay, grid_overlay
+
+
+def add_parser(commands: Any) -> None:
+    """Add `detect` to the commands of an argparse parser."""
+    parser = commands.add_parser(
+        "detect",
+        help="find the corners in images, folders of images and videos",
+        description="Finds the corners of checkerboard-like patterns. Colour becomes grey. "
+        "One line for each file says how many corners were found, on which device, and in how "
+        "many milliseconds: from the image in host memory to the corners in host memory, "
+        "without reading the file and without building the kernels.",
+    )
+    parser.add_argument("inputs", nargs="+", metavar="IMAGE", help="image, video or folder")
+    parser.add_argument(
+        "--out",
+        metavar="CSV",
+        help="write the corners of all inputs to this CSV file; positions in px, (0, 0) is the "
+        "centre of the top-left pixel",
+    )
+    parser.add_argument(
+        "--overlay",
+        metavar="PNG",
+        help="write the image with its corners marked; for several images or a video the name "
+        "of a folder, made if missing, that gets one NAME-corners.png each",
+    )
+    parser.add_argument(
+        "--config",
+        metavar="TOML",
+        help="settings of the detector; without it the cell size is estimated from each image, "
+        "in a video until corners are found",
+    )
+    parser.add_argument(
+        "--grid",
+        metavar="ROWSxCOLUMNS",
+        type=grid_shape,
+        help="number the corners of a pattern of that many, and look a second time for those "
+        "that are missing; table and picture then show its nodes, and how each was found",
+    )
+    add_full_scale(parser)
+    add_device(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Find the corners of every input; the exit status."""
+    config = None if arguments.config is None else DetectorConfig.load(arguments.config)
+    if config is not None and arguments.full_scale is not None:
+        config = config.replace(full_scale=arguments.full_scale)
+    paths = media.find_inputs(arguments.inputs)
+    overlays = _overlay_paths(arguments.overlay, paths)
+    out = _csv_path(arguments.out)
+    _refuse_to_overwrite(paths, [*overlays.values(), *([] if out is None else [out])])
+    device = None if arguments.device is None else select_device(arguments.device)
+    status = 0
+    with contextlib.ExitStack() as stack:
+        table = None
+        if out is not None:
+            columns = media.CORNER_COLUMNS if arguments.grid is None else media.NODE_COLUMNS
+            table = media.Table(stack.enter_context(whole_file(out)), columns)
+        finder = stack.enter_context(
+            contextlib.closing(_Finder(config, arguments.full_scale, device))
+        )
+        progress = stack.enter_context(Progress(_frames_in(paths), "frames"))
+        for path in paths:
+            tally = _Tally()
+            try:
+                for number, image, corners in finder.find(path, tally):
+                    grid = None
+                    if arguments.grid is not None:
+                        grid = tally.numbered(number, image, corners, arguments.grid)
+                    if table is not None and arguments.grid is None:
+                        table.write(str(path), number, media.corner_rows(corners))
+                    elif table is not None and grid is not None:
+                        table.write(str(path), number, media.node_rows(grid))
+                    if path in overlays:
+                        name = _of_frame(overlays[path], path, number)
+                        drawn = corner_overlay(image, corners)
+                        media.write_image(
+                            name, drawn if grid is None else grid_overlay(image, grid)
+                        )
+                        tally.overlays.append(name)
+                    progress.step()
+            except ImageError as error:
+                progress.say(f"cmp-cl: {one_line(error)}", sys.stderr)
+                status = 2
+            for line in tally.refused:
+                progress.say(f"cmp-cl: {shown(path)}: {line}", sys.stderr)
+                status = 2
+            if tally.broken:
+                progress.say(f"cmp-cl: {shown(path)}: {tally.broken_line()}", sys.stderr)
+            if tally.counts:
+                progress.say(f"{shown(path)}: {tally.line()}", sys.stdout)
+            if tally.is_dark():
+                progress.say(
+                    f"cmp-cl: {shown(path)}: the brightest of its 16-bit pixels is "
+                    f"{tally.brightest}; for a camera of 12 bits say --full-scale 4095",
+                    sys.stderr,
+                )
+    if table is not None:
+        what = "corners" if arguments.grid is None else "nodes"
+        print(f"wrote {shown(out)}: {table.rows} {what}")
+    return status
+
+
+class _Tally:
+    """What was found in a file."""
+
+    def __init__(self) -> None:
+        self.counts: list[int] = []
+        self.milliseconds: list[float] = []
+        self.nodes: list[int] = []
+        self.refused: list[str] = []
+        self.broken: list[int] = []
+        self.overlays: list[Path] = []
+        self.brightest = 0
+        self.device = ""
+        self.size = 0  # nodes of the pattern
+
+    def add(self, corners: Corners, milliseconds: float) -> None:
+        self.counts.append(len(corners))
+        self.milliseconds.append(milliseconds)
+        self.device = corners.device
+
+    def numbered(
+        self, frame: int, image: GreyImage, corners: Corners, shape: tuple[int, int]
+    ) -> Grid | None:
+        """The corners of a frame by row and column; None where that is refused."""
+        try:
+            grid = build_grid(corners, image, shape=shape)
+        except GridError as error:
+            self.refused.append(f"frame {frame} is not numbered: {one_line(error)}")
+            return None
+        self.nodes.append(int(np.count_nonzero(grid.valid)))
+        self.size = grid.status.size
+        return grid
+
+    def line(self) -> str:
+        corners = f"{_span(self.counts)} corners"
+        time_of_one = f"{statistics.median(self.milliseconds):.2f} ms"
+        if len(self.counts) > 1:
+            corners = f"{len(self.counts)} frames, {corners} each,"
+            time_of_one = f"a median of {time_of_one} each"
+        line = f"{corners} in {time_of_one} (upload, kernels, download) on {self.device}"
+        if self.nodes:
+            line += f"; {_span(self.nodes)} of {self.size} nodes"
+        if self.overlays:
+            last = f" to {shown(self.overlays[-1])}" if len(self.overlays) > 1 else ""
+            line += f"; wrote {shown(self.overlays[0])}{last}"
+        return line
+
+    def is_dark(self) -> bool:
+        """Whether a 16-bit file holds less than 16 bits, and nothing was found in it."""
+        return 0 < self.brightest < 2**14 and not any(self.counts)
+
+    def broken_line(self) -> str:
+        noun = "frame" if len(self.broken) == 1 else "frames"
+        some = ", ".join(map(str, self.broken[:8]))
+        more = ", ..." if len(self.broken) > 8 else ""
+        return f"skipped {len(self.broken)} {noun} that could not be read: {some}{more}"
+
+
+def _span(counts: Sequence[int]) -> str:
+    least, most = min(counts), max(counts)
+    return f"{least}" if least == most else f"{least} to {most}"
+
+
+class _Finder:
+    """Finds corners in images as they come; a detector is kept while it fits."""
+
+    def __init__(
+        self, config: DetectorConfig | None, full_scale: int | None, device: Device | None
+    ) -> None:
+        self._config = config
+        self._full_scale = full_scale
+        self._device = device
+        self._key: object = None
+        self._kept = contextlib.ExitStack()
+        self._detector: Detector
+
+    def find(self, path: Path, tally: _Tally) -> Iterator[tuple[int, GreyImage, Corners]]:
+        """The frames of a file that can be read: number, image and corners.
+
+        Without a configuration it is estimated from each frame until one has corners.
+        """
+        config = self._config
+        for frame in media.read_frames(path):
+            if frame.image is None:
+                tally.broken.append(frame.index)
+                continue
+            chosen = config or self._estimated(frame.image)
+            self._fit(frame.image, chosen)
+            start = time.perf_counter()
+            corners = self._detector(frame.image)
+            tally.add(corners, (time.perf_counter() - start) * 1e3)
+            if frame.image.dtype == np.uint16 and chosen.full_scale is None:
+                tally.brightest = max(tally.brightest, int(frame.image.max()))
+            if len(corners):
+                config = chosen
+            yield frame.index, frame.image, corners
+        if not tally.counts:
+            raise ImageError(f"{str(path)!r} has no frame that can be read")
+
+    def _estimated(self, image: GreyImage) -> DetectorConfig:
+        return DetectorConfig.for_image(image).replace(full_scale=self._full_scale)
+
+    def _fit(self, image: GreyImage, config: DetectorConfig) -> None:
+        """Make a detector for such an image, and run it once: some devices compile only then."""
+        key = (image.shape, image.dtype, config)
+        if key == self._key:
+            return
+        self.close()
+        self._detector = self._kept.enter_context(
+            Detector(shape=image.shape, dtype=image.dtype, config=config, device=self._device)
+        )
+        self._detector(image)
+        self._key = key
+
+    def close(self) -> None:
+        self._key = None
+        self._kept.close()
+
+
+def _frames_in(paths: Sequence[Path]) -> int | None:
+    """How many frames there are, None where nobody watches."""
+    if not sys.stderr.isatty():
+        return None
+    total = 0
+    for path in paths:
+        with contextlib.suppress(ImageError, OSError):
+            total += media.count_frames(path) or 1
+    return total
+
+
+def _csv_path(out: str | None) -> Path | None:
+    if out is None:
+        return None
+    if not out:
+        raise ConfigError("--out needs the name of a file")
+    return Path(out) / "corners.csv" if os.path.isdir(out) else Path(out)
+
+
+def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Path]:
+    """Where the overlay of each input goes; a missing folder is made."""
+    if overlay is None:
+        return {}
+    if not overlay:
+        raise ConfigError("--overlay needs the name of a picture or of a folder")
+    suffix = Path(overlay).suffix.lower()
+    if suffix in media.IMAGE_SUFFIXES and not os.path.isdir(overlay):
+        if len(paths) > 1 or media.is_video(paths[0]):
+            what = f"there are {len(paths)} inputs" if len(paths) > 1 else "the input is a video"
+            raise ConfigError(
+                f"--overlay {shown(overlay)} is one picture, but {what}; name a folder"
+            )
+        return {paths[0]: Path(overlay)}
+    folder = Path(overlay)
+    if suffix and not folder.is_dir() and not overlay.endswith(("/", os.sep)):
+        raise ConfigError(
+            f"--overlay {shown(overlay)} is neither a folder nor a picture that can be written; "
+            "end it in .png"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(os.path.realpath(path.parent) == os.path.realpath(folder) for path in paths):
+        raise ConfigError(f"--overlay {shown(overlay)} holds inputs; name another folder")
+    names: dict[Path, Path] = {}
+    for path in dict.fromkeys(paths):
+        name = folder / f"{path.stem}-corners.png"
+        number = 2
+        while name in names.values():
+            name = folder / f"{path.stem}-{number}-corners.png"
+            number += 1
+        names[path] = name
+    return names
+
+
+def _of_frame(overlay: Path, path: Path, index: int) -> Path:
+    """The overlay of one frame of a video, or of one page of an image."""
+    if index == 0 and not media.is_video(path):
+        return overlay
+    return overlay.with_stem(f"{overlay.stem}-{index:06}")
+
+
+def _refuse_to_overwrite(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
+    read = {os.path.realpath(path) for path in inputs}
+    for path in outputs:
+        if os.path.realpath(path) in read:
+            raise ConfigError(f"{shown(path)} is an input and would be overwritten")

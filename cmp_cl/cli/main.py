@@ -1,0 +1,133 @@
+"""The command line: `cmp-cl devices | detect | render | demo | run | calibrate | tune | bench`.
+
+Exit status: 0 done, 1 no device was found by `devices`, 2 something asked for could not be
+done (one line on stderr says what), 130 interrupted.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
+
+import cv2
+
+import cmp_cl
+from cmp_cl.cli import bench as benchmark
+from cmp_cl.cli import calibrate, demo, detect, render, run, tune
+from cmp_cl.cli.common import one_line
+from cmp_cl.errors import CmpClError, KernelBuildError
+from cmp_cl.opencl.device import DEVICE_VARIABLE
+
+INSTALL = """\
+What to install for a device:
+  Linux, x86-64      pip install "pyopencl[pocl]": PoCL, runs on every such CPU, needs no rights
+  Linux, other CPUs  apt install pocl-opencl-icd (Debian, Ubuntu) or dnf install pocl (Fedora)
+  Windows            the graphics driver of NVIDIA, AMD or Intel, or Intel's CPU Runtime for OpenCL
+  macOS              conda install -c conda-forge pyopencl pocl; for Apple's own OpenCL
+                     ocl_icd_wrapper_apple in the place of pocl
+  Jetson             NVIDIA ships no OpenCL there: apt install pocl-opencl-icd, for its CPU
+  NVIDIA             the driver; on Debian also nvidia-opencl-icd; in a container
+                     NVIDIA_DRIVER_CAPABILITIES=compute,utility and a file
+                     /etc/OpenCL/vendors/nvidia.icd that says libnvidia-opencl.so.1
+  Intel              GPU: apt install intel-opencl-icd; CPU: Intel's CPU Runtime for OpenCL
+  AMD                ROCm's rocm-opencl-runtime, or apt install mesa-opencl-icd and
+                     RUSTICL_ENABLE=radeonsi
+PoCL is not found where it cannot write its cache: XDG_CACHE_HOME names another folder."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; argv without the program's name, sys.argv where None."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # OpenCV 4 and 5 call it differently; 0 is silent.
+    set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
+    set_log_level(0)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+    arguments = _parser().parse_args(argv)
+    run: Callable[[argparse.Namespace], int] = arguments.run
+    try:
+        return run(arguments)
+    except KernelBuildError as error:
+        return _fail(str(error))
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (CmpClError, OSError) as error:
+        return _fail(one_line(error))
+    except KeyboardInterrupt:
+        return _fail("interrupted", status=130)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; {self.prog} --help says more\n")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="cmp-cl", description="Corners of deformed checkerboards on any OpenCL device."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_devices(commands)
+    detect.add_parser(commands)
+    render.add_parser(commands)
+    demo.add_parser(commands)
+    run.add_parser(commands)
+    calibrate.add_parser(commands)
+    tune.add_parser(commands)
+    benchmark.add_parser(commands)
+    return parser
+
+
+def _fail(message: str, *, status: int = 2) -> int:
+    print(f"cmp-cl: {message}", file=sys.stderr)
+    return status
+
+
+# devices
+
+
+def _add_devices(commands: Any) -> None:
+    parser = commands.add_parser(
+        "devices",
+        help="the OpenCL devices there are, and the one used by default",
+        description="Lists the OpenCL devices and says which one is used by default, and why.",
+    )
+    parser.set_defaults(run=_devices)
+
+
+def _devices(arguments: argparse.Namespace) -> int:
+    devices = cmp_cl.list_devices()
+    if not devices:
+        print(f"cmp-cl: no OpenCL device was found: {_why_none()}", file=sys.stderr)
+        print(INSTALL, file=sys.stderr)
+        return 1
+    rows = [("index", "name", "platform", "driver", "kind", "memory MB")]
+    rows += [
+        (d.index, d.name, d.platform, d.driver, d.kind.value, str(d.memory >> 20)) for d in devices
+    ]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print(
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        )
+    chosen = cmp_cl.select_device()
+    wanted = os.environ.get(DEVICE_VARIABLE)
+    why = f"the first {chosen.kind.value.upper()}"
+    if wanted is not None:
+        why = f"{DEVICE_VARIABLE} is {wanted!r}"
+    print(f"used by default: {chosen.index}, {chosen}: {why}")
+    return 0
+
+
+def _why_none() -> str:
+    place = os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors")
+    if os.path.isdir(place):
+        drivers = sorted(name for name in os.listdir(place) if name.endswith(".icd"))
+    else:
+        drivers = [place] if os.path.isfile(place) else []
+    if drivers:
+        return f"{', '.join(drivers)} in {place} cannot be loaded or have no device"
+    return f"no driver is registered in {place}"

@@ -1,0 +1,91 @@
+"""`cmp-cl render`: a frame of a pressed gel with known corners."""
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from cmp_cl import media
+from cmp_cl.cli.common import shown
+from cmp_cl.synthetic import Indenter, Mode, Scene, render
+
+
+def add_parser(commands: Any) -> None:
+    """Add `render` to the commands of an argparse parser."""
+    usual = Scene()
+    parser = commands.add_parser(
+        "render",
+        help="draw a frame of a pressed gel with known corners",
+        description="Draws one frame of a pressed gel that carries a checkerboard, and where "
+        "its corners are. The same options give the same picture.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("--out", metavar="PNG", required=True, help="the picture to write")
+    parser.add_argument("--truth", metavar="CSV", help="write the true corners, px")
+    parser.add_argument(
+        "--markers", type=int, default=usual.markers, help="corners along each side"
+    )
+    parser.add_argument(
+        "--severity",
+        type=float,
+        default=usual.severity,
+        help="0 to 2; 1 presses 2 mm, shears 1.2 mm or twists 20 degrees",
+    )
+    for name, default in (("indenter", usual.indenter), ("mode", usual.mode)):
+        choices = [member.value for member in type(default)]
+        parser.add_argument(
+            f"--{name}",
+            choices=choices,
+            default=default.value,
+            help="what presses" if name == "indenter" else "how it moves",
+        )
+    parser.add_argument(
+        "--shape",
+        type=int,
+        nargs=2,
+        metavar=("ROWS", "COLUMNS"),
+        default=usual.shape,
+        help="size of the picture, px",
+    )
+    parser.add_argument(
+        "--corrosion", type=float, default=usual.corrosion, help="wear of the print, 0 to 3"
+    )
+    parser.add_argument(
+        "--noise", type=float, default=usual.noise, help="standard deviation, 1/255 of white"
+    )
+    parser.add_argument(
+        "--bits", type=int, choices=(8, 12), default=usual.bits, help="grey levels of the camera"
+    )
+    parser.add_argument("--seed", type=int, default=usual.seed, help="of noise, tears and light")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Render what the arguments describe; the exit status."""
+    scene = Scene(
+        markers=arguments.markers,
+        shape=tuple(arguments.shape),
+        indenter=Indenter(arguments.indenter),
+        mode=Mode(arguments.mode),
+        severity=arguments.severity,
+        corrosion=arguments.corrosion,
+        noise=arguments.noise,
+        bits=arguments.bits,
+        seed=arguments.seed,
+    )
+    rendered = render(scene)
+    media.write_image(arguments.out, rendered.image)
+    rows, columns = scene.shape
+    count = rendered.truth.shape[0] * rendered.truth.shape[1]
+    print(
+        f"wrote {shown(arguments.out)}: {columns} x {rows} px, {count} corners, "
+        f"cells of {rendered.cell:.1f} px"
+    )
+    if arguments.truth is not None:
+        media.write_csv(
+            arguments.truth,
+            ("row", "column", "x_px", "y_px"),
+            ([*index, *rendered.truth[index]] for index in np.ndindex(rendered.truth.shape[:2])),
+        )
+        print(f"wrote {shown(arguments.truth)}: {count} corners")
+    return 0

@@ -1,0 +1,343 @@
+"""`cmp-cl run`: a recording or a live camera to the series of its deformation fields."""
+
+import argparse
+import contextlib
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cmp_cl import media
+from cmp_cl.cli.common import (
+    Progress,
+    add_device,
+    add_full_scale,
+    add_region,
+    add_split,
+    counted,
+    grid_shape,
+    regions_in,
+    shown,
+    split_of,
+    views_of,
+    whole,
+)
+from cmp_cl.cli.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews, Wanted
+from cmp_cl.config import DetectorConfig
+from cmp_cl.errors import ConfigError, GridError, ImageError
+from cmp_cl.field import SeriesWriter
+from cmp_cl.image import GreyImage
+from cmp_cl.opencl.device import select_device
+from cmp_cl.stereo import StereoRig
+from cmp_cl.viz import RerunLog
+
+_LINES_OF_BROKEN = 8  # a recording full of broken frames is told in a number
+
+
+def add_parser(commands: Any) -> None:
+    """Add `run` to the commands of an argparse parser."""
+    parser = commands.add_parser(
+        "run",
+        help="the deformation in every frame of a recording or of a live camera",
+        description="Numbers the pattern in every frame as in the rest frame and writes the "
+        "series. With --stereo each frame shows two views, and the series holds the "
+        "displacement of every node in space; without it, the positions in the image. "
+        "Each frame is measured against the rest frame alone. Frames that cannot be read are "
+        "left out and counted; in frames without the pattern all nodes are missing. Ctrl-C "
+        "ends the run, and what was measured is written.",
+    )
+    parser.add_argument(
+        "source", metavar="SOURCE", help="video, folder of images, image, or number of a camera"
+    )
+    parser.add_argument(
+        "--out", metavar="NPZ", required=True, help="the series, for numpy.load; see below"
+    )
+    parser.add_argument("--stereo", metavar="YAML", help="the calibration of the two views")
+    parser.add_argument(
+        "--grid",
+        metavar="ROWSxCOLUMNS",
+        type=grid_shape,
+        help="corners of the pattern; default: what is seen at rest",
+    )
+    parser.add_argument(
+        "--rest-frame",
+        metavar="N",
+        type=int,
+        default=0,
+        help="number of the frame at rest, from 0; of a camera, the frames before are dropped",
+    )
+    add_split(
+        parser,
+        help_="where the views are with --stereo: halves (the default), or "
+        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
+    )
+    add_region(
+        parser,
+        help_="which of several patterns is meant: X,Y,WIDTH,HEIGHT, px of the frame, or with "
+        "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
+        "outside are left out in every frame",
+    )
+    film = parser.add_mutually_exclusive_group()
+    film.add_argument(
+        "--rerun", metavar="RRD", help="record a film for the Rerun viewer (the left view)"
+    )
+    film.add_argument(
+        "--show",
+        action="store_true",
+        help="open the Rerun viewer and show there each frame as it is measured (the left view)",
+    )
+    parser.add_argument(
+        "--config",
+        metavar="TOML",
+        help="settings of the detector, from cmp-cl tune for example; default: the most "
+        "complete ones for the cells seen at rest",
+    )
+    add_full_scale(parser)
+    add_device(parser)
+    parser.epilog = (
+        "The series holds, with F frames of R x C nodes: index (F,), time_ms (F,) (NaN where "
+        "the source has no clock), sigma and status (F, R, C) and unit; with --stereo rest "
+        "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
+        "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px."
+    )
+    parser.set_defaults(run=run)
+
+
+class _Shot(NamedTuple):
+    """A frame of the source; image is None where it cannot be read, time_ms NaN if unknown."""
+
+    number: int
+    time_ms: float
+    image: GreyImage | None
+
+
+class _Source:
+    """Where the frames come from."""
+
+    def __init__(self, name: str) -> None:
+        self.camera = (
+            int(name) if name.isascii() and name.isdigit() and not Path(name).exists() else None
+        )
+        self.paths = [] if self.camera is not None else media.find_inputs([name])
+        rate = media.frame_rate(self.paths[0]) if len(self.paths) == 1 else None
+        self._period = np.nan if rate is None else 1e3 / rate
+
+    @property
+    def total(self) -> int | None:
+        """How many frames there are, None for a camera."""
+        if self.camera is not None:
+            return None
+        if len(self.paths) == 1:
+            return media.count_frames(self.paths[0])
+        total = 0
+        for path in self.paths:
+            with contextlib.suppress(ImageError):
+                total += media.count_frames(path) or 1
+        return total
+
+    def shots(self) -> Generator[_Shot, None, None]:
+        """All frames, from the first; files that cannot be read are one broken frame each."""
+        if self.camera is not None:
+            start = None
+            for frame in media.read_camera(self.camera):
+                now = time.monotonic()
+                start = now if start is None else start
+                yield _Shot(frame.index, (now - start) * 1e3, frame.image)
+            return
+        index = 0
+        for path in self.paths:
+            try:
+                for frame in media.read_frames(path):
+                    yield _Shot(index, index * self._period, frame.image)
+                    index += 1
+            except ImageError:
+                if len(self.paths) == 1:
+                    raise
+                yield _Shot(index, np.nan, None)
+                index += 1
+
+    def rest(self, number: int) -> tuple[GreyImage, Generator[_Shot, None, None]]:
+        """The rest frame, and the frames to measure: of a camera from it on, else all."""
+        shots = self.shots()
+        for shot in shots:
+            if shot.number < number:
+                continue
+            if shot.image is None:
+                raise ConfigError(f"--rest-frame {number} cannot be read; choose another one")
+            if self.camera is not None:
+                return shot.image, _chained(shot, shots)
+            shots.close()
+            return shot.image, self.shots()
+        raise ConfigError(f"--rest-frame {number} is beyond the last frame")
+
+
+def _chained(first: _Shot, others: Generator[_Shot, None, None]) -> Generator[_Shot, None, None]:
+    with contextlib.closing(others):
+        yield first
+        yield from others
+
+
+@contextlib.contextmanager
+def _ctrl_c() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C was pressed: the frame is finished then; pressed twice, it interrupts."""
+    pressed = False
+
+    def note(_: int, __: object) -> None:
+        nonlocal pressed
+        if pressed:
+            raise KeyboardInterrupt
+        pressed = True
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+class _Tally:
+    """What was measured, for the line at the end."""
+
+    def __init__(self) -> None:
+        self.frames = self.empty = self.broken = 0
+        self._nodes = 0
+        self._fewest: int | None = None
+        self._ms = 0.0
+        self._largest, self._where = 0.0, 0
+
+    def add(self, number: int, measured: Measured, ms: float) -> None:
+        self.frames += 1
+        self._ms += ms
+        if not measured.nodes:
+            self.empty += 1
+            return
+        self._nodes += measured.nodes
+        self._fewest = min(measured.nodes, self._fewest or measured.nodes)
+        if measured.largest > self._largest:
+            self._largest, self._where = measured.largest, number
+
+    def line(self, nodes: int, unit: str, device: str) -> str:
+        """nodes: of the pattern. unit: of the displacement."""
+        parts = [counted(self.frames, "frame")]
+        if self._fewest is not None:
+            mean = self._nodes / (self.frames - self.empty)
+            parts.append(f"{mean:.1f} of {nodes} nodes in the mean, at least {self._fewest}")
+            parts.append(f"moved by up to {self._largest:.3g} {unit} (frame {self._where})")
+        if self.empty:
+            parts.append(f"{self.empty} without the pattern")
+        if self.broken:
+            parts.append(f"{self.broken} left out")
+        if self.frames:
+            parts.append(f"{self._ms / self.frames:.0f} ms each on {device}")
+        return "; ".join(parts)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command; returns its exit status."""
+    if arguments.rest_frame < 0:
+        raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
+    if arguments.stereo is None and (arguments.split or arguments.mirror):
+        raise ConfigError("--split and --mirror need --stereo")
+    _check_out(arguments)
+    config = None if arguments.config is None else DetectorConfig.load(arguments.config)
+    rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
+    device = select_device(arguments.device)
+    source = _Source(arguments.source)
+    _refuse_to_overwrite(source.paths, arguments)
+    rest, shots = source.rest(arguments.rest_frame)
+    wanted = Wanted(device, arguments.grid, config, arguments.full_scale)
+    tally = _Tally()
+    with contextlib.ExitStack() as stack:
+        stopped = stack.enter_context(_ctrl_c())
+        measure = stack.enter_context(_measurement(rest, rig, wanted, arguments))
+        film = _film(arguments, stack)
+        series = stack.enter_context(SeriesWriter(arguments.out, **measure.constants))
+        stack.callback(signal.signal, signal.SIGINT, signal.SIG_IGN)  # while it is written
+        progress = stack.enter_context(Progress(source.total, "frames"))
+        for shot in stack.enter_context(contextlib.closing(shots)):
+            if stopped():
+                break
+            progress.step()
+            image = shot.image
+            if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
+                tally.broken += 1
+                if tally.broken <= _LINES_OF_BROKEN:
+                    progress.say(f"cmp-cl: {_why_broken(shot, rest)}", sys.stderr)
+                continue
+            start = time.perf_counter()
+            measured = measure(image)
+            tally.add(shot.number, measured, (time.perf_counter() - start) * 1e3)
+            series.append(index=shot.number, time_ms=shot.time_ms, **measured.arrays)
+            if film is not None:
+                film.frame(
+                    index=shot.number,
+                    time_ms=shot.time_ms,
+                    image=measured.views[0],
+                    grid=measured.grids[0],
+                    field=measured.field if isinstance(measured, MeasuredInSpace) else None,
+                )
+        interrupted = stopped()
+    ended = "stopped by Ctrl-C; " if interrupted else ""
+    line = tally.line(measure.nodes, measure.unit, str(device))
+    print(f"{ended}wrote {shown(arguments.out)}: {line}")
+    if arguments.rerun is not None:
+        print(f"wrote {shown(arguments.rerun)}")
+    return 130 if interrupted and source.camera is None else 0
+
+
+def _measurement(
+    rest: GreyImage, rig: StereoRig | None, wanted: Wanted, arguments: argparse.Namespace
+) -> Measurement:
+    try:
+        if rig is None:
+            regions = regions_in(arguments.region, whole(rest))
+            return OneView(rest, wanted._replace(regions=regions))
+        split = split_of(arguments.split or "halves", arguments.mirror, rest.shape)
+        wanted = wanted._replace(regions=regions_in(arguments.region, *views_of(split)))
+        return TwoViews(rest, rig, split, wanted)
+    except GridError as error:
+        hint = ""
+        if rig is None:
+            hint = "; --region picks one of several patterns; frames of two views need --stereo"
+        raise GridError(f"the rest frame {arguments.rest_frame}: {error}{hint}") from error
+
+
+def _film(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> RerunLog | None:
+    if arguments.rerun is None and not arguments.show:
+        return None
+    option = "--show" if arguments.show else "--rerun"
+    try:
+        return stack.enter_context(RerunLog(arguments.rerun))
+    except ImportError as error:
+        raise ConfigError(f"{option} needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
+    except RuntimeError as error:
+        raise ConfigError(f"{option}: {str(error).strip().splitlines()[0]}") from error
+
+
+def _why_broken(shot: _Shot, rest: GreyImage) -> str:
+    if shot.image is None:
+        return f"frame {shot.number} cannot be read and is left out"
+    rows, columns = shot.image.shape
+    return (
+        f"frame {shot.number} is {columns} x {rows} px of {shot.image.dtype}, the rest frame is "
+        f"{rest.shape[1]} x {rest.shape[0]} of {rest.dtype}; it is left out"
+    )
+
+
+def _check_out(arguments: argparse.Namespace) -> None:
+    if Path(arguments.out).suffix.lower() != ".npz":
+        raise ConfigError(f"--out {shown(arguments.out)} must end in .npz")
+    if arguments.rerun is not None and Path(arguments.rerun).suffix.lower() != ".rrd":
+        raise ConfigError(f"--rerun {shown(arguments.rerun)} must end in .rrd")
+
+
+def _refuse_to_overwrite(inputs: Sequence[Path], arguments: argparse.Namespace) -> None:
+    read = {os.path.realpath(path) for path in inputs}
+    for path in (arguments.out, arguments.rerun):
+        if path is not None and os.path.realpath(path) in read:
+            raise ConfigError(f"{shown(path)} is an input and would be overwritten")

@@ -1,0 +1,51 @@
+"""The corners of an image."""
+
+import dataclasses
+import enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Method(enum.IntEnum):
+    """How the position of a corner was found."""
+
+    CENTROID = 0  # no refinement was asked for
+    EDGE_LINES = 1
+    EDGE_STEP = 2
+    MIDLINE = 3
+    CUSP = 4
+    KEPT = 5  # refinement refused, the centroid was kept
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Corners:
+    """The corners of one image, rows in (y, x) order of `pixel`.
+
+    xy: (N, 2) float32, x right, y down, px; (0, 0) is the centre of the top-left pixel.
+    pixel: (N, 2) int32, the maximum each came from, (x, y).
+    response: (N,) float32, the response there (Eq. 24 or the spectral response).
+    method: (N,) uint8 of `Method`.
+    sigma: (N,) float32, standard deviation of the position per axis, px; NaN where unknown.
+    edges: (N, 4) float32, the angles of the four boundaries in [-pi, pi], rad, clockwise on
+        screen, the first from white to black; NaN where unknown.
+    doubtful: (N,) bool, corners whose surroundings do not look like the corner model
+        (EdgeStep only, False otherwise).
+    device: what ran, for example "pthread-... (Portable Computing Language)".
+    """
+
+    xy: NDArray[np.float32]
+    pixel: NDArray[np.int32]
+    response: NDArray[np.float32]
+    method: NDArray[np.uint8]
+    sigma: NDArray[np.float32]
+    edges: NDArray[np.float32]
+    doubtful: NDArray[np.bool_]
+    device: str
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def to_opencv(self) -> NDArray[np.float32]:
+        """The positions as OpenCV's functions take them: (N, 1, 2) float32, px."""
+        return self.xy.reshape(-1, 1, 2).copy()

@@ -1,0 +1,191 @@
+"""Virtual markers: points on the edges between neighbouring nodes (section 4.3 of the paper)."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from cmp_cl.errors import GridError
+from cmp_cl.grid.grid import Grid, NodeStatus
+from cmp_cl.image import GreyImage, check_image
+from cmp_cl.opencl import program
+from cmp_cl.opencl.device import Device, select_device
+
+Float = NDArray[np.float64]
+
+REACH = 0.3  # of the edge's length: how far from the curve the edge is looked for
+LONGEST_REACH = 6.0  # px
+
+
+def virtual_markers(grid: Grid, count: int) -> Grid:
+    """The grid with `count` points on every edge between two neighbours.
+
+    The result is a grid of ((R-1)(count+1)+1, (C-1)(count+1)+1) nodes: node (r, c) is at
+    ((count+1) r, (count+1) c), markers with status VIRTUAL lie between on rows and columns,
+    and the inside of the cells is MISSING. So two such grids match by equal indices as any
+    two grids do. The markers lie on a cubic Hermite curve through the nodes of the row or
+    column, whose slopes are central differences, one-sided at ends and holes.
+
+    Raises GridError where count is not an integer of at least 1.
+    """
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
+        raise GridError(f"the number of markers on an edge must be at least 1, not {count!r}")
+    times = int(count) + 1
+    rows, columns = (max((n - 1) * times + 1, 0) if n else 0 for n in grid.shape)
+    xy = np.full((rows, columns, 2), np.nan)
+    status = np.zeros((rows, columns), np.uint8)
+    sigma = np.full((rows, columns), np.nan, np.float32)
+    at = grid.xy.astype(np.float64)
+    if at.size:
+        for k in range(1, times):
+            xy[::times, k::times] = _hermite(at, k / times)
+            xy[k::times, ::times] = _hermite(at.swapaxes(0, 1), k / times).swapaxes(0, 1)
+    status[~np.isnan(xy[..., 0])] = NodeStatus.VIRTUAL
+    xy[::times, ::times] = at
+    status[::times, ::times] = grid.status
+    sigma[::times, ::times] = grid.sigma
+    return Grid(
+        xy=xy.astype(np.float32),
+        status=status,
+        sigma=sigma,
+        index=np.where(grid.index < 0, -1, grid.index * times).astype(np.int32),
+        parity=grid.parity,
+    )
+
+
+def _hermite(at: Float, t: float) -> Float:
+    """Points at t between each node and the next along axis 1, (R, C - 1, 2) from (R, C, 2)."""
+    slope = _slopes(at)
+    a, b, from_a, to_b = at[:, :-1], at[:, 1:], slope[:, :-1], slope[:, 1:]
+    u = 1 - t
+    return (1 + 2 * t) * u * u * a + t * u * u * from_a + t * t * (3 - 2 * t) * b - t * t * u * to_b
+
+
+def _slopes(at: Float) -> Float:
+    """Derivatives along axis 1: central, else of the parabola or line on the side there is."""
+    padded = np.pad(at, ((0, 0), (2, 2), (0, 0)), constant_values=np.nan)
+    ll, left, right, rr = padded[:, :-4], padded[:, 1:-3], padded[:, 3:-1], padded[:, 4:]
+    slope = (right - left) / 2
+    for other in (
+        (4 * right - 3 * at - rr) / 2,
+        (3 * at - 4 * left + ll) / 2,
+        right - at,
+        at - left,
+    ):
+        slope = np.where(np.isnan(slope), other, slope)
+    return slope
+
+
+class Profiles(NamedTuple):
+    """Where each virtual marker's edge is looked for.
+
+    place: (M, 2) int64, (row, column) of the marker in the dense grid.
+    pixel: (M, 2) int32, the pixel nearest to the marker, (x, y).
+    line: (M, 4) float32, the marker from that pixel's centre (x, y), px, and the unit normal
+        of the edge (x, y) from white to black.
+    reach: (M,) float32, px on either side.
+    """
+
+    place: NDArray[np.int64]
+    pixel: NDArray[np.int32]
+    line: NDArray[np.float32]
+    reach: NDArray[np.float32]
+
+
+def profiles(dense: Grid, count: int) -> Profiles:
+    """The grey profiles across the edges, at a grid's virtual markers, `count` on each edge."""
+    row, column = np.nonzero(dense.status == NodeStatus.VIRTUAL)
+    padded = np.pad(dense.xy.astype(np.float64), ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    # markers of a row have neighbours left and right, those of a column above and below
+    in_row = ~np.isnan(padded[row + 1, column, 0])
+    down, right = np.where(in_row, 0, 1), np.where(in_row, 1, 0)
+    tangent = (
+        padded[row + 1 + down, column + 1 + right] - padded[row + 1 - down, column + 1 - right]
+    )
+    length = np.hypot(*tangent.T)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)  # right of the way, clockwise
+    normal /= np.maximum(length, 1e-6)[:, None]
+    times = count + 1
+    # right of a row's edge is the cell below, right of a column's edge the cell to the left
+    cell = row // times + column // times + np.where(in_row, 0, 1) + dense.parity
+    normal[cell % 2 == 1] *= -1
+    at = dense.xy[row, column].astype(np.float64)
+    pixel = np.rint(at)
+    return Profiles(
+        place=np.stack([row, column], axis=1),
+        pixel=pixel.astype(np.int32),
+        line=np.concatenate([at - pixel, normal], axis=1).astype(np.float32),
+        reach=np.minimum(REACH / 2 * times * length, LONGEST_REACH).astype(np.float32),
+    )
+
+
+def refine_markers(
+    dense: Grid,
+    count: int,
+    image: GreyImage,
+    device: Device | str | None = None,
+    contrast: float = 20,
+) -> Grid:
+    """The dense grid with its virtual markers moved across their edges, to where these are.
+
+    dense: what `grid.with_virtual_markers(count)` gave. image: (H, W) uint8 or uint16.
+    device: a Device, a text for `select_device`, or None for the default device. contrast: grey
+    levels by which the two sides of an edge must differ; where they do not, the marker stays.
+
+    On soft or worn edges the curve through the nodes is the better estimate, as it is on
+    rendered gels. Raises GridError where the grid is not of that count, ImageError,
+    DeviceError, KernelBuildError.
+    """
+    check_image(image)
+    _check_count(dense, count)
+    at = profiles(dense, count)
+    if not len(at.place) or not image.size:
+        return dense
+    device = device if isinstance(device, Device) else select_device(device)
+    shift = _shifts(image, at, device, contrast)
+    shift = np.where(np.isnan(shift), 0, shift)
+    xy = dense.xy.copy()
+    xy[at.place[:, 0], at.place[:, 1]] += shift[:, None] * at.line[:, 2:]
+    return dataclasses.replace(dense, xy=xy)
+
+
+def _check_count(dense: Grid, count: int) -> None:
+    """Raise GridError where these are not the nodes and markers of that many on each edge."""
+    times = count + 1
+    nodes = dense.status[::times, ::times]
+    if any(max(n - 1, 0) % times for n in dense.shape) or (nodes == NodeStatus.VIRTUAL).any():
+        raise GridError(
+            f"a grid of {dense.shape} nodes does not hold {count} virtual markers on each edge; "
+            "give what with_virtual_markers(count) gave, and its count"
+        )
+
+
+def _shifts(image: GreyImage, at: Profiles, device: Device, contrast: float) -> NDArray[np.float32]:
+    """(M,) px along the normals, NaN where no edge is found, from kernels/markers.cl."""
+    context = cl.Context([device.handle])
+    pixel = "uchar" if image.dtype == np.uint8 else "ushort"
+    kernels = program.build(context, ["markers"], {"PIXEL": pixel, "PAD": 0, "OUTER_RADIUS": 5})
+    read = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    inputs = [
+        cl.Buffer(context, read, hostbuf=np.ascontiguousarray(values))
+        for values in (image, at.pixel, at.line, at.reach)
+    ]
+    shift = np.empty(len(at.place), np.float32)
+    output = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, shift.nbytes)
+    rows, columns = image.shape
+    kernel = kernels.bind(
+        "refine_markers",
+        *inputs,
+        np.uint32(columns),
+        np.int32(rows),
+        np.int32(columns),
+        np.int32(len(shift)),
+        np.float32(contrast),
+        output,
+    )
+    with cl.CommandQueue(context) as queue:
+        cl.enqueue_nd_range_kernel(queue, kernel, (-(-len(shift) // 64) * 64,), (64,))
+        cl.enqueue_copy(queue, shift, output)
+    return shift

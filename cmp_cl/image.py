@@ -1,0 +1,64 @@
+"""Images: what is accepted as one, and why anything else is not."""
+
+from os import PathLike
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import ImageError
+
+GreyImage: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+_PIXELS = frozenset({np.dtype(np.uint8), np.dtype(np.uint16)})
+
+
+def check_image(image: Any) -> GreyImage:
+    """The image itself, if it is (H, W) uint8 or uint16 with contiguous rows.
+
+    Raises ImageError that says what came, what is expected and which call converts it.
+    """
+    if not _is_image(image):
+        raise _not_an_image(image)
+    return cast(GreyImage, image)
+
+
+def _is_image(image: Any) -> bool:
+    if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype not in _PIXELS:
+        return False
+    (rows, columns), (row, column), size = image.shape, image.strides, image.itemsize
+    return not image.size or (
+        (column == size or columns == 1)
+        and (rows == 1 or (row >= columns * size and row % size == 0))
+    )
+
+
+def _not_an_image(image: Any) -> Exception:
+    """An ImageError that says what is wrong with it and what mends it."""
+    expected = "expected a NumPy array (H, W) of uint8 or uint16"
+    if not isinstance(image, np.ndarray):
+        hint = "numpy.asarray(image) converts"
+        if image is None:
+            hint = "cv2.imread gives None for a file that it cannot read"
+        elif isinstance(image, str | PathLike):
+            hint = "cv2.imread(image, cv2.IMREAD_GRAYSCALE) converts"
+        return ImageError(f"{expected}, got {type(image).__name__}; {hint}")
+    came = f"got shape {image.shape} of {image.dtype}"
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        code = "cv2.COLOR_BGR2GRAY" if image.shape[2] == 3 else "cv2.COLOR_BGRA2GRAY"
+        hint = f"cv2.cvtColor(image, {code}) converts"
+    elif image.ndim != 2:
+        hint = "image.reshape(height, width) or one frame of it converts"
+    elif image.dtype == np.bool_:
+        hint = "image.astype(numpy.uint8) * 255 converts"
+    elif image.dtype.kind in "ui" and image.dtype.itemsize == 2 and image.dtype not in _PIXELS:
+        hint = "image.clip(0).astype(numpy.uint16) converts"
+    elif image.dtype not in _PIXELS:
+        hint = (
+            "numpy.nan_to_num(image * (255 / white)).round().clip(0, 255).astype(numpy.uint8) "
+            "converts, white being its largest level"
+        )
+    else:
+        expected = f"{expected} with contiguous rows and a positive row step"
+        came = f"{came} with strides {image.strides}"
+        hint = "numpy.ascontiguousarray(image) converts"
+    return ImageError(f"{expected}, {came}; {hint}")

@@ -1,0 +1,136 @@
+"""The kernels: found, put together, compiled. This is the one place that builds.
+
+`build(context, stages, defines)` compiles some of the files in kernels/ into one program;
+`Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be launched.
+
+Compilers take seconds, and those that keep what they made still read the source each time. So
+binaries are kept in the user's cache folder, a file each: whole or not there, checked before
+use, and written anew where they do not fit. Without a folder to write to it takes longer.
+"""
+
+import contextlib
+import hashlib
+import os
+import threading
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import platformdirs
+import pyopencl as cl
+
+from cmp_cl.errors import KernelBuildError
+from cmp_cl.files import write_bytes
+
+_HEADERS = ("plane.clh", "ring.clh")
+_NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
+_WARNINGS = threading.Lock()  # the filters of warnings are those of the whole process
+
+
+def kernel_folder() -> Path:
+    """Where the kernels are: in the package, or beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    for folder in (package / "kernels", package.parent / "kernels"):
+        if (folder / _HEADERS[0]).is_file():
+            return folder
+    raise KernelBuildError(
+        f"the OpenCL kernels are neither in {package / 'kernels'} nor beside the package; "
+        "install cmp-cl again"
+    )
+
+
+def source(stages: Sequence[str], macros: Mapping[str, str] | None = None) -> str:
+    """The text of the headers and of kernels/STAGE.cl for each stage.
+
+    macros: function-like macros, "NAME(ARGUMENTS)" to text, that are put before.
+    """
+    folder = kernel_folder()
+    text = [f"#define {name} {body}" for name, body in (macros or {}).items()]
+    for name in (*_HEADERS, *(f"{stage}.cl" for stage in stages)):
+        text += [f'#line 1 "{name}"', (folder / name).read_text(encoding="utf-8")]
+    return "\n".join(text)
+
+
+class Kernels:
+    """A compiled program."""
+
+    def __init__(self, program: cl.Program) -> None:
+        self._program = program
+
+    def bind(self, name: str, *arguments: Any) -> cl.Kernel:
+        """A kernel of its own with these arguments, NumPy scalars and buffers."""
+        kernel = cl.Kernel(self._program, name)
+        kernel.set_args(*arguments)
+        return kernel
+
+
+def build(
+    context: cl.Context,
+    stages: Sequence[str],
+    defines: Mapping[str, str | int],
+    macros: Mapping[str, str] | None = None,
+) -> Kernels:
+    """Compile the stages; raises KernelBuildError with the compiler's log."""
+    options = ["-cl-std=CL1.2", *(f"-D{name}={value}" for name, value in defines.items())]
+    text = source(stages, macros)
+    kept = _place(context, text, options)
+    program = None if kept is None else _loaded(context, kept, options)
+    if program is None:
+        try:
+            program = _built(cl.Program(context, text), options)
+        except cl.Error as error:
+            names = ", ".join(device.name for device in context.devices)
+            raise KernelBuildError(
+                f"the kernels {', '.join(stages)} do not compile on {names}; "
+                f"the compiler says:\n{error}"
+            ) from error
+        if kept is not None:
+            _keep(kept, program)
+    return Kernels(program)
+
+
+def _built(program: cl.Program, options: list[str]) -> cl.Program:
+    """Compile or link; what a compiler says about what it could do is not the user's concern."""
+    with _WARNINGS, warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        build: Any = program.build  # whose stub does not know that False means none
+        build(options=options, cache_dir=False)
+    return program
+
+
+def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
+    """Where the binary of a program is kept; None where the user wants none kept."""
+    device = context.devices[0]
+    switched_off = os.environ.get(_NO_CACHE_VARIABLE, "").lower() in ("1", "true", "on", "yes")
+    if switched_off or len(context.devices) > 1:
+        return None
+    names = (device.platform.name, device.platform.version, device.name, device.driver_version)
+    key = hashlib.sha256("\0".join([*names, *options, text]).encode()).hexdigest()
+    return platformdirs.user_cache_path("cmp_cl", appauthor=False) / f"{key}.bin"
+
+
+def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:
+    """The program kept there, if there is a whole one that the device takes."""
+    with contextlib.suppress(OSError, cl.Error):
+        data = path.read_bytes()
+        digest, binary = data[:32], data[32:]
+        if hashlib.sha256(binary).digest() == digest:
+            return _built(cl.Program(context, context.devices, [binary]), options)
+    return None
+
+
+def _keep(path: Path, program: cl.Program) -> None:
+    with contextlib.suppress(OSError, cl.Error):
+        (binary,) = program.binaries
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, hashlib.sha256(binary).digest() + binary)
+
+
+def sum_of_terms(terms: Sequence[str], kind: str) -> str:
+    """The sum of the terms in a type, nested three at a time as SUM3 in plane.clh."""
+    if len(terms) == 1:
+        return terms[0]
+    third = -(-len(terms) // 3)
+    parts = [sum_of_terms(terms[i : i + third], kind) for i in range(0, len(terms), third)]
+    return f"SUM3({kind}, {', '.join(parts + ['0'] * (3 - len(parts)))})"

@@ -1,0 +1,316 @@
+"""The plan of a detector: buffers and bound kernels for frames of one shape.
+
+A plan is fixed to a shape, a pixel type and a number of frames; it allocates once, and a
+frame costs its upload, its launches and the download of its corners.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from cmp_cl.config import DetectorConfig, EdgeStep, Fit, Midlines, RapidCriteria
+from cmp_cl.errors import CapacityError
+from cmp_cl.image import GreyImage
+from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.program import Kernels, build
+from cmp_cl.stages import band_stages, pixel_stages, refine_stages, scale_stages
+from cmp_cl.stages.plan_base import GROUP, Launch, PlanBase, multiple
+from cmp_cl.stages.refine_stages import LANES, RESULT_FIELDS, RESULT_HEAD
+
+ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
+
+
+class Overflow(Exception):
+    """A list was too short; holds the largest counts that were seen."""
+
+    def __init__(self, candidates: int, corners: int) -> None:
+        super().__init__(f"{candidates} candidates, {corners} corners")
+        self.candidates = candidates
+        self.corners = corners
+
+
+class Plan(PlanBase):
+    """Buffers and bound kernels for `frames` frames of one shape at one working scale.
+
+    scale: the working scale, or None for the image as it is.
+    mask: (H, W) bool, where candidates may be centred, or None.
+    frames: how many it takes at a time.
+    """
+
+    def __init__(
+        self,
+        queue: cl.CommandQueue,
+        device: Device,
+        shape: tuple[int, int],
+        dtype: np.dtype[Any],
+        config: DetectorConfig,
+        scale: float | None,
+        mask: NDArray[np.bool_] | None,
+        frames: int,
+    ) -> None:
+        super().__init__(queue, device, shape, dtype, config, scale, frames)
+        self.awaited = False  # a stream is waiting for its results
+        self.events: list[tuple[str, cl.Event]] = []
+        self.uploads: list[cl.Event] = []  # on their way in another queue
+        self._mask = mask
+        rapid = isinstance(config.criteria, RapidCriteria)
+        self.front_stages = band_stages if rapid and device.kind is DeviceKind.CPU else pixel_stages
+        self.kernels = self._build()
+        self._allocate()
+        self._bind()
+
+    # What is compiled
+
+    def _build(self) -> Kernels:
+        rapid = isinstance(self.config.criteria, RapidCriteria)
+        deep = self.dtype == np.uint16
+        defines: dict[str, str | int] = {
+            "PAD": self.pad,
+            "PIXEL": "ushort" if deep else "uchar",
+            "PIXEL_BITS": 16 if deep else 8,
+            "MASKS": self.masks,
+            "OUTER_RADIUS": self.config.outer_radius,
+            "RAPID": int(rapid),
+            **self.front_stages.defines(self),
+            "GATE": int(self.config.contrast is not None),
+            "CORROSION": int(self.config.criteria.corrosion_threshold is not None),
+            "COLUMN": "uint" if deep else "ushort",
+            "COLUMN8": "uint8" if deep else "ushort8",
+            "LEVEL": ("ulong" if self.config.threshold.offset else "uint") if deep else "int",
+            "SQUARE": "ulong" if deep else "uint",
+            "VARIANCE": "ulong" if deep else "long",
+            "DISTANCE": "long" if deep else "int",
+            "NOISE": "uint" if deep else "ushort",
+            "BAND_NOISE": "ulong" if deep else "uint",
+            "CURVATURE": "int" if deep else "short",
+            "GROUP": GROUP,
+            "LANES": refine_stages.lanes(self),
+            "CONTRAST": "int" if deep else "short",
+            "SUM": "uint" if deep else "ushort",
+            "MEANS": "int" if deep else "short",
+            "RADIUS": self.config.nms_radius,
+            "RESPONSE": "uchar" if rapid else "ushort",
+            "SCORE": "ushort" if rapid else "int",
+            "SCALED": int(self.scale is not None),
+            "REFINED": int(self.config.refinement is not None),
+            "EDGE_STEP": int(isinstance(self.config.refinement, EdgeStep)),
+            "MIDLINES": int(isinstance(self.config.refinement, Midlines)),
+            "QUADRATIC": int(
+                isinstance(self.config.refinement, Midlines)
+                and self.config.refinement.fit is Fit.QUADRATIC
+            ),
+        }
+        distances = range(1, self.config.nms_radius + 1)
+        macros = {
+            **self.front_stages.macros(self),
+            "OVER_SUPPRESSION(F)": " ".join(f"F({d})" for d in distances),
+        }
+        return build(self.queue.context, self.stages, defines, macros)
+
+    @property
+    def stages(self) -> list[str]:
+        """The kernel files that the configuration needs."""
+        return [
+            *scale_stages.files(self),
+            *self.front_stages.files(self),
+            *refine_stages.files(self),
+        ]
+
+    # What is allocated
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Bytes of every buffer."""
+        pixel = self.dtype.itemsize
+        parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in self._layouts]
+        sizes = {
+            "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
+            **self.front_stages.sizes(self),
+            "work": max(sum(sizes) for sizes in parts),
+            "result": self.frames * refine_stages.result_size(self),
+            "totals": 4 * self.frames * (self.masks + 1),  # candidates of planes, corners
+        }
+        if self.scale is not None:
+            sizes["working"] = (self.frames * self.working[0] + 2) * self.step * pixel
+        return sizes
+
+    @property
+    def _layouts(self) -> list[dict[str, int]]:
+        """Bytes of the arrays that are needed only in passing. Those of a layout lie one after
+        the other in the buffer "work", where each layout takes the place of the one before."""
+        scaling = scale_stages.layout(self)
+        return [scaling, *self.front_stages.layouts(self), refine_stages.layout(self)]
+
+    def _allocate(self) -> None:
+        needed = sum(self.sizes.values())
+        if needed > self.device.memory:
+            raise CapacityError(
+                f"the plan needs {needed} bytes, {self.device} has {self.device.memory}; "
+                "use smaller images, fewer frames at a time or a mask of the active area"
+            )
+        try:
+            for name, size in self.sizes.items():
+                if name not in self.buffers:
+                    buffer = cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, max(size, 4))
+                    self._clear(buffer)
+                    self.buffers[name] = buffer
+            self.queue.finish()
+            self.arrays = {**self.buffers, **self._parts_of_work()}
+        except cl.Error as error:  # of memory, or of a size above the device's largest
+            raise self.refused(error) from error
+        self._upload_mask()
+
+    def refused(self, error: cl.Error) -> CapacityError:
+        """The error for a device that has no room left, though its memory would be enough."""
+        return CapacityError(
+            f"{self.device} has no room for a plan of {sum(self.sizes.values())} bytes, though "
+            f"it has {self.device.memory}: {error}; close what else uses it, or use smaller "
+            "images or fewer frames at a time"
+        )
+
+    def _clear(self, buffer: cl.Buffer) -> None:
+        cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, buffer.size)
+
+    def _parts_of_work(self) -> dict[str, cl.Buffer]:
+        parts = {}
+        for layout in self._layouts:
+            place = 0
+            for name, size in layout.items():
+                parts[name] = self.buffers["work"].get_sub_region(place, size)
+                place += multiple(size, ALIGNMENT)
+        return parts
+
+    def _upload_mask(self) -> None:
+        rows, columns = self.working
+        allowed = np.ones(self.working, np.bool_)
+        if self._mask is not None:
+            y = np.minimum(
+                ((np.arange(rows) + 0.5) / (self.scale or 1)).astype(int), self.shape[0] - 1
+            )
+            x = np.minimum(
+                ((np.arange(columns) + 0.5) / (self.scale or 1)).astype(int), self.shape[1] - 1
+            )
+            allowed = self._mask[np.ix_(y, x)]
+        places = self.front_stages.allowed_places(self, allowed)
+        cl.enqueue_copy(self.queue, self.buffers["mask"], places)
+
+    def release(self) -> None:
+        """Give the device's memory back."""
+        for buffer in self.buffers.values():
+            buffer.release()
+        self.buffers.clear()
+
+    # What is launched
+
+    def _bind(self) -> None:
+        self.image = self.arrays["image" if self.scale is None else "working"]
+        self.response = self.arrays["response"]
+        self.front = [*scale_stages.launches(self), *self.front_stages.launches(self)]
+        self.launches = [*self.front, *refine_stages.launches(self)]
+        self._likely = self.corner_room  # corners of a frame, at most
+
+    # What happens in a frame
+
+    def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> None:
+        """Start to copy the frames to the device; they may be changed once `uploads` are over,
+        or after `read` where the queue is the kernels' own."""
+        size = self.dtype.itemsize
+        for n, frame in enumerate(frames):
+            pitch = frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * size
+            host = frame if frame.flags.c_contiguous else _flat(frame, pitch)
+            copy = _copy_rectangle(
+                queue,
+                self.buffers["image"],
+                host,
+                buffer_origin=(self.pad * size, n * self.shape[0] + 1, 0),
+                host_origin=(0, 0, 0),
+                region=(self.shape[1] * size, self.shape[0], 1),
+                buffer_pitches=(self.full_step * size, 0),
+                host_pitches=(pitch, 0),
+                is_blocking=False,
+            )
+            if queue is not self.queue:
+                self.uploads.append(copy)
+        queue.flush()
+
+    def copy(self, frames: cl.Buffer) -> None:
+        """Take the frames from a buffer of the device that holds them without gaps."""
+        (rows, columns), size = self.shape, self.dtype.itemsize
+        step = self.full_step * size
+        _copy_rectangle(
+            self.queue,
+            self.buffers["image"],
+            frames,
+            src_origin=(0, 0, 0),
+            dst_origin=(self.pad * size, 1, 0),
+            region=(columns * size, rows, self.frames),
+            src_pitches=(columns * size, rows * columns * size),
+            dst_pitches=(step, rows * step),
+        )
+
+    def launch(self, stages: Sequence[Launch]) -> None:
+        """Enqueue the stages in order, after the upload."""
+        queue, enqueue = self.queue, cl.enqueue_nd_range_kernel
+        profile = queue.properties & cl.command_queue_properties.PROFILING_ENABLE
+        before = self.uploads
+        for stage, kernel, items, group, _ in stages:
+            self._last = enqueue(queue, kernel, items, group, wait_for=before)
+            before = []
+            if profile:
+                self.events.append((stage, self._last))
+        queue.flush()
+
+    def read(self, queue: cl.CommandQueue) -> NDArray[np.float32]:
+        """The result of each frame as kernels/refine.cl has it, (frames, numbers), once the
+        launches are done; raises Overflow."""
+        rows = self._fetch(queue, self._likely)
+        self.uploads.clear()
+        head = rows[:, : 1 + self.masks].view(np.uint32)
+        most, candidates = int(head[:, 0].max()), int(head[:, 1:].max())
+        if candidates > self.candidate_room or most > self.corner_room:
+            raise Overflow(candidates, most)
+        if most > self._likely:
+            rows = self._fetch(queue, most)
+        self._likely = min(most * 9 // 8, self.corner_room)
+        return rows
+
+    def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
+        """The result of each frame, as much as holds that many corners."""
+        numbers = RESULT_HEAD + RESULT_FIELDS * multiple(most, LANES)
+        rows = np.empty((self.frames, numbers), np.float32)
+        _copy_rectangle(
+            queue,
+            rows,
+            self.buffers["result"],
+            buffer_origin=(0, 0, 0),
+            host_origin=(0, 0, 0),
+            region=(4 * numbers, self.frames, 1),
+            buffer_pitches=(refine_stages.result_size(self), 0),
+            host_pitches=(4 * numbers, 0),
+            wait_for=[self._last],
+        )
+        return rows
+
+    def grow(self, overflow: Overflow) -> None:
+        """Make room for what did not fit; the frames stay on the device."""
+        if overflow.candidates > self.candidate_room:
+            self.candidate_room = multiple(overflow.candidates * 5 // 4, GROUP)
+        if overflow.corners > self.corner_room:
+            self.corner_room = multiple(overflow.corners * 5 // 4, GROUP)
+        image = self.buffers.pop("image")
+        self.release()
+        self.buffers["image"] = image
+        self._allocate()
+        self._bind()
+
+
+_copy_rectangle: Any = cl.enqueue_copy  # whose stub does not know the form for rectangles
+
+
+def _flat(frame: GreyImage, pitch: int) -> NDArray[Any]:
+    """The memory from the first to the last pixel of rows that lie apart, as it is."""
+    count = ((frame.shape[0] - 1) * pitch + frame.shape[1] * frame.itemsize) // frame.itemsize
+    return np.lib.stride_tricks.as_strided(frame, (count,), (frame.itemsize,), writeable=False)

@@ -1,0 +1,402 @@
+"""The command line as a user has it: what is written, said, and returned."""
+
+import csv
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import cmp_cl
+from cmp_cl import media
+from cmp_cl.cli import main as cli
+from cmp_cl.synthetic import scene as synthetic
+
+PROJECT = Path(__file__).parents[2]
+BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
+
+
+@pytest.fixture
+def run(capsys, tmp_path, monkeypatch):
+    """Runs cmp-cl in an empty folder: status, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run_in_folder(*arguments):
+        try:
+            status = cli.main([str(argument) for argument in arguments])
+        except SystemExit as stop:
+            status = stop.code
+        return (status, *capsys.readouterr())
+
+    return run_in_folder
+
+
+def fails_in_one_line(result, *words):
+    status, _, err = result
+    assert status == 2
+    assert err.startswith("cmp-cl")
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    for word in words:
+        assert word in err
+
+
+def rows_of(path):
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write_video(path, images):
+    rows, columns = images[0].shape
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25, (columns, rows))
+    for image in images:
+        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+
+
+def test_devices_lists_what_there_is_and_which_is_used(run):
+    status, out, err = run("devices")
+    assert (status, err) == (0, "")
+    for device in cmp_cl.list_devices():
+        assert device.name in out
+        assert device.platform in out
+        assert device.driver in out
+    assert "memory MB" in out
+    assert f"used by default: {cmp_cl.select_device().index}, " in out
+
+
+def test_devices_says_why_a_device_is_the_default(run, monkeypatch):
+    monkeypatch.setenv("CMP_CL_DEVICE", "0:0")
+    assert run("devices")[1].endswith(": CMP_CL_DEVICE is '0:0'\n")
+    monkeypatch.delenv("CMP_CL_DEVICE")
+    assert run("devices")[1].endswith((": the first CPU\n", ": the first GPU\n"))
+    monkeypatch.setenv("CMP_CL_DEVICE", "no such device")
+    fails_in_one_line(run("devices"), "no such device", "CMP_CL_DEVICE")
+
+
+def test_without_a_device_devices_says_what_to_install(run, monkeypatch):
+    monkeypatch.setattr(cmp_cl, "list_devices", list)
+    status, out, err = run("devices")
+    assert (status, out) == (1, "")
+    places = ("Linux", "Windows", "macOS", "Jetson", "NVIDIA", "Intel", "AMD")
+    assert all(place in err for place in places)
+
+
+def test_devices_says_why_none_was_found(run, monkeypatch, tmp_path):
+    monkeypatch.setattr(cmp_cl, "list_devices", list)
+    monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path))
+    assert f"no driver is registered in {tmp_path}\n" in run("devices")[2]
+    (tmp_path / "broken.icd").write_text("libmissing.so")
+    assert f"broken.icd in {tmp_path} cannot be loaded or have no device\n" in run("devices")[2]
+
+
+def test_the_board_is_found_where_opencv_finds_it(run):
+    status, out, err = run("detect", BOARD, "--out", "corners.csv", "--overlay", "o.png")
+    assert (status, err) == (0, "")
+    rows = rows_of("corners.csv")
+    assert f"{BOARD}: {len(rows)} corners in " in out
+    assert " ms (upload, kernels, download) on " in out
+    assert f"wrote corners.csv: {len(rows)} corners" in out
+    image = cv2.imread(str(BOARD), cv2.IMREAD_GRAYSCALE)
+    found, peer = cv2.findChessboardCornersSB(image, (9, 6))
+    assert found
+    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-3)
+    peer = cv2.cornerSubPix(image, peer.reshape(-1, 1, 2), (5, 5), (-1, -1), stop)
+    xy = np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows])
+    assert len(xy) == len(peer) == 54
+    assert np.linalg.norm(peer - xy, axis=2).min(axis=1).max() < 0.5
+    overlay = cv2.imread("o.png")
+    assert overlay.shape[1] >= 1000
+    assert (overlay == (60, 230, 60)).all(axis=2).sum() > 54 * 20
+
+
+def test_the_table_holds_what_the_library_finds(run):
+    run("detect", BOARD, "--out", "corners.csv")
+    corners = cmp_cl.detect(media.read_image(BOARD))
+    rows = rows_of("corners.csv")
+    np.testing.assert_array_equal([np.float32(row["x_px"]) for row in rows], corners.xy[:, 0])
+    np.testing.assert_array_equal([np.float32(row["y_px"]) for row in rows], corners.xy[:, 1])
+    assert {row["image"] for row in rows} == {str(BOARD)}
+
+
+def test_a_pattern_of_known_size_is_numbered_and_looked_at_twice(run):
+    run("render", "--markers", 30, "--indenter", "torus", "--out", "gel.png", "--truth", "t.csv")
+    asked = ("detect", "gel.png", "--grid", "30x30", "--out", "n.csv", "--overlay", "o.png")
+    status, out, err = run(*asked)
+    assert (status, err) == (0, "")
+    assert "; 900 of 900 nodes; wrote o.png" in out
+    assert "wrote n.csv: 900 nodes" in out
+    nodes, truth = rows_of("n.csv"), rows_of("t.csv")
+    found = Counter(row["status"] for row in nodes)
+    assert found["DETECTED"] > 850
+    assert found["SECOND_LOOK"] > 0
+    for node, true in zip(nodes, truth, strict=True):
+        assert (node["row"], node["column"]) == (true["row"], true["column"])
+        apart = [float(node[axis]) - float(true[axis]) for axis in ("x_px", "y_px")]
+        assert np.hypot(*apart) < 3
+    yellow = (cv2.imread("o.png") == (0, 215, 255)).all(axis=2)
+    assert yellow.sum() > 10 * found["SECOND_LOOK"]
+
+
+def test_two_patterns_are_not_numbered_as_one(run):
+    board = media.read_image(BOARD)
+    apart = np.full((board.shape[0], 60), 200, np.uint8)
+    media.write_image("two.png", np.hstack([board, apart, board]))
+    status, out, err = run("detect", "two.png", "--grid", "6x9", "--out", "n.csv")
+    assert status == 2
+    assert err.startswith("cmp-cl: two.png: frame 0 is not numbered: ")
+    assert "wrote n.csv: 0 nodes" in out
+
+
+def test_render_writes_a_picture_and_its_truth_and_detect_finds_them(run):
+    scene = ("render", "--markers", 20, "--indenter", "torus", "--severity", 0.25, "--seed", 3)
+    status, out, _ = run(*scene, "--out", "gel.png", "--truth", "truth.csv")
+    assert status == 0
+    assert "wrote gel.png: 640 x 480 px, 400 corners" in out
+    truth = np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows_of("truth.csv")])
+    assert run("detect", "gel.png", "--out", "corners.csv")[0] == 0
+    xy = np.array([[float(row["x_px"]), float(row["y_px"])] for row in rows_of("corners.csv")])
+    distance = np.linalg.norm(truth[:, None] - xy, axis=2).min(axis=1)
+    assert (distance < 1).mean() > 0.98
+    run(*scene, "--out", "again.png")
+    assert Path("again.png").read_bytes() == Path("gel.png").read_bytes()
+
+
+def test_each_option_of_render_changes_the_picture(run):
+    usual = ("render", "--shape", 120, 160, "--markers", 10, "--out")
+    run(*usual, "usual.png")
+    for option, value in [
+        ("--markers", 12),
+        ("--severity", 0.5),
+        ("--indenter", "wedge"),
+        ("--mode", "twist"),
+        ("--shape", (100, 160)),
+        ("--corrosion", 0),
+        ("--noise", 9),
+        ("--bits", 12),
+        ("--seed", 7),
+    ]:
+        values = value if isinstance(value, tuple) else (value,)
+        assert run(*usual, "other.png", option, *values)[0] == 0
+        assert Path("other.png").read_bytes() != Path("usual.png").read_bytes(), option
+
+
+def test_a_12_bit_camera_is_told_about_full_scale(run):
+    run("render", "--markers", 20, "--severity", 0, "--bits", 12, "--out", "deep.png")
+    status, out, err = run("detect", "deep.png")
+    assert status == 0
+    assert "deep.png: 0 corners" in out
+    assert "--full-scale 4095" in err
+    status, out, err = run("detect", "deep.png", "--full-scale", 4095)
+    assert "deep.png: 400 corners" in out
+    assert err == ""
+
+
+def test_colour_gives_the_corners_of_its_grey(run):
+    grey = media.read_image(BOARD)
+    media.write_image("colour.png", np.dstack([grey, grey, grey]))
+    run("detect", BOARD, "--out", "grey.csv")
+    run("detect", "colour.png", "--out", "colour.csv")
+    colour = [list(row.values())[1:] for row in rows_of("colour.csv")]
+    assert colour == [list(row.values())[1:] for row in rows_of("grey.csv")]
+
+
+def test_a_folder_is_searched_and_what_fails_in_it_is_named(run):
+    Path("in").mkdir()
+    grey = media.read_image(BOARD)
+    names = ["a.png", "new\nline.png", "two  spaces.png"]
+    for name in names:
+        media.write_image(Path("in") / name, grey)
+    Path("in/broken.png").write_text("no image")
+    Path("in/notes.txt").write_text("nothing to see")
+    status, out, err = run("detect", "in", "--out", "all.csv", "--overlay", "seen")
+    assert status == 2
+    assert err == "cmp-cl: 'in/broken.png' is no image that OpenCV can read\n"
+    assert len(out.splitlines()) == 4
+    assert r"'in/new\nline.png': " in out
+    assert {row["image"] for row in rows_of("all.csv")} == {f"in/{name}" for name in names}
+    overlays = {"a-corners.png", "new\nline-corners.png", "two  spaces-corners.png"}
+    assert set(os.listdir("seen")) == overlays
+
+
+def test_two_inputs_of_one_name_get_two_overlays(run):
+    for folder in ("left", "right"):
+        Path(folder).mkdir()
+        media.write_image(f"{folder}/a.png", media.read_image(BOARD))
+    assert run("detect", "left/a.png", "right/a.png", "--overlay", "seen")[0] == 0
+    assert set(os.listdir("seen")) == {"a-corners.png", "a-2-corners.png"}
+
+
+def test_a_video_is_searched_frame_by_frame(run):
+    grey = media.read_image(BOARD)
+    write_video("press.avi", [np.zeros_like(grey), grey, grey[::-1].copy(), grey])
+    status, out, err = run("detect", "press.avi", "--out", "c.csv", "--overlay", "seen")
+    assert (status, err) == (0, "")
+    assert "press.avi: 4 frames, 0 to " in out
+    assert sorted(os.listdir("seen")) == [f"press-corners-{index:06}.png" for index in range(4)]
+    rows = rows_of("c.csv")
+    frames = [row["frame"] for row in rows]
+    count = {frame: frames.count(frame) for frame in "0123"}
+    assert count["0"] == 0
+    assert count["1"] == count["2"] == count["3"] == 54
+    second = list(media.read_frames("press.avi"))[1].image
+    xy = [[np.float32(row["x_px"]), np.float32(row["y_px"])] for row in rows if row["frame"] == "1"]
+    np.testing.assert_array_equal(xy, cmp_cl.detect(second).xy)  # the black frame set no cell
+
+
+def test_broken_frames_are_reported_and_skipped(run):
+    grey = media.read_image(BOARD)
+    write_video("whole.avi", [grey] * 12)
+    whole = Path("whole.avi").read_bytes()
+    Path("cut.avi").write_bytes(whole[: len(whole) // 2])
+    status, out, err = run("detect", "cut.avi")
+    assert status == 0
+    assert "cut.avi: " in out
+    assert err.startswith("cmp-cl: cut.avi: skipped ")
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), ["COMMAND"]),
+        (("bogus",), ["bogus", "detect"]),
+        (("detect",), ["IMAGE"]),
+        (("detect", "missing.png"), ["there is no file 'missing.png'"]),
+        (("detect", "text.png"), ["'text.png' is no image"]),
+        (("detect", "empty"), ["no image and no video in the folder 'empty'"]),
+        (("detect", "float.tif"), ["float32", "expected 8 or 16 bits"]),
+        (("detect", BOARD, "--out", "missing/c.csv"), ["there is no folder", "missing"]),
+        (("detect", BOARD, "--overlay", "missing/o.png"), ["there is no folder", "missing"]),
+        (("detect", BOARD, "--overlay", "o.xyz"), ["o.xyz", ".png"]),
+        (("detect", BOARD, "--overlay", ""), ["--overlay"]),
+        (("detect", BOARD, "--out", ""), ["--out needs"]),
+        (("detect", ""), ["there is no file ''"]),
+        (("detect", BOARD, BOARD, "--overlay", "o.png"), ["2 inputs", "name a folder"]),
+        (("detect", BOARD, "--overlay", BOARD), ["would be overwritten"]),
+        (("detect", "text.png", "--out", "text.png"), ["would be overwritten"]),
+        (("detect", "in", "--overlay", "in"), ["holds inputs"]),
+        (("detect", BOARD, "--config", "missing.toml"), ["cannot read", "missing.toml"]),
+        (("detect", BOARD, "--config", "bad.toml"), ["bad.toml", "unknown key 'windoww'"]),
+        (("detect", BOARD, "--config", "text.png"), ["text.png"]),
+        (("detect", BOARD, "--device", "no such device"), ["no such device"]),
+        (("detect", BOARD, "--full-scale", "0"), ["full_scale", "[1, 65535]"]),
+        (("detect", BOARD, "--full-scale", "x"), ["--full-scale", "'x'"]),
+        (("detect", BOARD, "--grid", "9"), ["--grid", "'9'", "40x40"]),
+        (("bench", "--repeats", "0"), ["--repeats", "0"]),
+        (("render",), ["--out"]),
+        (("render", "--out", "g.png", "--markers", "2"), ["markers", "[3, 100]", "2"]),
+        (("render", "--out", "g.png", "--severity", "nan"), ["severity", "nan"]),
+        (("render", "--out", "g.xyz"), ["g.xyz"]),
+        (("render", "--out", "g.jpg", "--bits", "12"), ["uint16", "g.jpg", ".png"]),
+        (("render", "--out", "missing/g.png"), ["there is no folder", "missing"]),
+    ],
+    ids=lambda value: " ".join(map(str, value)).replace(str(BOARD), "board.png"),
+)
+def test_a_wrong_argument_is_one_line_and_status_2(run, arguments, words):
+    Path("text.png").write_text("hello")
+    Path("bad.toml").write_text("windoww = 3")
+    Path("empty").mkdir()
+    Path("in").mkdir()
+    media.write_image("in/a.png", np.zeros((9, 9), np.uint8))
+    cv2.imwrite("float.tif", np.zeros((9, 9), np.float32))
+    board, before = BOARD.read_bytes(), sorted(os.listdir())
+    fails_in_one_line(run(*arguments), *words)
+    assert BOARD.read_bytes() == board
+    assert sorted(os.listdir()) == before
+
+
+def test_settings_are_used(run):
+    cmp_cl.DetectorConfig(refinement=None).save("cmp.toml")
+    run("detect", BOARD, "--config", "cmp.toml", "--out", "c.csv")
+    assert {row["method"] for row in rows_of("c.csv")} == {"CENTROID"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="rights are others on Windows")
+@pytest.mark.skipif(os.name != "nt" and os.geteuid() == 0, reason="root may read everything")
+def test_a_file_without_rights_is_named(run):
+    Path("secret.png").touch(mode=0)
+    fails_in_one_line(run("detect", "secret.png"), "secret.png", "Permission denied")
+
+
+def test_the_command_is_installed_and_writes_its_help():
+    code = "import sys; from cmp_cl.cli.main import main; sys.exit(main())"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "-h"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=PROJECT,
+    )
+    assert all(command in done.stdout for command in ("devices", "detect", "render"))
+
+
+def command_of_readme(extra):
+    """The line of README.md that installs with those extras."""
+    lines = (PROJECT / "README.md").read_text(encoding="utf-8").splitlines()
+    (command,) = [line.strip() for line in lines if f'pip install ".[{extra}]" &&' in line]
+    return [shlex.split(part) for part in command.split("&&")]
+
+
+def test_the_first_command_of_the_readme_ends_in_corners_and_overlays(run, monkeypatch):
+    commands = command_of_readme("pocl")
+    assert [command[0] for command in commands[:3]] == ["python3", ".", "pip"]
+    Path("cmp_cl").symlink_to(PROJECT / "cmp_cl")
+    for command in commands[3:]:
+        assert command[0] == "cmp-cl"
+        status, out, err = run(*command[1:])
+        assert (status, err) == (0, "")
+        assert "wrote" in out
+    for name in ("board-corners.png", "gel-corners.png"):
+        overlay = cv2.imread(name)
+        assert (overlay == (60, 230, 60)).all(axis=2).sum() > 1000
+
+
+def python_of_readme():
+    """The blocks of Python in README.md, in order."""
+    text = (PROJECT / "README.md").read_text(encoding="utf-8")
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+def test_the_python_in_the_readme_runs(capsys, monkeypatch):
+    monkeypatch.chdir(PROJECT)
+    detection, _ = python_of_readme()
+    exec(compile(detection, "README.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"54 corners on {cmp_cl.select_device()}"
+    assert [line for line in lines if line.startswith("54 corners, sigma [0.")] == lines[-2:]
+
+
+def test_the_deformation_in_the_readme_is_measured(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _, deformation = python_of_readme()
+    rig = synthetic.default_rig((300, 300))
+    scene = synthetic.Scene(markers=20, shape=(300, 300), severity=0.5)
+    rest = synthetic.render_stereo(scene.at_rest(), rig)
+    pressed = synthetic.render_stereo(scene, rig)
+    cmp_cl.StereoRig(*rig).save("rig.yaml")
+    names = {
+        "cmp_cl": cmp_cl,
+        "rest_pair": [view.image for view in rest[:2]],
+        "pair": [view.image for view in pressed[:2]],
+    }
+    exec(compile(deformation, "README.md", "exec"), names)
+    field = names["field"]
+    assert field.valid.all()
+    error = field.displacement - (pressed[2] - rest[2])  # mm
+    assert np.sqrt((error**2).sum(axis=2).mean()) < 0.05
+    assert Path("press.vtp").stat().st_size > 0
+
+
+def test_ci_runs_the_readmes_test_command():
+    commands = command_of_readme("pocl,test")
+    assert [command[0] for command in commands] == ["python3", ".", "pip", "pytest"]
+    script = (PROJECT / ".ci" / "run").read_text(encoding="utf-8")
+    assert r"""grep -m 1 'pip install "\.\[pocl,test\]"' README.md""" in script
+    assert 'bash -c "$command"' in script

@@ -1,0 +1,808 @@
+"""demo, run, calibrate and tune as a user has them, on small rendered frames."""
+
+import contextlib
+import dataclasses
+import signal
+import sys
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+from stereo_data import bumblebee_rig, grid_of, photographs
+
+from cmp_cl import (
+    AdaptiveMean,
+    BinocularSplit,
+    ConfigError,
+    Detector,
+    DetectorConfig,
+    EdgeLines,
+    GridError,
+    NodeStatus,
+    StereoRig,
+    select_device,
+)
+from cmp_cl.cli import calibrate, demo, tune
+from cmp_cl.cli import main as cli
+from cmp_cl.cli.common import alike, exact_config, region_in, split_of, turned
+from cmp_cl.field.field import _Column
+from cmp_cl.media import Frame
+from cmp_cl.synthetic import (
+    Indenter,
+    Mode,
+    Rendered,
+    Scene,
+    binocular_frame,
+    default_rig,
+    render_stereo,
+)
+
+CLOSE = 0.05  # mm, a third of a pixel
+VIEW = (240, 216)
+RIG = default_rig(VIEW)
+GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
+
+
+@pytest.fixture
+def run(capsys, tmp_path, monkeypatch):
+    """Runs cmp-cl in an empty folder: status, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run_in_folder(*arguments):
+        try:
+            status = cli.main([str(argument) for argument in arguments])
+        except SystemExit as stop:
+            status = stop.code
+        return (status, *capsys.readouterr())
+
+    return run_in_folder
+
+
+def fails_in_one_line(result, *words):
+    status, _, err = result
+    assert status == 2
+    assert err.startswith("cmp-cl")
+    assert err.count("\n") == 1
+    for word in words:
+        assert word in err
+
+
+class Shot(NamedTuple):
+    """A rendered frame: its views, both in one image, and its nodes in space, mm."""
+
+    left: Rendered
+    right: Rendered
+    xyz: np.ndarray
+
+    @property
+    def frame(self):
+        return binocular_frame(self.left, self.right)
+
+
+@pytest.fixture(scope="module")
+def press():
+    """A gel at rest and pressed more and more."""
+    return [
+        Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), RIG))
+        for severity in (0.0, 0.4, 0.9)
+    ]
+
+
+@pytest.fixture
+def recording(press, tmp_path):
+    """A folder with these frames, and the rig's file beside it."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number, shot in enumerate(press):
+        cv2.imwrite(str(folder / f"{number}.png"), shot.frame)
+    StereoRig(*RIG).save(tmp_path / "rig.yaml")
+    return folder
+
+
+STEREO = "--stereo", "rig.yaml", "--grid", "12x12", "--out", "press.npz"
+
+
+def off_by(series, press, order):
+    """Root mean square error of every frame's displacement, mm; order: what each frame is."""
+    truth = [press[number].xyz - press[0].xyz for number in order]
+    return [
+        np.sqrt(np.mean(np.square(found - true).sum(axis=2)))
+        for found, true in zip(series["displacement"], truth, strict=True)
+    ]
+
+
+# run
+
+
+def test_a_recording_becomes_its_displacements(run, recording, press):
+    status, out, err = run("run", recording, *STEREO)
+    assert (status, err) == (0, "")
+    assert "wrote press.npz: 3 frames; 144.0 of 144 nodes" in out
+    assert str(select_device()) in out
+    series = np.load("press.npz")
+    assert series["index"].tolist() == [0, 1, 2]
+    assert series["displacement"].shape == (3, 12, 12, 3)
+    assert str(series["unit"]) == "mm"
+    np.testing.assert_array_equal(series["displacement"][0], 0)
+    assert max(off_by(series, press, (0, 1, 2))) < CLOSE
+    moved = np.linalg.norm(press[2].xyz - press[0].xyz, axis=2).max()
+    assert moved > 1
+    assert f"moved by up to {np.linalg.norm(series['displacement'][2], axis=2).max():.3g} mm" in out
+
+
+def test_the_order_of_the_frames_does_not_matter(run, recording, press, tmp_path):
+    run("run", recording, *STEREO)
+    forward = np.load("press.npz")
+    other = tmp_path / "other"
+    other.mkdir()
+    for place, number in enumerate((2, 0, 1)):
+        cv2.imwrite(str(other / f"{place}.png"), press[number].frame)
+    status, _, _ = run("run", other, *STEREO, "--rest-frame", 1)
+    assert status == 0
+    shuffled = np.load("press.npz")
+    for name in ("displacement", "sigma", "status", "source", "left", "right"):
+        np.testing.assert_array_equal(shuffled[name], forward[name][[2, 0, 1]])
+
+
+def test_broken_frames_and_frames_without_the_pattern_do_not_end_a_run(run, recording, press):
+    (recording / "1a.png").write_bytes(b"broken")
+    cv2.imwrite(str(recording / "1b.png"), press[1].frame[:-1])
+    cv2.imwrite(str(recording / "1c.png"), np.full_like(press[0].frame, 90))
+    status, out, err = run("run", recording, *STEREO)
+    assert status == 0
+    assert "frame 2 cannot be read" in err
+    assert "frame 3 is 432 x 239 px" in err
+    assert "1 without the pattern; 2 left out" in out
+    series = np.load("press.npz")
+    assert series["index"].tolist() == [0, 1, 4, 5]
+    assert np.isnan(series["displacement"][2]).all()
+    assert (series["status"][2] == 0).all()
+    assert off_by(series, press, (0, 1, 0, 2))[3] < CLOSE
+
+
+def test_a_mirrored_view_is_turned_back(run, recording, press):
+    run("run", recording, *STEREO)
+    straight = np.load("press.npz")["displacement"]
+    gap = np.full((VIEW[0], 10), 90, np.uint8)
+    for number, shot in enumerate(press):
+        other = np.hstack([gap, shot.right.image[:, ::-1], shot.left.image])
+        cv2.imwrite(str(recording / f"{number}.png"), other)
+    where = "226,0,216,240:10,0,216,240"
+    fails_in_one_line(run("run", recording, *STEREO, "--split", where), "the rig fits", "mirror")
+    status, _, _ = run("run", recording, *STEREO, "--split", where, "--mirror", "right")
+    assert status == 0
+    np.testing.assert_array_equal(np.load("press.npz")["displacement"], straight)
+
+
+def test_one_view_gives_positions_in_the_image(run, recording, press):
+    for number, shot in enumerate(press):
+        cv2.imwrite(str(recording / f"{number}.png"), shot.left.image)
+    status, out, _ = run("run", recording, "--out", "flat.npz")
+    assert status == 0
+    assert "px (frame 2)" in out
+    series = np.load("flat.npz")
+    assert series["xy"].shape == (3, 12, 12, 2)
+    off = series["xy"][2] - press[2].left.truth
+    assert np.sqrt(np.mean(np.square(off).sum(axis=2))) < 0.4
+    assert (series["status"] == NodeStatus.DETECTED).all()
+    assert np.isfinite(series["sigma"]).mean() > 0.98
+
+
+def test_settings_are_used(run, recording):
+    DetectorConfig.for_cell(15).replace(refinement=EdgeLines()).save("cmp.toml")
+    assert run("run", recording, *STEREO, "--config", "cmp.toml")[0] == 0
+    assert np.isnan(np.load("press.npz")["sigma"]).all()  # EdgeLines knows none
+
+
+def test_a_video_has_a_clock(run, recording, press):
+    rows, columns = press[0].frame.shape
+    writer = cv2.VideoWriter("a.avi", cv2.VideoWriter_fourcc(*"FFV1"), 25, (columns, rows))
+    for shot in press:
+        writer.write(cv2.cvtColor(shot.frame, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    assert run("run", "a.avi", *STEREO)[0] == 0
+    series = np.load("press.npz")
+    np.testing.assert_allclose(series["time_ms"], [0, 40, 80])
+    assert max(off_by(series, press, (0, 1, 2))) < CLOSE
+
+
+def camera_of(images, opened):
+    """A stand-in for cv2.VideoCapture that delivers these images, None for none."""
+
+    class Camera:
+        def __init__(self, number):
+            opened.append(number)
+            self.left = iter(images)
+
+        def isOpened(self):
+            return bool(images)
+
+        def read(self):
+            image = next(self.left, None)
+            if callable(image):
+                image = image()
+            return image is not None, image
+
+        def release(self):
+            opened.append("released")
+
+    return Camera
+
+
+def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch):
+    def press_ctrl_c():
+        signal.raise_signal(signal.SIGINT)
+        return press[0].frame
+
+    images = [press[2].frame, None, *(shot.frame for shot in press), press_ctrl_c, press[1].frame]
+    opened = []
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of(images, opened))
+    before = signal.getsignal(signal.SIGINT)
+    status, out, _ = run("run", "3", *STEREO, "--rest-frame", 2)
+    assert status == 0
+    assert opened == [3, "released"]
+    assert out.startswith("stopped by Ctrl-C; wrote press.npz: 3 frames")
+    series = np.load("press.npz")
+    assert series["index"].tolist() == [2, 3, 4]
+    assert (np.diff(series["time_ms"]) >= 0).all()
+    assert max(off_by(series, press, (0, 1, 2))) < CLOSE
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_camera_that_is_not_there_is_an_error(run, recording, monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of([], []))
+    fails_in_one_line(run("run", "7", *STEREO), "no camera 7")
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, times):
+    def frames_of(path):
+        if path.name == "1.png":
+            for _ in range(times):
+                signal.raise_signal(signal.SIGINT)
+        yield Frame(0, press[int(path.stem)].frame)
+
+    monkeypatch.setattr("cmp_cl.media.read_frames", frames_of)
+    status, _, _ = run("run", recording, *STEREO)
+    assert status == 130
+    assert np.load("press.npz")["index"].tolist() == [0]
+
+
+def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press, monkeypatch):
+    copied = _Column.copy
+
+    def copy(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        copied(*arguments)
+
+    monkeypatch.setattr(_Column, "copy", copy)
+    before = signal.getsignal(signal.SIGINT)
+    status, _, _ = run("run", recording, *STEREO)
+    assert status == 0
+    assert len(np.load("press.npz")["index"]) == len(press)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["none", *STEREO], ["none"]),
+        (["frames", *STEREO, "--rest-frame", "9"], ["beyond the last"]),
+        (["frames", *STEREO, "--rest-frame", "-1"], ["0 or more"]),
+        (["frames", *STEREO, "--split", "thirds"], ["halves", "thirds"]),
+        (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["leaves the frame"]),
+        (["frames", *STEREO, "--grid", "0x3"], ["0x3"]),
+        (["frames", *STEREO, "--device", "abacus"], ["abacus"]),
+        (["frames", *STEREO, "--out", "press.csv"], ["npz"]),
+        (["frames", *STEREO, "--out", "no/press.npz"], ["there is no folder", "no'"]),
+        (["frames", *STEREO, "--rerun", "press.txt"], ["rrd"]),
+        (["frames", *STEREO, "--rerun", "press.rrd", "--show"], ["--show", "--rerun"]),
+        (["frames", *STEREO, "--stereo", "frames/0.png"], ["frames/0.png"]),
+        (["frames", "--out", "a.npz", "--split", "halves"], ["--stereo"]),
+        (["frames", *STEREO, "--region", "1,2,3"], ["X,Y,WIDTH,HEIGHT"]),
+        (["frames", *STEREO, "--region", "1,2,0,3:1,1,2,2"], ["X,Y,WIDTH,HEIGHT"]),
+        (["frames", *STEREO, "--region", "0,0,99,99"], ["a rectangle for each view"]),
+        (["frames", "--out", "a.npz", "--region", "9999,0,9,9"], ["9999,0,9,9", "outside"]),
+    ],
+)
+def test_a_wrong_argument_of_run_is_one_line_and_no_file(
+    run, recording, tmp_path, arguments, words
+):
+    fails_in_one_line(run("run", *arguments), *words)
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_the_wrong_calibration_is_noticed_at_rest(run, recording):
+    swapped = StereoRig(RIG.K2, RIG.D2, RIG.K1, RIG.D1, RIG.R.T, -RIG.R.T @ RIG.T)
+    swapped.save("rig.yaml")
+    fails_in_one_line(run("run", recording, *STEREO), "rest frame 0", "the rig fits", "left")
+
+
+def test_two_views_without_a_calibration_are_explained(run, recording, monkeypatch):
+    def two(*_):
+        raise GridError("two patterns are seen")
+
+    monkeypatch.setattr("cmp_cl.cli.measure.find_pattern", two)
+    fails_in_one_line(
+        run("run", recording, "--out", "a.npz"), "rest frame 0: two patterns", "--stereo"
+    )
+
+
+def test_a_rectangle_in_each_view_says_which_of_two_patterns_is_meant(
+    run, recording, press, tmp_path
+):
+    run("run", recording, *STEREO)
+    alone = np.load("press.npz")
+    doubled = tmp_path / "doubled"
+    doubled.mkdir()
+    other = press[0].right.image
+    for number, shot in enumerate(press):
+        frame = np.hstack([other, shot.left.image, other, shot.right.image])
+        cv2.imwrite(str(doubled / f"{number}.png"), frame)
+    StereoRig(*shifted(RIG, VIEW[1])).save("rig.yaml")
+    wide = 2 * VIEW[1]
+    fails_in_one_line(run("run", doubled, *STEREO), "the left view", "two patterns", "region")
+    boxes = [f"{x},0,{VIEW[1]},{VIEW[0]}" for x in (VIEW[1], wide + VIEW[1])]
+    status, _, err = run("run", doubled, *STEREO, "--region", ":".join(boxes))
+    assert (status, err) == (0, "")
+    series = np.load("press.npz")
+    np.testing.assert_array_equal(series["status"], alone["status"])
+    np.testing.assert_allclose(series["displacement"], alone["displacement"], atol=1e-3)
+    status, _, err = run("run", doubled, "--out", "one.npz", "--region", boxes[0])
+    assert (status, err) == (0, "")
+    one = np.load("one.npz")["rest"]
+    assert one.shape == (12, 12, 2)
+    assert (one[..., 0] > VIEW[1] - 0.5).all()
+
+
+def shifted(rig, columns):
+    """The rig whose views begin that much further to the left."""
+    moved = np.array([[0, 0, columns], [0, 0, 0], [0, 0, 0]])
+    return rig._replace(K1=rig.K1 + moved, K2=rig.K2 + moved)
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_a_region_follows_its_rectangle_into_the_view(mirror):
+    frame = np.zeros((40, 90), np.uint8)
+    frame[12:20, 45:70] = 1
+    split = BinocularSplit((0, 0, 20, 40), (30, 5, 50, 30), mirror_right=mirror)
+    y, x = np.nonzero(split(frame)[1])
+    x0, y0, x1, y1 = region_in(split.right, (45, 12, 25, 8), mirror=mirror)
+    assert (x.min() - x0, y.min() - y0, x1 - x.max(), y1 - y.max()) == (0.5,) * 4
+
+
+@pytest.mark.parametrize("option", [["--rerun", "a.rrd"], ["--show"]])
+def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch, option):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    fails_in_one_line(
+        run("run", recording, *STEREO, *option), option[0], "pip install 'rerun-sdk>=0.23'"
+    )
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_without_its_viewer_rerun_shows_nothing_and_says_why(run, recording, tmp_path, monkeypatch):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    fails_in_one_line(run("run", recording, *STEREO, "--show"), "--show", "Viewer")
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatch):
+    shown = []
+
+    class Viewer(contextlib.nullcontext):
+        def __init__(self, path):
+            assert path is None
+            super().__init__(self)
+
+        def frame(self, **what):
+            shown.append(what)
+
+    monkeypatch.setattr("cmp_cl.cli.run.RerunLog", Viewer)
+    status, _, err = run("run", recording, *STEREO, "--show")
+    assert (status, err) == (0, "")
+    assert [what["index"] for what in shown] == list(range(len(press)))
+    for what, shot in zip(shown, press, strict=True):
+        np.testing.assert_array_equal(what["image"], shot.left.image)
+        assert np.abs(what["grid"].xy - shot.left.truth).max() < 1
+    assert np.nanmax(np.abs(shown[-1]["field"].displacement)) > 0.1
+
+
+# demo
+
+
+@pytest.fixture
+def small_demo(monkeypatch):
+    monkeypatch.setattr(demo, "VIEW", VIEW)
+    monkeypatch.setattr(demo, "SCENE", dataclasses.replace(GEL, severity=0.8))
+
+
+def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
+    status, out, err = run("demo", "--out", "shown")
+    assert (status, err) == (0, "")
+    assert str(select_device()) in out
+    folder = tmp_path / "shown"
+    written = sorted(str(path.relative_to(folder)) for path in folder.rglob("*.*"))
+    assert written == sorted(out.split("wrote to shown: ")[1].splitlines()[0].split(", "))
+    for picture in folder.glob("*.png"):
+        assert cv2.imread(str(picture)).std() > 20
+    field = np.load(folder / "field.npz")
+    _, _, rest = render_stereo(demo.SCENE.at_rest(), RIG)
+    _, _, now = render_stereo(demo.SCENE, RIG)
+    off = np.linalg.norm(field["displacement"] - (now - rest), axis=2)
+    rms = np.sqrt(np.mean(off**2))
+    assert rms < CLOSE
+    assert f"displacement: RMS error,{1e3 * rms:.1f},um" in (folder / "errors.csv").read_text()
+    assert "left view: nodes with a wrong number,0," in (folder / "errors.csv").read_text()
+    command = out.splitlines()[-1].partition("cmp-cl ")[2].split()
+    assert run(*command)[0] == 0
+    np.testing.assert_allclose(
+        np.load("press.npz")["displacement"][1], field["displacement"], atol=1e-12
+    )
+
+
+def test_without_matplotlib_demo_says_so_and_writes_the_rest(
+    run, small_demo, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    status, out, err = run("demo")
+    assert status == 0
+    assert err.count("\n") == 1
+    assert "pip install matplotlib" in err
+    assert (tmp_path / "cmp-demo" / "grid.png").exists()
+    assert (tmp_path / "cmp-demo" / "field.vtp").exists()
+    assert not (tmp_path / "cmp-demo" / "surface.png").exists()
+    assert "surface" not in out
+
+
+def test_demo_does_not_write_into_a_file(run):
+    with open("taken", "w") as file:
+        file.write("mine")
+    fails_in_one_line(run("demo", "--out", "taken"), "taken")
+    fails_in_one_line(run("demo", "--device", "abacus"), "abacus")
+
+
+# calibrate
+
+
+@pytest.fixture(scope="module")
+def boards():
+    """Frames that show a tilted board of 7 x 7 corners, 4 mm apart, to both cameras."""
+    tilts = (0.4, 0.1), (-0.3, 0.3), (0.1, -0.45), (-0.4, -0.2)
+    frames = []
+    for number, tilt in enumerate(tilts):
+        scene = Scene(
+            markers=7,
+            shape=VIEW,
+            severity=0.0,
+            corrosion=0.0,
+            noise=1.0,
+            tilt=tilt,
+            rotation=0.1 * number,
+            seed=number,
+        )
+        left, right, _ = render_stereo(scene, RIG)
+        frames.append((left.image, right.image))
+    return frames
+
+
+BOARD = "--board", "7x7", "--square", "4", "--out", "rig.yaml"
+
+
+def test_calibrate_finds_the_cameras_again(run, boards, monkeypatch):
+    monkeypatch.setattr("cmp_cl.cli.common._USUAL_CELLS", ())
+    for number, views in enumerate(boards):
+        cv2.imwrite(f"{number}.png", np.hstack(views))
+    cv2.imwrite("4.png", np.full((VIEW[0], 2 * VIEW[1]), 90, np.uint8))
+    status, out, err = run("calibrate", *(f"{number}.png" for number in range(5)), *BOARD)
+    assert status == 0
+    assert err.startswith("cmp-cl: left out 4.png: no pattern of 7 x 7 corners is found")
+    assert "wrote rig.yaml: 4 views" in out
+    rig = StereoRig.load("rig.yaml")
+    assert rig.K1[0, 0] == pytest.approx(RIG.K1[0, 0], rel=0.02)
+    assert np.linalg.norm(rig.T) == pytest.approx(np.linalg.norm(RIG.T), rel=0.02)
+    assert np.degrees(np.arccos((np.trace(rig.R @ RIG.R.T) - 1) / 2)) < 0.5
+    overall = float(out.split("all views: ")[1].split()[0])
+    assert overall < 0.1
+
+
+def test_a_rectangle_in_each_view_says_which_of_two_boards_is_meant(run, boards):
+    left, right = [], []
+    for number, views in enumerate(boards):
+        other = boards[number - 1][0]
+        left.append(f"l{number}.png")
+        right.append(f"r{number}.png")
+        cv2.imwrite(left[-1], np.hstack([other, views[0]]))
+        cv2.imwrite(right[-1], np.hstack([views[1], other]))
+        cv2.imwrite(f"{number}.png", np.hstack([other, *views, other]))
+    frames = [f"{number}.png" for number in range(4)]
+    status, _, err = run("calibrate", *frames, *BOARD)
+    assert status == 2
+    assert err.count("left out") == err.count("two patterns") == 4
+    wide, high = VIEW[1], VIEW[0]
+    boxes = f"{wide},0,{wide},{high}:{2 * wide},0,{wide},{high}"
+    assert run("calibrate", *frames, *BOARD, "--region", boxes)[0] == 0
+    of_frames = StereoRig.load("rig.yaml")
+    assert of_frames.K1[0, 2] == pytest.approx(RIG.K1[0, 2] + wide, abs=3)
+    assert of_frames.K2[0, 2] == pytest.approx(RIG.K2[0, 2], abs=3)
+    assert np.linalg.norm(of_frames.T) == pytest.approx(np.linalg.norm(RIG.T), rel=0.02)
+    files = "--left", *left, "--right", *right
+    boxes = f"{wide},0,{wide},{high}:0,0,{wide},{high}"
+    assert run("calibrate", *files, *BOARD, "--region", boxes)[0] == 0
+    np.testing.assert_allclose(StereoRig.load("rig.yaml").K1, of_frames.K1, atol=1e-9)
+
+
+def test_two_cameras_with_files_of_their_own(run, boards):
+    for number, (left, right) in enumerate(boards):
+        cv2.imwrite(f"l{number}.png", left)
+        cv2.imwrite(f"r{number}.png", right)
+    left = [f"l{number}.png" for number in range(4)]
+    right = [f"r{number}.png" for number in range(4)]
+    assert run("calibrate", "--left", *left, "--right", *right, *BOARD, "--unit", "cm")[0] == 0
+    assert StereoRig.load("rig.yaml").unit == "cm"
+    fails_in_one_line(run("calibrate", "--left", *left, "--right", *right[:3], *BOARD), "4 left")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["--left and --right"]),
+        (["0.png", "--left", "0.png", "--right", "1.png"], ["--left and --right"]),
+        (["0.png", "1.png"], ["2 views", "3"]),
+        (["none.png"], ["none.png"]),
+        (["0.png", "--square", "0"], ["--square"]),
+        (["0.png", "--max-sigma", "0"], ["--max-sigma"]),
+        (["0.png", "--board", "7"], ["7"]),
+        (["0.png", "--out", "rig.txt"], ["yaml"]),
+        (["0.png", "--out", "no/rig.yaml"], ["there is no folder", "no'"]),
+        (["--left", "0.png", "--right", "1.png", "--split", "halves"], ["--split"]),
+        (["0.png", "--region", "0,0,9,9"], ["a rectangle for each view", "here 2"]),
+        (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["0,0,9,9", "outside"]),
+    ],
+)
+def test_a_wrong_argument_of_calibrate_is_one_line_and_no_file(
+    run, boards, tmp_path, arguments, words
+):
+    for number in range(2):
+        cv2.imwrite(f"{number}.png", np.hstack(boards[number]))
+    fails_in_one_line(run("calibrate", *BOARD, *arguments), *words)
+    assert not list(tmp_path.glob("rig.*"))
+
+
+def test_uncertain_and_unseen_corners_are_left_out():
+    grid = grid_of(np.ones((2, 2, 2)), sigma=0.1)
+    grid.sigma[0, 1] = 0.3
+    grid.status[1, 0] = NodeStatus.SECOND_LOOK
+    kept = calibrate.trusted(grid, 0.2)
+    assert kept.valid.tolist() == [[True, False], [False, True]]
+    assert np.isnan(kept.xy[0, 1]).all()
+    assert kept.status[1, 0] == NodeStatus.MISSING
+
+
+def test_opencvs_five_pairs_calibrate(run):
+    folder = photographs("stereo_opencv")
+    left, right = (sorted(folder.glob(f"{side}0?.jpg")) for side in ("left", "right"))
+    status, out, _ = run(
+        *("calibrate", "--left", *left, "--right", *right, "--board", "9x6", "--square", 25),
+        *("--out", "rig.yaml"),
+    )
+    assert status == 0
+    assert float(out.split("all views: ")[1].split()[0]) < 0.175
+    mean, deviation = out.split("squares measure ")[1].split(" mm with a standard deviation of ")
+    assert float(mean) == pytest.approx(25, abs=0.03)
+    assert float(deviation.split()[0]) < 0.11
+
+
+def test_our_corners_measure_30_mm_with_the_published_calibration():
+    folder = photographs("stereo_bumblebee2")
+    rig, device = bumblebee_rig(folder / "stereo.yaml"), select_device()
+    found = []
+    for pair in range(1, 5):
+        views = [
+            cv2.imread(str(folder / f"{side}{pair:02}.jpg"), cv2.IMREAD_GRAYSCALE)
+            for side in ("left", "right")
+        ]
+        points = rig.triangulate(*calibrate.board_pair((views[0], views[1]), (6, 4), device))
+        assert points.valid.all()
+        found.append(calibrate.square_sides(points))
+    sides = np.concatenate(found)
+    assert sides.mean() == pytest.approx(30, abs=0.02)
+    assert sides.std() < 0.09
+
+
+# tune
+
+
+def test_tune_writes_settings_that_lose_nothing(run, recording, press, monkeypatch):
+    every = tune.changes
+
+    def some(full, cell):
+        return {name: every(full, cell)[name] for name in ("one mask", "EdgeLines")}
+
+    monkeypatch.setattr(tune, "changes", some)
+    status, out, err = run(
+        "tune", recording, "--markers", "12x12", "--split", "halves", "--out", "my.toml"
+    )
+    assert (status, err) == (0, "")
+    assert "6 views of 216 x 240 px" in out
+    assert str(select_device()) in out
+    said = {line[: tune.WIDTH].strip(): line.split() for line in out.splitlines()}
+    assert said["everything"][1:3] == ["0", "0"]
+    assert said["everything"][-1] == "-"
+    assert int(said["one mask"][2]) > 0
+    assert said["one mask"][-1] == "corners"
+    assert said["EdgeLines"][-1] == "exactness"
+    assert out.endswith("wrote my.toml\n")
+    config = DetectorConfig.load("my.toml")
+    assert config == exact_config(config.refinement.cell)
+    with Detector(shape=VIEW, config=config) as detector:
+        for shot in press:
+            grid = detector.grid(shot.left.image, shape=(12, 12))[1]
+            assert (grid.status == NodeStatus.DETECTED).all()
+            assert np.linalg.norm(grid.xy - shot.left.truth, axis=2).max() < 2
+
+
+def test_tune_looks_at_the_pattern_in_the_region_alone(run, press, monkeypatch):
+    monkeypatch.setattr(tune, "changes", lambda *_: {})
+    cv2.imwrite("0.png", np.hstack([press[1].right.image, press[1].left.image]))
+    arguments = "tune", "0.png", "--markers", "12x12"
+    fails_in_one_line(run(*arguments), "two patterns")
+    status, out, err = run(*arguments, "--region", f"{VIEW[1]},0,{VIEW[1]},{VIEW[0]}")
+    assert (status, err) == (0, "")
+    row = next(line for line in out.splitlines() if line.startswith("everything"))
+    assert row.split()[1:3] == ["0", "0"]
+
+
+def test_changes_are_kept_while_they_lose_nothing_and_save_time(monkeypatch):
+    full = exact_config(20.0)
+    ways = tune.changes(full, 20.0)
+
+    def ms(config):
+        spent = 10.0
+        spent -= 4 * (config.threshold.masks == 1)
+        spent -= 3 * (config.outer_radius == 4)
+        spent -= 2 * isinstance(config.refinement, EdgeLines)
+        spent -= 1 * (config.contrast is None and config.threshold.masks == 3)
+        return spent
+
+    def missed(config):
+        """Fewer masks cost corners together with the small ring, as EdgeLines does alone."""
+        both = config.threshold.masks == 1 and config.outer_radius == 4
+        return int(both or isinstance(config.refinement, EdgeLines))
+
+    def measured(configs, *_):
+        return [
+            tune.Row(name, config, missed(config), 0, 0.3, ms(config))
+            for name, config in configs.items()
+        ]
+
+    monkeypatch.setattr(tune, "measure", measured)
+    table = measured({"everything": full, **{name: way(full) for name, way in ways.items()}})
+    chosen = tune.cheapest(table, ways, [], select_device(), None)
+    assert chosen.name == "one mask"  # the gate saves time only beside three masks
+    assert chosen.config == ways["one mask"](full)
+    assert tune.cheapest(table[:1], ways, [], select_device(), None).config == full
+
+
+def test_every_change_of_tune_changes_the_settings_and_they_add_up():
+    full = exact_config(20.0)
+    ways = tune.changes(full, 20.0)
+    alone = [change(full) for change in ways.values()]
+    assert full not in alone
+    assert len(set(map(repr, alone))) == len(ways) == 9
+    together = full
+    for name in ("one mask", "no contrast gate", "EdgeLines", "outer radius 4", "full size"):
+        together = ways[name](together)
+    assert together == DetectorConfig(
+        threshold=AdaptiveMean(window=21), contrast=None, outer_radius=4, refinement=EdgeLines()
+    )
+    assert "full size" not in tune.changes(exact_config(12.0), 12.0)
+
+
+def flat_frame():
+    """A flat grid of 6 x 6 nodes, 10 px apart."""
+    row, column = np.indices((6, 6))
+    grid = grid_of(np.stack([20 + 10 * column, 30 + 10 * row], axis=-1))
+    return tune.Frame(np.zeros((100, 100), np.uint8), grid, 10.0, tune.around(grid))
+
+
+def test_the_ring_around_a_grid_counts_for_nothing():
+    ring = tune.around(flat_frame().grid)
+    assert len(ring) == 28
+    assert ring.min(axis=0).tolist() == [10, 20]
+    assert ring.max(axis=0).tolist() == [80, 90]
+
+
+def test_missed_extra_and_rough_corners_are_counted():
+    frame = flat_frame()
+    every = frame.grid.xy.reshape(-1, 2)
+    missed, extra, off = tune.judge(every, frame)
+    assert (missed, extra) == (0, 0)
+    assert off.max() < 1e-6
+    junction = np.array([[11, 21]], np.float32)
+    stranger = np.array([[45.0, 55.0], [95.0, 95.0]], np.float32)
+    moved = every.copy()
+    moved[14] += (0.6, 0.0)
+    found = np.concatenate([moved[1:], junction, stranger])
+    missed, extra, off = tune.judge(found, frame)
+    assert (missed, extra) == (1, 2)
+    assert off.max() == pytest.approx(0.6, abs=0.2)
+    assert tune.judge(found, frame._replace(region=(0, 0, 90, 90)))[1] == 1
+    nothing = tune.judge(np.empty((0, 2), np.float32), frame)
+    assert nothing[:2] == (36, 0)
+
+
+def test_what_is_lost_is_named():
+    full = tune.Row("everything", exact_config(12.0), 3, 1, 0.3, 2.0)
+    assert full.loses(full) == ""
+    assert full._replace(missed=4).loses(full) == "corners"
+    assert full._replace(extra=2, roughness=0.4).loses(full) == "certainty, exactness"
+    assert full._replace(roughness=np.nan).loses(full) == "exactness"
+    assert full._replace(config=full.config.replace(refinement=None)).loses(full) == "the grid"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["none.png"], ["none.png"]),
+        (["0.png", "--out", "cmp.yaml"], ["toml"]),
+        (["0.png", "--mirror", "left"], ["--split"]),
+        (["0.png", "--markers", "many"], ["many"]),
+        (["0.png"], ["no frame shows the pattern"]),
+        (["0.png", "1.png"], ["one size"]),
+        (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["a rectangle for each view", "here 1"]),
+    ],
+)
+def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
+    run, tmp_path, monkeypatch, arguments, words
+):
+    monkeypatch.setattr("cmp_cl.cli.common._USUAL_CELLS", ())
+    cv2.imwrite("0.png", np.full(VIEW, 90, np.uint8))
+    cv2.imwrite("1.png", np.full((100, 90), 90, np.uint8))
+    fails_in_one_line(run("tune", "--markers", "9x9", *arguments), *words)
+    assert not list(tmp_path.glob("*.toml"))
+
+
+# what they share
+
+
+def test_a_turned_grid_is_the_same_grid():
+    row, column = np.indices((3, 4))
+    grid = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
+    corners = grid.xy.reshape(-1, 2)
+    for quarters in range(4):
+        other = turned(grid, quarters)
+        assert other.shape == ((3, 4) if quarters % 2 == 0 else (4, 3))
+        np.testing.assert_array_equal(other.xy[tuple(other.index.T)], corners)
+    half = turned(grid, 2)
+    np.testing.assert_array_equal(half.xy, grid.xy[::-1, ::-1])
+    assert half.parity == 1  # 3 + 4 is odd: the other colour comes first
+    assert turned(turned(grid, 1), 3).parity == grid.parity
+
+
+def test_two_views_are_numbered_alike():
+    row, column = np.indices((3, 4))
+    left = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
+    right = alike(left, turned(left, 2))
+    np.testing.assert_array_equal(right.xy, left.xy)
+    with pytest.raises(GridError, match="alike"):
+        alike(left, dataclasses.replace(left, parity=1))
+    across = grid_of(np.stack([-row * 10.0, column * 10.0], axis=-1))
+    with pytest.raises(GridError, match="alike"):
+        alike(left, across)
+    with pytest.raises(GridError, match="without any node"):
+        alike(left, grid_of(np.full((3, 4, 2), np.nan)))
+
+
+def test_a_split_is_read_as_it_is_written():
+    assert split_of("halves", None, (6, 10)) == BinocularSplit.halves(10, 6)
+    assert split_of("1,2,3,4:5,6,7,8", "both", (6, 10)) == BinocularSplit(
+        (1, 2, 3, 4), (5, 6, 7, 8), mirror_left=True, mirror_right=True
+    )
+    assert split_of("halves", "left", (6, 10)).mirror_left
+    assert not split_of("halves", "left", (6, 10)).mirror_right
+    for text in ("", "1,2,3,4", "1,2,3,4:5,6,7", "-1,2,3,4:5,6,7,8"):
+        with pytest.raises(ConfigError, match="halves"):
+            split_of(text, None, (6, 10))

@@ -1,0 +1,568 @@
+"""Corners to rows and columns."""
+
+import copy
+import dataclasses
+import json
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from lattices import board, joined
+
+from cmp_cl import reference
+from cmp_cl.cli.common import turned
+from cmp_cl.config import DetectorConfig
+from cmp_cl.errors import GridError, ImageError
+from cmp_cl.grid import Grid, NodeStatus
+from cmp_cl.grid.build import _drop_misfits, _Nodes, build_grid, mean_steps, predict, predict_within
+from cmp_cl.grid.lattice import lattice
+from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
+from cmp_cl.synthetic import scene as synthetic
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
+
+
+def right(grid: Grid, index: np.ndarray) -> np.ndarray:
+    """Which true corners in the grid have their own row and column."""
+    there = (grid.index[:, 0] >= 0) & (index[:, 0] >= 0)
+    return (grid.index == index).all(1)[there]
+
+
+@pytest.mark.parametrize("shape", [None, (44, 40)])
+def test_a_warped_board_is_numbered(shape):
+    corners, index, truth = board(44, 40)
+    grid = build_grid(corners, shape=shape)
+    np.testing.assert_array_equal(grid.index, index)
+    assert grid.shape == (44, 40)
+    assert (grid.status == NodeStatus.DETECTED).all()
+    assert np.abs(grid.xy @ [1, 1j] - truth).max() < 1.5
+    np.testing.assert_array_equal(grid.xy[tuple(index.T)], corners.xy)
+    np.testing.assert_array_equal(grid.sigma[tuple(index.T)], corners.sigma)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_lost_and_false_corners_do_not_shift_the_numbers(seed):
+    corners, index, _ = board(44, 44, lost=0.03, false=0.1, seed=seed)
+    grid = build_grid(corners, shape=(44, 44))
+    assert right(grid, index).all()
+    assert len(right(grid, index)) > 0.99 * (index[:, 0] >= 0).sum()
+    assert (index[grid.index[:, 0] >= 0, 0] < 0).sum() < 5
+
+
+def test_a_tenth_lost_and_half_as_many_false_again():
+    corners, index, _ = board(30, 30, lost=0.1, false=0.5, seed=1)
+    grid = build_grid(corners, shape=(30, 30))
+    assert right(grid, index).mean() > 0.98
+    assert len(right(grid, index)) > 0.9 * (index[:, 0] >= 0).sum()
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [
+        *(2, 35, 222, 231, 309, 344),
+        pytest.param(273, marks=pytest.mark.xfail(strict=True, reason="a false cell alone joins")),
+    ],
+)
+def test_false_cells_do_not_join_what_does_not_belong_together(seed):
+    corners, index, _ = board(
+        36, 36, lost=0.1, false=0.4, seed=seed, jitter=0.4, twist=0.5, pull=2.0
+    )
+    found = lattice((corners.xy @ np.array([1, 1j])).astype(np.complex64), corners.edges)
+    member = (found.component == 0) & (index[:, 0] >= 0)
+    assert member.sum() > 300
+    place = index[member] @ np.array([1j, 1])
+    shifts = [found.node[member] * 1j**quarter - place for quarter in range(4)]
+    assert min(len(np.unique(np.rint(shift))) for shift in shifts) == 1
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_rows_run_down_and_columns_right_however_the_camera_is_turned(quarters):
+    corners, index, _ = board(12, 9, turn=0.1 + quarters * np.pi / 2)
+    grid = build_grid(corners)
+    row, column = index.T
+    row, column = [
+        (row, column),
+        (column, 11 - row),
+        (11 - row, 8 - column),
+        (8 - column, row),
+    ][quarters]
+    np.testing.assert_array_equal(grid.index, np.stack([row, column], axis=1))
+
+
+@pytest.mark.parametrize("black", [True, False])
+def test_the_parity_is_the_colour_of_the_first_cell(black):
+    assert build_grid(board(8, 8, black=black).corners).parity == (not black)
+    corners, index, _ = board(8, 8, black=black)
+    rest = keep(corners, index[:, 0] > 0)
+    assert build_grid(rest).parity == black
+
+
+def keep(corners, which):
+    fields = {
+        field.name: getattr(corners, field.name)[which]
+        for field in dataclasses.fields(corners)
+        if field.name != "device"
+    }
+    return dataclasses.replace(corners, **fields)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_part_of_a_pressed_pattern_is_numbered_as_at_rest(seed):
+    rest = build_grid(board(24, 24, pull=0, twist=0, black=False).corners)
+    corners, index, _ = board(24, 24, pull=2.5, black=False, lost=0.05, false=0.1, seed=seed)
+    seen = (index[:, 0] >= 3 + seed) & (index[:, 1] < 20)
+    grid = build_grid(keep(corners, seen), like=rest)
+    assert grid.shape == (24, 24)
+    assert right(grid, index[seen]).all()
+    assert (grid.status[: 3 + seed] == NodeStatus.MISSING).all()
+    assert np.isnan(grid.xy[: 3 + seed]).all()
+    assert grid.parity == rest.parity
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_part_of_a_pattern_is_numbered_as_at_rest_whatever_way_that_is(quarters):
+    corners, index, _ = board(24, 20, pull=0, twist=0)
+    rest = turned(build_grid(corners), quarters)
+    numbers = np.empty((24, 20, 2), int)
+    numbers[tuple(index.T)] = rest.index
+    now, index, _ = board(24, 20, pull=1.0, seed=1)
+    lower, upper = index.min(1) > 2, (index[:, 0] < 21) & (index[:, 1] < 17)
+    for seen in (index[:, 0] >= 0, lower, upper, index[:, 1] > 5):
+        grid = build_grid(keep(now, seen), like=rest)
+        assert grid.shape == rest.shape
+        np.testing.assert_array_equal(grid.index, numbers[tuple(index[seen].T)])
+
+
+def test_a_whole_pattern_that_moved_by_cells_keeps_its_numbers():
+    rest = build_grid(board(10, 10, pull=0, twist=0).corners)
+    corners, index, _ = board(10, 10, pull=0, twist=0, origin=60 + 50j + 13 * (2 + 2j))
+    np.testing.assert_array_equal(build_grid(corners, like=rest).index, index)
+
+
+def test_the_checker_colour_decides_what_is_unseen_of_a_board_that_moved_far():
+    rest = build_grid(board(10, 10, pull=0, twist=0).corners)
+    corners, index, _ = board(10, 10, pull=0, twist=0, origin=60 + 50j + 13 * (6 + 6j))
+    for seen in (index[:, 0] > 0, index[:, 0] < 9, index[:, 1] > 0, index[:, 1] < 9):
+        grid = build_grid(keep(corners, seen), like=rest)
+        np.testing.assert_array_equal(grid.index, index[seen])
+
+
+def test_the_checker_colour_decides_where_a_view_is_shifted_by_most_of_a_cell():
+    rest = build_grid(board(12, 12, pull=0, twist=0, turn=0).corners)
+    corners, index, _ = board(12, 12, pull=0, twist=0, turn=0, origin=60 + 50j + 0.7 * 13)
+    seen = (index[:, 1] > 0) & (index[:, 1] < 9)
+    grid = build_grid(keep(corners, seen), like=rest)
+    np.testing.assert_array_equal(grid.index, index[seen])
+
+
+def test_the_checker_colour_decides_where_all_but_one_column_seem_in_place():
+    corners, index, _ = board(12, 13, pull=0, twist=0, turn=0)
+    rest = build_grid(keep(corners, index[:, 1] < 12))
+    corners, index, _ = board(12, 13, pull=0, twist=0, turn=0, origin=60 + 50j - 0.6 * 13, seed=1)
+    seen = index[:, 1] > 0
+    grid = build_grid(keep(corners, seen), like=rest)
+    expected = np.where(index[:, 1:] < 12, index, -1)[seen]
+    np.testing.assert_array_equal(grid.index, expected)
+
+
+def test_junctions_with_the_surroundings_do_not_shift_the_window():
+    corners, index, _ = board(8, 8, pull=0, twist=0)
+    rim = index[:, 0] == 0
+    corners.edges[rim, 1] += 0.9
+    grid = build_grid(corners, shape=(7, 8))
+    np.testing.assert_array_equal(grid.index[~rim], index[~rim] - [1, 0])
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_turned_rest_grid_gives_its_orientation(sign):
+    sideways = build_grid(board(9, 14, turn=sign * 0.6).corners)
+    now = board(9, 14, turn=sign * 0.9, pull=0.5, twist=0.1)
+    by_axes = build_grid(now.corners)
+    assert by_axes.shape == (14, 9)
+    grid = build_grid(now.corners, like=sideways)
+    assert grid.shape == (9, 14)
+    np.testing.assert_array_equal(grid.index, now.index)
+
+
+def test_a_shape_laid_across_turns_the_numbers():
+    corners, index, _ = board(6, 9)
+    grid = build_grid(corners, shape=(9, 6))
+    assert grid.valid.all()
+    turned = np.stack([8 - index[:, 1], index[:, 0]], axis=1)
+    other = np.stack([index[:, 1], 5 - index[:, 0]], axis=1)
+    assert (grid.index == turned).all() or (grid.index == other).all()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_known_shape_keeps_its_numbers_beyond_half_a_quarter_turn(sign):
+    before, after = (board(6, 9, turn=sign * turn, twist=0) for turn in (0.74, 0.84))
+    np.testing.assert_array_equal(build_grid(before.corners, shape=(6, 9)).index, before.index)
+    np.testing.assert_array_equal(build_grid(after.corners, shape=(6, 9)).index, after.index)
+
+
+def test_a_hole_is_filled_by_its_neighbours_and_says_so():
+    corners, index, truth = board(12, 12, jitter=0.0)
+    lost = (index == [5, 6]).all(1) | (index == [8, 3]).all(1)
+    grid = build_grid(keep(corners, ~lost))
+    assert (grid.status == NodeStatus.INTERPOLATED).sum() == 2
+    for row, column in ((5, 6), (8, 3)):
+        assert grid.status[row, column] == NodeStatus.INTERPOLATED
+        assert abs(grid.xy[row, column] @ [1, 1j] - truth[row, column]) < 0.6
+        assert np.isnan(grid.sigma[row, column])
+
+
+def test_nothing_is_invented_beyond_the_pattern():
+    corners, index, _ = board(12, 12)
+    seen = index.sum(1) >= 6
+    grid = build_grid(keep(corners, seen), shape=(12, 12))
+    row, column = np.indices((12, 12))
+    np.testing.assert_array_equal(grid.status == NodeStatus.MISSING, row + column < 6)
+    np.testing.assert_array_equal(grid.valid, row + column >= 6)
+
+
+def test_a_corner_without_edges_is_attached_by_its_place():
+    corners, index, _ = board(12, 12)
+    blind = (index == [5, 6]).all(1)
+    corners.edges[blind] = np.nan
+    grid = build_grid(corners)
+    np.testing.assert_array_equal(grid.index, index)
+    assert grid.status[5, 6] == NodeStatus.ATTACHED
+    assert grid.sigma[5, 6] == corners.sigma[blind]
+
+
+def test_a_corner_of_the_other_colour_is_not_attached():
+    corners, index, _ = board(12, 12)
+    other = (index == [5, 6]).all(1)
+    corners.edges[other] = corners.edges[other][:, [1, 2, 3, 0]]
+    grid = build_grid(corners)
+    assert grid.status[5, 6] == NodeStatus.INTERPOLATED
+    assert (grid.index[other] == -1).all()
+
+
+def test_a_corner_far_from_its_neighbours_prediction_is_dropped():
+    corners, index, truth = board(12, 12, jitter=0.0)
+    strayed = (index == [5, 6]).all(1)
+    corners.xy[strayed] += [4.5, 2.0]
+    grid = build_grid(corners)
+    assert (grid.index[strayed] == -1).all()
+    assert (grid.index[~strayed] == index[~strayed]).all()
+    assert abs(grid.xy[5, 6] @ [1, 1j] - truth[5, 6]) < 0.6
+
+
+def test_two_boards_are_refused_unless_a_region_says_which():
+    first = board(9, 9, pull=0)
+    second = board(8, 9, pull=0, origin=260 + 50j)
+    both = joined(first, second)
+    with pytest.raises(GridError, match="two patterns are seen, of 81 and 72 corners"):
+        build_grid(both)
+    assert build_grid(both, region=(30, 0, 210, 400)).shape == (9, 9)
+    grid = build_grid(both, region=(230, 0, 500, 400))
+    assert grid.shape == (8, 9)
+    assert (grid.index[both.xy[:, 0] < 230] == -1).all()
+
+
+def test_a_small_second_board_falls_away():
+    both = joined(board(12, 12, pull=0), board(4, 4, pull=0, origin=300 + 50j))
+    grid = build_grid(both)
+    assert grid.shape == (12, 12)
+    assert (grid.index >= 0).all(1).sum() == 144
+
+
+def test_a_lattice_that_is_small_against_the_corners_is_refused():
+    corners = board(3, 3, false=60.0, seed=3).corners
+    with pytest.raises(GridError, match="corners, expected at least 10%"):
+        build_grid(corners)
+
+
+def test_nothing_found_is_an_empty_grid_or_one_of_the_known_shape():
+    corners, index, _ = board(9, 9)
+    for some in (index[:, 0] < 0, index[:, 0] == 4, (index == 4).all(1)):
+        grid = build_grid(keep(corners, some))
+        assert grid.shape == (0, 0)
+        assert grid.index.shape == (some.sum(), 2)
+        assert (grid.index == -1).all()
+        known = build_grid(keep(corners, some), shape=(9, 9))
+        assert known.shape == (9, 9)
+        assert not known.valid.any()
+
+
+def test_requests_that_make_no_sense_are_refused():
+    corners = board(6, 6).corners
+    rest = build_grid(corners)
+    for shape in ((0, 6), 6, "66", (6.0, 6.0), (True, 6), (6, 6, 6)):
+        with pytest.raises(GridError, match="shape must be"):
+            build_grid(corners, shape=shape)
+    with pytest.raises(GridError, match="has \\(6, 6\\)"):
+        build_grid(corners, shape=(5, 6), like=rest)
+    for region in ((50, 0, 40, 10), (0, 0, 40), "left", (0, 0, np.nan, 10)):
+        with pytest.raises(GridError, match="region must be"):
+            build_grid(corners, region=region)
+    with pytest.raises(GridError, match="like must be a Grid, not Corners"):
+        build_grid(corners, like=corners)
+    with pytest.raises(GridError, match="Corners of an image, got ndarray"):
+        build_grid(corners.xy)
+    with pytest.raises(GridError, match="has no nodes"):
+        build_grid(corners, like=build_grid(keep(corners, corners.xy[:, 0] < 0)))
+    with pytest.raises(ImageError):
+        build_grid(corners, np.zeros((10, 10)))
+    with pytest.raises(ImageError, match="the image that they were found in"):
+        build_grid(corners, np.zeros((10, 10), np.uint8))
+    corners.edges[:] = np.nan
+    with pytest.raises(GridError, match="no edge angles"):
+        build_grid(corners)
+
+
+def test_a_prediction_is_exact_on_a_cubic():
+    t = np.arange(7.0)
+    line = t**3 + 1j * (t**2 - t)
+    row = np.tile(line, (7, 1)) + 1j * np.arange(7)[:, None] * 9
+    at, weight = predict(row, np.array([3]), np.array([3]))
+    assert weight[0] == pytest.approx(12 + 12 + 4 + 4 + 4 * 1.5 + 4 * 1.4)
+    alone = np.full((7, 7), complex(np.nan, np.nan))
+    alone[3, [1, 2, 4, 5]] = line[[1, 2, 4, 5]]
+    at, weight = predict(alone, np.array([3]), np.array([3]))
+    cubic = (4 * (line[2] + line[4]) - line[1] - line[5]) / 6
+    assert abs(cubic - line[3]) < 1e-12
+    sides = [(line[2] + line[4]) / 2, 2 * line[2] - line[1], 2 * line[4] - line[5]]
+    expected = (12 * cubic + 4 * sides[0] + 0.7 * (sides[1] + sides[2])) / 17.4
+    assert abs(at[0] - expected) < 1e-12
+    assert weight[0] == pytest.approx(17.4)
+
+
+def test_a_mean_step_takes_in_the_steps_of_the_nodes_around():
+    column, row = np.meshgrid(np.arange(7.0), np.arange(6.0))
+    at = (column**2 + 20 * column) + 1j * (row**2 + 30 * row)
+    along, down, cell = mean_steps(at, np.array([2, 0]), np.array([3, 0]))
+    np.testing.assert_allclose(along, [26, 20 + (2 * 1 + 1 * 3) / 3])
+    np.testing.assert_allclose(down, [34j, (30 + (2 * 1 + 1 * 3) / 3) * 1j])
+    np.testing.assert_allclose(cell, (np.abs(along) + np.abs(down)) / 2)
+    at[:] = complex(np.nan, np.nan)
+    at[2, 3:5] = 1, 21
+    along, down, cell = mean_steps(at, np.array([2, 5]), np.array([3, 0]))
+    assert (along[0], cell[0]) == (20, 20)
+    assert np.isnan([down[0], along[1], cell[1]]).all()
+
+
+def test_all_nodes_at_once_are_predicted_as_one_by_one_where_all_around_are_known():
+    at = board(12, 9).truth
+    at[2, 7] = complex(np.nan, np.nan)
+    row, column = (index.ravel() for index in np.indices(at.shape))
+    one_by_one, weight = predict(at, row, column)
+    at_once = predict_within(at).ravel()
+    whole = weight > weight.max() - 0.1
+    assert 0 < whole.sum() < len(whole)
+    np.testing.assert_array_equal(~np.isnan(at_once), whole)
+    np.testing.assert_allclose(at_once[whole], one_by_one[whole], rtol=0, atol=1e-10)
+
+
+def pattern(at):
+    """These nodes, without misfits."""
+    nodes = _Nodes(at.shape, 0, np.zeros(0, np.bool_))
+    row, column = np.nonzero(~np.isnan(at.real))
+    nodes.put(row, column, at[row, column], NodeStatus.DETECTED)
+    _drop_misfits(nodes)
+    return nodes
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_misfits_are_found_around_changes_alone(seed):
+    draw = np.random.default_rng(seed)
+    at = board(30, 26).truth
+    everywhere = pattern(at)
+    assert (everywhere.status == NodeStatus.DETECTED).all()
+    assert not everywhere.changed.any()
+    around = copy.deepcopy(everywhere)
+    row, column = draw.integers(0, 26, (2, 12))
+    strayed = at[row, column] + 7 * np.exp(1j * draw.uniform(-np.pi, np.pi, 12))
+    for nodes in (everywhere, around):
+        nodes.put(row, column, strayed, NodeStatus.SECOND_LOOK)
+    everywhere.changed[:] = True
+    _drop_misfits(everywhere)
+    _drop_misfits(around)
+    assert 8 < (everywhere.status == NodeStatus.MISSING).sum() < 20
+    np.testing.assert_array_equal(around.status, everywhere.status)
+
+
+def test_a_node_is_looked_at_again_when_its_neighbours_come():
+    whole = board(20, 20, jitter=0.0).truth
+    whole[9, 10] += 6j
+    alone = whole.copy()
+    alone[6:13, 7:14] = np.nan
+    alone[9, 10] = whole[9, 10]
+    nodes = pattern(alone)
+    assert nodes.status[9, 10] == NodeStatus.DETECTED
+    row, column = np.nonzero(nodes.status == NodeStatus.MISSING)
+    nodes.put(row, column, whole[row, column], NodeStatus.SECOND_LOOK)
+    _drop_misfits(nodes)
+    np.testing.assert_array_equal(np.argwhere(nodes.status == NodeStatus.MISSING), [[9, 10]])
+
+
+@pytest.mark.parametrize(("seed", "strayed"), [(0, 4), (20, 5), (69, 4), (204, 6), (209, 8)])
+def test_no_misfit_is_left_where_many_stray(seed, strayed):
+    draw = np.random.default_rng(seed)
+    at = board(24, 24, pull=0, twist=0, jitter=0.0).truth
+    astray = draw.uniform(-strayed, strayed, (2, 12, 12))
+    at[6:18, 6:18] += astray[0] + 1j * astray[1]
+    nodes = pattern(at)
+    left = nodes.status.copy()
+    nodes.changed[:] = True
+    _drop_misfits(nodes)
+    np.testing.assert_array_equal(nodes.status, left)
+    assert (left == NodeStatus.MISSING).sum() > 8
+
+
+def test_the_same_corners_give_the_same_bytes():
+    corners, _, _ = board(20, 20, lost=0.05, false=0.2)
+    first, second = build_grid(corners), build_grid(corners)
+    assert first.xy.tobytes() == second.xy.tobytes()
+    assert first.index.tobytes() == second.index.tobytes()
+
+
+def test_numbering_is_quick():
+    corners, _, _ = board(44, 44)
+    z = (corners.xy @ np.array([1, 1j])).astype(np.complex64)
+    times = []
+    for _ in range(60):
+        start = time.perf_counter()
+        lattice(z, corners.edges)
+        times.append(time.perf_counter() - start)
+    assert min(times) < 6e-3  # about 1.7 ms; a loop over corners would take 20
+
+
+def test_a_frame_without_holes_is_not_looked_at_again(monkeypatch):
+    def fails(*_):
+        raise AssertionError("a second look, with nothing missing")
+
+    monkeypatch.setattr("cmp_cl.grid.build.second_look", fails)
+    whole = board(9, 12)
+    x, y = whole.corners.pixel.max(axis=0) + 20
+    image = np.zeros((y, x), np.uint8)
+    for shape in (None, (9, 12)):
+        grid = build_grid(whole.corners, image, shape=shape)
+        assert (grid.status == NodeStatus.DETECTED).all()
+    monkeypatch.setattr(
+        "cmp_cl.grid.build.second_look", lambda image, at, *_: np.full_like(at, np.nan)
+    )
+    holed = keep(whole.corners, np.arange(len(whole.corners)) != 50)
+    assert np.count_nonzero(build_grid(holed, image).status == NodeStatus.INTERPOLATED) == 1
+
+
+def test_rings_are_the_refinements():
+    assert [len(ring(radius)) for radius in (4, 5)] == [24, 28]
+    assert ring(4)[0] == -4j
+    assert (np.abs(np.abs(ring(6)) - 6) < 0.6).all()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_second_look_finds_the_corner_and_refuses_the_other_colour(dtype):
+    scene = synthetic.Scene(markers=20, severity=0.5, noise=2.0, seed=4)
+    rendered = synthetic.render(scene)
+    image = rendered.image.astype(dtype) * (257 if dtype == np.uint16 else 1)
+    truth = (rendered.truth @ [1, 1j])[5:15, 5:15]
+    draw = np.random.default_rng(0)
+    at = (truth + draw.uniform(-1.5, 1.5, truth.shape) * (1 + 1j)).ravel()
+    grid = build_grid(reference.detect(rendered.image), shape=(20, 20))
+    level = (np.indices(truth.shape).sum(0).ravel() + grid.parity) % 2 == 0
+    line = np.where(level, 1, 1j)
+    cell = np.full(len(at), rendered.cell)
+    found = second_look(image, at, cell, line)
+    assert (~np.isnan(found.real)).mean() > 0.95
+    assert np.nanmedian(np.abs(found - truth.ravel())) < 0.5
+    assert np.isnan(second_look(image, at, cell, line * 1j).real).all()
+    aside = at + 0.4 * cell
+    astray = second_look(image, aside, cell, line)
+    assert not (np.abs(astray - aside) > 0.25 * cell).any()
+    blank = np.full_like(image, 90)
+    assert np.isnan(second_look(blank, at, cell, line).real).all()
+
+
+def test_looks_go_on_from_pixel_to_pixel():
+    scene = synthetic.Scene(markers=20, severity=1.0, corrosion=2.0, seed=3)
+    rendered = synthetic.render(scene)
+    at = (rendered.truth @ [1, 1j]).ravel() + 1.6 - 1.2j
+    cell, line = np.full(len(at), rendered.cell), np.full(len(at), np.exp(0.25j * np.pi))
+    rings = RINGS[:1].repeat(len(at), 0)
+    before = here = at
+    for _ in range(3):
+        before = here
+        here, along, sine = edge_lines(rendered.image, before, rings)
+    good = (np.abs(here - at) < 0.25 * cell) & (np.abs(here - before) < 0.5)
+    good &= (np.abs(sine) > 0.3) & (np.abs((along * line.conj()).real) > 0.7)
+    found = _look(rendered.image, at, at, rings, cell, line)
+    assert 20 < good.sum() < len(at)
+    np.testing.assert_array_equal(found, np.where(good, here, np.nan * (1 + 1j)))
+
+
+@pytest.mark.parametrize("markers", [20, 40])
+@pytest.mark.parametrize("severity", [0.5, 1.0])
+def test_every_index_of_a_pressed_gel_is_right(markers, severity):
+    scene = synthetic.random_scene(17 * markers, markers=markers, severity=severity)
+    rendered = synthetic.render(scene)
+    corners = reference.detect(rendered.image, DetectorConfig.for_grid(markers))
+    corners = keep(corners, np.arange(len(corners)) % 50 != 7)
+    grid = build_grid(corners, rendered.image, shape=(markers, markers))
+    error = np.hypot(*(grid.xy - rendered.truth).transpose(2, 0, 1))
+    assert np.isin(grid.status, MEASURED).all()
+    assert (grid.status == NodeStatus.SECOND_LOOK).sum() > markers * markers / 60
+    assert error.max() < min(3, 0.35 * rendered.cell)
+
+
+def photograph(name: str) -> tuple[np.ndarray, dict]:
+    path = DATA / f"{name}.json"
+    if not path.exists():
+        pytest.skip(f"the shared photographs are not at {DATA}")
+    listed = json.loads(path.read_text())
+    return cv2.imread(str(path.with_name(listed["image"])), cv2.IMREAD_GRAYSCALE), listed
+
+
+def agreeing(grid: Grid, listed: dict) -> tuple[int, int]:
+    """Measured nodes at listed corners, and how many have one lattice's indices for both."""
+    corners = np.array([(c["x"], c["y"], c["i"], c["j"]) for c in listed["corners"]])
+    row, column = np.nonzero(np.isin(grid.status, MEASURED))
+    node = grid.xy[row, column]
+    reach = min(3.0, 0.25 * listed["cell_px"]["median"])
+    pairs = []
+    for start in range(0, len(node), 256):
+        part = node[start : start + 256]
+        away = np.hypot(*(part[:, None] - corners[None, :, :2]).transpose(2, 0, 1))
+        pairs.append(np.argwhere(away < reach) + np.array([start, 0]))
+    pairs = np.concatenate(pairs)
+    here = column[pairs[:, 0]] + 1j * row[pairs[:, 0]]
+    there = corners[pairs[:, 1], 2] + 1j * corners[pairs[:, 1], 3]
+    best = 0
+    for mirrored in (here, here.conj()):
+        for quarter in range(4):
+            shift = np.rint(mirrored * 1j**quarter - there)
+            best = max(best, np.unique(shift, return_counts=True)[1].max())
+    return len(pairs), int(best)
+
+
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [
+        ("water/reference_df", 10990),
+        ("water/ellipse_10", 6600),
+        ("puzzleboard/example1", 255),
+        ("curved/curve_4", 85),
+    ],
+)
+def test_photographs_get_one_consistent_lattice(name, least):
+    image, listed = photograph(name)
+    config = DetectorConfig.for_cell(listed["cell_px"]["median"])
+    grid = build_grid(reference.detect(image, config), image)
+    found, same = agreeing(grid, listed)
+    assert found >= least
+    assert same == found
+
+
+@pytest.mark.parametrize("name", ["left01", "right04", "right02"])
+def test_boards_in_a_room_are_found_whole(name):
+    image, listed = photograph(f"stereo_opencv/{name}")
+    config = DetectorConfig.for_cell(listed["cell_px"]["median"])
+    grid = build_grid(reference.detect(image, config), image, shape=(6, 9))
+    found, same = agreeing(grid, listed)
+    assert np.isin(grid.status, MEASURED).all()
+    assert found == same >= 53

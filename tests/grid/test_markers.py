@@ -1,0 +1,152 @@
+"""Virtual markers on the edges between neighbours."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from lattices import board
+
+from cmp_cl.errors import GridError
+from cmp_cl.grid import Grid, NodeStatus, build_grid
+from cmp_cl.grid.markers import profiles, refine_markers
+from cmp_cl.opencl.device import select_device
+from cmp_cl.reference import markers as oracle
+
+
+def grid_at(xy: np.ndarray, parity: int = 0) -> Grid:
+    shape = xy.shape[:2]
+    status = np.where(np.isnan(xy[..., 0]), NodeStatus.MISSING, NodeStatus.DETECTED)
+    return Grid(
+        xy=xy.astype(np.float32),
+        status=status.astype(np.uint8),
+        sigma=np.full(shape, 0.1, np.float32),
+        index=np.argwhere(~np.isnan(xy[..., 0])).astype(np.int32),
+        parity=parity,
+    )
+
+
+def test_the_papers_count_and_density():
+    grid = build_grid(board(40, 40).corners)
+    dense = grid.with_virtual_markers(3)
+    assert dense.valid.sum() == 1600 + 3 * 2 * 40 * 39
+    assert round(dense.valid.sum() / 32**2, 1) == 10.7
+    assert (dense.status == NodeStatus.VIRTUAL).sum() == 9360
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+def test_nodes_stay_and_markers_divide_the_edges(count):
+    corners, _, _ = board(6, 9)
+    grid = build_grid(corners)
+    dense = grid.with_virtual_markers(count)
+    times = count + 1
+    assert dense.shape == (5 * times + 1, 8 * times + 1)
+    np.testing.assert_array_equal(dense.xy[::times, ::times], grid.xy)
+    np.testing.assert_array_equal(dense.status[::times, ::times], grid.status)
+    np.testing.assert_array_equal(dense.sigma[::times, ::times], grid.sigma)
+    np.testing.assert_array_equal(dense.xy[tuple(dense.index.T)], corners.xy)
+    assert np.isnan(dense.sigma[dense.status == NodeStatus.VIRTUAL]).all()
+    row, column = np.indices(dense.shape)
+    np.testing.assert_array_equal(dense.valid, (row % times == 0) | (column % times == 0))
+
+
+def test_markers_lie_on_a_parabola_through_the_nodes():
+    row, column = np.mgrid[0:7, 0:7].astype(float)
+    x = 20 * column + 0.4 * column**2 - 0.2 * row**2
+    y = 15 * row + 0.3 * row**2 + 0.5 * column**2
+    dense = grid_at(np.stack([x, y], -1)).with_virtual_markers(3)
+    row, column = np.mgrid[0:25, 0:25] / 4
+    x = 20 * column + 0.4 * column**2 - 0.2 * row**2
+    y = 15 * row + 0.3 * row**2 + 0.5 * column**2
+    error = np.abs(dense.xy - np.stack([x, y], -1))[dense.valid]
+    assert error.max() < 1e-4
+
+
+def test_an_edge_without_one_of_its_nodes_has_no_markers():
+    row, column = np.mgrid[0:5, 0:5] * 10.0
+    xy = np.stack([column, row], -1)
+    xy[2, 2] = np.nan
+    dense = grid_at(xy).with_virtual_markers(3)
+    assert not dense.valid[8, 5:12].any()
+    assert not dense.valid[5:12, 8].any()
+    assert dense.valid.sum() == 24 + 3 * (40 - 4)
+    at = np.argwhere(dense.valid)
+    np.testing.assert_allclose(dense.xy[dense.valid], at[:, ::-1] * 2.5, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(1, 4), (4, 1), (1, 1), (0, 0)])
+def test_grids_of_a_line_or_less(shape):
+    xy = np.moveaxis(np.indices(shape)[::-1] * 12.0, 0, -1)
+    dense = grid_at(xy).with_virtual_markers(3)
+    expected = tuple(4 * n - 3 if n else 0 for n in shape)
+    assert dense.shape == expected
+    assert dense.valid.all()
+    assert profiles(dense, 3).place.shape == ((dense.status == NodeStatus.VIRTUAL).sum(), 2)
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, True])
+def test_a_count_below_one_is_refused(count):
+    with pytest.raises(GridError, match="at least 1"):
+        build_grid(board(4, 4).corners).with_virtual_markers(count)
+
+
+def checkerboard(dtype: type, parity: int) -> tuple[np.ndarray, Grid]:
+    """An image of cells of 16 px with soft edges, and the grid of its nodes."""
+    y, x = np.mgrid[0:160, 0:200].astype(float)
+    wave = np.tanh(np.sin((x - 10.3) * np.pi / 16) * 4) * np.tanh(
+        np.sin((y - 20.6) * np.pi / 16) * 4
+    )
+    grey = 120 - (90 if parity == 0 else -90) * wave
+    row, column = np.mgrid[0:8, 0:11]
+    xy = np.stack([10.3 + 16.0 * column, 20.6 + 16 * row], -1)
+    scale = 200 if dtype == np.uint16 else 1
+    return np.rint(grey * scale).astype(dtype), grid_at(xy, parity)
+
+
+@pytest.mark.parametrize("parity", [0, 1])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_markers_are_pulled_onto_their_edges(dtype, parity):
+    image, grid = checkerboard(dtype, parity)
+    dense = grid.with_virtual_markers(3)
+    draw = np.random.default_rng(2)
+    pushed = dense.xy + draw.uniform(-2, 2, dense.xy.shape).astype(np.float32)
+    nodes = dense.status != NodeStatus.VIRTUAL
+    pushed[nodes] = dense.xy[nodes]
+    refined = refine_markers(dataclasses.replace(dense, xy=pushed), 3, image)
+    np.testing.assert_array_equal(refined.xy[nodes], dense.xy[nodes])
+    row, column = np.nonzero(dense.status == NodeStatus.VIRTUAL)
+    across = np.where(row % 4 == 0, 1, 0)
+    before = np.abs(pushed - dense.xy)[row, column, across]
+    after = np.abs(refined.xy - dense.xy)[row, column, across]
+    assert before.mean() > 0.9
+    assert np.percentile(after, 95) < 0.5
+    wrong = dataclasses.replace(dense, parity=1 - parity)
+    np.testing.assert_array_equal(refine_markers(wrong, 3, image).xy, dense.xy)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_markers_of_another_count_are_refused(count):
+    image, grid = checkerboard(np.uint8, 0)
+    with pytest.raises(GridError, match=f"does not hold {count} virtual markers"):
+        refine_markers(grid.with_virtual_markers(3), count, image)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (37, 53), (160, 200)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_the_kernel_does_what_the_oracle_does(shape, dtype):
+    draw = np.random.default_rng(5)
+    image, grid = checkerboard(dtype, 0)
+    image = np.ascontiguousarray(image[: shape[0], : shape[1]])
+    image += draw.integers(0, 12, image.shape).astype(dtype)
+    dense = grid.with_virtual_markers(3)
+    moved = dense.xy + draw.normal(0, 1, dense.xy.shape).astype(np.float32)
+    dense = dataclasses.replace(dense, xy=moved)
+    at = profiles(dense, 3)
+    shift = oracle.refine_markers(image, at.pixel, at.line, at.reach, 20)
+    expected = dense.xy.copy()
+    expected[at.place[:, 0], at.place[:, 1]] += (
+        np.where(np.isnan(shift), 0, shift)[:, None] * at.line[:, 2:]
+    )
+    refined = refine_markers(dense, 3, image, select_device().index)
+    apart = np.abs(refined.xy - expected)[dense.valid].max(1)
+    # a crossing within rounding of a sample or of a second one may go the other way
+    assert np.count_nonzero(apart > 1e-3) <= 0.002 * len(apart)

@@ -1,0 +1,412 @@
+"""Refinement of the oracle on perfect corners at known places."""
+
+import math
+
+import numpy as np
+import pytest
+from corner_images import board, corner, noise
+
+from cmp_cl import reference
+from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines
+from cmp_cl.corners import Corners, Method
+from cmp_cl.reference import refine, ring
+
+RNG = np.random.default_rng(11)
+PLACES = [
+    (20 + dx, 20 + dy, a) for dx, dy, a in RNG.uniform((-0.5, -0.5, 0), (0.5, 0.5, 3.1), (8, 3))
+]
+
+
+def found(image: np.ndarray, refinement: object, **changes: object) -> Corners:
+    return reference.detect(image, DetectorConfig(refinement=refinement, **changes))
+
+
+def one(image: np.ndarray, refinement: object, **changes: object) -> Corners:
+    corners = found(image, refinement, **changes)
+    assert len(corners) == 1
+    return corners
+
+
+@pytest.mark.parametrize(("radius", "points"), [(3, 16), (4, 24), (5, 28)])
+def test_circles(radius, points):
+    circle = refine.circle(radius)
+    assert len(circle) == len(set(circle)) == points
+    assert circle[0] == (0, -radius)
+    assert circle[points // 4] == (radius, 0)
+    assert all(abs(math.hypot(*point) - radius) <= 0.5 for point in circle)
+
+
+def test_the_inner_circle_is_that_of_the_sampler():
+    assert refine.circle(3) == ring.INNER
+
+
+@pytest.mark.parametrize(
+    ("refinement", "method", "bound"),
+    [
+        (None, Method.CENTROID, 0.6),
+        (EdgeLines(), Method.EDGE_LINES, 0.06),
+        (EdgeStep(), Method.EDGE_STEP, 0.03),
+        (Midlines(), Method.CUSP, 0.3),
+    ],
+)
+@pytest.mark.parametrize("scale", [None, 0.7, 1.5])
+def test_a_perfect_corner_is_found_where_it_is(refinement, method, bound, scale):
+    bound *= 1.5 if refinement is None and scale == 0.7 else 1
+    for x, y, angle in PLACES:
+        corners = one(corner(x, y, angle), refinement, scale=scale)
+        assert math.dist(corners.xy[0], (x, y)) < bound
+        assert corners.method[0] == method
+
+
+@pytest.mark.parametrize("opening", [70, 110])
+def test_a_slanted_corner_is_found_where_it_is(opening):
+    for x, y, angle in PLACES:
+        image = corner(x, y, angle, opening=math.radians(opening))
+        assert math.dist(one(image, EdgeLines()).xy[0], (x, y)) < 0.08
+        assert math.dist(one(image, EdgeStep()).xy[0], (x, y)) < 0.03
+
+
+def test_edges_point_along_the_lines_from_white_to_black_first():
+    for x, y, angle in PLACES:
+        image = corner(x, y, angle)
+        corners = one(image, EdgeLines())
+        edges = corners.edges[0].astype(np.float64)
+        assert np.abs(np.sin(2 * (edges - angle))).max() < 0.5  # seen from the rounded start
+        turns = np.diff([*edges, edges[0]]) % math.tau
+        assert turns.sum() == pytest.approx(math.tau)
+        for k, edge in enumerate(edges):
+            # A quarter of a turn clockwise on screen is towards larger angles.
+            after = edge + (edges[(k + 1) % 4] - edge) % math.tau / 2
+            row, column = round(y + 5 * math.sin(after)), round(x + 5 * math.cos(after))
+            assert (image[row, column] < 120) == (k % 2 == 0)
+
+
+def test_a_step_brings_edge_lines_nearer():
+    image, truth = board(150, 160, 11)
+    errors = {}
+    for refinement in (EdgeLines(), EdgeStep(cell=11)):
+        corners = found(image, refinement)
+        distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2)
+        assert (distance.min(axis=0) < 0.2).all()
+        errors[type(refinement)] = np.sqrt((distance.min(axis=0) ** 2).mean())
+    assert errors[EdgeStep] < errors[EdgeLines] / 2 < 0.02
+
+
+def test_sigma_and_doubt_come_with_the_step_only():
+    image, truth = board(150, 160, 11)
+    image[60:66, 60:90] = 120  # a torn place
+    corners = found(image, EdgeStep(cell=11, sigma0=0.025))
+    stepped = corners.method == Method.EDGE_STEP
+    assert stepped.sum() > 0.8 * len(truth)
+    assert (corners.sigma[stepped] >= 0.025).all()
+    assert np.isnan(corners.sigma[~stepped]).all()
+    assert 0 < corners.doubtful.sum() < 0.2 * len(corners)
+    torn = np.linalg.norm(corners.xy - np.array([75, 63]), axis=1) < 25
+    whole = ((corners.xy > 9) & (corners.xy < np.array([150, 140]))).all(axis=1)
+    assert not (corners.doubtful & whole & ~torn).any()
+    assert corners.sigma[corners.doubtful].min() > math.sqrt(1000) * 0.010
+    worn = found(image, EdgeStep(cell=11, sigma0=0.2))
+    assert (worn.sigma[stepped] > 0.2).all()
+    lines = found(image, EdgeLines())
+    assert np.isnan(lines.sigma).all()
+    assert not lines.doubtful.any()
+
+
+def test_sigma_grows_with_noise():
+    rng = np.random.default_rng(4)
+    image, truth = board(120, 130, 11)
+    medians = []
+    for level in (0, 4, 12):
+        noisy = np.clip(np.rint(image + rng.normal(0, level, image.shape)), 0, 255)
+        corners = found(noisy.astype(np.uint8), EdgeStep(cell=11, sigma0=0))
+        distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2).min(axis=1)
+        inside = distance < 1
+        medians.append(float(np.nanmedian(corners.sigma[inside])))
+        if level == 12:
+            error = np.sqrt((distance[inside] ** 2).mean() / 2)
+            assert 0.5 < error / medians[-1] < 2
+    assert medians == sorted(medians)
+
+
+def test_the_cell_sets_how_much_the_step_sees():
+    image, _ = board(80, 80, 11)
+    wide = np.clip(image.astype(np.int64) + noise(image.shape) // 12, 0, 255).astype(np.uint8)
+    near, far = (found(wide, EdgeStep(cell=cell)).xy for cell in (6, 12))
+    assert len(near) == len(far)
+    assert not np.array_equal(near, far)
+    same = found(wide, EdgeStep(cell=1000)).xy
+    np.testing.assert_array_equal(far, same)  # 0.75 cell is at most 9 px
+
+
+def test_refused_corners_keep_their_centroid():
+    image = corner(20.3, 20.4, 0.7)
+    kept = one(image, EdgeLines(max_shift=0))
+    plain = one(image, None)
+    assert kept.method[0] == Method.KEPT
+    np.testing.assert_array_equal(kept.xy, plain.xy)
+    assert np.isfinite(kept.edges).all()
+    assert np.isnan(plain.edges).all()
+    assert one(image, Midlines(max_shift=0)).method[0] == Method.KEPT
+
+
+def at_centre(image: np.ndarray, refinement: object) -> refine.Refined:
+    height, width = image.shape
+    start = np.array([[width // 2, height // 2]])
+    return refine.refine(image, start, start + 0.25, refinement, 1.0)
+
+
+@pytest.mark.parametrize(
+    "refinement", [EdgeLines(), EdgeStep(), Midlines(), Midlines(fit=Fit.QUADRATIC)]
+)
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.full((21, 21), 9, np.uint8),
+        np.full((1, 1), 9, np.uint8),
+        np.tile(np.array([0, 255], np.uint8), (21, 10)),
+        np.tile(np.repeat(np.array([0, 255], np.uint8), 3), (21, 4)),
+        np.tile(np.arange(0, 210, 10, dtype=np.uint8), (21, 1)),
+        np.where(noise((21, 21)) < 128, 0, 255).astype(np.uint8),
+        noise((21, 21), seed=5),
+    ],
+    ids=["flat", "pixel", "comb", "stripes", "ramp", "saturated noise", "noise"],
+)
+def test_nothing_ends_in_nan(image, refinement):
+    result = at_centre(image, refinement)
+    assert np.isfinite(result.xy).all()
+    assert np.linalg.norm(result.xy - np.array(image.shape[::-1]) // 2) < 2.5
+    if result.method[0] == Method.KEPT:
+        assert (result.xy == np.array(image.shape[::-1]) // 2 + 0.25).all()
+
+
+def test_parallel_centrelines_of_a_perfect_board_fall_back_to_cusps():
+    y, x = np.mgrid[-20:21, -20:21]
+    image = np.where(x * y > 0, 40, np.where(x * y < 0, 200, 120)).astype(np.uint8)
+    for fit in Fit:
+        result = at_centre(image, Midlines(fit=fit))
+        assert result.method[0] == Method.CUSP
+        np.testing.assert_allclose(result.xy, [[20, 20]], atol=1e-12)
+
+
+def bent(sharpness: float) -> np.ndarray:
+    """A corner whose two black sectors point in different directions."""
+    y, x = np.mgrid[-20.5:20.5:328j, -20.5:20.5:328j]
+    angle = np.arctan2(y, x)
+    first = np.abs(np.angle(np.exp(1j * (angle - 0.2)))) < 0.7
+    second = np.abs(np.angle(np.exp(1j * (angle - 0.2 - sharpness)))) < 0.7
+    fine = np.where(first | second, 30, 220)
+    return fine.reshape(41, 8, 41, 8).mean(axis=(1, 3)).astype(np.uint8)
+
+
+def test_bent_sectors_have_centrelines_that_meet():
+    for fit in Fit:
+        result = at_centre(bent(2.2), Midlines(fit=fit))
+        assert result.method[0] == Method.MIDLINE
+        assert np.linalg.norm(result.xy - [20, 20]) < 1.2
+    linear, curved = (at_centre(bent(2.2), Midlines(fit=fit)).xy for fit in Fit)
+    assert not np.array_equal(linear, curved)
+
+
+def rays(angles: list[float]) -> refine.EdgePoints:
+    """Edge points where four rays from the start meet circles of 3, 4 and 5 px."""
+    unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    point = np.array([3.0, 4.0, 5.0])[:, None, None] * unit
+    return refine.EdgePoints(
+        point=point[None],
+        valid=np.ones((1, 3), np.bool_),
+        direction=3 * unit[None],
+        margin=np.full(1, np.inf),
+    )
+
+
+def test_the_midpoints_of_rays_meet_where_the_rays_do():
+    for fit in Fit:
+        shift, method, _ = refine.midlines(rays([-0.5, 0.9, 1.7, 2.9]), fit, 2.0)
+        assert method[0] == Method.MIDLINE
+        np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
+    shift, method, _ = refine.midlines(rays([-0.5, 0.9, 2.64, 4.04]), Fit.LINEAR, 2.0)
+    assert method[0] == Method.CUSP
+    np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
+
+
+def test_lines_at_a_small_angle_are_refused():
+    for angle, expected in [(0.16, Method.KEPT), (0.18, Method.EDGE_LINES)]:
+        points = rays([0.0, angle, math.pi, math.pi + angle])
+        assert refine.edge_lines(points, 2.0)[1][0] == expected
+
+
+def test_quadratic_centrelines_meet_where_parabolas_meet():
+    middle = np.zeros((1, 3, 2, 2))
+    t = np.array([3.0, 4.0, 5.0])
+    middle[0, :, 0] = np.stack([t, 0.1 * t * t], axis=1)  # y = x^2 / 10
+    middle[0, :, 1] = np.stack([0.1 * t * t, -t], axis=1)  # x = y^2 / 10
+    lines = [refine.fit_lines(middle[:, :, k], np.ones((1, 3), np.bool_)) for k in (0, 1)]
+    straight = refine.intersect(*lines)
+    curved = refine._intersect_curves(*lines, middle, straight.position)
+    # Not the origin exactly: v is quadratic along a turned axis.
+    assert np.linalg.norm(curved.position) < np.linalg.norm(straight.position) / 3
+
+
+@pytest.mark.parametrize("far", [4000, 16000])
+def test_far_from_the_origin_a_corner_moves_by_exactly_that(far):
+    image = corner(20.3, 19.8, 0.7)
+    wide = np.pad(image, ((0, 0), (far, 0)), mode="edge")
+    start = np.array([[20, 20]])
+    for refinement in (EdgeLines(), EdgeStep(), Midlines()):
+        near = refine.refine(image, start, start + 0.0, refinement, 1.0)
+        there = start + np.array([[far, 0]])
+        moved = refine.refine(wide, there, there + 0.0, refinement, 1.0)
+        np.testing.assert_allclose(moved.xy - there, near.xy - start, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("speck", [2, 8, 14, 20])
+def test_a_ring_with_a_speck_is_mended_by_a_majority(speck):
+    clean = np.where(np.arange(24) // 6 % 2 == 0, -50.0, 50.0)[None]
+    offsets = np.array(refine.circle(4), np.float64)
+    expected, four, _ = refine._ring_edges(offsets, clean)
+    assert four[0]
+    dirty = clean.copy()
+    dirty[0, speck] *= -1
+    mended, four, _ = refine._ring_edges(offsets, dirty)
+    assert four[0]
+    np.testing.assert_array_equal(mended, expected)
+    dirty[0, [(speck + 12) % 24, (speck + 13) % 24]] *= -1
+    assert not refine._ring_edges(offsets, dirty)[1][0]
+
+
+def test_boundaries_across_twelve_o_clock_are_matched_between_rings():
+    """The line passes twelve o'clock on one side at 3 px and on the other at 5 px."""
+    image = corner(20.45, 20, -math.atan2(0.45, 4))
+    start = np.array([[20, 20]])
+    points = refine.edge_points(image, start, 1.0)
+    assert points.valid.all()
+    upper = points.point[0, :, :, 1].argmin(axis=1)
+    assert len(set(upper)) == 1
+    result = refine.refine(image, start, start + 0.0, EdgeLines(), 1.0)
+    length = np.linalg.norm(points.direction[0], axis=1)
+    assert (length > 2.9).all()  # three unit vectors, all alike
+    assert math.dist(result.xy[0], (20.45, 20)) < 0.06
+    assert math.dist(at_centre(image, Midlines()).xy[0], (20.45, 20)) < 0.5
+
+
+def model(x: float, y: float, angles: tuple[float, float]) -> np.ndarray:
+    """(41, 41) uint16: the corner model itself, black between the two directions."""
+    row, column = np.mgrid[0:41, 0:41].astype(np.float64)
+    sides = []
+    for angle in angles:
+        a = ((row - y) * math.cos(angle) - (column - x) * math.sin(angle)) / 1.2
+        sides.append(a / np.sqrt(1 + a * a))
+    return np.rint(30000 + 28000 * sides[0] * sides[1]).astype(np.uint16)
+
+
+@pytest.mark.parametrize("angles", [(0.2, 1.7), (-1.2, 0.1), (0.9, 2.0)])
+def test_a_step_from_nearby_reaches_the_model(angles):
+    first, second = angles
+    points = rays([first, second, first + math.pi, second + math.pi])
+    for t in ([0.02, -0.03], [-0.04, 0.01]):
+        image = model(20 + t[0], 20 + t[1], angles)
+        start = np.array([[20, 20]])
+        step = refine.edge_step(image, start, np.zeros((1, 2)), points, EdgeStep(), 1.0)
+        assert step.accepted[0]
+        np.testing.assert_allclose(step.position, [t], atol=1e-3)
+        assert step.sigma[0] == pytest.approx(0.025, rel=0.05)
+
+
+def step_by_least_squares(
+    image: np.ndarray, start: int, x: np.ndarray, angles: tuple[float, float], radius: float
+) -> tuple[np.ndarray, float, float]:
+    """Step, tr rho^2 and ac with a general solver, pixel by pixel."""
+    normals = np.array([(-math.sin(angle), math.cos(angle)) for angle in angles])
+    r0 = min(4, radius / 2)
+    rows = {}
+    for dy in range(-12, 13):
+        for dx in range(-12, 13):
+            u = np.array([dx, dy]) - x
+            if (distance := math.hypot(*u)) >= radius:
+                continue
+            a, b = normals @ u / 1.2
+            qa, qb = 1 / math.hypot(1, a), 1 / math.hypot(1, b)
+            f, g = a * qa, b * qb
+            weight = (1 - distance**2 / radius**2) * min(1, distance**2 / r0**2)
+            grey = float(image[start + dy, start + dx])
+            rows[dx, dy] = (weight, f * g, qa**3 * g / 1.2, f * qb**3 / 1.2, grey)
+    weight, p, da, db, grey = np.array(list(rows.values())).T
+    root = np.sqrt(weight)
+    m, c = np.linalg.lstsq(root[:, None] * np.stack([p * 0 + 1, p], axis=1), root * grey)[0]
+    residual = dict(zip(rows, grey - m - c * p, strict=True))
+    slopes = root[:, None] * np.stack([da, db], axis=1) @ normals
+    step = np.linalg.lstsq(-c * slopes, root * np.array(list(residual.values())))[0]
+    rho = math.sqrt((weight * np.array(list(residual.values())) ** 2).sum() / weight.sum()) / abs(c)
+    variance = np.trace(np.linalg.inv(slopes.T @ slopes)) * rho**2
+    pairs = [
+        (rows[dx, dy][0], residual[dx, dy] * residual[dx + 1, dy] / c**2)
+        for dx, dy in rows
+        if (dx + 1, dy) in rows
+    ]
+    correlation = sum(w * v for w, v in pairs) / sum(w for w, _ in pairs)
+    return step, variance, correlation
+
+
+@pytest.mark.parametrize("cell", [6, 9, 12])
+def test_a_step_is_weighted_least_squares(cell):
+    angles = (0.2, 1.5)
+    rough = model(20.1, 19.9, angles) // 64
+    image = (rough + noise(rough.shape, seed=cell) // 4).astype(np.uint16)
+    start, shift = np.array([[20, 20]]), np.array([[0.04, -0.05]])
+    radius = min(max(0.75 * cell, 4.5), 9)
+    step, variance, correlation = step_by_least_squares(image, 20, shift[0], angles, radius)
+    normals = [np.array([[-math.sin(angle), math.cos(angle)]]) for angle in angles]
+    terms = refine._step_terms(image, start, shift, *normals, radius)
+    np.testing.assert_allclose(terms[0], [step], rtol=1e-8)
+    assert terms[1][0]
+    np.testing.assert_allclose(terms[2], variance, rtol=1e-8)
+    np.testing.assert_allclose(terms[3], correlation, rtol=1e-8)
+    points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
+    refinement = EdgeStep(cell=cell, sigma0=0.03)
+    found = refine.edge_step(image, start, shift, points, refinement, 1.0)
+    np.testing.assert_allclose(found.position, shift + step, rtol=1e-8)
+    np.testing.assert_allclose(found.sigma, math.sqrt(0.03**2 + variance / 4), rtol=1e-8)
+
+
+def test_a_step_of_more_than_0_3_px_is_refused():
+    points = rays([0.2, 1.7, 0.2 + math.pi, 1.7 + math.pi])
+    start = np.array([[20, 20]])
+    for t, accepted in [(0.25, True), (0.4, False)]:
+        image = model(20 + t, 20, (0.2, 1.7))
+        step = refine.edge_step(image, start, np.zeros((1, 2)), points, EdgeStep(), 1.0)
+        assert step.accepted[0] == accepted
+        assert np.isnan(step.sigma[0]) != accepted
+
+
+def test_the_margin_tells_how_near_a_guard_is():
+    image = corner(20.3, 20.4, 0.7)
+    shift = np.linalg.norm(one(image, EdgeLines()).xy[0] - np.array([20, 20]))
+    _, wide = reference.detect_with_margin(image, DetectorConfig(refinement=EdgeLines()))
+    near = DetectorConfig(refinement=EdgeLines(max_shift=float(shift) * 1.001))
+    corners, margin = reference.detect_with_margin(image, near)
+    assert corners.method[0] == Method.EDGE_LINES
+    assert margin[0] == pytest.approx(1e-3, rel=0.05)
+    assert wide[0] > 0.1
+    _, none = reference.detect_with_margin(image, DetectorConfig(refinement=None))
+    assert np.isinf(none).all()
+
+
+def test_radii_follow_the_working_scale():
+    image = corner(20.3, 20.4, 0.7)
+    offsets, greys = refine.ring_samples(image, np.array([[20, 20]]), 3, 0.5)
+    assert greys.shape == (1, 32)
+    np.testing.assert_allclose(np.hypot(*offsets.T), 6)
+    np.testing.assert_allclose(offsets[[0, 8]], [[0, -6], [6, 0]], atol=1e-12)
+    assert greys[0, 8] == image[20, 26]
+
+
+def test_bilinear_by_hand():
+    image = np.array([[0, 100], [50, 250]], np.uint8)
+    x, y = np.array([0.25, 0.5, -3.0, 1.0]), np.array([0.0, 0.5, 0.0, 9.0])
+    np.testing.assert_allclose(refine.bilinear(image, x, y), [25, 100, 0, 250])
+
+
+def test_the_threshold_lies_between_the_quarters():
+    greys = np.array([[*range(10, 18), *range(100, 108)]], np.float64)
+    expected = ((10 + 11 + 12 + 13) / 4 + (104 + 105 + 106 + 107) / 4) / 2
+    assert refine.threshold(greys)[0] == expected

@@ -1,0 +1,130 @@
+"""Grids and rigs for the tests of the two-view part: projected lattices and photographs."""
+
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from cmp_cl.field import DisplacementField, displacement
+from cmp_cl.grid import Grid, NodeStatus
+from cmp_cl.stereo import Points3D, PointStatus, StereoRig
+
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+def photographs(name: str) -> Path:
+    """The folder of shared photographs of that name, else the test is skipped."""
+    import pytest
+
+    folder = SHARED / name
+    if not folder.is_dir():
+        pytest.skip(f"the shared photographs {folder} are not here")
+    return folder
+
+
+def grid_of(xy: np.ndarray, sigma: float = np.nan) -> Grid:
+    """A grid from positions (R, C, 2); NaN where missing."""
+    xy = np.asarray(xy, np.float32)
+    missing = np.isnan(xy[..., 0])
+    rows, columns = np.indices(missing.shape)
+    return Grid(
+        xy=xy,
+        status=np.where(missing, NodeStatus.MISSING, NodeStatus.DETECTED).astype(np.uint8),
+        sigma=np.where(missing, np.nan, sigma).astype(np.float32),
+        index=np.stack([rows[~missing], columns[~missing]], axis=1).astype(np.int32),
+    )
+
+
+def truth_grid(path: Path) -> Grid:
+    """The listed corners of a photograph's JSON as a grid [j, i]."""
+    corners = json.loads(path.read_text())["corners"]
+    shape = max(c["j"] for c in corners) + 1, max(c["i"] for c in corners) + 1
+    xy = np.full((*shape, 2), np.nan)
+    for corner in corners:
+        xy[corner["j"], corner["i"]] = corner["x"], corner["y"]
+    return grid_of(xy)
+
+
+def upright(grid: Grid) -> Grid:
+    """The grid numbered by the image: half a turn where its rows run upwards."""
+    down = np.nanmean(np.diff(grid.xy[..., 1], axis=0)) > 0
+    return grid if down else grid_of(grid.xy[::-1, ::-1])
+
+
+def bumblebee_rig(path: Path) -> StereoRig:
+    """The rig of BoofCV's stereo.yaml: X_left = rotation X_right + (x, y, z), mm."""
+    text = path.read_text()
+    left, rest = text.split("rightToLeft:")
+    pose, right = rest.split("right:")
+
+    def number(block: str, key: str) -> float:
+        return float(re.search(rf"\b{key}: (\S+)", block).group(1))
+
+    def listed(block: str, key: str) -> list[float]:
+        lines = re.search(rf"{key}:\n((?:\s*- \S+\n)+)", block).group(1)
+        return [float(item) for item in re.findall(r"- (\S+)", lines)]
+
+    def camera(block: str) -> tuple[np.ndarray, list[float]]:
+        fx, fy, cx, cy, t1, t2 = (
+            number(block, key) for key in ("fx", "fy", "cx", "cy", "t1", "t2")
+        )
+        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), [*listed(block, "radial"), t1, t2]
+
+    turn = np.reshape(listed(pose, "rotation"), (3, 3))
+    shift = np.array([number(pose, key) for key in "xyz"])
+    return StereoRig(*camera(left), *camera(right), turn.T, -turn.T @ shift)
+
+
+def toed_in_rig(unit: str = "mm") -> StereoRig:
+    """Two cameras 16 mm apart that look at a point 46 mm away, with lens distortion."""
+    turn = cv2.Rodrigues(np.array([0.01, 0.35, -0.02]))[0]
+    centre = np.array([0.0, 0.0, 46.0])
+    return StereoRig(
+        [[1260, 0, 401], [0, 1262, 598], [0, 0, 1]],
+        [-0.12, 0.05, 0.0006, -0.0004, 0.0],
+        [[1255, 0, 397], [0, 1254, 603], [0, 0, 1]],
+        [-0.11, 0.04, -0.0005, 0.0007, 0.0],
+        turn,
+        centre - turn @ centre,
+        unit=unit,
+    )
+
+
+def project(rig: StereoRig, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where both cameras see the points (..., 3): two arrays (..., 2), px."""
+    turn = cv2.Rodrigues(rig.R)[0]
+    flat = np.ascontiguousarray(xyz, np.float64).reshape(-1, 1, 3)
+    left, _ = cv2.projectPoints(flat, np.zeros(3), np.zeros(3), rig.K1, rig.D1)
+    right, _ = cv2.projectPoints(flat, turn, rig.T, rig.K2, rig.D2)
+    shape = (*xyz.shape[:-1], 2)
+    return left.reshape(shape), right.reshape(shape)
+
+
+def gel(rows: int = 20, columns: int = 20, depth: float = 2.0) -> np.ndarray:
+    """Nodes (R, C, 3) of a pressed gel 46 mm away and 30 mm wide, mm."""
+    y, x = np.meshgrid(np.linspace(-15, 15, rows), np.linspace(-15, 15, columns), indexing="ij")
+    press = depth * np.exp(-((x - 2) ** 2 + (y + 1) ** 2) / 30)
+    return np.stack([x, y, 46 - press], axis=-1)
+
+
+def points(xyz: np.ndarray, sigma: float = 0.01, unit: str = "mm") -> Points3D:
+    """Triangulated points without the triangulation; NaN where missing."""
+    xyz = np.asarray(xyz, float)
+    missing = np.isnan(xyz[..., 0])
+    covariance = np.broadcast_to(np.eye(3) * sigma**2, (*missing.shape, 3, 3)).copy()
+    covariance[missing] = np.nan
+    return Points3D(
+        xyz=xyz,
+        error=np.where(missing, np.nan, 0.0),
+        covariance=covariance,
+        status=np.where(missing, PointStatus.MISSING, PointStatus.VALID).astype(np.uint8),
+        source=np.where(missing, NodeStatus.MISSING, NodeStatus.DETECTED).astype(np.uint8),
+        unit=unit,
+    )
+
+
+def field_of(rest: np.ndarray, now: np.ndarray) -> DisplacementField:
+    """The displacement between two sets of positions (R, C, 3), mm."""
+    return displacement(points(rest), points(now))
