@@ -33,6 +33,7 @@ from corner_images import board
 
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     CmpClError,
     Corners,
     Detector,
@@ -108,10 +109,12 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
         Pyramid(factors=(1.0, 0.7), expected=int(rng.integers(1, 40))),
     )
     return DetectorConfig(
-        threshold=AdaptiveMean(window=window, offset=offset, masks=masks),
-        outer_radius=rings,
-        criteria=criteria[kind],
-        contrast=contrast if has_gate else None,
+        detection=BinaryRings(
+            threshold=AdaptiveMean(window=window, offset=offset, masks=masks),
+            outer_radius=rings,
+            criteria=criteria[kind],
+            contrast=contrast if has_gate else None,
+        ),
         nms_radius=nms_radius,
         refinement=refinement[refined],
         scale=scale if is_scaled else _one(rng, None, 1.0),

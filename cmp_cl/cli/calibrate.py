@@ -30,7 +30,7 @@ from cmp_cl.cli.common import (
     views_of,
     whole,
 )
-from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep, window_for_cell
+from cmp_cl.config import DetectorConfig, EdgeStep
 from cmp_cl.detector import Detector
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.files import check_target
@@ -230,11 +230,8 @@ def find_board(
     scaled = DetectorConfig.for_cell(cell).replace(
         refinement=EdgeStep(cell=cell), full_scale=full_scale
     )
-    plain = scaled.replace(
-        threshold=AdaptiveMean(window=min(window_for_cell(cell), 21)), scale=None
-    )
     grids = []
-    for config in (plain, scaled):
+    for config in dict.fromkeys((scaled.replace(scale=None), scaled)):
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
             grids.append(detector.grid(view, shape=shape, region=region)[1])
         if detected(grids[-1]) == shape[0] * shape[1]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.cell import estimate_cell
-from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep
+from cmp_cl.config import DetectorConfig, EdgeStep
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError
 from cmp_cl.grid import Grid, NodeStatus
@@ -262,12 +262,9 @@ def cell_of(grid: Grid) -> float:
 
 
 def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
-    """The most complete and exact settings for a deformed pattern: three masks, EdgeStep."""
-    config = DetectorConfig.for_cell(cell)
-    return config.replace(
-        threshold=AdaptiveMean(window=config.threshold.window, masks=3),
-        refinement=EdgeStep(cell=cell),
-        full_scale=full_scale,
+    """The most complete and exact settings for a deformed pattern: EdgeStep for its cell."""
+    return DetectorConfig.for_cell(cell).replace(
+        refinement=EdgeStep(cell=cell), full_scale=full_scale
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.config import DetectorConfig, Pyramid, RapidCriteria
+from cmp_cl.config import BinaryRings, DetectorConfig, Pyramid, RapidCriteria
 from cmp_cl.corners import Corners
 from cmp_cl.errors import ImageError
 from cmp_cl.image import GreyImage, check_image
@@ -114,9 +114,12 @@ def _at_scale(
     full_scale = config.grey_levels(image.dtype)
     image = scale.to_working(image, factor)
     mask = scale.mask_at_working(mask, factor)
+    rings = config.detection
+    if not isinstance(rings, BinaryRings):
+        raise NotImplementedError
     layers = [
-        _layer(image, binary, mask, config, full_scale)
-        for binary in binarize.binarize(image, config.threshold)
+        _layer(image, binary, mask, rings, full_scale)
+        for binary in binarize.binarize(image, rings.threshold)
     ]
     if len(layers) == 1:
         layer = layers[0]
@@ -141,28 +144,28 @@ def _layer(
     image: GreyImage,
     binary: NDArray[np.bool_],
     mask: NDArray[np.bool_],
-    config: DetectorConfig,
+    rings: BinaryRings,
     full_scale: int,
 ) -> dict[str, Any]:
     """The maps of one binary image by their names, `response` after the gate."""
     inner = ring.ring_mask(binary, ring.INNER)
-    outer = ring.ring_mask(binary, ring.OUTER[config.outer_radius])
+    outer = ring.ring_mask(binary, ring.OUTER[rings.outer_radius])
     layer: dict[str, Any] = dict.fromkeys(_CRITERIA_MAPS)
-    if isinstance(config.criteria, RapidCriteria):
-        layer |= vars(criteria.rapid(binary, inner, outer, config.criteria))
+    if isinstance(rings.criteria, RapidCriteria):
+        layer |= vars(criteria.rapid(binary, inner, outer, rings.criteria))
     else:
-        layer |= vars(spectral.spectral(binary, inner, outer, config.criteria))
+        layer |= vars(spectral.spectral(binary, inner, outer, rings.criteria))
     kept = layer["candidate"] = layer["candidate"] & mask
     contrast = None
-    if config.contrast is not None:
+    if rings.contrast is not None:
         contrast, kept = gate.gate(
             image,
             inner,
             kept,
-            config.outer_radius,
-            config.contrast,
+            rings.outer_radius,
+            rings.contrast,
             full_scale,
-            config.threshold.masks,
+            rings.threshold.masks,
         )
     response = np.where(kept, layer["response"], 0)
     return layer | dict(

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from configs import rings
 from corner_images import board, corner, noise
 
 from cmp_cl import reference
-from cmp_cl.config import DetectorConfig, SectorContrast
+from cmp_cl.config import BinaryRings, DetectorConfig, SectorContrast
 from cmp_cl.reference import gate, ring
 
 X = np.array([10])
@@ -85,7 +86,9 @@ def test_noise_factor(deviations, masks, factor):
 
 
 def count(image: np.ndarray, **changes: float) -> int:
-    config = DetectorConfig(contrast=SectorContrast(**changes), refinement=None)
+    config = DetectorConfig(
+        detection=BinaryRings(contrast=SectorContrast(**changes)), refinement=None
+    )
     return int((reference.maps(image, config).response > 0).sum())
 
 
@@ -105,7 +108,7 @@ def test_noise_alone_leaves_nothing():
     normal = np.random.default_rng(2).normal(128, 12, (200, 200))
     image = np.clip(np.rint(normal), 0, 255).astype(np.uint8)
     assert count(image) == 0
-    ungated = reference.maps(image, DetectorConfig(contrast=None))
+    ungated = reference.maps(image, DetectorConfig(detection=BinaryRings(contrast=None)))
     assert ungated.maximum.sum() > 10
     assert ungated.contrast is None
 
@@ -113,8 +116,8 @@ def test_noise_alone_leaves_nothing():
 def test_twelve_bits_raise_the_floor_and_nothing_else():
     image, _ = board(80, 90, 12)
     deep = image.astype(np.uint16) * 16
-    eight = reference.maps(image, DetectorConfig())
-    twelve = reference.maps(deep, DetectorConfig(full_scale=4095))
+    eight = reference.maps(image, rings())
+    twelve = reference.maps(deep, rings(full_scale=4095))
     np.testing.assert_array_equal(eight.response, twelve.response)
     np.testing.assert_array_equal(16 * eight.contrast, twelve.contrast)
-    assert reference.maps(deep, DetectorConfig()).response.sum() == 0
+    assert reference.maps(deep, rings()).response.sum() == 0

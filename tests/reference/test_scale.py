@@ -6,7 +6,7 @@ import pytest
 from corner_images import board, noise
 
 from cmp_cl import reference
-from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeLines, Pyramid
+from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, EdgeLines, Pyramid
 from cmp_cl.reference import scale
 
 
@@ -70,7 +70,7 @@ def test_flat_stays_flat_and_full_scale_stays_full(factor):
 def test_scale_one_is_the_image():
     image = noise((9, 9))
     assert scale.to_working(image, 1.0) is image
-    config = DetectorConfig(threshold=AdaptiveMean(window=9))
+    config = DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(window=9)))
     plain, scaled = reference.maps(image, config), reference.maps(image, config.replace(scale=1.0))
     for name, values in vars(plain).items():
         np.testing.assert_array_equal(values, getattr(scaled, name))
