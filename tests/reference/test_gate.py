@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from configs import rings
 from corner_images import board, corner, noise
+from images import texture
 
 from cmp_cl import reference
-from cmp_cl.config import BinaryRings, DetectorConfig, SectorContrast
+from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, SectorContrast
 from cmp_cl.reference import gate, ring
 
 X = np.array([10])
@@ -89,7 +90,7 @@ def count(image: np.ndarray, **changes: float) -> int:
     config = DetectorConfig(
         detection=BinaryRings(contrast=SectorContrast(**changes)), refinement=None
     )
-    return int((reference.maps(image, config).response > 0).sum())
+    return int(reference.maps(image, config).maximum.sum())
 
 
 def test_each_condition_decides():
@@ -113,6 +114,29 @@ def test_noise_alone_leaves_nothing():
     assert ungated.contrast is None
 
 
+def test_the_gate_looks_at_maxima_alone():
+    image, _ = board(80, 90, 12)
+    gated = reference.maps(image, rings(contrast=SectorContrast(relative=1.0)))
+    free = reference.maps(image, rings(contrast=None))
+    np.testing.assert_array_equal(gated.response, free.response)
+    np.testing.assert_array_equal(gated.contrast > 0, free.maximum)
+    assert 0 < gated.maximum.sum() < free.maximum.sum()
+    assert not (gated.maximum & ~free.maximum).any()
+
+
+def test_of_three_masks_one_that_passes_is_enough():
+    image = texture((60, 70))
+    contrast = SectorContrast(relative=0.9)
+    config = rings(threshold=AdaptiveMean(masks=3), contrast=contrast)
+    maps, free = (reference.maps(image, each) for each in (config, rings(config, contrast=None)))
+    passed = [
+        gate.gate(image, inner, candidate & free.maximum, 5, contrast, 255, 3)[1]
+        for inner, candidate in zip(maps.inner, maps.candidate, strict=True)
+    ]
+    np.testing.assert_array_equal(maps.maximum, np.any(passed, axis=0))
+    assert 0 < np.all(passed, axis=0).sum() < maps.maximum.sum() < free.maximum.sum()
+
+
 def test_twelve_bits_raise_the_floor_and_nothing_else():
     image, _ = board(80, 90, 12)
     deep = image.astype(np.uint16) * 16
@@ -120,4 +144,5 @@ def test_twelve_bits_raise_the_floor_and_nothing_else():
     twelve = reference.maps(deep, rings(full_scale=4095))
     np.testing.assert_array_equal(eight.response, twelve.response)
     np.testing.assert_array_equal(16 * eight.contrast, twelve.contrast)
-    assert reference.maps(deep, rings()).response.sum() == 0
+    np.testing.assert_array_equal(eight.maximum, twelve.maximum)
+    assert not reference.maps(deep, rings()).maximum.any()
