@@ -15,7 +15,7 @@ import cv2
 import cmp_cl
 from cmp_cl.cli import bench as benchmark
 from cmp_cl.cli import calibrate, demo, detect, render, run, tune
-from cmp_cl.cli.common import one_line
+from cmp_cl.cli.messages import one_line
 from cmp_cl.errors import CmpClError, KernelBuildError
 from cmp_cl.opencl.device import DEVICE_VARIABLE
 

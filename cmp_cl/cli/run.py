@@ -2,37 +2,38 @@
 
 import argparse
 import contextlib
+import dataclasses
 import os
 import signal
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.common import (
-    Progress,
+from cmp_cl.cli.arguments import (
+    Box,
     add_device,
     add_full_scale,
     add_region,
     add_split,
-    counted,
     grid_shape,
     regions_in,
-    shown,
     split_of,
     views_of,
     whole,
 )
-from cmp_cl.cli.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews, Wanted
+from cmp_cl.cli.messages import counted, shown
+from cmp_cl.cli.progress import Progress
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.field import SeriesWriter
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import select_device
+from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
+from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo import StereoRig
 from cmp_cl.viz import RerunLog
 
@@ -237,26 +238,85 @@ class _Tally:
         return "; ".join(parts)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Settings:
+    """What the arguments ask for, checked and loaded."""
+
+    source: _Source
+    rest_frame: int
+    out: str
+    rerun: str | None
+    show: bool
+    device: Device
+    shape: tuple[int, int] | None
+    config: DetectorConfig | None
+    full_scale: int | None
+    region: Sequence[Box] | None
+    rig: StereoRig | None
+    split: str
+    mirror: str | None
+
+    @classmethod
+    def of(cls, arguments: argparse.Namespace) -> Self:
+        if arguments.rest_frame < 0:
+            raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
+        if arguments.stereo is None and (arguments.split or arguments.mirror):
+            raise ConfigError("--split and --mirror need --stereo")
+        _check_suffix("--out", arguments.out, ".npz")
+        _check_suffix("--rerun", arguments.rerun, ".rrd")
+        config = None if arguments.config is None else DetectorConfig.load(arguments.config)
+        rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
+        device = select_device(arguments.device)
+        source = _Source(arguments.source)
+        _refuse_to_overwrite(source.paths, arguments)
+        return cls(
+            source=source,
+            rest_frame=arguments.rest_frame,
+            out=arguments.out,
+            rerun=arguments.rerun,
+            show=arguments.show,
+            device=device,
+            shape=arguments.grid,
+            config=config,
+            full_scale=arguments.full_scale,
+            region=arguments.region,
+            rig=rig,
+            split=arguments.split or "halves",
+            mirror=arguments.mirror,
+        )
+
+    def measurement(self, rest: GreyImage) -> Measurement:
+        """Frames against this one at rest; raises GridError where it has no pattern."""
+        search: Any = {
+            "shape": self.shape,
+            "config": self.config,
+            "full_scale": self.full_scale,
+            "device": self.device,
+        }
+        hint = ""
+        try:
+            if self.rig is None:
+                hint = "; --region picks one of several patterns; frames of two views need --stereo"
+                (region,) = regions_in(self.region, whole(rest))
+                return OneView(rest, region=region, **search)
+            split = split_of(self.split, self.mirror, rest.shape)
+            left, right = regions_in(self.region, *views_of(split))
+            return TwoViews(rest, self.rig, split, regions=(left, right), **search)
+        except GridError as error:
+            raise GridError(f"the rest frame {self.rest_frame}: {error}{hint}") from error
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns its exit status."""
-    if arguments.rest_frame < 0:
-        raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
-    if arguments.stereo is None and (arguments.split or arguments.mirror):
-        raise ConfigError("--split and --mirror need --stereo")
-    _check_out(arguments)
-    config = None if arguments.config is None else DetectorConfig.load(arguments.config)
-    rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
-    device = select_device(arguments.device)
-    source = _Source(arguments.source)
-    _refuse_to_overwrite(source.paths, arguments)
-    rest, shots = source.rest(arguments.rest_frame)
-    wanted = Wanted(device, arguments.grid, config, arguments.full_scale)
+    settings = _Settings.of(arguments)
+    source = settings.source
+    rest, shots = source.rest(settings.rest_frame)
     tally = _Tally()
     with contextlib.ExitStack() as stack:
         stopped = stack.enter_context(_ctrl_c())
-        measure = stack.enter_context(_measurement(rest, rig, wanted, arguments))
-        film = _film(arguments, stack)
-        series = stack.enter_context(SeriesWriter(arguments.out, **measure.constants))
+        measure = stack.enter_context(settings.measurement(rest))
+        film = _film(settings, stack)
+        series = stack.enter_context(SeriesWriter(settings.out, **measure.constants))
         stack.callback(signal.signal, signal.SIGINT, signal.SIG_IGN)  # while it is written
         progress = stack.enter_context(Progress(source.total, "frames"))
         for shot in stack.enter_context(contextlib.closing(shots)):
@@ -283,36 +343,19 @@ def run(arguments: argparse.Namespace) -> int:
                 )
         interrupted = stopped()
     ended = "stopped by Ctrl-C; " if interrupted else ""
-    line = tally.line(measure.nodes, measure.unit, str(device))
-    print(f"{ended}wrote {shown(arguments.out)}: {line}")
-    if arguments.rerun is not None:
-        print(f"wrote {shown(arguments.rerun)}")
+    line = tally.line(measure.nodes, measure.unit, str(settings.device))
+    print(f"{ended}wrote {shown(settings.out)}: {line}")
+    if settings.rerun is not None:
+        print(f"wrote {shown(settings.rerun)}")
     return 130 if interrupted and source.camera is None else 0
 
 
-def _measurement(
-    rest: GreyImage, rig: StereoRig | None, wanted: Wanted, arguments: argparse.Namespace
-) -> Measurement:
-    try:
-        if rig is None:
-            regions = regions_in(arguments.region, whole(rest))
-            return OneView(rest, wanted._replace(regions=regions))
-        split = split_of(arguments.split or "halves", arguments.mirror, rest.shape)
-        wanted = wanted._replace(regions=regions_in(arguments.region, *views_of(split)))
-        return TwoViews(rest, rig, split, wanted)
-    except GridError as error:
-        hint = ""
-        if rig is None:
-            hint = "; --region picks one of several patterns; frames of two views need --stereo"
-        raise GridError(f"the rest frame {arguments.rest_frame}: {error}{hint}") from error
-
-
-def _film(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> RerunLog | None:
-    if arguments.rerun is None and not arguments.show:
+def _film(settings: _Settings, stack: contextlib.ExitStack) -> RerunLog | None:
+    if settings.rerun is None and not settings.show:
         return None
-    option = "--show" if arguments.show else "--rerun"
+    option = "--show" if settings.show else "--rerun"
     try:
-        return stack.enter_context(RerunLog(arguments.rerun))
+        return stack.enter_context(RerunLog(settings.rerun))
     except ImportError as error:
         raise ConfigError(f"{option} needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
     except RuntimeError as error:
@@ -329,11 +372,9 @@ def _why_broken(shot: _Shot, rest: GreyImage) -> str:
     )
 
 
-def _check_out(arguments: argparse.Namespace) -> None:
-    if Path(arguments.out).suffix.lower() != ".npz":
-        raise ConfigError(f"--out {shown(arguments.out)} must end in .npz")
-    if arguments.rerun is not None and Path(arguments.rerun).suffix.lower() != ".rrd":
-        raise ConfigError(f"--rerun {shown(arguments.rerun)} must end in .rrd")
+def _check_suffix(option: str, path: str | None, suffix: str) -> None:
+    if path is not None and Path(path).suffix.lower() != suffix:
+        raise ConfigError(f"{option} {shown(path)} must end in {suffix}")
 
 
 def _refuse_to_overwrite(inputs: Sequence[Path], arguments: argparse.Namespace) -> None:
