@@ -4,10 +4,9 @@ import argparse
 import contextlib
 import dataclasses
 import os
-import signal
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -26,8 +25,9 @@ from cmp_cl.cli.arguments import (
     views_of,
     whole,
 )
-from cmp_cl.cli.messages import counted, shown
+from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
+from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.field import SeriesWriter
@@ -183,24 +183,6 @@ def _chained(first: _Shot, others: Generator[_Shot, None, None]) -> Generator[_S
         yield from others
 
 
-@contextlib.contextmanager
-def _ctrl_c() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed: the frame is finished then; pressed twice, it interrupts."""
-    pressed = False
-
-    def note(_: int, __: object) -> None:
-        nonlocal pressed
-        if pressed:
-            raise KeyboardInterrupt
-        pressed = True
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield lambda: pressed
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 class _Tally:
     """What was measured, for the line at the end."""
 
@@ -311,16 +293,17 @@ def run(arguments: argparse.Namespace) -> int:
     settings = _Settings.of(arguments)
     source = settings.source
     rest, shots = source.rest(settings.rest_frame)
-    tally = _Tally()
+    tally, stop, film = _Tally(), Stop(), _Film(settings)
+    full: OSError | None = None
     with contextlib.ExitStack() as stack:
-        stopped = stack.enter_context(_ctrl_c())
+        stack.enter_context(handled(stop))
         measure = stack.enter_context(settings.measurement(rest))
-        film = _film(settings, stack)
+        stack.enter_context(film)
         series = stack.enter_context(SeriesWriter(settings.out, **measure.constants))
-        stack.callback(signal.signal, signal.SIGINT, signal.SIG_IGN)  # while it is written
+        stack.callback(ignore)  # while it is written
         progress = stack.enter_context(Progress(source.total, "frames"))
         for shot in stack.enter_context(contextlib.closing(shots)):
-            if stopped():
+            if stop.name:
                 break
             progress.step()
             image = shot.image
@@ -331,35 +314,69 @@ def run(arguments: argparse.Namespace) -> int:
                 continue
             start = time.perf_counter()
             measured = measure(image)
-            tally.add(shot.number, measured, (time.perf_counter() - start) * 1e3)
-            series.append(index=shot.number, time_ms=shot.time_ms, **measured.arrays)
-            if film is not None:
-                film.frame(
-                    index=shot.number,
-                    time_ms=shot.time_ms,
-                    image=measured.views[0],
-                    grid=measured.grids[0],
-                    field=measured.field if isinstance(measured, MeasuredInSpace) else None,
-                )
-        interrupted = stopped()
-    ended = "stopped by Ctrl-C; " if interrupted else ""
+            spent = (time.perf_counter() - start) * 1e3
+            try:
+                series.append(index=shot.number, time_ms=shot.time_ms, **measured.arrays)
+            except OSError as error:
+                full = error
+                break
+            tally.add(shot.number, measured, spent)
+            film.frame(shot, measured)
+    ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
     print(f"{ended}wrote {shown(settings.out)}: {line}")
-    if settings.rerun is not None:
+    if settings.rerun is not None and film.error is None:
         print(f"wrote {shown(settings.rerun)}")
-    return 130 if interrupted and source.camera is None else 0
+    failed = [error for error in (full, film.error) if error is not None]
+    if failed:
+        print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
+        return 2
+    return 130 if stop.name and source.camera is None else 0
 
 
-def _film(settings: _Settings, stack: contextlib.ExitStack) -> RerunLog | None:
-    if settings.rerun is None and not settings.show:
-        return None
-    option = "--show" if settings.show else "--rerun"
-    try:
-        return stack.enter_context(RerunLog(settings.rerun))
-    except ImportError as error:
-        raise ConfigError(f"{option} needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
-    except RuntimeError as error:
-        raise ConfigError(f"{option}: {str(error).strip().splitlines()[0]}") from error
+class _Film(contextlib.AbstractContextManager["_Film"]):
+    """The recording or the viewer, if there is one; a run goes on where it cannot be written.
+
+    error: why it could not, None else.
+    """
+
+    def __init__(self, settings: _Settings) -> None:
+        self._settings = settings
+        self._log: RerunLog | None = None
+        self.error: OSError | None = None
+
+    def __enter__(self) -> Self:
+        if self._settings.rerun is None and not self._settings.show:
+            return self
+        option = "--show" if self._settings.show else "--rerun"
+        try:
+            self._log = RerunLog(self._settings.rerun)
+        except ImportError as error:
+            raise ConfigError(f"{option} needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
+        except RuntimeError as error:
+            raise ConfigError(f"{option}: {str(error).strip().splitlines()[0]}") from error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._log is not None:
+            try:
+                self._log.close()
+            except OSError as error:
+                self.error = error
+
+    def frame(self, shot: _Shot, measured: Measured) -> None:
+        if self._log is None or self.error is not None:
+            return
+        try:
+            self._log.frame(
+                index=shot.number,
+                time_ms=shot.time_ms,
+                image=measured.views[0],
+                grid=measured.grids[0],
+                field=measured.field if isinstance(measured, MeasuredInSpace) else None,
+            )
+        except OSError as error:
+            self.error = error
 
 
 def _why_broken(shot: _Shot, rest: GreyImage) -> str:

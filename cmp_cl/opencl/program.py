@@ -72,7 +72,10 @@ def build(
     defines: Mapping[str, str | int],
     macros: Mapping[str, str] | None = None,
 ) -> Kernels:
-    """Compile the stages; raises KernelBuildError with the compiler's log, DeviceError after a fork."""
+    """Compile the stages.
+
+    Raises KernelBuildError with the compiler's log, DeviceError in a forked child.
+    """
     check_process()
     options = ["-cl-std=CL1.2", *(f"-D{name}={value}" for name, value in defines.items())]
     text = source(stages, macros)

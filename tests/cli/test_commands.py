@@ -2,13 +2,16 @@
 
 import contextlib
 import dataclasses
+import os
 import signal
 import sys
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
+from disks import full_after
 from stereo_data import bumblebee_rig, grid_of, photographs
 
 from cmp_cl import (
@@ -20,6 +23,7 @@ from cmp_cl import (
     EdgeLines,
     GridError,
     NodeStatus,
+    SeriesWriter,
     StereoRig,
     select_device,
 )
@@ -256,18 +260,68 @@ def test_a_camera_that_is_not_there_is_an_error(run, recording, monkeypatch):
     fails_in_one_line(run("run", "7", *STEREO), "no camera 7")
 
 
+STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, times):
+@pytest.mark.parametrize("name", STOPS)
+def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
     def frames_of(path):
         if path.name == "1.png":
             for _ in range(times):
-                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(getattr(signal, name))
         yield Frame(0, press[int(path.stem)].frame)
 
     monkeypatch.setattr("cmp_cl.media.read_frames", frames_of)
+    before = [signal.getsignal(getattr(signal, stop)) for stop in STOPS]
     status, _, _ = run("run", recording, *STEREO)
     assert status == 130
     assert np.load("press.npz")["index"].tolist() == [0]
+    assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
+def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
+    def frames_of(path):
+        signal.raise_signal(signal.SIGHUP)
+        yield Frame(0, press[int(path.stem)].frame)
+
+    monkeypatch.setattr("cmp_cl.media.read_frames", frames_of)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert run("run", recording, *STEREO)[0] == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert len(np.load("press.npz")["index"]) == len(press)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
+def test_a_disk_that_fills_up_ends_a_run_with_what_it_has(run, recording, press, monkeypatch):
+    append = SeriesWriter.append
+
+    def filling(series, **frame):
+        with full_after(5000 if len(series) == 2 else 10**9):
+            append(series, **frame)
+
+    monkeypatch.setattr(SeriesWriter, "append", filling)
+    status, out, err = run("run", recording, *STEREO)
+    assert status == 2
+    assert "wrote press.npz: 2 frames" in out
+    assert (err.count("\n"), "press.npz: File too large" in err) == (1, True)
+    assert np.load("press.npz")["index"].tolist() == [0, 1]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
+def test_a_film_that_a_full_disk_cuts_is_not_written_and_the_series_is(run, recording, press):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    Path("old.rrd").write_text("old")
+    with full_after(60_000):
+        status, out, err = run("run", recording, *STEREO, "--rerun", "old.rrd")
+    assert status == 2
+    assert (err.count("\n"), "old.rrd: File too large" in err) == (1, True)
+    assert "old.rrd" not in out
+    assert Path("old.rrd").read_text() == "old"
+    assert len(np.load("press.npz")["index"]) == len(press)
 
 
 def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press, monkeypatch):
@@ -397,6 +451,9 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
         def __init__(self, path):
             assert path is None
             super().__init__(self)
+
+        def close(self):
+            pass
 
         def frame(self, **what):
             shown.append(what)
