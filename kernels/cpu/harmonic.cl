@@ -43,7 +43,7 @@ ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort 
 }
 
 /* [1 2 1] down the columns. */
-#define DOWN_COLUMNS(T)                                                                   \
+#define DOWN_COLUMNS(T)                                                             \
   (__global const T *restrict above, __global const T *restrict middle,             \
    __global const T *restrict below, __global ushort *restrict column, const int width) { \
     for (int x = 0; x < width; ++x)                                                 \
