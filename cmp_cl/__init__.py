@@ -1,6 +1,6 @@
 """Corners of deformed checkerboards on any OpenCL device, and the deformation they show."""
 
-from cmp_cl import reference
+from cmp_cl import measure, media, reference
 from cmp_cl.cell import estimate_cell
 from cmp_cl.config import (
     AdaptiveMean,
@@ -86,6 +86,8 @@ __all__ = [
     "displacement",
     "estimate_cell",
     "list_devices",
+    "measure",
+    "media",
     "reference",
     "refine_markers",
     "select_device",

@@ -269,3 +269,80 @@ def test_plans_are_released_with_their_detector(device, monkeypatch):
         assert any(plan.buffers for plan in living)
     assert len(living) >= 4
     assert all(not plan.buffers for plan in living)
+
+
+FORKED = """
+import multiprocessing, os, threading
+import numpy as np
+import cmp_cl
+import cmp_cl.opencl.program
+
+image = np.zeros((40, 40), np.uint8)
+rest = cmp_cl.Grid(
+    xy=np.indices((3, 3)).T.astype(np.float32) * 10 + 5,
+    status=np.ones((3, 3), np.uint8),
+    sigma=np.zeros((3, 3), np.float32),
+    index=np.empty((0, 2), np.int32),
+)
+device = cmp_cl.select_device({device!r})
+detector = cmp_cl.Detector(shape=image.shape, device=device)
+uses = {{
+    "list_devices": cmp_cl.list_devices,
+    "select_device": cmp_cl.select_device,
+    "Detector": lambda: cmp_cl.Detector(shape=image.shape, device=device),
+    "detect": lambda: cmp_cl.detect(image),
+    "refine_markers": lambda: cmp_cl.refine_markers(
+        rest.with_virtual_markers(1), 1, image, device
+    ),
+    "a detector of the parent": lambda: detector(image),
+    "its stream": lambda: list(detector.stream([image])),
+    "its batch": lambda: detector.batch([image]),
+    "its maps": lambda: detector.maps(image),
+}}
+
+
+def work(lines):
+    for name, use in uses.items():
+        try:
+            use()
+            lines.send(f"{{name}} worked")
+        except cmp_cl.DeviceError as error:
+            assert "spawn" in str(error) and "forkserver" in str(error)
+    detector.close()
+    lines.send("done")
+
+
+def hold():
+    with detector._lock:
+        held.set()
+        release.wait()
+
+
+# another thread is in the middle of a frame while the process forks
+held, release = threading.Event(), threading.Event()
+threading.Thread(target=hold, daemon=True).start()
+held.wait()
+mine, other = multiprocessing.Pipe()
+child = multiprocessing.get_context("fork").Process(target=work, args=(other,))
+child.start()
+said = []
+while not said or said[-1] != "done":
+    if not mine.poll(20):
+        child.kill()
+        said.append("hangs")
+        break
+    said.append(mine.recv())
+release.set()
+child.join()
+assert len(detector(image)) == 0  # the parent goes on
+print(said)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+def test_a_forked_child_of_a_process_that_used_opencl_gets_an_error_and_does_not_hang(device):
+    code = FORKED.format(device=device.index)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stdout == "['done']\n", done.stderr

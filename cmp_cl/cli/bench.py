@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from cmp_cl.cli.common import add_device
+from cmp_cl.cli.arguments import add_device
 from cmp_cl.config import BinaryRings, DetectorConfig, EdgeStep
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector

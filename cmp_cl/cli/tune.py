@@ -14,25 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.cli.common import (
-    Progress,
-    Region,
+from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
     add_region,
     add_split,
-    cell_of,
-    counted,
-    exact_config,
-    find_pattern,
     grid_shape,
-    one_line,
     regions_in,
-    shown,
     split_of,
     views_of,
     whole,
 )
+from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.progress import Progress
 from cmp_cl.config import (
     BinaryRings,
     DetectorConfig,
@@ -46,6 +40,7 @@ from cmp_cl.files import check_target
 from cmp_cl.grid import Grid
 from cmp_cl.grid.build import predict
 from cmp_cl.image import GreyImage
+from cmp_cl.measure import Region, cell_of, exact_config, find_pattern
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.synthetic import scoring
 
@@ -244,7 +239,10 @@ def _reference(
     why = "there is no frame that can be read"
     for view, region in views:
         try:
-            cells.append(find_pattern(view, shape, device, full_scale, region)[0])
+            cell, _ = find_pattern(
+                view, shape=shape, region=region, full_scale=full_scale, device=device
+            )
+            cells.append(cell)
         except GridError as error:
             why = one_line(error)
     if not cells:

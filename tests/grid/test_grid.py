@@ -13,13 +13,13 @@ from configs import rings
 from lattices import board, joined
 
 from cmp_cl import reference
-from cmp_cl.cli.common import turned
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.grid.build import _drop_misfits, _Nodes, build_grid, mean_steps, predict, predict_within
 from cmp_cl.grid.lattice import lattice
 from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
+from cmp_cl.measure import turned
 from cmp_cl.synthetic import scene as synthetic
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
