@@ -91,7 +91,7 @@ def test_nodes_without_neighbours_have_no_strain():
     found = plane_strain(plane_displacement(noisy(rest, 1), noisy(now, 2)), radius=1).tensor
     assert np.isnan(found[0, 0]).all()
     assert np.isnan(found[:, 5:]).all()
-    assert not np.isnan(found[1:, :5]).any()
+    assert not np.isnan(found[2:-1, :5]).any()
 
 
 def test_a_motion_is_found_and_taken_away():
