@@ -32,8 +32,7 @@ suppress_warnings = ["misc.highlighting_failure"]
 
 html_theme = "furo"
 html_title = f"cmp_cl {release}"
-html_static_path: list[str] = []
-html_extra_path = ["_generated/copied"]
+
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
@@ -72,4 +71,4 @@ def as_restructured_text(app, what, name, obj, options, lines):
 
 def setup(app):
     app.connect("autodoc-process-docstring", as_restructured_text)
-    app.connect("builder-inited", lambda app: pictures.make(HERE / "_generated"))
+    app.connect("builder-inited", lambda app: pictures.gallery(HERE / "_generated"))
