@@ -41,6 +41,7 @@ autodoc_typehints_format = "short"
 autoclass_content = "class"
 
 FIELD = re.compile(r"^([A-Za-z_]\w*(?:, [A-Za-z_]\w*)*): (?=\S)")
+BAR = re.compile(r"(?<![`\w])\|(?=\w)")  # |F2| is no substitution
 CODE = re.compile(r"(?<![`\w:])`([^`]+)`(?!`)")
 
 
@@ -49,7 +50,7 @@ def as_restructured_text(app, what, name, obj, options, lines):
     out: list[str] = []
     in_list = False
     for line in lines:
-        line = CODE.sub(r"``\1``", line)
+        line = BAR.sub(r"\\|", CODE.sub(r"``\1``", line))
         field = FIELD.match(line)
         if field and not line.startswith(("Returns", "Raises")):
             if not in_list:
