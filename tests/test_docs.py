@@ -8,6 +8,7 @@ import shlex
 import shutil
 from pathlib import Path
 
+import matplotlib
 import pytest
 
 import cmp_cl
@@ -33,7 +34,8 @@ def name_of(path):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty folder to run in."""
+    """An empty folder to run in, without a display."""
+    matplotlib.use("agg")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
