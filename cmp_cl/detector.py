@@ -11,7 +11,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.config import DetectorConfig, EdgeStep, Pyramid
+from cmp_cl.config import DetectorConfig, Pyramid
 from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
@@ -382,7 +382,7 @@ def _corners(rows: NDArray[np.float32], plan: Plan) -> list[Corners]:
         places = multiple(count, LANES)
         numbers = row[RESULT_HEAD:][: RESULT_FIELDS * places]
         fields = numbers.reshape(RESULT_FIELDS, places)
-        sigma, doubtful = _deviation(fields[:, :count], plan.config)
+        sigma, doubtful = _deviation(fields[:, :count])
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
             pixel = full_pixels(pixel, plan.shape, plan.scale)
@@ -402,22 +402,21 @@ def _corners(rows: NDArray[np.float32], plan: Plan) -> list[Corners]:
 
 
 def _deviation(
-    fields: NDArray[np.float32], config: DetectorConfig
+    fields: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Standard deviation of each position, px, and which corners do not look like one: where
-    what the model leaves is more correlated than in the middle one of the frame's corners."""
+    """Standard deviation of each position, px, and which corners do not look like one.
+
+    Their residuals are more correlated than those of the middle one of the frame's corners.
+    """
     count = fields.shape[1]
-    if not isinstance(config.refinement, EdgeStep):
-        return np.full(count, np.nan, np.float32), np.zeros(count, np.bool_)
-    accepted = fields[METHOD] == Method.EDGE_STEP
-    correlation = fields[CORRELATION]
     excess = np.zeros(count, np.float32)
+    accepted = fields[METHOD] == Method.EDGE_STEP
     if accepted.any():
+        correlation = fields[CORRELATION]
         middle = (np.count_nonzero(accepted) - 1) // 2
         typical = np.partition(correlation[accepted], middle)[middle]
         excess[accepted] = np.maximum(correlation[accepted] - typical, 0)
-    variance = config.refinement.sigma0**2 + np.maximum(fields[VARIANCE], 0) + 1000 * excess**2
-    return np.sqrt(variance), excess > DOUBTFUL_EXCESS
+    return np.sqrt(fields[VARIANCE] + 1000 * excess**2), excess > DOUBTFUL_EXCESS
 
 
 def _no_corners(device: str) -> Corners:

@@ -437,8 +437,9 @@ REAL angle_of(const REAL y, const REAL x) {
   sxx += valid##r * x##r##e * x##r##e;                                              \
   sxy += valid##r * x##r##e * y##r##e;                                              \
   syy += valid##r * y##r##e * y##r##e;
-/* The line through the points of boundaries e and f on all rings: unit normal and distance. */
-#define EDGE_LINE(e, f, nx, ny, distance)                                           \
+/* The line through the points of boundaries e and f on all rings: unit normal, distance, and the
+ * mean of the points' squared distances from it. */
+#define EDGE_LINE(e, f, nx, ny, distance, apart)                                    \
   {                                                                                 \
     REAL mx = 0, my = 0, sxx = 0, sxy = 0, syy = 0, cx, cy;                         \
     MOMENTS(0, e) MOMENTS(1, e) MOMENTS(2, e)                                       \
@@ -446,30 +447,40 @@ REAL angle_of(const REAL y, const REAL x) {
     const REAL weight = CHOOSE(WHERE(valid_rings > 0), 0.5f / valid_rings, (REAL)(0.0f)); \
     mx *= weight;                                                                   \
     my *= weight;                                                                   \
-    LINE_DIRECTION(REAL, cx, cy, sxx * weight - mx * mx, sxy * weight - mx * my,    \
-                   syy * weight - my * my)                                          \
+    const REAL vxx = sxx * weight - mx * mx, vxy = sxy * weight - mx * my;          \
+    const REAL vyy = syy * weight - my * my;                                        \
+    LINE_DIRECTION(REAL, cx, cy, vxx, vxy, vyy)                                     \
     nx = -cy;                                                                       \
     ny = cx;                                                                        \
     distance = nx * mx + ny * my;                                                   \
+    apart = nx * nx * vxx + 2 * nx * ny * vxy + ny * ny * vyy;                      \
   }
 
 #if !MIDLINES
 
+/* px: what bent edges, shading and sampling add to the noise of a position on perfect prints. */
+#define LINES_ERROR 0.02f
+#define STEP_ERROR 0.01f
+
 /* EDGE_LINES: the intersection of the line through e0 and e2 and the line through e1 and e3. The
- * result and, for EDGE_STEP, the unit normals and the intersection relative to the start, which
+ * result, its variance per axis and, for EDGE_STEP, the unit normals and the intersection relative to the start, which
  * lies at (from_x, from_y); the centroid is kept where a guard refuses. */
 #define EDGE_LINES(from_x, from_y, kept_x, kept_y)                                  \
   EDGE_ANGLES                                                                       \
-  REAL n1x, n1y, h1, n2x, n2y, h2;                                                  \
-  EDGE_LINE(0, 2, n1x, n1y, h1)                                                     \
-  EDGE_LINE(1, 3, n2x, n2y, h2)                                                     \
+  REAL n1x, n1y, h1, n2x, n2y, h2, apart1, apart2;                                  \
+  EDGE_LINE(0, 2, n1x, n1y, h1, apart1)                                             \
+  EDGE_LINE(1, 3, n2x, n2y, h2, apart2)                                             \
   const REAL sine = n1x * n2y - n1y * n2x;                                          \
   const REAL x = (h1 * n2y - h2 * n1y) / sine, y = (h2 * n1x - h1 * n2x) / sine;    \
   const BITS good = WHERE(MAGNITUDE(sine) > 0.17f) & WHERE(valid_rings >= 2) &      \
                     WHERE(x * x + y * y <= max_shift * max_shift);                  \
   const REAL at_x = CHOOSE(good, from_x + x, kept_x), at_y = CHOOSE(good, from_y + y, kept_y); \
   STORE_PAIRS(RESULT_POSITION, at_x, at_y)                                          \
-  STORE(RESULT_METHOD, CHOOSE(good, (REAL)(METHOD_EDGE_LINES), (REAL)(METHOD_KEPT)))
+  STORE(RESULT_METHOD, CHOOSE(good, (REAL)(METHOD_EDGE_LINES), (REAL)(METHOD_KEPT))) \
+  const REAL spread = MAGNITUDE(apart1 + apart2);                                   \
+  const REAL variance = LINES_ERROR * LINES_ERROR +                                 \
+                        spread / (4 * (valid_rings - 1) * sine * sine);             \
+  STORE(RESULT_VARIANCE, CHOOSE(good, variance, (REAL)(NAN)))
 
 #define STORE_LINES                                                                 \
   LANE(lines, 0) = n1x;                                                             \
@@ -695,7 +706,8 @@ float sum_of_eight(const float8 v) {
   *RESULT_METHOD = METHOD_EDGE_STEP;                                                \
   const float trace = BLUR * BLUR * (saa + sbb + 2 * sab * (n1x * n2x + n1y * n2y)) * \
                       radius_2 * core_2 / (d * sine * sine);                        \
-  *RESULT_VARIANCE = 0.25f * trace * (sii - m * si - c * spi) / (s1 * c * c);       \
+  const float residual = fmax(sii - m * si - c * spi, 0.0f) / (s1 * c * c);         \
+  *RESULT_VARIANCE = STEP_ERROR * STEP_ERROR + 0.25f * trace * residual;            \
   *RESULT_CORRELATION = sum_of_eight(products) / (c * c * sum_of_eight(weights));
 
 #define REST(I, P) (I - m - c * P)
