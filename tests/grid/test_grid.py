@@ -9,16 +9,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from configs import rings
 from lattices import board, joined
 
 from cmp_cl import reference
-from cmp_cl.cli.common import turned
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.grid.build import _drop_misfits, _Nodes, build_grid, mean_steps, predict, predict_within
 from cmp_cl.grid.lattice import lattice
 from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
+from cmp_cl.measure import turned
 from cmp_cl.synthetic import scene as synthetic
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -501,7 +502,7 @@ def test_looks_go_on_from_pixel_to_pixel():
 def test_every_index_of_a_pressed_gel_is_right(markers, severity):
     scene = synthetic.random_scene(17 * markers, markers=markers, severity=severity)
     rendered = synthetic.render(scene)
-    corners = reference.detect(rendered.image, DetectorConfig.for_grid(markers))
+    corners = reference.detect(rendered.image, rings())
     corners = keep(corners, np.arange(len(corners)) % 50 != 7)
     grid = build_grid(corners, rendered.image, shape=(markers, markers))
     error = np.hypot(*(grid.xy - rendered.truth).transpose(2, 0, 1))
