@@ -54,16 +54,23 @@ class Filtered:
     _mixtures: "tuple[_Mixture, ...]"
 
     def covariance(self) -> Array:
-        """(R, C, K, K) float64, of the coordinates of each node, NaN where sigma is.
+        """(R, C, K, K) float64, of the coordinates of each filtered node, NaN where sigma is.
 
         The residuals around the node say how its coordinates vary together; the mean of the
         diagonal is sigma squared.
         """
+        return self._covariance(self.sigma)
+
+    def noise_covariance(self) -> Array:
+        """(R, C, K, K) float64, the same of the values before the filter."""
+        return self._covariance(self.noise)
+
+    def _covariance(self, sigma: Array) -> Array:
         count = self.values.shape[2]
-        whole = np.full((*self.sigma.shape, count, count), np.nan)
+        whole = np.full((*sigma.shape, count, count), np.nan)
         for mixture in self._mixtures:
             box, part = mixture.box, mixture.part
-            covariance = mixture.common() * np.square(self.sigma[box])[..., None, None]
+            covariance = mixture.common() * np.square(sigma[box])[..., None, None]
             whole[box] = np.where(part[..., None, None], covariance, whole[box])
         return whole
 
