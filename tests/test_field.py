@@ -82,9 +82,11 @@ def test_wear_that_travels_with_the_gel_cancels_and_the_rest_is_known():
     for each, off in ((field, error), (field.raw, raw_error)):
         axes = np.linalg.eigh(each.covariance)[1][..., 2]
         worst = np.einsum("rci,rci->rc", off, axes)
-        assert 0.9 < np.mean(np.abs(worst) <= 2 * each.sigma) < 0.995
+        assert np.mean(np.abs(worst) <= 2 * each.sigma) > 0.9
+        assert np.mean(np.abs(worst) <= 0.5 * each.sigma) < 0.7
     position = field.position - truth[0]
-    assert 0.9 < np.mean(np.abs(position) <= 2 * field.position_sigma[..., None]) < 0.995
+    assert np.mean(np.abs(position) <= 2 * field.position_sigma[..., None]) > 0.9
+    assert np.median(field.position_sigma) < 0.6 * np.median(field.raw.position_sigma)
 
 
 @pytest.mark.parametrize("raw", [True, False], ids=["raw", "filtered"])
@@ -120,7 +122,7 @@ def test_the_sigma_of_a_displacement_is_that_of_its_error(raw):
     along = np.linalg.eigh(field.covariance)[1][..., 2]
     worst = np.einsum("rci,rci->rc", miss, along)
     z = np.sqrt(np.mean(np.square(worst / field.sigma)))
-    assert 0.9 < z < 1.1 if raw else 0.6 < z < 1.1
+    assert 0.8 < z < 1.1 if raw else 0.6 < z < 1.1
 
 
 def test_the_status_says_which_moment_failed():

@@ -383,10 +383,9 @@ def _mixed(data: Single, votes: Bools, part: Bools, box: Box) -> _Mixture:
 def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     """The pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
 
-    The mean of the roots of the residual's size hardly sees a few large ones: a sharp bend of
-    the surface is no noise.
+    The mean of the square roots of the residual's size hardly sees a few large ones: a sharp
+    bend of the surface is no noise.
     """
-    count = len(data)
     rows, columns = votes.shape
     down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
     residual = data - down.pilot @ data @ along.pilot.T
@@ -403,10 +402,28 @@ def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
         near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
         mean = down.near_noise @ np.where(usable, root, 0) @ along.near_noise.T
         mean = np.where(near > 1e-6, mean / np.maximum(near, 1e-6), np.nan)
-    expected = (2 / count) ** 0.25 * math.gamma(count / 2 + 0.25) / math.gamma(count / 2)
+    expected = _expected_root(residual, np.where(usable, root, np.float32(0)))
     floor = max(_FLOOR * float(np.square(data).mean()), _LEAST)
     noise: Single = np.square(np.square(mean / np.float32(expected))) + np.float32(floor)
     return residual.astype(np.float32, copy=False), noise
+
+
+def _expected_root(residual: Single, root: Single) -> float:
+    """The mean of the square root of a residual's size where its variance per coordinate is 1.
+
+    That size is taken as chi-distributed, with as many degrees of freedom as there are
+    directions of like variance: those of the residuals, weighted so that few large ones do not
+    decide. residual: (K, R, C). root: (R, C), the square root of its size, 0 where it is unknown.
+    """
+    count = len(residual)
+    relative = root / max(float(root.max()), 1e-30)
+    weights = np.where(root > 0, np.maximum(relative, 1e-4) ** -3, 0)
+    flat = residual.reshape(count, -1)
+    common = (flat * weights.reshape(-1)) @ flat.T
+    square = float(np.square(common).sum())
+    freedom = float(np.trace(common)) ** 2 / square if square > 0 else float(count)
+    share: float = (2 / freedom) ** 0.25
+    return share * math.gamma(freedom / 2 + 0.25) / math.gamma(freedom / 2)
 
 
 def _suspects(residual: Single, noise: Single, votes: Bools) -> Bools:
