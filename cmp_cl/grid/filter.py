@@ -398,7 +398,7 @@ def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     """
     rows, columns = votes.shape
     down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
-    residual: Single = data - down.pilot @ data @ along.pilot.T
+    residual = data - down.pilot @ data @ along.pilot.T
     left = 1 - pairs.pilot_own
     square = np.square(residual).mean(axis=0) / np.maximum(left, 1e-3)
     root = np.asarray(np.sqrt(np.sqrt(square)), np.float32)
@@ -416,7 +416,7 @@ def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     expected = _expected_root(residual, root)
     floor = max(_FLOOR * float(np.square(data).mean()), _LEAST)
     noise = np.square(np.square(mean / np.float32(expected))) + np.float32(floor)
-    return residual, np.asarray(noise, np.float32)
+    return np.asarray(residual, np.float32), np.asarray(noise, np.float32)
 
 
 def _expected_root(residual: Single, root: Single) -> float:

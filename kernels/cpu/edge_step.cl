@@ -1,3 +1,6 @@
+#include "cpu/vectors.clh"
+#include "corner_model.clh"
+
 /* EDGE_STEP of refine.cl for CPUs. The pixels that the disc may hold, wherever in the middle pixel
  * its centre lies, are listed once for all corners, row by row; then a vector holds the next
  * eight of the list, and every loop has the same length for every corner. The chain from a

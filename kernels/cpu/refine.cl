@@ -1,3 +1,6 @@
+#include "cpu/vectors.clh"
+#include "edges.clh"
+
 /* Centroids, edge points and EDGE_LINES of refine.cl in one kernel for CPUs, eight corners at a
  * time: a vector holds one number of each. Lanes past the last corner repeat it, in rows that
  * nobody reads. */
@@ -5,34 +8,6 @@
 #if LANES != 8
 #error "LANES must be 8"
 #endif
-
-#define EACH(F) (F(0), F(1), F(2), F(3), F(4), F(5), F(6), F(7))
-#define OF_LANE(v, lane) ((int *)&(v))[lane]
-
-float8 floats_of(const int8 v) {
-  return (float8)(v.s0, v.s1, v.s2, v.s3, v.s4, v.s5, v.s6, v.s7);
-}
-
-int8 ints_of(const float8 v) {
-  return (int8)((int)v.s0, (int)v.s1, (int)v.s2, (int)v.s3, (int)v.s4, (int)v.s5, (int)v.s6,
-                (int)v.s7);
-}
-
-/* Sixteen pixels of a row, from any one on, and the same memory as pairs and as fours. */
-#if PIXEL_BITS == 8
-typedef uchar16 PIXELS;
-#define AS_PAIRS(v) as_ushort8(v)
-#define AS_FOURS(v) as_uint4(v)
-#define PAIRS ushort8
-#define FOURS uint4
-#else
-typedef ushort16 PIXELS;
-#define AS_PAIRS(v) as_uint8(v)
-#define AS_FOURS(v) as_ulong4(v)
-#define PAIRS uint8
-#define FOURS ulong4
-#endif
-typedef PIXELS __attribute__((aligned(PIXEL_BITS / 8))) PIXELS_ANYWHERE;
 
 #if !SCALED
 
@@ -72,8 +47,6 @@ typedef uint PAIR;
 #define PIXEL_MASK ((1u << PIXEL_BITS) - 1)
 typedef PAIR __attribute__((aligned(PIXEL_BITS / 8))) PAIR_ANYWHERE;
 
-#define INSIDE(v, count) SMALLER(LARGER(v, (int8)(0)), (int8)((int)(count) - 1))
-
 float8 pixels_at(__global const PIXEL *frame, const int8 at) {
 #define PIXEL_AT(lane) (float)frame[at.s##lane]
   return (float8)EACH(PIXEL_AT);
@@ -106,8 +79,8 @@ float8 greys_inside(const float8 sample, __global const PIXEL *frame, const uint
 }
 
 #define RING_GREY(sample)                                                           \
-  (inside ? greys_inside(sample, frame, full_step, at)                              \
-          : greys_of(sample, frame, full_rows, full_columns, full_step, from_x, from_y))
+  (inside ? greys_inside(sample, frame, step, at)                              \
+          : greys_of(sample, frame, rows, columns, step, from_x, from_y))
 
 #endif
 
@@ -135,49 +108,14 @@ void edge_point(const float8 *d, RING_TABLE *ring, const uint8 bit, float8 *x, f
 #endif
 }
 
-/* Responses in row dy around a maximum, from two columns before it on; 0 outside the image. */
-#define RESPONSES(dy)                                                               \
-  (pixel.y + (dy) >= 0 && pixel.y + (dy) < (int)rows                                \
-       ? EIGHT_OF(int8, response + ROW(p, pixel.y + (dy)) + PAD + pixel.x - 2)      \
-       : (int8)(0))
-
-/* The maxima of a frame in (y, x) order: of the words of bits the one that is looked at, and what
- * is left of it. */
-typedef struct {
-  __global const uint *words;
-  uint word, left;
-} Maxima;
-
-/* From maximum n on. */
-Maxima maxima_from(uint n, __global const uint *words, __global const uint *row_counts,
-                   const uint width) {
-  uint row = 0;
-  for (; n >= row_counts[row]; ++row) n -= row_counts[row];
-  Maxima maxima = {words, row * width, words[row * width]};
-  for (uint bits; n >= (bits = bits_set(maxima.left)); n -= bits)
-    maxima.left = words[++maxima.word];
-  for (; n > 0; --n) maxima.left &= maxima.left - 1;
-  return maxima;
-}
-
-int2 next_maximum(Maxima *maxima, const uint width) {
-  while (maxima->left == 0) maxima->left = maxima->words[++maxima->word];
-  const uint x = maxima->word % width * 32 + lowest_bit(maxima->left);
-  maxima->left &= maxima->left - 1;
-  return (int2)((int)x - PAD, (int)(maxima->word / width));
-}
-
 /* A work-item takes its share of the corners, eight at a time. */
-__kernel void refine_eight(__global const RESPONSE *restrict response,
-                           __global const PIXEL *restrict image,
-                           __global const uint *restrict all_maxima,
-                           __global const uint *restrict row_counts,
-                           __global uint *restrict totals, const uint rows,
-                           const uint step, const uint room, const uint place,
-                           const uint length, const float max_shift,
+__kernel void refine_eight(__global const PIXEL *restrict image,
+                           __global const int *restrict corners,
+                           __global const uint *restrict totals, const uint rows,
+                           const uint columns, const uint step, const uint room,
+                           const uint place, const uint length, const float max_shift,
 #if SCALED
-                           const float scale, const uint full_rows, const uint full_columns,
-                           const uint full_step, const uint reach,
+                           const float scale, const uint reach,
                            __global const float8 *restrict ring_samples,
 #endif
 #if EDGE_STEP
@@ -185,61 +123,22 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
 #endif
                            __global float *restrict result) {
   const size_t p = get_global_id(1);
-  __global const uint *counts = row_counts + p * rows;
-  const uint width = step / 32;
-  uint total = 0;
-  for (uint y = 0; y < rows; ++y) total += counts[y];
-  RESULT_OF_FRAME(total)
-  if (get_global_id(0) == 0) {
-    totals[place + p] = total;
-    write_head(own, totals, place, p);
-  }
-  const uint shares = get_global_size(0), eights = (places / LANES + shares - 1) / shares;
-  const uint first = get_global_id(0) * eights * LANES;
-  const uint end = SMALLER(SMALLER(total, room), first + eights * LANES);
-  if (first >= end) return;
-  Maxima maxima = maxima_from(first, all_maxima + p * rows * width, counts, width);
-  for (uint n = first; n < end; n += LANES) {
-    int8 pixel_x, pixel_y, height, sum, sum_x, sum_y;
-    int2 pixel;
-    for (uint lane = 0; lane < LANES; ++lane) {
-      if (n + lane < end) pixel = next_maximum(&maxima, width);
-      const int8 above_2 = RESPONSES(-2), above = RESPONSES(-1), middle = RESPONSES(0);
-      const int8 below = RESPONSES(1), below_2 = RESPONSES(2);
-      const int8 columns = above_2 + above + middle + below + below_2;
-      const int8 slopes = 2 * (below_2 - above_2) + below - above;
-      OF_LANE(pixel_x, lane) = pixel.x;
-      OF_LANE(pixel_y, lane) = pixel.y;
-      OF_LANE(height, lane) = middle.s2;
-      OF_LANE(sum, lane) = columns.s0 + columns.s1 + columns.s2 + columns.s3 + columns.s4;
-      OF_LANE(sum_x, lane) = 2 * (columns.s4 - columns.s0) + columns.s3 - columns.s1;
-      OF_LANE(sum_y, lane) = slopes.s0 + slopes.s1 + slopes.s2 + slopes.s3 + slopes.s4;
-    }
-    const REAL total_response = floats_of(sum);
-    const REAL offset_x = floats_of(sum_x) / total_response;
-    const REAL offset_y = floats_of(sum_y) / total_response;
+  const uint total = SMALLER(totals[place + p], room);
+  RESULT_OF_FRAME(totals[place + p])
+  if (get_global_id(0) == 0) write_head(own, totals, place, p);
 #if SCALED
-    const REAL centroid_x = (floats_of(pixel_x) + offset_x + 0.5f) / scale - 0.5f;
-    const REAL centroid_y = (floats_of(pixel_y) + offset_y + 0.5f) / scale - 0.5f;
-    const int8 from_x = INSIDE(ints_of(centroid_x + 0.5f), full_columns);
-    const int8 from_y = INSIDE(ints_of(centroid_y + 0.5f), full_rows);
-#else
-    const REAL centroid_x = floats_of(pixel_x) + offset_x;
-    const REAL centroid_y = floats_of(pixel_y) + offset_y;
-    const int8 from_x = pixel_x + as_int8(NEAREST(sum_x));
-    const int8 from_y = pixel_y + as_int8(NEAREST(sum_y));
+  const uint full_rows = rows, full_columns = columns;
 #endif
-    STORE(RESULT_RESPONSE, floats_of(height))
-    STORE_PAIRS(RESULT_PIXEL, AS_REAL(pixel_x), AS_REAL(pixel_y))
-    STORE(RESULT_VARIANCE, (REAL)(NAN))
-
+  for (uint n = get_global_id(0) * LANES; n < total; n += get_global_size(0) * LANES) {
+    const size_t row = p * room + n;
+    START
 #if SCALED
     const int8 outside = (from_x < (int)reach) | (from_x + (int)reach >= (int)full_columns) |
                          (from_y < (int)reach) | (from_y + (int)reach >= (int)full_rows);
     const int4 any = outside.lo | outside.hi;
     const int inside = !(any.x | any.y | any.z | any.w);
-    __global const PIXEL *frame = image + ((size_t)p * full_rows + 1) * full_step + PAD;
-    const uint8 at = as_uint8(from_y) * full_step + as_uint8(from_x);
+    __global const PIXEL *frame = image + ROW(p, 0) + PAD;
+    const uint8 at = as_uint8(from_y) * step + as_uint8(from_x);
 #else
     FOURS pixels[11 * 6]; /* 11 rows of 12 columns of eight corners */
     const PIXEL *window = (const PIXEL *)pixels;
@@ -258,7 +157,6 @@ __kernel void refine_eight(__global const RESPONSE *restrict response,
     const REAL start_x = floats_of(from_x), start_y = floats_of(from_y);
     EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
 #if EDGE_STEP
-    const size_t row = p * room + n;
     LANE(start, 0) = start_x;
     LANE(start, 1) = start_y;
     STORE_LINES
