@@ -240,16 +240,12 @@ class EdgeStep:
     """EDGE_LINES, then one least-squares step of a corner model (section 6, EDGE_STEP).
 
     cell: side of a cell, px, 4 to 1000; the model sees min(9, max(4.5, 0.75 cell)) px around.
-    sigma0: floor of the standard deviation of a position, px, 0 to 5: 0.025 for
-        print, 0.2 for a worn gel.
     """
 
     cell: float = 12.0
-    sigma0: float = 0.025
 
     def __post_init__(self) -> None:
         _check("EdgeStep", "cell", self.cell, 4, 1000, kind=float)
-        _check("EdgeStep", "sigma0", self.sigma0, 0, 5, kind=float)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -42,7 +42,6 @@ BOUNDS = [
     (SectorContrast, "noise", 0, 100, 1e-3),
     (EdgeLines, "max_shift", 0, 5, 1e-3),
     (EdgeStep, "cell", 4, 1000, 1e-3),
-    (EdgeStep, "sigma0", 0, 5, 1e-3),
     (Midlines, "max_shift", 0, 5, 1e-3),
     (DetectorConfig, "nms_radius", 1, 15, 1),
     (DetectorConfig, "scale", 0.05, 4, 1e-3),
