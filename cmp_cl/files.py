@@ -1,14 +1,18 @@
-"""Files written whole or not at all."""
+"""Files written whole or not at all, and settings read within bounds."""
 
 import contextlib
 import errno
 import os
 import secrets
+import tomllib
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
+_MOST_TOML = 1 << 16  # bytes
+_MOST_BRACKETS = 500  # of a TOML file: tables and arrays within one another
+_MOST_DOTS = 100  # of a line: keys within one another
 _WRITABLE = 0o222  # a mode in which somebody may write
 
 
@@ -90,3 +94,23 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
 def write_text(path: str | PathLike[str], text: str) -> None:
     """Write UTF-8 text whole or not at all, line ends as they are; raises OSError."""
     write_bytes(path, text.encode("utf-8"))
+
+
+def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
+    """Read settings in TOML; a byte order mark is skipped.
+
+    Raises OSError where the file cannot be read, ValueError where it is no TOML in UTF-8, or
+    over 64 KiB, or nested so deep that parsing takes memory without end.
+    """
+    with open(path, "rb") as file:
+        data = file.read(_MOST_TOML + 1)
+    if len(data) > _MOST_TOML:
+        raise ValueError(f"over {_MOST_TOML} bytes, no settings")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError("it is no text in UTF-8") from error
+    dots = max(line.count(".") for line in text.split("\n"))
+    if dots > _MOST_DOTS or text.count("[") + text.count("{") > _MOST_BRACKETS:
+        raise ValueError("nested too deep, no settings")
+    return tomllib.loads(text.replace("\r\n", "\n"))

@@ -5,7 +5,7 @@ import stat
 
 import pytest
 
-from cmp_cl.files import whole_file, write_bytes, write_text
+from cmp_cl.files import read_toml, whole_file, write_bytes, write_text
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -93,3 +93,24 @@ def test_a_missing_folder_and_a_folder_as_a_file_are_named(tmp_path):
 def test_a_full_disk_is_named():
     with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
         write_text("/dev/full", "much")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (b"a" + b".a" * 30_000 + b" = 1", "nested too deep"),  # takes memory without end
+        (b"a = " + b"[" * 1000, "nested too deep"),
+        (b"a = '" + b"b" * 70_000 + b"'", "over 65536 bytes"),
+        (b"a = '\xff'", "no text in UTF-8"),
+        (b"a = ", "Invalid value"),
+    ],
+)
+def test_settings_without_bounds_are_refused(text, why, tmp_path):
+    (tmp_path / "a.toml").write_bytes(text)
+    with pytest.raises(ValueError, match=why):
+        read_toml(tmp_path / "a.toml")
+
+
+def test_settings_with_a_byte_order_mark_and_other_line_ends_are_read(tmp_path):
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfa = 1\r\nb = 0.5\r\n")
+    assert read_toml(tmp_path / "a.toml") == {"a": 1, "b": 0.5}

@@ -10,6 +10,7 @@ from pathlib import Path
 from cmp_cl import media
 from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
+from cmp_cl.grid.limits import MOST_NODES
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Region
 from cmp_cl.stereo import BinocularSplit
@@ -95,7 +96,10 @@ def grid_shape(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text)
     if match is None or min(int(match[1]), int(match[2])) < 2:
         raise argparse.ArgumentTypeError(f"{text!r} is no pair of counts such as 40x40")
-    return int(match[1]), int(match[2])
+    rows, columns = int(match[1]), int(match[2])
+    if rows * columns > MOST_NODES:
+        raise argparse.ArgumentTypeError(f"{text!r} is more than {MOST_NODES} nodes")
+    return rows, columns
 
 
 def boxes(text: str) -> tuple[Box, ...]:

@@ -444,6 +444,10 @@ def test_a_full_disk_behind_standard_output_is_told(tmp_path):
         (("detect", BOARD, "--full-scale", "0"), ["full_scale", "[1, 65535]"]),
         (("detect", BOARD, "--full-scale", "x"), ["--full-scale", "'x'"]),
         (("detect", BOARD, "--grid", "9"), ["--grid", "'9'", "40x40"]),
+        (("detect", BOARD, "--grid", "9999x9999"), ["--grid", "'9999x9999'", "nodes"]),
+        (("detect", BOARD, "--config", "deep.toml"), ["deep.toml", "nested too deep"]),
+        (("detect", BOARD, "--config", "long.toml"), ["max_corners", "111 ... 111"]),
+        (("detect", BOARD, "--config", "large.toml"), ["large.toml", "over 65536 bytes"]),
         (("bench", "--repeats", "0"), ["--repeats", "0"]),
         (("render",), ["--out"]),
         (("render", "--out", "g.png", "--markers", "2"), ["markers", "[3, 100]", "2"]),
@@ -457,6 +461,9 @@ def test_a_full_disk_behind_standard_output_is_told(tmp_path):
 def test_a_wrong_argument_is_one_line_and_status_2(run, arguments, words):
     Path("text.png").write_text("hello")
     Path("bad.toml").write_text("windoww = 3")
+    Path("deep.toml").write_text("a" + ".a" * 30_000 + " = 1")
+    Path("long.toml").write_text(f"max_corners = '{'1' * 60_000}'")
+    Path("large.toml").write_text(f"max_corners = '{'1' * 70_000}'")
     Path("empty").mkdir()
     Path("in").mkdir()
     media.write_image("in/a.png", np.zeros((9, 9), np.uint8))
