@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import cmp_cl
-from cmp_cl import media
+from cmp_cl import media, synthetic
 from cmp_cl.cli import main as cli
 
 PROJECT = Path(__file__).parents[2]
