@@ -1,61 +1,75 @@
 """Where a pattern ends in the view."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.evidence import grey
 from cmp_cl.grid.grid import Sides
-from cmp_cl.grid.nodes import Nodes, Points
+from cmp_cl.grid.nodes import Index, Nodes, Points
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
 FLAT = 0.3  # of the contrast of the cells before: below it those beyond are no cells
-SHARE = 0.5  # of the lines that must end at the side, and be seen beyond it
+SPOTS = np.array([-0.15, 0.0, 0.15])  # cells: where a square's grey level is taken
+MOST = 23  # squares of a side that are looked at; odd, so that of equal steps both colours come
 
 
 def border(nodes: Nodes, image: GreyImage) -> Sides:
     """The sides on which nodes end in the picture, and what lies beyond is no cell."""
-    at, left = nodes.at, nodes.at.T
-    return Sides(
-        top=_ends(at, image),
-        bottom=_ends(at[::-1], image),
-        left=_ends(left, image),
-        right=_ends(left[::-1], image),
-    )
-
-
-def _ends(at: Points, image: GreyImage) -> bool:
-    """Whether the pattern ends before the first row of nodes, (R, C) px."""
-    if at.shape[0] < 2 or at.shape[1] < 2:
-        return False
-    seen = ~np.isnan(at.real)
-    whole = seen[0, 1:] & seen[0, :-1] & seen[1, 1:] & seen[1, :-1]
-    column = np.flatnonzero(whole)
-    if len(column) < max(SHARE * (np.count_nonzero(seen.any(axis=0)) - 1), 1):
-        return False
-    first, second = (at[row, column] + at[row, column + 1] for row in (0, 1))
-    out = (first - second) / 2
-    middle = first / 2
-    along = at[0, column + 1] - at[0, column]
-    beyond, inside = middle + BEYOND * out, middle - out / 2
-    # the corners of the squares that are looked at must be in the picture
+    at = nodes.at
+    if min(at.shape) < 2:
+        return Sides()
+    across = at.T
+    lines = [
+        _squares(*first) for first in ((at, 0, 1), (at, -1, -2), (across, 0, 1), (across, -1, -2))
+    ]
+    side = np.repeat(np.arange(4), [len(line.sign) for line in lines])
+    middle, out, along = (np.concatenate([line[part] for line in lines]) for part in range(3))
+    sign = np.concatenate([line.sign for line in lines])
     far = middle + (BEYOND + 0.25) * out
-    columns, rows = image.shape[1] - 1, image.shape[0] - 1
-    shown = (far.real >= 0) & (far.real <= columns) & (far.imag >= 0) & (far.imag <= rows)
-    if np.count_nonzero(shown) < max(SHARE * len(column), 1):
-        return False
-    sign = 1 - 2 * (column[shown] % 2)
+    rows, columns = image.shape
+    shown = (far.real >= 0) & (far.real < columns) & (far.imag >= 0) & (far.imag < rows)
+    spots = np.stack([middle + BEYOND * out, middle - out / 2])[..., None] + SPOTS * along[:, None]
+    level = sign * grey(image, spots).sum(axis=2)
+    ends = []
+    for number, line in enumerate(lines):
+        here = shown & (side == number)
+        count = np.count_nonzero(here)
+        if 2 * count < len(line.sign) or count < 2 or abs(int(sign[here].sum())) == count:
+            ends.append(False)
+            continue
+        bright, dark = here & (sign > 0), here & (sign < 0)
+        beyond, inside = level[:, bright].mean(axis=1) + level[:, dark].mean(axis=1)
+        ends.append(bool(abs(beyond) < FLAT * abs(inside)))
+    return Sides(*ends)
 
-    def contrast(where: Points) -> float:
-        """How much brighter the even cells are than the odd ones."""
-        spots = where[shown][:, None] + np.array([-0.15, 0, 0.15]) * along[shown][:, None]
-        level = grey(image, spots).mean(axis=1)
-        even, odd = level[sign > 0], level[sign < 0]
-        if not (len(even) and len(odd)):
-            return float("nan")
-        return float(np.mean(even) - np.mean(odd))
 
-    return abs(contrast(beyond)) < FLAT * abs(contrast(inside))
+class _Squares(NamedTuple):
+    """Squares between the first row of nodes and the second: the middle of their first sides,
+    the steps out of the pattern and along it, px, and 1 or -1 in turn."""
+
+    middle: Points
+    out: Points
+    along: Points
+    sign: Index
+
+
+def _squares(at: Points, first: int, second: int) -> _Squares:
+    """Some squares of a side, none where less than half of the lines end there."""
+    one, two = at[first], at[second]
+    seen = ~np.isnan(one.real) & ~np.isnan(two.real)
+    column = np.flatnonzero(seen[1:] & seen[:-1])
+    lines = at.shape[1]
+    if 2 * len(column) < lines - 1:  # perhaps the corners of a pattern that is turned
+        lines = int(np.count_nonzero(~np.isnan(at.real).all(axis=0)))
+    if 2 * len(column) < lines - 1:
+        column = column[:0]
+    if len(column) > MOST:
+        column = column[np.arange(MOST) * len(column) // MOST]
+    middle, inner = (one[column] + one[column + 1]) / 2, (two[column] + two[column + 1]) / 2
+    return _Squares(middle, middle - inner, one[column + 1] - one[column], 1 - 2 * (column % 2))
 
 
 def full_lines(there: NDArray[np.bool_]) -> tuple[int, int, int, int]:

@@ -182,8 +182,12 @@ def _numbered(
         placed, at_rest = Placed(nodes), None
     if not alone:
         join_islands(placed.nodes, found, seen, at_rest)
+    count = np.count_nonzero(nodes.there)
     fill(placed.nodes, seen, BRACKETED if shape is None else WEAK)
-    ends = Sides() if seen.image is None else border(placed.nodes, seen.image)
+    if seen.image is not None and np.count_nonzero(placed.nodes.there) != count:
+        ends = border(placed.nodes, seen.image)
+    else:
+        ends = ends.turned(placed.quarters)
     return placed, _declared(placed, ends, shape if like is None else None)
 
 

@@ -11,7 +11,7 @@ from cmp_cl.grid.predict import mean_steps, predict
 from cmp_cl.image import GreyImage
 
 DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
-WITHIN = np.array([0.25, 0.35])  # of the diagonal of a cell: where its grey level is taken
+WITHIN = np.array([0.2, 0.3])  # of the diagonal of a cell: where its grey level is taken
 SAMPLE = 64  # inner nodes that say what contrast the pattern has
 
 
@@ -25,7 +25,7 @@ class Least(NamedTuple):
     off: float
 
 
-USUAL = Least(0.5, 0.3, 0.85, np.inf)
+USUAL = Least(0.4, 0.3, 0.85, np.inf)
 ALONE = Least(0.8, 0.7, 0.95, 0.12)  # of a node that is in no whole cell
 EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the picture's edge, and from the prediction there
 EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
@@ -87,6 +87,10 @@ def _usual_contrast(nodes: Nodes, image: GreyImage) -> float:
     some = np.linspace(0, len(row) - 1, min(SAMPLE, len(row))).astype(np.int64)
     row, column = row[some], column[some]
     along, down, _ = mean_steps(nodes.at, row, column)
+    known = ~np.isnan(along.real + down.real)
+    if not known.any():
+        return 0.0
+    row, column, along, down = row[known], column[known], along[known], down[known]
     bright, dark, _ = _levels(nodes, image, row, column, along, down)
     return float(np.median(bright - dark))
 
@@ -105,10 +109,10 @@ def _levels(
 
 
 def grey(image: GreyImage, at: Points) -> Float:
-    """The grey levels of the nearest pixels; of the border beyond it, and where at is NaN."""
+    """The grey levels of the nearest pixels; of the border for what is beyond it."""
     rows, columns = image.shape
-    x = np.nan_to_num(np.rint(at.real)).clip(0, columns - 1).astype(np.int64)
-    y = np.nan_to_num(np.rint(at.imag)).clip(0, rows - 1).astype(np.int64)
+    x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1).astype(np.int64)
+    y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1).astype(np.int64)
     return image[y, x].astype(np.float64)
 
 
@@ -123,7 +127,8 @@ def _convincing(
 ) -> Mask:
     """Which of those nodes look like corners of the pattern."""
     along, down, cell = mean_steps(nodes.at, row, column)
-    known = ~np.isnan(along.real) & ~np.isnan(down.real)
+    known = ~np.isnan(along.real + down.real)
+    along[~known] = down[~known] = 0
     bright, dark, span = _levels(nodes, image, row, column, along, down)
     contrast = bright - dark
     cosine = _cosine(nodes, edges, row, column, along, down)

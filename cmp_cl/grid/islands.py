@@ -48,7 +48,7 @@ def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
     choices = climb(turned, expected, bounds, quarters)
     if not choices or not is_still(island, expected, min(choices), OFF):
         return False
-    _, _, top, left = min(choices)
+    *_, top, left = min(choices)
     row, column = np.nonzero(turned.there)
     here = row + top, column + left
     if nodes.there[here].any() or (rest is None and not _surrounded(nodes, *here)):
@@ -62,9 +62,10 @@ def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
 
 def _expected(nodes: Nodes, rest: Grid | None) -> Points:
     """Where nodes should be by an affine map of their place, or of their place at rest, (R, C)."""
+    place: Points
     if rest is None:
         row, column = np.indices(nodes.at.shape)
-        place: Points = column + 1j * row
+        place = np.asarray(column + 1j * row)
     else:
         place = rest.xy[..., 0] + 1j * rest.xy[..., 1].astype(np.float64)
     known = nodes.there & ~np.isnan(place.real)

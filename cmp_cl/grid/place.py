@@ -14,6 +14,8 @@ STRAIGHT = 0.5  # largest bend of a corner that is no junction with the surround
 VOTERS = 384  # nodes that are compared with the reference
 STILL = 0.125  # cells: a pattern without a border that moved less as a whole has its numbers
 STILL_EACH, STILL_SHARE = 0.06, 0.33  # or this share of the nodes has moved less than so many
+HALF = 0.5  # cells: displacements above it count less and less
+UNMATCHED = 0.5  # cost of a node without a counterpart in the reference
 LEAST_COMMON = 0.25  # share of the nodes that must have a counterpart in the reference
 FOLLOWED = 0.5  # cells: the same from one frame to the next
 TURNED = np.deg2rad(30)  # from here on the next quarter turn is compared too
@@ -25,13 +27,17 @@ FAR = 1 << 30  # rows or columns: no bound
 
 
 class Placed(NamedTuple):
-    """A grid with its numbers, and what speaks against them, as in `Grid`."""
+    """A grid with its numbers, and what speaks against them, as in `Grid`.
+
+    quarters: by how many it was turned.
+    """
 
     nodes: Nodes
     origin: tuple[int, int] = (0, 0)
     ambiguous: bool = False
     rival: Rival | None = None
     margin: float = float("nan")
+    quarters: int = 0
     continues: Sides = Sides()
     seen_shape: tuple[int, int] | None = None
 
@@ -71,7 +77,9 @@ def in_shape(
             unsure |= begin == end
     seen, continues = _seen_shape(found, bend, shape, (top, left), ends)
     placed = found.window(starts[0], starts[1], shape)
-    return Placed(placed, ambiguous=unsure, continues=continues, seen_shape=seen)
+    return Placed(
+        placed, ambiguous=unsure, quarters=turns[best], continues=continues, seen_shape=seen
+    )
 
 
 def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int:
@@ -210,9 +218,11 @@ class Bounds(NamedTuple):
 class Choice(NamedTuple):
     """A numbering: quarter turns, then the number of the first row and column.
 
-    rms: displacement from the reference, cells, infinite where too few nodes can be compared.
+    cost: grows with the displacement from the reference, see `_costs`, infinite where too few
+    nodes can be compared. rms: the RMS displacement, cells.
     """
 
+    cost: float
     rms: float
     quarters: int
     top: int
@@ -220,11 +230,12 @@ class Choice(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The best numbering, the second best, and whether the best is sure."""
+    """The best numbering, the second best, whether the best is sure, and that by borders."""
 
     best: Choice
     second: Choice | None
     sure: bool
+    bordered: bool = False
 
 
 def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) -> Placed:
@@ -239,14 +250,18 @@ def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) ->
     decides where the rest grid does not, as long as the pattern as a whole moves by less than
     half a cell from frame to frame; if the two disagree, the numbers are not sure.
     """
+    if all(border) and all(like.border) and nodes.at.shape == like.shape:
+        if nodes.parity == like.parity and quarter_turns(nodes.at, Reference.of(like))[0][0] == 0:
+            return Placed(nodes, origin=like.origin)
     decided = _decision(nodes, border, like, like, STILL)
     if previous is not None:
         followed = _decision(nodes, border, like, previous, FOLLOWED)
-        agree = followed.best[1:] == decided.best[1:]
+        agree = followed.best[2:] == decided.best[2:]
         if not decided.sure:
             decided = followed
         elif followed.sure and not agree:
-            decided = decided._replace(second=followed.best, sure=False)
+            first, other = (decided, followed) if decided.bordered else (followed, decided)
+            decided = first._replace(second=other.best, sure=False)
     return _placed(nodes, like, decided)
 
 
@@ -276,9 +291,9 @@ def _decision(nodes: Nodes, border: Sides, like: Grid, reference: Grid, limit: f
     if any(border):  # not if they all lie in their places as soon as some lines may be lost
         free = [each for turn, _ in turns for each in _search(nodes, Sides(), like, near, turn)]
         other = min(free)
-        if other[1:] != best[1:] and is_still(nodes, near, other, limit):
+        if other[2:] != best[2:] and is_still(nodes, near, other, limit):
             return Decision(best, other, False)
-    return Decision(best, None, True)
+    return Decision(best, None, True, bordered=True)
 
 
 def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
@@ -386,15 +401,15 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
     while True:
         around = here + NEIGHBOURS
         around = around[bounds.hold(around[:, 0], around[:, 1])]
-        rms = _rms(near, around, row, column, at)
-        best = int(np.argmin(rms))
-        if (around[best] == here).all() or not np.isfinite(rms[best]):
+        cost, rms = _costs(near, around, row, column, at)
+        best = int(np.argmin(cost))
+        if (around[best] == here).all() or not np.isfinite(cost[best]):
             break
         here = around[best]
     return [
-        Choice(float(off), quarters, int(top), int(left))
-        for off, (top, left) in zip(rms, around, strict=True)
-        if np.isfinite(off) or len(around) == 1
+        Choice(float(each), float(off), quarters, int(top), int(left))
+        for each, off, (top, left) in zip(cost, rms, around, strict=True)
+        if np.isfinite(each) or len(around) == 1
     ]
 
 
@@ -409,15 +424,23 @@ def _displacement(
     return np.where(inside, at - there, NOWHERE)
 
 
-def _rms(near: Reference, first: NDArray[np.int64], row: Index, column: Index, at: Points) -> Float:
-    """RMS displacement, cells, (S,); infinite where few nodes have a counterpart."""
+def _costs(
+    near: Reference, first: NDArray[np.int64], row: Index, column: Index, at: Points
+) -> tuple[Float, Float]:
+    """The mean of log(1 + (d / HALF)^2) over displacements d, and their RMS, cells, (S,).
+
+    Most of a pressed gel stays near its place, whatever the rest does: so the logarithm. Nodes
+    without a counterpart add a little to the cost, and it is infinite where few have one.
+    """
     away = np.abs(_displacement(near, first, row, column, at))
     known = ~np.isnan(away)
     count = known.sum(axis=1)
     away[~known] = 0
-    rms = np.sqrt((away**2).sum(axis=1) / np.maximum(count, 1)) / near.cell
-    few: Float = np.where(count >= max(LEAST_COMMON * len(at), 1), rms, np.inf)
-    return few
+    squares = (away / near.cell) ** 2
+    cost = np.log1p(squares / HALF**2).sum(axis=1) / np.maximum(count, 1)
+    cost += UNMATCHED * (1 - count / len(at))
+    cost[count < max(LEAST_COMMON * len(at), 1)] = np.inf
+    return cost, np.sqrt(squares.sum(axis=1) / np.maximum(count, 1))
 
 
 def is_still(nodes: Nodes, near: Reference, choice: Choice, limit: float) -> bool:
@@ -437,18 +460,19 @@ def is_still(nodes: Nodes, near: Reference, choice: Choice, limit: float) -> boo
     box = at.real.min() + at.real.max(), at.imag.min() + at.imag.max()
     middle = complex(box[0], box[1]) / 2
     from_middle = at - middle
-    model = np.stack([np.ones(len(at)), from_middle, from_middle.conj()], axis=1)
-    kept = np.ones(len(at), np.bool_)
+    model = np.stack([np.ones(len(at)), from_middle / near.cell, from_middle.conj() / near.cell])
+    weight = np.ones(len(at))
     for _ in range(3):
-        motion = np.linalg.lstsq(model[kept], moved[kept], rcond=None)[0]
-        off = np.abs(moved - model @ motion)
-        kept = off <= max(2.5 * float(np.median(off)), 1e-3)
+        weighted = model.conj() * weight
+        motion = np.linalg.lstsq(weighted @ model.T, weighted @ moved, rcond=None)[0]
+        off = np.abs(moved - motion @ model)
+        weight = np.where(off <= max(2.5 * float(np.median(off)), 1e-3), 1.0, 0.0)
     return bool(abs(motion[0]) <= limit)
 
 
 def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
     """The nodes on the rest grid's rows and columns, and on those beyond where it is open."""
-    best, second, sure = decided
+    best, second, sure, _ = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []
     ends = (like.border[:2], like.border[2:])
@@ -479,4 +503,5 @@ def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
         ambiguous=not sure,
         rival=rival,
         margin=margin,
+        quarters=best.quarters,
     )
