@@ -21,10 +21,7 @@ def border(nodes: Nodes, image: GreyImage) -> Sides:
     at = nodes.at
     if min(at.shape) < 2:
         return Sides()
-    across = at.T
-    lines = [
-        _squares(*first) for first in ((at, 0, 1), (at, -1, -2), (across, 0, 1), (across, -1, -2))
-    ]
+    lines = [_squares(way, *rows) for way in (at, at.T) for rows in ((0, 1), (-1, -2))]
     side = np.repeat(np.arange(4), [len(line.sign) for line in lines])
     middle, out, along = (np.concatenate([line[part] for line in lines]) for part in range(3))
     sign = np.concatenate([line.sign for line in lines])

@@ -175,12 +175,12 @@ def _numbered(
     ends = Sides() if seen.image is None else border(nodes, seen.image)
     if like is not None:
         placed = like_rest(nodes, ends, like, previous)
-        at_rest = like.cut_to(_framed(placed))
     elif shape is not None:
-        placed, at_rest = in_shape(nodes, found.bend, shape, ends), None
+        placed = in_shape(nodes, found.bend, shape, ends)
     else:
-        placed, at_rest = Placed(nodes), None
-    if not alone:
+        placed = Placed(nodes)
+    if not alone and np.count_nonzero(found.size >= LEAST_BOARD) > 1:
+        at_rest = None if like is None else like.cut_to(_framed(placed))
         join_islands(placed.nodes, found, seen, at_rest)
     count = np.count_nonzero(nodes.there)
     fill(placed.nodes, seen, BRACKETED if shape is None else WEAK)

@@ -113,7 +113,8 @@ def grey(image: GreyImage, at: Points) -> Float:
     rows, columns = image.shape
     x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1).astype(np.int64)
     y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1).astype(np.int64)
-    return image[y, x].astype(np.float64)
+    level: Float = image[y, x].astype(np.float64)
+    return level
 
 
 def _convincing(

@@ -250,9 +250,10 @@ def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) ->
     decides where the rest grid does not, as long as the pattern as a whole moves by less than
     half a cell from frame to frame; if the two disagree, the numbers are not sure.
     """
-    if all(border) and all(like.border) and nodes.at.shape == like.shape:
-        if nodes.parity == like.parity and quarter_turns(nodes.at, Reference.of(like))[0][0] == 0:
-            return Placed(nodes, origin=like.origin)
+    same = (nodes.at.shape, nodes.parity) == (like.shape, like.parity)
+    whole = same and all(border) and all(like.border)
+    if whole and quarter_turns(nodes.at, Reference.of(like))[0][0] == 0:
+        return Placed(nodes, origin=like.origin)
     decided = _decision(nodes, border, like, like, STILL)
     if previous is not None:
         followed = _decision(nodes, border, like, previous, FOLLOWED)
