@@ -38,11 +38,18 @@ from cmp_cl import (
     calibrate,
     select_device,
 )
-from cmp_cl.cli.calibrate import SIGMA, square_sides, trusted
-from cmp_cl.cli.common import Progress, alike, exact_config, find_pattern
 from cmp_cl.cli.demo import wrongly_numbered
-from cmp_cl.cli.measure import TwoViews, Wanted
+from cmp_cl.cli.progress import Progress
 from cmp_cl.image import GreyImage
+from cmp_cl.measure import (
+    MAX_SIGMA,
+    TwoViews,
+    align_views,
+    exact_config,
+    find_pattern,
+    square_sides,
+    trusted,
+)
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -62,8 +69,8 @@ SEVERITIES = (0.5, 1.0, 1.5)
 OBJECTS = tuple(kind for kind in Indenter if kind is not Indenter.NONE)
 FIRST_SEED = TEST_SEED + 500
 CONFIGS = {
-    "run (EDGE_STEP, three masks)": exact_config(CELL),
-    "EDGE_LINES, one mask": DetectorConfig.for_cell(CELL),
+    "run (EDGE_STEP)": exact_config(CELL),
+    "EDGE_LINES": DetectorConfig.for_cell(CELL),
 }
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -99,7 +106,9 @@ def of_seed(
     with contextlib.ExitStack() as stack:
         measures = {
             name: stack.enter_context(
-                TwoViews(rest.frame, rig, split, Wanted(device, (MARKERS, MARKERS), config))
+                TwoViews(
+                    rest.frame, rig, split, shape=(MARKERS, MARKERS), config=config, device=device
+                )
             )
             for name, config in CONFIGS.items()
         }
@@ -189,7 +198,7 @@ def numbering(device: Device, rounds: int) -> list[dict[str, Any]]:
     scene = random_scene(
         FIRST_SEED, markers=NUMBERED, indenter=Indenter.TORUS, mode=Mode.TWIST, severity=1.0
     )
-    config = DetectorConfig.for_grid(40)
+    config = DetectorConfig()
     shape = (NUMBERED, NUMBERED)
     rows: list[dict[str, Any]] = []
     with Detector(shape=scene.shape, config=config, device=device) as detector:
@@ -253,7 +262,7 @@ BOARD_CONFIGS: dict[str, Callable[[float], DetectorConfig]] = {
 def board(path: Path, shape: tuple[int, int], config: Callable[[float], DetectorConfig]) -> Grid:
     view = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     device = select_device()
-    cell, _ = find_pattern(view, shape, device)
+    cell, _ = find_pattern(view, shape=shape, device=device)
     with Detector(shape=view.shape, config=config(cell), device=device) as detector:
         return detector.grid(view, shape=shape)[1]
 
@@ -262,7 +271,9 @@ def pairs(folder: Path, count: int, shape: tuple[int, int], config: Any) -> list
     found = []
     for number in range(1, count + 1):
         left = board(folder / f"left{number:02}.jpg", shape, config)
-        found.append((left, alike(left, board(folder / f"right{number:02}.jpg", shape, config))))
+        found.append(
+            (left, align_views(left, board(folder / f"right{number:02}.jpg", shape, config)))
+        )
     return found
 
 
@@ -283,8 +294,10 @@ def boards() -> list[dict[str, Any]]:
             views = pairs(own, 5, (6, 9), config)
             rows.append({"set": "opencv", "config": name, "true": 25.0, **left_out(views)})
             if "STEP" in name:
-                sure = [(trusted(left, SIGMA), trusted(right, SIGMA)) for left, right in views]
-                name = f"{name}, sigma <= {SIGMA:g} px"
+                sure = [
+                    (trusted(left, MAX_SIGMA), trusted(right, MAX_SIGMA)) for left, right in views
+                ]
+                name = f"{name}, sigma <= {MAX_SIGMA:g} px"
                 rows.append({"set": "opencv", "config": name, "true": 25.0, **left_out(sure)})
     return rows
 

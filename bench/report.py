@@ -19,14 +19,14 @@ import numpy as np
 from accuracy import unpacked
 from environment import RESULTS
 from field import grouped
-from methods import DEFAULT, FULL, PAPER, STEP
+from methods import DEFAULT, FULL, PAPER, RINGS, STEP, THREE
 
 mpl.rcParams["figure.dpi"] = 90
 Row = dict[str, Any]
 BUSY = 0.2  # cores that others use, above which times are not to be trusted
 BEGIN, END = "<!-- by bench/report.py -->\n", "<!-- until here -->\n"
 LEAST = 0.05  # what stands for 0 on a logarithmic axis, per thousand corners
-SHOWN = (DEFAULT, STEP, "cmp_cl, three masks", f"{DEFAULT} + grid", FULL, PAPER)
+SHOWN = (DEFAULT, STEP, RINGS, THREE, f"{DEFAULT} + grid", FULL, PAPER)
 OURS, PEER, GRID = "#c43c1e", "#3b6ea5", "#6a9a5b"
 
 # Measured by the paper on its own machine (14-core i7-12700H) and scenes: context, not a rival row.
@@ -129,8 +129,8 @@ def _targets(scene: Row) -> str:
         lines.append(
             ("at least 4 times faster than goodFeaturesToTrack", f"{ratio:.1f}", ratio >= 4)
         )
-    if "cmp_cl, three masks" in rows:
-        ratio = rows["cmp_cl, three masks"]["ms"] / ms
+    if THREE in rows:
+        ratio = rows[THREE]["ms"] / ms
         lines.append(("three masks at most 1.6 times one", f"{ratio:.2f}", ratio <= 1.6))
     if scene["scene"] == "vga":
         step = rows[STEP]["ms"]

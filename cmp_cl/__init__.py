@@ -1,9 +1,10 @@
 """Corners of deformed checkerboards on any OpenCL device, and the deformation they show."""
 
-from cmp_cl import reference
+from cmp_cl import measure, media, reference
 from cmp_cl.cell import estimate_cell
 from cmp_cl.config import (
     AdaptiveMean,
+    BinaryRings,
     DetectorConfig,
     EdgeLines,
     EdgeStep,
@@ -11,6 +12,7 @@ from cmp_cl.config import (
     Midlines,
     Pyramid,
     RapidCriteria,
+    RingHarmonic,
     SectorContrast,
     SpectralCriteria,
 )
@@ -28,8 +30,17 @@ from cmp_cl.errors import (
     KernelBuildError,
 )
 from cmp_cl.field import DisplacementField, SeriesWriter, displacement
-from cmp_cl.grid import Grid, NodeStatus, build_grid, refine_markers
-from cmp_cl.maps import Maps
+from cmp_cl.grid import (
+    Grid,
+    NodeStatus,
+    Rival,
+    Sides,
+    align,
+    build_grid,
+    build_grids,
+    refine_markers,
+)
+from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, DeviceKind, list_devices, select_device
 from cmp_cl.stereo import (
     BinocularSplit,
@@ -42,6 +53,7 @@ from cmp_cl.stereo import (
 
 __all__ = [
     "AdaptiveMean",
+    "BinaryRings",
     "BinocularSplit",
     "CalibrationError",
     "CapacityError",
@@ -60,6 +72,7 @@ __all__ = [
     "Fit",
     "Grid",
     "GridError",
+    "HarmonicMaps",
     "ImageError",
     "KernelBuildError",
     "Maps",
@@ -70,17 +83,24 @@ __all__ = [
     "Points3D",
     "Pyramid",
     "RapidCriteria",
+    "RingHarmonic",
+    "Rival",
     "SectorContrast",
     "SeriesWriter",
+    "Sides",
     "SpectralCriteria",
     "StereoRig",
+    "align",
     "build_grid",
+    "build_grids",
     "calibrate",
     "calibrate_camera",
     "detect",
     "displacement",
     "estimate_cell",
     "list_devices",
+    "measure",
+    "media",
     "reference",
     "refine_markers",
     "select_device",

@@ -1,7 +1,6 @@
 """Detector: from frames to corners, on one OpenCL device."""
 
 import operator
-import os
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from types import TracebackType
@@ -17,7 +16,7 @@ from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.maps import Maps
-from cmp_cl.opencl.device import Device, describe_handle, select_device
+from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.stages.plan import Overflow, Plan
 from cmp_cl.stages.plan_base import multiple
 from cmp_cl.stages.refine_stages import (
@@ -66,6 +65,7 @@ class Detector:
         mask: NDArray[np.bool_] | None = None,
         profile: bool = False,
     ) -> None:
+        check_process()
         self.shape = _checked_shape(shape)
         self.dtype = _checked_dtype(dtype)
         if self.dtype not in (np.uint8, np.uint16):
@@ -90,7 +90,6 @@ class Detector:
         self._queue = queue or cl.CommandQueue(context, properties=flags)
         self._transfers = cl.CommandQueue(context)  # of streams, beside the kernels
         self._lock = threading.RLock()
-        self._process = os.getpid()
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
         self._closed = False
         self.regrown = 0  # times that a list was too short and a frame was done again
@@ -111,6 +110,8 @@ class Detector:
 
     def close(self) -> None:
         """Give the device's memory back; the detector cannot be used afterwards."""
+        if is_forked():  # the memory is the parent's
+            return
         with self._lock:
             for plan in self._plans.values():
                 plan.release()
@@ -226,6 +227,8 @@ class Detector:
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
         region: tuple[float, float, float, float] | None = None,
+        previous: Grid | None = None,
+        strict: bool = False,
     ) -> tuple[Corners, Grid]:
         """The corners of a frame and their numbering, see `build_grid`.
 
@@ -236,7 +239,15 @@ class Detector:
         from cmp_cl.grid.build import build_grid
 
         corners = self(frame)
-        return corners, build_grid(corners, frame, shape=shape, like=like, region=region)
+        return corners, build_grid(
+            corners,
+            frame,
+            shape=shape,
+            like=like,
+            region=region,
+            previous=previous,
+            strict=strict,
+        )
 
     @property
     def _factors(self) -> list[float | None]:
@@ -325,6 +336,7 @@ class Detector:
         ]
 
     def _check(self, frame: Any) -> None:
+        check_process()
         check_image(frame)
         if frame.shape != self.shape or frame.dtype != self.dtype:
             raise ImageError(
@@ -334,6 +346,7 @@ class Detector:
 
     def _frames_in(self, buffer: cl.Buffer) -> int:
         """Frames that a buffer on the device holds."""
+        check_process()
         if buffer.context != self._queue.context:
             raise DeviceError(
                 "the buffer is of another OpenCL context; make the detector with queue=, a queue "
@@ -350,11 +363,6 @@ class Detector:
     def _check_alive(self) -> None:
         if self._closed:
             raise DeviceError("this detector is closed; make a new one")
-        if os.getpid() != self._process:
-            raise DeviceError(
-                "this detector was made before a fork, and OpenCL does not survive one; make it "
-                "in the child, or start processes with multiprocessing.get_context('spawn')"
-            )
 
 
 def detect(

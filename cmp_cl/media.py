@@ -8,16 +8,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
 from os import PathLike
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import ImageError
 from cmp_cl.files import write_bytes
-from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage
 
 IMAGE_SUFFIXES = frozenset(
@@ -30,12 +28,6 @@ VIDEO_SUFFIXES = frozenset(
 )
 
 LONGEST_GAP = 250  # frames
-
-CORNER_COLUMNS = (
-    *("x_px", "y_px", "pixel_x_px", "pixel_y_px", "response", "method"),
-    *("sigma_px", "edge0_rad", "edge1_rad", "edge2_rad", "edge3_rad", "doubtful"),
-)
-NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
 
 
 def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
@@ -220,45 +212,11 @@ def write_csv(
     path: str | PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]
 ) -> None:
     """Write a table with its header, whole or not at all; raises OSError."""
-    write_bytes(path, _csv([columns, *rows]))
+    write_bytes(path, csv_bytes([columns, *rows]))
 
 
-def _csv(rows: Iterable[Iterable[object]]) -> bytes:
+def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
+    """Rows as CSV in UTF-8."""
     text = StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode("utf-8", "backslashreplace")
-
-
-class Table:
-    """Writes rows of frames as CSV: a header with units, then a row for each corner or node.
-
-    columns: the names of what follows the image and its frame. rows: how many were written.
-    """
-
-    def __init__(self, file: BinaryIO, columns: Sequence[str]) -> None:
-        self._file = file
-        self.rows = 0
-        file.write(_csv([("image", "frame", *columns)]))
-
-    def write(self, name: str, frame: int, rows: Iterable[Sequence[object]]) -> None:
-        """Append the rows of one frame of the file of that name."""
-        full = [(name, frame, *row) for row in rows]
-        self._file.write(_csv(full))
-        self.rows += len(full)
-
-
-def corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
-    """CORNER_COLUMNS of every corner."""
-    arrays = (
-        *(corners.xy, corners.pixel, corners.response, corners.method),
-        *(corners.sigma, corners.edges, corners.doubtful),
-    )
-    for xy, pixel, response, method, sigma, edges, doubtful in zip(*arrays, strict=True):
-        yield (*xy, *pixel, response, Method(method).name, sigma, *edges, int(doubtful))
-
-
-def node_rows(grid: Grid) -> Iterator[Sequence[object]]:
-    """NODE_COLUMNS of every node, missing ones with NaN."""
-    for index in np.ndindex(grid.shape):
-        status = NodeStatus(int(grid.status[index])).name
-        yield (*index, *grid.xy[index], grid.sigma[index], status)

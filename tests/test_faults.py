@@ -11,8 +11,9 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
+from configs import rings
 
-from cmp_cl import Detector, DetectorConfig
+from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.opencl import program
 from cmp_cl.stages.plan import Plan
@@ -57,7 +58,7 @@ def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch
 
 
 def test_room_that_cannot_grow_leaves_a_detector_that_works(device, monkeypatch):
-    config = DetectorConfig(contrast=None, nms_radius=1, max_corners=1)
+    config = DetectorConfig(detection=BinaryRings(contrast=None), nms_radius=1, max_corners=1)
     dense = images.texture((300, 80))
     calm = np.full_like(dense, 128)
     calm[:61, :80] = BOARD[:, :80]
@@ -91,7 +92,7 @@ def cache(tmp_path, monkeypatch):
     return folder
 
 
-PLAIN = DetectorConfig(refinement=None, contrast=None)
+PLAIN = DetectorConfig(detection=BinaryRings(contrast=None), refinement=None)
 
 
 def find(device):
@@ -121,7 +122,7 @@ def test_a_program_is_compiled_once(device, cache, monkeypatch):
 
 def test_another_configuration_is_another_program(device, cache):
     find(device)
-    config = PLAIN.replace(outer_radius=4)
+    config = rings(PLAIN, outer_radius=4)
     Detector(shape=images.SHAPE, config=config, device=device).close()
     assert len(list(cache.iterdir())) == 2
 
@@ -216,7 +217,7 @@ def test_a_kill_in_the_middle_of_writing_leaves_what_was_there(tmp_path, before)
 
 def test_two_detectors_in_two_threads(device):
     expected = {name: [] for name in ("board", "texture")}
-    configs = {"board": DetectorConfig(), "texture": DetectorConfig(nms_radius=1)}
+    configs = {"board": rings(), "texture": rings(nms_radius=1)}
     frames = {"board": BOARD, "texture": TEXTURE}
     failures = []
 
@@ -268,3 +269,80 @@ def test_plans_are_released_with_their_detector(device, monkeypatch):
         assert any(plan.buffers for plan in living)
     assert len(living) >= 4
     assert all(not plan.buffers for plan in living)
+
+
+FORKED = """
+import multiprocessing, os, threading
+import numpy as np
+import cmp_cl
+import cmp_cl.opencl.program
+
+image = np.zeros((40, 40), np.uint8)
+rest = cmp_cl.Grid(
+    xy=np.indices((3, 3)).T.astype(np.float32) * 10 + 5,
+    status=np.ones((3, 3), np.uint8),
+    sigma=np.zeros((3, 3), np.float32),
+    index=np.empty((0, 2), np.int32),
+)
+device = cmp_cl.select_device({device!r})
+detector = cmp_cl.Detector(shape=image.shape, device=device)
+uses = {{
+    "list_devices": cmp_cl.list_devices,
+    "select_device": cmp_cl.select_device,
+    "Detector": lambda: cmp_cl.Detector(shape=image.shape, device=device),
+    "detect": lambda: cmp_cl.detect(image),
+    "refine_markers": lambda: cmp_cl.refine_markers(
+        rest.with_virtual_markers(1), 1, image, device
+    ),
+    "a detector of the parent": lambda: detector(image),
+    "its stream": lambda: list(detector.stream([image])),
+    "its batch": lambda: detector.batch([image]),
+    "its maps": lambda: detector.maps(image),
+}}
+
+
+def work(lines):
+    for name, use in uses.items():
+        try:
+            use()
+            lines.send(f"{{name}} worked")
+        except cmp_cl.DeviceError as error:
+            assert "spawn" in str(error) and "forkserver" in str(error)
+    detector.close()
+    lines.send("done")
+
+
+def hold():
+    with detector._lock:
+        held.set()
+        release.wait()
+
+
+# another thread is in the middle of a frame while the process forks
+held, release = threading.Event(), threading.Event()
+threading.Thread(target=hold, daemon=True).start()
+held.wait()
+mine, other = multiprocessing.Pipe()
+child = multiprocessing.get_context("fork").Process(target=work, args=(other,))
+child.start()
+said = []
+while not said or said[-1] != "done":
+    if not mine.poll(20):
+        child.kill()
+        said.append("hangs")
+        break
+    said.append(mine.recv())
+release.set()
+child.join()
+assert len(detector(image)) == 0  # the parent goes on
+print(said)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+def test_a_forked_child_of_a_process_that_used_opencl_gets_an_error_and_does_not_hang(device):
+    code = FORKED.format(device=device.index)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stdout == "['done']\n", done.stderr

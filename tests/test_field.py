@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from disks import full_after
 from stereo_data import gel, grid_of, points, project, toed_in_rig
 
 from cmp_cl.errors import ConfigError, FieldError
@@ -311,6 +312,58 @@ def test_an_error_in_the_loop_keeps_the_frames_before_it(tmp_path):
         series.append(index=1, time_ms=1 / 0, value=np.ones(3))
     with np.load(tmp_path / "a.npz") as data:
         assert data["index"].tolist() == [0]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
+def test_a_frame_that_a_full_disk_refuses_is_not_in_the_series(tmp_path):
+    frame = np.arange(1000.0)
+    with SeriesWriter(tmp_path / "a.npz", unit="mm") as series, full_after(20_000):
+        series.append(index=0, time_ms=0, value=frame)
+        series.append(index=1, time_ms=1, value=-frame)
+        with pytest.raises(OSError, match=r"File too large: '.*a.npz'"):
+            series.append(index=2, time_ms=2, value=frame)
+        assert len(series) == 2
+    with np.load(tmp_path / "a.npz") as data:
+        assert data["index"].tolist() == [0, 1]
+        np.testing.assert_array_equal(data["value"], [frame, -frame])
+    assert os.listdir(tmp_path) == ["a.npz"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
+def test_a_series_that_a_full_disk_refuses_stays_in_parts(tmp_path):
+    frame = np.arange(1000.0)
+    (tmp_path / "a.npz").write_text("old")
+    series = SeriesWriter(tmp_path / "a.npz", rest=frame, unit="mm")
+    for index in range(2):
+        series.append(index=index, time_ms=np.nan, value=frame, other=-frame)
+    with full_after(30_000), pytest.raises(OSError, match=r"2 frames, is in .*a\.npz\.parts"):
+        series.close()
+    series.close()
+    assert (tmp_path / "a.npz").read_text() == "old"
+    parts = {path.stem: np.load(path) for path in (tmp_path / "a.npz.parts").iterdir()}
+    assert sorted(parts) == ["index", "other", "rest", "time_ms", "unit", "value"]
+    np.testing.assert_array_equal(parts["value"], [frame, frame])
+    np.testing.assert_array_equal(parts["other"], [-frame, -frame])
+    np.testing.assert_array_equal(parts["rest"], frame)
+    assert parts["index"].tolist() == [0, 1]
+    with SeriesWriter(tmp_path / "a.npz") as another:  # leaves the parts of the first alone
+        another.append(index=0, time_ms=0, value=frame)
+    assert len(os.listdir(tmp_path / "a.npz.parts")) == 6
+    assert sorted(os.listdir(tmp_path)) == ["a.npz", "a.npz.parts"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no kill -9 on Windows")
+def test_a_kill_leaves_the_parts_of_a_series(tmp_path):
+    code = (
+        "import os, sys; sys.path[:0] = eval(sys.argv[2]); import numpy as np;"
+        "from cmp_cl import SeriesWriter; series = SeriesWriter(sys.argv[1], unit='mm');"
+        "[series.append(index=n, time_ms=n, value=np.full(5, n)) for n in range(3)];"
+        "os.kill(os.getpid(), 9)"
+    )
+    child = [sys.executable, "-c", code, str(tmp_path / "a.npz"), repr(sys.path)]
+    assert subprocess.run(child, check=False).returncode == -9
+    value = np.load(tmp_path / "a.npz.parts" / "value.npy")
+    np.testing.assert_array_equal(value, np.repeat([[0], [1], [2]], 5, axis=1))
 
 
 def test_a_frame_unlike_the_first_is_refused_and_leaves_no_trace(tmp_path):

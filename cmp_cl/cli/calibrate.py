@@ -1,45 +1,34 @@
 """`cmp-cl calibrate`: two cameras from views of a rigid board."""
 
 import argparse
-import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.cli.common import (
-    Progress,
-    Region,
+from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
     add_region,
     add_split,
-    alike,
-    counted,
-    detected,
-    find_pattern,
     grid_shape,
-    one_line,
     regions_in,
-    shown,
     split_of,
     views_of,
     whole,
 )
-from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep, window_for_cell
-from cmp_cl.detector import Detector
+from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.progress import Progress
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.files import check_target
-from cmp_cl.grid import Grid, NodeStatus
+from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device, select_device
-from cmp_cl.stereo import Points3D, StereoCalibration, calibrate
-
-SIGMA = 0.2  # px: corners less certain than this are left out
+from cmp_cl.measure import MAX_SIGMA, Region, find_boards, square_sides
+from cmp_cl.opencl.device import select_device
+from cmp_cl.stereo import StereoCalibration, calibrate
 
 
 def add_parser(commands: Any) -> None:
@@ -89,8 +78,8 @@ def add_parser(commands: Any) -> None:
         "--max-sigma",
         metavar="PX",
         type=float,
-        default=SIGMA,
-        help=f"largest standard deviation of a corner that is used; default: {SIGMA:g} px",
+        default=MAX_SIGMA,
+        help=f"largest standard deviation of a corner that is used; default: {MAX_SIGMA:g} px",
     )
     add_full_scale(parser)
     add_device(parser)
@@ -120,13 +109,13 @@ def run(arguments: argparse.Namespace) -> int:
                 pair = _read(name, arguments)
                 if size is not None and pair.left.shape != size:
                     raise ImageError(f"its views are {pair.left.shape}, the others' are {size}")
-                grids = board_pair(
+                grids = find_boards(
                     (pair.left, pair.right),
                     arguments.board,
-                    device,
                     max_sigma=arguments.max_sigma,
                     full_scale=arguments.full_scale,
                     regions=pair.regions,
+                    device=device,
                 )
                 size = pair.left.shape
             except (GridError, ImageError) as error:
@@ -186,85 +175,6 @@ def _read(paths: tuple[Path, ...], arguments: argparse.Namespace) -> _Pair:
     if left.shape != right.shape:
         raise ImageError(f"the two views are {left.shape} and {right.shape}, not of one size")
     return _Pair(name, left, right, regions)
-
-
-def board_pair(
-    views: tuple[GreyImage, GreyImage],
-    shape: tuple[int, int],
-    device: Device,
-    *,
-    max_sigma: float = SIGMA,
-    full_scale: int | None = None,
-    regions: tuple[Region | None, ...] = (None, None),
-) -> tuple[Grid, Grid]:
-    """The corners of a rigid board in two views, numbered alike, only those to be trusted.
-
-    regions: of each view (x0, y0, x1, y1), px, where the board is, or None.
-
-    Raises GridError where a view does not show the board up to all four of its sides: then
-    nobody knows which corner is which.
-    """
-    left, right = (
-        find_board(view, shape, device, full_scale=full_scale, region=region, name=name)
-        for view, region, name in zip(views, regions, ("left", "right"), strict=True)
-    )
-    right = alike(left, right)
-    return trusted(left, max_sigma), trusted(right, max_sigma)
-
-
-def find_board(
-    view: GreyImage,
-    shape: tuple[int, int],
-    device: Device,
-    *,
-    full_scale: int | None = None,
-    region: Region | None = None,
-    name: str = "",
-) -> Grid:
-    """The grid of a rigid board; its corners are refined at full size where it is found so.
-
-    A rigid board has sharp corners: at full size the narrow rings see less of their
-    surroundings than at a working scale, and do not reach over narrow outer squares.
-    """
-    cell, _ = find_pattern(view, shape, device, full_scale, region)
-    scaled = DetectorConfig.for_cell(cell).replace(
-        refinement=EdgeStep(cell=cell), full_scale=full_scale
-    )
-    plain = scaled.replace(
-        threshold=AdaptiveMean(window=min(window_for_cell(cell), 21)), scale=None
-    )
-    grids = []
-    for config in (plain, scaled):
-        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
-            grids.append(detector.grid(view, shape=shape, region=region)[1])
-        if detected(grids[-1]) == shape[0] * shape[1]:
-            break
-    grid = max(grids, key=detected)
-    seen = grid.status == NodeStatus.DETECTED
-    if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
-        raise GridError(
-            f"the {name} view shows {detected(grid)} of {seen.size} corners, and not those of "
-            "every side"
-        )
-    return grid
-
-
-def trusted(grid: Grid, max_sigma: float) -> Grid:
-    """The grid without the nodes that were not detected or are less certain than that, px."""
-    good = (grid.status == NodeStatus.DETECTED) & (grid.sigma <= max_sigma)
-    return dataclasses.replace(
-        grid,
-        xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
-        status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
-        sigma=np.where(good, grid.sigma, np.float32(np.nan)),
-    )
-
-
-def square_sides(points: Points3D) -> NDArray[np.float64]:
-    """The distances between neighbouring nodes that were placed, in the rig's unit."""
-    sides = [np.linalg.norm(np.diff(points.xyz, axis=axis), axis=2).ravel() for axis in (0, 1)]
-    every: NDArray[np.float64] = np.concatenate(sides)
-    return every[np.isfinite(every)]
 
 
 def _report(

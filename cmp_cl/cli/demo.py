@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.cli.common import add_device, cell_of, shown
-from cmp_cl.cli.measure import MeasuredInSpace, TwoViews, Wanted
+from cmp_cl.cli.arguments import add_device
+from cmp_cl.cli.messages import shown
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
+from cmp_cl.measure import MeasuredInSpace, TwoViews, cell_of
 from cmp_cl.opencl.device import select_device
 from cmp_cl.stereo import BinocularSplit, StereoRig
 from cmp_cl.synthetic import (
@@ -99,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     rows, columns = rest.frame.shape
     tell(f"rendered rest and press, {columns} x {rows} px, {shape[0]} x {shape[1]} corners a view")
     split = BinocularSplit.halves(columns, rows)
-    with TwoViews(rest.frame, rig, split, Wanted(device, shape)) as measure:
+    with TwoViews(rest.frame, rig, split, shape=shape, device=device) as measure:
         tell(f"found and numbered the pattern at rest on {device}")
         start = time.perf_counter()
         measured = measure(now.frame)

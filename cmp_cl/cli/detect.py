@@ -13,7 +13,10 @@ from typing import Any
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.common import Progress, add_device, add_full_scale, grid_shape, one_line, shown
+from cmp_cl.cli.arguments import add_device, add_full_scale, grid_shape
+from cmp_cl.cli.messages import one_line, shown
+from cmp_cl.cli.progress import Progress
+from cmp_cl.cli.tables import CORNER_COLUMNS, NODE_COLUMNS, Table, corner_rows, node_rows
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
@@ -80,8 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         table = None
         if out is not None:
-            columns = media.CORNER_COLUMNS if arguments.grid is None else media.NODE_COLUMNS
-            table = media.Table(stack.enter_context(whole_file(out)), columns)
+            columns = CORNER_COLUMNS if arguments.grid is None else NODE_COLUMNS
+            table = Table(stack.enter_context(whole_file(out)), columns)
         finder = stack.enter_context(
             contextlib.closing(_Finder(config, arguments.full_scale, device))
         )
@@ -94,9 +97,9 @@ def run(arguments: argparse.Namespace) -> int:
                     if arguments.grid is not None:
                         grid = tally.numbered(number, image, corners, arguments.grid)
                     if table is not None and arguments.grid is None:
-                        table.write(str(path), number, media.corner_rows(corners))
+                        table.write(str(path), number, corner_rows(corners))
                     elif table is not None and grid is not None:
-                        table.write(str(path), number, media.node_rows(grid))
+                        table.write(str(path), number, node_rows(grid))
                     if path in overlays:
                         name = _of_frame(overlays[path], path, number)
                         drawn = corner_overlay(image, corners)

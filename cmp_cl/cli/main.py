@@ -1,21 +1,23 @@
-"""The command line: `cmp-cl devices | detect | render | demo | run | calibrate | tune | bench`.
+"""The command line: `cmp-cl COMMAND`.
 
-Exit status: 0 done, 1 no device was found by `devices`, 2 something asked for could not be
-done (one line on stderr says what), 130 interrupted.
+Exit status: 0 done, 1 `devices` has found no device, 2 something asked for could not be done
+(one line on stderr says what), 130 stopped by Ctrl-C, SIGTERM or SIGHUP.
 """
 
 import argparse
+import contextlib
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 import cv2
 
 import cmp_cl
 from cmp_cl.cli import bench as benchmark
-from cmp_cl.cli import calibrate, demo, detect, render, run, tune
-from cmp_cl.cli.common import one_line
+from cmp_cl.cli import calibrate, demo, detect, pattern, render, run, tune
+from cmp_cl.cli.messages import one_line
+from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 from cmp_cl.opencl.device import DEVICE_VARIABLE
 
@@ -42,22 +44,55 @@ def main(argv: Sequence[str] | None = None) -> int:
     # OpenCV 4 and 5 call it differently; 0 is silent.
     set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
     set_log_level(0)
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
-    arguments = _parser().parse_args(argv)
-    run: Callable[[argparse.Namespace], int] = arguments.run
+    _open_streams()
     try:
-        return run(arguments)
+        with handled(interrupt):
+            arguments = _parser().parse_args(argv)
+            run: Callable[[argparse.Namespace], int] = arguments.run
+            status = run(arguments)
+            _flush()
+        return status
     except KernelBuildError as error:
         return _fail(str(error))
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence(sys.stdout)
         return 0
     except (CmpClError, OSError) as error:
         return _fail(one_line(error))
+    except MemoryError:
+        return _fail("there is not enough memory for this")
     except KeyboardInterrupt:
         return _fail("interrupted", status=130)
+
+
+def _flush() -> None:
+    """Write what was printed; raises OSError, which Python would only tell after the end."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, "standard output") from error
+
+
+def _open_streams() -> None:
+    """Give closed streams a sink, or the next file that is opened takes their number."""
+    for number, mode in ((0, "r"), (1, "w"), (2, "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+            name = ("stdin", "stdout", "stderr")[number]
+            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115, for good
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _silence(stream: TextIO) -> None:
+    """Send what a stream still holds nowhere, or Python complains at the end."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 class _Parser(argparse.ArgumentParser):
@@ -78,11 +113,19 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_parser(commands)
     tune.add_parser(commands)
     benchmark.add_parser(commands)
+    pattern.add_parser(commands)
     return parser
 
 
 def _fail(message: str, *, status: int = 2) -> int:
-    print(f"cmp-cl: {message}", file=sys.stderr)
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _silence(sys.stdout)
+    try:
+        print(f"cmp-cl: {message}", file=sys.stderr, flush=True)
+    except OSError:  # the terminal is closed
+        _silence(sys.stderr)
     return status
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.common import shown
+from cmp_cl.cli.messages import shown
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
 

@@ -2,37 +2,38 @@
 
 import argparse
 import contextlib
+import dataclasses
 import os
-import signal
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.common import (
-    Progress,
+from cmp_cl.cli.arguments import (
+    Box,
     add_device,
     add_full_scale,
     add_region,
     add_split,
-    counted,
     grid_shape,
     regions_in,
-    shown,
     split_of,
     views_of,
     whole,
 )
-from cmp_cl.cli.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews, Wanted
+from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.progress import Progress
+from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.field import SeriesWriter
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import select_device
+from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
+from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo import StereoRig
 from cmp_cl.viz import RerunLog
 
@@ -182,24 +183,6 @@ def _chained(first: _Shot, others: Generator[_Shot, None, None]) -> Generator[_S
         yield from others
 
 
-@contextlib.contextmanager
-def _ctrl_c() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed: the frame is finished then; pressed twice, it interrupts."""
-    pressed = False
-
-    def note(_: int, __: object) -> None:
-        nonlocal pressed
-        if pressed:
-            raise KeyboardInterrupt
-        pressed = True
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield lambda: pressed
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 class _Tally:
     """What was measured, for the line at the end."""
 
@@ -237,30 +220,90 @@ class _Tally:
         return "; ".join(parts)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Settings:
+    """What the arguments ask for, checked and loaded."""
+
+    source: _Source
+    rest_frame: int
+    out: str
+    rerun: str | None
+    show: bool
+    device: Device
+    shape: tuple[int, int] | None
+    config: DetectorConfig | None
+    full_scale: int | None
+    region: Sequence[Box] | None
+    rig: StereoRig | None
+    split: str
+    mirror: str | None
+
+    @classmethod
+    def of(cls, arguments: argparse.Namespace) -> Self:
+        if arguments.rest_frame < 0:
+            raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
+        if arguments.stereo is None and (arguments.split or arguments.mirror):
+            raise ConfigError("--split and --mirror need --stereo")
+        _check_suffix("--out", arguments.out, ".npz")
+        _check_suffix("--rerun", arguments.rerun, ".rrd")
+        config = None if arguments.config is None else DetectorConfig.load(arguments.config)
+        rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
+        device = select_device(arguments.device)
+        source = _Source(arguments.source)
+        _refuse_to_overwrite(source.paths, arguments)
+        return cls(
+            source=source,
+            rest_frame=arguments.rest_frame,
+            out=arguments.out,
+            rerun=arguments.rerun,
+            show=arguments.show,
+            device=device,
+            shape=arguments.grid,
+            config=config,
+            full_scale=arguments.full_scale,
+            region=arguments.region,
+            rig=rig,
+            split=arguments.split or "halves",
+            mirror=arguments.mirror,
+        )
+
+    def measurement(self, rest: GreyImage) -> Measurement:
+        """Frames against this one at rest; raises GridError where it has no pattern."""
+        search: Any = {
+            "shape": self.shape,
+            "config": self.config,
+            "full_scale": self.full_scale,
+            "device": self.device,
+        }
+        hint = ""
+        try:
+            if self.rig is None:
+                hint = "; --region picks one of several patterns; frames of two views need --stereo"
+                (region,) = regions_in(self.region, whole(rest))
+                return OneView(rest, region=region, **search)
+            split = split_of(self.split, self.mirror, rest.shape)
+            left, right = regions_in(self.region, *views_of(split))
+            return TwoViews(rest, self.rig, split, regions=(left, right), **search)
+        except GridError as error:
+            raise GridError(f"the rest frame {self.rest_frame}: {error}{hint}") from error
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns its exit status."""
-    if arguments.rest_frame < 0:
-        raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
-    if arguments.stereo is None and (arguments.split or arguments.mirror):
-        raise ConfigError("--split and --mirror need --stereo")
-    _check_out(arguments)
-    config = None if arguments.config is None else DetectorConfig.load(arguments.config)
-    rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
-    device = select_device(arguments.device)
-    source = _Source(arguments.source)
-    _refuse_to_overwrite(source.paths, arguments)
-    rest, shots = source.rest(arguments.rest_frame)
-    wanted = Wanted(device, arguments.grid, config, arguments.full_scale)
-    tally = _Tally()
+    settings = _Settings.of(arguments)
+    source = settings.source
+    rest, shots = source.rest(settings.rest_frame)
+    tally, stop, film = _Tally(), Stop(), _Film(settings)
+    full: OSError | None = None
     with contextlib.ExitStack() as stack:
-        stopped = stack.enter_context(_ctrl_c())
-        measure = stack.enter_context(_measurement(rest, rig, wanted, arguments))
-        film = _film(arguments, stack)
-        series = stack.enter_context(SeriesWriter(arguments.out, **measure.constants))
-        stack.callback(signal.signal, signal.SIGINT, signal.SIG_IGN)  # while it is written
+        stack.enter_context(handled(stop))
+        measure = stack.enter_context(settings.measurement(rest))
+        stack.enter_context(film)
+        series = stack.enter_context(SeriesWriter(settings.out, **measure.constants))
+        stack.callback(ignore)  # while it is written
         progress = stack.enter_context(Progress(source.total, "frames"))
         for shot in stack.enter_context(contextlib.closing(shots)):
-            if stopped():
+            if stop.name:
                 break
             progress.step()
             image = shot.image
@@ -271,52 +314,69 @@ def run(arguments: argparse.Namespace) -> int:
                 continue
             start = time.perf_counter()
             measured = measure(image)
-            tally.add(shot.number, measured, (time.perf_counter() - start) * 1e3)
-            series.append(index=shot.number, time_ms=shot.time_ms, **measured.arrays)
-            if film is not None:
-                film.frame(
-                    index=shot.number,
-                    time_ms=shot.time_ms,
-                    image=measured.views[0],
-                    grid=measured.grids[0],
-                    field=measured.field if isinstance(measured, MeasuredInSpace) else None,
-                )
-        interrupted = stopped()
-    ended = "stopped by Ctrl-C; " if interrupted else ""
-    line = tally.line(measure.nodes, measure.unit, str(device))
-    print(f"{ended}wrote {shown(arguments.out)}: {line}")
-    if arguments.rerun is not None:
-        print(f"wrote {shown(arguments.rerun)}")
-    return 130 if interrupted and source.camera is None else 0
+            spent = (time.perf_counter() - start) * 1e3
+            try:
+                series.append(index=shot.number, time_ms=shot.time_ms, **measured.arrays)
+            except OSError as error:
+                full = error
+                break
+            tally.add(shot.number, measured, spent)
+            film.frame(shot, measured)
+    ended = f"stopped by {stop.name}; " if stop.name else ""
+    line = tally.line(measure.nodes, measure.unit, str(settings.device))
+    print(f"{ended}wrote {shown(settings.out)}: {line}")
+    if settings.rerun is not None and film.error is None:
+        print(f"wrote {shown(settings.rerun)}")
+    failed = [error for error in (full, film.error) if error is not None]
+    if failed:
+        print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
+        return 2
+    return 130 if stop.name and source.camera is None else 0
 
 
-def _measurement(
-    rest: GreyImage, rig: StereoRig | None, wanted: Wanted, arguments: argparse.Namespace
-) -> Measurement:
-    try:
-        if rig is None:
-            regions = regions_in(arguments.region, whole(rest))
-            return OneView(rest, wanted._replace(regions=regions))
-        split = split_of(arguments.split or "halves", arguments.mirror, rest.shape)
-        wanted = wanted._replace(regions=regions_in(arguments.region, *views_of(split)))
-        return TwoViews(rest, rig, split, wanted)
-    except GridError as error:
-        hint = ""
-        if rig is None:
-            hint = "; --region picks one of several patterns; frames of two views need --stereo"
-        raise GridError(f"the rest frame {arguments.rest_frame}: {error}{hint}") from error
+class _Film(contextlib.AbstractContextManager["_Film"]):
+    """The recording or the viewer, if there is one; a run goes on where it cannot be written.
 
+    error: why it could not, None else.
+    """
 
-def _film(arguments: argparse.Namespace, stack: contextlib.ExitStack) -> RerunLog | None:
-    if arguments.rerun is None and not arguments.show:
-        return None
-    option = "--show" if arguments.show else "--rerun"
-    try:
-        return stack.enter_context(RerunLog(arguments.rerun))
-    except ImportError as error:
-        raise ConfigError(f"{option} needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
-    except RuntimeError as error:
-        raise ConfigError(f"{option}: {str(error).strip().splitlines()[0]}") from error
+    def __init__(self, settings: _Settings) -> None:
+        self._settings = settings
+        self._log: RerunLog | None = None
+        self.error: OSError | None = None
+
+    def __enter__(self) -> Self:
+        if self._settings.rerun is None and not self._settings.show:
+            return self
+        option = "--show" if self._settings.show else "--rerun"
+        try:
+            self._log = RerunLog(self._settings.rerun)
+        except ImportError as error:
+            raise ConfigError(f"{option} needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
+        except RuntimeError as error:
+            raise ConfigError(f"{option}: {str(error).strip().splitlines()[0]}") from error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._log is not None:
+            try:
+                self._log.close()
+            except OSError as error:
+                self.error = error
+
+    def frame(self, shot: _Shot, measured: Measured) -> None:
+        if self._log is None or self.error is not None:
+            return
+        try:
+            self._log.frame(
+                index=shot.number,
+                time_ms=shot.time_ms,
+                image=measured.views[0],
+                grid=measured.grids[0],
+                field=measured.field if isinstance(measured, MeasuredInSpace) else None,
+            )
+        except OSError as error:
+            self.error = error
 
 
 def _why_broken(shot: _Shot, rest: GreyImage) -> str:
@@ -329,11 +389,9 @@ def _why_broken(shot: _Shot, rest: GreyImage) -> str:
     )
 
 
-def _check_out(arguments: argparse.Namespace) -> None:
-    if Path(arguments.out).suffix.lower() != ".npz":
-        raise ConfigError(f"--out {shown(arguments.out)} must end in .npz")
-    if arguments.rerun is not None and Path(arguments.rerun).suffix.lower() != ".rrd":
-        raise ConfigError(f"--rerun {shown(arguments.rerun)} must end in .rrd")
+def _check_suffix(option: str, path: str | None, suffix: str) -> None:
+    if path is not None and Path(path).suffix.lower() != suffix:
+        raise ConfigError(f"{option} {shown(path)} must end in {suffix}")
 
 
 def _refuse_to_overwrite(inputs: Sequence[Path], arguments: argparse.Namespace) -> None:

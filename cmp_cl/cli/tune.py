@@ -14,39 +14,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.cli.common import (
-    Progress,
-    Region,
+from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
     add_region,
     add_split,
-    cell_of,
-    counted,
-    exact_config,
-    find_pattern,
     grid_shape,
-    one_line,
     regions_in,
-    shown,
     split_of,
     views_of,
     whole,
 )
+from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.progress import Progress
 from cmp_cl.config import (
-    AdaptiveMean,
+    BinaryRings,
     DetectorConfig,
     EdgeLines,
     Midlines,
-    SpectralCriteria,
-    window_for_cell,
+    RingHarmonic,
 )
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import check_target
 from cmp_cl.grid import Grid
-from cmp_cl.grid.build import predict
+from cmp_cl.grid.predict import predict
 from cmp_cl.image import GreyImage
+from cmp_cl.measure import Region, cell_of, exact_config, find_pattern
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.synthetic import scoring
 
@@ -141,25 +135,26 @@ class Row(NamedTuple):
 
 def changes(full: DetectorConfig, cell: float) -> dict[str, Change]:
     """The ways in which one stage of a configuration can be left out or replaced, by name."""
-    other = 9 - full.outer_radius
     found: dict[str, Change] = {
-        "one mask": lambda c: c.replace(threshold=AdaptiveMean(window=c.threshold.window)),
-        "no contrast gate": lambda c: c.replace(contrast=None),
-        "no corrosion criterion": lambda c: c.replace(
-            criteria=dataclasses.replace(c.criteria, corrosion_threshold=None)
-        ),
-        "spectral criteria": lambda c: c.replace(criteria=SpectralCriteria()),
+        "binary rings": lambda c: c.replace(detection=BinaryRings.for_cell(cell)),
+        "no alignment check": lambda c: _harmonic(c, alignment=None),
+        "no support check": lambda c: _harmonic(c, support=None),
         "EdgeLines": lambda c: c.replace(refinement=EdgeLines()),
         "Midlines": lambda c: c.replace(refinement=Midlines()),
         "no refinement": lambda c: c.replace(refinement=None),
-        f"outer radius {other}": lambda c: c.replace(outer_radius=other),
     }
+    if isinstance(full.detection, RingHarmonic) and full.detection.fine:
+        found["no squeezed cells"] = lambda c: _harmonic(c, fine=False)
     if full.scale is not None:
-        window = min(window_for_cell(cell), 21)
-        found["full size"] = lambda c: c.replace(
-            scale=None, threshold=dataclasses.replace(c.threshold, window=window)
-        )
+        found["full size"] = lambda c: c.replace(scale=None)
     return found
+
+
+def _harmonic(config: DetectorConfig, **changes: Any) -> DetectorConfig:
+    """The configuration with changes to its RingHarmonic, as it is where it has none."""
+    if not isinstance(config.detection, RingHarmonic):
+        return config
+    return config.replace(detection=dataclasses.replace(config.detection, **changes))
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -244,7 +239,10 @@ def _reference(
     why = "there is no frame that can be read"
     for view, region in views:
         try:
-            cells.append(find_pattern(view, shape, device, full_scale, region)[0])
+            cell, _ = find_pattern(
+                view, shape=shape, region=region, full_scale=full_scale, device=device
+            )
+            cells.append(cell)
         except GridError as error:
             why = one_line(error)
     if not cells:

@@ -3,10 +3,10 @@
 import base64
 import contextlib
 import dataclasses
+import io
 import math
 import shutil
 import struct
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from os import PathLike
@@ -299,8 +299,9 @@ class SeriesWriter:
     The file holds `index` (F,) int64, `time_ms` (F,) float64, every array that `append` gets
     stacked along a first axis of F frames, and the constants (rest positions, unit) as they
     are; numpy.load reads it. It appears when the `with` block ends, also by an exception or
-    Ctrl-C: then with the frames so far. Until then they lie in unnamed temporary files of
-    the same folder, so there must be room for two copies.
+    Ctrl-C: then with the frames so far. Until then they lie beside it in the folder NAME.parts,
+    an .npy for each array that numpy.load reads, so there must be room for two copies. Where
+    there is not, or the process is killed, that folder stays; the OSError names it.
 
         with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)
@@ -312,12 +313,18 @@ class SeriesWriter:
         self._path = check_target(path)
         self._constants = {name: np.asarray(value) for name, value in constants.items()}
         self._files = contextlib.ExitStack()
+        self._folder = _made_folder(self._path)
         self._open = True
         self._count = 0
-        self._columns = {
-            "index": self._column((), np.dtype(np.int64)),
-            "time_ms": self._column((), np.dtype(np.float64)),
-        }
+        self._columns: dict[str, _Column] = {}
+        try:
+            for name, constant in self._constants.items():
+                np.save(self._folder / f"{name}.npy", constant, allow_pickle=False)
+            self._add_column("index", (), np.dtype(np.int64))
+            self._add_column("time_ms", (), np.dtype(np.float64))
+        except BaseException:
+            self._remove()
+            raise
 
     def __len__(self) -> int:
         """Frames so far."""
@@ -338,7 +345,8 @@ class SeriesWriter:
         """Add a frame: its number, its time stamp in ms, and its arrays.
 
         Raises FieldError where the names, shapes or types differ from the first frame's, a
-        name is one of the constants', or the series is closed; then nothing is added.
+        name is one of the constants', or the series is closed, OSError where the disk is full;
+        then nothing is added.
         """
         if not self._open:
             raise FieldError("the series is closed")
@@ -346,11 +354,14 @@ class SeriesWriter:
         self._check(frame)
         if not self._count:
             for name, value in frame.items():
-                self._columns[name] = self._column(value.shape, value.dtype)
+                self._add_column(name, value.shape, value.dtype)
         frame["index"] = np.asarray(index, np.int64)
         frame["time_ms"] = np.asarray(time_ms, np.float64)
-        for name, value in frame.items():
-            self._columns[name].write(self._count, value)
+        try:
+            for name, value in frame.items():
+                self._columns[name].write(self._count, value)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self._path)) from error
         self._count += 1
 
     def _check(self, frame: Mapping[str, NDArray[Any]]) -> None:
@@ -369,21 +380,32 @@ class SeriesWriter:
             if value.dtype.hasobject:
                 raise FieldError(f"{name} must be an array of numbers, not of {value.dtype}")
 
-    def _column(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> "_Column":
-        temporary = tempfile.TemporaryFile(dir=self._path.parent)  # noqa: SIM115, closed by _files
-        file = self._files.enter_context(temporary)
-        return _Column(file, shape, dtype)
+    def _add_column(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        # without a buffer, which would keep the bytes that a full disk has refused; anew where
+        # the first frame was interrupted
+        file = open(self._folder / f"{name}.npy", "w+b", buffering=0)  # noqa: SIM115, closed by _files
+        self._columns[name] = _Column(self._files.enter_context(file), shape, dtype)
 
     def close(self) -> None:
         """Write the file; closing again does nothing. Raises OSError."""
         if not self._open:
             return
         self._open = False
-        with (
-            self._files,
-            whole_file(self._path) as file,
-            zipfile.ZipFile(file, "w") as archive,
-        ):
+        try:
+            with self._files:
+                self._write()
+        except OSError as error:
+            what = "1 frame" if self._count == 1 else f"{self._count} frames"
+            raise OSError(
+                error.errno,
+                f"{error.strerror}; what was added, {what}, is in the folder "
+                f"{str(self._folder)!r}, an .npy file for each array",
+                str(self._path),
+            ) from error
+        self._remove()
+
+    def _write(self) -> None:
+        with whole_file(self._path) as file, zipfile.ZipFile(file, "w") as archive:
             for name, value in self._constants.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, value, allow_pickle=False)
@@ -391,30 +413,64 @@ class SeriesWriter:
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     column.copy(self._count, member)
 
+    def _remove(self) -> None:
+        self._files.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _made_folder(path: Path) -> Path:
+    """A new folder for the arrays of a series: NAME.parts, or with a number where it is there."""
+    folder = path.with_name(f"{path.name}.parts")
+    number = 1
+    while True:
+        try:
+            folder.mkdir()
+            return folder
+        except FileExistsError:
+            number += 1
+            folder = path.with_name(f"{path.name}.parts-{number}")
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+
 
 class _Column:
-    """The frames of one array so far, one after the other in a file."""
+    """The frames of one array so far: an .npy file that grows."""
 
-    def __init__(self, file: IO[bytes], shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    def __init__(self, file: io.FileIO, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         self.file = file
         self.shape = shape
         self.dtype = dtype
+        self._write_at(0, self._header(0))
 
-    def write(self, frame: int, value: NDArray[Any]) -> None:
+    def write(self, frame: int, value: NDArray[np.generic]) -> None:
         """Write a frame in its place, also over one that was interrupted."""
-        self.file.seek(frame * value.nbytes)
-        self.file.write(value.tobytes())
+        header = self._header(frame + 1)
+        self._write_at(len(header) + frame * value.nbytes, value.tobytes())
+        self._write_at(0, header)
 
     def copy(self, frames: int, target: IO[bytes]) -> None:
         """Write the first frames as one .npy."""
+        header = self._header(frames)
+        self._write_at(0, header)
+        self.file.truncate(len(header) + frames * self.dtype.itemsize * math.prod(self.shape))
+        self.file.seek(0)
+        shutil.copyfileobj(self.file, target, 1 << 20)
+
+    def _header(self, frames: int) -> bytes:
+        """The header of an .npy of that many frames; NumPy makes it as long for any number."""
+        header = io.BytesIO()
         np.lib.format.write_array_header_2_0(
-            target,
+            header,
             {
                 "descr": np.lib.format.dtype_to_descr(self.dtype),
                 "fortran_order": False,
                 "shape": (frames, *self.shape),
             },
         )
-        self.file.truncate(frames * self.dtype.itemsize * math.prod(self.shape))
-        self.file.seek(0)
-        shutil.copyfileobj(self.file, target, 1 << 20)
+        return header.getvalue()
+
+    def _write_at(self, place: int, data: bytes) -> None:
+        self.file.seek(place)
+        rest = memoryview(data)
+        while rest:  # a nearly full disk takes a part of it
+            rest = rest[self.file.write(rest) :]

@@ -2,10 +2,12 @@
 
 from cmp_cl.grid.align import align
 from cmp_cl.grid.build import build_grid, build_grids
+from cmp_cl.grid.filter import Filtered, filter_grid
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides
 from cmp_cl.grid.markers import refine_markers
 
 __all__ = [
+    "Filtered",
     "Grid",
     "NodeStatus",
     "Rival",
@@ -13,5 +15,6 @@ __all__ = [
     "align",
     "build_grid",
     "build_grids",
+    "filter_grid",
     "refine_markers",
 ]

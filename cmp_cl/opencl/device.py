@@ -50,8 +50,37 @@ class Device:
         return f"{self.name} ({self.platform})"
 
 
+class _Started:
+    """The process that started OpenCL here, None before."""
+
+    process: int | None = None
+
+
+def is_forked() -> bool:
+    """Whether this is a child that was forked after OpenCL had started in its parent.
+
+    Threads do not survive a fork, and an implementation would wait for its own for ever.
+    """
+    return _Started.process not in (None, os.getpid())
+
+
+def check_process() -> None:
+    """Raise DeviceError where `is_forked`."""
+    if is_forked():
+        raise DeviceError(
+            "this process was forked after OpenCL had started in its parent, and OpenCL does not "
+            "survive a fork; start processes with multiprocessing.get_context('spawn') or "
+            "'forkserver'"
+        )
+
+
 def list_devices() -> list[Device]:
-    """All OpenCL devices, in the order of the platforms; empty where there is no platform."""
+    """Return all OpenCL devices, in the order of the platforms; empty where there is none.
+
+    Raises DeviceError in a forked child of a process that has used OpenCL.
+    """
+    check_process()
+    _Started.process = os.getpid()
     with _workers_on_own_cores():
         return [
             _describe(handle, f"{p}:{d}")

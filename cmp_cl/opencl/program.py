@@ -22,6 +22,7 @@ import pyopencl as cl
 
 from cmp_cl.errors import KernelBuildError
 from cmp_cl.files import write_bytes
+from cmp_cl.opencl.device import check_process
 
 _HEADERS = ("plane.clh", "ring.clh")
 _NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
@@ -71,7 +72,11 @@ def build(
     defines: Mapping[str, str | int],
     macros: Mapping[str, str] | None = None,
 ) -> Kernels:
-    """Compile the stages; raises KernelBuildError with the compiler's log."""
+    """Compile the stages.
+
+    Raises KernelBuildError with the compiler's log, DeviceError in a forked child.
+    """
+    check_process()
     options = ["-cl-std=CL1.2", *(f"-D{name}={value}" for name, value in defines.items())]
     text = source(stages, macros)
     kept = _place(context, text, options)

@@ -1,6 +1,5 @@
 """Pictures of the results."""
 
-import contextlib
 import enum
 import math
 from os import PathLike
@@ -17,6 +16,7 @@ from cmp_cl.field.field import DisplacementField, mesh
 from cmp_cl.files import whole_file
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage, check_image
+from cmp_cl.viz.piped import PipedFile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -350,12 +350,12 @@ class RerunLog:
 
         self._rerun = rerun
         self._stream = rerun.RecordingStream("cmp_cl")
-        self._file = contextlib.ExitStack()
+        self._file: PipedFile | None = None
         self._top = 0.0
         if path is None:
             self._stream.spawn()
         else:
-            self._stream.save(self._file.enter_context(whole_file(path)).name)
+            self._file = PipedFile(path, self._stream.save)
 
     def __enter__(self) -> Self:
         return self
@@ -381,7 +381,11 @@ class RerunLog:
 
         image: of 8 bits it is kept as JPEG, of 16 bits as PNG.
         time_ms: NaN leaves it out of the clock's timeline.
+
+        Raises OSError where an earlier frame could not be written.
         """
+        if self._file is not None:
+            self._file.check()
         rerun, stream = self._rerun, self._stream
         stream.set_time("frame", sequence=index)
         if not math.isnan(time_ms):
@@ -420,9 +424,14 @@ class RerunLog:
         self._stream.log("gel/displacement", arrows)
 
     def close(self) -> None:
-        """Finish the recording; closing again does nothing."""
+        """Finish the recording; closing again does nothing.
+
+        Raises OSError where it could not be written whole; an older file is then kept.
+        """
         self._stream.disconnect()
-        self._file.close()
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
 
 
 def _encoded(image: GreyImage) -> dict[str, Any]:

@@ -2,17 +2,19 @@
 
 import contextlib
 import dataclasses
+import os
 import signal
 import sys
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
+from disks import full_after
 from stereo_data import bumblebee_rig, grid_of, photographs
 
 from cmp_cl import (
-    AdaptiveMean,
     BinocularSplit,
     ConfigError,
     Detector,
@@ -20,13 +22,16 @@ from cmp_cl import (
     EdgeLines,
     GridError,
     NodeStatus,
+    RingHarmonic,
+    SeriesWriter,
     StereoRig,
     select_device,
 )
-from cmp_cl.cli import calibrate, demo, tune
+from cmp_cl.cli import demo, tune
 from cmp_cl.cli import main as cli
-from cmp_cl.cli.common import alike, exact_config, region_in, split_of, turned
+from cmp_cl.cli.arguments import region_in, split_of
 from cmp_cl.field.field import _Column
+from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
 from cmp_cl.media import Frame
 from cmp_cl.synthetic import (
     Indenter,
@@ -255,18 +260,68 @@ def test_a_camera_that_is_not_there_is_an_error(run, recording, monkeypatch):
     fails_in_one_line(run("run", "7", *STEREO), "no camera 7")
 
 
+STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, times):
+@pytest.mark.parametrize("name", STOPS)
+def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
     def frames_of(path):
         if path.name == "1.png":
             for _ in range(times):
-                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(getattr(signal, name))
         yield Frame(0, press[int(path.stem)].frame)
 
     monkeypatch.setattr("cmp_cl.media.read_frames", frames_of)
+    before = [signal.getsignal(getattr(signal, stop)) for stop in STOPS]
     status, _, _ = run("run", recording, *STEREO)
     assert status == 130
     assert np.load("press.npz")["index"].tolist() == [0]
+    assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
+def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
+    def frames_of(path):
+        signal.raise_signal(signal.SIGHUP)
+        yield Frame(0, press[int(path.stem)].frame)
+
+    monkeypatch.setattr("cmp_cl.media.read_frames", frames_of)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert run("run", recording, *STEREO)[0] == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert len(np.load("press.npz")["index"]) == len(press)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
+def test_a_disk_that_fills_up_ends_a_run_with_what_it_has(run, recording, press, monkeypatch):
+    append = SeriesWriter.append
+
+    def filling(series, **frame):
+        with full_after(5000 if len(series) == 2 else 10**9):
+            append(series, **frame)
+
+    monkeypatch.setattr(SeriesWriter, "append", filling)
+    status, out, err = run("run", recording, *STEREO)
+    assert status == 2
+    assert "wrote press.npz: 2 frames" in out
+    assert (err.count("\n"), "press.npz: File too large" in err) == (1, True)
+    assert np.load("press.npz")["index"].tolist() == [0, 1]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
+def test_a_film_that_a_full_disk_cuts_is_not_written_and_the_series_is(run, recording, press):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    Path("old.rrd").write_text("old")
+    with full_after(60_000):
+        status, out, err = run("run", recording, *STEREO, "--rerun", "old.rrd")
+    assert status == 2
+    assert (err.count("\n"), "old.rrd: File too large" in err) == (1, True)
+    assert "old.rrd" not in out
+    assert Path("old.rrd").read_text() == "old"
+    assert len(np.load("press.npz")["index"]) == len(press)
 
 
 def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press, monkeypatch):
@@ -321,10 +376,10 @@ def test_the_wrong_calibration_is_noticed_at_rest(run, recording):
 
 
 def test_two_views_without_a_calibration_are_explained(run, recording, monkeypatch):
-    def two(*_):
+    def two(*_, **__):
         raise GridError("two patterns are seen")
 
-    monkeypatch.setattr("cmp_cl.cli.measure.find_pattern", two)
+    monkeypatch.setattr("cmp_cl.measure.find_pattern", two)
     fails_in_one_line(
         run("run", recording, "--out", "a.npz"), "rest frame 0: two patterns", "--stereo"
     )
@@ -396,6 +451,9 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
         def __init__(self, path):
             assert path is None
             super().__init__(self)
+
+        def close(self):
+            pass
 
         def frame(self, **what):
             shown.append(what)
@@ -492,13 +550,15 @@ BOARD = "--board", "7x7", "--square", "4", "--out", "rig.yaml"
 
 
 def test_calibrate_finds_the_cameras_again(run, boards, monkeypatch):
-    monkeypatch.setattr("cmp_cl.cli.common._USUAL_CELLS", ())
+    monkeypatch.setattr("cmp_cl.measure._USUAL_CELLS", ())
     for number, views in enumerate(boards):
         cv2.imwrite(f"{number}.png", np.hstack(views))
     cv2.imwrite("4.png", np.full((VIEW[0], 2 * VIEW[1]), 90, np.uint8))
     status, out, err = run("calibrate", *(f"{number}.png" for number in range(5)), *BOARD)
     assert status == 0
-    assert err.startswith("cmp-cl: left out 4.png: no pattern of 7 x 7 corners is found")
+    assert err.startswith(
+        "cmp-cl: left out 4.png: the left view: no pattern of 7 x 7 corners is found"
+    )
     assert "wrote rig.yaml: 4 views" in out
     rig = StereoRig.load("rig.yaml")
     assert rig.K1[0, 0] == pytest.approx(RIG.K1[0, 0], rel=0.02)
@@ -575,7 +635,7 @@ def test_uncertain_and_unseen_corners_are_left_out():
     grid = grid_of(np.ones((2, 2, 2)), sigma=0.1)
     grid.sigma[0, 1] = 0.3
     grid.status[1, 0] = NodeStatus.SECOND_LOOK
-    kept = calibrate.trusted(grid, 0.2)
+    kept = trusted(grid, 0.2)
     assert kept.valid.tolist() == [[True, False], [False, True]]
     assert np.isnan(kept.xy[0, 1]).all()
     assert kept.status[1, 0] == NodeStatus.MISSING
@@ -604,9 +664,9 @@ def test_our_corners_measure_30_mm_with_the_published_calibration():
             cv2.imread(str(folder / f"{side}{pair:02}.jpg"), cv2.IMREAD_GRAYSCALE)
             for side in ("left", "right")
         ]
-        points = rig.triangulate(*calibrate.board_pair((views[0], views[1]), (6, 4), device))
+        points = rig.triangulate(*find_boards((views[0], views[1]), (6, 4), device=device))
         assert points.valid.all()
-        found.append(calibrate.square_sides(points))
+        found.append(square_sides(points))
     sides = np.concatenate(found)
     assert sides.mean() == pytest.approx(30, abs=0.02)
     assert sides.std() < 0.09
@@ -619,7 +679,7 @@ def test_tune_writes_settings_that_lose_nothing(run, recording, press, monkeypat
     every = tune.changes
 
     def some(full, cell):
-        return {name: every(full, cell)[name] for name in ("one mask", "EdgeLines")}
+        return {name: every(full, cell)[name] for name in ("binary rings", "EdgeLines")}
 
     monkeypatch.setattr(tune, "changes", some)
     status, out, err = run(
@@ -631,8 +691,8 @@ def test_tune_writes_settings_that_lose_nothing(run, recording, press, monkeypat
     said = {line[: tune.WIDTH].strip(): line.split() for line in out.splitlines()}
     assert said["everything"][1:3] == ["0", "0"]
     assert said["everything"][-1] == "-"
-    assert int(said["one mask"][2]) > 0
-    assert said["one mask"][-1] == "corners"
+    assert int(said["binary rings"][2]) > 0
+    assert said["binary rings"][-1] == "corners"
     assert said["EdgeLines"][-1] == "exactness"
     assert out.endswith("wrote my.toml\n")
     config = DetectorConfig.load("my.toml")
@@ -656,20 +716,21 @@ def test_tune_looks_at_the_pattern_in_the_region_alone(run, press, monkeypatch):
 
 
 def test_changes_are_kept_while_they_lose_nothing_and_save_time(monkeypatch):
-    full = exact_config(20.0)
-    ways = tune.changes(full, 20.0)
+    full = exact_config(12.0)
+    ways = tune.changes(full, 12.0)
 
     def ms(config):
         spent = 10.0
-        spent -= 4 * (config.threshold.masks == 1)
-        spent -= 3 * (config.outer_radius == 4)
+        rule = config.detection
+        spent -= 4 * (rule.alignment is None)
+        spent -= 3 * (rule.support is None)
         spent -= 2 * isinstance(config.refinement, EdgeLines)
-        spent -= 1 * (config.contrast is None and config.threshold.masks == 3)
+        spent -= 1 * (not rule.fine and rule.alignment is not None)
         return spent
 
     def missed(config):
-        """Fewer masks cost corners together with the small ring, as EdgeLines does alone."""
-        both = config.threshold.masks == 1 and config.outer_radius == 4
+        """No check at all costs corners, as EdgeLines does alone."""
+        both = config.detection.alignment is config.detection.support is None
         return int(both or isinstance(config.refinement, EdgeLines))
 
     def measured(configs, *_):
@@ -681,24 +742,29 @@ def test_changes_are_kept_while_they_lose_nothing_and_save_time(monkeypatch):
     monkeypatch.setattr(tune, "measure", measured)
     table = measured({"everything": full, **{name: way(full) for name, way in ways.items()}})
     chosen = tune.cheapest(table, ways, [], select_device(), None)
-    assert chosen.name == "one mask"  # the gate saves time only beside three masks
-    assert chosen.config == ways["one mask"](full)
+    assert chosen.name == "no alignment check"  # squeezed cells take time only beside it
+    assert chosen.config == ways["no alignment check"](full)
     assert tune.cheapest(table[:1], ways, [], select_device(), None).config == full
 
 
 def test_every_change_of_tune_changes_the_settings_and_they_add_up():
-    full = exact_config(20.0)
-    ways = tune.changes(full, 20.0)
+    full = exact_config(12.0)
+    ways = tune.changes(full, 12.0)
     alone = [change(full) for change in ways.values()]
     assert full not in alone
-    assert len(set(map(repr, alone))) == len(ways) == 9
+    assert len(set(map(repr, alone))) == len(ways) == 7
     together = full
-    for name in ("one mask", "no contrast gate", "EdgeLines", "outer radius 4", "full size"):
+    for name in ("no alignment check", "no support check", "EdgeLines", "no squeezed cells"):
         together = ways[name](together)
     assert together == DetectorConfig(
-        threshold=AdaptiveMean(window=21), contrast=None, outer_radius=4, refinement=EdgeLines()
+        detection=RingHarmonic(alignment=None, support=None, fine=False), refinement=EdgeLines()
     )
-    assert "full size" not in tune.changes(exact_config(12.0), 12.0)
+    rings = ways["binary rings"](full)
+    assert ways["no support check"](rings) == rings
+    wide = tune.changes(exact_config(80.0), 80.0)
+    assert set(wide) - set(ways) == {"full size"}
+    assert set(ways) - set(wide) == {"no squeezed cells"}
+    assert wide["full size"](exact_config(80.0)).scale is None
 
 
 def flat_frame():
@@ -758,7 +824,7 @@ def test_what_is_lost_is_named():
 def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
     run, tmp_path, monkeypatch, arguments, words
 ):
-    monkeypatch.setattr("cmp_cl.cli.common._USUAL_CELLS", ())
+    monkeypatch.setattr("cmp_cl.measure._USUAL_CELLS", ())
     cv2.imwrite("0.png", np.full(VIEW, 90, np.uint8))
     cv2.imwrite("1.png", np.full((100, 90), 90, np.uint8))
     fails_in_one_line(run("tune", "--markers", "9x9", *arguments), *words)
@@ -766,34 +832,6 @@ def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
 
 
 # what they share
-
-
-def test_a_turned_grid_is_the_same_grid():
-    row, column = np.indices((3, 4))
-    grid = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
-    corners = grid.xy.reshape(-1, 2)
-    for quarters in range(4):
-        other = turned(grid, quarters)
-        assert other.shape == ((3, 4) if quarters % 2 == 0 else (4, 3))
-        np.testing.assert_array_equal(other.xy[tuple(other.index.T)], corners)
-    half = turned(grid, 2)
-    np.testing.assert_array_equal(half.xy, grid.xy[::-1, ::-1])
-    assert half.parity == 1  # 3 + 4 is odd: the other colour comes first
-    assert turned(turned(grid, 1), 3).parity == grid.parity
-
-
-def test_two_views_are_numbered_alike():
-    row, column = np.indices((3, 4))
-    left = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
-    right = alike(left, turned(left, 2))
-    np.testing.assert_array_equal(right.xy, left.xy)
-    with pytest.raises(GridError, match="alike"):
-        alike(left, dataclasses.replace(left, parity=1))
-    across = grid_of(np.stack([-row * 10.0, column * 10.0], axis=-1))
-    with pytest.raises(GridError, match="alike"):
-        alike(left, across)
-    with pytest.raises(GridError, match="without any node"):
-        alike(left, grid_of(np.full((3, 4, 2), np.nan)))
 
 
 def test_a_split_is_read_as_it_is_written():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from comparison import assert_corners_equal, assert_maps_equal
 
-from cmp_cl import AdaptiveMean, Detector, DetectorConfig, DeviceKind
+from cmp_cl import AdaptiveMean, BinaryRings, Detector, DetectorConfig, DeviceKind
 
 BINARY = ("binary", "candidate", "contrast", "response")
 
@@ -20,7 +20,9 @@ def banded(device, image, config):
 @pytest.mark.parametrize("masks", [1, 3])
 @pytest.mark.parametrize("window", [3, 21, 41, 255])
 def test_every_window(device, masks, window):
-    config = DetectorConfig(threshold=AdaptiveMean(window=window, masks=masks), refinement=None)
+    config = DetectorConfig(
+        detection=BinaryRings(threshold=AdaptiveMean(window=window, masks=masks)), refinement=None
+    )
     for image in (images.texture((131, 97)), images.sixteen_bits()["texture"]):
         with banded(device, image, config) as detector:
             assert_maps_equal(detector, image, fields=BINARY)
@@ -29,13 +31,17 @@ def test_every_window(device, masks, window):
 @pytest.mark.parametrize("rows", [1, 2, 3, 15, 16, 17, 33, 100])
 def test_heights_around_a_band(device, rows):
     image = np.ascontiguousarray(images.texture((100, 70))[:rows])
-    with banded(device, image, DetectorConfig(refinement=None)) as detector:
+    with banded(
+        device, image, DetectorConfig(detection=BinaryRings(), refinement=None)
+    ) as detector:
         assert_maps_equal(detector, image, fields=BINARY)
 
 
 @pytest.mark.parametrize("offset", [1, 254, 255, 65535])
 def test_offsets(device, offset):
-    config = DetectorConfig(threshold=AdaptiveMean(offset=offset), refinement=None)
+    config = DetectorConfig(
+        detection=BinaryRings(threshold=AdaptiveMean(offset=offset)), refinement=None
+    )
     for image in (images.texture((70, 70)), images.sixteen_bits()["texture"]):
         with banded(device, image, config) as detector:
             assert_maps_equal(detector, image, fields=("binary",))

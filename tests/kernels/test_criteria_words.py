@@ -12,19 +12,29 @@ import pytest
 from comparison import assert_corners_equal, assert_maps_equal
 from corner_images import noise
 
-from cmp_cl import AdaptiveMean, Detector, DetectorConfig, DeviceKind, EdgeStep, RapidCriteria
+from cmp_cl import (
+    AdaptiveMean,
+    BinaryRings,
+    Detector,
+    DetectorConfig,
+    DeviceKind,
+    EdgeStep,
+    RapidCriteria,
+)
 
 EIGHT = images.eight_bits()
 KINDS = [DeviceKind.CPU, DeviceKind.GPU]
 DENSE = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
 CONFIGS = {
-    "default": DetectorConfig(),
-    "dense": DetectorConfig(criteria=DENSE, contrast=None, refinement=None),
+    "default": DetectorConfig(detection=BinaryRings()),
+    "dense": DetectorConfig(detection=BinaryRings(criteria=DENSE, contrast=None), refinement=None),
     "no corrosion criterion": DetectorConfig(
-        criteria=RapidCriteria(corrosion_threshold=None), refinement=None
+        detection=BinaryRings(criteria=RapidCriteria(corrosion_threshold=None)), refinement=None
     ),
-    "radius 4": DetectorConfig(outer_radius=4, refinement=None),
-    "three masks": DetectorConfig(threshold=AdaptiveMean(masks=3), refinement=EdgeStep()),
+    "radius 4": DetectorConfig(detection=BinaryRings(outer_radius=4), refinement=None),
+    "three masks": DetectorConfig(
+        detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep()
+    ),
 }
 
 
@@ -50,7 +60,7 @@ def test_the_other_form_equals_the_oracle(device, name):
 
 
 def test_sixteen_bits(device):
-    config = DetectorConfig(full_scale=4095)
+    config = DetectorConfig(detection=BinaryRings(), full_scale=4095)
     deep = images.sixteen_bits()
     with detector_of_kind(device, other_kind(device), deep["noise"], config) as detector:
         for image in deep.values():
@@ -59,7 +69,7 @@ def test_sixteen_bits(device):
 
 
 def test_which_form_is_taken(device):
-    image, config = EIGHT["noise"], DetectorConfig()
+    image, config = EIGHT["noise"], DetectorConfig(detection=BinaryRings())
     for kind, in_words in [(DeviceKind.CPU, True), (DeviceKind.GPU, False)]:
         with detector_of_kind(device, kind, image, config) as detector:
             stages = {launch.stage for launch in detector._plan(None).front}

@@ -6,7 +6,7 @@ import images
 import pytest
 from comparison import assert_corners_equal, assert_maps_equal
 
-from cmp_cl import AdaptiveMean, Detector, DetectorConfig, DeviceKind, RapidCriteria
+from cmp_cl import AdaptiveMean, BinaryRings, Detector, DetectorConfig, DeviceKind, RapidCriteria
 
 DENSE = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
 
@@ -20,9 +20,9 @@ def in_words(device, image, config):
 @pytest.mark.parametrize("radius", [4, 5])
 def test_contrasts_of_both_rings(device, masks, radius):
     config = DetectorConfig(
-        threshold=AdaptiveMean(masks=masks),
-        outer_radius=radius,
-        criteria=DENSE,
+        detection=BinaryRings(
+            threshold=AdaptiveMean(masks=masks), outer_radius=radius, criteria=DENSE
+        ),
         refinement=None,
     )
     for image in (images.texture((90, 110)), images.sixteen_bits()["texture"]):
@@ -34,7 +34,9 @@ def test_contrasts_of_both_rings(device, masks, radius):
 
 def test_more_candidates_than_room(device):
     image = images.texture((300, 300))
-    with in_words(device, image, DetectorConfig(criteria=DENSE, refinement=None)) as detector:
+    with in_words(
+        device, image, DetectorConfig(detection=BinaryRings(criteria=DENSE), refinement=None)
+    ) as detector:
         assert_corners_equal(detector, image)
         assert detector.regrown > 0
         assert_maps_equal(detector, image, fields=("contrast", "response", "maximum"))

@@ -6,7 +6,15 @@ import images
 import pytest
 from comparison import assert_maps_equal
 
-from cmp_cl import AdaptiveMean, Detector, DetectorConfig, DeviceKind, RapidCriteria, SectorContrast
+from cmp_cl import (
+    AdaptiveMean,
+    BinaryRings,
+    Detector,
+    DetectorConfig,
+    DeviceKind,
+    RapidCriteria,
+    SectorContrast,
+)
 
 DENSE = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
 FIELDS = ("response", "score", "maximum")
@@ -17,9 +25,7 @@ FIELDS = ("response", "score", "maximum")
 def test_maxima_across_bands(device, radius, masks):
     """Bands of 16 rows: a window reaches over one or two of them."""
     config = DetectorConfig(
-        threshold=AdaptiveMean(masks=masks),
-        criteria=DENSE,
-        contrast=None,
+        detection=BinaryRings(threshold=AdaptiveMean(masks=masks), criteria=DENSE, contrast=None),
         nms_radius=radius,
         refinement=None,
     )
@@ -34,7 +40,7 @@ def test_maxima_across_bands(device, radius, masks):
 def test_bounds_above_any_contrast(device, noise):
     """So noisy an image that the bound does not fit into the type of the contrasts."""
     gate = SectorContrast(minimum=0, relative=0, noise=noise)
-    config = DetectorConfig(criteria=DENSE, contrast=gate, refinement=None)
+    config = DetectorConfig(detection=BinaryRings(criteria=DENSE, contrast=gate), refinement=None)
     image = images.salt_and_pepper((90, 70), 0.5)
     device = dataclasses.replace(device, kind=DeviceKind.CPU)
     with Detector(shape=image.shape, config=config, device=device) as detector:

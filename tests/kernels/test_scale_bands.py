@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from cmp_cl import Detector, DetectorConfig, DeviceKind
+from cmp_cl import BinaryRings, Detector, DetectorConfig, DeviceKind
 from cmp_cl.reference import scale as oracle
 
 
@@ -21,7 +21,7 @@ def test_both_forms_in_a_batch(device, kind, form, dtype):
     stack[1] = largest
     other = dataclasses.replace(device, kind=kind)
     for factor in (0.07, 0.3, 0.5, 0.836, 1.3, 4.0):
-        config = DetectorConfig(scale=factor)
+        config = DetectorConfig(detection=BinaryRings(), scale=factor)
         with Detector(shape=(67, 93), dtype=dtype, config=config, device=other) as detector:
             detector.batch(stack)
             plan = detector._plan(factor, frames=3)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cmp_cl import media
+from cmp_cl.cli.tables import CORNER_COLUMNS, Table, corner_rows
 from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import ImageError
 from cmp_cl.files import whole_file
@@ -164,8 +165,8 @@ def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
     corners = corners_at([[1.1, 2.2], [63.000004, 47]])
     name = 'a "b",\nc.png'
     with whole_file(tmp_path / "c.csv") as file:
-        table = media.Table(file, media.CORNER_COLUMNS)
-        table.write(name, 3, media.corner_rows(corners))
+        table = Table(file, CORNER_COLUMNS)
+        table.write(name, 3, corner_rows(corners))
         assert table.rows == 2
     with open(tmp_path / "c.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -181,6 +182,6 @@ def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
 
 def test_a_name_that_is_no_text_does_not_stop_the_csv(tmp_path):
     with whole_file(tmp_path / "c.csv") as file:
-        table = media.Table(file, media.CORNER_COLUMNS)
-        table.write(os.fsdecode(b"\xff.png"), 0, media.corner_rows(corners_at([[1, 2]])))
+        table = Table(file, CORNER_COLUMNS)
+        table.write(os.fsdecode(b"\xff.png"), 0, corner_rows(corners_at([[1, 2]])))
     assert (tmp_path / "c.csv").read_text(encoding="utf-8").count("\n") == 2

@@ -1,0 +1,134 @@
+"""Arguments that commands share, and what they mean for a frame."""
+
+import argparse
+import re
+from collections.abc import Sequence
+
+from cmp_cl.errors import ConfigError
+from cmp_cl.image import GreyImage
+from cmp_cl.measure import Region
+from cmp_cl.stereo import BinocularSplit
+
+_BOX = r"(\d+),(\d+),(\d+),(\d+)"
+
+Box = tuple[int, int, int, int]  # x, y, width, height, px
+View = tuple[Box, bool]  # where it is in the frame, and whether it is mirrored
+
+
+def add_device(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--device",
+        metavar="NAME",
+        help="part of a device's or platform's name, an index such as 0:0, gpu or cpu; default: "
+        "the variable CMP_CL_DEVICE, else the first GPU, else the first CPU",
+    )
+
+
+def add_full_scale(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--full-scale",
+        metavar="LEVEL",
+        type=int,
+        help="largest grey level of the camera, 4095 for 12 bits in a 16-bit file; default: that "
+        "of the settings, else 255 or 65535",
+    )
+
+
+def add_split(parser: argparse.ArgumentParser, *, help_: str) -> None:
+    parser.add_argument("--split", metavar="WHERE", help=help_)
+    parser.add_argument(
+        "--mirror",
+        choices=("left", "right", "both"),
+        help="the views that an odd number of mirrors shows reversed",
+    )
+
+
+def add_region(parser: argparse.ArgumentParser, *, help_: str) -> None:
+    parser.add_argument("--region", metavar="WHERE", type=boxes, help=help_)
+
+
+def grid_shape(text: str) -> tuple[int, int]:
+    """Rows and columns from a text such as 40x40."""
+    match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text)
+    if match is None or min(int(match[1]), int(match[2])) < 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is no pair of counts such as 40x40")
+    return int(match[1]), int(match[2])
+
+
+def boxes(text: str) -> tuple[Box, ...]:
+    """One or two rectangles from a text such as 0,0,320,480 or 0,0,320,480:400,0,320,480."""
+    match = re.fullmatch(f"{_BOX}(?::{_BOX})?", text)
+    numbers = [] if match is None else [int(number) for number in match.groups() if number]
+    found = [(x, y, w, h) for x, y, w, h in zip(*[iter(numbers)] * 4, strict=True)]
+    if not found or min(min(box[2:]) for box in found) < 1:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is neither a rectangle X,Y,WIDTH,HEIGHT in px nor two of them with a colon "
+            "between"
+        )
+    return tuple(found)
+
+
+def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | None, ...]:
+    """Of each view the region that --region chooses in its frame, None without it.
+
+    Raises ConfigError where there are not as many rectangles as views, or one lies outside.
+    """
+    if chosen is None:
+        return (None,) * len(views)
+    if len(chosen) != len(views):
+        raise ConfigError(
+            f"--region needs a rectangle for each view, here {len(views)}, with a colon between "
+            f"two; it has {len(chosen)}"
+        )
+    return tuple(
+        region_in(view, box, mirror=mirror)
+        for box, (view, mirror) in zip(chosen, views, strict=True)
+    )
+
+
+def whole(image: GreyImage) -> View:
+    """The view that is all of the frame."""
+    return (0, 0, image.shape[1], image.shape[0]), False
+
+
+def views_of(split: BinocularSplit) -> tuple[View, View]:
+    """The left and the right view."""
+    return (split.left, split.mirror_left), (split.right, split.mirror_right)
+
+
+def region_in(view: Box, box: Box, *, mirror: bool) -> Region:
+    """Where a rectangle of a frame lies in a view that was cut from it.
+
+    Raises ConfigError where it lies outside.
+    """
+    x, y, width, height = view
+    x0, y0 = box[0] - x, box[1] - y
+    x1, y1 = x0 + box[2], y0 + box[3]
+    if not (x1 > 0 and y1 > 0 and x0 < width and y0 < height):
+        raise ConfigError(
+            f"--region {','.join(map(str, box))} lies outside the view, which is "
+            f"{','.join(map(str, view))} of the frame (X,Y,WIDTH,HEIGHT)"
+        )
+    if mirror:
+        x0, x1 = width - x1, width - x0
+    return x0 - 0.5, y0 - 0.5, x1 - 0.5, y1 - 0.5
+
+
+def split_of(where: str, mirror: str | None, shape: tuple[int, ...]) -> BinocularSplit:
+    """The split that --split and --mirror ask for, for frames of that shape.
+
+    Raises ConfigError for a text that is neither halves nor two rectangles.
+    """
+    match = re.fullmatch(f"{_BOX}:{_BOX}", where)
+    if where == "halves":
+        halves = BinocularSplit.halves(shape[1], shape[0])
+        left, right = halves.left, halves.right
+    elif match is not None:
+        x, y, width, height, *other = map(int, match.groups())
+        left, right = (x, y, width, height), (other[0], other[1], other[2], other[3])
+    else:
+        raise ConfigError(
+            f"--split {where!r} is neither halves nor two rectangles X,Y,WIDTH,HEIGHT:"
+            "X,Y,WIDTH,HEIGHT in px, left and right"
+        )
+    return BinocularSplit(left, right, mirror in ("left", "both"), mirror in ("right", "both"))

@@ -1,0 +1,39 @@
+"""A progress bar, and lines printed above it."""
+
+import contextlib
+import sys
+from typing import Any, TextIO
+
+
+class Progress:
+    """A progress bar, where tqdm is installed and stderr is a terminal; else nothing.
+
+    total: how many steps, None where nobody knows. unit: what is counted.
+    """
+
+    def __init__(self, total: int | None, unit: str) -> None:
+        self._bar: Any = None
+        with contextlib.suppress(ImportError):
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, unit=f" {unit}", disable=None, leave=False)
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def step(self) -> None:
+        if self._bar is not None:
+            self._bar.update()
+
+    def say(self, line: str, stream: TextIO | None = None) -> None:
+        """Print a line above the bar, on stdout where no stream is named."""
+        if self._bar is not None:
+            self._bar.clear()
+        print(line, file=stream or sys.stdout, flush=True)
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()

@@ -1,0 +1,51 @@
+"""The tables that `detect` writes: corners, or the nodes of a grid."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import BinaryIO
+
+import numpy as np
+
+from cmp_cl.corners import Corners, Method
+from cmp_cl.grid import Grid, NodeStatus
+from cmp_cl.media import csv_bytes
+
+CORNER_COLUMNS = (
+    *("x_px", "y_px", "pixel_x_px", "pixel_y_px", "response", "method"),
+    *("sigma_px", "edge0_rad", "edge1_rad", "edge2_rad", "edge3_rad", "doubtful"),
+)
+NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
+
+
+class Table:
+    """Writes rows of frames as CSV: a header with units, then a row for each corner or node.
+
+    columns: the names of what follows the image and its frame. rows: how many were written.
+    """
+
+    def __init__(self, file: BinaryIO, columns: Sequence[str]) -> None:
+        self._file = file
+        self.rows = 0
+        file.write(csv_bytes([("image", "frame", *columns)]))
+
+    def write(self, name: str, frame: int, rows: Iterable[Sequence[object]]) -> None:
+        """Append the rows of one frame of the file of that name."""
+        full = [(name, frame, *row) for row in rows]
+        self._file.write(csv_bytes(full))
+        self.rows += len(full)
+
+
+def corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
+    """CORNER_COLUMNS of every corner."""
+    arrays = (
+        *(corners.xy, corners.pixel, corners.response, corners.method),
+        *(corners.sigma, corners.edges, corners.doubtful),
+    )
+    for xy, pixel, response, method, sigma, edges, doubtful in zip(*arrays, strict=True):
+        yield (*xy, *pixel, response, Method(method).name, sigma, *edges, int(doubtful))
+
+
+def node_rows(grid: Grid) -> Iterator[Sequence[object]]:
+    """NODE_COLUMNS of every node, missing ones with NaN."""
+    for index in np.ndindex(grid.shape):
+        status = NodeStatus(int(grid.status[index])).name
+        yield (*index, *grid.xy[index], grid.sigma[index], status)

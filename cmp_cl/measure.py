@@ -1,0 +1,511 @@
+"""Measure frames against a frame at rest, and find the patterns and boards that they show.
+
+From a film of two views in one frame, as behind a mirror device, to a field for every frame:
+
+    import cmp_cl
+
+    rig = cmp_cl.StereoRig.load("rig.yaml")
+    frames = cmp_cl.media.read_frames("press.mp4")
+    rest = next(frames).image
+    split = cmp_cl.BinocularSplit.halves(width=rest.shape[1], height=rest.shape[0])
+    with cmp_cl.measure.TwoViews(rest, rig, split, shape=(12, 12)) as measure:
+        for frame in frames:
+            if frame.image is not None:
+                measure(frame.image).field.save(f"press-{frame.index:04}.vtp")
+
+`OneView` does the same in the image, for a camera that sees the pattern from one side.
+`find_boards` gives the pairs of grids that `cmp_cl.calibrate` takes, to make the rig.
+"""
+
+import contextlib
+import dataclasses
+from types import TracebackType
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.cell import estimate_cell
+from cmp_cl.config import DetectorConfig, EdgeStep
+from cmp_cl.corners import Corners
+from cmp_cl.detector import Detector
+from cmp_cl.errors import GridError
+from cmp_cl.field import DisplacementField, displacement
+from cmp_cl.grid import Grid, NodeStatus, align, build_grid
+from cmp_cl.image import GreyImage
+from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
+
+Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
+
+MAX_SIGMA = 0.2  # px: corners of a board that are less certain are not used
+_FITS = 1.0  # px, largest reprojection error of a node that fits the rig
+_LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
+_USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried where the estimate does not find the pattern
+
+
+# frames against the frame at rest
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Measured:
+    """One frame against the frame at rest.
+
+    arrays: what `SeriesWriter.append` takes, by name: xy (R, C, 2) float32, px, sigma (R, C)
+        float32, px, and status (R, C) uint8 of `NodeStatus`.
+    nodes: how many nodes are measured in both frames.
+    largest: the largest displacement, px or the rig's unit, 0 without nodes.
+    ambiguous: whether the numbers of a grid may be those of other nodes, see `Grid.ambiguous`.
+    views, corners, grids: of the one view, or of the left and of the right one.
+    """
+
+    arrays: dict[str, NDArray[Any]]
+    nodes: int
+    largest: float
+    ambiguous: bool
+    views: tuple[GreyImage, ...]
+    corners: tuple[Corners, ...]
+    grids: tuple[Grid, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class MeasuredInSpace(Measured):
+    """One frame of two views against the frame at rest, in space.
+
+    points: where the nodes are now. field: how far they have moved.
+    arrays: displacement, sigma, status and source of the field, and the positions left and
+        right, (R, C, 2) float32, px.
+    """
+
+    points: Points3D
+    field: DisplacementField
+
+
+class Measurement:
+    """Measures frames against the frame at rest. Use it in a with statement.
+
+    constants: arrays that a series says once: rest (R, C, 2) or (R, C, 3), unit, and with two
+        views left_rest and right_rest (R, C, 2).
+    unit: of the displacements, "px" or the rig's.
+    nodes: how many nodes the pattern has.
+    """
+
+    constants: dict[str, NDArray[Any]]
+    unit: str
+    nodes: int
+
+    def __init__(self) -> None:
+        self._detectors = contextlib.ExitStack()
+
+    def __call__(self, frame: GreyImage) -> Measured:
+        """Measure one frame, of the size and the type of the frame at rest.
+
+        Nodes that are not found are NaN; a frame without the pattern has none.
+        Raises ImageError, CapacityError and DeviceError as a `Detector` does.
+        """
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Release the device's memory."""
+        self._detectors.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class OneView(Measurement):
+    """Measures the positions of the nodes in the image, px.
+
+    rest: the frame at rest, (H, W) uint8 or uint16.
+    shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
+    region: (x0, y0, x1, y1), px, where the pattern is in every frame; None is everywhere.
+    config: of the detector; None is `exact_config` for the cells seen at rest.
+    track: continue the numbers of the frame before where the frame at rest leaves them
+        ambiguous. Frames then come in order, and the pattern as a whole moves by less than
+        half a cell from each to the next.
+    full_scale: the camera's largest grey level; None is that of the settings or of the type.
+    device: a Device, a text for `select_device`, or None for the default device.
+
+    Raises GridError where the frame at rest shows no such pattern, and what `Detector` raises.
+    """
+
+    def __init__(
+        self,
+        rest: GreyImage,
+        *,
+        shape: tuple[int, int] | None = None,
+        region: Region | None = None,
+        config: DetectorConfig | None = None,
+        full_scale: int | None = None,
+        device: Device | str | None = None,
+        track: bool = False,
+    ) -> None:
+        super().__init__()
+        search = _Search(_selected(device), shape, config, full_scale, track)
+        self._pattern = _Pattern(rest, search, region)
+        self._detectors.enter_context(self._pattern.detector)
+        self.unit = "px"
+        self.nodes = self._pattern.rest.status.size
+        self.constants = {"rest": self._pattern.rest.xy, "unit": np.array(self.unit)}
+
+    @property
+    def rest_grid(self) -> Grid:
+        """The grid of the frame at rest."""
+        return self._pattern.rest
+
+    def __call__(self, frame: GreyImage) -> Measured:
+        """Measure one frame, see `Measurement.__call__`."""
+        corners, grid = self._pattern.find(frame)
+        moved = np.linalg.norm(grid.xy - self._pattern.rest.xy, axis=2)
+        moved = moved[~np.isnan(moved)]
+        return Measured(
+            arrays={"xy": grid.xy, "sigma": grid.sigma, "status": grid.status},
+            nodes=len(moved),
+            largest=float(moved.max(initial=0)),
+            ambiguous=grid.ambiguous,
+            views=(frame,),
+            corners=(corners,),
+            grids=(grid,),
+        )
+
+
+class TwoViews(Measurement):
+    """Measures displacements in space from frames that hold two views.
+
+    rest: the frame at rest, (H, W) uint8 or uint16. rig: calibrated on views split alike.
+    split: where the two views are in a frame. regions: of the left and of the right view.
+    The other arguments are those of `OneView`.
+
+    Raises GridError where a view of the frame at rest shows no such pattern, or the rig does
+    not fit three quarters of its nodes to 1 px; ImageError where a view leaves the frame; and
+    what `Detector` raises.
+    """
+
+    def __init__(
+        self,
+        rest: GreyImage,
+        rig: StereoRig,
+        split: BinocularSplit,
+        *,
+        shape: tuple[int, int] | None = None,
+        regions: tuple[Region | None, Region | None] = (None, None),
+        config: DetectorConfig | None = None,
+        full_scale: int | None = None,
+        device: Device | str | None = None,
+        track: bool = False,
+    ) -> None:
+        super().__init__()
+        self._rig = rig
+        self._split = split
+        search = _Search(_selected(device), shape, config, full_scale, track)
+        with contextlib.ExitStack() as stack:
+            patterns = []
+            for side, view, region in zip(("left", "right"), split(rest), regions, strict=True):
+                try:
+                    pattern = _Pattern(view, search, region)
+                except GridError as error:
+                    raise GridError(f"the {side} view: {error}") from error
+                stack.enter_context(pattern.detector)
+                patterns.append(pattern)
+                search = dataclasses.replace(search, shape=pattern.rest.shape)
+            self._left, self._right = patterns
+            self._right.rest = align_views(self._left.rest, self._right.rest)
+            self.rest = self._placed(self._left.rest, self._right.rest)
+            self._detectors = stack.pop_all()
+        self.unit = rig.unit
+        self.nodes = self.rest.status.size
+        self.constants = {
+            "rest": self.rest.xyz,
+            "left_rest": self._left.rest.xy,
+            "right_rest": self._right.rest.xy,
+            "unit": np.array(rig.unit),
+        }
+
+    @property
+    def rest_grids(self) -> tuple[Grid, Grid]:
+        """The grids of the frame at rest, left and right."""
+        return self._left.rest, self._right.rest
+
+    def _placed(self, left: Grid, right: Grid) -> Points3D:
+        points = self._rig.triangulate(left, right)
+        both = np.count_nonzero(left.valid & right.valid)
+        fitting = np.count_nonzero(points.valid & (points.error <= _FITS))
+        if not fitting >= _LEAST_FITTING * both or not both:
+            raise GridError(
+                f"the rig fits {fitting} of the {both} nodes that both views show to "
+                f"{_FITS:g} px; check the calibration, the number of corners, the split, mirrored "
+                "views, and which view is the left one"
+            )
+        return points
+
+    def __call__(self, frame: GreyImage) -> MeasuredInSpace:
+        """Measure one frame, see `Measurement.__call__`."""
+        views = self._split(frame)
+        left_corners, left = self._left.find(views[0])
+        right_corners, right = self._right.find(views[1])
+        points = self._rig.triangulate(left, right)
+        field = displacement(self.rest, points)
+        arrays: dict[str, NDArray[Any]] = {
+            "displacement": field.displacement,
+            "sigma": field.sigma,
+            "status": field.status,
+            "source": field.source,
+            "left": left.xy,
+            "right": right.xy,
+        }
+        moved = np.linalg.norm(field.displacement[field.valid], axis=1)
+        return MeasuredInSpace(
+            arrays=arrays,
+            nodes=len(moved),
+            largest=float(moved.max(initial=0)),
+            ambiguous=left.ambiguous or right.ambiguous,
+            views=views,
+            corners=(left_corners, right_corners),
+            grids=(left, right),
+            points=points,
+            field=field,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Search:
+    """How a pattern is looked for, see `OneView`."""
+
+    device: Device
+    shape: tuple[int, int] | None
+    config: DetectorConfig | None
+    full_scale: int | None
+    track: bool
+
+
+class _Pattern:
+    """The pattern at rest in a view, and the detector that finds it in others.
+
+    Raises GridError where the view shows no pattern.
+    """
+
+    def __init__(self, view: GreyImage, search: _Search, region: Region | None) -> None:
+        config, shape, device = search.config, search.shape, search.device
+        self._region = region
+        self._track = search.track
+        self._previous: Grid | None = None
+        if config is None:
+            cell, _ = find_pattern(
+                view, shape=shape, region=region, full_scale=search.full_scale, device=device
+            )
+            config = exact_config(cell, search.full_scale)
+        elif search.full_scale is not None:
+            config = config.replace(full_scale=search.full_scale)
+        with contextlib.ExitStack() as stack:
+            self.detector = stack.enter_context(
+                Detector(shape=view.shape, dtype=view.dtype, config=config, device=device)
+            )
+            self.corners, self.rest = self.detector.grid(view, shape=shape, region=region)
+            if not self.rest.valid.any():
+                raise GridError("no pattern is seen")
+            stack.pop_all()
+
+    def find(self, view: GreyImage) -> tuple[Corners, Grid]:
+        """The corners of another view and their grid, without a node where there is none.
+
+        The grid has the rows and columns at rest: nodes beyond have no displacement.
+        """
+        corners = self.detector(view)
+        before = (self._previous or self.rest) if self._track else None
+        try:
+            grid = build_grid(
+                corners, view, like=self.rest, region=self._region, previous=before
+            ).cut_to(self.rest)
+        except GridError:
+            return corners, _without_nodes(self.rest, len(corners))
+        if grid.valid.any():
+            self._previous = grid
+        return corners, grid
+
+
+def _without_nodes(rest: Grid, corners: int) -> Grid:
+    return Grid(
+        xy=np.full((*rest.shape, 2), np.nan, np.float32),
+        status=np.zeros(rest.shape, np.uint8),
+        sigma=np.full(rest.shape, np.nan, np.float32),
+        index=np.full((corners, 2), -1, np.int32),
+        origin=rest.origin,
+    )
+
+
+def _selected(device: Device | str | None) -> Device:
+    return device if isinstance(device, Device) else select_device(device)
+
+
+# patterns of unknown cells
+
+
+def find_pattern(
+    view: GreyImage,
+    *,
+    shape: tuple[int, int] | None = None,
+    region: Region | None = None,
+    full_scale: int | None = None,
+    device: Device | str | None = None,
+) -> tuple[float, Grid]:
+    """Find a pattern whose cell size nobody has given; return its cell, px, and its grid.
+
+    The arguments are those of `OneView`. The estimated cell and some usual ones are tried. The
+    first that shows all nodes of a known shape, or a grid of most corners, ends the search;
+    else the one with the most detected nodes wins.
+
+    Raises GridError where no cell shows a pattern, and what `Detector` raises.
+    """
+    device = _selected(device)
+    best: Grid | None = None
+    why = "no closed cell is seen"
+    estimate = float(np.clip(estimate_cell(view), 4, 1000))
+    for cell in (estimate, *_USUAL_CELLS):
+        config = DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
+        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
+            try:
+                corners, grid = detector.grid(view, shape=shape, region=region)
+            except GridError as error:
+                why = str(error)
+                continue
+        if _detected(grid) > (0 if best is None else _detected(best)):
+            best = grid
+        enough = len(corners) / 2 if shape is None else grid.status.size - 1
+        if _detected(grid) > enough:
+            break
+    cell = np.nan if best is None else cell_of(best)
+    if best is None or not cell >= 4:
+        size = "" if shape is None else f" of {shape[0]} x {shape[1]} corners"
+        raise GridError(f"no pattern{size} is found: {why}")
+    return cell, best
+
+
+def _detected(grid: Grid) -> int:
+    """How many nodes the detector itself has found."""
+    return int(np.count_nonzero(grid.status == NodeStatus.DETECTED))
+
+
+def cell_of(grid: Grid) -> float:
+    """Return the median side of a grid's cells, px, NaN where there is none."""
+    sides = [np.linalg.norm(np.diff(grid.xy, axis=axis), axis=2).ravel() for axis in (0, 1)]
+    known = np.concatenate(sides)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
+    """Return the most complete and exact settings for a deformed pattern of such cells, px.
+
+    They are those of `DetectorConfig.for_cell` with EdgeStep.
+    """
+    return DetectorConfig.for_cell(cell).replace(
+        refinement=EdgeStep(cell=cell), full_scale=full_scale
+    )
+
+
+# rigid boards
+
+
+def find_boards(
+    views: tuple[GreyImage, GreyImage],
+    shape: tuple[int, int],
+    *,
+    max_sigma: float = MAX_SIGMA,
+    full_scale: int | None = None,
+    regions: tuple[Region | None, ...] = (None, None),
+    device: Device | str | None = None,
+) -> tuple[Grid, Grid]:
+    """Find a rigid board in two views; return grids numbered alike, of trusted corners alone.
+
+    The result is one of the pairs that `cmp_cl.calibrate` takes. shape: (rows, columns) of
+    the board's inner corners. max_sigma: the largest standard deviation of a corner that is
+    used, px. The other arguments are those of `TwoViews`.
+
+    Raises GridError where a view does not show the board up to all four of its sides: then
+    nobody knows which corner is which.
+    """
+    device = _selected(device)
+    grids = []
+    for view, region, side in zip(views, regions, ("left", "right"), strict=True):
+        try:
+            grid = find_board(view, shape, region=region, full_scale=full_scale, device=device)
+        except GridError as error:
+            raise GridError(f"the {side} view: {error}") from error
+        grids.append(grid)
+    left, right = grids
+    return trusted(left, max_sigma), trusted(align_views(left, right), max_sigma)
+
+
+def find_board(
+    view: GreyImage,
+    shape: tuple[int, int],
+    *,
+    region: Region | None = None,
+    full_scale: int | None = None,
+    device: Device | str | None = None,
+) -> Grid:
+    """Find a rigid board of (rows, columns) inner corners; return its grid.
+
+    A rigid board has sharp corners: at full size the narrow rings see less of their
+    surroundings than at a working scale, and do not reach over narrow outer squares. So its
+    corners are refined at full size where all of them are found there.
+
+    Raises GridError where the view does not show corners of all four sides of the board.
+    """
+    device = _selected(device)
+    cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
+    scaled = DetectorConfig.for_cell(cell).replace(
+        refinement=EdgeStep(cell=cell), full_scale=full_scale
+    )
+    grids = []
+    for config in dict.fromkeys((scaled.replace(scale=None), scaled)):
+        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
+            grids.append(detector.grid(view, shape=shape, region=region)[1])
+        if _detected(grids[-1]) == shape[0] * shape[1]:
+            break
+    grid = max(grids, key=_detected)
+    if grid.seen_shape is not None:
+        raise GridError(grid.doubts[0])
+    seen = grid.status == NodeStatus.DETECTED
+    if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
+        raise GridError(
+            f"it shows {_detected(grid)} of {seen.size} corners, and not those of every side"
+        )
+    return grid
+
+
+def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
+    """Return the grid without nodes that were not detected or are less certain than that, px."""
+    good = (grid.status == NodeStatus.DETECTED) & (grid.sigma <= max_sigma)
+    return dataclasses.replace(
+        grid,
+        xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
+        status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
+        sigma=np.where(good, grid.sigma, np.float32(np.nan)),
+    )
+
+
+def square_sides(points: Points3D) -> NDArray[np.float64]:
+    """Return the distances between neighbouring nodes that were placed, (N,), in their unit."""
+    sides = [np.linalg.norm(np.diff(points.xyz, axis=axis), axis=2).ravel() for axis in (0, 1)]
+    every: NDArray[np.float64] = np.concatenate(sides)
+    return every[np.isfinite(every)]
+
+
+# two views of one pattern
+
+
+def align_views(left: Grid, right: Grid) -> Grid:
+    """Return the right grid numbered as the left one is, see `cmp_cl.align`.
+
+    Raises GridError where shapes, colours or the directions of the rows do not agree.
+    """
+    return align([left, right])[1]
