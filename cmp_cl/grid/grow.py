@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid import evidence
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.grid.nodes import NOWHERE, Float, Index, Nodes, Points
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points
 from cmp_cl.grid.predict import REACHED, mean_steps, predict, predict_within
 from cmp_cl.grid.second_look import second_look
 from cmp_cl.image import GreyImage
 
 NEAR = 0.3  # cells: how far from its prediction a node may be
+APART = 0.4  # cells: nearer than that a second look has found a corner twice
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
 FEW = 400  # nodes that are quicker predicted one by one
 
@@ -207,8 +208,19 @@ def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> 
     looked[row, column] = weight[new]
     seen = second_look(image, at, cell, line)
     found = ~np.isnan(seen.real)
-    nodes.put(row[found], column[found], seen[found], NodeStatus.SECOND_LOOK)
-    return bool(found.any())
+    row, column, seen, cell = row[found], column[found], seen[found], cell[found]
+    nodes.put(row, column, seen, NodeStatus.SECOND_LOOK)
+    twice = _beside_another(nodes.at, row, column, APART * cell)
+    nodes.drop(row[twice], column[twice])
+    return not twice.all()
+
+
+def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask:
+    """Which of those nodes are nearer than that to one of their eight neighbours."""
+    padded = np.pad(at, 1, constant_values=NOWHERE)
+    around = [padded[row + r, column + c] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    beside: Mask = np.asarray(np.abs(np.stack(around) - at[row, column]) < apart)
+    return np.logical_or.reduce(beside, axis=0)
 
 
 def _interpolate(nodes: Nodes) -> None:
