@@ -17,6 +17,7 @@ from cmp_cl.image import GreyImage, check_image
 
 SMALL = 0.1  # least share of the corners that the pattern must hold
 RIVAL = 0.5  # a second component of this share of the first is a second pattern
+FARTHEST = 1e6  # px, of a position
 LEAST_BOARD = 9  # corners of a board among several
 
 Region = tuple[float, float, float, float]
@@ -130,9 +131,12 @@ def _checked(
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
         _check_holds(check_image(image), corners)
-    if not np.isfinite(corners.xy).all():
-        lost = int(np.count_nonzero(~np.isfinite(corners.xy).all(axis=1)))
-        raise GridError(f"{lost} of {len(corners)} corners have no finite position; leave them out")
+    known = (np.abs(corners.xy) < FARTHEST).all(axis=1)
+    if not known.all():
+        raise GridError(
+            f"{np.count_nonzero(~known)} of {len(corners)} corners have no finite position in an "
+            "image; leave them out"
+        )
     if shape is not None:
         check_room(shape, len(corners))
     inside = _inside(corners, region)

@@ -219,8 +219,9 @@ def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask
     """Which of those nodes are nearer than that to one of their eight neighbours."""
     padded = np.pad(at, 1, constant_values=NOWHERE)
     around = [padded[row + r, column + c] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
-    beside: Mask = np.asarray(np.abs(np.stack(around) - at[row, column]) < apart)
-    return np.logical_or.reduce(beside, axis=0)
+    away = np.abs(np.stack(around) - at[row, column])
+    beside: Mask = np.asarray(np.less(away, apart).any(axis=0))
+    return beside
 
 
 def _interpolate(nodes: Nodes) -> None:

@@ -74,7 +74,7 @@ def in_shape(
         lack = shape[axis] - found.at.shape[axis]
         if lack > 0:
             starts[axis] = -lack if end and not begin else 0
-            unsure |= begin == end
+            unsure |= not (begin or end)
     seen, continues = _seen_shape(found, bend, shape, (top, left), ends)
     placed = found.window(starts[0], starts[1], shape)
     return Placed(
