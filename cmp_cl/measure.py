@@ -32,6 +32,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
 from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import Grid, NodeStatus, align, build_grid
+from cmp_cl.grid.align import row_direction
 from cmp_cl.image import GreyImage
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
@@ -39,6 +40,7 @@ from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 MAX_SIGMA = 0.2  # px: corners of a board that are less certain are not used
+_MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
 _USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried where the estimate does not find the pattern
@@ -506,6 +508,15 @@ def square_sides(points: Points3D) -> NDArray[np.float64]:
 def align_views(left: Grid, right: Grid) -> Grid:
     """Return the right grid numbered as the left one is, see `cmp_cl.align`.
 
+    The two cameras of a rig have nearly the same side up: if the colours say that the rows are
+    turned by more than 60 degrees, a view is numbered wrongly.
+
     Raises GridError where shapes, colours or the directions of the rows do not agree.
     """
-    return align([left, right])[1]
+    aligned = align([left, right])[1]
+    if not abs(np.angle(row_direction(aligned) / row_direction(left))) <= _MOST_ROTATED:
+        raise GridError(
+            "the two views cannot be numbered alike: by their checker colours the directions of "
+            "their rows do not agree"
+        )
+    return aligned

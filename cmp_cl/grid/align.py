@@ -36,7 +36,7 @@ def _like(first: Grid, grid: Grid) -> Grid:
     fitting = [turn for turn in turned if turn.shape == first.shape and turn.parity == first.parity]
     if len(fitting) == 1:
         return fitting[0]
-    off = [abs(float(np.angle(along(turn) / along(first), deg=True))) for turn in fitting]
+    off = [abs(float(np.angle(row_direction(turn) / row_direction(first), deg=True))) for turn in fitting]
     if not off or not min(off) <= MOST_TURNED:
         raise GridError(
             "the views cannot be numbered alike: their shapes, their checker colours or the "
@@ -45,7 +45,7 @@ def _like(first: Grid, grid: Grid) -> Grid:
     return fitting[int(np.argmin(off))]
 
 
-def along(grid: Grid) -> complex:
+def row_direction(grid: Grid) -> complex:
     """The mean step from a column to the next, x + 1j y, px; NaN where there is none."""
     step = np.diff(grid.xy.astype(np.float64), axis=1)
     known = step[np.isfinite(step).all(axis=2)]

@@ -11,13 +11,13 @@ from cmp_cl.grid.grid import Grid, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
 from cmp_cl.grid.lattice import Lattice, lattice
+from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.nodes import Index, Nodes, boxed, check_room
 from cmp_cl.grid.place import Placed, in_shape, like_rest
 from cmp_cl.image import GreyImage, check_image
 
 SMALL = 0.1  # least share of the corners that the pattern must hold
 RIVAL = 0.5  # a second component of this share of the first is a second pattern
-FARTHEST = 1e6  # px, of a position
 LEAST_BOARD = 9  # corners of a board among several
 
 Region = tuple[float, float, float, float]
@@ -131,12 +131,7 @@ def _checked(
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
         _check_holds(check_image(image), corners)
-    known = (np.abs(corners.xy) < FARTHEST).all(axis=1)
-    if not known.all():
-        raise GridError(
-            f"{np.count_nonzero(~known)} of {len(corners)} corners have no finite position in an "
-            "image; leave them out"
-        )
+    check_finite(corners)
     if shape is not None:
         check_room(shape, len(corners))
     inside = _inside(corners, region)
@@ -228,6 +223,8 @@ def _known_shape(shape: tuple[int, int] | None, like: Grid | None) -> tuple[int,
         and min(shape) >= 1
     ):
         raise GridError(f"shape must be (rows, columns), each at least 1, not {shape!r}")
+    if shape is not None:
+        check_size(*shape)
     if like is None:
         return shape
     if not isinstance(like, Grid):
