@@ -313,6 +313,7 @@ class _Pattern:
             self.corners, self.rest = self.detector.grid(view, shape=shape, region=region)
             if not self.rest.valid.any():
                 raise GridError("no pattern is seen")
+            _check_size(self.rest)
             stack.pop_all()
 
     def find(self, view: GreyImage) -> tuple[Corners, Grid]:
@@ -364,7 +365,8 @@ def find_pattern(
     first that shows all nodes of a known shape, or a grid of most corners, ends the search;
     else the one with the most detected nodes wins.
 
-    Raises GridError where no cell shows a pattern, and what `Detector` raises.
+    Raises GridError where no cell shows a pattern or it seems to have another size, and what
+    `Detector` raises.
     """
     device = _selected(device)
     best: Grid | None = None
@@ -387,7 +389,14 @@ def find_pattern(
     if best is None or not cell >= 4:
         size = "" if shape is None else f" of {shape[0]} x {shape[1]} corners"
         raise GridError(f"no pattern{size} is found: {why}")
+    _check_size(best)
     return cell, best
+
+
+def _check_size(grid: Grid) -> None:
+    """Raise GridError where the pattern seems to have another number of corners."""
+    if grid.seen_shape is not None:
+        raise GridError(grid.doubts[0])
 
 
 def _detected(grid: Grid) -> int:
@@ -474,8 +483,7 @@ def find_board(
         if _detected(grids[-1]) == shape[0] * shape[1]:
             break
     grid = max(grids, key=_detected)
-    if grid.seen_shape is not None:
-        raise GridError(grid.doubts[0])
+    _check_size(grid)
     seen = grid.status == NodeStatus.DETECTED
     if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
         raise GridError(

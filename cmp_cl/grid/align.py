@@ -36,7 +36,8 @@ def _like(first: Grid, grid: Grid) -> Grid:
     fitting = [turn for turn in turned if turn.shape == first.shape and turn.parity == first.parity]
     if len(fitting) == 1:
         return fitting[0]
-    off = [abs(float(np.angle(row_direction(turn) / row_direction(first), deg=True))) for turn in fitting]
+    ahead = row_direction(first)
+    off = [abs(float(np.angle(row_direction(turn) / ahead, deg=True))) for turn in fitting]
     if not off or not min(off) <= MOST_TURNED:
         raise GridError(
             "the views cannot be numbered alike: their shapes, their checker colours or the "
