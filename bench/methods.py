@@ -111,7 +111,7 @@ def peer(name: str, pattern: Pattern) -> Method:
     entry = PEERS[name]
     settings = entry.settings(pattern.markers)
     detect = entry.make(settings, pattern)
-    return Method(entry.label, json.dumps(settings), detect, entry.slow)
+    return Method(entry.label, json.dumps(settings), detect, entry.slow, entry.labels)
 
 
 def peer_with_grid(name: str, pattern: Pattern) -> Method:
