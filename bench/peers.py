@@ -11,7 +11,6 @@ raises Unavailable with the reason where what it needs is not installed.
 import ctypes
 import dataclasses
 import importlib
-import itertools
 import json
 import os
 import struct
@@ -62,14 +61,6 @@ class Peer(NamedTuple):
             found = json.loads(FOUND_SETTINGS.read_text())["settings"]
             usual |= found.get(self.same_as or NAMES[self.label], {}).get(str(markers), {})
         return usual
-
-    def grid(self) -> list[Settings]:
-        """Every combination of the searched values."""
-        names = list(self.search)
-        return [
-            dict(zip(names, values, strict=True))
-            for values in itertools.product(*self.search.values())
-        ]
 
 
 def _opencv_version() -> str:
