@@ -31,7 +31,7 @@ from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
 from cmp_cl.field import DisplacementField, displacement
-from cmp_cl.grid import Grid, NodeStatus, build_grid
+from cmp_cl.grid import Grid, NodeStatus, build_grid, filter_positions
 from cmp_cl.image import GreyImage
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
@@ -53,7 +53,8 @@ class Measured:
     """One frame against the frame at rest.
 
     arrays: what `SeriesWriter.append` takes, by name: xy (R, C, 2) float32, px, sigma (R, C)
-        float32, px, and status (R, C) uint8 of `NodeStatus`.
+        float32, px, and status (R, C) uint8 of `NodeStatus`; raw_xy and raw_sigma are those
+        before the lattice filter, where that is on.
     nodes: how many nodes are measured in both frames.
     largest: the largest displacement, px or the rig's unit, 0 without nodes.
     views, corners, grids: of the one view, or of the left and of the right one.
@@ -72,8 +73,9 @@ class MeasuredInSpace(Measured):
     """One frame of two views against the frame at rest, in space.
 
     points: where the nodes are now. field: how far they have moved.
-    arrays: displacement, sigma, status and source of the field, and the positions left and
-        right, (R, C, 2) float32, px.
+    arrays: displacement, sigma, status and source of the field, raw_displacement and raw_sigma
+        of the raw one where the lattice filter is on, and the positions left and right, as
+        they were detected, (R, C, 2) float32, px.
     """
 
     points: Points3D
@@ -83,8 +85,9 @@ class MeasuredInSpace(Measured):
 class Measurement:
     """Measures frames against the frame at rest. Use it in a with statement.
 
-    constants: arrays that a series says once: rest (R, C, 2) or (R, C, 3), unit, and with two
-        views left_rest and right_rest (R, C, 2).
+    constants: arrays that a series says once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
+        whether the lattice filter is on; raw_rest is then the rest before it), and with two
+        views left_rest and right_rest (R, C, 2), as they were detected.
     unit: of the displacements, "px" or the rig's.
     nodes: how many nodes the pattern has.
     """
@@ -129,6 +132,7 @@ class OneView(Measurement):
     config: of the detector; None is `exact_config` for the cells seen at rest.
     full_scale: the camera's largest grey level; None is that of the settings or of the type.
     device: a Device, a text for `select_device`, or None for the default device.
+    raw: leave out the lattice filter, see `cmp_cl.grid.filter_positions`.
 
     Raises GridError where the frame at rest shows no such pattern, and what `Detector` raises.
     """
@@ -142,14 +146,21 @@ class OneView(Measurement):
         config: DetectorConfig | None = None,
         full_scale: int | None = None,
         device: Device | str | None = None,
+        raw: bool = False,
     ) -> None:
         super().__init__()
+        self._raw = raw
         search = _Search(_selected(device), shape, config, full_scale)
         self._pattern = _Pattern(rest, search, region)
         self._detectors.enter_context(self._pattern.detector)
         self.unit = "px"
         self.nodes = self._pattern.rest.status.size
-        self.constants = {"rest": self._pattern.rest.xy, "unit": np.array(self.unit)}
+        rest_grid = self._pattern.rest
+        self._rest = rest_grid if raw else filter_positions(rest_grid)
+        self.constants = {"rest": self._rest.xy, "unit": np.array(self.unit)}
+        self.constants["filtered"] = np.array(not raw)
+        if not raw:
+            self.constants["raw_rest"] = rest_grid.xy
 
     @property
     def rest_grid(self) -> Grid:
@@ -159,10 +170,18 @@ class OneView(Measurement):
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, see `Measurement.__call__`."""
         corners, grid = self._pattern.find(frame)
-        moved = np.linalg.norm(grid.xy - self._pattern.rest.xy, axis=2)
+        best = grid if self._raw else filter_positions(grid, rest=self._pattern.rest)
+        moved = np.linalg.norm(best.xy - self._rest.xy, axis=2)
         moved = moved[~np.isnan(moved)]
+        arrays: dict[str, NDArray[Any]] = {
+            "xy": best.xy,
+            "sigma": best.sigma,
+            "status": grid.status,
+        }
+        if not self._raw:
+            arrays |= {"raw_xy": grid.xy, "raw_sigma": grid.sigma}
         return Measured(
-            arrays={"xy": grid.xy, "sigma": grid.sigma, "status": grid.status},
+            arrays=arrays,
             nodes=len(moved),
             largest=float(moved.max(initial=0)),
             views=(frame,),
@@ -194,8 +213,10 @@ class TwoViews(Measurement):
         config: DetectorConfig | None = None,
         full_scale: int | None = None,
         device: Device | str | None = None,
+        raw: bool = False,
     ) -> None:
         super().__init__()
+        self._raw = raw
         self._rig = rig
         self._split = split
         search = _Search(_selected(device), shape, config, full_scale)
@@ -215,12 +236,16 @@ class TwoViews(Measurement):
             self._detectors = stack.pop_all()
         self.unit = rig.unit
         self.nodes = self.rest.status.size
+        at_rest = displacement(self.rest, self.rest, raw=raw)
         self.constants = {
-            "rest": self.rest.xyz,
+            "rest": at_rest.position,
+            "filtered": np.array(not raw),
             "left_rest": self._left.rest.xy,
             "right_rest": self._right.rest.xy,
             "unit": np.array(rig.unit),
         }
+        if not raw:
+            self.constants["raw_rest"] = self.rest.xyz
 
     @property
     def rest_grids(self) -> tuple[Grid, Grid]:
@@ -245,7 +270,7 @@ class TwoViews(Measurement):
         left_corners, left = self._left.find(views[0])
         right_corners, right = self._right.find(views[1])
         points = self._rig.triangulate(left, right)
-        field = displacement(self.rest, points)
+        field = displacement(self.rest, points, raw=self._raw)
         arrays: dict[str, NDArray[Any]] = {
             "displacement": field.displacement,
             "sigma": field.sigma,
@@ -254,6 +279,8 @@ class TwoViews(Measurement):
             "left": left.xy,
             "right": right.xy,
         }
+        if field.raw is not None:
+            arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
         moved = np.linalg.norm(field.displacement[field.valid], axis=1)
         return MeasuredInSpace(
             arrays=arrays,

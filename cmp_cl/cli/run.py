@@ -83,6 +83,12 @@ def add_parser(commands: Any) -> None:
         "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
         "outside are left out in every frame",
     )
+    parser.add_argument(
+        "--raw",
+        action="store_true",
+        help="leave out the lattice filter; default: displacements are filtered over the lattice, "
+        "and the series holds the raw ones beside them",
+    )
     film = parser.add_mutually_exclusive_group()
     film.add_argument(
         "--rerun", metavar="RRD", help="record a film for the Rerun viewer (the left view)"
@@ -104,7 +110,9 @@ def add_parser(commands: Any) -> None:
         "The series holds, with F frames of R x C nodes: index (F,), time_ms (F,) (NaN where "
         "the source has no clock), sigma and status (F, R, C) and unit; with --stereo rest "
         "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
-        "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px."
+        "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px. filtered says "
+        "whether the lattice filter is on; then raw_rest, raw_displacement or raw_xy, and "
+        "raw_sigma are what it was given. left and right are never filtered."
     )
     parser.set_defaults(run=run)
 
@@ -233,6 +241,7 @@ class _Settings:
     shape: tuple[int, int] | None
     config: DetectorConfig | None
     full_scale: int | None
+    raw: bool
     region: Sequence[Box] | None
     rig: StereoRig | None
     split: str
@@ -261,6 +270,7 @@ class _Settings:
             shape=arguments.grid,
             config=config,
             full_scale=arguments.full_scale,
+            raw=arguments.raw,
             region=arguments.region,
             rig=rig,
             split=arguments.split or "halves",
@@ -274,6 +284,7 @@ class _Settings:
             "config": self.config,
             "full_scale": self.full_scale,
             "device": self.device,
+            "raw": self.raw,
         }
         hint = ""
         try:
