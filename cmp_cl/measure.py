@@ -156,7 +156,7 @@ class OneView(Measurement):
         self.unit = "px"
         self.nodes = self._pattern.rest.status.size
         rest_grid = self._pattern.rest
-        self._rest = rest_grid if raw else filter_positions(rest_grid)
+        self._rest = filter_positions(rest_grid)[1 if raw else 0]
         self.constants = {"rest": self._rest.xy, "unit": np.array(self.unit)}
         self.constants["filtered"] = np.array(not raw)
         if not raw:
@@ -170,7 +170,8 @@ class OneView(Measurement):
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, see `Measurement.__call__`."""
         corners, grid = self._pattern.find(frame)
-        best = grid if self._raw else filter_positions(grid, rest=self._pattern.rest)
+        filtered, as_it_is = filter_positions(grid, rest=self._pattern.rest)
+        best = as_it_is if self._raw else filtered
         moved = np.linalg.norm(best.xy - self._rest.xy, axis=2)
         moved = moved[~np.isnan(moved)]
         arrays: dict[str, NDArray[Any]] = {
@@ -179,7 +180,7 @@ class OneView(Measurement):
             "status": grid.status,
         }
         if not self._raw:
-            arrays |= {"raw_xy": grid.xy, "raw_sigma": grid.sigma}
+            arrays |= {"raw_xy": as_it_is.xy, "raw_sigma": as_it_is.sigma}
         return Measured(
             arrays=arrays,
             nodes=len(moved),

@@ -9,6 +9,7 @@ reach and of which degree they are; there is nothing to set.
 import dataclasses
 import functools
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -142,8 +143,8 @@ def filter_grid(values: ArrayLike, *, measured: ArrayLike | None = None) -> Filt
     )
 
 
-def filter_positions(now: Grid, *, rest: Grid | None = None) -> Grid:
-    """The grid with filtered positions, and with the sigma that the lattice shows.
+def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid]:
+    """The grid with filtered positions, and as it is, each with the sigma that the lattice shows.
 
     rest: the same pattern at rest, numbered alike. Then the displacements are filtered and
     stand on the filtered positions at rest; a node that is missing there keeps its position.
@@ -154,28 +155,22 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> Grid:
     """
     if rest is None:
         found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
-        return _with_positions(now, found.values, found.sigma)
+        return _with(now, found.values, found.sigma), _with(now, now.xy, found.noise)
     if rest.shape != now.shape:
         raise GridError(f"the grid at rest has {rest.shape} nodes, the other {now.shape}")
-    start = filter_grid(rest.xy, measured=np.isin(rest.status, MEASURED))
-    return _moved(now, rest, start)
-
-
-def _moved(now: Grid, rest: Grid, start: Filtered) -> Grid:
-    """The grid whose displacements from rest are filtered; start: the filtered rest."""
-    measured = np.isin(rest.status, MEASURED) & np.isin(now.status, MEASURED)
+    measured = np.isin(rest.status, MEASURED)
+    start = filter_grid(rest.xy, measured=measured)
     moved = now.xy.astype(np.float64) - rest.xy
-    change = filter_grid(moved, measured=measured)
-    values = start.values + change.values
-    alone = np.isnan(values[..., 0])
-    return _with_positions(
-        now,
-        np.where(alone[..., None], now.xy, values),
-        np.where(alone, np.nan, np.hypot(start.sigma, change.sigma)),
+    change = filter_grid(moved, measured=measured & np.isin(now.status, MEASURED))
+    values = np.where(np.isnan(moved), now.xy, start.values + change.values)
+    return (
+        _with(now, values, np.hypot(start.sigma, change.sigma)),
+        _with(now, now.xy, np.hypot(start.noise, change.noise)),
     )
 
 
-def _with_positions(grid: Grid, values: Array, sigma: Array) -> Grid:
+def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
+    """The grid with other positions, and that sigma where it is known."""
     return dataclasses.replace(
         grid,
         xy=values.astype(np.float32),
