@@ -71,6 +71,12 @@ class Detector:
             self.device = describe_handle(queue.device)
         else:
             self.device = device if isinstance(device, Device) else select_device(device)
+        needed = self.shape[0] * self.shape[1] * self.dtype.itemsize
+        if needed > self.device.memory:
+            raise CapacityError(
+                f"one image needs {needed} bytes, {self.device} has {self.device.memory}; use "
+                "smaller images"
+            )
         context = queue.context if queue is not None else cl.Context([self.device.handle])
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)

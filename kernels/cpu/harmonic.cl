@@ -43,7 +43,7 @@ ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort 
 }
 
 /* [1 2 1] down the columns. */
-#define COLUMN(T)                                                                   \
+#define DOWN_COLUMNS(T)                                                             \
   (__global const T *restrict above, __global const T *restrict middle,             \
    __global const T *restrict below, __global ushort *restrict column, const int width) { \
     for (int x = 0; x < width; ++x)                                                 \
@@ -51,8 +51,8 @@ ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort 
     column[-1] = column[0];                                                         \
     column[width] = column[width - 1];                                              \
   }
-ROW_LOOP void column_of_greys COLUMN(PIXEL)
-ROW_LOOP void column_of_levels COLUMN(ushort)
+ROW_LOOP void column_of_greys DOWN_COLUMNS(PIXEL)
+ROW_LOOP void column_of_levels DOWN_COLUMNS(ushort)
 
 /* [1 2 1] along a row, and the repeated border of the result. */
 #define ALONG_ROW(SCALED_DOWN)                                                      \
