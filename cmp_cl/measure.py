@@ -31,7 +31,7 @@ from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
 from cmp_cl.field import DisplacementField, displacement
-from cmp_cl.grid import Grid, NodeStatus, align, build_grid
+from cmp_cl.grid import Grid, NodeStatus, align, build_grid, filter_positions
 from cmp_cl.grid.align import row_direction
 from cmp_cl.image import GreyImage
 from cmp_cl.opencl.device import Device, select_device
@@ -54,7 +54,8 @@ class Measured:
     """One frame against the frame at rest.
 
     arrays: what `SeriesWriter.append` takes, by name: xy (R, C, 2) float32, px, sigma (R, C)
-        float32, px, and status (R, C) uint8 of `NodeStatus`.
+        float32, px, and status (R, C) uint8 of `NodeStatus`; raw_xy and raw_sigma are those
+        before the lattice filter, where that is on.
     nodes: how many nodes are measured in both frames.
     largest: the largest displacement, px or the rig's unit, 0 without nodes.
     ambiguous: whether the numbers of a grid may be those of other nodes, see `Grid.ambiguous`.
@@ -75,8 +76,9 @@ class MeasuredInSpace(Measured):
     """One frame of two views against the frame at rest, in space.
 
     points: where the nodes are now. field: how far they have moved.
-    arrays: displacement, sigma, status and source of the field, and the positions left and
-        right, (R, C, 2) float32, px.
+    arrays: displacement, sigma, status and source of the field, raw_displacement and raw_sigma
+        of the raw one where the lattice filter is on, and the positions left and right, as
+        they were detected, (R, C, 2) float32, px.
     """
 
     points: Points3D
@@ -86,8 +88,9 @@ class MeasuredInSpace(Measured):
 class Measurement:
     """Measures frames against the frame at rest. Use it in a with statement.
 
-    constants: arrays that a series says once: rest (R, C, 2) or (R, C, 3), unit, and with two
-        views left_rest and right_rest (R, C, 2).
+    constants: arrays that a series says once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
+        whether the lattice filter is on; raw_rest is then the rest before it), and with two
+        views left_rest and right_rest (R, C, 2), as they were detected.
     unit: of the displacements, "px" or the rig's.
     nodes: how many nodes the pattern has.
     """
@@ -135,6 +138,7 @@ class OneView(Measurement):
         half a cell from each to the next.
     full_scale: the camera's largest grey level; None is that of the settings or of the type.
     device: a Device, a text for `select_device`, or None for the default device.
+    raw: leave out the lattice filter, see `cmp_cl.grid.filter_positions`.
 
     Raises GridError where the frame at rest shows no such pattern, and what `Detector` raises.
     """
@@ -149,14 +153,21 @@ class OneView(Measurement):
         full_scale: int | None = None,
         device: Device | str | None = None,
         track: bool = False,
+        raw: bool = False,
     ) -> None:
         super().__init__()
+        self._raw = raw
         search = _Search(_selected(device), shape, config, full_scale, track)
         self._pattern = _Pattern(rest, search, region)
         self._detectors.enter_context(self._pattern.detector)
         self.unit = "px"
         self.nodes = self._pattern.rest.status.size
-        self.constants = {"rest": self._pattern.rest.xy, "unit": np.array(self.unit)}
+        rest_grid = self._pattern.rest
+        self._rest = filter_positions(rest_grid)[1 if raw else 0]
+        self.constants = {"rest": self._rest.xy, "unit": np.array(self.unit)}
+        self.constants["filtered"] = np.array(not raw)
+        if not raw:
+            self.constants["raw_rest"] = rest_grid.xy
 
     @property
     def rest_grid(self) -> Grid:
@@ -166,10 +177,19 @@ class OneView(Measurement):
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, see `Measurement.__call__`."""
         corners, grid = self._pattern.find(frame)
-        moved = np.linalg.norm(grid.xy - self._pattern.rest.xy, axis=2)
+        filtered, as_it_is = filter_positions(grid, rest=self._pattern.rest)
+        best = as_it_is if self._raw else filtered
+        moved = np.linalg.norm(best.xy - self._rest.xy, axis=2)
         moved = moved[~np.isnan(moved)]
+        arrays: dict[str, NDArray[Any]] = {
+            "xy": best.xy,
+            "sigma": best.sigma,
+            "status": grid.status,
+        }
+        if not self._raw:
+            arrays |= {"raw_xy": as_it_is.xy, "raw_sigma": as_it_is.sigma}
         return Measured(
-            arrays={"xy": grid.xy, "sigma": grid.sigma, "status": grid.status},
+            arrays=arrays,
             nodes=len(moved),
             largest=float(moved.max(initial=0)),
             ambiguous=grid.ambiguous,
@@ -203,8 +223,10 @@ class TwoViews(Measurement):
         full_scale: int | None = None,
         device: Device | str | None = None,
         track: bool = False,
+        raw: bool = False,
     ) -> None:
         super().__init__()
+        self._raw = raw
         self._rig = rig
         self._split = split
         search = _Search(_selected(device), shape, config, full_scale, track)
@@ -224,12 +246,16 @@ class TwoViews(Measurement):
             self._detectors = stack.pop_all()
         self.unit = rig.unit
         self.nodes = self.rest.status.size
+        at_rest = displacement(self.rest, self.rest, raw=raw)
         self.constants = {
-            "rest": self.rest.xyz,
+            "rest": at_rest.position,
+            "filtered": np.array(not raw),
             "left_rest": self._left.rest.xy,
             "right_rest": self._right.rest.xy,
             "unit": np.array(rig.unit),
         }
+        if not raw:
+            self.constants["raw_rest"] = self.rest.xyz
 
     @property
     def rest_grids(self) -> tuple[Grid, Grid]:
@@ -254,7 +280,7 @@ class TwoViews(Measurement):
         left_corners, left = self._left.find(views[0])
         right_corners, right = self._right.find(views[1])
         points = self._rig.triangulate(left, right)
-        field = displacement(self.rest, points)
+        field = displacement(self.rest, points, raw=self._raw)
         arrays: dict[str, NDArray[Any]] = {
             "displacement": field.displacement,
             "sigma": field.sigma,
@@ -263,6 +289,8 @@ class TwoViews(Measurement):
             "left": left.xy,
             "right": right.xy,
         }
+        if field.raw is not None:
+            arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
         moved = np.linalg.norm(field.displacement[field.valid], axis=1)
         return MeasuredInSpace(
             arrays=arrays,

@@ -83,6 +83,30 @@ def test_a_view_is_measured_against_the_view_at_rest(shots):
         against_rest(rest)
 
 
+def test_both_the_filtered_and_the_raw_values_are_there_and_said_which(shots):
+    rest, now = (frame for frame, _ in shots)
+    split, rig = cmp_cl.BinocularSplit.halves(*rest.shape[::-1]), StereoRig(*RIG)
+    views = [(frame, frame[:, : frame.shape[1] // 2]) for frame in (rest, now)]
+    for k, kind, name, extra in (
+        (0, measure.TwoViews, "displacement", (rig, split)),
+        (1, measure.OneView, "xy", ()),
+    ):
+        with (
+            kind(views[0][k], *extra, shape=(12, 12)) as filtering,
+            kind(views[0][k], *extra, shape=(12, 12), raw=True) as plain,
+        ):
+            filtered, raw = filtering(views[1][k]).arrays, plain(views[1][k]).arrays
+        assert filtering.constants["filtered"]
+        assert not plain.constants["filtered"]
+        assert "raw_rest" not in plain.constants
+        assert f"raw_{name}" not in raw
+        np.testing.assert_array_equal(filtering.constants["raw_rest"], plain.constants["rest"])
+        np.testing.assert_array_equal(filtered[f"raw_{name}"], raw[name])
+        np.testing.assert_array_equal(filtered["raw_sigma"], raw["sigma"])
+        assert (filtered[name] != raw[name])[np.isfinite(raw[name])].any()
+        assert np.nanmedian(filtered["sigma"]) < np.nanmedian(raw["sigma"])
+
+
 def test_a_pattern_is_found_without_its_cell(shots):
     view = shots[0][0][:, : shots[0][0].shape[1] // 2]
     cell, grid = measure.find_pattern(view, shape=(12, 12))

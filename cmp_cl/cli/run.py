@@ -91,6 +91,12 @@ def add_parser(commands: Any) -> None:
         "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
         "outside are left out in every frame",
     )
+    parser.add_argument(
+        "--raw",
+        action="store_true",
+        help="leave out the lattice filter; default: displacements are filtered over the lattice, "
+        "and the series holds the raw ones beside them",
+    )
     film = parser.add_mutually_exclusive_group()
     film.add_argument(
         "--rerun", metavar="RRD", help="record a film for the Rerun viewer (the left view)"
@@ -114,7 +120,9 @@ def add_parser(commands: Any) -> None:
         "the source has no clock), ambiguous (F,) (whether the numbers may be those of other "
         "nodes), sigma and status (F, R, C) and unit; with --stereo rest "
         "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
-        "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px."
+        "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px. filtered says "
+        "whether the lattice filter is on; then raw_rest, raw_displacement or raw_xy, and "
+        "raw_sigma are what it was given. left and right are never filtered."
     )
     parser.set_defaults(run=run)
 
@@ -247,6 +255,7 @@ class _Settings:
     shape: tuple[int, int] | None
     config: DetectorConfig | None
     full_scale: int | None
+    raw: bool
     region: Sequence[Box] | None
     rig: StereoRig | None
     split: str
@@ -278,6 +287,7 @@ class _Settings:
             shape=arguments.grid,
             config=config,
             full_scale=arguments.full_scale,
+            raw=arguments.raw,
             region=arguments.region,
             rig=rig,
             split=arguments.split or "halves",
@@ -293,6 +303,7 @@ class _Settings:
             "full_scale": self.full_scale,
             "device": self.device,
             "track": self.track,
+            "raw": self.raw,
         }
         hint = ""
         try:

@@ -2,7 +2,7 @@
 
 from cmp_cl.grid.align import align
 from cmp_cl.grid.build import build_grid, build_grids
-from cmp_cl.grid.filter import Filtered, filter_grid
+from cmp_cl.grid.filter import Filtered, filter_grid, filter_positions
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides
 from cmp_cl.grid.markers import refine_markers
 
@@ -16,5 +16,6 @@ __all__ = [
     "build_grid",
     "build_grids",
     "filter_grid",
+    "filter_positions",
     "refine_markers",
 ]
