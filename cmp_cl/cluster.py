@@ -138,7 +138,8 @@ def detect(
         worker; None is the default there. part: frames of a file.
 
     Parts that are there already are kept, damaged ones done again. Raises ConfigError where the
-    folder holds those of another count, part or configuration, and what `read` or the detector raise on a worker.
+    folder holds those of another count, part or configuration, and what `read` or the detector
+    raise on a worker.
     """
     import distributed
 
