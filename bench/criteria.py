@@ -18,13 +18,15 @@ from environment import RESULTS, environment
 from scenes import TEST_SEED, Frame, rendered
 from speed import stages
 
-from cmp_cl import DetectorConfig, EdgeLines, SpectralCriteria, reference
+from cmp_cl import BinaryRings, DetectorConfig, EdgeLines, SpectralCriteria, reference
 from cmp_cl.config import RapidCriteria
 from cmp_cl.image import GreyImage
 from cmp_cl.reference import criteria, gate, nms, refine, ring
 from cmp_cl.synthetic import random_scene
 from cmp_cl.synthetic.scoring import total
 
+RAPID = DetectorConfig(detection=BinaryRings())
+SPECTRAL = DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()))
 SEED = TEST_SEED + 800_000
 SEVERITIES = (0.25, 0.75, 1.25)
 CRITERIA_STAGE = "criteria"  # in the name of every kernel that decides
@@ -49,7 +51,7 @@ def corners_per_ring(image: GreyImage, threshold: Threshold) -> np.ndarray:
     black = ring.popcount(outer).astype(int)
     corrosion = np.maximum(black - in_region, in_region - black - 5)
     candidate = found.candidate & (corrosion < (usual.corrosion_threshold or 0))
-    contrast = DetectorConfig().contrast
+    contrast = BinaryRings().contrast
     if contrast is not None:
         _, candidate = gate.gate(image, inner, candidate, 5, contrast, 255, 1)
     response = np.where(candidate, found.response, 0)
@@ -76,7 +78,7 @@ def _mask(black: np.ndarray) -> np.ndarray:
 def thresholds(frames: Sequence[Frame]) -> list[dict[str, Any]]:
     """Errors with the window mean and with a threshold for each ring."""
     ways: dict[str, Callable[[GreyImage], np.ndarray]] = {
-        "mean of the window": lambda image: reference.detect(image, DetectorConfig()).xy
+        "mean of the window": lambda image: reference.detect(image, RAPID).xy
     }
     for name, threshold in PER_RING.items():
         ways[name] = lambda image, t=threshold: corners_per_ring(image, t)
@@ -89,10 +91,9 @@ def thresholds(frames: Sequence[Frame]) -> list[dict[str, Any]]:
 def decisions(frames: Sequence[Frame]) -> dict[str, Any]:
     """How often rapid and spectral criteria disagree on pixels near a corner, and elsewhere."""
     near_pixels = near_differ = far_pixels = far_differ = 0
-    spectral = DetectorConfig(criteria=SpectralCriteria())
     for frame in frames:
-        one = reference.maps(frame.image, DetectorConfig()).candidate
-        other = reference.maps(frame.image, spectral).candidate
+        one = reference.maps(frame.image, RAPID).candidate
+        other = reference.maps(frame.image, SPECTRAL).candidate
         rows, columns = np.indices(frame.image.shape)
         near = np.zeros(frame.image.shape, np.bool_)
         for x, y in frame.truth:
@@ -113,8 +114,8 @@ def times(frame: Frame) -> dict[str, Any]:
     """ms of the kernels from the binary image to the candidates, for both."""
     spent = {}
     for name, config in (
-        ("rapid", DetectorConfig()),
-        ("spectral", DetectorConfig(criteria=SpectralCriteria())),
+        ("rapid", RAPID),
+        ("spectral", SPECTRAL),
     ):
         kernels = stages(config, frame)["stages"]
         picked = {k: ms for k, ms in kernels.items() if CRITERIA_STAGE in k}

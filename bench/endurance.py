@@ -19,7 +19,15 @@ from typing import Any
 
 import numpy as np
 
-from cmp_cl import AdaptiveMean, Corners, Detector, DetectorConfig, EdgeStep, select_device
+from cmp_cl import (
+    AdaptiveMean,
+    BinaryRings,
+    Corners,
+    Detector,
+    DetectorConfig,
+    EdgeStep,
+    select_device,
+)
 from cmp_cl.synthetic import scene as synthetic
 
 GROWTH = 16.0  # MB that the process may grow: allocators keep some pieces
@@ -47,8 +55,13 @@ def recordings() -> list[tuple[DetectorConfig, list[np.ndarray]]]:
     for shape, markers, bits, config in (
         ((480, 640), 30, 8, DetectorConfig()),
         ((240, 320), 16, 12, DetectorConfig(full_scale=4095, refinement=EdgeStep())),
-        ((121, 83), 7, 8, DetectorConfig(threshold=AdaptiveMean(masks=3))),
-        ((97, 131), 8, 8, DetectorConfig(contrast=None, nms_radius=1, max_corners=64)),
+        ((121, 83), 7, 8, DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3)))),
+        (
+            (97, 131),
+            8,
+            8,
+            DetectorConfig(detection=BinaryRings(contrast=None), nms_radius=1, max_corners=64),
+        ),
     ):
         frames = [
             synthetic.render(

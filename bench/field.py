@@ -69,8 +69,8 @@ SEVERITIES = (0.5, 1.0, 1.5)
 OBJECTS = tuple(kind for kind in Indenter if kind is not Indenter.NONE)
 FIRST_SEED = TEST_SEED + 500
 CONFIGS = {
-    "run (EDGE_STEP, three masks)": exact_config(CELL),
-    "EDGE_LINES, one mask": DetectorConfig.for_cell(CELL),
+    "run (EDGE_STEP)": exact_config(CELL),
+    "EDGE_LINES": DetectorConfig.for_cell(CELL),
 }
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -198,7 +198,7 @@ def numbering(device: Device, rounds: int) -> list[dict[str, Any]]:
     scene = random_scene(
         FIRST_SEED, markers=NUMBERED, indenter=Indenter.TORUS, mode=Mode.TWIST, severity=1.0
     )
-    config = DetectorConfig.for_grid(40)
+    config = DetectorConfig()
     shape = (NUMBERED, NUMBERED)
     rows: list[dict[str, Any]] = []
     with Detector(shape=scene.shape, config=config, device=device) as detector:

@@ -12,6 +12,7 @@ from peers import PEERS, Detect, Pattern
 
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     Corners,
     Detector,
     DetectorConfig,
@@ -19,6 +20,8 @@ from cmp_cl import (
     EdgeStep,
     Midlines,
     NodeStatus,
+    RapidCriteria,
+    RingHarmonic,
     SpectralCriteria,
 )
 from cmp_cl.errors import GridError
@@ -29,6 +32,8 @@ from cmp_cl.reference import refine
 DEFAULT = "cmp_cl, default"
 STEP = "cmp_cl, EDGE_STEP"
 PAPER = "cmp_cl, paper's preset"
+RINGS = "cmp_cl, binary rings"
+THREE = f"{RINGS}, three masks"
 FULL = "cmp_cl, full with grid"
 _MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
@@ -49,34 +54,39 @@ def configs(markers: int, cell: float) -> dict[str, DetectorConfig]:
     cell: side of a cell at rest, px.
     """
     default = DetectorConfig()
+    step = EdgeStep(cell=cell)
+    rings = BinaryRings()
     table_2 = 40 if markers > 40 else markers
-    three = AdaptiveMean(masks=3)
-    for_cell = DetectorConfig.for_cell(cell)
-    full = for_cell.replace(
-        threshold=dataclasses.replace(for_cell.threshold, masks=3), refinement=EdgeStep(cell=cell)
-    )
     paper = DetectorConfig.paper(table_2)
-    return {
+    gated = dataclasses.replace(paper.detection, contrast=rings.contrast)
+    found = {
         DEFAULT: default,
-        STEP: default.replace(refinement=EdgeStep(cell=cell)),
-        PAPER: paper,
-        "cmp_cl, paper's preset + gate": paper.replace(contrast=default.contrast),
-        "cmp_cl, Table 2 windows": DetectorConfig.for_grid(table_2),
-        "cmp_cl, for_cell": for_cell,
-        "cmp_cl, three masks": default.replace(threshold=three),
-        "cmp_cl, full": full,
-        "cmp_cl, no gate": default.replace(contrast=None),
-        "cmp_cl, corrosion below 4": default.replace(
-            criteria=dataclasses.replace(default.criteria, corrosion_threshold=4)
-        ),
-        "cmp_cl, no corrosion criterion": default.replace(
-            criteria=dataclasses.replace(default.criteria, corrosion_threshold=None)
-        ),
-        "cmp_cl, outer radius 4": default.replace(outer_radius=4),
-        "cmp_cl, spectral": default.replace(criteria=SpectralCriteria()),
+        STEP: default.replace(refinement=step),
+        "cmp_cl, for_cell": DetectorConfig.for_cell(cell),
+        "cmp_cl, full": DetectorConfig.for_cell(cell).replace(refinement=step),
         "cmp_cl, centroids": default.replace(refinement=None),
         "cmp_cl, midlines": default.replace(refinement=Midlines()),
+        PAPER: paper,
+        "cmp_cl, paper's preset + gate": paper.replace(detection=gated),
     }
+    alone: dict[str, RingHarmonic | BinaryRings] = {
+        "cmp_cl, no squeezed cells": RingHarmonic(fine=False),
+        "cmp_cl, no alignment check": RingHarmonic(alignment=None),
+        "cmp_cl, no support check": RingHarmonic(support=None),
+        "cmp_cl, both checks looser": RingHarmonic(alignment=16, support=8),
+        RINGS: rings,
+        f"{RINGS}, window of Table 2": BinaryRings(threshold=gated.threshold),
+        f"{RINGS}, for the cell": BinaryRings.for_cell(cell),
+        THREE: BinaryRings(threshold=AdaptiveMean(masks=3)),
+        f"{RINGS}, no gate": BinaryRings(contrast=None),
+        f"{RINGS}, corrosion below 4": BinaryRings(criteria=RapidCriteria(corrosion_threshold=4)),
+        f"{RINGS}, no corrosion criterion": BinaryRings(
+            criteria=RapidCriteria(corrosion_threshold=None)
+        ),
+        f"{RINGS}, outer radius 4": BinaryRings(outer_radius=4),
+        f"{RINGS}, spectral": BinaryRings(criteria=SpectralCriteria()),
+    }
+    return found | {name: DetectorConfig(detection=each) for name, each in alone.items()}
 
 
 def own(name: str, config: DetectorConfig, shape: tuple[int, int]) -> Method:

@@ -20,7 +20,7 @@ import numpy as np
 from environment import RESULTS, environment
 from peers import PEERS, Pattern, available, keep_freed_memory
 
-from cmp_cl import Detector, DetectorConfig, EdgeStep
+from cmp_cl import AdaptiveMean, BinaryRings, Detector, DetectorConfig, EdgeStep
 from cmp_cl.config import window_for_cell
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.scoring import match
@@ -83,17 +83,21 @@ class Photograph(NamedTuple):
 def own_rows(photograph: Photograph) -> dict[str, DetectorConfig]:
     """Our configurations: the default, what the library chooses itself, both outer radii."""
     cell = photograph.cell
-    default = DetectorConfig()
-    window = default.replace(threshold=methods.AdaptiveMean(window=window_for_cell(cell)))
+    window = AdaptiveMean(window=window_for_cell(cell))
     return {
-        "cmp_cl, default": default,
+        methods.DEFAULT: DetectorConfig(),
         "cmp_cl, for_image": DetectorConfig.for_image(photograph.image),
         "cmp_cl, for_cell": DetectorConfig.for_cell(cell),
         "cmp_cl, for_cell, EDGE_STEP": DetectorConfig.for_cell(cell).replace(
             refinement=EdgeStep(cell=cell)
         ),
-        "cmp_cl, window of 1.3 cells, outer radius 5": window,
-        "cmp_cl, window of 1.3 cells, outer radius 4": window.replace(outer_radius=4),
+        methods.RINGS: DetectorConfig(detection=BinaryRings()),
+        **{
+            f"{methods.RINGS}, window of 1.3 cells, outer radius {radius}": DetectorConfig(
+                detection=BinaryRings(threshold=window, outer_radius=radius)
+            )
+            for radius in (4, 5)
+        },
     }
 
 

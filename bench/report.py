@@ -19,14 +19,14 @@ import numpy as np
 from accuracy import unpacked
 from environment import RESULTS
 from field import grouped
-from methods import DEFAULT, FULL, PAPER, STEP
+from methods import DEFAULT, FULL, PAPER, RINGS, STEP, THREE
 
 mpl.rcParams["figure.dpi"] = 90
 Row = dict[str, Any]
 BUSY = 0.2  # cores that others use, above which times are not to be trusted
 BEGIN, END = "<!-- by bench/report.py -->\n", "<!-- until here -->\n"
 LEAST = 0.05  # what stands for 0 on a logarithmic axis, per thousand corners
-SHOWN = (DEFAULT, STEP, "cmp_cl, three masks", f"{DEFAULT} + grid", FULL, PAPER)
+SHOWN = (DEFAULT, STEP, RINGS, THREE, f"{DEFAULT} + grid", FULL, PAPER)
 OURS, PEER, GRID = "#c43c1e", "#3b6ea5", "#6a9a5b"
 
 # Measured by the paper on its own machine (14-core i7-12700H) and scenes: context, not a rival row.
@@ -129,8 +129,8 @@ def _targets(scene: Row) -> str:
         lines.append(
             ("at least 4 times faster than goodFeaturesToTrack", f"{ratio:.1f}", ratio >= 4)
         )
-    if "cmp_cl, three masks" in rows:
-        ratio = rows["cmp_cl, three masks"]["ms"] / ms
+    if THREE in rows:
+        ratio = rows[THREE]["ms"] / ms
         lines.append(("three masks at most 1.6 times one", f"{ratio:.2f}", ratio <= 1.6))
     if scene["scene"] == "vga":
         step = rows[STEP]["ms"]
@@ -644,7 +644,6 @@ def stability(result: Row, folder: Path) -> str:
         table(
             (
                 "scenes",
-                "sigma0",
                 "corners",
                 "z (1 is right)",
                 "rank correlation",
@@ -655,7 +654,6 @@ def stability(result: Row, folder: Path) -> str:
             [
                 [
                     r["kind"],
-                    r["sigma0"],
                     r["corners"],
                     r["z"],
                     r["rank_correlation"],
@@ -692,7 +690,7 @@ def _sigma_plot(rows: Sequence[Row], path: Path) -> None:
     for row in rows:
         sigma = [d["sigma"] for d in row["deciles"]]
         error = [d["error"] for d in row["deciles"]]
-        axis.plot(sigma, error, "o-", ms=4, label=f"{row['kind']}, sigma0 {row['sigma0']}")
+        axis.plot(sigma, error, "o-", ms=4, label=row["kind"])
     high = axis.get_xlim()[1]
     axis.plot([0, high], [0, high], color="grey", lw=0.8, label="equal")
     axis.set(

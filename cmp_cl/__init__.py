@@ -4,6 +4,7 @@ from cmp_cl import measure, media, reference
 from cmp_cl.cell import estimate_cell
 from cmp_cl.config import (
     AdaptiveMean,
+    BinaryRings,
     DetectorConfig,
     EdgeLines,
     EdgeStep,
@@ -11,6 +12,7 @@ from cmp_cl.config import (
     Midlines,
     Pyramid,
     RapidCriteria,
+    RingHarmonic,
     SectorContrast,
     SpectralCriteria,
 )
@@ -29,7 +31,7 @@ from cmp_cl.errors import (
 )
 from cmp_cl.field import DisplacementField, SeriesWriter, displacement
 from cmp_cl.grid import Grid, NodeStatus, build_grid, refine_markers
-from cmp_cl.maps import Maps
+from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, DeviceKind, list_devices, select_device
 from cmp_cl.stereo import (
     BinocularSplit,
@@ -42,6 +44,7 @@ from cmp_cl.stereo import (
 
 __all__ = [
     "AdaptiveMean",
+    "BinaryRings",
     "BinocularSplit",
     "CalibrationError",
     "CapacityError",
@@ -60,6 +63,7 @@ __all__ = [
     "Fit",
     "Grid",
     "GridError",
+    "HarmonicMaps",
     "ImageError",
     "KernelBuildError",
     "Maps",
@@ -70,6 +74,7 @@ __all__ = [
     "Points3D",
     "Pyramid",
     "RapidCriteria",
+    "RingHarmonic",
     "SectorContrast",
     "SeriesWriter",
     "SpectralCriteria",

@@ -130,6 +130,97 @@ class SectorContrast:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
+class RingHarmonic:
+    """Corners by the second harmonic of the grey levels on a ring of eight samples.
+
+    The rule has no binary image and needs no cell size.
+
+    noise: least response of a corner, standard deviations of the noise, 0 to 100; cells
+        squeezed under 6 px need twice that.
+    relative: least response of a corner as a share of the reference response of the frame,
+        0 to 1; squeezed cells need 5/3 of it.
+    fine: whether cells squeezed under 6 px are looked for with a ring of 3 px.
+    alignment: factor of the check that the harmonics of a small and of a large ring point
+        alike, 1 to 64; a smaller one is stricter, None leaves the check out.
+    support: factor of the check that a ring of 4 px responds as one of 5 px does, 1 to 64; a
+        smaller one is stricter, None leaves the check out.
+    """
+
+    noise: float = 2.0
+    relative: float = 0.1875
+    fine: bool = True
+    alignment: int | None = 8
+    support: int | None = 6
+
+    def __post_init__(self) -> None:
+        _check("RingHarmonic", "noise", self.noise, 0, 100, kind=float)
+        _check("RingHarmonic", "relative", self.relative, 0, 1, kind=float)
+        if type(self.fine) is not bool:
+            raise ConfigError(f"RingHarmonic.fine must be True or False, not {self.fine!r}")
+        if self.alignment is not None:
+            _check("RingHarmonic", "alignment", self.alignment, 1, 64, kind=int)
+        if self.support is not None:
+            _check("RingHarmonic", "support", self.support, 1, 64, kind=int)
+
+    @property
+    def coarse_noise(self) -> int:
+        """The noise bound of the 5 px ring, in hundredths of the mean noise amplitude.
+
+        334 of them are one standard deviation of the response.
+        """
+        return math.floor(334 * self.noise + 0.5)
+
+    @property
+    def fine_noise(self) -> int:
+        """The noise bound of the 3 px ring, in hundredths of the mean noise amplitude."""
+        return 2 * self.coarse_noise
+
+    @property
+    def coarse_share(self) -> int:
+        """The least response of the 5 px ring, in 1/128 of the reference."""
+        return math.floor(128 * self.relative + 0.5)
+
+    @property
+    def fine_share(self) -> int:
+        """The least response of the 3 px ring, in 1/128 of the reference."""
+        return (5 * self.coarse_share + 1) // 3
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BinaryRings:
+    """Corners by the paper's criteria on a binary image.
+
+    threshold: binarization.
+    outer_radius: radius of the outer ring, 5 px, or 4 px for cells under 12 px.
+    criteria: the rapid or the spectral form.
+    contrast: the contrast gate, or None.
+    """
+
+    threshold: AdaptiveMean = AdaptiveMean()
+    outer_radius: int = 5
+    criteria: RapidCriteria | SpectralCriteria = RapidCriteria()
+    contrast: SectorContrast | None = SectorContrast()
+
+    def __post_init__(self) -> None:
+        _check_part("BinaryRings", "threshold", self.threshold, AdaptiveMean)
+        _check_part("BinaryRings", "criteria", self.criteria, RapidCriteria, SpectralCriteria)
+        _check_part("BinaryRings", "contrast", self.contrast, SectorContrast, type(None))
+        if type(self.outer_radius) is not int or self.outer_radius not in (4, 5):
+            raise ConfigError(f"BinaryRings.outer_radius must be 4 or 5, not {self.outer_radius!r}")
+
+    @classmethod
+    def for_cell(cls, cell: float) -> Self:
+        """The window and the outer radius for cells of that side, px (4 to 1000).
+
+        The outer radius is 4 under 12 px. Raises ConfigError for another cell.
+        """
+        _check("BinaryRings", "for_cell(cell)", cell, 4, 1000, kind=float)
+        return cls(
+            threshold=AdaptiveMean(window=window_for_cell(cell)), outer_radius=4 if cell < 12 else 5
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class EdgeLines:
     """Refinement by the intersection of the two edge lines (section 6, EDGE_LINES).
 
@@ -147,16 +238,12 @@ class EdgeStep:
     """EDGE_LINES, then one least-squares step of a corner model (section 6, EDGE_STEP).
 
     cell: side of a cell, px, 4 to 1000; the model sees min(9, max(4.5, 0.75 cell)) px around.
-    sigma0: floor of the standard deviation of a position, px, 0 to 5: 0.025 for
-        print, 0.2 for a worn gel.
     """
 
     cell: float = 12.0
-    sigma0: float = 0.025
 
     def __post_init__(self) -> None:
         _check("EdgeStep", "cell", self.cell, 4, 1000, kind=float)
-        _check("EdgeStep", "sigma0", self.sigma0, 0, 5, kind=float)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -200,7 +287,12 @@ class Pyramid:
 
 _MOST_FACTORS = 32
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
+_WIDE_CELL = 20  # px; cells as wide are not squeezed under 6 px
+_WIDEST_CELL = 60  # px; wider ones are found at a working scale
+_WORKING_CELL = 30  # px, at that scale
+_DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
+_MOVED = ("threshold", "criteria", "contrast", "outer_radius")
 _REFINEMENTS: dict[str, type] = {
     "edge_lines": EdgeLines,
     "edge_step": EdgeStep,
@@ -212,10 +304,7 @@ _REFINEMENTS: dict[str, type] = {
 class DetectorConfig:
     """Everything that decides which corners are found in an image.
 
-    threshold: binarization.
-    outer_radius: radius of the outer ring, 5 px, or 4 px for cells under 12 px.
-    criteria: the rapid or the spectral form.
-    contrast: the contrast gate, or None.
+    detection: how corners are decided: RingHarmonic or BinaryRings.
     nms_radius: radius of the window of non-maximum suppression, px, 1 to 15.
     refinement: EdgeLines, EdgeStep or Midlines, or None for centroids.
     scale: working scale (0.05 to 4), or Pyramid, or None for the image as it is.
@@ -224,10 +313,7 @@ class DetectorConfig:
     max_corners: room for corners at the start, 1 to 2**26; it grows.
     """
 
-    threshold: AdaptiveMean = AdaptiveMean()
-    outer_radius: int = 5
-    criteria: RapidCriteria | SpectralCriteria = RapidCriteria()
-    contrast: SectorContrast | None = SectorContrast()
+    detection: RingHarmonic | BinaryRings = RingHarmonic()
     nms_radius: int = 3
     refinement: EdgeLines | EdgeStep | Midlines | None = EdgeLines()
     scale: float | Pyramid | None = None
@@ -235,35 +321,28 @@ class DetectorConfig:
     max_corners: int = 65536
 
     def __post_init__(self) -> None:
-        _check_part("threshold", self.threshold, AdaptiveMean)
-        _check_part("criteria", self.criteria, RapidCriteria, SpectralCriteria)
-        _check_part("contrast", self.contrast, SectorContrast, type(None))
-        _check_part("refinement", self.refinement, EdgeLines, EdgeStep, Midlines, type(None))
-        if type(self.outer_radius) is not int or self.outer_radius not in (4, 5):
-            raise ConfigError(
-                f"DetectorConfig.outer_radius must be 4 or 5, not {self.outer_radius!r}"
-            )
-        _check("DetectorConfig", "nms_radius", self.nms_radius, 1, 15, kind=int)
+        part = "DetectorConfig"
+        _check_part(part, "detection", self.detection, RingHarmonic, BinaryRings)
+        _check_part(part, "refinement", self.refinement, EdgeLines, EdgeStep, Midlines, type(None))
+        _check(part, "nms_radius", self.nms_radius, 1, 15, kind=int)
         if not isinstance(self.scale, Pyramid) and self.scale is not None:
-            _check("DetectorConfig", "scale", self.scale, 0.05, 4, kind=float)
+            _check(part, "scale", self.scale, 0.05, 4, kind=float)
         if self.full_scale is not None:
-            _check("DetectorConfig", "full_scale", self.full_scale, 1, 65535, kind=int)
-        _check("DetectorConfig", "max_corners", self.max_corners, 1, 2**26, kind=int)
+            _check(part, "full_scale", self.full_scale, 1, 65535, kind=int)
+        _check(part, "max_corners", self.max_corners, 1, 2**26, kind=int)
 
     @classmethod
     def for_cell(cls, cell: float) -> Self:
         """The configuration for cells of that side, px (4 to 1000).
 
-        The window is the odd number 2 floor(floor(1.3 cell) / 2) + 1 within 9..255; the
-        outer radius is 4 under 12 px; above 16 px the image is scaled by 15 / cell, and
-        the window is that of a 15 px cell. Raises ConfigError for another cell.
+        Squeezed cells are looked for where cells are under 20 px. Above 60 px the image is
+        scaled by 30 / cell. Raises ConfigError for another cell.
         """
         _check("DetectorConfig", "for_cell(cell)", cell, 4, 1000, kind=float)
-        scale = max(15.0 / cell, 0.05) if cell > 16 else None
-        working = cell if scale is None else cell * scale
+        scale = max(_WORKING_CELL / cell, 0.05) if cell > _WIDEST_CELL else None
         return cls(
-            threshold=AdaptiveMean(window=window_for_cell(working)),
-            outer_radius=4 if working < 12 else 5,
+            detection=RingHarmonic(fine=bool(cell < _WIDE_CELL)),
+            refinement=EdgeLines(),
             scale=scale,
         )
 
@@ -278,25 +357,17 @@ class DetectorConfig:
         return cls.for_cell(max(estimate_cell(image), 4))
 
     @classmethod
-    def for_grid(cls, markers: int) -> Self:
-        """The defaults with the paper's Table 2 window for 20, 30 or 40 markers a side.
-
-        Raises ConfigError for another number.
-        """
-        return cls(threshold=AdaptiveMean(window=_table_2_window(markers)))
-
-    @classmethod
     def paper(cls, markers: int) -> Self:
         """The paper's method as printed, for 20, 30 or 40 markers a side (Table 2).
 
         Raises ConfigError for another number.
         """
-        return cls(
+        rings = BinaryRings(
             threshold=AdaptiveMean(window=_table_2_window(markers)),
             criteria=RapidCriteria(corrosion_threshold=4),
             contrast=None,
-            refinement=Midlines(),
         )
+        return cls(detection=rings, refinement=Midlines())
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some fields changed; raises ConfigError on an unknown name."""
@@ -339,13 +410,12 @@ class DetectorConfig:
 
     @classmethod
     def _from_dict(cls, data: Mapping[str, Any]) -> Self:
+        for key in data:
+            if key in _MOVED:
+                raise ConfigError(_moved(key, data[key]))
         values = _known(data, cls)
-        if "threshold" in values:
-            values["threshold"] = _part("threshold", values["threshold"], AdaptiveMean)
-        if "criteria" in values:
-            values["criteria"] = _chosen("criteria", values["criteria"], _CRITERIA)
-        if "contrast" in values:
-            values["contrast"] = _part("contrast", values["contrast"], SectorContrast)
+        if "detection" in values:
+            values["detection"] = _detection(values["detection"])
         if "refinement" in values:
             values["refinement"] = _chosen("refinement", values["refinement"], _REFINEMENTS)
         if isinstance(values.get("scale"), Mapping):
@@ -364,23 +434,48 @@ def _table_2_window(markers: int) -> int:
     return _TABLE_2_WINDOWS[markers]
 
 
-def _check_part(field: str, value: object, *kinds: type) -> None:
+def _check_part(part: str, field: str, value: object, *kinds: type) -> None:
     if not isinstance(value, kinds):
         names = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
-        raise ConfigError(f"DetectorConfig.{field} must be {names}, not {value!r}")
+        raise ConfigError(f"{part}.{field} must be {names}, not {value!r}")
 
 
 def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
-    """The entries of a TOML table as field values; false stands for None."""
-    names = [field.name for field in dataclasses.fields(kind)]
+    """The entries of a TOML table as field values; false stands for None where it is no bool."""
+    types = {field.name: field.type for field in dataclasses.fields(kind)}
     for key in data:
-        if key not in names:
-            raise ConfigError(f"unknown key {key!r} for {kind.__name__}; known: {', '.join(names)}")
-    return {key: None if value is False else value for key, value in data.items()}
+        if key not in types:
+            raise ConfigError(f"unknown key {key!r} for {kind.__name__}; known: {', '.join(types)}")
+    return {
+        key: None if value is False and types[key] is not bool else value
+        for key, value in data.items()
+    }
+
+
+def _moved(key: str, value: object) -> str:
+    """What to write instead of a key that belongs into the table [detection]."""
+    moved = f"[{key}] as [detection.{key}]"
+    if not isinstance(value, Mapping):
+        moved = f"{key} = {_toml(None if value is False else value)} in that table"
+    return f'{key} belongs to the detection: write [detection] with kind = "binary_rings", {moved}'
+
+
+def _detection(value: object) -> RingHarmonic | BinaryRings | None:
+    """What decides corners, with the parts that tables inside its table stand for."""
+    if not isinstance(value, Mapping) or value.get("kind") != "binary_rings":
+        return _chosen("detection", value, _DETECTIONS)
+    values = dict(value)
+    if "threshold" in values:
+        values["threshold"] = _part("threshold", values["threshold"], AdaptiveMean)
+    if "criteria" in values:
+        values["criteria"] = _chosen("criteria", values["criteria"], _CRITERIA)
+    if "contrast" in values:
+        values["contrast"] = _part("contrast", values["contrast"], SectorContrast)
+    return _chosen("detection", values, _DETECTIONS)
 
 
 def _part(field: str, value: object, kind: type[Part]) -> Part | None:
-    if value is None:
+    if value is None or value is False:
         return None
     if not isinstance(value, Mapping):
         raise ConfigError(f"{field} must be a table, not {value!r}")
@@ -400,7 +495,7 @@ def _part(field: str, value: object, kind: type[Part]) -> Part | None:
 
 def _chosen(field: str, value: object, kinds: Mapping[str, type[Part]]) -> Part | None:
     """A part that comes in several kinds, named by the key `kind`."""
-    if value is None:
+    if value is None or value is False:
         return None
     if not isinstance(value, Mapping) or value.get("kind") not in list(kinds):
         raise ConfigError(
@@ -412,26 +507,29 @@ def _chosen(field: str, value: object, kinds: Mapping[str, type[Part]]) -> Part 
 
 def to_toml(config: DetectorConfig) -> str:
     """The configuration as TOML text; None is written as false."""
-    top: list[str] = []
+    return "\n".join(_table(config, "")) + "\n"
+
+
+def _table(part: Any, name: str) -> list[str]:
+    """The lines of a part: its values, then the tables of the parts in it."""
+    kinds = {**_DETECTIONS, **_CRITERIA, **_REFINEMENTS}
+    lines = [f'kind = "{kind}"' for kind, made in kinds.items() if type(part) is made]
     tables: list[str] = []
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            tables.append(f"\n[{field.name}]")
-            kinds = {**_CRITERIA, **_REFINEMENTS}
-            tables += [f'kind = "{name}"' for name, kind in kinds.items() if type(value) is kind]
-            tables += [
-                f"{part.name} = {_toml(getattr(value, part.name))}"
-                for part in dataclasses.fields(value)
-            ]
+    for field in dataclasses.fields(part):
+        value = getattr(part, field.name)
+        if dataclasses.is_dataclass(value):
+            inner = f"{name}.{field.name}" if name else field.name
+            tables += [f"\n[{inner}]", *_table(value, inner)]
         else:
-            top.append(f"{field.name} = {_toml(value)}")
-    return "\n".join(top + tables) + "\n"
+            lines.append(f"{field.name} = {_toml(value)}")
+    return lines + tables
 
 
 def _toml(value: object) -> str:
     if value is None:
         return "false"
+    if isinstance(value, bool):
+        return "true" if value else "false"
     if isinstance(value, Fit):
         return f'"{value.value}"'
     if isinstance(value, tuple):

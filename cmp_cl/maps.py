@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Maps:
-    """Every intermediate image of a frame, each (H, W) unless said otherwise.
+    """Every intermediate image of a frame with BinaryRings, each (H, W) unless said otherwise.
 
     With three masks the maps up to `contrast` have a leading axis of 3, in the order of
     the thresholds mean, mean - sigma/2, mean + sigma/2. Maps of stages that the
@@ -25,10 +25,10 @@ class Maps:
     correlation: float32, max R / sqrt(n1 n2), 0 where a ring is white (Eq. 17).
     phase: float32, smallest shift of the best correlation, >= 0, rad.
     candidate: bool, after the criteria and before the gate.
-    contrast: int32, min(sc1, sc2) of the gate, 0 off candidates.
-    response: int32, R after the gate.
+    contrast: int32, min(sc1, sc2) of the gate at the maxima of `response`, 0 elsewhere.
+    response: int32, R before the gate.
     score: int32, S, the response under the 5 x 5 tent.
-    maximum: bool, what suppression kept.
+    maximum: bool, what suppression and the gate kept.
     """
 
     binary: NDArray[np.bool_]
@@ -47,4 +47,25 @@ class Maps:
     contrast: NDArray[np.int32] | None
     response: NDArray[np.int32]
     score: NDArray[np.int32]
+    maximum: NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class HarmonicMaps:
+    """Every intermediate image of a frame with RingHarmonic, each (H, W).
+
+    With a working scale they have its size.
+
+    fine: uint16, the image smoothed once, in 1/16 of a grey level of 255.
+    coarse: uint16, the image smoothed three times, likewise.
+    coarse_response: int32, the response of the 5 px ring on `coarse`.
+    fine_response: int32, that of the 3 px ring on `fine`; None where squeezed cells are not
+        looked for.
+    maximum: bool, the corners that are kept.
+    """
+
+    fine: NDArray[np.uint16]
+    coarse: NDArray[np.uint16]
+    coarse_response: NDArray[np.int32]
+    fine_response: NDArray[np.int32] | None
     maximum: NDArray[np.bool_]

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.cell import estimate_cell
-from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeStep, window_for_cell
+from cmp_cl.config import DetectorConfig, EdgeStep
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
@@ -383,13 +383,10 @@ def cell_of(grid: Grid) -> float:
 def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
     """Return the most complete and exact settings for a deformed pattern of such cells, px.
 
-    They are those of `DetectorConfig.for_cell` with three threshold masks and EdgeStep.
+    They are those of `DetectorConfig.for_cell` with EdgeStep.
     """
-    config = DetectorConfig.for_cell(cell)
-    return config.replace(
-        threshold=AdaptiveMean(window=config.threshold.window, masks=3),
-        refinement=EdgeStep(cell=cell),
-        full_scale=full_scale,
+    return DetectorConfig.for_cell(cell).replace(
+        refinement=EdgeStep(cell=cell), full_scale=full_scale
     )
 
 
@@ -447,11 +444,8 @@ def find_board(
     scaled = DetectorConfig.for_cell(cell).replace(
         refinement=EdgeStep(cell=cell), full_scale=full_scale
     )
-    plain = scaled.replace(
-        threshold=AdaptiveMean(window=min(window_for_cell(cell), 21)), scale=None
-    )
     grids = []
-    for config in (plain, scaled):
+    for config in dict.fromkeys((scaled.replace(scale=None), scaled)):
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
             grids.append(detector.grid(view, shape=shape, region=region)[1])
         if _detected(grids[-1]) == shape[0] * shape[1]:

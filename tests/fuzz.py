@@ -33,6 +33,7 @@ from corner_images import board
 
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     CmpClError,
     Corners,
     Detector,
@@ -43,6 +44,7 @@ from cmp_cl import (
     Midlines,
     Pyramid,
     RapidCriteria,
+    RingHarmonic,
     SectorContrast,
     SpectralCriteria,
     reference,
@@ -72,6 +74,7 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
     kind = _one(compiled, RapidCriteria, RapidCriteria, SpectralCriteria)
     refined = _one(compiled, None, EdgeLines, EdgeStep, Midlines)
     fit = _one(compiled, *Fit)
+    harmonic, fine, aligned, supported = compiled.random(4) < (0.5, 0.67, 0.8, 0.8)
 
     offset = _one(rng, 5, int(rng.integers(1, 65536))) if has_offset and masks == 1 else 0
     corrosion = _one(rng, 6, int(rng.integers(-4, 18))) if has_corrosion else None
@@ -107,11 +110,23 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
         float(rng.uniform(0.3, 2)),
         Pyramid(factors=(1.0, 0.7), expected=int(rng.integers(1, 40))),
     )
+    detection = {
+        True: RingHarmonic(
+            noise=_one(rng, 2.0, 0, 100, float(rng.uniform(0, 4))),
+            relative=_one(rng, 0.1875, 0, 1, float(rng.random())),
+            fine=bool(fine),
+            alignment=_one(rng, 8, 1, 64, int(rng.integers(1, 65))) if aligned else None,
+            support=_one(rng, 6, 1, 64, int(rng.integers(1, 65))) if supported else None,
+        ),
+        False: BinaryRings(
+            threshold=AdaptiveMean(window=window, offset=offset, masks=masks),
+            outer_radius=rings,
+            criteria=criteria[kind],
+            contrast=contrast if has_gate else None,
+        ),
+    }
     return DetectorConfig(
-        threshold=AdaptiveMean(window=window, offset=offset, masks=masks),
-        outer_radius=rings,
-        criteria=criteria[kind],
-        contrast=contrast if has_gate else None,
+        detection=detection[bool(harmonic)],
         nms_radius=nms_radius,
         refinement=refinement[refined],
         scale=scale if is_scaled else _one(rng, None, 1.0),

@@ -64,7 +64,7 @@ def test_the_image_is_checked():
 def test_for_image_uses_it():
     image, _ = board(180, 200, 10)
     assert DetectorConfig.for_image(image) == DetectorConfig.for_cell(estimate_cell(image))
-    assert DetectorConfig.for_image(image).outer_radius == 4
+    assert DetectorConfig.for_image(image).detection.fine
 
 
 def test_of_a_large_image_it_looks_at_a_sample(monkeypatch):

@@ -8,6 +8,7 @@ import pytest
 
 from cmp_cl.config import (
     AdaptiveMean,
+    BinaryRings,
     DetectorConfig,
     EdgeLines,
     EdgeStep,
@@ -15,6 +16,7 @@ from cmp_cl.config import (
     Midlines,
     Pyramid,
     RapidCriteria,
+    RingHarmonic,
     SectorContrast,
     SpectralCriteria,
     window_for_cell,
@@ -23,6 +25,10 @@ from cmp_cl.errors import CmpClError, ConfigError
 
 # part, field, the least and the greatest value allowed, a step beyond them
 BOUNDS = [
+    (RingHarmonic, "noise", 0, 100, 1e-3),
+    (RingHarmonic, "relative", 0, 1, 1e-3),
+    (RingHarmonic, "alignment", 1, 64, 1),
+    (RingHarmonic, "support", 1, 64, 1),
     (AdaptiveMean, "window", 3, 255, 2),
     (AdaptiveMean, "offset", 0, 65535, 1),
     (RapidCriteria, "sector_threshold", 1, 16, 1),
@@ -36,7 +42,6 @@ BOUNDS = [
     (SectorContrast, "noise", 0, 100, 1e-3),
     (EdgeLines, "max_shift", 0, 5, 1e-3),
     (EdgeStep, "cell", 4, 1000, 1e-3),
-    (EdgeStep, "sigma0", 0, 5, 1e-3),
     (Midlines, "max_shift", 0, 5, 1e-3),
     (DetectorConfig, "nms_radius", 1, 15, 1),
     (DetectorConfig, "scale", 0.05, 4, 1e-3),
@@ -88,27 +93,33 @@ def test_a_fraction_is_refused_where_an_integer_is_needed(part, field):
         (lambda: Pyramid(factors=[1.0], expected=1), "Pyramid.factors must be a tuple"),
         (lambda: Pyramid(factors=(0.01,), expected=1), "Pyramid.factors must be a number in"),
         (lambda: Pyramid(factors=(1.0,), expected=0), "Pyramid.expected must be an integer in"),
-        (lambda: DetectorConfig(outer_radius=3), "DetectorConfig.outer_radius must be 4 or 5"),
-        (lambda: DetectorConfig(outer_radius=5.0), "outer_radius must be 4 or 5, not 5.0"),
+        (lambda: RingHarmonic(fine=1), "RingHarmonic.fine must be True or False, not 1"),
+        (lambda: RingHarmonic(noise=None), "RingHarmonic.noise must be a number in [0, 100]"),
+        (lambda: BinaryRings(outer_radius=3), "BinaryRings.outer_radius must be 4 or 5"),
+        (lambda: BinaryRings(outer_radius=5.0), "outer_radius must be 4 or 5, not 5.0"),
         (lambda: DetectorConfig(max_corners=0), "an integer in [1, 67108864], not 0"),
-        (lambda: DetectorConfig(threshold=None), "DetectorConfig.threshold must be AdaptiveMean"),
+        (lambda: BinaryRings(threshold=None), "BinaryRings.threshold must be AdaptiveMean"),
         (
-            lambda: DetectorConfig(criteria=None),
-            "DetectorConfig.criteria must be RapidCriteria or SpectralCriteria, not None",
+            lambda: BinaryRings(criteria=None),
+            "BinaryRings.criteria must be RapidCriteria or SpectralCriteria, not None",
         ),
         (
-            lambda: DetectorConfig(contrast=20),
-            "DetectorConfig.contrast must be SectorContrast or None, not 20",
+            lambda: BinaryRings(contrast=20),
+            "BinaryRings.contrast must be SectorContrast or None, not 20",
+        ),
+        (
+            lambda: DetectorConfig(detection=RapidCriteria()),
+            "DetectorConfig.detection must be RingHarmonic or BinaryRings, not RapidCriteria",
         ),
         (
             lambda: DetectorConfig(refinement="edge_lines"),
             "DetectorConfig.refinement must be EdgeLines or EdgeStep or Midlines or None",
         ),
         (lambda: DetectorConfig().replace(window=21), "DetectorConfig has no field 'window'"),
-        (lambda: DetectorConfig.for_grid(25), "20, 30 or 40 markers a side, not 25"),
         (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),
         (lambda: DetectorConfig.paper([20]), "20, 30 or 40 markers a side, not [20]"),
         (lambda: DetectorConfig.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),
+        (lambda: BinaryRings.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),
     ],
 )
 def test_messages_name_field_value_and_what_is_allowed(make, message):
@@ -127,28 +138,38 @@ def test_a_configuration_is_frozen_keyword_only_and_hashable():
     with pytest.raises(dataclasses.FrozenInstanceError):
         config.nms_radius = 4
     with pytest.raises(TypeError):
-        DetectorConfig(AdaptiveMean())
+        DetectorConfig(RingHarmonic())
     assert hash(config) == hash(DetectorConfig())
 
 
 CONFIGS = {
     "defaults": DetectorConfig(),
+    "harmonic": DetectorConfig(detection=RingHarmonic(noise=2.5, relative=0.25, alignment=16)),
+    "nothing_but_the_rule": DetectorConfig(
+        detection=RingHarmonic(fine=False, alignment=None, support=None), refinement=None
+    ),
+    "rings": DetectorConfig(detection=BinaryRings()),
     "parts_left_out": DetectorConfig(
-        contrast=None, refinement=None, criteria=RapidCriteria(corrosion_threshold=None)
+        detection=BinaryRings(contrast=None, criteria=RapidCriteria(corrosion_threshold=None)),
+        refinement=None,
     ),
     "spectral": DetectorConfig(
-        criteria=SpectralCriteria(correlation=0.7, phase=0.25), refinement=EdgeStep(cell=17.5)
+        detection=BinaryRings(criteria=SpectralCriteria(correlation=0.7, phase=0.25)),
+        refinement=EdgeStep(cell=17.5),
     ),
     "pyramid": DetectorConfig(
-        threshold=AdaptiveMean(window=31, masks=3),
+        detection=BinaryRings(threshold=AdaptiveMean(window=31, masks=3)),
         scale=Pyramid(factors=(1.0, 0.5, 1 / 3), expected=1600),
         refinement=Midlines(fit=Fit.QUADRATIC, max_shift=1.5),
         full_scale=4095,
     ),
-    "scale": DetectorConfig.for_cell(34),
-    "numpy_number": DetectorConfig.for_cell(np.float64(34)),
+    "scale": DetectorConfig.for_cell(90),
+    "numpy_number": DetectorConfig.for_cell(np.float64(90)),
     "paper": DetectorConfig.paper(20),
 }
+
+
+RINGS = "[detection]\nkind = 'binary_rings'\n"
 
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS.keys())
@@ -158,22 +179,58 @@ def test_toml_brings_back_the_same_configuration(config, tmp_path):
 
 
 def test_keys_left_out_of_toml_keep_their_defaults(tmp_path):
-    (tmp_path / "cmp.toml").write_text("[threshold]\nwindow = 31\n")
-    expected = DetectorConfig(threshold=AdaptiveMean(window=31))
+    (tmp_path / "cmp.toml").write_text('[detection]\nkind = "ring_harmonic"\nsupport = 8\n')
+    expected = DetectorConfig(detection=RingHarmonic(support=8))
     assert DetectorConfig.load(tmp_path / "cmp.toml") == expected
+    (tmp_path / "cmp.toml").write_text(
+        RINGS + "[detection.threshold]\nwindow = 31\n[detection.contrast]\n"
+    )
+    expected = DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(window=31)))
+    assert DetectorConfig.load(tmp_path / "cmp.toml") == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "instead"),
+    [
+        ("[threshold]\nwindow = 31", "[threshold] as [detection.threshold]"),
+        ("[criteria]\nkind = 'rapid'", "[criteria] as [detection.criteria]"),
+        ("contrast = false", "contrast = false in that table"),
+        ("outer_radius = 4", "outer_radius = 4 in that table"),
+    ],
+)
+def test_a_file_of_the_older_kind_gets_one_line_that_says_what_to_write(text, instead, tmp_path):
+    (tmp_path / "old.toml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        DetectorConfig.load(tmp_path / "old.toml")
+    message = str(caught.value)
+    assert "old.toml" in message
+    assert 'write [detection] with kind = "binary_rings"' in message
+    assert message.endswith(instead)
+    assert "\n" not in message
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("windoww = 3", "unknown key 'windoww' for DetectorConfig; known: threshold, "),
-        ("[threshold]\nmask = 3", "unknown key 'mask' for AdaptiveMean; known: window, offset"),
-        ("[threshold]\nwindow = 20", "AdaptiveMean.window must be an odd integer"),
-        ("threshold = 21", "threshold must be a table, not 21"),
-        ("threshold = false", "DetectorConfig.threshold must be AdaptiveMean, not None"),
-        ("[criteria]\nring_threshold = 5", "criteria must be a table whose key kind is one of"),
-        ("[criteria]\nkind = 'fast'", "kind is one of ['rapid', 'spectral']"),
-        ("[criteria]\nkind = ['rapid']", "kind is one of ['rapid', 'spectral']"),
+        ("windoww = 3", "unknown key 'windoww' for DetectorConfig; known: detection, "),
+        ("[detection]\nkind = 'fast'", "kind is one of ['ring_harmonic', 'binary_rings']"),
+        ("[detection]\nnoise = 2", "detection must be a table whose key kind is one of"),
+        ("detection = 2", "detection must be a table whose key kind is one of"),
+        ("detection = false", "DetectorConfig.detection must be RingHarmonic or BinaryRings"),
+        (RINGS + "[detection.threshold]\nmask = 3", "unknown key 'mask' for AdaptiveMean; known"),
+        (
+            RINGS + "[detection.threshold]\nwindow = 20",
+            "AdaptiveMean.window must be an odd integer",
+        ),
+        (RINGS + "threshold = 21", "threshold must be a table, not 21"),
+        (RINGS + "threshold = false", "BinaryRings.threshold must be AdaptiveMean, not None"),
+        (RINGS + "noise = 2", "unknown key 'noise' for BinaryRings; known: threshold, "),
+        (
+            RINGS + "[detection.criteria]\nring_threshold = 5",
+            "criteria must be a table whose key kind",
+        ),
+        (RINGS + "criteria.kind = 'fast'", "kind is one of ['rapid', 'spectral']"),
+        (RINGS + "criteria.kind = ['rapid']", "kind is one of ['rapid', 'spectral']"),
         ("[refinement]\nkind = 'edge_lines'\nfit = 'linear'", "unknown key 'fit' for EdgeLines"),
         ("[refinement]\nkind = 'midlines'\nfit = 'cubic'", "one of ['linear', 'quadratic']"),
         ("[scale]\nfactors = [1.0]", "expected"),
@@ -208,22 +265,38 @@ def test_the_window_is_odd_and_about_1_3_cells(cell, window):
     assert window_for_cell(cell) == window
 
 
-def test_small_cells_get_the_small_ring_and_large_ones_a_scale():
-    small, middle, large = (DetectorConfig.for_cell(cell) for cell in (11.9, 12, 30))
-    assert (small.outer_radius, small.scale) == (4, None)
-    assert (middle.outer_radius, middle.scale) == (5, None)
-    assert (large.outer_radius, large.scale) == (5, 0.5)
-    assert DetectorConfig.for_cell(16).scale is None
-    assert large.threshold.window == window_for_cell(15)
+def test_small_cells_get_the_small_ring():
+    small, large = BinaryRings.for_cell(11.9), BinaryRings.for_cell(12)
+    assert (small.outer_radius, large.outer_radius) == (4, 5)
+    assert large == BinaryRings(threshold=AdaptiveMean(window=window_for_cell(12)))
+
+
+def test_squeezed_cells_are_looked_for_where_cells_are_small_and_large_ones_get_a_scale():
+    small, wide, huge = (DetectorConfig.for_cell(cell) for cell in (19.9, 20, 120))
+    assert small == DetectorConfig()
+    assert wide == huge.replace(scale=None) == DetectorConfig(detection=RingHarmonic(fine=False))
+    assert huge.scale == 0.25
+    assert DetectorConfig.for_cell(60).scale is None
+
+
+def test_the_bounds_of_the_rule_in_whole_numbers():
+    """2 and 4 standard deviations of the noise, 24/128 and 40/128 of the reference."""
+    rule = RingHarmonic()
+    assert (rule.coarse_noise, rule.fine_noise) == (668, 1336)
+    assert (rule.coarse_share, rule.fine_share) == (24, 40)
+    rule = RingHarmonic(noise=0.7, relative=0.5)
+    assert (rule.coarse_noise, rule.fine_noise) == (234, 468)
+    assert (rule.coarse_share, rule.fine_share) == (64, 107)
 
 
 @pytest.mark.parametrize(("markers", "window"), [(20, 41), (30, 31), (40, 21)])
-def test_the_presets_hold_the_windows_of_table_2(markers, window):
-    ours, paper = DetectorConfig.for_grid(markers), DetectorConfig.paper(markers)
-    assert ours == DetectorConfig(threshold=AdaptiveMean(window=window))
-    assert paper.threshold == AdaptiveMean(window=window)
-    assert paper.criteria == RapidCriteria(corrosion_threshold=4)
-    assert paper.contrast is None
+def test_the_papers_preset_holds_the_windows_of_table_2(markers, window):
+    paper = DetectorConfig.paper(markers)
+    assert paper.detection == BinaryRings(
+        threshold=AdaptiveMean(window=window),
+        criteria=RapidCriteria(corrosion_threshold=4),
+        contrast=None,
+    )
     assert paper.refinement == Midlines(fit=Fit.LINEAR)
 
 

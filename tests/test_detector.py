@@ -12,11 +12,13 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from configs import rings
 from corner_images import board, noise
 
 import cmp_cl
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     Detector,
     DetectorConfig,
     EdgeLines,
@@ -26,6 +28,7 @@ from cmp_cl import (
     Midlines,
     Pyramid,
     RapidCriteria,
+    RingHarmonic,
     SectorContrast,
     SpectralCriteria,
     reference,
@@ -100,10 +103,14 @@ def test_the_test_vectors(device, path):
         vector = dict(file)
     gate = [float(value) for value in vector["gate"]]
     config = DetectorConfig(
-        threshold=AdaptiveMean(window=int(vector["window"])),
-        outer_radius=int(vector["outer_radius"]),
-        criteria=RapidCriteria(corrosion_threshold=int(vector["corrosion_threshold"])),
-        contrast=SectorContrast(minimum=gate[0], relative=gate[1], noise=gate[2]) if gate else None,
+        detection=BinaryRings(
+            threshold=AdaptiveMean(window=int(vector["window"])),
+            outer_radius=int(vector["outer_radius"]),
+            criteria=RapidCriteria(corrosion_threshold=int(vector["corrosion_threshold"])),
+            contrast=SectorContrast(minimum=gate[0], relative=gate[1], noise=gate[2])
+            if gate
+            else None,
+        ),
         full_scale=int(vector["full_scale"]),
         refinement=None,
     )
@@ -130,7 +137,9 @@ def test_an_enormous_image_on_tiles(device):
     tile[40:101, 60:143] = BOARD
     image = np.tile(tile, (32, 32))
     reach = 40
-    config = DetectorConfig(contrast=SectorContrast(relative=0), max_corners=2**20)
+    config = DetectorConfig(
+        detection=BinaryRings(contrast=SectorContrast(relative=0)), max_corners=2**20
+    )
     with Detector(shape=image.shape, config=config, device=device) as detector:
         found = detector(image)
     rng = np.random.default_rng(0)
@@ -177,7 +186,7 @@ def test_the_result(detector, device):
         assert values.flags.writeable, name
     assert corners.device == str(device)
     assert corners.to_opencv().shape == (count, 1, 2)
-    assert np.isnan(corners.sigma).all()
+    assert np.array_equal(np.isnan(corners.sigma), corners.method == Method.KEPT)
     x, y = corners.pixel.T
     assert (np.diff(y * 83 + x) > 0).all()
     distance = np.linalg.norm(corners.xy[:, None] - TRUTH, axis=2)
@@ -246,9 +255,9 @@ def test_alone_in_a_stream_and_in_a_batch_alike(detector_for, refinement, scale)
 @pytest.mark.parametrize(
     "config",
     [
-        DetectorConfig(threshold=AdaptiveMean(masks=3)),
-        DetectorConfig(criteria=SpectralCriteria()),
-        DetectorConfig(contrast=None, refinement=Midlines()),
+        DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
+        DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria())),
+        DetectorConfig(detection=BinaryRings(contrast=None), refinement=Midlines()),
         DetectorConfig(scale=Pyramid(factors=(1.0, 0.63), expected=25)),
     ],
     ids=["three masks", "spectral", "no gate", "pyramid"],
@@ -313,7 +322,9 @@ def test_what_is_no_batch_on_the_device(device, detector):
 
 def test_a_batch_on_the_device_grows_too(device):
     frames = np.stack([images.salt_and_pepper((400, 80), 0.9)] * 2)
-    config = DetectorConfig(contrast=None, nms_radius=1, max_corners=1, criteria=EVERYTHING)
+    config = DetectorConfig(
+        detection=BinaryRings(contrast=None, criteria=EVERYTHING), nms_radius=1, max_corners=1
+    )
     context = cl.Context([device.handle])
     with (
         cl.CommandQueue(context) as queue,
@@ -558,7 +569,9 @@ EVERYTHING = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_thr
 
 def test_more_corners_than_room_are_found_all_the_same(device):
     image = images.salt_and_pepper((400, 80), 0.9)
-    config = DetectorConfig(contrast=None, nms_radius=1, max_corners=1, criteria=EVERYTHING)
+    config = DetectorConfig(
+        detection=BinaryRings(contrast=None, criteria=EVERYTHING), nms_radius=1, max_corners=1
+    )
     with (
         Detector(shape=image.shape, config=config, device=device) as small,
         Detector(
@@ -579,7 +592,9 @@ def test_more_corners_than_room_are_found_all_the_same(device):
 def test_a_batch_and_a_stream_grow_too(device):
     image = images.salt_and_pepper((400, 80), 0.9)
     calm = np.full_like(image, 128)
-    config = DetectorConfig(contrast=None, nms_radius=1, max_corners=1, criteria=EVERYTHING)
+    config = DetectorConfig(
+        detection=BinaryRings(contrast=None, criteria=EVERYTHING), nms_radius=1, max_corners=1
+    )
     with Detector(shape=image.shape, config=config, device=device) as detector:
         results = detector.batch([calm, image, image[::-1].copy()])
         assert detector.regrown == 1
@@ -685,20 +700,32 @@ def test_errors_have_one_root():
 
 # --- the configuration ---------------------------------------------------------------------
 
-D = DetectorConfig
+D = rings
 TEXTURE = EIGHT["texture"]
 WORN = images.scene(1.5, seed=3).image
 DEEP = images.sixteen_bits()["12-bit board"]
 WIDE = RapidCriteria(corrosion_threshold=17)
+
+
+def harmonic(**changes):
+    return DetectorConfig(detection=RingHarmonic(**changes))
+
+
 CHANGES = {
-    "threshold": (TEXTURE, D(), D(threshold=AdaptiveMean(window=9))),
-    "outer_radius": (TEXTURE, D(), D(outer_radius=4)),
-    "criteria": (TEXTURE, D(), D(criteria=SpectralCriteria())),
-    "contrast": (EIGHT["noise"], D(), D(contrast=None)),
+    "detection": (TEXTURE, DetectorConfig(), D()),
+    "BinaryRings.threshold": (TEXTURE, D(), D(threshold=AdaptiveMean(window=9))),
+    "BinaryRings.outer_radius": (TEXTURE, D(), D(outer_radius=4)),
+    "BinaryRings.criteria": (TEXTURE, D(), D(criteria=SpectralCriteria())),
+    "BinaryRings.contrast": (EIGHT["noise"], D(), D(contrast=None)),
     "nms_radius": (TEXTURE, D(), D(nms_radius=1)),
     "refinement": (BOARD, D(), D(refinement=None)),
     "scale": (TEXTURE, D(), D(scale=0.63)),
     "full_scale": (DEEP, D(), D(full_scale=4095)),
+    "RingHarmonic.noise": (EIGHT["noise"], harmonic(), harmonic(noise=0)),
+    "RingHarmonic.relative": (TEXTURE, harmonic(), harmonic(relative=0.8)),
+    "RingHarmonic.fine": (TEXTURE, harmonic(), harmonic(fine=False)),
+    "RingHarmonic.alignment": (TEXTURE, harmonic(), harmonic(alignment=1)),
+    "RingHarmonic.support": (TEXTURE, harmonic(), harmonic(support=1)),
     "AdaptiveMean.window": (TEXTURE, D(), D(threshold=AdaptiveMean(window=9))),
     "AdaptiveMean.offset": (TEXTURE, D(), D(threshold=AdaptiveMean(offset=20))),
     "AdaptiveMean.masks": (TEXTURE, D(), D(threshold=AdaptiveMean(masks=3))),
@@ -725,7 +752,6 @@ CHANGES = {
     "SectorContrast.noise": (TEXTURE, D(), D(contrast=SectorContrast(noise=30))),
     "EdgeLines.max_shift": (WORN, D(), D(refinement=EdgeLines(max_shift=0.3))),
     "EdgeStep.cell": (WORN, D(refinement=EdgeStep()), D(refinement=EdgeStep(cell=6.0))),
-    "EdgeStep.sigma0": (BOARD, D(refinement=EdgeStep()), D(refinement=EdgeStep(sigma0=0.2))),
     "Midlines.fit": (WORN, D(refinement=Midlines()), D(refinement=Midlines(fit=Fit.QUADRATIC))),
     "Midlines.max_shift": (
         WORN,
@@ -747,6 +773,8 @@ CHANGES = {
 
 def test_every_field_has_a_change():
     parts = (
+        RingHarmonic,
+        BinaryRings,
         AdaptiveMean,
         RapidCriteria,
         SpectralCriteria,
@@ -784,9 +812,9 @@ def test_max_corners_is_the_room_at_the_start(device):
 
 
 def test_the_papers_configuration(detector_for):
-    for config in (D.for_grid(40), D.paper(40)):
-        corners = assert_corners_equal(detector_for(BOARD, config), BOARD)
-        assert len(corners) > 20
+    config = DetectorConfig.paper(40)
+    corners = assert_corners_equal(detector_for(BOARD, config), BOARD)
+    assert len(corners) > 20
     assert {Method.MIDLINE, Method.CUSP} & set(corners.method)
 
 

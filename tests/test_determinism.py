@@ -12,10 +12,12 @@ import cv2
 import numpy as np
 import pytest
 from comparison import FLOATS
+from configs import rings
 
 import cmp_cl
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     Corners,
     Detector,
     DetectorConfig,
@@ -34,15 +36,20 @@ SCENES = {
 }
 CONFIGS = {
     "default": DetectorConfig(),
+    "rings": rings(),
     "paper": DetectorConfig.paper(30),
     "small cells": DetectorConfig(
-        threshold=AdaptiveMean(window=11), outer_radius=4, refinement=EdgeStep(cell=9)
+        detection=BinaryRings(threshold=AdaptiveMean(window=11), outer_radius=4),
+        refinement=EdgeStep(cell=9),
     ),
-    "three masks": DetectorConfig(threshold=AdaptiveMean(masks=3)),
-    "spectral": DetectorConfig(criteria=SpectralCriteria(), refinement=Midlines(fit=Fit.QUADRATIC)),
+    "three masks": DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
+    "spectral": DetectorConfig(
+        detection=BinaryRings(criteria=SpectralCriteria()), refinement=Midlines(fit=Fit.QUADRATIC)
+    ),
     "dense, scaled": DetectorConfig(
-        criteria=RapidCriteria(sector_threshold=12, corrosion_threshold=None),
-        contrast=None,
+        detection=BinaryRings(
+            criteria=RapidCriteria(sector_threshold=12, corrosion_threshold=None), contrast=None
+        ),
         nms_radius=2,
         scale=0.7,
     ),

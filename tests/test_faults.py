@@ -12,8 +12,9 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
+from configs import rings
 
-from cmp_cl import Detector, DetectorConfig
+from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.opencl import caches, program
 from cmp_cl.opencl import device as device_module
@@ -59,7 +60,7 @@ def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch
 
 
 def test_room_that_cannot_grow_leaves_a_detector_that_works(device, monkeypatch):
-    config = DetectorConfig(contrast=None, nms_radius=1, max_corners=1)
+    config = DetectorConfig(detection=BinaryRings(contrast=None), nms_radius=1, max_corners=1)
     dense = images.texture((300, 80))
     calm = np.full_like(dense, 128)
     calm[:61, :80] = BOARD[:, :80]
@@ -93,7 +94,7 @@ def cache(tmp_path, monkeypatch):
     return folder
 
 
-PLAIN = DetectorConfig(refinement=None, contrast=None)
+PLAIN = DetectorConfig(detection=BinaryRings(contrast=None), refinement=None)
 
 
 def find(device):
@@ -123,7 +124,7 @@ def test_a_program_is_compiled_once(device, cache, monkeypatch):
 
 def test_another_configuration_is_another_program(device, cache):
     find(device)
-    config = PLAIN.replace(outer_radius=4)
+    config = rings(PLAIN, outer_radius=4)
     Detector(shape=images.SHAPE, config=config, device=device).close()
     assert len(list(cache.iterdir())) == 2
 
@@ -257,7 +258,7 @@ def test_a_kill_in_the_middle_of_writing_leaves_what_was_there(tmp_path, before)
 
 def test_two_detectors_in_two_threads(device):
     expected = {name: [] for name in ("board", "texture")}
-    configs = {"board": DetectorConfig(), "texture": DetectorConfig(nms_radius=1)}
+    configs = {"board": rings(), "texture": rings(nms_radius=1)}
     frames = {"board": BOARD, "texture": TEXTURE}
     failures = []
 

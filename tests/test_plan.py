@@ -6,10 +6,13 @@ import images
 import numpy as np
 import pyopencl as cl
 import pytest
+from cmp_cl.stages.refine_stages import RESULT_HEAD
+from configs import rings
 from detectors import detectors_on
 
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     Detector,
     DetectorConfig,
     DeviceKind,
@@ -19,11 +22,13 @@ from cmp_cl import (
     RapidCriteria,
     SpectralCriteria,
 )
-from cmp_cl.stages.refine_stages import RESULT_HEAD
 
 IMAGE = images.eight_bits()["board"]
 FULL = DetectorConfig(
-    threshold=AdaptiveMean(masks=3), scale=0.63, refinement=EdgeStep(), max_corners=512
+    detection=BinaryRings(threshold=AdaptiveMean(masks=3)),
+    scale=0.63,
+    refinement=EdgeStep(),
+    max_corners=512,
 )
 
 
@@ -78,7 +83,7 @@ def test_the_gate(detector_for, form):
     bins = {DeviceKind.CPU: ["bins_of_bands"], DeviceKind.GPU: ["bins"]}
     left_out(
         detector_for,
-        FULL.replace(contrast=None),
+        rings(FULL, contrast=None),
         files=["gate"],
         launches=kernels[form.kind],
         buffers=["contrast", "noise", *bins[form.kind], "found", "bounds"],
@@ -103,7 +108,7 @@ def test_extra_masks(detector_for, form):
     buffers = {DeviceKind.CPU: ["square_prefix"], DeviceKind.GPU: []}
     left_out(
         detector_for,
-        FULL.replace(threshold=AdaptiveMean()),
+        rings(FULL, threshold=AdaptiveMean()),
         launches=kernels[form.kind],
         buffers=["squares", *buffers[form.kind]],
     )
@@ -114,18 +119,18 @@ def test_the_working_scale(detector_for, form):
     file, launch = forms.get(form.kind, ("scale", "resample"))
     left_out(
         detector_for,
-        FULL.replace(scale=None, threshold=AdaptiveMean()),
+        rings(FULL, scale=None, threshold=AdaptiveMean()),
         files=[file],
         launches=[launch],
         buffers=["working"],
-        than=FULL.replace(scale=2.0, threshold=AdaptiveMean()),
+        than=rings(FULL, scale=2.0, threshold=AdaptiveMean()),
     )
 
 
 def test_the_other_form_of_the_criteria(detector_for):
-    rapid, _, rapid_kernels = plan_of(detector_for, DetectorConfig())
+    rapid, _, rapid_kernels = plan_of(detector_for, rings())
     spectral, _, spectral_kernels = plan_of(
-        detector_for, DetectorConfig(criteria=SpectralCriteria())
+        detector_for, DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()))
     )
     assert "spectral" not in rapid.stages
     assert not {"criteria", "criteria_words"} & set(spectral.stages)
@@ -149,7 +154,9 @@ def test_the_corrosion_criterion(detector_for, criteria):
     """Its region of 21 pixels is not looked at: the macro that reads it is not compiled."""
     options = []
     for threshold in (6, None):
-        config = DetectorConfig(criteria=criteria(corrosion_threshold=threshold))
+        config = DetectorConfig(
+            detection=BinaryRings(criteria=criteria(corrosion_threshold=threshold))
+        )
         program = plan_of(detector_for, config)[0].kernels._program
         device = program.devices[0]
         build = program.get_build_info(device, cl.program_build_info.OPTIONS)
@@ -182,7 +189,9 @@ def test_a_flat_frame_needs_no_refinement(device, kind, refinement):
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_the_full_configuration_needs_at_most_eight_bytes_a_pixel(form, dtype, shape):
     """Beyond the image, on which three masks, the gate and EDGE_STEP work."""
-    config = DetectorConfig(threshold=AdaptiveMean(masks=3), refinement=EdgeStep())
+    config = DetectorConfig(
+        detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep()
+    )
     with Detector(shape=shape, dtype=dtype, config=config, device=form) as detector:
         beyond = detector.memory - detector._plan(None).sizes["image"]
     assert beyond <= 8 * shape[0] * shape[1]

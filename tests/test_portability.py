@@ -9,35 +9,53 @@ import re
 import images
 import numpy as np
 import pytest
+from cmp_cl.stages.plan_base import GROUP
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from configs import rings
 
-from cmp_cl import AdaptiveMean, Detector, DetectorConfig, EdgeStep, Fit, Midlines, SpectralCriteria
+from cmp_cl import (
+    AdaptiveMean,
+    BinaryRings,
+    Detector,
+    DetectorConfig,
+    EdgeStep,
+    Fit,
+    Midlines,
+    SpectralCriteria,
+)
 from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.opencl.program import kernel_folder
 from cmp_cl.stages.plan import Plan
-from cmp_cl.stages.plan_base import GROUP
 
 FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31
 FEW = np.where(np.arange(31) < 16, FRAME, 128).astype(np.uint8)
 DEEP = FRAME.astype(np.uint16) * 16 + 7
 CONFIGS = {
     "default": DetectorConfig(),
-    "least": DetectorConfig(outer_radius=4, contrast=None, nms_radius=1, refinement=None),
-    "wide windows": DetectorConfig(threshold=AdaptiveMean(window=255), nms_radius=15),
+    "rings": rings(),
+    "least": DetectorConfig(
+        detection=BinaryRings(outer_radius=4, contrast=None), nms_radius=1, refinement=None
+    ),
+    "wide windows": DetectorConfig(
+        detection=BinaryRings(threshold=AdaptiveMean(window=255)), nms_radius=15
+    ),
     "three masks, step": DetectorConfig(
-        threshold=AdaptiveMean(masks=3), refinement=EdgeStep(cell=11)
+        detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(cell=11)
     ),
     "spectral, midlines": DetectorConfig(
-        criteria=SpectralCriteria(correlation=0), refinement=Midlines()
+        detection=BinaryRings(criteria=SpectralCriteria(correlation=0)), refinement=Midlines()
     ),
     "quadratic midlines": DetectorConfig(refinement=Midlines(fit=Fit.QUADRATIC)),
     "smaller, step": DetectorConfig(scale=0.7, refinement=EdgeStep(cell=11)),
     "larger, midlines": DetectorConfig(scale=1.3, refinement=Midlines()),
 }
 SIXTEEN_BITS = {
-    "offset": DetectorConfig(threshold=AdaptiveMean(window=9, offset=3), full_scale=4095),
+    "offset": DetectorConfig(
+        detection=BinaryRings(threshold=AdaptiveMean(window=9, offset=3)), full_scale=4095
+    ),
     "spectral, three masks": DetectorConfig(
-        threshold=AdaptiveMean(masks=3), criteria=SpectralCriteria(), full_scale=4095
+        detection=BinaryRings(threshold=AdaptiveMean(masks=3), criteria=SpectralCriteria()),
+        full_scale=4095,
     ),
 }
 
@@ -79,7 +97,9 @@ def test_few_corners_after_many(device):
     many = images.texture((97, 61))
     few = np.full_like(many, 128)
     few[:33, :31] = FRAME
-    config = DetectorConfig(contrast=None, nms_radius=1, refinement=EdgeStep())
+    config = DetectorConfig(
+        detection=BinaryRings(contrast=None), nms_radius=1, refinement=EdgeStep()
+    )
     with Detector(shape=many.shape, config=config, device=device) as detector:
         first = detector(few)
         assert len(detector(many)) > GROUP

@@ -11,9 +11,11 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
+from configs import rings
 
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     Detector,
     DetectorConfig,
     DeviceKind,
@@ -72,11 +74,14 @@ def test_a_missing_macro_is_an_error(device):
 
 CONFIGS = {
     "default": DetectorConfig(),
+    "rings": rings(),
     "three masks, step, scaled": DetectorConfig(
-        threshold=AdaptiveMean(masks=3), refinement=EdgeStep(), scale=0.5
+        detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(), scale=0.5
     ),
-    "midlines": DetectorConfig(contrast=None, refinement=Midlines(fit=Fit.QUADRATIC)),
-    "spectral": DetectorConfig(criteria=SpectralCriteria(), refinement=None),
+    "midlines": DetectorConfig(
+        detection=BinaryRings(contrast=None), refinement=Midlines(fit=Fit.QUADRATIC)
+    ),
+    "spectral": DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()), refinement=None),
 }
 
 

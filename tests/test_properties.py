@@ -4,22 +4,38 @@ import hypothesis
 import numpy as np
 import pytest
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from configs import rings
 from corner_images import board
 from fuzz import invalid_case, random_image
 from hypothesis import strategies as st
 
-from cmp_cl import AdaptiveMean, DetectorConfig, EdgeStep, RapidCriteria, SpectralCriteria
+from cmp_cl import (
+    AdaptiveMean,
+    BinaryRings,
+    DetectorConfig,
+    EdgeStep,
+    RapidCriteria,
+    SpectralCriteria,
+)
 
 SIDE = 47
 CONFIGS = [
-    DetectorConfig(),
+    rings(),
     DetectorConfig(
-        contrast=None,
-        criteria=RapidCriteria(sector_threshold=9, ring_threshold=8, corrosion_threshold=None),
-        outer_radius=4,
+        detection=BinaryRings(
+            contrast=None,
+            criteria=RapidCriteria(sector_threshold=9, ring_threshold=8, corrosion_threshold=None),
+            outer_radius=4,
+        )
     ),
-    DetectorConfig(criteria=SpectralCriteria(correlation=0.5), threshold=AdaptiveMean(window=9)),
-    DetectorConfig(threshold=AdaptiveMean(masks=3), refinement=EdgeStep(cell=10)),
+    DetectorConfig(
+        detection=BinaryRings(
+            criteria=SpectralCriteria(correlation=0.5), threshold=AdaptiveMean(window=9)
+        )
+    ),
+    DetectorConfig(
+        detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(cell=10)
+    ),
 ]
 TURNS = [(turns, mirrored) for turns in range(4) for mirrored in (False, True)]
 seeds = st.integers(0, 2**32 - 1)

@@ -1,4 +1,4 @@
-"""The command line: `cmp-cl devices | detect | render | demo | run | calibrate | tune | bench`.
+"""The command line: `cmp-cl COMMAND`.
 
 Exit status: 0 done, 1 `devices` has found no device, 2 something asked for could not be done
 (one line on stderr says what), 130 stopped by Ctrl-C, SIGTERM or SIGHUP.
@@ -16,7 +16,7 @@ import cv2
 
 import cmp_cl
 from cmp_cl.cli import bench as benchmark
-from cmp_cl.cli import calibrate, demo, detect, render, run, tune
+from cmp_cl.cli import calibrate, demo, detect, pattern, render, run, tune
 from cmp_cl.cli.messages import one_line
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
@@ -107,6 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_parser(commands)
     tune.add_parser(commands)
     benchmark.add_parser(commands)
+    pattern.add_parser(commands)
     return parser
 
 

@@ -30,12 +30,11 @@ from cmp_cl.cli.arguments import (
 from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
 from cmp_cl.config import (
-    AdaptiveMean,
+    BinaryRings,
     DetectorConfig,
     EdgeLines,
     Midlines,
-    SpectralCriteria,
-    window_for_cell,
+    RingHarmonic,
 )
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, ImageError
@@ -139,25 +138,26 @@ class Row(NamedTuple):
 
 def changes(full: DetectorConfig, cell: float) -> dict[str, Change]:
     """The ways in which one stage of a configuration can be left out or replaced, by name."""
-    other = 9 - full.outer_radius
     found: dict[str, Change] = {
-        "one mask": lambda c: c.replace(threshold=AdaptiveMean(window=c.threshold.window)),
-        "no contrast gate": lambda c: c.replace(contrast=None),
-        "no corrosion criterion": lambda c: c.replace(
-            criteria=dataclasses.replace(c.criteria, corrosion_threshold=None)
-        ),
-        "spectral criteria": lambda c: c.replace(criteria=SpectralCriteria()),
+        "binary rings": lambda c: c.replace(detection=BinaryRings.for_cell(cell)),
+        "no alignment check": lambda c: _harmonic(c, alignment=None),
+        "no support check": lambda c: _harmonic(c, support=None),
         "EdgeLines": lambda c: c.replace(refinement=EdgeLines()),
         "Midlines": lambda c: c.replace(refinement=Midlines()),
         "no refinement": lambda c: c.replace(refinement=None),
-        f"outer radius {other}": lambda c: c.replace(outer_radius=other),
     }
+    if isinstance(full.detection, RingHarmonic) and full.detection.fine:
+        found["no squeezed cells"] = lambda c: _harmonic(c, fine=False)
     if full.scale is not None:
-        window = min(window_for_cell(cell), 21)
-        found["full size"] = lambda c: c.replace(
-            scale=None, threshold=dataclasses.replace(c.threshold, window=window)
-        )
+        found["full size"] = lambda c: c.replace(scale=None)
     return found
+
+
+def _harmonic(config: DetectorConfig, **changes: Any) -> DetectorConfig:
+    """The configuration with changes to its RingHarmonic, as it is where it has none."""
+    if not isinstance(config.detection, RingHarmonic):
+        return config
+    return config.replace(detection=dataclasses.replace(config.detection, **changes))
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,17 +3,28 @@
 It is an oracle, to be called on purpose; the library never falls back to it.
 """
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.config import DetectorConfig, Pyramid, RapidCriteria
+from cmp_cl.config import BinaryRings, DetectorConfig, Pyramid, RapidCriteria
 from cmp_cl.corners import Corners
 from cmp_cl.errors import ImageError
 from cmp_cl.image import GreyImage, check_image
-from cmp_cl.maps import Maps
-from cmp_cl.reference import binarize, criteria, gate, nms, refine, ring, scale, spectral
+from cmp_cl.maps import HarmonicMaps, Maps
+from cmp_cl.reference import (
+    binarize,
+    criteria,
+    gate,
+    harmonic,
+    nms,
+    refine,
+    ring,
+    scale,
+    spectral,
+)
 
 __all__ = ["detect", "detect_with_margin", "maps"]
 
@@ -30,6 +41,20 @@ _CRITERIA_MAPS = (
 )
 
 Mask = NDArray[np.bool_] | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class _Found:
+    """The corners of an image at one working scale, in raster order, and the maps behind them.
+
+    pixel: (N, 2) (x, y). response: (N,). centroid: (N, 2). All are of the working image.
+    """
+
+    pixel: NDArray[np.int64]
+    response: NDArray[np.int64]
+    centroid: NDArray[np.float64]
+    rounded: NDArray[np.int64]
+    maps: Maps | HarmonicMaps
 
 
 def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None) -> Corners:
@@ -54,9 +79,7 @@ def detect_with_margin(
     image = check_image(image)
     config = config or DetectorConfig.for_image(image)
     factor, found = _at_best_scale(image, config, mask)
-    y, x = np.nonzero(found.maximum)
-    centroid, rounded = nms.centroids(found.response, x, y)
-    pixel = np.stack([x, y], axis=1)
+    pixel, centroid, rounded = found.pixel, found.centroid, found.rounded
     if factor != 1:
         pixel = scale.nearest(scale.to_full(pixel.astype(np.float64), factor), image.shape)
         centroid = scale.to_full(centroid, factor)
@@ -65,7 +88,7 @@ def detect_with_margin(
     corners = Corners(
         xy=refined.xy.astype(np.float32),
         pixel=pixel.astype(np.int32),
-        response=found.response[y, x].astype(np.float32),
+        response=found.response.astype(np.float32),
         method=refined.method,
         sigma=refined.sigma.astype(np.float32),
         edges=refined.edges.astype(np.float32),
@@ -75,14 +98,16 @@ def detect_with_margin(
     return corners, refined.margin
 
 
-def maps(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None) -> Maps:
+def maps(
+    image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None
+) -> Maps | HarmonicMaps:
     """Every intermediate image of `detect`, with a value at every pixel."""
     image = check_image(image)
-    return _at_best_scale(image, config or DetectorConfig.for_image(image), mask)[1]
+    return _at_best_scale(image, config or DetectorConfig.for_image(image), mask)[1].maps
 
 
-def _at_best_scale(image: GreyImage, config: DetectorConfig, mask: Mask) -> tuple[float, Maps]:
-    """The working scale and the maps at that scale."""
+def _at_best_scale(image: GreyImage, config: DetectorConfig, mask: Mask) -> tuple[float, _Found]:
+    """The working scale and what is found at that scale."""
     mask = _checked(mask, image)
     if not isinstance(config.scale, Pyramid):
         factor = 1.0 if config.scale is None else float(config.scale)
@@ -91,7 +116,7 @@ def _at_best_scale(image: GreyImage, config: DetectorConfig, mask: Mask) -> tupl
         factor: _at_scale(image, config, mask, factor)
         for factor in map(float, config.scale.factors)
     }
-    counts = {factor: int(each.maximum.sum()) for factor, each in found.items()}
+    counts = {factor: len(each.pixel) for factor, each in found.items()}
     best = scale.best_factor(counts, config.scale.expected)
     return best, found[best]
 
@@ -107,73 +132,96 @@ def _checked(mask: Mask, image: GreyImage) -> NDArray[np.bool_]:
 
 def _at_scale(
     image: GreyImage, config: DetectorConfig, mask: NDArray[np.bool_], factor: float
-) -> Maps:
+) -> _Found:
     if not image.size:
         one = _at_scale(np.zeros((1, 1), image.dtype), config, np.ones((1, 1), np.bool_), 1.0)
-        return _emptied(one, image.shape)
+        return dataclasses.replace(one, maps=_emptied(one.maps, image.shape))
     full_scale = config.grey_levels(image.dtype)
     image = scale.to_working(image, factor)
     mask = scale.mask_at_working(mask, factor)
-    layers = [
-        _layer(image, binary, mask, config, full_scale)
-        for binary in binarize.binarize(image, config.threshold)
-    ]
-    if len(layers) == 1:
-        layer = layers[0]
-        response = layer.pop("response")
-    else:
-        middle, below, above = (layer.pop("response") for layer in layers)
-        response = 2 * middle + below + above
-        layer = {
-            name: None if values is None else np.stack([each[name] for each in layers])
-            for name, values in layers[0].items()
-        }
+    if isinstance(config.detection, BinaryRings):
+        return _of_rings(image, config.detection, config.nms_radius, full_scale, mask)
+    found = harmonic.corners(image, config.detection, config.nms_radius, full_scale, mask)
+    centroid, rounded = harmonic.centroids(found)
+    return _Found(
+        pixel=np.stack([found.x, found.y], axis=1),
+        response=found.response,
+        centroid=centroid,
+        rounded=rounded,
+        maps=found.maps,
+    )
+
+
+def _of_rings(
+    image: GreyImage,
+    rings: BinaryRings,
+    nms_radius: int,
+    full_scale: int,
+    mask: NDArray[np.bool_],
+) -> _Found:
+    """The corners of the paper's criteria: the gate looks at the maxima of the response."""
+    layers = [_layer(binary, mask, rings) for binary in binarize.binarize(image, rings.threshold)]
+    weights = (1,) if len(layers) == 1 else (2, 1, 1)
+    response = sum(
+        weight * layer.pop("response") for weight, layer in zip(weights, layers, strict=True)
+    )
     score = nms.score(response)
-    return Maps(
-        **layer,
-        response=response,
-        score=score,
-        maximum=nms.maxima(response, score, config.nms_radius),
+    maximum = nms.maxima(response, score, nms_radius)
+    if rings.contrast is not None:
+        gated = [
+            gate.gate(
+                image,
+                layer["inner"],
+                layer["candidate"] & maximum,
+                rings.outer_radius,
+                rings.contrast,
+                full_scale,
+                len(layers),
+            )
+            for layer in layers
+        ]
+        for layer, (contrast, _) in zip(layers, gated, strict=True):
+            layer["contrast"] = contrast
+        maximum = np.any([kept for _, kept in gated], axis=0)
+    merged = layers[0]
+    if len(layers) > 1:
+        merged = {
+            name: None if values is None else np.stack([each[name] for each in layers])
+            for name, values in merged.items()
+        }
+    y, x = np.nonzero(maximum)
+    centroid, rounded = nms.centroids(response, x, y)
+    return _Found(
+        pixel=np.stack([x, y], axis=1),
+        response=response[y, x],
+        centroid=centroid,
+        rounded=rounded,
+        maps=Maps(**merged, response=response, score=score, maximum=maximum),
     )
 
 
 def _layer(
-    image: GreyImage,
-    binary: NDArray[np.bool_],
-    mask: NDArray[np.bool_],
-    config: DetectorConfig,
-    full_scale: int,
+    binary: NDArray[np.bool_], mask: NDArray[np.bool_], rings: BinaryRings
 ) -> dict[str, Any]:
-    """The maps of one binary image by their names, `response` after the gate."""
+    """The maps of one binary image by their names, without those of the gate."""
     inner = ring.ring_mask(binary, ring.INNER)
-    outer = ring.ring_mask(binary, ring.OUTER[config.outer_radius])
-    layer: dict[str, Any] = dict.fromkeys(_CRITERIA_MAPS)
-    if isinstance(config.criteria, RapidCriteria):
-        layer |= vars(criteria.rapid(binary, inner, outer, config.criteria))
+    outer = ring.ring_mask(binary, ring.OUTER[rings.outer_radius])
+    layer: dict[str, Any] = dict.fromkeys((*_CRITERIA_MAPS, "contrast"))
+    if isinstance(rings.criteria, RapidCriteria):
+        layer |= vars(criteria.rapid(binary, inner, outer, rings.criteria))
     else:
-        layer |= vars(spectral.spectral(binary, inner, outer, config.criteria))
-    kept = layer["candidate"] = layer["candidate"] & mask
-    contrast = None
-    if config.contrast is not None:
-        contrast, kept = gate.gate(
-            image,
-            inner,
-            kept,
-            config.outer_radius,
-            config.contrast,
-            full_scale,
-            config.threshold.masks,
-        )
-    response = np.where(kept, layer["response"], 0)
+        layer |= vars(spectral.spectral(binary, inner, outer, rings.criteria))
+    candidate = layer["candidate"] & mask
+    response = np.where(candidate, layer["response"], 0)
     return layer | dict(
-        binary=binary, inner=inner, outer=outer, contrast=contrast, response=response
+        binary=binary, inner=inner, outer=outer, candidate=candidate, response=response
     )
 
 
-def _emptied(found: Maps, shape: tuple[int, ...]) -> Maps:
+def _emptied(found: Maps | HarmonicMaps, shape: tuple[int, ...]) -> Maps | HarmonicMaps:
     """The same maps of an image without pixels."""
     empty: dict[str, Any] = {
         name: None if values is None else np.empty(values.shape[:-2] + shape, values.dtype)
         for name, values in vars(found).items()
     }
-    return Maps(**empty)
+    return type(found)(**empty)

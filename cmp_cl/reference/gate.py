@@ -21,6 +21,7 @@ def gate(
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """(H, W) contrast min(sc1, sc2), 0 off candidates, and (H, W) bool what is kept.
 
+    candidate: (H, W) bool, the maxima of the response that are candidates of this binary image.
     masks: how many the candidates' binary image is one of, 1 or 3.
     Inner masks of candidates are never constant: both forms of the criteria exclude it.
     """

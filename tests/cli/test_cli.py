@@ -17,9 +17,8 @@ import numpy as np
 import pytest
 
 import cmp_cl
-from cmp_cl import media
+from cmp_cl import media, synthetic
 from cmp_cl.cli import main as cli
-from cmp_cl.synthetic import scene as synthetic
 
 PROJECT = Path(__file__).parents[2]
 BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
@@ -158,7 +157,7 @@ def test_a_pattern_of_known_size_is_numbered_and_looked_at_twice(run):
     nodes, truth = rows_of("n.csv"), rows_of("t.csv")
     found = Counter(row["status"] for row in nodes)
     assert found["DETECTED"] > 850
-    assert found["SECOND_LOOK"] > 0
+    assert found["MISSING"] == 0
     for node, true in zip(nodes, truth, strict=True):
         assert (node["row"], node["column"]) == (true["row"], true["column"])
         apart = [float(node[axis]) - float(true[axis]) for axis in ("x_px", "y_px")]
@@ -214,6 +213,7 @@ def test_each_option_of_render_changes_the_picture(run):
 
 def test_a_12_bit_camera_is_told_about_full_scale(run):
     run("render", "--markers", 20, "--severity", 0, "--bits", 12, "--out", "deep.png")
+    media.write_image("deep.png", media.read_image("deep.png") // 4)  # in little light
     status, out, err = run("detect", "deep.png")
     assert status == 0
     assert "deep.png: 0 corners" in out
@@ -528,32 +528,11 @@ def python_of_readme():
 
 def test_the_python_in_the_readme_runs(capsys, monkeypatch):
     monkeypatch.chdir(PROJECT)
-    detection, *_ = python_of_readme()
-    exec(compile(detection, "README.md", "exec"), {})
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"54 corners on {cmp_cl.select_device()}"
-    assert [line for line in lines if line.startswith("54 corners, sigma [0.")] == lines[-2:]
-
-
-def test_the_deformation_in_the_readme_is_measured(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    _, deformation, *_ = python_of_readme()
-    rig = synthetic.default_rig((300, 300))
-    scene = synthetic.Scene(markers=20, shape=(300, 300), severity=0.5)
-    rest = synthetic.render_stereo(scene.at_rest(), rig)
-    pressed = synthetic.render_stereo(scene, rig)
-    cmp_cl.StereoRig(*rig).save("rig.yaml")
-    names = {
-        "cmp_cl": cmp_cl,
-        "rest_pair": [view.image for view in rest[:2]],
-        "pair": [view.image for view in pressed[:2]],
-    }
-    exec(compile(deformation, "README.md", "exec"), names)
-    field = names["field"]
-    assert field.valid.all()
-    error = field.displacement - (pressed[2] - rest[2])  # mm
-    assert np.sqrt((error**2).sum(axis=2).mean()) < 0.05
-    assert Path("press.vtp").stat().st_size > 0
+    _, detection = python_of_readme()  # the film of the first block is in tests/test_measure.py
+    names = {}
+    exec(compile(detection, "README.md", "exec"), names)
+    assert capsys.readouterr().out.startswith(f"54 corners on {cmp_cl.select_device()}")
+    assert names["grid"].valid.sum() == 54
 
 
 def test_ci_runs_the_readmes_test_command():

@@ -15,7 +15,6 @@ from disks import full_after
 from stereo_data import bumblebee_rig, grid_of, photographs
 
 from cmp_cl import (
-    AdaptiveMean,
     BinocularSplit,
     ConfigError,
     Detector,
@@ -23,6 +22,7 @@ from cmp_cl import (
     EdgeLines,
     GridError,
     NodeStatus,
+    RingHarmonic,
     SeriesWriter,
     StereoRig,
     select_device,
@@ -30,7 +30,7 @@ from cmp_cl import (
 from cmp_cl.cli import demo, tune
 from cmp_cl.cli import main as cli
 from cmp_cl.cli.arguments import region_in, split_of
-from cmp_cl.field.field import _Column
+from cmp_cl.field.series import _Column
 from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
 from cmp_cl.media import Frame
 from cmp_cl.synthetic import (
@@ -679,7 +679,7 @@ def test_tune_writes_settings_that_lose_nothing(run, recording, press, monkeypat
     every = tune.changes
 
     def some(full, cell):
-        return {name: every(full, cell)[name] for name in ("one mask", "EdgeLines")}
+        return {name: every(full, cell)[name] for name in ("binary rings", "EdgeLines")}
 
     monkeypatch.setattr(tune, "changes", some)
     status, out, err = run(
@@ -691,8 +691,8 @@ def test_tune_writes_settings_that_lose_nothing(run, recording, press, monkeypat
     said = {line[: tune.WIDTH].strip(): line.split() for line in out.splitlines()}
     assert said["everything"][1:3] == ["0", "0"]
     assert said["everything"][-1] == "-"
-    assert int(said["one mask"][2]) > 0
-    assert said["one mask"][-1] == "corners"
+    assert int(said["binary rings"][2]) > 0
+    assert said["binary rings"][-1] == "corners"
     assert said["EdgeLines"][-1] == "exactness"
     assert out.endswith("wrote my.toml\n")
     config = DetectorConfig.load("my.toml")
@@ -716,20 +716,21 @@ def test_tune_looks_at_the_pattern_in_the_region_alone(run, press, monkeypatch):
 
 
 def test_changes_are_kept_while_they_lose_nothing_and_save_time(monkeypatch):
-    full = exact_config(20.0)
-    ways = tune.changes(full, 20.0)
+    full = exact_config(12.0)
+    ways = tune.changes(full, 12.0)
 
     def ms(config):
         spent = 10.0
-        spent -= 4 * (config.threshold.masks == 1)
-        spent -= 3 * (config.outer_radius == 4)
+        rule = config.detection
+        spent -= 4 * (rule.alignment is None)
+        spent -= 3 * (rule.support is None)
         spent -= 2 * isinstance(config.refinement, EdgeLines)
-        spent -= 1 * (config.contrast is None and config.threshold.masks == 3)
+        spent -= 1 * (not rule.fine and rule.alignment is not None)
         return spent
 
     def missed(config):
-        """Fewer masks cost corners together with the small ring, as EdgeLines does alone."""
-        both = config.threshold.masks == 1 and config.outer_radius == 4
+        """No check at all costs corners, as EdgeLines does alone."""
+        both = config.detection.alignment is config.detection.support is None
         return int(both or isinstance(config.refinement, EdgeLines))
 
     def measured(configs, *_):
@@ -741,24 +742,29 @@ def test_changes_are_kept_while_they_lose_nothing_and_save_time(monkeypatch):
     monkeypatch.setattr(tune, "measure", measured)
     table = measured({"everything": full, **{name: way(full) for name, way in ways.items()}})
     chosen = tune.cheapest(table, ways, [], select_device(), None)
-    assert chosen.name == "one mask"  # the gate saves time only beside three masks
-    assert chosen.config == ways["one mask"](full)
+    assert chosen.name == "no alignment check"  # squeezed cells take time only beside it
+    assert chosen.config == ways["no alignment check"](full)
     assert tune.cheapest(table[:1], ways, [], select_device(), None).config == full
 
 
 def test_every_change_of_tune_changes_the_settings_and_they_add_up():
-    full = exact_config(20.0)
-    ways = tune.changes(full, 20.0)
+    full = exact_config(12.0)
+    ways = tune.changes(full, 12.0)
     alone = [change(full) for change in ways.values()]
     assert full not in alone
-    assert len(set(map(repr, alone))) == len(ways) == 9
+    assert len(set(map(repr, alone))) == len(ways) == 7
     together = full
-    for name in ("one mask", "no contrast gate", "EdgeLines", "outer radius 4", "full size"):
+    for name in ("no alignment check", "no support check", "EdgeLines", "no squeezed cells"):
         together = ways[name](together)
     assert together == DetectorConfig(
-        threshold=AdaptiveMean(window=21), contrast=None, outer_radius=4, refinement=EdgeLines()
+        detection=RingHarmonic(alignment=None, support=None, fine=False), refinement=EdgeLines()
     )
-    assert "full size" not in tune.changes(exact_config(12.0), 12.0)
+    rings = ways["binary rings"](full)
+    assert ways["no support check"](rings) == rings
+    wide = tune.changes(exact_config(80.0), 80.0)
+    assert set(wide) - set(ways) == {"full size"}
+    assert set(ways) - set(wide) == {"no squeezed cells"}
+    assert wide["full size"](exact_config(80.0)).scale is None
 
 
 def flat_frame():

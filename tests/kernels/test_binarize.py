@@ -5,14 +5,16 @@ import numpy as np
 import pytest
 from comparison import assert_maps_equal
 
-from cmp_cl import AdaptiveMean, DetectorConfig
+from cmp_cl import AdaptiveMean, BinaryRings, DetectorConfig
 
 EIGHT = images.eight_bits()
 DEEP = images.sixteen_bits()
 
 
 def check(detector_for, image, **threshold):
-    config = DetectorConfig(threshold=AdaptiveMean(**threshold), contrast=None, refinement=None)
+    config = DetectorConfig(
+        detection=BinaryRings(threshold=AdaptiveMean(**threshold), contrast=None), refinement=None
+    )
     return assert_maps_equal(detector_for(image, config), image, fields=("binary",)).binary
 
 

@@ -6,13 +6,21 @@ import images
 import numpy as np
 import pytest
 from comparison import assert_corners_equal, assert_same_bytes
+from configs import rings
 from corner_images import noise
 
-from cmp_cl import Detector, DetectorConfig, DeviceKind, RapidCriteria, SpectralCriteria, reference
+from cmp_cl import (
+    Detector,
+    DeviceKind,
+    RapidCriteria,
+    SpectralCriteria,
+    reference,
+)
 
 EIGHT = images.eight_bits()
-PLAIN = DetectorConfig(refinement=None)
-DENSE = PLAIN.replace(
+PLAIN = rings(refinement=None)
+DENSE = rings(
+    PLAIN,
     contrast=None,
     nms_radius=1,
     criteria=RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17),
@@ -86,6 +94,6 @@ def test_more_than_the_room_is_counted_and_done_again(detector_for, config):
 
 def test_spectral_responses_are_listed_by_being_not_zero(detector_for):
     image = EIGHT["texture"]
-    config = DENSE.replace(criteria=SpectralCriteria(correlation=0))
+    config = rings(DENSE, criteria=SpectralCriteria(correlation=0))
     corners = assert_corners_equal(detector_for(image, config), image)
     assert corners.response.max() > 255

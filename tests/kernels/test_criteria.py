@@ -4,8 +4,9 @@ import images
 import numpy as np
 import pytest
 from comparison import RAPID, assert_maps_equal
+from configs import rings
 
-from cmp_cl import AdaptiveMean, DetectorConfig, RapidCriteria
+from cmp_cl import AdaptiveMean, RapidCriteria
 from cmp_cl.reference import ring
 
 EIGHT = images.eight_bits()
@@ -13,7 +14,7 @@ FIELDS = ("inner", "outer", *RAPID, "corrosion", "candidate")
 
 
 def check(detector_for, image, mask=None, **changes):
-    config = DetectorConfig(refinement=None).replace(**changes)
+    config = rings(refinement=None, **changes)
     detector = detector_for(image, config, mask)
     return assert_maps_equal(detector, image, fields=FIELDS, mask=mask)
 

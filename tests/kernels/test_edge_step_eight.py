@@ -6,9 +6,10 @@ import images
 import numpy as np
 import pytest
 from comparison import assert_corners_equal
+from configs import rings
 from corner_images import board
 
-from cmp_cl import Detector, DetectorConfig, DeviceKind, EdgeLines, EdgeStep, Method
+from cmp_cl import Detector, DeviceKind, EdgeLines, EdgeStep, Method
 
 KINDS = pytest.mark.parametrize(
     "kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value
@@ -17,7 +18,7 @@ KINDS = pytest.mark.parametrize(
 
 def detector_of_kind(device, kind, image, **settings):
     form = dataclasses.replace(device, kind=kind)
-    config = DetectorConfig(**settings)
+    config = rings(**settings)
     return Detector(shape=image.shape, dtype=image.dtype, config=config, device=form)
 
 

@@ -7,10 +7,12 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from comparison import assert_maps_equal
+from configs import rings
 from corner_images import corner, noise
 
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     Detector,
     DetectorConfig,
     DeviceKind,
@@ -27,7 +29,7 @@ FIELDS = ("candidate", "contrast", "response")
 
 
 def check(detector_for, image, **changes):
-    config = DetectorConfig(refinement=None).replace(**changes)
+    config = rings(refinement=None, **changes)
     return assert_maps_equal(detector_for(image, config), image, fields=FIELDS)
 
 
@@ -128,7 +130,7 @@ def test_the_rank_of_the_percentile_in_short_lists(detector_for, dtype):
 def test_a_difference_at_the_noise_bound_is_kept(detector_for):
     """One candidate: 2 N sm = F A and one more deviation."""
     image = images.texture((200, 200))[:40, :31]
-    maps = reference.maps(image, DetectorConfig(contrast=None))
+    maps = reference.maps(image, DetectorConfig(detection=BinaryRings(contrast=None)))
     amplitude, pixels = gate.noise_amplitude(image)
     y, x = np.nonzero(maps.candidate)
     sm = gate.sector_contrast(image, x, y, maps.inner[y, x], 5)[2]
@@ -181,7 +183,7 @@ def test_both_levels_of_the_percentile_in_every_form(device, kind, relative):
     """Contrasts whose lower eight bits decide, frame after frame."""
     texture = images.texture((90, 80)).astype(np.uint16) * 3 + 100
     contrast = SectorContrast(minimum=0, relative=relative, noise=0)
-    config = DetectorConfig(contrast=contrast)
+    config = DetectorConfig(detection=BinaryRings(contrast=contrast))
     device = dataclasses.replace(device, kind=kind)
     with Detector(shape=texture.shape, dtype=np.uint16, config=config, device=device) as detector:
         for image in (texture, texture[::-1].copy(), texture):

@@ -6,10 +6,12 @@ import images
 import numpy as np
 import pytest
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from configs import rings
 from corner_images import noise
 
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     Detector,
     DetectorConfig,
     DeviceKind,
@@ -20,14 +22,16 @@ from cmp_cl import (
 EIGHT = images.eight_bits()
 FIELDS = ("response", "score", "maximum")
 DENSE = DetectorConfig(
-    contrast=None,
+    detection=BinaryRings(
+        contrast=None,
+        criteria=RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17),
+    ),
     refinement=None,
-    criteria=RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17),
 )
 
 
 def check(detector_for, image, config=DENSE, **changes):
-    config = config.replace(**changes)
+    config = rings(config, **changes)
     return assert_maps_equal(detector_for(image, config), image, fields=FIELDS)
 
 

@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 import tolerances
 from comparison import assert_corners_equal
+from configs import rings
 from corner_images import board, corner
 
 from cmp_cl import (
     AdaptiveMean,
+    BinaryRings,
     DetectorConfig,
     EdgeLines,
     EdgeStep,
@@ -40,7 +42,7 @@ refinements = pytest.mark.parametrize("refinement", REFINEMENTS)
 
 
 def check(detector_for, image, refinement, **changes):
-    config = DetectorConfig(refinement=REFINEMENTS[refinement]).replace(**changes)
+    config = rings(refinement=REFINEMENTS[refinement], **changes)
     return assert_corners_equal(detector_for(image, config), image)
 
 
@@ -83,7 +85,7 @@ def test_scenes(detector_for, refinement, severity):
 @pytest.mark.parametrize("kind", [EdgeLines, Midlines])
 def test_the_largest_shift(detector_for, kind, max_shift):
     image = images.scene(1.5, seed=3).image
-    config = DetectorConfig(refinement=kind(max_shift=max_shift))
+    config = DetectorConfig(detection=BinaryRings(), refinement=kind(max_shift=max_shift))
     corners = assert_corners_equal(detector_for(image, config), image)
     kept = (corners.method == Method.KEPT).sum()
     usual = (check(detector_for, image, "edge lines").method == Method.KEPT).sum()
@@ -93,7 +95,7 @@ def test_the_largest_shift(detector_for, kind, max_shift):
 @pytest.mark.parametrize("cell", [4.0, 8.0, 12.0, 30.0])
 def test_the_cell_sets_the_radius_of_the_step(detector_for, cell):
     image = board(*images.SHAPE, 12)[0]
-    config = DetectorConfig(refinement=EdgeStep(cell=cell))
+    config = DetectorConfig(detection=BinaryRings(), refinement=EdgeStep(cell=cell))
     assert_corners_equal(detector_for(image, config), image)
 
 
@@ -101,12 +103,15 @@ def test_the_step_says_how_sure_it_is(detector_for):
     image = images.scene(1.5, seed=3).image
     corners = check(detector_for, image, "edge step")
     stepped = corners.method == Method.EDGE_STEP
-    assert (corners.sigma[stepped] >= np.float32(0.025)).all()
-    assert np.isnan(corners.sigma[~stepped]).all()
+    assert (corners.sigma[stepped] >= np.float32(0.01)).all()
+    assert np.array_equal(np.isnan(corners.sigma), corners.method == Method.KEPT)
     assert 0 < corners.doubtful.sum() < len(corners)
-    floor = DetectorConfig(refinement=EdgeStep(sigma0=0.2))
-    higher = assert_corners_equal(detector_for(image, floor), image)
-    assert (higher.sigma[stepped] >= np.float32(0.2)).all()
+
+
+def test_lines_say_how_sure_they_are(detector_for):
+    corners = check(detector_for, images.scene(1.5, seed=3).image, "edge lines")
+    assert np.array_equal(np.isnan(corners.sigma), corners.method == Method.KEPT)
+    assert np.nanmax(corners.sigma) > 3 * np.nanmin(corners.sigma)
 
 
 @pytest.mark.parametrize(
@@ -162,7 +167,7 @@ def test_far_columns_are_as_exact(detector_for, refinement, columns):
     image = board(*images.SHAPE, 12)[0]
     shift = columns - images.SHAPE[1]
     wide = np.pad(image, ((0, 0), (shift, 0)), mode="edge")
-    config = DetectorConfig(refinement=REFINEMENTS[refinement])
+    config = DetectorConfig(detection=BinaryRings(), refinement=REFINEMENTS[refinement])
     near = reference.detect(image, config)
     far = detector_for(wide, config)(wide)
     clear = near.pixel[:, 0] > 20

@@ -6,12 +6,12 @@ import images
 import numpy as np
 import pytest
 from comparison import assert_corners_equal, assert_same_bytes
+from configs import rings
 from corner_images import board
 
 from cmp_cl import (
     AdaptiveMean,
     Detector,
-    DetectorConfig,
     DeviceKind,
     EdgeLines,
     EdgeStep,
@@ -35,7 +35,7 @@ LINES = pytest.mark.parametrize(
 
 def detector_of_kind(device, kind, image, mask=None, **settings):
     form = dataclasses.replace(device, kind=kind)
-    config = DetectorConfig(**settings)
+    config = rings(**settings)
     return Detector(shape=image.shape, dtype=image.dtype, config=config, device=form, mask=mask)
 
 

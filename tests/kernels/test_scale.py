@@ -6,7 +6,7 @@ import pytest
 from comparison import assert_corners_equal, assert_maps_equal
 from corner_images import board, noise
 
-from cmp_cl import DetectorConfig, EdgeLines, EdgeStep, Midlines, Pyramid, reference
+from cmp_cl import BinaryRings, DetectorConfig, EdgeLines, EdgeStep, Midlines, Pyramid, reference
 from cmp_cl.reference import scale as oracle
 from cmp_cl.stages.resampling import resampling_weights, working_shape
 
@@ -19,7 +19,9 @@ FACTORS = [0.5, 0.63, 2.0]
 @pytest.mark.parametrize("name", ["noise", "texture", "pixels", "worn scene", "board", "white"])
 def test_every_map(detector_for, name, factor):
     image = EIGHT[name]
-    maps = assert_maps_equal(detector_for(image, DetectorConfig(scale=factor)), image)
+    maps = assert_maps_equal(
+        detector_for(image, DetectorConfig(detection=BinaryRings(), scale=factor)), image
+    )
     rows, columns = maps.binary.shape
     assert (rows, columns) == (int(61 * factor + 0.5), int(83 * factor + 0.5))
 
@@ -28,20 +30,26 @@ def test_every_map(detector_for, name, factor):
 @pytest.mark.parametrize("name", ["noise", "white", "12-bit scene"])
 def test_sixteen_bits(detector_for, name, factor):
     image = DEEP[name]
-    assert_maps_equal(detector_for(image, DetectorConfig(scale=factor)), image)
+    assert_maps_equal(
+        detector_for(image, DetectorConfig(detection=BinaryRings(), scale=factor)), image
+    )
 
 
 @pytest.mark.parametrize("factor", [0.05, 0.1, 1 / 3, 0.999, 1.001, 1.5, 4.0])
 def test_odd_factors(detector_for, factor):
     image = noise((30, 23), seed=2)
-    assert_maps_equal(detector_for(image, DetectorConfig(scale=factor)), image)
+    assert_maps_equal(
+        detector_for(image, DetectorConfig(detection=BinaryRings(), scale=factor)), image
+    )
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (2, 2), (5, 3)])
 @pytest.mark.parametrize("factor", [0.05, 0.63, 4.0])
 def test_tiny_shapes(detector_for, shape, factor):
     image = noise(shape, seed=5)
-    assert_maps_equal(detector_for(image, DetectorConfig(scale=factor)), image)
+    assert_maps_equal(
+        detector_for(image, DetectorConfig(detection=BinaryRings(), scale=factor)), image
+    )
 
 
 @pytest.mark.parametrize("factor", [0.05, 0.3, 0.5, 0.63, 15 / 31, 1.5, 2.0, 4.0])
@@ -62,7 +70,7 @@ def test_weights_are_those_of_the_oracle(length, factor):
 @pytest.mark.parametrize("factor", FACTORS)
 def test_corners_are_those_of_the_full_image(detector_for, factor, refinement):
     image = board(*images.SHAPE, 24 if factor < 1 else 9)[0]
-    config = DetectorConfig(scale=factor, refinement=refinement)
+    config = DetectorConfig(detection=BinaryRings(), scale=factor, refinement=refinement)
     corners = assert_corners_equal(detector_for(image, config), image)
     assert len(corners) > 4
 
@@ -72,7 +80,7 @@ def test_a_mask_follows_the_scale(detector_for):
     mask = np.zeros(images.SHAPE, np.bool_)
     mask[:, :41] = True
     for factor in FACTORS:
-        config = DetectorConfig(scale=factor)
+        config = DetectorConfig(detection=BinaryRings(), scale=factor)
         corners = assert_corners_equal(detector_for(image, config, mask), image, mask=mask)
         assert len(corners) > 0
         assert_maps_equal(detector_for(image, config, mask), image, mask=mask)
@@ -82,9 +90,11 @@ def test_a_mask_follows_the_scale(detector_for):
 def test_a_pyramid_takes_the_scale_with_the_nearest_count(detector_for, expected):
     image = board(*images.SHAPE, 20)[0]
     pyramid = Pyramid(factors=(0.5, 0.63, 1.0, 2.0), expected=expected)
-    corners = assert_corners_equal(detector_for(image, DetectorConfig(scale=pyramid)), image)
+    corners = assert_corners_equal(
+        detector_for(image, DetectorConfig(detection=BinaryRings(), scale=pyramid)), image
+    )
     counts = {
-        factor: len(reference.detect(image, DetectorConfig(scale=factor)))
+        factor: len(reference.detect(image, DetectorConfig(detection=BinaryRings(), scale=factor)))
         for factor in pyramid.factors
     }
     assert abs(len(corners) - expected) == min(abs(n - expected) for n in counts.values())
@@ -93,5 +103,5 @@ def test_a_pyramid_takes_the_scale_with_the_nearest_count(detector_for, expected
 def test_scale_one_is_the_image_as_it_is(detector_for):
     image = EIGHT["scene"]
     plain = detector_for(image)(image)
-    scaled = detector_for(image, DetectorConfig(scale=1.0))(image)
+    scaled = detector_for(image, DetectorConfig(detection=BinaryRings(), scale=1.0))(image)
     assert plain.xy.tobytes() == scaled.xy.tobytes()

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 from comparison import FLOATS, assert_maps_equal
 
-from cmp_cl import AdaptiveMean, DetectorConfig, SpectralCriteria
+from cmp_cl import AdaptiveMean, BinaryRings, DetectorConfig, SpectralCriteria
 
 EIGHT = images.eight_bits()
 FIELDS = ("inner", "outer", *FLOATS, "corrosion", "candidate", "response")
 
 
 def check(detector_for, image, config=None, **criteria):
-    config = config or DetectorConfig(criteria=SpectralCriteria(**criteria), contrast=None)
+    config = config or DetectorConfig(
+        detection=BinaryRings(criteria=SpectralCriteria(**criteria), contrast=None)
+    )
     config = config.replace(refinement=None)
     return assert_maps_equal(detector_for(image, config), image, fields=FIELDS)
 
@@ -26,7 +28,11 @@ def test_every_map(detector_for, name):
 
 @pytest.mark.parametrize("name", ["noise", "texture", "worn scene", "fine board"])
 def test_with_the_gate_and_the_smaller_ring(detector_for, name):
-    check(detector_for, EIGHT[name], DetectorConfig(criteria=SpectralCriteria(), outer_radius=4))
+    check(
+        detector_for,
+        EIGHT[name],
+        DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria(), outer_radius=4)),
+    )
 
 
 @pytest.mark.parametrize("name", ["texture", "worn scene"])
@@ -35,7 +41,9 @@ def test_three_masks(detector_for, name):
     check(
         detector_for,
         EIGHT[name],
-        DetectorConfig(criteria=SpectralCriteria(), threshold=threshold, contrast=None),
+        DetectorConfig(
+            detection=BinaryRings(criteria=SpectralCriteria(), threshold=threshold, contrast=None)
+        ),
     )
 
 

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from configs import rings
 from corner_images import board, corner, noise
+from images import texture
 
 from cmp_cl import reference
-from cmp_cl.config import DetectorConfig, SectorContrast
+from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, SectorContrast
 from cmp_cl.reference import gate, ring
 
 X = np.array([10])
@@ -85,8 +87,10 @@ def test_noise_factor(deviations, masks, factor):
 
 
 def count(image: np.ndarray, **changes: float) -> int:
-    config = DetectorConfig(contrast=SectorContrast(**changes), refinement=None)
-    return int((reference.maps(image, config).response > 0).sum())
+    config = DetectorConfig(
+        detection=BinaryRings(contrast=SectorContrast(**changes)), refinement=None
+    )
+    return int(reference.maps(image, config).maximum.sum())
 
 
 def test_each_condition_decides():
@@ -105,16 +109,40 @@ def test_noise_alone_leaves_nothing():
     normal = np.random.default_rng(2).normal(128, 12, (200, 200))
     image = np.clip(np.rint(normal), 0, 255).astype(np.uint8)
     assert count(image) == 0
-    ungated = reference.maps(image, DetectorConfig(contrast=None))
+    ungated = reference.maps(image, DetectorConfig(detection=BinaryRings(contrast=None)))
     assert ungated.maximum.sum() > 10
     assert ungated.contrast is None
+
+
+def test_the_gate_looks_at_maxima_alone():
+    image, _ = board(80, 90, 12)
+    gated = reference.maps(image, rings(contrast=SectorContrast(relative=1.0)))
+    free = reference.maps(image, rings(contrast=None))
+    np.testing.assert_array_equal(gated.response, free.response)
+    np.testing.assert_array_equal(gated.contrast > 0, free.maximum)
+    assert 0 < gated.maximum.sum() < free.maximum.sum()
+    assert not (gated.maximum & ~free.maximum).any()
+
+
+def test_of_three_masks_one_that_passes_is_enough():
+    image = texture((60, 70))
+    contrast = SectorContrast(relative=0.9)
+    config = rings(threshold=AdaptiveMean(masks=3), contrast=contrast)
+    maps, free = (reference.maps(image, each) for each in (config, rings(config, contrast=None)))
+    passed = [
+        gate.gate(image, inner, candidate & free.maximum, 5, contrast, 255, 3)[1]
+        for inner, candidate in zip(maps.inner, maps.candidate, strict=True)
+    ]
+    np.testing.assert_array_equal(maps.maximum, np.any(passed, axis=0))
+    assert 0 < np.all(passed, axis=0).sum() < maps.maximum.sum() < free.maximum.sum()
 
 
 def test_twelve_bits_raise_the_floor_and_nothing_else():
     image, _ = board(80, 90, 12)
     deep = image.astype(np.uint16) * 16
-    eight = reference.maps(image, DetectorConfig())
-    twelve = reference.maps(deep, DetectorConfig(full_scale=4095))
+    eight = reference.maps(image, rings())
+    twelve = reference.maps(deep, rings(full_scale=4095))
     np.testing.assert_array_equal(eight.response, twelve.response)
     np.testing.assert_array_equal(16 * eight.contrast, twelve.contrast)
-    assert reference.maps(deep, DetectorConfig()).response.sum() == 0
+    np.testing.assert_array_equal(eight.maximum, twelve.maximum)
+    assert not reference.maps(deep, rings()).maximum.any()

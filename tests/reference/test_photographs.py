@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_cl import reference
-from cmp_cl.config import AdaptiveMean, DetectorConfig, window_for_cell
+from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, window_for_cell
 
 FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data"
 
@@ -30,7 +30,10 @@ def missed_and_false(name: str, radius: int) -> tuple[int, int, int]:
     place = np.array([(corner["x"], corner["y"]) for corner in truth["corners"]])
     sure = np.array([corner.get("sure", True) for corner in truth["corners"]])
     config = DetectorConfig(
-        threshold=AdaptiveMean(window=window_for_cell(cell)), outer_radius=radius, refinement=None
+        detection=BinaryRings(
+            threshold=AdaptiveMean(window=window_for_cell(cell)), outer_radius=radius
+        ),
+        refinement=None,
     )
     xy = reference.detect(image, config).xy.astype(np.float64)
 

@@ -6,7 +6,7 @@ import pytest
 from corner_images import board, noise
 
 from cmp_cl import reference
-from cmp_cl.config import AdaptiveMean, DetectorConfig, EdgeLines, Pyramid
+from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, EdgeLines, Pyramid
 from cmp_cl.reference import scale
 
 
@@ -70,7 +70,7 @@ def test_flat_stays_flat_and_full_scale_stays_full(factor):
 def test_scale_one_is_the_image():
     image = noise((9, 9))
     assert scale.to_working(image, 1.0) is image
-    config = DetectorConfig(threshold=AdaptiveMean(window=9))
+    config = DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(window=9)))
     plain, scaled = reference.maps(image, config), reference.maps(image, config.replace(scale=1.0))
     for name, values in vars(plain).items():
         np.testing.assert_array_equal(values, getattr(scaled, name))
@@ -108,16 +108,16 @@ def test_the_pyramid_takes_the_nearest_count_and_the_larger_of_equals():
     image, _ = board(200, 210, 28)
     counts = {
         factor: len(reference.detect(image, DetectorConfig(scale=factor)))
-        for factor in (0.2, 0.5, 1.0)
+        for factor in (0.1, 0.75, 1.0)
     }
     for count in counts.values():
         same = [other for other in counts if counts[other] == count]
-        pyramid = DetectorConfig(scale=Pyramid(factors=(0.2, 0.5, 1.0), expected=max(count, 1)))
+        pyramid = DetectorConfig(scale=Pyramid(factors=(0.1, 0.75, 1.0), expected=max(count, 1)))
         best = reference.detect(image, pyramid)
         single = reference.detect(image, DetectorConfig(scale=max(same)))
         np.testing.assert_array_equal(best.xy, single.xy)
         assert reference.maps(image, pyramid).maximum.shape[0] == round(200 * max(same))
-    assert counts[0.2] < counts[0.5] == counts[1.0]
+    assert counts[0.1] < counts[0.75] == counts[1.0]
 
 
 @pytest.mark.parametrize("factor", [0.05, 0.6, 3.0])

@@ -1,0 +1,88 @@
+"""`cmp-cl pattern`: the checkerboard to print."""
+
+import argparse
+import dataclasses
+from typing import Any
+
+from cmp_cl.cli.arguments import grid_shape
+from cmp_cl.cli.messages import shown
+from cmp_cl.pattern import PAPERS, Checkerboard, cell_for, fitting_paper
+
+
+def add_parser(commands: Any) -> None:
+    """Add `pattern` to the commands of an argparse parser."""
+    parser = commands.add_parser(
+        "pattern",
+        help="draw the checkerboard to print",
+        description="Draws a checkerboard, true to size, with scale bars to check the print. "
+        "Print it at 100 %: 'actual size', not 'fit to page'.",
+    )
+    parser.add_argument(
+        "--grid",
+        metavar="ROWSxCOLUMNS",
+        type=grid_shape,
+        required=True,
+        help="inner corners; there is one cell more along each side",
+    )
+    size = parser.add_mutually_exclusive_group(required=True)
+    size.add_argument("--cell", metavar="MM", type=float, help="side of a cell")
+    size.add_argument("--size", metavar="MM", type=float, help="longer side of all cells together")
+    parser.add_argument(
+        "--out", metavar="FILE", required=True, help="what to write: .svg, .pdf, .png or .dxf"
+    )
+    parser.add_argument(
+        "--border",
+        metavar="MM",
+        type=float,
+        help="white border around the cells, 0 for none; default: one cell",
+    )
+    parser.add_argument(
+        "--ink-spread",
+        metavar="MM",
+        type=float,
+        default=0.0,
+        help="how far black grows beyond its edge in print; cells are drawn smaller by as much on "
+        "each side; negative where black shrinks; default: 0",
+    )
+    parser.add_argument(
+        "--stretch",
+        metavar=("X", "Y"),
+        nargs=2,
+        type=float,
+        default=(1.0, 1.0),
+        help="factors on all lengths: nominal over measured length of the scale bars of a trial "
+        "print; default: 1 1",
+    )
+    parser.add_argument(
+        "--paper",
+        choices=list(PAPERS),
+        help="centre the pattern on such a sheet; default: a sheet that just holds it",
+    )
+    parser.add_argument("--no-scale-bar", action="store_true", help="leave out the scale bars")
+    parser.add_argument(
+        "--dpi", type=float, default=600, help="pixels an inch of a .png; default: 600"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the pattern that the arguments describe; returns the exit status."""
+    cell = arguments.cell
+    board = Checkerboard(
+        shape=arguments.grid,
+        cell=cell_for(arguments.size, arguments.grid) if cell is None else cell,
+        border=arguments.border,
+        ink_spread=arguments.ink_spread,
+        stretch=tuple(arguments.stretch),
+        scale_bar=not arguments.no_scale_bar,
+    )
+    if arguments.paper is not None:
+        board = dataclasses.replace(board, paper=fitting_paper(arguments.paper, board))
+    board.save(arguments.out, dpi=arguments.dpi)
+    rows, columns = board.shape
+    width, height = board.size
+    print(
+        f"wrote {shown(arguments.out)}: {rows} x {columns} corners, cells of {board.cell:.4g} mm, "
+        f"sheet of {width:.1f} x {height:.1f} mm; print it at 100 %"
+    )
+    return 0

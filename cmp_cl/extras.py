@@ -1,0 +1,16 @@
+"""Packages that only some uses need: which extra brings them."""
+
+import contextlib
+from collections.abc import Iterator
+
+from cmp_cl.errors import ConfigError
+
+
+@contextlib.contextmanager
+def extra(name: str, what: str) -> Iterator[None]:
+    """Import in this block; where that fails, a ConfigError names the extra that `what` needs."""
+    try:
+        yield
+    except ImportError as error:
+        missing = f" ({error.name} is not installed)" if error.name else ""
+        raise ConfigError(f"{what} needs pip install 'cmp-cl[{name}]'{missing}") from error

@@ -1,0 +1,573 @@
+"""Displacement and strain in the plane, from one view: on the nodes, and on a raster.
+
+A view at rest and a view now give two grids of the same nodes. `plane_displacement` says how
+far each has moved, in px or in a length; `Motion` is what of it is one translation, rotation
+and zoom of everything; `plane_strain` is what changes lengths. Each has its standard
+deviation, to first order in those of the positions.
+"""
+
+import dataclasses
+import math
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.grid.grid import Grid, NodeStatus
+
+Array = NDArray[np.float64]
+
+_UNIFORM = math.pi / math.sqrt(12)  # rad, standard deviation of a direction nobody knows
+_DISTINCT = 3.0  # standard deviations: noise alone exceeds them in 1 % (Rayleigh)
+_LEAST_NODES = 6  # of a window that a plane is fitted to
+_BLOCK = 1 << 20  # points of a raster that are placed at a time
+_STEPS = 20  # Newton steps that find a raster point in its cell
+_CONVERGED = 1e-4  # cells, the last of the steps
+_REACH = 1.0  # cells from a cell's middle: a point that a step leads further is in another one
+_OUTSIDE = 1e-6  # cells, rounding at their common sides
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PlaneScale:
+    """From the image to the plane that the pattern lies in.
+
+    matrix: (3, 3) homography from (x, y, 1) px to the plane. unit: of lengths there.
+
+    Raises FieldError where the matrix is not finite or has no inverse.
+    """
+
+    matrix: Array
+    unit: str
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.matrix, np.float64)
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or not np.linalg.det(matrix):
+            raise FieldError(f"a homography is (3, 3), finite and regular, not {matrix.tolist()}")
+        matrix.flags.writeable = False
+        object.__setattr__(self, "matrix", matrix)
+
+    @classmethod
+    def pixels(cls) -> Self:
+        """The image itself, px."""
+        return cls(np.eye(3), "px")
+
+    @classmethod
+    def of_pixel(cls, length: float, unit: str = "mm") -> Self:
+        """A view from the front: one px is that long."""
+        if not 0 < length < math.inf:
+            raise FieldError(f"the length of a px must be positive, not {length!r}")
+        return cls(np.diag([length, length, 1.0]), unit)
+
+    @classmethod
+    def of_cells(cls, rest: Grid, side: float, unit: str = "mm") -> Self:
+        """The homography that makes the cells of a flat pattern at rest squares of that side.
+
+        It fits all nodes by least squares. x runs along the rows of the pattern, y along its
+        columns. Raises FieldError where fewer than 4 nodes are there, or all on a line.
+        """
+        if not 0 < side < math.inf:
+            raise FieldError(f"the side of a cell must be positive, not {side!r}")
+        row, column = np.nonzero(rest.valid)
+        matrix = None
+        if len(row) >= 4 and len(set(row)) > 1 and len(set(column)) > 1:
+            nodes = np.column_stack([column, row]) * float(side)
+            matrix, _ = cv2.findHomography(rest.xy[rest.valid].astype(np.float64), nodes)
+        if matrix is None:
+            raise FieldError(
+                f"{len(row)} nodes at rest do not fix the plane: at least 4 are needed, in two "
+                "rows and two columns"
+            )
+        return cls(np.asarray(matrix, np.float64), unit)
+
+    def __call__(self, xy: ArrayLike) -> tuple[Array, Array]:
+        """Points (..., 2) px in the plane, and the (..., 2, 2) derivative there by px."""
+        points = np.asarray(xy, np.float64)
+        mapped = points @ self.matrix[:, :2].T + self.matrix[:, 2]
+        plane = mapped[..., :2] / mapped[..., 2:]
+        slope = self.matrix[:2, :2] - plane[..., None] * self.matrix[2, :2]
+        return plane, slope / mapped[..., 2, None, None]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class PlaneField:
+    """Where each node was at rest in the plane, and how far it has moved there.
+
+    position: (R, C, 2) float64, at rest, in `unit`; NaN unless the node is valid.
+    displacement: (R, C, 2) float64, in `unit`, NaN unless the node is valid.
+    sigma_rest, sigma_now: (R, C) float64, standard deviation per axis of the position at rest
+        and now, in `unit`; NaN where unknown.
+    status: (R, C) uint8 of `NodeStatus`, of the two moments the less direct one.
+    unit: name of the unit of length.
+    """
+
+    position: Array
+    displacement: Array
+    sigma_rest: Array
+    sigma_now: Array
+    status: NDArray[np.uint8]
+    unit: str
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(R, C), where there is a displacement."""
+        return ~np.isnan(self.displacement[..., 0])
+
+    @property
+    def sigma(self) -> Array:
+        """(R, C) float64, standard deviation per axis of the displacement, in `unit`."""
+        return np.hypot(self.sigma_rest, self.sigma_now)
+
+    @property
+    def now(self) -> Array:
+        """(R, C, 2) float64, where the nodes are now, in `unit`."""
+        moved: Array = self.position + self.displacement
+        return moved
+
+
+def plane_displacement(rest: Grid, now: Grid, scale: PlaneScale | None = None) -> PlaneField:
+    """How far each node has moved in the plane: now - rest per index.
+
+    scale: from the image to the plane; None means px.
+
+    Raises FieldError where the shapes of the grids differ.
+    """
+    if rest.shape != now.shape:
+        raise FieldError(f"rest has {rest.shape} nodes, now has {now.shape}")
+    scale = PlaneScale.pixels() if scale is None else scale
+    both = rest.valid & now.valid
+    (before, slope_before), (after, slope_after) = scale(rest.xy), scale(now.xy)
+
+    def deviation(grid: Grid, slope: Array) -> Array:
+        per_axis = np.sqrt(np.square(slope).sum(axis=(-2, -1)) / 2)
+        return np.where(both & (grid.sigma > 0), grid.sigma * per_axis, np.nan)
+
+    missing = np.uint8(NodeStatus.MISSING)
+    return PlaneField(
+        position=np.where(both[..., None], before, np.nan),
+        displacement=np.where(both[..., None], after - before, np.nan),
+        sigma_rest=deviation(rest, slope_before),
+        sigma_now=deviation(now, slope_after),
+        status=np.where(both, np.maximum(rest.status, now.status), missing).astype(np.uint8),
+        unit=scale.unit,
+    )
+
+
+def with_measured_noise(field: PlaneField) -> PlaneField:
+    """The field with the standard deviation that its own roughness shows, the same everywhere.
+
+    It takes the displacement's means over 2 x 2 nodes, in which errors that neighbours share
+    count. The second difference by row of that by column, two nodes apart, is 0 for
+    smooth fields and 6 standard deviations wide for errors (J. Immerkaer, CVIU 64, 1996); half
+    of the variance is given to either moment. Errors that vary little over six nodes, or are
+    alike at rest and now, are not seen; a field that bends within six nodes is taken for noise.
+
+    Raises FieldError where no 6 x 6 nodes are valid.
+    """
+    whole = field.displacement
+    means = (whole[1:, 1:] + whole[1:, :-1] + whole[:-1, 1:] + whole[:-1, :-1]) / 4
+    down = means[4:] - 2 * means[2:-2] + means[:-4]
+    rough = down[:, 4:] - 2 * down[:, 2:-2] + down[:, :-4]
+    known = rough[~np.isnan(rough)]
+    if not len(known):
+        raise FieldError("no 6 x 6 nodes are valid: they show no noise")
+    sigma = 2 * math.sqrt(float(np.mean(np.square(known)))) / 6
+    even = np.where(field.valid, sigma / math.sqrt(2), np.nan)
+    return dataclasses.replace(field, sigma_rest=even, sigma_now=even)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Motion:
+    """One motion of the whole pattern: now = centre + translation + zoom R (rest - centre).
+
+    centre: (x, y), mean of the nodes at rest. translation: (x, y) of that point, in `unit`.
+    rotation: rad, from x towards y. zoom: factor. sigma_translation, sigma_rotation,
+    sigma_zoom: standard deviations by the errors of the positions alone; NaN where unknown.
+    """
+
+    centre: tuple[float, float]
+    translation: tuple[float, float]
+    rotation: float
+    zoom: float
+    sigma_translation: float
+    sigma_rotation: float
+    sigma_zoom: float
+    unit: str
+
+
+def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
+    """The motion that fits all nodes best by least squares.
+
+    zoom: whether lengths may change; False is a rigid motion, of zoom 1.
+
+    Raises FieldError where fewer than two nodes are valid.
+    """
+    valid = field.valid
+    if np.count_nonzero(valid) < 2:
+        raise FieldError("a motion needs at least two valid nodes")
+    before, after = _complex(field.position[valid]), _complex(field.now[valid])
+    centre, goal = before.mean(), after.mean()
+    spread = np.square(np.abs(before - centre)).sum()
+    if not spread > 0:
+        raise FieldError("all nodes lie in one place: they show no rotation")
+    factor = (np.conj(before - centre) * (after - goal)).sum() / spread
+    scale = abs(factor) if zoom else 1.0
+    variance = np.square(field.sigma_now[valid]) + np.square(scale * field.sigma_rest[valid])
+    turning = math.sqrt((np.square(np.abs(before - centre)) * variance).sum()) / spread
+    return Motion(
+        centre=(float(centre.real), float(centre.imag)),
+        translation=(float((goal - centre).real), float((goal - centre).imag)),
+        rotation=float(np.angle(factor)),
+        zoom=float(scale),
+        sigma_translation=math.sqrt(variance.sum()) / len(before),
+        sigma_rotation=turning / abs(factor),
+        sigma_zoom=turning if zoom else 0.0,
+        unit=field.unit,
+    )
+
+
+def without_motion(field: PlaneField, motion: Motion) -> PlaneField:
+    """The field as it were if that motion had not been: the deformation alone.
+
+    The nodes of now are moved back; errors of the motion itself are not in `sigma_now`.
+    """
+    centre, goal = complex(*motion.centre), complex(*motion.centre) + complex(*motion.translation)
+    factor = motion.zoom * np.exp(1j * motion.rotation)
+    back = (_complex(field.now) - goal) / factor + centre
+    moved = np.stack([back.real, back.imag], axis=-1) - field.position
+    return dataclasses.replace(
+        field, displacement=moved, sigma_now=field.sigma_now / abs(motion.zoom)
+    )
+
+
+def _complex(points: Array) -> NDArray[np.complex128]:
+    numbers: NDArray[np.complex128] = points[..., 0] + 1j * points[..., 1]
+    return numbers
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class PlaneStrain:
+    """Green-Lagrange strain in the plane.
+
+    tensor: (R, C, 3) float64, Exx, Eyy, Exy (half the engineering shear), along the axes of
+        the field; NaN where too few neighbours are valid.
+    covariance: (R, C, 3, 3) float64, of these three, by the errors of the positions alone.
+        A strain that varies within the window is smoothed besides. NaN where unknown.
+    """
+
+    tensor: Array
+    covariance: Array
+
+    @property
+    def sigma(self) -> Array:
+        """(R, C, 3) float64, standard deviations of the tensor's entries."""
+        deviation: Array = np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
+        return deviation
+
+    def principal(self) -> "PrincipalStrain":
+        """The largest and the smallest strain, and the direction of the largest one."""
+        xx, yy, xy = np.moveaxis(self.tensor, -1, 0)
+        mean, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+        direction = np.arctan2(xy, (xx - yy) / 2) / 2
+        cosine, sine = np.cos(direction), np.sin(direction)
+        # Derivatives of v1'Ev1, v2'Ev2 and v1'Ev2 by Exx, Eyy and Exy.
+        along = np.stack([cosine**2, sine**2, 2 * sine * cosine], axis=-1)
+        across = np.stack([sine**2, cosine**2, -2 * sine * cosine], axis=-1)
+        turning = np.stack([-sine * cosine, sine * cosine, cosine**2 - sine**2], axis=-1)
+        first, second, mixed = (
+            np.sqrt(np.einsum("...i,...ij,...j", row, self.covariance, row))
+            for row in (along, across, turning)
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = np.where(half > _DISTINCT * mixed, mixed / (2 * half), _UNIFORM)
+        return PrincipalStrain(
+            strain=np.stack([mean + half, mean - half], axis=-1),
+            sigma=np.stack([first, second], axis=-1),
+            direction=direction,
+            sigma_direction=np.where(np.isnan(mixed), np.nan, spread),
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class PrincipalStrain:
+    """Principal strains of a plane.
+
+    strain: (R, C, 2) float64, the larger and the smaller one; sigma: (R, C, 2) of them. Where
+        the two differ by less than their sigma, noise alone drives them apart.
+    direction: (R, C) float64 in [-pi/2, pi/2], rad, of the larger one, from x towards y.
+    sigma_direction: (R, C), rad; pi / sqrt(12), that of a direction that may be any, where
+        half the difference of the strains is below 3 of its standard deviations.
+    """
+
+    strain: Array
+    sigma: Array
+    direction: Array
+    sigma_direction: Array
+
+
+def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
+    """Green-Lagrange strain E = (F'F - 1) / 2 of every node, with its covariance.
+
+    Around each node a plane in (column, row) is fitted to the positions at rest and now by
+    least squares, over the (2 radius + 1)^2 nodes, which gives the gradient F of now by rest.
+    Nodes of unknown sigma take part only where no node's sigma is known.
+
+    Returns NaN where the node is missing, or fewer than 6 of its window are there, or all of
+    these on a line. Raises ConfigError where radius is not a whole number from 1 to 50.
+    """
+    if type(radius) is not int or not 1 <= radius <= 50:
+        raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
+    valid = field.valid
+    known = valid & np.isfinite(field.sigma)
+    used = known if known.any() else valid
+    inverse, slopes, noise = _local_planes(
+        np.concatenate([field.position, field.now], axis=2),
+        np.stack([field.sigma_rest, field.sigma_now], axis=-1),
+        used,
+        radius,
+    )
+    before, after = slopes[..., :2], slopes[..., 2:]
+    size = np.square(before).sum(axis=(-2, -1))
+    area = before[..., 0, 0] * before[..., 1, 1] - before[..., 0, 1] * before[..., 1, 0]
+    good = valid & (np.abs(area) > 1e-9 * size)
+    tensor, covariance = np.full((*valid.shape, 3), np.nan), np.full((*valid.shape, 3, 3), np.nan)
+    back = np.linalg.inv(before[good])
+    gradient = (back @ after[good]).transpose(0, 2, 1)
+    green = (gradient.transpose(0, 2, 1) @ gradient - np.eye(2)) / 2
+    tensor[good] = np.stack([green[:, 0, 0], green[:, 1, 1], green[:, 0, 1]], axis=-1)
+    covariance[good] = _strain_covariance(gradient, back, inverse[good], noise[good])
+    return PlaneStrain(tensor=tensor, covariance=covariance)
+
+
+def _local_planes(
+    values: Array, sigma: Array, used: NDArray[np.bool_], radius: int
+) -> tuple[Array, Array, Array]:
+    """The plane a + b column + c row that fits the values around each node.
+
+    values: (R, C, K). sigma: (R, C, L). Returns (R, C, 3, 3) inverses of the sums of w w',
+    with w = (1, column, row) of the window's nodes, (R, C, 2, K) slopes by column and by row,
+    and (R, C, L, 3, 3) sums of w w' sigma^2; NaN where the plane is not determined.
+    """
+    rows, columns = used.shape
+    pad = ((radius, radius), (radius, radius), (0, 0))
+    filled = np.pad(np.where(used[..., None], values, 0), pad)
+    weights = np.concatenate([used[..., None], np.where(used[..., None], sigma**2, 0)], axis=2)
+    weights = np.pad(weights.astype(np.float64), pad)
+    sums = np.zeros((rows, columns, 3, values.shape[2]))
+    moments = np.zeros((rows, columns, weights.shape[2], 3, 3))
+    for row in range(2 * radius + 1):
+        for column in range(2 * radius + 1):
+            at = slice(row, row + rows), slice(column, column + columns)
+            basis = np.array([1.0, column - radius, row - radius])
+            sums += basis[:, None] * filled[at][:, :, None]
+            moments += np.outer(basis, basis) * weights[at][..., None, None]
+    count = moments[:, :, 0]
+    solvable = (count[..., 0, 0] >= _LEAST_NODES) & (np.linalg.det(count) > 1e-6)
+    inverse = np.full(count.shape, np.nan)
+    inverse[solvable] = np.linalg.inv(count[solvable])
+    return inverse, (inverse @ sums)[..., 1:, :], moments[:, :, 1:]
+
+
+def _strain_covariance(gradient: Array, back: Array, inverse: Array, noise: Array) -> Array:
+    """Covariance (N, 3, 3) of Exx, Eyy, Exy.
+
+    gradient: (N, 2, 2) F. back: (N, 2, 2) columns and rows by the axes at rest. inverse:
+    (N, 3, 3) and noise: (N, 2, 3, 3) of the local planes, rest and now.
+    """
+    # An error e at rest acts on F as -F e does now.
+    weights = back[:, None] @ (inverse[:, None] @ noise @ inverse[:, None])[..., 1:, 1:]
+    weights = weights @ back.transpose(0, 2, 1)[:, None]
+    turned = gradient @ gradient.transpose(0, 2, 1)
+    of_gradient = np.einsum("ik,njl->nijkl", np.eye(2), weights[:, 1])
+    of_gradient = of_gradient + np.einsum("nik,njl->nijkl", turned, weights[:, 0])
+    eye = np.eye(2)
+    by_gradient = np.stack(
+        [
+            (np.einsum("ni,j->nij", gradient[:, :, a], eye[b]))
+            + (np.einsum("ni,j->nij", gradient[:, :, b], eye[a]))
+            for a, b in ((0, 0), (1, 1), (0, 1))
+        ],
+        axis=1,
+    )
+    covariance: Array = np.einsum(
+        "naij,nijkl,nbkl->nab", by_gradient / 2, of_gradient, by_gradient / 2, optimize=True
+    )
+    return covariance
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Raster:
+    """Values of the nodes on a regular raster of the plane at rest.
+
+    x: (W,), y: (H,) float64, of the columns and rows, in `unit`. values: (H, W, K) float64,
+    NaN outside of the cells whose four nodes are valid. unit: of x and y.
+    """
+
+    x: Array
+    y: Array
+    values: Array
+    unit: str
+
+    @property
+    def step(self) -> float:
+        """Distance of neighbouring points, in `unit`."""
+        return float(self.x[1] - self.x[0])
+
+
+def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float = 1.0) -> Raster:
+    """Values of the nodes at the multiples of `step` that the cells at rest cover.
+
+    values: (R, C) or (R, C, K) numbers, NaN where missing; None means the displacement. In px
+    and at step 1 these are the pixels. Between nodes the values, and the positions at rest,
+    follow cubic convolution (R. G. Keys, IEEE Trans. ASSP 29, 1981), continued over the
+    border by quadratic extrapolation.
+
+    Raises FieldError where no cell is valid or covers a point, ConfigError where step is not
+    positive or asks for over 1e8 points.
+    """
+    numbers = field.displacement if values is None else np.asarray(values, np.float64)
+    if numbers.ndim == 2:
+        numbers = numbers[..., None]
+    if numbers.ndim != 3 or numbers.shape[:2] != field.status.shape:
+        raise FieldError(f"values are {numbers.shape}, the field has {field.status.shape} nodes")
+    if not 0 < step < math.inf:
+        raise ConfigError(f"step must be a positive length, not {step!r}")
+    valid = field.valid & ~np.isnan(numbers).any(axis=2)
+    cells = np.argwhere(valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:])
+    if not len(cells):
+        raise FieldError("no cell has four valid nodes: there is nothing to draw")
+    low = np.ceil(field.position[valid].min(axis=0) / step).astype(int)
+    high = np.floor(field.position[valid].max(axis=0) / step).astype(int)
+    if (high < low).any():
+        raise FieldError(f"no multiple of {step} {field.unit} lies within the nodes")
+    width, height = (high - low + 1).tolist()
+    if width * height > 1e8:
+        raise ConfigError(f"step {step} {field.unit} asks for {width} x {height} points")
+    padded = _continued(
+        np.where(valid[..., None], np.concatenate([field.position, numbers], axis=2), np.nan)
+    )
+    drawn = np.full((height, width, numbers.shape[2]), np.nan)
+    for place, index, fraction in _covered(padded, cells, step, low):
+        column, row = (index - low).T
+        drawn[row, column] = _cubic(padded, place, fraction)[:, 2:]
+    x, y = np.arange(low[0], high[0] + 1) * step, np.arange(low[1], high[1] + 1) * step
+    return Raster(x=x, y=y, values=drawn, unit=field.unit)
+
+
+def _continued(values: Array) -> Array:
+    """Values (R, C, K) with a ring around, (R + 2, C + 2, K), and with gaps filled.
+
+    A missing value takes the mean of the quadratic, else linear, else constant continuations
+    along its row and column; two passes, so that all neighbours of a valid cell have one.
+    """
+    filled = np.pad(values, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
+    for _ in range(2):
+        guesses = []
+        for axis in (0, 1):
+            for side in (1, -1):
+                one, two, three = (_shifted(filled, side * by, axis) for by in (1, 2, 3))
+                quadratic, linear = 3 * one - 3 * two + three, 2 * one - two
+                best = np.where(np.isnan(quadratic), linear, quadratic)
+                guesses.append(np.where(np.isnan(best), one, best))
+        stack = np.stack(guesses)
+        count = (~np.isnan(stack)).sum(axis=0)
+        mean = np.nansum(stack, axis=0) / np.maximum(count, 1)
+        filled = np.where(np.isnan(filled) & (count > 0), mean, filled)
+    return filled
+
+
+def _shifted(values: Array, by: int, axis: int) -> Array:
+    """The value `by` places further along an axis, NaN beyond the end."""
+    moved = np.full_like(values, np.nan)
+    size = values.shape[axis]
+    target, source = [slice(None)] * values.ndim, [slice(None)] * values.ndim
+    target[axis] = slice(max(0, -by), min(size, size - by))
+    source[axis] = slice(max(0, by), min(size, size + by))
+    moved[tuple(target)] = values[tuple(source)]
+    return moved
+
+
+def _covered(padded: Array, cells: NDArray[np.int64], step: float, low: NDArray[Any]) -> Any:
+    """Blocks of raster points within cells: (N, 2) cells, (N, 2) points, (N, 2) fractions.
+
+    padded: (R + 2, C + 2, K) values, the first two the positions. Points are in steps. A point
+    on the side of two cells comes with both. Fractions are (row, column), 0 to 1.
+    """
+    nodes = padded[1:-1, 1:-1, :2]
+    row, column = cells.T
+    corners = np.stack(
+        [nodes[row + r, column + c] for r in (0, 1) for c in (0, 1)], axis=1
+    )  # (N, 4, 2)
+    margin = 0.25 * (corners.max(axis=1) - corners.min(axis=1))  # sides are curves
+    first = np.ceil((corners.min(axis=1) - margin) / step).astype(np.int64)
+    last = np.floor((corners.max(axis=1) + margin) / step).astype(np.int64)
+    top = np.ceil(np.nanmax(nodes.reshape(-1, 2), axis=0) / step).astype(np.int64)
+    first, last = np.maximum(first, low), np.minimum(last, top)
+    size = np.maximum(last - first + 1, 0)
+    order = np.argsort(size.prod(axis=1))
+    begin = 0
+    while begin < len(order):
+        end = begin + 1
+        while end < len(order) and (end + 1 - begin) * size[order[end]].prod() <= _BLOCK:
+            end += 1
+        block = order[begin:end]
+        begin = end
+        span = size[block].max(axis=0)
+        offsets = np.stack(np.meshgrid(*map(np.arange, span)), axis=-1).reshape(-1, 2)
+        within = (offsets[None] < size[block][:, None]).all(axis=2)
+        cell, which = np.nonzero(within)
+        index, place = first[block][cell] + offsets[which], cells[block][cell]
+        fraction = _inverse(padded, place, index * step)
+        inside = ((fraction >= -_OUTSIDE) & (fraction <= 1 + _OUTSIDE)).all(axis=1)
+        yield place[inside], index[inside], fraction[inside]
+
+
+def _inverse(padded: Array, place: NDArray[np.int64], goal: Array) -> Array:
+    """Where in their cells points lie: (N, 2) fractions (row, column) by Newton's method."""
+    row, column = place.T + 1
+    position = padded[..., :2]
+    corner = position[row, column]
+    down = position[row + 1, column] - corner
+    right = position[row, column + 1] - corner
+    slope = np.stack([down, right], axis=-1)  # (N, 2 of the plane, 2 of the lattice)
+    good = np.abs(np.linalg.det(slope)) > 1e-12 * np.square(slope).sum(axis=(1, 2))
+    inverse = np.full(slope.shape, np.nan)
+    inverse[good] = np.linalg.inv(slope[good])
+    fraction = np.full((len(place), 2), 0.5)
+    active = np.arange(len(place))
+    for _ in range(_STEPS):
+        seen = _cubic(position, place[active], fraction[active])
+        step = (inverse[active] @ (goal[active] - seen)[..., None])[..., 0]
+        moved = fraction[active] + step
+        near: NDArray[np.bool_] = np.all(np.abs(moved - 0.5) <= _REACH, axis=1)
+        fraction[active] = np.where(near[:, None], moved, np.nan)
+        active = active[near & (np.abs(step) > _CONVERGED).any(axis=1)]
+        if not len(active):
+            break
+    fraction[active] = np.nan
+    return fraction
+
+
+def _cubic(padded: Array, place: NDArray[np.int64], fraction: Array) -> Array:
+    """Cubic convolution of values (R + 2, C + 2, K) at fractions (N, 2) of cells: (N, K)."""
+    by_row, by_column = np.stack(_keys(fraction[:, 0])), np.stack(_keys(fraction[:, 1]))
+    flat = padded.reshape(-1, padded.shape[2])
+    first = place[:, 0] * padded.shape[1] + place[:, 1]
+    result = np.zeros((len(place), padded.shape[2]))
+    for down in range(4):
+        line = np.zeros_like(result)
+        for right in range(4):
+            line += by_column[right, :, None] * flat[first + (down * padded.shape[1] + right)]
+        result += by_row[down, :, None] * line
+    return result
+
+
+def _keys(t: Array) -> tuple[Array, Array, Array, Array]:
+    """Weights of the four neighbours at -1, 0, 1, 2 for a point at t."""
+    return (
+        ((2 - t) * t - 1) * t / 2,
+        ((3 * t - 5) * t**2 + 2) / 2,
+        ((4 - 3 * t) * t + 1) * t / 2,
+        (t - 1) * t**2 / 2,
+    )

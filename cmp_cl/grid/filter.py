@@ -1,0 +1,550 @@
+"""The adaptive lattice filter: positions from the neighbours too, and how far each may be off.
+
+On a worn print the visible corner is not where the material point is. No picture of one corner
+can tell, but its neighbours in the lattice can. Each node becomes a mixture of local polynomials
+along its row and its column. Stein's unbiased risk estimate chooses, node by node, how far they
+reach and of which degree they are; there is nothing to set.
+"""
+
+import dataclasses
+import functools
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import GridError
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Box = tuple[slice, slice]
+
+AXIS_FILTERS = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))  # half width in nodes, degree
+NOISE_REACH = 2.0  # nodes, standard deviation of the Gaussian that averages the noise
+RISK_REACH = 1.5  # nodes, of the one that averages the risk
+LEAST_SUPPORT = 0.75  # share of a window's nodes that must be measured
+REFUSED = 6.0  # standard deviations from what the neighbours predict
+_SHARPNESS = 2 * math.pi * RISK_REACH**2 / 3  # of the weights, per unit of risk
+_FLOOR = 1e-10  # of the variance of the noise, relative to the mean square of the values
+_LEAST = 1e-30  # of the variance of the noise
+_ROUNDS = 3  # searches for nodes to refuse
+_FILL_REACH = (3, 6)  # nodes around a hole that predict its value
+_ROWS_AT_ONCE = 16  # of a lattice, where every node has a kernel of its own
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Filtered:
+    """A lattice of R x C nodes with K coordinates behind the filter.
+
+    values: (R, C, K) float64, in the unit of the input, NaN where that is NaN. A refused node
+        keeps its own value.
+    sigma: (R, C) float64, standard deviation of `values` per coordinate, NaN where too few
+        neighbours are there to tell.
+    noise: (R, C) float64, the same of the values before the filter.
+    refused: (R, C) bool, nodes that are more than REFUSED standard deviations from what their
+        neighbours predict. They have no influence on others.
+    """
+
+    values: Array
+    sigma: Array
+    noise: Array
+    refused: Bools
+    _mixtures: "tuple[_Mixture, ...]"
+
+    def covariance(self) -> Array:
+        """(R, C, K, K) float64, of the coordinates of each filtered node, NaN where sigma is.
+
+        The residuals around the node say how its coordinates vary together; the mean of the
+        diagonal is sigma squared.
+        """
+        return self._covariance(self.sigma)
+
+    def noise_covariance(self) -> Array:
+        """(R, C, K, K) float64, the same of the values before the filter."""
+        return self._covariance(self.noise)
+
+    def _covariance(self, sigma: Array) -> Array:
+        count = self.values.shape[2]
+        whole = np.full((*sigma.shape, count, count), np.nan)
+        for mixture in self._mixtures:
+            box, part = mixture.box, mixture.part
+            covariance = mixture.common() * np.square(sigma[box])[..., None, None]
+            whole[box] = np.where(part[..., None, None], covariance, whole[box])
+        return whole
+
+    def deviation_of(self, stencil: ArrayLike) -> Array:
+        """(R, C) float64, the standard deviation of a linear combination around each node.
+
+        stencil: (R, C, S, S), S odd, the weights of the filtered neighbours, the node itself in
+        the middle; weights of what lies beyond the lattice or is NaN must be 0. Neighbours
+        share much of their noise: a slope between them is more certain than their own sigma
+        says. NaN where sigma is. Raises GridError where the stencil has another shape.
+        """
+        weights = np.asarray(stencil, np.float64)
+        if weights.ndim != 4 or weights.shape[:2] != self.sigma.shape or weights.shape[2] % 2 == 0:
+            raise GridError(
+                f"the stencil must be (R, C, S, S), S odd, for {self.sigma.shape} nodes, not "
+                f"{weights.shape}"
+            )
+        deviation = np.full(self.sigma.shape, np.nan)
+        for mixture in self._mixtures:
+            box, part = mixture.box, mixture.part
+            found = mixture.deviation_of(weights[box], self.sigma[box])
+            deviation[box] = np.where(part, found, deviation[box])
+        return np.where(np.isnan(self.sigma), np.nan, deviation)
+
+
+def filter_grid(values: ArrayLike, *, measured: ArrayLike | None = None) -> Filtered:
+    """Filter a lattice over its rows and columns.
+
+    values: (R, C, K), K >= 1 coordinates in one unit and of like noise; a node with a NaN is
+    missing. measured: (R, C) bool, the nodes that others may rely on; the rest get what their
+    neighbours predict. None means all. A deformation is filtered as one array of displacements,
+    not as two of positions: wear that travels with the material cancels in their difference.
+
+    Raises GridError where the arrays have other shapes.
+    """
+    given = np.array(values, np.float64)
+    if given.ndim != 3 or not given.shape[2]:
+        raise GridError(f"values must be (R, C, K), K >= 1, not {given.shape}")
+    there = np.asarray(np.isfinite(given).all(axis=2), np.bool_)
+    given[~there] = np.nan
+    votes = there.copy()
+    if measured is not None:
+        allowed = np.asarray(measured, np.bool_)
+        if allowed.shape != there.shape:
+            raise GridError(f"measured must be {there.shape}, not {allowed.shape}")
+        votes &= allowed
+    sigma = np.full(there.shape, np.nan)
+    noise = sigma.copy()
+    refused = np.zeros(there.shape, np.bool_)
+    mixtures = []
+    for part in _components(votes):
+        box = _box(votes & part)
+        mixture, plane = _of_component(given[box], votes[box], part[box], box)
+        prediction = mixture.values.transpose(1, 2, 0) + plane
+        here = there[box] & part[box]
+        refused[box] |= here & votes[box] & ~mixture.votes
+        variance = np.where(mixture.votes, mixture.variance, mixture.raw_variance)
+        if refused[box].any():
+            off = np.square(given[box] - prediction).mean(axis=2)
+            variance = np.where(refused[box], np.maximum(off, variance), variance)
+        kept = here & ~refused[box] & np.isfinite(variance)
+        given[box] = np.where(kept[..., None], prediction, given[box])
+        sigma[box] = np.where(here, np.sqrt(variance), sigma[box])
+        noise[box] = np.where(here, np.sqrt(mixture.raw_variance), noise[box])
+        mixtures.append(mixture)
+    return Filtered(
+        values=given, sigma=sigma, noise=noise, refused=refused, _mixtures=tuple(mixtures)
+    )
+
+
+def _of_component(given: Array, votes: Bools, part: Bools, box: Box) -> "tuple[_Mixture, Array]":
+    """The mixture for what is left of the best bilinear surface, and that surface (R, C, K)."""
+    votes = votes & part
+    plane = _plane(given, votes)
+    data = np.where(votes[..., None], given - plane, 0).transpose(2, 0, 1)
+    return _mixed(np.ascontiguousarray(data, np.float32), votes, part, box), plane
+
+
+def _components(votes: Bools) -> list[Bools]:
+    """The parts of the lattice with votes, with up to a node around each; gaps of one or two
+    nodes part nothing.
+    """
+    if votes.all():
+        return [votes] if votes.size else []
+    grown = cv2.dilate(votes.astype(np.uint8), np.ones((3, 3), np.uint8))
+    count, label = cv2.connectedComponents(grown, connectivity=8)
+    return [label == number for number in range(1, count)]
+
+
+def _box(votes: Bools) -> Box:
+    """The smallest rectangle with all nodes that have a vote."""
+    rows, columns = np.nonzero(votes.any(axis=1))[0], np.nonzero(votes.any(axis=0))[0]
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
+@functools.lru_cache(maxsize=64)
+def _bilinear(rows: int, columns: int) -> Array:
+    """(R, C, 4): 1, r, c and r c, from -1 to 1; orthogonal over all nodes."""
+    r = np.linspace(-1, 1, rows)[:, None] if rows > 1 else np.full((1, 1), 1e-9)
+    c = np.linspace(-1, 1, columns)[None, :] if columns > 1 else np.full((1, 1), 1e-9)
+    return np.stack(np.broadcast_arrays(1.0, r, c, r * c), axis=-1)
+
+
+def _plane(values: Array, votes: Bools) -> Array:
+    """(R, C, K): the bilinear surface that fits best. The filters leave such surfaces as they
+    are; without it float32 is exact enough for what is left.
+    """
+    rows, columns = votes.shape
+    terms = _bilinear(rows, columns)
+    if votes.all():
+        flat = terms.reshape(-1, 4)
+        fit = (flat.T @ values.reshape(len(flat), -1)) / np.square(flat).sum(axis=0)[:, None]
+    else:
+        fit = np.linalg.lstsq(terms[votes], values[votes], rcond=None)[0]
+    plane: Array = terms @ fit
+    return plane
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Axis:
+    """The filters along an axis of n nodes, A of them.
+
+    filters: (A, n, n) float32, a row per node. stacked: the same, (A n, n). own: (A, n), the
+    weight of the node itself. gain: (A, n), the sum of the squares. share: (A, n, n), 1 / window
+    where the window is. pilot, pilot_own, pilot_share: of the filter that shows the noise.
+    near_noise, near_risk: (n, n) Gaussians, rows of sum 1. single: number of the filter that
+    changes nothing.
+    """
+
+    filters: Single
+    stacked: Single
+    own: Single
+    gain: Single
+    share: Single
+    pilot: Single
+    pilot_own: Single
+    pilot_share: Single
+    near_noise: Single
+    near_risk: Single
+
+
+def _polynomial(n: int, half: int, degree: int) -> Array:
+    """(n, n): the value at each node of the polynomial fitted to its window, which is moved
+    inwards at the ends.
+    """
+    whole = np.zeros((n, n))
+    for node in range(n):
+        first = min(max(node - half, 0), n - 2 * half - 1)
+        window = np.arange(first, first + 2 * half + 1)
+        powers = (window - node)[:, None].astype(np.float64) ** np.arange(degree + 1)
+        whole[node, window] = np.linalg.pinv(powers)[0]
+    return whole
+
+
+def _gaussian(n: int, deviation: float) -> Single:
+    apart = np.arange(n)[:, None] - np.arange(n)
+    weights = np.exp(-np.square(apart / deviation) / 2)
+    rows: Single = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+    return rows
+
+
+@functools.lru_cache(maxsize=64)
+def _axis(n: int) -> _Axis:
+    fitting = [(half, degree) for half, degree in AXIS_FILTERS if n >= 2 * half + 1]
+    filters = np.stack([_polynomial(n, *each) for each in fitting])
+    pilot = _polynomial(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
+    windows = [np.not_equal(each, 0) | np.eye(n, dtype=np.bool_) for each in [*filters, pilot]]
+    share = np.stack([each / each.sum(axis=1, keepdims=True) for each in windows])
+
+    def single(values: Array) -> Single:
+        return np.ascontiguousarray(values, np.float32)
+
+    return _Axis(
+        filters=single(filters),
+        stacked=single(filters.reshape(-1, n)),
+        own=single(np.diagonal(filters, axis1=1, axis2=2)),
+        gain=single(np.square(filters).sum(axis=2)),
+        share=single(share[:-1]),
+        pilot=single(pilot),
+        pilot_own=single(np.diag(pilot)),
+        pilot_share=single(share[-1]),
+        near_noise=_gaussian(n, NOISE_REACH),
+        near_risk=_gaussian(n, RISK_REACH),
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Pairs:
+    """What the pairs of a filter along the columns (A) and one along the rows (B) share.
+
+    own, gain: (A, R, B, C). pilot_own: (R, C).
+    """
+
+    own: Single
+    gain: Single
+    pilot_own: Single
+
+
+@functools.lru_cache(maxsize=64)
+def _pairs(rows: int, columns: int) -> _Pairs:
+    down, along = _axis(rows), _axis(columns)
+    return _Pairs(
+        own=down.own[:, :, None, None] * along.own,
+        gain=down.gain[:, :, None, None] * along.gain,
+        pilot_own=np.outer(down.pilot_own, along.pilot_own),
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Mixture:
+    """The filter at work on a component, in its rectangle of nodes; all float32.
+
+    part: (R, C), the nodes of the component. votes: (R, C), those that others rely on.
+    data, values: (K, R, C), before, with predictions in the holes, and behind it.
+    residual: (K, R, C), of the pilot. weights: (A, R, B, C), of each pair at each node.
+    raw_variance, variance: (R, C), of the data and of the values. gain: (R, C), the least ratio
+    of the two that the weights allow.
+    """
+
+    box: Box
+    part: Bools
+    data: Single
+    votes: Bools
+    residual: Single
+    weights: Single
+    values: Single
+    raw_variance: Single
+    variance: Single
+    gain: Single
+
+    def common(self) -> Array:
+        """(R, C, K, K): how the coordinates vary together around each node, of mean diagonal 1."""
+        rows, columns = self.votes.shape
+        down, along = _axis(rows), _axis(columns)
+        residual = np.where(self.votes, self.residual, 0).astype(np.float64)
+        products = residual[:, None] * residual[None]
+        sums = down.near_noise @ products @ along.near_noise.T
+        sums = sums.transpose(2, 3, 0, 1)
+        count = len(residual)
+        mean = np.trace(sums, axis1=2, axis2=3)[..., None, None] / count
+        alike = np.broadcast_to(np.eye(count), sums.shape)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(mean > 0, sums / mean, alike)
+
+    def deviation_of(self, stencil: Array, sigma: Array) -> Array:
+        """(R, C), see `Filtered.deviation_of`."""
+        rows, columns = self.votes.shape
+        reach, side = stencil.shape[2] // 2, 2 * max(half for half, _ in AXIS_FILTERS)
+        down, along = _bands(rows, side), _bands(columns, side)
+        noise = np.sqrt(self.raw_variance)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            excess = sigma / (noise * np.sqrt(self.gain))  # what the noise does not explain
+        excess = np.where(np.isfinite(excess), excess, 1)
+        noise = np.pad(np.where(np.isfinite(noise), noise, 0), side + reach)
+        result = np.empty((rows, columns))
+        for first in range(0, rows, _ROWS_AT_ONCE):
+            block = slice(first, min(first + _ROWS_AT_ONCE, rows))
+            low, high = max(first - reach, 0), min(block.stop + reach, rows)
+            kernels = np.einsum(
+                "arbc,ard,bce->rcde", self.weights[:, low:high], down[:, low:high], along,
+                optimize=True,
+            )  # fmt: skip
+            around = np.lib.stride_tricks.sliding_window_view(
+                noise[low + reach : high + reach + 2 * side, reach : -reach or None],
+                kernels.shape[2:],
+            )
+            kernels = kernels * around
+            kernels *= excess[low:high, :, None, None]
+            total = np.zeros(
+                (block.stop - first, columns, *(n + 2 * reach for n in [2 * side + 1] * 2))
+            )
+            width = 2 * side + 1
+            for i in range(-reach, reach + 1):
+                for j in range(-reach, reach + 1):
+                    top, bottom = max(first, -i), min(block.stop, rows - i)
+                    left, right = max(0, -j), min(columns, columns - j)
+                    if top >= bottom or left >= right:
+                        continue
+                    weight = stencil[top:bottom, left:right, i + reach, j + reach]
+                    total[
+                        top - first : bottom - first,
+                        left:right,
+                        i + reach : i + reach + width,
+                        j + reach : j + reach + width,
+                    ] += (
+                        weight[..., None, None]
+                        * kernels[top + i - low : bottom + i - low, left + j : right + j]
+                    )
+            result[block] = np.sqrt(np.square(total).sum(axis=(2, 3)))
+        return result
+
+
+def _bands(n: int, side: int) -> Single:
+    """(A, n, 2 side + 1): the rows of the filters around the node."""
+    filters = _axis(n).filters
+    bands = np.zeros((len(filters), n, 2 * side + 1), np.float32)
+    for node in range(n):
+        first, last = max(node - side, 0), min(node + side + 1, n)
+        bands[:, node, first - node + side : last - node + side] = filters[:, node, first:last]
+    return bands
+
+
+def _mixed(data: Single, votes: Bools, part: Bools, box: Box) -> _Mixture:
+    """The mixture for data (K, R, C), without the nodes that their neighbours refuse."""
+    whole = bool(votes.all())
+    if not whole:
+        data = _filled(data, votes)
+    residual, noise = _noise(data, votes, whole=whole)
+    allowed = votes
+    for _ in range(_ROUNDS):
+        suspects = _suspects(residual, noise, allowed)
+        if not suspects.any():
+            break
+        allowed = allowed & ~suspects
+        data = _filled(np.where(votes, data, 0), allowed)
+        residual, noise = _noise(data, allowed, whole=False)
+    return _mixture(data, allowed, residual, noise, part, box)
+
+
+def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
+    """The pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
+
+    The mean of the square roots of the residual's size hardly sees a few large ones: a sharp
+    bend of the surface is no noise.
+    """
+    rows, columns = votes.shape
+    down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
+    residual = data - down.pilot @ data @ along.pilot.T
+    left = 1 - pairs.pilot_own
+    square = np.square(residual).mean(axis=0) / np.maximum(left, 1e-3)
+    root = np.asarray(np.sqrt(np.sqrt(square)), np.float32)
+    usable = left > 0.05
+    if not whole:
+        support = down.pilot_share @ votes.astype(np.float32) @ along.pilot_share.T
+        usable &= votes & (support >= LEAST_SUPPORT)
+    if usable.all():
+        mean = down.near_noise @ root @ along.near_noise.T
+    else:
+        root = np.where(usable, root, np.float32(0))
+        near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
+        mean = down.near_noise @ root @ along.near_noise.T
+        mean = np.where(near > 1e-6, mean / np.maximum(near, 1e-6), np.float32(np.nan))
+    expected = _expected_root(residual, root)
+    floor = max(_FLOOR * float(np.square(data).mean()), _LEAST)
+    noise = np.square(np.square(mean / np.float32(expected))) + np.float32(floor)
+    return np.asarray(residual, np.float32), np.asarray(noise, np.float32)
+
+
+def _expected_root(residual: Single, root: Single) -> float:
+    """The mean of the square root of a residual's size where its variance per coordinate is 1.
+
+    That size is taken as chi-distributed, with as many degrees of freedom as there are
+    directions of like variance: those of the residuals, weighted so that few large ones do not
+    decide. residual: (K, R, C). root: (R, C), the square root of its size, 0 where it is unknown.
+    """
+    count = len(residual)
+    relative = root / max(float(root.max()), 1e-30)
+    weights = np.where(root > 0, np.maximum(relative, 1e-4) ** -3, 0)
+    flat = residual.reshape(count, -1)
+    common = (flat * weights.reshape(-1)) @ flat.T
+    square = float(np.square(common).sum())
+    freedom = float(np.trace(common)) ** 2 / square if square > 0 else float(count)
+    share: float = (2 / freedom) ** 0.25
+    return share * math.gamma(freedom / 2 + 0.25) / math.gamma(freedom / 2)
+
+
+def _suspects(residual: Single, noise: Single, votes: Bools) -> Bools:
+    """Nodes whose residual is too large, and the largest among its eight neighbours'."""
+    size = np.where(votes, np.square(residual).mean(axis=0), 0)
+    pairs = _pairs(*votes.shape)
+    with np.errstate(invalid="ignore"):
+        large: Bools = size > REFUSED**2 * noise * (1 - pairs.pilot_own)
+    if not large.any():
+        return large
+    padded = np.pad(size, 1)
+    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).max(axis=(2, 3))
+    largest: Bools = large & (size >= around)
+    return largest
+
+
+def _mixture(
+    data: Single, votes: Bools, residual: Single, noise: Single, part: Bools, box: Box
+) -> _Mixture:
+    count, rows, columns = data.shape
+    down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
+    filters, others = len(down.filters), len(along.filters)
+    known = np.isfinite(noise)
+    s2 = np.where(known, noise, np.float32(1))
+    first = np.matmul(down.stacked, data).reshape(count, filters, rows, columns)
+    smooth = np.matmul(first.reshape(-1, columns), along.stacked.T)
+    smooth = smooth.reshape(count, filters, rows, others, columns)
+    loss = pairs.own * (2 * count * s2[:, None])
+    for coordinate in range(count):
+        apart = smooth[coordinate] - data[coordinate, :, None]
+        loss += np.square(apart, out=apart)
+    whole = bool(votes.all())
+    if not whole:
+        loss *= votes[:, None]
+    loss = np.matmul(loss.reshape(-1, columns), along.near_risk.T)
+    loss = np.matmul(down.near_risk, loss.reshape(filters, rows, -1))
+    risk: Single = loss.reshape(filters, rows, others, columns)
+    if whole:
+        risk *= (1 / (count * s2))[:, None]
+    else:
+        near = down.near_risk @ votes.astype(np.float32) @ along.near_risk.T
+        risk *= (1 / (count * s2 * np.maximum(near, np.float32(1e-6))))[:, None]
+        support = np.matmul(down.share, votes.astype(np.float32))
+        support = np.einsum("arj,bcj->arbc", support, along.share)
+        bad = (support < LEAST_SUPPORT) | ~known[:, None] | (near < 1e-6)[:, None]
+        bad[0, :, 0] = False
+        risk = np.where(bad, np.float32(1e30), risk)
+    least = risk.min(axis=0).min(axis=1)
+    weights = (least[:, None] - risk) * np.float32(_SHARPNESS)
+    np.exp(weights, out=weights)
+    weights *= (1 / _over_pairs(weights))[:, None]
+    values = np.stack([_over_pairs(weights * each) for each in smooth])
+    gain = _over_pairs(weights * pairs.gain)
+    mean_risk = _over_pairs(np.multiply(weights, risk, out=risk)) - 1
+    variance = noise * np.maximum(mean_risk, gain)
+    return _Mixture(
+        box=box,
+        part=part,
+        data=data,
+        votes=votes,
+        residual=residual,
+        weights=weights,
+        values=values,
+        raw_variance=noise,
+        variance=variance,
+        gain=gain,
+    )
+
+
+def _over_pairs(values: Single) -> Single:
+    """(A, R, B, C) -> (R, C), the sum."""
+    total: Single = values.sum(axis=0).sum(axis=1)
+    return total
+
+
+def _filled(data: Single, votes: Bools) -> Single:
+    """The data with predictions where there is no vote: a quadratic surface through the votes
+    around, 0 where those are too few.
+    """
+    result = np.where(votes, data, np.float32(0))
+    holes = np.argwhere(~votes)
+    for reach in _FILL_REACH:
+        if not len(holes):
+            break
+        predicted, sure = _predicted(data, votes, holes, reach)
+        at = holes[sure]
+        result[:, at[:, 0], at[:, 1]] = predicted[sure].T
+        holes = holes[~sure]
+    return result
+
+
+def _predicted(
+    data: Single, votes: Bools, holes: NDArray[np.int64], reach: int
+) -> tuple[Array, Bools]:
+    """(H, K) predictions for H nodes from what lies within `reach`, and whether they are sure."""
+    offset = np.arange(-reach, reach + 1)
+    r, c = (
+        each.reshape(-1).astype(np.float64) for each in np.meshgrid(offset, offset, indexing="ij")
+    )
+    terms = np.stack([np.ones_like(r), r, c, r * r, r * c, c * c], axis=1)
+    near = np.exp(-(r * r + c * c) / (2 * (reach / 2) ** 2))
+    rows = holes[:, 0, None] + r.astype(np.int64) + reach
+    columns = holes[:, 1, None] + c.astype(np.int64) + reach
+    weight = near * np.pad(votes, reach)[rows, columns]
+    padded = np.pad(data, ((0, 0), (reach, reach), (reach, reach)))
+    around = padded[:, rows, columns].astype(np.float64)
+    normal = np.einsum("hs,si,sj->hij", weight, terms, terms)
+    right = np.einsum("hs,si,khs->hik", weight, terms, around)
+    ridge = np.diag([0, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])
+    sure = np.count_nonzero(weight, axis=1) >= 8
+    normal[~sure] = np.eye(6)
+    predicted = np.linalg.solve(normal + ridge, right)[:, 0]
+    return predicted, sure

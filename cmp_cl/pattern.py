@@ -1,0 +1,361 @@
+"""The checkerboard to print: SVG, PDF, PNG or DXF, true to size.
+
+Lengths are mm, x points right and y down from the top-left corner of the sheet.
+"""
+
+import dataclasses
+import math
+import struct
+import zlib
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import ConfigError
+from cmp_cl.files import write_bytes
+
+PAPERS = {  # mm, upright
+    "a5": (148.0, 210.0),
+    "a4": (210.0, 297.0),
+    "a3": (297.0, 420.0),
+    "letter": (215.9, 279.4),
+}
+
+_MM_PER_INCH = 25.4
+_POINTS_PER_MM = 72 / _MM_PER_INCH
+_STRIP = 8.0  # mm beside the cells for a scale bar with its label
+_BAR = 0.4  # mm, thickness of a scale bar
+_TICK = 2.0  # mm, height of the bars' ends
+_GAP = 0.6  # mm between cells, bar and label
+_LETTER = 2.5  # mm, size of the labels' letters
+_WIDTH = 0.5  # of the letters, as a share of their size
+_LENGTHS = (200, 100, 50, 20, 10, 5, 2, 1)  # mm, of a scale bar
+_MOST_PIXELS = 4 * 10**8
+_MOST_CELLS = 10**6
+_LONGEST_SIDE = 5080.0  # mm, the largest page of a PDF
+
+
+class _Label(NamedTuple):
+    """A text with the left end of its base line, mm."""
+
+    x: float
+    y: float
+    text: str
+
+
+class _Drawing(NamedTuple):
+    """A sheet of (width, height) mm: (N, 4) black rectangles x0 y0 x1 y1, mm, and labels."""
+
+    size: tuple[float, float]
+    black: NDArray[np.float64]
+    labels: tuple[_Label, ...]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Checkerboard:
+    """A checkerboard on a sheet; raises ConfigError for a field outside its range.
+
+    shape: rows and columns of inner corners, each 1 or more: there is one cell more along each
+        side. The cell at the top left is black.
+    cell: side of a cell, mm, 0.01 to 1000.
+    border: width of the white border around the cells, mm, 0 to 1000; None means one cell.
+    ink_spread: how far black grows beyond its drawn edge in print, mm, less than half a cell;
+        cells are drawn smaller by as much on each side. Negative where black shrinks.
+    stretch: factors on all lengths along x and y, 0.5 to 2: nominal over measured length of
+        the scale bars of a trial print.
+    scale_bar: draw a scale bar along x and one along y, with the size of the pattern.
+    paper: width and height of the sheet, mm, on which the pattern is centred; None means a
+        sheet that just holds it.
+    """
+
+    shape: tuple[int, int]
+    cell: float
+    border: float | None = None
+    ink_spread: float = 0.0
+    stretch: tuple[float, float] = (1.0, 1.0)
+    scale_bar: bool = True
+    paper: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        rows, columns = self.shape
+        if type(rows) is not int or type(columns) is not int or min(rows, columns) < 1:
+            raise ConfigError(f"shape must be two whole numbers from 1, not {self.shape!r}")
+        if (rows + 1) * (columns + 1) > _MOST_CELLS:
+            raise ConfigError(
+                f"{rows} x {columns} corners are more than {_MOST_CELLS} cells; draw fewer"
+            )
+        _check("cell", self.cell, 0.01, 1000)
+        if self.border is not None:
+            _check("border", self.border, 0, 1000)
+        _check("ink_spread", self.ink_spread, -0.45 * self.cell, 0.45 * self.cell)
+        for factor in self.stretch:
+            _check("stretch", factor, 0.5, 2)
+        for side in self.paper or ():
+            _check("paper", side, 10, 2000)
+        needed, sheet = self._extent(), self.size
+        if self.paper is not None and (needed[0] > sheet[0] or needed[1] > sheet[1]):
+            raise ConfigError(
+                f"the pattern needs {needed[0]:.1f} x {needed[1]:.1f} mm and the paper has "
+                f"{sheet[0]:g} x {sheet[1]:g}; take smaller cells, a smaller border or other paper"
+            )
+        if max(sheet) > _LONGEST_SIDE:
+            raise ConfigError(
+                f"the sheet would be {sheet[0]:.0f} x {sheet[1]:.0f} mm; its sides are at most "
+                f"{_LONGEST_SIDE:.0f} mm"
+            )
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height of the sheet, mm."""
+        return self._extent() if self.paper is None else self.paper
+
+    @property
+    def corners(self) -> NDArray[np.float64]:
+        """(R, C, 2): where the inner corners are drawn on the sheet, (x, y), mm."""
+        rows, columns = self.shape
+        left, top = self._origin()
+        x = left + np.arange(1, columns + 1) * self.cell * self.stretch[0]
+        y = top + np.arange(1, rows + 1) * self.cell * self.stretch[1]
+        return np.stack(np.meshgrid(x, y), axis=2)
+
+    def save(self, path: str | PathLike[str], *, dpi: float = 600) -> None:
+        """Write the sheet as .svg, .pdf, .png or .dxf, by suffix, whole or not at all.
+
+        .svg and .pdf: filled paths, a unit of the SVG is 1 mm. .dxf: closed polylines, mm, y
+        up, on the layers CELLS and SCALE. .png: grey levels at `dpi` pixels an inch, which the
+        file says; a pixel on an edge is as grey as it is covered.
+
+        Raises ConfigError on another suffix, a dpi outside 10 to 10 000 or more than 400
+        million pixels, OSError where the file cannot be written.
+        """
+        suffix = Path(path).suffix.lower()
+        writers: dict[str, Callable[[], bytes]] = {
+            ".svg": lambda: _svg(self._drawing()),
+            ".pdf": lambda: _pdf(self._drawing()),
+            ".png": lambda: _png(self._drawing(), dpi),
+            ".dxf": lambda: _dxf(self._drawing(), cells=self._cells()),
+        }
+        if suffix not in writers:
+            raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(writers)}")
+        write_bytes(path, writers[suffix]())
+
+    def _board(self) -> tuple[float, float]:
+        """Width and height of all cells, mm, not stretched."""
+        return (self.shape[1] + 1) * self.cell, (self.shape[0] + 1) * self.cell
+
+    def _around(self) -> tuple[float, float]:
+        """The border, and the border with a scale bar's strip, mm."""
+        border = self.cell if self.border is None else self.border
+        return border, border + _STRIP if self.scale_bar else border
+
+    def _extent(self) -> tuple[float, float]:
+        """Width and height that the pattern needs, mm."""
+        width, height = self._board()
+        before, after = self._around()
+        return (
+            (before + width + after) * self.stretch[0],
+            (before + height + after) * self.stretch[1],
+        )
+
+    def _origin(self) -> tuple[float, float]:
+        """The top-left corner of the cells on the sheet, mm."""
+        before = self._around()[0]
+        free = np.subtract(self.size, self._extent()) / 2
+        return (
+            float(free[0]) + before * self.stretch[0],
+            float(free[1]) + before * self.stretch[1],
+        )
+
+    def _cells(self) -> NDArray[np.float64]:
+        """(N, 4) black cells, mm from the top left of the cells, not stretched."""
+        rows, columns = self.shape
+        row, column = np.indices((rows + 1, columns + 1)).reshape(2, -1)
+        black = (row + column) % 2 == 0
+        start = np.column_stack([column[black], row[black]]) * self.cell
+        return np.hstack([start + self.ink_spread, start + self.cell - self.ink_spread])
+
+    def _drawing(self) -> _Drawing:
+        bars, labels = self._bars() if self.scale_bar else (np.empty((0, 4)), ())
+        left, top = self._origin()
+        x, y = self.stretch
+        return _Drawing(
+            size=self.size,
+            black=np.vstack([self._cells(), bars]) * (x, y, x, y) + (left, top, left, top),
+            labels=tuple(_Label(left + a * x, top + b * y, text) for a, b, text in labels),
+        )
+
+    def _bars(self) -> tuple[NDArray[np.float64], tuple[_Label, ...]]:
+        """Scale bars below and right of the cells, and their labels, as `_cells` has them."""
+        width, height = self._board()
+        border = self._around()[0]
+        lengths = [next((x for x in _LENGTHS if x <= side), 1) for side in (width, height)]
+        below = _bar(lengths[0], height + border + _GAP)
+        beside = _bar(lengths[1], width + border + _GAP)[:, [1, 0, 3, 2]]
+        rows, columns = self.shape
+        title = f"{lengths[0]} mm   {rows} x {columns} corners   cell {self.cell:.4g} mm"
+        if _WIDTH * _LETTER * len(title) > width + border + _STRIP:
+            title = f"{lengths[0]} mm"
+        under = height + border + _GAP + _TICK + _GAP + _LETTER
+        labels = (
+            _Label(0, under, title),
+            _Label(width + border + _GAP + _TICK + _GAP, _LETTER, f"{lengths[1]}"),
+        )
+        return np.vstack([below, beside]), labels
+
+
+def _bar(length: float, top: float) -> NDArray[np.float64]:
+    """A horizontal bar from x = 0 with its two ends: (3, 4) rectangles, mm."""
+    bottom, middle, end = top + _TICK, top + _TICK / 2, _BAR / 2
+    return np.array(
+        [
+            [0, middle - end, length, middle + end],
+            [0, top, end, bottom],
+            [length - end, top, length, bottom],
+        ]
+    )
+
+
+def _check(field: str, value: object, low: float, high: float) -> None:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not low <= value <= high:  # type: ignore[operator]
+        raise ConfigError(f"{field} must be a number in [{low:g}, {high:g}], not {value!r}")
+
+
+def _svg(drawing: _Drawing) -> bytes:
+    width, height = drawing.size
+    path = " ".join(
+        f"M{x0:.7g} {y0:.7g}H{x1:.7g}V{y1:.7g}H{x0:.7g}Z" for x0, y0, x1, y1 in drawing.black
+    )
+    labels = "".join(
+        f'<text x="{x:.7g}" y="{y:.7g}" font-family="sans-serif" font-size="{_LETTER}">'
+        f"{text}</text>\n"
+        for x, y, text in drawing.labels
+    )
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.7g}mm" height="{height:.7g}mm" '
+        f'viewBox="0 0 {width:.7g} {height:.7g}">\n'
+        f'<rect width="{width:.7g}" height="{height:.7g}" fill="white"/>\n'
+        f'<path d="{path}" fill="black"/>\n{labels}</svg>\n'
+    ).encode()
+
+
+def _pdf(drawing: _Drawing) -> bytes:
+    """One page, its content in mm with y down; Helvetica is in every viewer."""
+    width, height = (side * _POINTS_PER_MM for side in drawing.size)
+    rectangles = "\n".join(
+        f"{x0:.5f} {y0:.5f} {x1 - x0:.5f} {y1 - y0:.5f} re" for x0, y0, x1, y1 in drawing.black
+    )
+    labels = "\n".join(
+        f"BT /F1 {_LETTER} Tf 1 0 0 -1 {x:.5f} {y:.5f} Tm ({text}) Tj ET"
+        for x, y, text in drawing.labels
+    )
+    unit = _POINTS_PER_MM
+    content = zlib.compress(
+        f"{unit:.8f} 0 0 {-unit:.8f} 0 {height:.5f} cm\n{rectangles}\nf\n{labels}\n".encode()
+    )
+    objects = [
+        b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
+        b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width:.5f} {height:.5f}] "
+        "/Contents 4 0 R /Resources << /Font << /F1 5 0 R >> >> >>".encode(),
+        f"<< /Length {len(content)} /Filter /FlateDecode >>\nstream\n".encode()
+        + content
+        + b"\nendstream",
+        b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
+    ]
+    body = bytearray(b"%PDF-1.6\n%\xe2\xe3\xcf\xd3\n")
+    starts = []
+    for number, text in enumerate(objects, start=1):
+        starts.append(len(body))
+        body += f"{number} 0 obj\n".encode() + text + b"\nendobj\n"
+    table = len(body)
+    body += f"xref\n0 {len(objects) + 1}\n0000000000 65535 f \n".encode()
+    body += b"".join(f"{start:010d} 00000 n \n".encode() for start in starts)
+    body += (
+        f"trailer\n<< /Size {len(objects) + 1} /Root 1 0 R >>\nstartxref\n{table}\n%%EOF\n"
+    ).encode()
+    return bytes(body)
+
+
+def _png(drawing: _Drawing, dpi: float) -> bytes:
+    import cv2
+
+    _check("dpi", dpi, 10, 10_000)
+    scale = dpi / _MM_PER_INCH
+    width, height = (math.ceil(side * scale - 1e-6) for side in drawing.size)
+    if width * height > _MOST_PIXELS:
+        raise ConfigError(
+            f"{width} x {height} px are more than {_MOST_PIXELS // 10**6} million; "
+            "take a smaller dpi, or .svg, .pdf or .dxf"
+        )
+    black = np.zeros((height, width), np.float32)
+    for x0, y0, x1, y1 in drawing.black * scale:
+        columns, across = _covered(x0, x1, width)
+        rows, down = _covered(y0, y1, height)
+        black[rows, columns] += down[:, None] * across
+    image = np.rint(255 * (1 - black.clip(0, 1))).astype(np.uint8)
+    for x, y, text in drawing.labels:
+        font, origin = cv2.FONT_HERSHEY_SIMPLEX, (round(x * scale), round(y * scale))
+        wide = cv2.getTextSize(text, font, 10, 1)[0][0] / 10  # OpenCV 4 and 5 have other fonts
+        size = _WIDTH * _LETTER * scale * len(text) / wide
+        cv2.putText(image, text, origin, font, size, 0, 1, cv2.LINE_AA)
+    data: bytes = cv2.imencode(".png", image)[1].tobytes()
+    per_metre = round(scale * 1000)
+    chunk = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)
+    after_header = 33  # bytes: the signature and the chunk IHDR
+    return b"".join(
+        [
+            data[:after_header],
+            struct.pack(">I", len(chunk) - 4),
+            chunk,
+            struct.pack(">I", zlib.crc32(chunk)),
+            data[after_header:],
+        ]
+    )
+
+
+def _covered(start: float, end: float, count: int) -> tuple[slice, NDArray[np.float32]]:
+    """The pixels of a row that an interval touches, and the share of each that it covers."""
+    first, last = max(math.floor(start), 0), min(math.ceil(end), count)
+    edge = np.arange(first, max(last, first) + 1)
+    inside = np.minimum(edge[1:], end) - np.maximum(edge[:-1], start)
+    return slice(first, max(last, first)), inside.clip(0, 1).astype(np.float32)
+
+
+def _dxf(drawing: _Drawing, *, cells: NDArray[np.float64]) -> bytes:
+    """ASCII DXF of release 12, which every reader takes; y points up."""
+    height = drawing.size[1]
+    out: list[object] = [0, "SECTION", 2, "HEADER", 9, "$ACADVER", 1, "AC1009"]
+    out += [9, "$INSUNITS", 70, 4, 0, "ENDSEC"]
+    out += [0, "SECTION", 2, "TABLES", 0, "TABLE", 2, "LAYER", 70, 2]
+    for layer in ("CELLS", "SCALE"):
+        out += [0, "LAYER", 2, layer, 70, 0, 62, 7, 6, "CONTINUOUS"]
+    out += [0, "ENDTAB", 0, "ENDSEC", 0, "SECTION", 2, "ENTITIES"]
+    for number, (x0, y0, x1, y1) in enumerate(drawing.black):
+        layer = "CELLS" if number < len(cells) else "SCALE"
+        out += [0, "POLYLINE", 8, layer, 66, 1, 70, 1, 10, 0.0, 20, 0.0, 30, 0.0]
+        for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)):
+            out += [0, "VERTEX", 8, layer, 10, f"{x:.6f}", 20, f"{height - y:.6f}", 30, 0.0]
+        out += [0, "SEQEND", 8, layer]
+    for x, y, text in drawing.labels:
+        out += [0, "TEXT", 8, "SCALE", 10, f"{x:.6f}", 20, f"{height - y:.6f}", 30, 0.0]
+        out += [40, _LETTER, 1, text]
+    out += [0, "ENDSEC", 0, "EOF"]
+    return ("\n".join(map(str, out)) + "\n").encode("ascii")
+
+
+def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:
+    """The paper of that name, a key of PAPERS, turned to the pattern's longer side."""
+    width, height = PAPERS[name]
+    upright = board.size[1] >= board.size[0]
+    return (width, height) if upright else (height, width)
+
+
+def cell_for(size: float, shape: Sequence[int]) -> float:
+    """The side of a cell, mm, with which the longer side of all cells is `size` mm."""
+    return size / (max(shape) + 1)

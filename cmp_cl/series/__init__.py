@@ -1,0 +1,60 @@
+"""Recordings in the formats that other programs read, chosen by suffix."""
+
+import os
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from cmp_cl.errors import ConfigError
+from cmp_cl.series.base import Description, Series
+from cmp_cl.series.hdf5 import Hdf5Series
+from cmp_cl.series.npz import NpzSeries
+from cmp_cl.series.paraview import ParaViewSeries
+from cmp_cl.series.reading import read_series
+from cmp_cl.series.tables import CsvSeries, JsonLines, ParquetSeries
+
+__all__ = [
+    "SERIES_SUFFIXES",
+    "CsvSeries",
+    "Description",
+    "Hdf5Series",
+    "JsonLines",
+    "NpzSeries",
+    "ParaViewSeries",
+    "ParquetSeries",
+    "Series",
+    "open_series",
+    "read_series",
+]
+
+_WRITERS: dict[str, Callable[[str | PathLike[str], Description, Mapping[str, ArrayLike]], Series]]
+_WRITERS = {
+    ".npz": NpzSeries,
+    ".h5": Hdf5Series,
+    ".hdf5": Hdf5Series,
+    ".parquet": ParquetSeries,
+    ".csv": CsvSeries,
+    ".jsonl": JsonLines,
+    ".pvd": ParaViewSeries,
+}
+SERIES_SUFFIXES = tuple(_WRITERS)
+
+
+def open_series(
+    path: str | PathLike[str],
+    description: Description | None = None,
+    constants: Mapping[str, ArrayLike] | None = None,
+) -> Series:
+    """A recording to write, in the format of the suffix; `-` is JSON lines on standard output.
+
+    constants: arrays that hold for all frames, such as the positions at rest.
+
+    Raises ConfigError on another suffix or where the format's package is missing, OSError
+    where the folder is missing or not writable.
+    """
+    suffix = ".jsonl" if os.fspath(path) == "-" else Path(path).suffix.lower()
+    if suffix not in _WRITERS:
+        raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(_WRITERS)}")
+    return _WRITERS[suffix](path, description or Description(), constants or {})

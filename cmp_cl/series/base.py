@@ -1,0 +1,104 @@
+"""What every format of a recording has in common."""
+
+import dataclasses
+import datetime
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import FieldError
+
+Frame = dict[str, NDArray[Any]]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Description:
+    """What a recording says of itself.
+
+    units: of the arrays, by name; those left out have none. settings: configuration, device
+    and source, as texts by name.
+    """
+
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    settings: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def entries(self) -> dict[str, str]:
+        """Version of cmp_cl, time of writing (UTC, ISO 8601), settings; without the units."""
+        try:
+            of_product = version("cmp-cl")
+        except PackageNotFoundError:
+            of_product = "unknown"
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        return {"cmp_cl": of_product, "written": now, **self.settings}
+
+
+class Series:
+    """Writes a recording frame by frame; use it in a with statement.
+
+        with open_series("press.h5", constants={"rest": rest.xyz}) as series:
+            series.append(index=i, time_ms=t, displacement=field.displacement)
+
+    Every frame has the same arrays, of the same shapes and types; those of the nodes begin
+    with (R, C). What was written before an exception or Ctrl-C is kept.
+    """
+
+    def __init__(self, description: Description, constants: Mapping[str, ArrayLike]) -> None:
+        self.description = description
+        self.constants = {name: np.asarray(value) for name, value in constants.items()}
+        self._layout: dict[str, tuple[tuple[int, ...], str]] | None = None
+        self._count = 0
+        self._open = True
+
+    def __len__(self) -> int:
+        """Frames so far."""
+        return self._count
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def append(self, *, index: int, time_ms: float, **arrays: ArrayLike) -> None:
+        """Add a frame: its number, its time stamp in ms (NaN if unknown), and its arrays.
+
+        Raises FieldError where the names, shapes or types differ from the first frame's, a
+        name is one of the constants', or the series is closed; then nothing is added.
+        Raises OSError.
+        """
+        if not self._open:
+            raise FieldError("the series is closed")
+        frame = {name: np.asarray(value) for name, value in arrays.items()}
+        layout = {name: (value.shape, value.dtype.str) for name, value in frame.items()}
+        if self._layout is not None and layout != self._layout:
+            raise FieldError(f"the first frame had {self._layout}, this one has {layout}")
+        taken = sorted(layout.keys() & (self.constants.keys() | {"index", "time_ms"}))
+        if taken:
+            raise FieldError(f"the series already has arrays of the names {taken}")
+        for name, value in frame.items():
+            if value.dtype.kind not in "biuf":
+                raise FieldError(f"{name} must be an array of numbers, not of {value.dtype}")
+        self._write(index, time_ms, frame)
+        self._layout = layout
+        self._count += 1
+
+    def close(self) -> None:
+        """Finish the file; closing again does nothing. Raises OSError."""
+        if self._open:
+            self._open = False
+            self._finish()
+
+    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        raise NotImplementedError
+
+    def _finish(self) -> None:
+        raise NotImplementedError

@@ -1,0 +1,92 @@
+"""A recording as HDF5, readable while it grows."""
+
+import os
+import secrets
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cmp_cl.extras import extra
+from cmp_cl.files import check_target
+from cmp_cl.series.base import Description, Frame, Series
+
+_CHUNK = 1 << 16  # bytes of several small frames
+
+
+class Hdf5Series(Series):
+    """HDF5 with the datasets index (F,), time_ms (F,), every array (F, ...) and the constants.
+
+    Attributes: those of the file say version, time and settings, those of a dataset its
+    `unit`. Every frame is flushed, so a killed program loses none. The file appears under its
+    name with the first frame, and can be read from then on by h5py.File(path, swmr=True); that
+    is also how a file is opened whose writer was killed.
+
+    Raises ConfigError without h5py, OSError.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        description: Description,
+        constants: Mapping[str, ArrayLike],
+    ) -> None:
+        super().__init__(description, constants)
+        with extra("hdf5", "HDF5"):
+            import h5py
+        self._target = check_target(path)
+        self._temporary = self._target.with_name(f".{secrets.token_hex(8)}.tmp")
+        self._file: Any = h5py.File(self._temporary, "x", libver="latest")
+        for name, value in description.entries().items():
+            self._file.attrs[name] = value
+        for name, array in self.constants.items():
+            data = str(array) if array.dtype.kind in "US" else array
+            self._set_unit(name, self._file.create_dataset(name, data=data))
+
+    def _set_unit(self, name: str, dataset: Any) -> None:
+        if name in self.description.units:
+            dataset.attrs["unit"] = self.description.units[name]
+
+    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        full: Frame = {
+            **frame,
+            "time_ms": np.asarray(time_ms, np.float64),
+            "index": np.asarray(index, np.int64),  # the last: it says how many are whole
+        }
+        try:
+            if not self._count:
+                self._begin(full)
+            for name, value in full.items():
+                dataset = self._file[name]
+                dataset.resize(self._count + 1, axis=0)
+                dataset[self._count] = value
+                dataset.flush()
+        except RuntimeError as error:  # a full disk, too
+            raise OSError(f"{self._target}: {error}") from error
+        if not self._count:
+            os.replace(self._temporary, self._target)
+
+    def _begin(self, frame: Frame) -> None:
+        """Make the datasets; none can be added once others read the file."""
+        for name, value in frame.items():
+            if name in self._file:
+                continue
+            frames = max(1, min(1024, _CHUNK // max(value.nbytes, 1)))
+            dataset = self._file.create_dataset(
+                name,
+                shape=(0, *value.shape),
+                maxshape=(None, *value.shape),
+                chunks=(frames, *(max(side, 1) for side in value.shape)),
+                dtype=value.dtype,
+                fillvalue=np.nan if value.dtype.kind == "f" else None,
+            )
+            self._set_unit(name, dataset)
+        self._file["time_ms"].attrs["unit"] = "ms"
+        self._file.swmr_mode = True
+
+    def _finish(self) -> None:
+        self._file.close()
+        if self._temporary.exists():  # no frame came
+            os.replace(self._temporary, self._target)

@@ -1,0 +1,124 @@
+"""A recording for ParaView: NAME.pvd, and a .vtp for every frame in the folder NAME_frames."""
+
+import base64
+import json
+import struct
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import FieldError
+from cmp_cl.files import check_target, write_text
+from cmp_cl.series.base import Description, Frame, Series
+
+_END = "</Collection>\n</VTKFile>\n"
+
+
+class ParaViewSeries(Series):
+    """The nodes and the quadrilaterals between them, by time; a plane lies at z = 0.
+
+    It needs the constant `rest` (R, C, 2 or 3), and of each frame `displacement` or `xy`. The
+    time is in s, or the frame's number where no frame has a time. The .pvd is whole after
+    every frame, so it can be opened at any time.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        description: Description,
+        constants: Mapping[str, ArrayLike],
+    ) -> None:
+        super().__init__(description, constants)
+        if self.constants.get("rest", np.empty(0)).ndim != 3:
+            raise FieldError("a .pvd needs the positions at rest, (R, C, 2) or (R, C, 3)")
+        self._target = check_target(path)
+        self._folder = self._target.with_name(f"{self._target.stem}_frames")
+        self._file: Any = None
+
+    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        rest = self.constants["rest"].astype(np.float64)
+        shift = frame.get("displacement")
+        if shift is None and "xy" in frame:
+            shift = frame["xy"] - rest
+        if shift is None or shift.shape != rest.shape:
+            raise FieldError("a .pvd needs the displacement or the positions xy of the nodes")
+        self._folder.mkdir(exist_ok=True)
+        name = self._folder / f"{index:06}.vtp"
+        write_text(name, _polydata(rest, shift.astype(np.float64), frame))
+        if self._file is None:
+            self._file = open(self._target, "w+b")  # noqa: SIM115, closed by _finish
+            about = json.dumps(
+                {"units": dict(self.description.units), **self.description.entries()}
+            )
+            self._file.write(
+                f'<?xml version="1.0"?>\n<!-- {escape(about).replace("--", "- -")} -->\n'
+                '<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">\n'
+                "<Collection>\n".encode()
+            )
+        time = time_ms / 1e3 if np.isfinite(time_ms) else float(index)
+        place = quoteattr(f"{self._folder.name}/{name.name}")
+        line = f'<DataSet timestep="{time:.9g}" part="0" file={place}/>\n'
+        at = self._file.tell()
+        self._file.write((line + _END).encode())
+        self._file.flush()
+        self._file.seek(at + len(line.encode()))
+
+    def _finish(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+
+def _polydata(rest: NDArray[np.float64], shift: NDArray[np.float64], frame: Frame) -> str:
+    """The valid nodes as VTK's PolyData; positions are those at rest."""
+    valid = ~(np.isnan(rest).any(axis=2) | np.isnan(shift).any(axis=2))
+    row, column = np.nonzero(valid)
+    number = np.full(valid.shape, -1, np.int32)
+    number[valid] = np.arange(len(row))
+    corners = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    quads = np.stack(corners, axis=-1).reshape(-1, 4)
+    quads = quads[(quads >= 0).all(axis=1)]
+    columns: dict[str, NDArray[Any]] = {
+        "displacement": _in_space(shift[valid]),
+        "row": row.astype(np.int32),
+        "column": column.astype(np.int32),
+    }
+    for name, value in frame.items():
+        if name != "displacement" and value.shape[:2] == valid.shape and value.ndim in (2, 3):
+            columns[name] = value[valid]
+    data = "".join(_array(name, values) for name, values in columns.items())
+    ends = np.arange(4, 4 * len(quads) + 1, 4, dtype=np.int32)
+    return f"""<?xml version="1.0"?>
+<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">
+<PolyData>
+<Piece NumberOfPoints="{len(row)}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" \
+NumberOfPolys="{len(quads)}">
+<PointData Vectors="displacement">
+{data}</PointData>
+<Points>
+{_array("Points", _in_space(rest[valid]))}</Points>
+<Polys>
+{_array("connectivity", quads.reshape(-1))}{_array("offsets", ends)}</Polys>
+</Piece>
+</PolyData>
+</VTKFile>
+"""
+
+
+def _in_space(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 2) with a third coordinate of 0, or (N, 3) as they are."""
+    return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+
+
+def _array(name: str, values: NDArray[Any]) -> str:
+    kind, dtype = ("Float64", "<f8") if values.dtype.kind == "f" else ("Int32", "<i4")
+    width = values.shape[1] if values.ndim == 2 else 1
+    raw = values.astype(dtype).tobytes()
+    body = base64.b64encode(struct.pack("<Q", len(raw)) + raw).decode("ascii")
+    return (
+        f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{width}" format="binary">'
+        f"\n{body}\n</DataArray>\n"
+    )

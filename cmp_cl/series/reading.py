@@ -1,0 +1,55 @@
+"""Recordings read back: .npz and HDF5."""
+
+import zipfile
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.extras import extra
+
+
+def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
+    """The arrays of a recording by name: `index`, `time_ms`, constants, and (F, ...) frames.
+
+    Of an HDF5 file that still grows, or whose writer was killed, it is what is there so far.
+
+    Raises ConfigError on a suffix other than .npz, .h5 and .hdf5, FieldError where the file
+    cannot be read or is no recording.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".npz", ".h5", ".hdf5"):
+        raise ConfigError(f"{str(path)!r}: a series to read must end in .npz, .h5 or .hdf5")
+    if not Path(path).is_file():
+        raise FieldError(f"there is no file {str(path)!r}")
+    try:
+        found = _npz(path) if suffix == ".npz" else _hdf5(path)
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise FieldError(f"{str(path)!r} is no series that can be read: {error}") from error
+    if "index" not in found:
+        raise FieldError(f"{str(path)!r} holds no series: it has no array `index`")
+    return found
+
+
+def _npz(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def _hdf5(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
+    with extra("hdf5", "HDF5"):
+        import h5py
+    with h5py.File(path, "r", libver="latest", swmr=True) as file:
+        frames = len(file["index"]) if "index" in file else 0
+        found: dict[str, NDArray[Any]] = {}
+        for name, dataset in file.items():
+            if dataset.dtype.kind == "O":
+                found[name] = np.array(dataset.asstr()[()])
+            elif dataset.maxshape[:1] == (None,):
+                found[name] = dataset[:frames]
+            else:
+                found[name] = dataset[()]
+        return found

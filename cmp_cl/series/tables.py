@@ -1,0 +1,215 @@
+"""Recordings as tables: a row for each node of each frame, or a line for each frame."""
+
+import contextlib
+import itertools
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import FieldError
+from cmp_cl.extras import extra
+from cmp_cl.files import check_target, whole_file, write_text
+from cmp_cl.series.base import Description, Frame, Series
+
+_ROWS = 1 << 17  # of a group in a Parquet file
+_AXES = "xyz"
+
+
+def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, NDArray[Any], str]]:
+    """Name, values (N,) and unit ("" for none) of each column of a frame's R x C nodes.
+
+    (R, C) is one column; (R, C, 2) and (R, C, 3) have _x, _y, _z; others numbers. Arrays that
+    are not of the nodes give none. Raises FieldError where no array is of nodes.
+    """
+    shapes = [value.shape[:2] for value in frame.values() if value.ndim in (2, 3)]
+    if not shapes:
+        raise FieldError("a table needs an array (R, C) or (R, C, K) of nodes")
+    rows, columns = np.indices(shapes[0])
+    yield "row", rows.ravel(), ""
+    yield "column", columns.ravel(), ""
+    for name, value in frame.items():
+        if value.shape[:2] != shapes[0]:
+            continue
+        unit = units.get(name, "")
+        if value.ndim == 2:
+            yield name, value.ravel(), unit
+            continue
+        for part in range(value.shape[2]):
+            letter = _AXES[part] if value.shape[2] <= 3 else str(part)
+            yield f"{name}_{letter}", value[..., part].ravel(), unit
+
+
+class CsvSeries(Series):
+    """CSV with a header that says the units; what else is known is in NAME.csv-metadata.json.
+
+    Floats have 9 digits, nan where missing; a file beside it follows W3C's name for metadata.
+    Both appear when the series is closed.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        description: Description,
+        constants: Mapping[str, ArrayLike],
+    ) -> None:
+        super().__init__(description, constants)
+        self._target = check_target(path)
+        self._files = contextlib.ExitStack()
+        self._file = self._files.enter_context(whole_file(path))
+        self._template = ""
+
+    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        table = list(node_columns(frame, self.description.units))
+        if not self._count:
+            names = [f"{name}_{unit}" if unit else name for name, _, unit in table]
+            self._file.write((",".join(["frame", "time_ms", *names]) + "\n").encode())
+            # All that a frame's rows share is in one template, which is filled at once.
+            forms = ",".join("%.9g" if values.dtype.kind == "f" else "%d" for _, values, _ in table)
+            forms = forms.split(",", 2)[2]
+            self._template = "".join(
+                f"@,{row},{column},{forms}\n"
+                for row, column in zip(table[0][1].tolist(), table[1][1].tolist(), strict=True)
+            )
+        moment = f"{index},{float(time_ms):.9g}"
+        columns = [values.tolist() for _, values, _ in table[2:]]
+        numbers = tuple(itertools.chain.from_iterable(zip(*columns, strict=True)))
+        text = self._template.replace("@", moment) % numbers
+        self._file.write(text.encode())
+
+    def _finish(self) -> None:
+        try:
+            about = {"units": dict(self.description.units), **self.description.entries()}
+            about_constants = {name: _plain(value) for name, value in self.constants.items()}
+            self._files.close()
+        except BaseException:
+            self._files.__exit__(*sys.exc_info())
+            raise
+        beside = self._target.with_name(f"{self._target.name}-metadata.json")
+        write_text(beside, json.dumps({**about, "constants": about_constants}, indent=1))
+
+
+def _plain(value: NDArray[Any]) -> Any:
+    """An array as lists of numbers that JSON has, null for NaN."""
+    finite = np.isfinite(value) if value.dtype.kind == "f" else np.True_
+    if np.all(finite):
+        return value.tolist()
+    numbers = value.astype(object)
+    numbers[~finite] = None
+    return numbers.tolist()
+
+
+class JsonLines(Series):
+    """One line of JSON a frame; the first line is the description and the constants.
+
+    null stands where a number is missing. `-` is standard output, each line flushed.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        description: Description,
+        constants: Mapping[str, ArrayLike],
+    ) -> None:
+        super().__init__(description, constants)
+        self._files = contextlib.ExitStack()
+        self._piped = os.fspath(path) == "-"
+        self._file: Any = (
+            sys.stdout.buffer if self._piped else self._files.enter_context(whole_file(path))
+        )
+        self._line(
+            {
+                "units": dict(description.units),
+                **description.entries(),
+                "constants": {name: _plain(value) for name, value in self.constants.items()},
+            }
+        )
+
+    def _line(self, content: Mapping[str, Any]) -> None:
+        self._file.write((json.dumps(content, allow_nan=False) + "\n").encode())
+        if self._piped:
+            self._file.flush()
+
+    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        time = float(time_ms) if np.isfinite(time_ms) else None
+        arrays = {name: _plain(value) for name, value in frame.items()}
+        self._line({"frame": int(index), "time_ms": time, **arrays})
+
+    def _finish(self) -> None:
+        self._files.close()
+
+
+class ParquetSeries(Series):
+    """Parquet with a row for each node of each frame, for pandas, Polars, DuckDB and Arrow.
+
+    The schema's metadata holds the description, that of a field its `unit`; the constants are
+    in the metadata as JSON. The file appears when the series is closed.
+
+    Raises ConfigError without pyarrow.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        description: Description,
+        constants: Mapping[str, ArrayLike],
+    ) -> None:
+        super().__init__(description, constants)
+        with extra("parquet", "Parquet"):
+            import pyarrow
+            import pyarrow.parquet
+        self._arrow: Any = pyarrow
+        self._files = contextlib.ExitStack()
+        self._file = self._files.enter_context(whole_file(Path(path)))
+        self._writer: Any = None
+        self._waiting: list[Any] = []
+        self._rows = 0
+
+    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        table = list(node_columns(frame, self.description.units))
+        count = len(table[0][1])
+        full = [
+            ("frame", np.full(count, index, np.int64), ""),
+            ("time_ms", np.full(count, time_ms, np.float64), "ms"),
+            *((n, v.astype(np.int32) if n in ("row", "column") else v, u) for n, v, u in table),
+        ]
+        arrow = self._arrow
+        if self._writer is None:
+            about = {**self.description.entries()}
+            about["constants"] = json.dumps(
+                {name: _plain(value) for name, value in self.constants.items()}
+            )
+            schema = arrow.schema(
+                [
+                    arrow.field(
+                        name, arrow.from_numpy_dtype(v.dtype), metadata={"unit": u} if u else None
+                    )
+                    for name, v, u in full
+                ],
+                metadata=about,
+            )
+            self._writer = arrow.parquet.ParquetWriter(self._file, schema)
+        self._waiting.append(
+            arrow.record_batch([arrow.array(v) for _, v, _ in full], schema=self._writer.schema)
+        )
+        self._rows += count
+        if self._rows >= _ROWS:
+            self._flush()
+
+    def _flush(self) -> None:
+        if self._waiting:
+            self._writer.write_table(self._arrow.Table.from_batches(self._waiting))
+        self._waiting, self._rows = [], 0
+
+    def _finish(self) -> None:
+        with self._files:
+            if self._writer is None:
+                raise FieldError("no frame was measured: there is no table to write")
+            self._flush()
+            self._writer.close()

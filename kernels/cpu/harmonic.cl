@@ -1,0 +1,461 @@
+#include "plane.clh"
+
+/* The grey-level rule for CPUs: one launch takes bands of rows from the image to the maxima of
+ * both responses, a second one decides for the frame. kernels/harmonic.cl has the equations.
+ *
+ * Only the noise and the reference need the whole frame. A band therefore goes down its rows
+ * once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
+ * stay in the cache. Each loop over a row is a function of its own with restrict pointers and one
+ * cast an operation: compilers turn it into vectors of 16-bit numbers. */
+
+#ifndef NMS_RADIUS
+#error "NMS_RADIUS must be that of suppression"
+#endif
+
+#define LEAST 80  /* below every bound of a response */
+#define REACH_OF_RING 5
+#define LAG (REACH_OF_RING + 3) /* from an image row to the response that it completes */
+#define BEYOND (LAG + NMS_RADIUS)
+
+/* Ring buffers: powers of two. A smoothed row serves from the response REACH_OF_RING rows above
+ * until check 1 of a maximum REACH_OF_RING rows below. */
+#define SMOOTH_ROWS (NMS_RADIUS <= 4 ? 16 : 32)
+#define RESPONSE_ROWS (NMS_RADIUS <= 3 ? 8 : NMS_RADIUS <= 7 ? 16 : 32)
+#define SMOOTH_AT(y) ((size_t)((y) & (SMOOTH_ROWS - 1)) * step + PAD)
+#define RESPONSE_AT(y) ((size_t)((y) & (RESPONSE_ROWS - 1)) * step + PAD)
+#define LEVEL_AT(y) ((size_t)((y) & 3) * step + PAD)
+#define HELD(y) SMALLER(LARGER(y, 0), height - 1)
+
+/* Not inlined, where compilers forget that restrict pointers do not overlap. Neighbours in a row are
+ * pointers of their own: two loads of one pointer become a chain from pixel to pixel. */
+#define ROW_LOOP __attribute__((noinline))
+
+/* Grey levels in sixteenths of 1/255 of full scale: floor((4080 g + F div 2) / F). */
+ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort *restrict level,
+                  const uint full_scale, const float inverse, const int width) {
+  for (int x = 0; x < width; ++x) {
+    const uint g = grey[x] < full_scale ? grey[x] : full_scale;
+    const uint scaled = g * 4080 + full_scale / 2;
+    const uint quotient = (uint)(int)((float)(int)scaled * inverse); /* off by one at most */
+    const int remainder = (int)(scaled - quotient * full_scale);
+    level[x] = (ushort)(quotient + (remainder >= (int)full_scale) - (remainder < 0));
+  }
+}
+
+/* [1 2 1] down the columns. */
+#define DOWN_COLUMNS(T)                                                             \
+  (__global const T *restrict above, __global const T *restrict middle,             \
+   __global const T *restrict below, __global ushort *restrict column, const int width) { \
+    for (int x = 0; x < width; ++x)                                                 \
+      column[x] = (ushort)((ushort)(above[x] + below[x]) + (ushort)(middle[x] << 1)); \
+    column[-1] = column[0];                                                         \
+    column[width] = column[width - 1];                                              \
+  }
+ROW_LOOP void column_of_greys DOWN_COLUMNS(PIXEL)
+ROW_LOOP void column_of_levels DOWN_COLUMNS(ushort)
+
+/* [1 2 1] along a row, and the repeated border of the result. */
+#define ALONG_ROW(SCALED_DOWN)                                                      \
+  (__global const ushort *restrict left, __global const ushort *restrict column,    \
+   __global const ushort *restrict right, __global ushort *restrict smooth, const int width) { \
+    for (int x = 0; x < width; ++x)                                                 \
+      smooth[x] = SCALED_DOWN((ushort)(left[x] + right[x]) + (ushort)(column[x] << 1)); \
+    for (int k = 1; k <= REACH_OF_RING; ++k) {                                      \
+      smooth[-k] = smooth[0];                                                       \
+      smooth[width - 1 + k] = smooth[width - 1];                                    \
+    }                                                                               \
+  }
+#define AS_IT_IS(v) (ushort)(v)
+#define BY_16(v) (ushort)((ushort)((ushort)(v) + 8) >> 4)
+ROW_LOOP void smooth_row ALONG_ROW(AS_IT_IS)
+ROW_LOOP void smooth_row_by_16 ALONG_ROW(BY_16)
+#define NEIGHBOURS(row) (row) - 1, row, (row) + 1
+
+/* [1 -2 1] down the columns, and the sum of |[1 -2 1]| of it over the inner columns of a row. */
+ROW_LOOP void curvature_of_row(__global const PIXEL *restrict above,
+                               __global const PIXEL *restrict middle,
+                               __global const PIXEL *restrict below,
+                               __global CURVATURE *restrict curvature, const int width) {
+  for (int x = 0; x < width; ++x)
+    curvature[x] = (CURVATURE)((CURVATURE)(above[x] + below[x]) - (CURVATURE)(middle[x] << 1));
+}
+ROW_LOOP ulong noise_of_row(__global const CURVATURE *restrict left,
+                            __global const CURVATURE *restrict middle,
+                            __global const CURVATURE *restrict right, const int width) {
+  ROW_NOISE sum = 0;
+  for (int x = 1; x < width - 1; ++x) {
+    const CURVATURE both = (CURVATURE)((CURVATURE)(left[x] + right[x]) - (CURVATURE)(middle[x] << 1));
+    sum += (ROW_NOISE)(both < 0 ? -both : both);
+  }
+  return sum;
+}
+
+#define LIST_COLUMNS 6
+#define ABS(v) (short)((v) < 0 ? -(v) : (v))
+#define QUARTER(v) (short)((v) >> 2)
+#define EIGHTH(v) (short)((v) >> 3)
+
+/* The response of ring (axial, diagonal) along a row. */
+#define RESPONSE_OF_ROW(PENALTY)                                                    \
+  (__global const ushort *restrict north, __global const ushort *restrict upper,    \
+   __global const ushort *restrict middle, __global const ushort *restrict lower,   \
+   __global const ushort *restrict south, const int axial, const int diagonal,      \
+   __global short *restrict response, const int width) {                            \
+    for (int x = 0; x < width; ++x) {                                               \
+      const short s0 = (short)north[x], s1 = (short)upper[x + diagonal];            \
+      const short s2 = (short)middle[x + axial], s3 = (short)lower[x + diagonal];   \
+      const short s4 = (short)south[x], s5 = (short)lower[x - diagonal];            \
+      const short s6 = (short)middle[x - axial], s7 = (short)upper[x - diagonal];   \
+      const short u0 = (short)(s0 + s4), u1 = (short)(s1 + s5);                     \
+      const short u2 = (short)(s2 + s6), u3 = (short)(s3 + s7);                     \
+      const short p = (short)(u0 - u2), q = (short)(u1 - u3);                       \
+      const short a = ABS(p), b = ABS(q);                                           \
+      const short low = a < b ? a : b, high = a < b ? b : a;                        \
+      const short length = (short)(high + (short)(QUARTER(low) + EIGHTH(low)));     \
+      const short d0 = (short)(s0 - s4), d1 = (short)(s1 - s5);                     \
+      const short d2 = (short)(s2 - s6), d3 = (short)(s3 - s7);                     \
+      const short o = (short)((short)(ABS(d0) + ABS(d1)) + (short)(ABS(d2) + ABS(d3))); \
+      const short sum = (short)((short)(u0 + u2) + (short)(u1 + u3));               \
+      const short c = (short)(sum - (short)(middle[x] << 3));                       \
+      const short e = ABS(c);                                                       \
+      response[x] = (short)(length - (short)(PENALTY));                             \
+    }                                                                               \
+    for (int k = 1; k <= LARGER(NMS_RADIUS, 2); ++k) /* none outside the image */   \
+      response[-k] = response[width - 1 + k] = 0;                                   \
+  }
+ROW_LOOP void coarse_response_of_row RESPONSE_OF_ROW((short)(o - QUARTER(o)) +
+                                            (short)(QUARTER(e) + EIGHTH(e)))
+ROW_LOOP void fine_response_of_row RESPONSE_OF_ROW((short)(o + e) - QUARTER((short)(o + e)))
+
+/* The largest response within NMS_RADIUS columns; and the response where it is above those before
+ * it and not below those behind it, 0 elsewhere. */
+#define BESIDE(d) \
+  __global const short *restrict before##d, __global const short *restrict behind##d,
+ROW_LOOP void peaks_of_row(OVER_SUPPRESSION(BESIDE) __global const short *restrict response,
+                           __global short *restrict largest, __global short *restrict peak,
+                           const int width) {
+  for (int x = 0; x < width; ++x) {
+    const short r = response[x];
+    short before = before1[x], behind = behind1[x];
+#define WIDEN(d)                                                                    \
+  before = before > before##d[x] ? before : before##d[x];                           \
+  behind = behind > behind##d[x] ? behind : behind##d[x];
+    OVER_SUPPRESSION(WIDEN)
+    const short other = before > behind ? before : behind;
+    largest[x] = r > other ? r : other;
+    peak[x] = r > before && r >= behind ? r : (short)0;
+  }
+}
+#define COLUMNS_BESIDE(d) response - d, response + d,
+
+/* A bit for each peak of a row that is above the rows before it and not below those behind it. */
+#define NEAR_ROWS(d) \
+  __global const short *restrict above##d, __global const short *restrict below##d,
+ROW_LOOP void maxima_of_row(OVER_SUPPRESSION(NEAR_ROWS) __global const short *restrict peak,
+                   __global short *restrict kept, __global uint *restrict bits,
+                   const int width) {
+  for (int first = 0; first < width; first += 32) {
+    ushort any = 0;
+    for (int k = first; k < first + 32; ++k) {
+      short above = LEAST, below = LEAST;
+#define HIGHEST(d)                                                                  \
+  above = above > above##d[k] ? above : above##d[k];                                \
+  below = below > below##d[k] ? below : below##d[k];
+      OVER_SUPPRESSION(HIGHEST)
+      const short r = peak[k] > above && peak[k] >= below ? peak[k] : (short)0;
+      kept[k] = r;
+      any = (ushort)(any | (ushort)r);
+    }
+    uint word = 0;
+    if (any)
+      for (int k = 0; k < 32; ++k) word |= kept[first + k] ? 1u << k : 0;
+    bits[first / 32] = first + 32 > width ? word & ((1u << (width - first)) - 1) : word;
+  }
+}
+
+/* The second harmonic (A, B) of a ring of the smoothed rows. */
+#define ROWS_OF_RING(a, d)                                                          \
+  __global const ushort *north = rows_of + SMOOTH_AT(HELD(y - a)) + x;              \
+  __global const ushort *upper = rows_of + SMOOTH_AT(HELD(y - d)) + x;              \
+  __global const ushort *middle = rows_of + SMOOTH_AT(y) + x;                       \
+  __global const ushort *lower = rows_of + SMOOTH_AT(HELD(y + d)) + x;              \
+  __global const ushort *south = rows_of + SMOOTH_AT(HELD(y + a)) + x;
+int2 second_harmonic(__global const ushort *rows_of, const int x, const int y, const int a,
+                     const int d, const int height, const uint step) {
+  ROWS_OF_RING(a, d)
+  return (int2)(north[0] + south[0] - middle[a] - middle[-a],
+                upper[d] + lower[-d] - lower[d] - upper[-d]);
+}
+
+int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
+
+/* The response of ring (4, 3) of the coarse rows. */
+int middle_response(__global const ushort *rows_of, const int x, const int y, const int height,
+                    const uint step) {
+  ROWS_OF_RING(4, 3)
+  const int s0 = north[0], s1 = upper[3], s2 = middle[4], s3 = lower[3];
+  const int s4 = south[0], s5 = lower[-3], s6 = middle[-4], s7 = upper[-3];
+  const int a = abs(s0 + s4 - s2 - s6), b = abs(s1 + s5 - s3 - s7);
+  const int low = min(a, b), length = max(a, b) + (low >> 2) + (low >> 3);
+  const int o = abs(s0 - s4) + abs(s1 - s5) + abs(s2 - s6) + abs(s3 - s7);
+  const int e = abs(s0 + s1 + s2 + s3 + s4 + s5 + s6 + s7 - 8 * middle[0]);
+  return length - (o - (o >> 2)) - ((e >> 2) + (e >> 3));
+}
+
+/* Append a maximum to a list: x, y, response, and of the responses above 0 of the 5 x 5 around it
+ * the sum and the sums times the offsets in x and in y, a column each. */
+void append(__global int *restrict list, const uint n, const uint room, const int x, const int y,
+            __global const short *restrict responses, const int height, const uint step) {
+  int sum = 0, sum_x = 0, sum_y = 0;
+  for (int dy = -2; dy <= 2; ++dy) {
+    if (y + dy < 0 || y + dy >= height) continue;
+    __global const short *row = responses + RESPONSE_AT(y + dy) + x;
+    const int a = LARGER(row[-2], 0), b = LARGER(row[-1], 0), c = LARGER(row[0], 0);
+    const int d = LARGER(row[1], 0), e = LARGER(row[2], 0);
+    const int of_row = a + b + c + d + e;
+    sum += of_row;
+    sum_x += 2 * (e - a) + d - b;
+    sum_y += dy * of_row;
+  }
+  list[n] = x;
+  list[room + n] = y;
+  list[2 * room + n] = responses[RESPONSE_AT(y) + x];
+  list[3 * room + n] = sum;
+  list[4 * room + n] = sum_x;
+  list[5 * room + n] = sum_y;
+}
+
+#define NEAR_LARGEST(d)                                                             \
+  y >= d ? largest + RESPONSE_AT(y - d) : nothing,                                  \
+      y + d < height ? largest + RESPONSE_AT(y + d) : nothing,
+
+/* From the image to the lists of the maxima of a band, and the pads of its rows; a count runs past the room of its list.
+ * `area` has a bit for every pixel. One work-item a band. */
+__kernel void harmonic_band(__global PIXEL *restrict image,
+                            __global const uint *restrict area, const uint rows,
+                            const uint columns, const uint step, const uint band_rows,
+                            const uint room, const uint full_scale, const float inverse,
+                            const int alignment, const int support,
+                            __global ushort *restrict work, const uint work_size,
+                            __global ulong *restrict noise, __global uint *restrict counts,
+                            __global int *restrict lists) {
+  const uint band = get_global_id(0), bands = get_global_size(0);
+  const size_t p = get_global_id(1), own = p * bands + band;
+  const int height = (int)rows, width = (int)columns;
+  const int top = (int)(band * band_rows), end = SMALLER(top + (int)band_rows, height);
+  __global ushort *levels = work + own * work_size;
+  __global ushort *s1 = levels + 4 * step, *s2 = s1 + SMOOTH_ROWS * step;
+  __global ushort *s3 = s2 + 4 * step, *column = s3 + SMOOTH_ROWS * step;
+  __global short *nothing = (__global short *)(column + 2 * step) + PAD;
+  __global short *first_response = (__global short *)(column + 3 * step);
+  __global uint *bits = (__global uint *)column;
+  __global short *kept = (__global short *)(column + step);
+  const size_t kind = (size_t)RESPONSE_ROWS * step;
+  ulong noise_of_band = 0;
+  uint found[2] = {0, 0};
+  for (int x = 0; x < (int)step - PAD; ++x) nothing[x] = 0;
+  for (int y = top; y < end; ++y) REPEAT_BORDER(PIXEL, image + ROW(p, y) + PAD)
+
+  for (int y_in = LARGER(top - BEYOND, -1); y_in < end + BEYOND; ++y_in) {
+    const int y1 = y_in - 1, y2 = y_in - 2, y3 = y_in - 3, y_response = y_in - LAG;
+#if !WHOLE_LEVELS
+    if (y_in >= 0 && y_in < height)
+      scale_levels(image + ROW(p, y_in) + PAD, levels + LEVEL_AT(y_in), full_scale, inverse, width);
+#endif
+    if (y1 >= LARGER(top - BEYOND, 0) && y1 < height) {
+#if WHOLE_LEVELS
+      column_of_greys(image + ROW(p, HELD(y1 - 1)) + PAD, image + ROW(p, y1) + PAD,
+                      image + ROW(p, HELD(y1 + 1)) + PAD, column + PAD, width);
+      smooth_row(NEIGHBOURS(column + PAD), s1 + SMOOTH_AT(y1), width);
+#else
+      column_of_levels(levels + LEVEL_AT(HELD(y1 - 1)), levels + LEVEL_AT(y1),
+                       levels + LEVEL_AT(HELD(y1 + 1)), column + PAD, width);
+      smooth_row_by_16(NEIGHBOURS(column + PAD), s1 + SMOOTH_AT(y1), width);
+#endif
+      if (y1 >= top && y1 < end && y1 > 0 && y1 + 1 < height) {
+        __global CURVATURE *curvature = (__global CURVATURE *)column + PAD;
+        curvature_of_row(image + ROW(p, y1 - 1) + PAD, image + ROW(p, y1) + PAD,
+                         image + ROW(p, y1 + 1) + PAD, curvature, width);
+        noise_of_band += noise_of_row(NEIGHBOURS(curvature), width);
+      }
+    }
+    if (y2 >= LARGER(top - BEYOND + 1, 0) && y2 < height) {
+      column_of_levels(s1 + SMOOTH_AT(HELD(y2 - 1)), s1 + SMOOTH_AT(y2),
+                       s1 + SMOOTH_AT(HELD(y2 + 1)), column + PAD, width);
+      smooth_row_by_16(NEIGHBOURS(column + PAD), s2 + LEVEL_AT(y2), width);
+    }
+    if (y3 >= LARGER(top - BEYOND + 2, 0) && y3 < height) {
+      column_of_levels(s2 + LEVEL_AT(HELD(y3 - 1)), s2 + LEVEL_AT(y3),
+                       s2 + LEVEL_AT(HELD(y3 + 1)), column + PAD, width);
+      smooth_row_by_16(NEIGHBOURS(column + PAD), s3 + SMOOTH_AT(y3), width);
+    }
+    if (y_response >= LARGER(top - NMS_RADIUS, 0) && y_response < height) {
+      const int y = y_response;
+      __global short *response = first_response + RESPONSE_AT(y);
+      coarse_response_of_row(s3 + SMOOTH_AT(HELD(y - 5)), s3 + SMOOTH_AT(HELD(y - 4)),
+                             s3 + SMOOTH_AT(y), s3 + SMOOTH_AT(HELD(y + 4)),
+                             s3 + SMOOTH_AT(HELD(y + 5)), 5, 4, response, width);
+      peaks_of_row(OVER_SUPPRESSION(COLUMNS_BESIDE) response, response + kind,
+                   response + 2 * kind, width);
+#if FINE
+      response += 3 * kind;
+      fine_response_of_row(s1 + SMOOTH_AT(HELD(y - 3)), s1 + SMOOTH_AT(HELD(y - 2)),
+                           s1 + SMOOTH_AT(y), s1 + SMOOTH_AT(HELD(y + 2)),
+                           s1 + SMOOTH_AT(HELD(y + 3)), 3, 2, response, width);
+      peaks_of_row(OVER_SUPPRESSION(COLUMNS_BESIDE) response, response + kind,
+                   response + 2 * kind, width);
+#endif
+    }
+    const int y = y_response - NMS_RADIUS;
+    if (y < top || y >= end) continue;
+    for (int fine = 0; fine <= FINE; ++fine) {
+      __global const short *responses = first_response + 3 * fine * kind;
+      __global const short *largest = responses + kind, *peak = responses + 2 * kind;
+      maxima_of_row(OVER_SUPPRESSION(NEAR_LARGEST) peak + RESPONSE_AT(y), kept, bits,
+                    width);
+      for (int word = 0; 32 * word < width; ++word)
+        for (uint left = bits[word]; left; left &= left - 1) {
+          const int x = 32 * word + (int)lowest_bit(left);
+          const uint at = (uint)y * step + PAD + (uint)x;
+          if (!(area[at / 32] >> at % 32 & 1)) continue;
+          const int2 inner = fine ? second_harmonic(s1, x, y, 2, 1, height, step)
+                                  : second_harmonic(s1, x, y, 3, 2, height, step);
+          const int2 outer = fine ? second_harmonic(s1, x, y, 3, 2, height, step)
+                                  : second_harmonic(s3, x, y, 5, 4, height, step);
+          if (fine) {
+            if (4 * dot_of(inner, outer) < dot_of(outer, outer)) continue;
+          } else {
+            const int r = peak[RESPONSE_AT(y) + x];
+            if (alignment && alignment * dot_of(inner, outer) < dot_of(outer, outer)) continue;
+            if (support) {
+              const int middle = middle_response(s3, x, y, height, step);
+              if (support * middle < r || middle > 2 * r) continue;
+            }
+          }
+          const uint n = found[fine]++;
+          if (n < room)
+            append(lists + (own * (1 + FINE) + fine) * LIST_COLUMNS * room, n, room, x, y,
+                   responses, height, step);
+        }
+    }
+  }
+  noise[own] = noise_of_band;
+  for (int fine = 0; fine <= FINE; ++fine) counts[own * (1 + FINE) + fine] = found[fine];
+}
+
+/* The least response that the noise allows. */
+int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
+                const ulong full_scale) {
+  if (!pixels) return LEAST;
+  const ulong whole = 100 * pixels * full_scale;
+  const ulong bound = (factor * amplitude * 255 + whole - 1) / whole;
+  return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
+}
+
+/* The reference W of responses above a bound: sorted downwards, the first one at which twice the
+ * sum of the squares so far reaches the sum of all; 0 of none. By bins of 64 responses. */
+#define BINS 256
+#define SPAN 64
+uint reference_of(__global const int *lists, __global const uint *counts, const uint fine,
+                  const uint bands, const uint room, const int bound, ulong *squares) {
+  ulong all = 0, so_far = 0;
+  uint base = 0, span = SPAN, bins = BINS;
+  for (;;) {
+    for (uint bin = 0; bin < bins; ++bin) squares[bin] = 0;
+    for (uint band = 0; band < bands; ++band) {
+      const size_t own = band * (1 + FINE) + fine;
+      __global const int *value = lists + (own * LIST_COLUMNS + 2) * room;
+      const uint count = SMALLER(counts[own], room);
+      for (uint n = 0; n < count; ++n) {
+        const uint bin = ((uint)value[n] - base) / span;
+        if (value[n] > bound && (uint)value[n] >= base && bin < bins)
+          squares[bin] += (ulong)((long)value[n] * value[n]);
+      }
+    }
+    if (span == SPAN)
+      for (uint bin = 0; bin < bins; ++bin) all += squares[bin];
+    if (!all) return 0;
+    uint bin = bins - 1;
+    for (; 2 * (so_far + squares[bin]) < all; --bin) so_far += squares[bin];
+    base += bin * span;
+    if (span == 1) return base;
+    span = 1;
+    bins = SPAN;
+  }
+}
+
+/* Which maxima are corners, in (y, x) order: a response above the noise's bound and a share of
+ * the reference; a fine one only where no coarse corner is within NMS_RADIUS. One work-item a
+ * frame. */
+__kernel void decide(__global const ulong *restrict noise, __global const uint *restrict counts,
+                     __global const int *restrict lists, const uint rows, const uint columns,
+                     const uint step, const uint bands, const uint room,
+                     const uint full_scale, const uint coarse_noise, const int coarse_share,
+                     const int fine_share, const uint corner_room, const uint place,
+                     const uint length,
+                     __global uint *restrict taken, __global int *restrict corners,
+                     __global uint *restrict totals) {
+  const size_t p = get_global_id(0);
+  ulong amplitude = 0, squares[BINS];
+  for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
+  const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
+  const int coarse_bound = noise_bound(coarse_noise, amplitude, pixels, full_scale);
+  const int fine_bound = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
+  lists += p * bands * (1 + FINE) * LIST_COLUMNS * room;
+  counts += p * bands * (1 + FINE);
+  const uint width = step / 32;
+  taken += p * rows * width;
+  int reference = (int)reference_of(lists, counts, 0, bands, room, coarse_bound, squares);
+#if FINE
+  if (reference == 0)
+    reference = (int)reference_of(lists, counts, 1, bands, room, fine_bound, squares);
+  for (uint i = 0; i < rows * width; ++i) taken[i] = 0;
+  for (uint band = 0; band < bands; ++band) {
+    __global const int *list = lists + (size_t)band * (1 + FINE) * LIST_COLUMNS * room;
+    const uint count = SMALLER(counts[band * (1 + FINE)], room);
+    for (uint n = 0; n < count; ++n) {
+      const int r = list[2 * room + n];
+      if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
+      const int x = list[n] + PAD - NMS_RADIUS, y = list[room + n];
+      const ulong reach = (ulong)((1u << NMS_RADIUS << NMS_RADIUS << 1) - 1) << x % 32;
+      for (int j = LARGER(y - NMS_RADIUS, 0); j <= SMALLER(y + NMS_RADIUS, (int)rows - 1); ++j) {
+        taken[(uint)j * width + (uint)x / 32] |= (uint)reach;
+        if (reach >> 32) taken[(uint)j * width + (uint)x / 32 + 1] |= (uint)(reach >> 32);
+      }
+    }
+  }
+#endif
+  uint total = 0, most = 0;
+  for (uint band = 0; band < bands; ++band) {
+    const uint own = band * (1 + FINE);
+    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * room;
+    __global const int *fine = coarse + LIST_COLUMNS * room;
+    const uint coarse_count = SMALLER(counts[own], room);
+    const uint fine_count = FINE ? SMALLER(counts[own + FINE], room) : 0;
+    most = LARGER(most, LARGER(counts[own], counts[own + FINE]));
+    for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
+      const int before = f == fine_count ||
+                         (c < coarse_count &&
+                          (coarse[room + c] < fine[room + f] ||
+                           (coarse[room + c] == fine[room + f] && coarse[c] < fine[f])));
+      __global const int *list = before ? coarse + c++ : fine + f++;
+      const int r = list[2 * room];
+      if (r <= (before ? coarse_bound : fine_bound) ||
+          128 * r < (before ? coarse_share : fine_share) * reference)
+        continue;
+      if (!before) {
+        const uint at = (uint)list[room] * step + PAD + (uint)list[0];
+        if (taken[at / 32] >> at % 32 & 1) continue;
+      }
+      if (total < corner_room)
+        for (uint k = 0; k < LIST_COLUMNS; ++k)
+          corners[(size_t)k * length + p * corner_room + total] = list[k * room];
+      ++total;
+    }
+  }
+  totals[p * (1 + FINE)] = most;
+#if FINE
+  totals[p * (1 + FINE) + 1] = 0;
+#endif
+  totals[place + p] = total;
+}

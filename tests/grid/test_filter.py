@@ -1,0 +1,213 @@
+"""The adaptive lattice filter: what it gains, what it must not lose, and what it says of itself."""
+
+import numpy as np
+import pytest
+
+from cmp_cl.errors import GridError
+from cmp_cl.grid import filter_grid
+from cmp_cl.reference import lattice_filter
+
+
+def surface(rows, columns, bend=2.0):
+    """A smooth deformation of a lattice, (R, C, 2), px."""
+    r, c = np.mgrid[:rows, :columns] / max(rows, columns, 2)
+    return np.stack([bend * np.sin(3 * c + r), bend * np.cos(2 * r - c)], axis=-1)
+
+
+def noisy(truth, sigma, seed=0):
+    return truth + np.random.default_rng(seed).normal(0, sigma, truth.shape)
+
+
+def rms(error):
+    return float(np.sqrt(np.nanmean(np.square(error))))
+
+
+def test_noise_on_a_smooth_surface_is_more_than_halved_and_known():
+    truth = surface(40, 40)
+    values = noisy(truth, 0.1)
+    filtered = filter_grid(values)
+    assert rms(filtered.values - truth) < 0.5 * rms(values - truth)
+    assert 0.6 < rms((filtered.values - truth) / filtered.sigma[..., None]) < 1.1
+    assert 0.9 < rms((values - truth) / filtered.noise[..., None]) < 1.1
+
+
+def test_a_sharp_bend_is_kept():
+    r, c = np.mgrid[:40, :40]
+    truth = np.stack([np.where(c > 20, 0.5 * (c - 20), 0.0), 0.2 * r], axis=-1)
+    values = noisy(truth, 0.02)
+    filtered = filter_grid(values)
+    bend = np.abs(c - 20) <= 1
+    assert rms((filtered.values - truth)[bend]) < 1.5 * rms((values - truth)[bend])
+    assert rms((filtered.values - truth)[~bend]) < 0.7 * rms((values - truth)[~bend])
+
+
+def test_a_gross_error_does_not_spread():
+    values = noisy(surface(30, 30), 0.05)
+    clean = filter_grid(values)
+    values[12, 17] += (3.0, -2.0)
+    spoilt = filter_grid(values)
+    assert spoilt.refused[12, 17]
+    assert spoilt.refused.sum() == 1
+    assert np.array_equal(spoilt.values[12, 17], values[12, 17])
+    assert spoilt.sigma[12, 17] > 2
+    others = ~spoilt.refused
+    assert np.abs(spoilt.values - clean.values)[others].max() < 0.05
+    assert np.abs(spoilt.sigma / clean.sigma - 1)[others].max() < 0.5
+
+
+def test_missing_nodes_stay_missing_and_cost_little():
+    truth = surface(40, 40)
+    values = noisy(truth, 0.1)
+    values[np.random.default_rng(1).random((40, 40)) < 0.1] = np.nan
+    values[20:26, 5:11] = np.nan
+    filtered = filter_grid(values)
+    missing = np.isnan(values[..., 0])
+    assert np.isnan(filtered.values[missing]).all()
+    assert np.isnan(filtered.sigma[missing]).all()
+    assert rms(filtered.values - truth) < 0.5 * rms(values - truth)
+    assert 0.6 < rms((filtered.values - truth) / filtered.sigma[..., None]) < 1.1
+
+
+def test_nodes_that_are_not_measured_get_what_their_neighbours_predict():
+    truth = surface(30, 30)
+    values = noisy(truth, 0.05)
+    measured = np.ones((30, 30), bool)
+    measured[10, 10] = measured[15, 3] = False
+    values[10, 10] += 20
+    filtered = filter_grid(values, measured=measured)
+    values[10, 10] -= 40
+    again = filter_grid(values, measured=measured)
+    assert np.allclose(filtered.values, again.values, atol=1e-4)
+    assert rms(filtered.values[10, 10] - truth[10, 10]) < 0.1
+    assert filtered.sigma[10, 10] >= np.nanmedian(filtered.sigma)
+
+
+def test_islands_and_components_do_not_pull_at_each_other():
+    truth = surface(40, 40)
+    values = noisy(truth, 0.1)
+    apart = np.full_like(values, np.nan)
+    apart[2:20, 3:18] = values[2:20, 3:18]
+    apart[25:38, 25:39] = values[25:38, 25:39] + 7.0
+    apart[1, 37] = values[1, 37]
+    both = filter_grid(apart)
+    apart[25:38, 25:39] -= 47.0
+    moved = filter_grid(apart)
+    assert np.abs(both.values[2:20, 3:18] - moved.values[2:20, 3:18]).max() < 1e-3
+    assert rms(both.values[2:20, 3:18] - truth[2:20, 3:18]) < 0.06
+    assert rms(both.values[25:38, 25:39] - 7 - truth[25:38, 25:39]) < 0.07
+    assert np.array_equal(both.values[1, 37], apart[1, 37])
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (1, 7), (2, 2), (3, 5), (4, 4), (5, 5), (8, 3), (200, 7)]
+)
+def test_every_shape_of_lattice_has_an_answer(shape):
+    truth = surface(*shape)
+    filtered = filter_grid(noisy(truth, 0.1))
+    assert np.isfinite(filtered.values).all()
+    assert rms(filtered.values - truth) < 0.2
+    known = np.isfinite(filtered.sigma)
+    assert known.all() or min(shape) < 5 or max(shape) < 5
+    assert (filtered.sigma[known] <= filtered.noise[known] * 1.5).all()
+
+
+def test_one_node_is_left_as_it_is_and_its_error_is_unknown():
+    filtered = filter_grid(np.array([[[3.0, 4.0]]]))
+    assert filtered.values.tolist() == [[[3.0, 4.0]]]
+    assert np.isnan(filtered.sigma).all()
+
+
+def test_a_lattice_without_nodes_has_an_answer():
+    assert np.isnan(filter_grid(np.full((5, 4, 2), np.nan)).values).all()
+    assert filter_grid(np.empty((0, 0, 2))).values.shape == (0, 0, 2)
+
+
+def test_the_unit_does_not_matter():
+    values = noisy(surface(20, 20), 0.1)
+    one, other = filter_grid(values), filter_grid(values * 1e-3 + 5)
+    assert np.allclose(other.values, one.values * 1e-3 + 5, atol=1e-7)
+    assert np.allclose(other.sigma, one.sigma * 1e-3, rtol=1e-3)
+
+
+def test_a_difference_of_neighbours_is_as_certain_as_deviation_of_says():
+    truth = surface(30, 30, bend=1.0)
+    stencil = np.zeros((30, 30, 3, 3))
+    stencil[:, 1:-1, 1, 2], stencil[:, 1:-1, 1, 0] = 0.5, -0.5
+    ratio, naive = [], []
+    for seed in range(4):
+        filtered = filter_grid(noisy(truth, 0.1, seed))
+        error = filtered.values - truth
+        slope = (error[:, 2:] - error[:, :-2]) / 2
+        said = filtered.deviation_of(stencil)[:, 1:-1]
+        ratio.append(rms(slope / said[..., None]))
+        independent = np.sqrt(filtered.sigma[:, 2:] ** 2 + filtered.sigma[:, :-2] ** 2) / 2
+        naive.append(rms(slope / independent[..., None]))
+    assert 0.8 < np.mean(ratio) < 1.2
+    assert np.mean(naive) < 0.7
+
+
+def test_the_covariance_says_which_coordinate_is_less_certain():
+    truth = np.concatenate([surface(30, 30), surface(30, 30)[..., :1]], axis=2)
+    values = truth + np.random.default_rng(0).normal(0, (0.02, 0.02, 0.1), truth.shape)
+    filtered = filter_grid(values)
+    deviation = np.sqrt(np.diagonal(filtered.covariance(), axis1=2, axis2=3))
+    assert np.median(deviation[..., 2] / deviation[..., 0]) == pytest.approx(5, rel=0.2)
+    mean = np.square(deviation).mean(axis=2)
+    assert np.allclose(mean, np.square(filtered.sigma), rtol=1e-5)
+
+
+def test_wrong_shapes_are_refused():
+    with pytest.raises(GridError, match=r"\(R, C, K\)"):
+        filter_grid(np.zeros((3, 3)))
+    with pytest.raises(GridError, match="measured"):
+        filter_grid(np.zeros((3, 3, 2)), measured=np.ones((2, 3), bool))
+    with pytest.raises(GridError, match="stencil"):
+        filter_grid(np.zeros((9, 9, 2))).deviation_of(np.zeros((9, 9, 2, 2)))
+
+
+def assert_as_the_oracle(values, measured=None):
+    """The fast form in float32 is the oracle's in float64, to 5e-3 of the noise."""
+    found = filter_grid(values, measured=measured)
+    expected = lattice_filter.filter_grid(values, measured)
+    assert expected.margin.min() > 1e-4
+    np.testing.assert_array_equal(found.refused, expected.refused)
+    np.testing.assert_array_equal(np.isnan(found.sigma), np.isnan(expected.sigma))
+    np.testing.assert_array_equal(np.isnan(found.values), np.isnan(expected.values))
+    if np.isfinite(expected.noise).any():
+        apart = np.abs(found.values - expected.values).max(axis=2) / expected.noise
+        assert np.nanmax(apart) < 5e-3
+        np.testing.assert_allclose(found.sigma, expected.sigma, rtol=5e-3)
+        np.testing.assert_allclose(found.noise, expected.noise, rtol=1e-3)
+
+
+def test_the_fast_form_is_the_oracles():
+    assert_as_the_oracle(noisy(surface(17, 20), 0.1) + 300)
+
+
+def test_the_fast_form_is_the_oracles_for_holes_and_errors():
+    values = noisy(surface(18, 19), 0.1)
+    values[np.random.default_rng(7).random((18, 19)) < 0.08] = np.nan
+    values[3:7, 12:16] = np.nan
+    values[10, 5] += 4
+    measured = np.random.default_rng(8).random((18, 19)) > 0.05
+    assert_as_the_oracle(values, measured)
+
+
+def test_the_fast_form_is_the_oracles_for_components():
+    values = np.full((20, 22, 3), np.nan)
+    values[:9, :8] = noisy(surface(9, 8), 0.1)[..., [0, 1, 1]]
+    values[12:, 12:] = 5 + noisy(surface(8, 10), 0.2, seed=1)[..., [0, 1, 1]]
+    values[1, 20] = 3
+    assert_as_the_oracle(values)
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (4, 4), (5, 6), (7, 8), (15, 3)])
+def test_the_fast_form_is_the_oracles_for_small_lattices(shape):
+    assert_as_the_oracle(noisy(surface(*shape), 0.1))
+
+
+def test_the_oracles_interior_filters_are_those_of_savitzky_and_golay():
+    row = lattice_filter.axis_filter(20, 2, 3)[10]
+    np.testing.assert_allclose(row[8:13] * 35, [-3, 12, 17, 12, -3])
+    row = lattice_filter.axis_filter(20, 3, 5)[10]
+    np.testing.assert_allclose(row[7:14] * 231, [5, -30, 75, 131, 75, -30, 5])

@@ -1,0 +1,447 @@
+"""The rule of the ring's harmonics against vectors, by definition, and at its limits."""
+
+from pathlib import Path
+
+import cv2
+import images
+import numpy as np
+import pytest
+from corner_images import board, corner, noise
+
+from cmp_cl import reference
+from cmp_cl.config import DetectorConfig, RingHarmonic
+from cmp_cl.reference import harmonic, nms
+
+FOLDER = Path(__file__).resolve().parents[1] / "data"
+NAMES = [
+    "flat",
+    "gel_mild",
+    "gel_severe",
+    "narrow",
+    "noise",
+    "puzzle",
+    "sixteen_bits",
+    "twelve_bits",
+    "water",
+]
+EIGHT = images.eight_bits()
+DEEP = images.sixteen_bits()
+TURNS = {
+    "quarter turn": lambda image: np.rot90(image),
+    "half turn": lambda image: np.rot90(image, 2),
+    "mirror": lambda image: np.fliplr(image),
+    "transpose": lambda image: image.T,
+}
+DENSE = ("fine", "coarse", "coarse_response", "fine_response")
+
+
+def corners_of(image, full_scale=None, mask=None, nms_radius=3, **rule):
+    if full_scale is None:
+        full_scale = 255 if image.dtype == np.uint8 else 65535
+    mask = np.ones(image.shape, np.bool_) if mask is None else mask
+    return harmonic.corners(image, RingHarmonic(**rule), nms_radius, full_scale, mask)
+
+
+# --- against vectors -----------------------------------------------------------------------
+
+
+@pytest.fixture(params=NAMES)
+def vector(request):
+    with np.load(FOLDER / f"harmonic-{request.param}.npz") as file:
+        return dict(file)
+
+
+def test_every_map_and_every_number_equals_the_vector(vector):
+    found = corners_of(vector["image"], int(vector["full_scale"]))
+    for ours, theirs in zip(DENSE, ("S1", "S3", "R5", "R3"), strict=True):
+        np.testing.assert_array_equal(getattr(found.maps, ours), vector[theirs], err_msg=ours)
+    assert found.bounds == (vector["bound5"], vector["bound3"])
+    assert found.reference == vector["reference"]
+
+
+def test_the_maxima_before_the_checks_equal_the_vector(vector):
+    found = corners_of(vector["image"], int(vector["full_scale"]))
+    response = found.maps.coarse_response.astype(np.int64)
+    y, x = np.nonzero(harmonic.maxima(response, found.bounds[0], 3))
+    expected = vector["peaks5"]
+    order = np.lexsort(expected.T)
+    np.testing.assert_array_equal(np.stack([x, y], axis=1), expected[order])
+
+
+def test_the_corners_equal_the_vector(vector):
+    config = DetectorConfig(full_scale=int(vector["full_scale"]), refinement=None)
+    corners = reference.detect(vector["image"], config)
+    np.testing.assert_array_equal(corners.pixel, vector["kept"][:, :2])
+    np.testing.assert_array_equal(corners.response, vector["kept"][:, 2])
+    found = corners_of(vector["image"], int(vector["full_scale"]))
+    np.testing.assert_array_equal(found.fine, vector["kept"][:, 3] == 3)
+
+
+# --- by definition -------------------------------------------------------------------------
+
+
+def test_a_ring_by_hand():
+    values = np.zeros((21, 21), np.int64)
+    far, near = 5, 4
+    places = [(0, -5), (4, -4), (5, 0), (4, 4), (0, 5), (-4, 4), (-5, 0), (-4, -4)]
+    for grey, (dx, dy) in zip((100, 20, 7, 3, 90, 30, 11, 2), places, strict=True):
+        values[10 + dy, 10 + dx] = grey
+    values[10, 10] = 50
+    here = np.array([10])
+    seen = harmonic.harmonics(values, here, here, (far, near))
+    # u = 190, 50, 18, 5: A = 172, B = 45; the length is 172 + 11 + 5.
+    assert (seen.a[0], seen.b[0], seen.length[0]) == (172, 45, 188)
+    assert seen.odd[0] == 10 + 10 + 4 + 1
+    assert seen.centre[0] == 400 - 263
+    assert harmonic.coarse_measure(seen)[0] == 188 - (25 - 6) - (34 + 17)
+    assert harmonic.fine_measure(seen)[0] == 188 - (162 - 40)
+
+
+def test_samples_outside_repeat_the_border():
+    image = noise((9, 12), seed=4).astype(np.int64)
+    wide = np.pad(image, 5, mode="edge")
+    y, x = (axis.ravel() for axis in np.indices(image.shape))
+    one = harmonic.harmonics(image, y, x, harmonic.COARSE)
+    other = harmonic.harmonics(wide, y + 5, x + 5, harmonic.COARSE)
+    for name in ("a", "b", "length", "odd", "centre"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_the_length_is_that_of_the_vector_within_7_percent():
+    angle = np.linspace(0, 2 * np.pi, 721)
+    values = np.zeros((1, 1), np.int64)
+    seen = harmonic.harmonics(values, np.zeros(1, np.int64), np.zeros(1, np.int64), (1, 1))
+    assert seen.length[0] == 0
+    a, b = np.rint(1e4 * np.cos(angle)), np.rint(1e4 * np.sin(angle))
+    ratio = []
+    for u, v in zip(abs(a), abs(b), strict=True):
+        row = np.zeros((3, 3), np.int64)
+        row[0, 1], row[0, 2] = u, v  # u0 and u1: the samples at twelve and at half past one
+        here = np.ones(1, np.int64)
+        ratio.append(harmonic.harmonics(row, here, here, (1, 1)).length[0] / 1e4)
+    assert 0.97 < min(ratio) <= max(ratio) < 1.07
+
+
+def test_smoothing_repeats_the_border_of_every_pass():
+    image = noise((6, 7), seed=1)
+    wide = np.pad(image, 1, mode="edge")
+    once, thrice = harmonic.smoothed(image, 255)
+    np.testing.assert_array_equal(once, harmonic.smoothed(wide, 255)[0][1:-1, 1:-1])
+    assert (thrice != harmonic.smoothed(np.pad(image, 3, mode="edge"), 255)[1][3:-3, 3:-3]).any()
+
+
+def test_the_reference_is_where_half_of_the_squares_are_reached():
+    assert harmonic.reference(np.array([], np.int64)) == 0
+    assert harmonic.reference(np.array([7])) == 7
+    assert harmonic.reference(np.array([3, 5, 4])) == 5  # 2 * 25 reaches 50 exactly
+    assert harmonic.reference(np.array([3, 4, 5, 1])) == 4
+    many = np.concatenate([np.full(100, 1000), np.full(90_000, 30)])
+    assert harmonic.reference(many) == 1000  # not so the 90th percentile
+    assert harmonic.reference(np.full(200_000, 11_220)) == 11_220  # beyond 32 bits
+
+
+def test_of_equal_maxima_the_first_in_raster_order_stays():
+    response = np.zeros((9, 20), np.int64)
+    response[4, 3:12] = 500
+    response[5, 7] = 500
+    for radius in (1, 3):
+        y, x = np.nonzero(harmonic.maxima(response, 80, radius))
+        assert (y[0], x[0], len(y)) == (4, 3, 1)
+    assert not harmonic.maxima(response, 500, 3).any()
+    assert harmonic.maxima(response, 499, 3).any()
+
+
+def test_the_noise_bound_is_exact_and_rounded_up():
+    image = np.zeros((40, 50), np.uint8)
+    image[20, 20] = 9  # A is 144 on 38 x 48 pixels
+    rule = RingHarmonic(noise=20)
+    factor = 6680
+    assert harmonic.noise_bounds(image, rule, 255) == (
+        max(80, -(-factor * 144 // (100 * 38 * 48))),
+        max(80, -(-2 * factor * 144 // (100 * 38 * 48))),
+    )
+    assert harmonic.noise_bounds(image[:2], rule, 255) == (80, 80)
+    strong = noise((40, 50))
+    two, four = harmonic.noise_bounds(strong, RingHarmonic(), 255)
+    assert 2 * two - 1 <= four <= 2 * two
+    sixteen = strong.astype(np.uint16) * 257
+    assert harmonic.noise_bounds(sixteen, RingHarmonic(), 65535) == (two, four)
+
+
+@pytest.mark.parametrize("name", ["scene", "worn scene", "fine board", "texture"])
+def test_what_is_kept_by_definition(name):
+    """The corners from the maps alone, one pixel at a time."""
+    found = corners_of(EIGHT[name])
+    coarse, fine = (
+        values.astype(np.int64) for values in (found.maps.coarse_response, found.maps.fine_response)
+    )
+
+    def peaks(response, bound):
+        for y, x in np.ndindex(response.shape):
+            top, left = max(y - 3, 0), max(x - 3, 0)
+            part = response[top : y + 4, left : x + 4]
+            first = np.unravel_index(part.argmax(), part.shape)
+            if response[y, x] > bound and (y - top, x - left) == first:
+                yield y, x
+
+    def at(y, x, ring, smooth):
+        return harmonic.harmonics(smooth, np.array([y]), np.array([x]), ring)
+
+    once, thrice = harmonic.smoothed(EIGHT[name], 255)
+    checked = []
+    for y, x in peaks(coarse, found.bounds[0]):
+        small, large = at(y, x, (3, 2), once), at(y, x, (5, 4), thrice)
+        middle = harmonic.coarse_measure(at(y, x, (4, 3), thrice))[0]
+        along, whole = small.a * large.a + small.b * large.b, large.a**2 + large.b**2
+        alike = 8 * along >= whole
+        alike &= large.centre / large.length <= 11 / 8 + along / whole  # far from equality here
+        if alike and 6 * middle >= coarse[y, x] and middle <= 2 * coarse[y, x]:
+            checked.append((y, x))
+    level = harmonic.reference(np.array([coarse[at] for at in checked], np.int64))
+    kept = [at for at in checked if 128 * coarse[at] >= 24 * level]
+    squeezed = []
+    for y, x in peaks(fine, found.bounds[1]):
+        small, large = at(y, x, (2, 1), once), at(y, x, (3, 2), once)
+        alike = 4 * (small.a * large.a + small.b * large.b) >= large.a**2 + large.b**2
+        free = all(max(abs(y - v), abs(x - u)) > 3 for v, u in kept)
+        if alike and free and 128 * fine[y, x] >= 40 * level:
+            squeezed.append((y, x))
+    expected = sorted(kept + squeezed)
+    assert list(zip(found.y.tolist(), found.x.tolist(), strict=True)) == expected
+    assert len(kept) > 3
+
+
+def test_the_start_is_the_centroid_of_the_positive_responses():
+    image = EIGHT["worn scene"]
+    found = corners_of(image)
+    centroid, rounded = harmonic.centroids(found)
+    for k, (x, y, fine) in enumerate(zip(found.x, found.y, found.fine, strict=True)):
+        response = found.maps.fine_response if fine else found.maps.coarse_response
+        one, whole = nms.centroids(np.maximum(response, 0), np.array([x]), np.array([y]))
+        np.testing.assert_array_equal(centroid[k], one[0])
+        np.testing.assert_array_equal(rounded[k], whole[0])
+
+
+# --- what each setting does ----------------------------------------------------------------
+
+
+def test_squeezed_cells_are_found_by_the_small_ring_alone():
+    image, truth = board(*images.SHAPE, 4.6)
+    both, coarse = corners_of(image), corners_of(image, fine=False)
+    assert coarse.maps.fine_response is None
+    inside = ((truth > 6) & (truth < np.array(images.SHAPE[::-1]) - 7)).all(axis=1)
+
+    def seen(found):
+        at = np.stack([found.x, found.y], axis=1)
+        distance = np.linalg.norm(truth[inside][:, None] - at, axis=2)
+        return (distance.min(axis=1, initial=99) < 2).mean()
+
+    assert seen(both) == 1
+    assert seen(coarse) < 0.1
+    assert both.fine.mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("name", "strict", "loose"),
+    [
+        ("board", {"alignment": 1}, {}),
+        ("texture", {}, {"support": None}),
+        ("noise", {}, {"noise": 0}),
+        ("texture", {"alignment": 1}, {"alignment": None}),
+    ],
+)
+def test_a_looser_check_keeps_more(name, strict, loose):
+    some, every = (
+        {*zip(found.x.tolist(), found.y.tolist(), strict=True)}
+        for found in (
+            corners_of(EIGHT[name], fine=False, relative=0, **checks) for checks in (strict, loose)
+        )
+    )
+    assert some < every
+
+
+def test_the_relative_level_takes_the_faint_ones():
+    faint = (corner(20, 20, 0.4) // 8 + 100).astype(np.uint8)
+    image = np.hstack([corner(20, 20, 0.4)] * 3 + [faint])
+    assert (corners_of(image, fine=False).x < 123).all()
+    assert (corners_of(image, fine=False, relative=0.05).x > 123).any()
+
+
+def test_a_mask_limits_what_is_kept_and_what_the_reference_is_of():
+    faint = (corner(20, 20, 0.4) // 8 + 100).astype(np.uint8)
+    image = np.hstack([faint] + [corner(20, 20, 0.4)] * 3)
+    mask = np.zeros(image.shape, np.bool_)
+    mask[:, :41] = True
+    everything, part = corners_of(image), corners_of(image, mask=mask)
+    assert everything.x.min() > 41
+    assert mask[part.y, part.x].all()
+    assert np.abs(part.x - 20).min() <= 1
+    assert part.reference < everything.reference
+    np.testing.assert_array_equal(part.maps.coarse_response, everything.maps.coarse_response)
+    assert len(corners_of(image, mask=np.zeros_like(mask)).x) == 0
+
+
+def test_suppression_looks_beyond_the_mask():
+    image = corner(20, 20, 0.4)
+    found = corners_of(image)
+    here = np.flatnonzero(np.abs(found.x - 20) + np.abs(found.y - 20) <= 2)[0]
+    mask = np.ones(image.shape, np.bool_)
+    mask[found.y[here], found.x[here]] = False
+    assert len(corners_of(image, mask=mask, fine=False).x) == len(found.x[~found.fine]) - 1
+
+
+# --- symmetry ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+@pytest.mark.parametrize("name", ["noise", "near levels", "worn scene", "fine board"])
+def test_every_map_turns_with_the_image_exactly(turn, name):
+    before = reference.maps(EIGHT[name], DetectorConfig())
+    after = reference.maps(np.ascontiguousarray(turn(EIGHT[name])), DetectorConfig())
+    for field in DENSE:
+        np.testing.assert_array_equal(turn(getattr(before, field)), getattr(after, field))
+
+
+@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+def test_the_corners_turn_with_the_image_where_no_two_tie(turn):
+    image = EIGHT["worn scene"]
+    before = reference.maps(image, DetectorConfig()).maximum
+    after = reference.maps(np.ascontiguousarray(turn(image)), DetectorConfig()).maximum
+    np.testing.assert_array_equal(turn(before), after)
+
+
+@pytest.mark.parametrize("name", EIGHT)
+def test_an_inverted_image_has_the_same_response_but_for_rounding(name):
+    """S1 is exact, so R3 is the same; halves in S2 and S3 round upwards in both images."""
+    plain, inverted = (corners_of(each).maps for each in (EIGHT[name], 255 - EIGHT[name]))
+    np.testing.assert_array_equal(plain.fine, 4080 - inverted.fine.astype(int))
+    np.testing.assert_array_equal(plain.fine_response, inverted.fine_response)
+    assert np.abs(plain.coarse - (4080 - inverted.coarse.astype(int))).max() <= 2
+    assert np.abs(plain.coarse_response - inverted.coarse_response).max() <= 40
+
+
+def test_an_inverted_scene_has_the_same_corners():
+    plain, inverted = (corners_of(each) for each in (EIGHT["scene"], 255 - EIGHT["scene"]))
+    np.testing.assert_allclose(plain.x, inverted.x, atol=1)
+    np.testing.assert_allclose(plain.y, inverted.y, atol=1)
+
+
+# --- extremes ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [0, 130, 255])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (2, 2), (5, 4), (30, 33)])
+def test_a_flat_image_has_no_corner(shape, level):
+    for dtype, factor in ((np.uint8, 1), (np.uint16, 257)):
+        image = np.full(shape, level * factor, dtype)
+        found = corners_of(image)
+        assert len(found.x) == 0
+        assert not found.maps.coarse_response.any()
+        assert (found.maps.fine == 16 * level).all()
+        assert len(reference.detect(image, DetectorConfig())) == 0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 40), (3, 3), (7, 5), (11, 10)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_images_smaller_than_the_ring(shape, dtype):
+    image = noise(shape, seed=3).astype(dtype) * (257 if dtype == np.uint16 else 1)
+    maps = reference.maps(image, DetectorConfig())
+    assert maps.maximum.shape == maps.fine.shape == shape
+    corners = reference.detect(image, DetectorConfig())
+    assert len(corners) == maps.maximum.sum()
+    assert np.isfinite(corners.xy).all()
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 7), (7, 0)])
+def test_images_without_pixels(shape):
+    image = np.zeros(shape, np.uint8)
+    assert len(reference.detect(image, DetectorConfig())) == 0
+    maps = reference.maps(image, DetectorConfig())
+    assert maps.coarse_response.shape == maps.fine_response.shape == shape
+    without = reference.maps(image, DetectorConfig(detection=RingHarmonic(fine=False)))
+    assert without.fine_response is None
+
+
+def test_the_largest_responses_stay_within_their_bounds():
+    rng = np.random.default_rng(6)
+    image = (rng.integers(0, 2, (200, 200)) * 255).astype(np.uint8)
+    blocks = np.kron(rng.integers(0, 2, (40, 40)), np.ones((6, 6))).astype(np.uint8) * 255
+    for each in (image, blocks):
+        maps = corners_of(each).maps
+        for response in (maps.coarse_response, maps.fine_response):
+            assert response.min() >= -24480
+            assert response.max() <= 11220
+        assert maps.fine.max() <= 4080
+    assert corners_of(blocks).maps.coarse_response.max() > 5000
+
+
+@pytest.mark.parametrize("name", ["black", "white", "ramp", "slope", "noise", "two levels"])
+def test_what_is_no_pattern_has_no_corner(name):
+    assert len(corners_of(EIGHT[name]).x) == 0
+
+
+@pytest.mark.parametrize("width", range(1, 16))
+def test_stripes_along_the_axes_have_no_corner(width):
+    for angle in (0, np.pi / 2):
+        assert len(corners_of(images.stripes(width, angle)).x) == 0
+
+
+@pytest.mark.parametrize("blur", [0, 0.7, 1.2, 2.0])
+@pytest.mark.parametrize("width", range(3, 12))
+def test_stripes_at_any_angle_have_no_corner(width, blur):
+    y, x = np.mgrid[:60, :70]
+    for angle in np.arange(0.1, 0.8, 0.17):
+        across = x * np.cos(angle) + y * np.sin(angle)
+        stripes = np.where(np.floor(across / width) % 2 == 0, 30, 220).astype(np.float32)
+        if blur:
+            stripes = cv2.GaussianBlur(stripes, (0, 0), blur)
+        found = corners_of(np.rint(stripes).astype(np.uint8))
+        inside = (np.abs(found.x - 34.5) < 26) & (np.abs(found.y - 29.5) < 21)
+        assert not inside.any(), angle
+
+
+def test_stripes_without_their_check_would_have_corners():
+    """The check that tells stripes is the only one that all of these pass by."""
+    found = corners_of(images.stripes(7, 0.5))
+    once, thrice = harmonic.smoothed(images.stripes(7, 0.5), 255)
+    response = found.maps.coarse_response.astype(np.int64)
+    y, x = np.nonzero(harmonic.maxima(response, found.bounds[0], 3))
+    small = harmonic.harmonics(once, y, x, harmonic.FINE)
+    large = harmonic.harmonics(thrice, y, x, harmonic.COARSE)
+    middle = harmonic.coarse_measure(harmonic.harmonics(thrice, y, x, harmonic.MIDDLE))
+    along, whole = small.a * large.a + small.b * large.b, large.a**2 + large.b**2
+    passed = (8 * along >= whole) & (6 * middle >= response[y, x]) & (middle <= 2 * response[y, x])
+    assert passed.sum() > 20
+    assert len(found.x) < 3
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_deep_images_find_what_eight_bits_find(bits):
+    full_scale = 2**bits - 1
+    image = EIGHT["scene"]
+    deep = (image.astype(np.int64) * full_scale // 255).astype(np.uint16)
+    plain, other = corners_of(image), corners_of(deep, full_scale)
+    np.testing.assert_allclose(other.x, plain.x, atol=1)
+    np.testing.assert_allclose(other.y, plain.y, atol=1)
+    assert np.abs(plain.maps.fine.astype(int) - other.maps.fine).max() <= 1
+
+
+def test_greys_above_full_scale_count_as_full_scale():
+    image = DEEP["12-bit board"]
+    bright = np.where(image > 2000, np.uint16(65535), image)
+    limit = np.where(image > 2000, np.uint16(4095), image)
+    one, other = (corners_of(each, 4095).maps for each in (bright, limit))
+    np.testing.assert_array_equal(one.fine, other.fine)
+    assert one.fine.max() == 4080
+
+
+@pytest.mark.parametrize("cell", [6.0, 9.0, 15.0, 30.0, 60.0])
+def test_boards_of_any_cell_are_found_with_one_setting(cell):
+    image, truth = board(200, 220, cell, angle=0.2)
+    corners = reference.detect(image, DetectorConfig())
+    distance = np.linalg.norm(truth[:, None] - corners.xy, axis=2)
+    inside = ((truth >= 6) & (truth <= np.array([213, 193]))).all(axis=1)
+    assert (distance.min(axis=1)[inside] < 0.5).all()
+    at_corner = distance.min(axis=0) < 0.5
+    near_border = ((corners.xy < 8) | (corners.xy > np.array([211, 191]))).any(axis=1)
+    assert (at_corner | near_border).all()

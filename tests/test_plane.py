@@ -1,0 +1,294 @@
+"""Displacement, strain, height and density in the plane, against closed forms."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from plane_images import moved_board
+from stereo_data import grid_of
+
+import cmp_cl
+from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.field.plane import (
+    PlaneScale,
+    motion_of,
+    plane_displacement,
+    plane_strain,
+    rasterize,
+    with_measured_noise,
+    without_motion,
+)
+from cmp_cl.field.poisson import Boundary, integrate, projected_density, surface_height
+
+SIGMA = 0.02  # px
+WAVE = 2 * math.pi / 120 * np.array([0.8, 0.6])  # rad/px
+LENGTH = 60.0  # px, displacement by slope
+
+
+def lattice(rows=40, columns=40, side=12.0):
+    """Nodes of a slightly turned board, px."""
+    row, column = np.mgrid[:rows, :columns]
+    x, y = 30 + side * (column + 0.03 * row), 25 + side * (row - 0.03 * column)
+    return np.stack([x, y], axis=-1)
+
+
+def noisy(xy, seed, sigma=SIGMA):
+    return grid_of(xy + np.random.default_rng(seed).normal(0, sigma, xy.shape), sigma)
+
+
+def gradient_of(strain):
+    return np.array([[1 + strain, 0.3 * strain], [0.1 * strain, 1 - 0.5 * strain]])
+
+
+def green(gradient):
+    tensor = (gradient.T @ gradient - np.eye(2)) / 2
+    return np.array([tensor[0, 0], tensor[1, 1], tensor[0, 1]])
+
+
+def height(xy):
+    return 1.5 * np.cos(xy @ WAVE)
+
+
+def slope(xy):
+    return -1.5 * np.sin(xy @ WAVE)[..., None] * WAVE
+
+
+@pytest.mark.parametrize("strain", [1e-4, 1e-2, 0.3])
+def test_strain_is_right_within_its_sigma(strain):
+    gradient, rest = gradient_of(strain), lattice()
+    found = plane_strain(plane_displacement(noisy(rest, 1), noisy(rest @ gradient.T, 2)))
+    off = (found.tensor - green(gradient)) / found.sigma
+    assert 0.9 <= np.mean(np.abs(off) < 1.96) <= 0.98
+    principal, direction = np.linalg.eigh((gradient.T @ gradient - np.eye(2)) / 2)
+    if strain > 1e-3:
+        seen = found.principal()
+        assert 0.9 <= np.mean(np.abs((seen.strain - principal[::-1]) / seen.sigma) < 1.96) <= 0.98
+        turn = seen.direction - math.atan2(direction[1, 1], direction[0, 1])
+        turn = (turn + math.pi / 2) % math.pi - math.pi / 2
+        assert 0.9 <= np.mean(np.abs(turn / seen.sigma_direction) < 1.96) <= 0.98
+
+
+def test_a_direction_that_noise_decides_is_said_to_be_any():
+    rest = lattice(12, 12)
+    found = plane_strain(plane_displacement(noisy(rest, 3), noisy(1.01 * rest, 4))).principal()
+    assert np.median(found.sigma_direction) == pytest.approx(math.pi / math.sqrt(12))
+
+
+def test_turning_and_shifting_strains_nothing():
+    rest = lattice(8, 8)
+    turn = np.array([[math.cos(1.0), -math.sin(1.0)], [math.sin(1.0), math.cos(1.0)]])
+    found = plane_strain(plane_displacement(grid_of(rest), grid_of(rest @ turn.T + [500, 0])))
+    assert np.nanmax(np.abs(found.tensor)) < 1e-5
+    assert np.isnan(found.covariance).all()  # no sigma is known
+
+
+def test_nodes_without_neighbours_have_no_strain():
+    rest = lattice(12, 12)
+    now = rest.copy()
+    now[:, 5:] = np.nan
+    now[0, 0] = np.nan
+    found = plane_strain(plane_displacement(noisy(rest, 1), noisy(now, 2)), radius=1).tensor
+    assert np.isnan(found[0, 0]).all()
+    assert np.isnan(found[:, 5:]).all()
+    assert not np.isnan(found[2:-1, :5]).any()
+
+
+def test_a_motion_is_found_and_taken_away():
+    rest = lattice(20, 20)
+    factor = 1.002 * np.exp(0.03j)
+    moved = (rest[..., 0] + 1j * rest[..., 1] - (200 + 150j)) * factor + 203 + 149j
+    field = plane_displacement(
+        noisy(rest, 5), noisy(np.stack([moved.real, moved.imag], axis=-1), 6)
+    )
+    motion = motion_of(field)
+    assert abs(motion.zoom - 1.002) < 3 * motion.sigma_zoom < 1e-4
+    assert abs(motion.rotation - 0.03) < 3 * motion.sigma_rotation < 1e-4
+    still = without_motion(field, motion)
+    assert np.sqrt(np.mean(np.square(still.displacement))) == pytest.approx(
+        SIGMA * math.sqrt(2), rel=0.1
+    )
+    rigid = without_motion(field, motion_of(field, zoom=False))
+    assert np.mean(plane_strain(rigid).tensor[..., 0]) == pytest.approx(0.002, rel=0.05)
+
+
+def test_cells_of_known_side_give_millimetres_through_a_homography():
+    row, column = np.mgrid[:10, :12]
+    flat = np.stack([column, row], axis=-1) * 2.5  # mm
+    tilted = np.array([[8.0, 0.3, 40], [-0.2, 7.5, 30], [2e-3, 1e-3, 1]])
+
+    def seen(plane):
+        points = plane @ tilted[:, :2].T + tilted[:, 2]
+        return points[..., :2] / points[..., 2:]
+
+    scale = PlaneScale.of_cells(grid_of(seen(flat)), 2.5)
+    field = plane_displacement(
+        noisy(seen(flat), 1), noisy(seen(flat + np.array([0.3, -0.1])), 2), scale
+    )
+    assert field.unit == "mm"
+    off = (field.displacement - [0.3, -0.1]) / field.sigma[..., None]
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1, abs=0.15)
+    np.testing.assert_allclose(field.position, flat, atol=0.05)
+
+
+@functools.cache
+def wave():
+    """The displacement by a wave, on the pixels."""
+    rest = lattice()
+    return rasterize(plane_displacement(grid_of(rest), grid_of(rest - LENGTH * slope(rest))))
+
+
+def test_a_raster_holds_the_displacement_at_every_pixel():
+    raster = wave()
+    xy = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
+    inside = ~np.isnan(raster.values[..., 0])
+    assert 0.9 < inside.mean() < 0.95  # the board is turned
+    off = np.square(raster.values + LENGTH * slope(xy))[inside].mean()
+    assert math.sqrt(off) < 0.005 * 5
+
+
+def test_a_missing_node_empties_its_four_cells_only():
+    rest = np.stack(np.meshgrid(np.arange(6) * 10.0, np.arange(6) * 10.0), axis=-1)
+    rest[2, 3] = np.nan
+    raster = rasterize(plane_displacement(grid_of(rest), grid_of(rest + 1)))
+    missing = np.isnan(raster.values[..., 0])
+    assert missing.shape == (51, 51)
+    assert missing[11:30, 21:40].all()
+    assert missing.sum() == 19 * 19
+    assert raster.values[~missing] == pytest.approx(1)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_wave_has_its_height_within_2_percent(masked):
+    raster = wave()
+    xy = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
+    mask = np.linalg.norm(xy - [250, 260], axis=-1) < 190 if masked else None
+    found = integrate(raster, -raster.values / LENGTH, mask=mask)
+    inside = ~np.isnan(found.value)
+    off = (found.value - height(xy))[inside]
+    assert np.std(off) < 0.02 * np.std(height(xy)[inside])
+    assert np.nanmean(found.value) == pytest.approx(0, abs=1e-9)
+    assert np.sqrt(np.nanmean(np.square(found.misfit))) < 0.01 * np.abs(WAVE).max()
+
+
+def test_a_membrane_held_at_its_rim_has_its_absolute_height():
+    rest = np.stack(np.meshgrid(np.arange(0, 121, 6.0), np.arange(0, 121, 6.0)), axis=-1)
+    xy = np.stack(np.meshgrid(np.arange(121.0), np.arange(121.0)), axis=-1)
+    k = math.pi / 120
+    truth = 3 * np.sin(k * xy[..., 0]) * np.sin(k * xy[..., 1])
+    gradient = (
+        3
+        * k
+        * np.stack(
+            [
+                np.cos(k * xy[..., 0]) * np.sin(k * xy[..., 1]),
+                np.sin(k * xy[..., 0]) * np.cos(k * xy[..., 1]),
+            ],
+            axis=-1,
+        )
+    )
+    raster = rasterize(plane_displacement(grid_of(rest), grid_of(rest)))
+    inside = np.zeros((121, 121), bool)
+    inside[1:-1, 1:-1] = True
+    found = integrate(raster, gradient, mask=inside, boundary=Boundary.ZERO)
+    assert np.nanmax(np.abs(found.value - truth)) < 0.01 * 3
+
+
+def test_two_parts_of_a_mask_have_a_mean_of_zero_each():
+    raster = wave()
+    mask = np.zeros(raster.values.shape[:2], bool)
+    mask[100:200, 100:150] = mask[100:200, 300:380] = True
+    found = integrate(raster, -raster.values / LENGTH, mask=mask).value
+    assert np.nanmean(found[:, :200]) == pytest.approx(0, abs=1e-9)
+    assert np.nanmean(found[:, 250:]) == pytest.approx(0, abs=1e-9)
+
+
+def test_water_and_gas_scale_the_gradient_by_their_optics():
+    raster = wave()
+    water = surface_height(raster, depth=240.24, index=1.333)
+    np.testing.assert_allclose(
+        water.gradient, -raster.values / (240.24 * (1 - 1 / 1.333)), rtol=1e-12
+    )
+    gas = projected_density(
+        rasterize(
+            plane_displacement(
+                grid_of(lattice(5, 5)), grid_of(lattice(5, 5) + 0.1), PlaneScale.of_pixel(0.5)
+            )
+        ),
+        distance=200.0,
+    )
+    assert gas.unit == "kg/m2"
+    expected = -0.05 / 200 * 1.000273 / 2.26e-4 * 1e-3  # kg/m2 a mm
+    np.testing.assert_allclose(gas.gradient[2, 2], expected, rtol=1e-3)
+
+
+def detected(*images, cell):
+    """Grids of images, all numbered like the first."""
+    config = cmp_cl.DetectorConfig.for_cell(cell).replace(refinement=cmp_cl.EdgeStep(cell=cell))
+    with cmp_cl.Detector(shape=images[0].shape, dtype=np.uint8, config=config) as detector:
+        rest = cmp_cl.build_grid(detector(images[0]), images[0])
+        return rest, *(cmp_cl.build_grid(detector(i), i, like=rest) for i in images[1:])
+
+
+def test_the_strain_of_pictures_is_right_within_the_noise_that_they_show():
+    gradient, centre = gradient_of(1e-2), np.array([130.0, 130.0])
+    covered = []
+    for seed in range(2):
+        turn = 0.1 + 0.2 * seed
+        turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+        images = [
+            moved_board(
+                (260, 260),
+                12,
+                lambda q, by=by: (q - centre) @ (by - np.eye(2)).T + 0.3,
+                board=(36, 36, 228, 228),
+                noise=3,
+                seed=900000 + 2 * seed + number,
+            )
+            for number, by in enumerate((turned, turned @ gradient))
+        ]
+        field = with_measured_noise(plane_displacement(*detected(*images, cell=12)))
+        found = plane_strain(field)
+        off = (found.tensor - green(turned @ gradient @ turned.T)) / found.sigma
+        covered.append(np.mean(np.abs(off[~np.isnan(off)]) < 1.96))
+    assert 0.85 < np.mean(covered) < 0.99
+
+
+def test_the_height_of_a_pictured_wave_agrees_with_its_form_and_with_openfcd():
+    images = [
+        moved_board((300, 300), 12, lambda q: 0 * q, noise=2),
+        moved_board((300, 300), 12, lambda q: -LENGTH * slope(q), noise=2, seed=1),
+    ]
+    raster = rasterize(plane_displacement(*detected(*images, cell=12)))
+    found = integrate(raster, -raster.values / LENGTH)
+    xy = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
+    inside = ~np.isnan(found.value)
+    wanted = height(xy)
+    assert np.std((found.value - wanted)[inside]) < 0.02 * np.std(wanted[inside])
+
+    fcd = pytest.importorskip("openfcd.core.fcd", reason="openfcd, another method, is not here")
+    carriers = fcd.calculate_carriers(images[0].astype(float))
+    other = fcd.fftinvgrad(*(-u for u in fcd.fcd_displacement(images[1].astype(float), carriers)))
+    other = other[np.ix_(raster.y.astype(int), raster.x.astype(int))] / LENGTH
+    middle = (slice(40, -40), slice(40, -40))  # its Fourier transforms ring at the border
+    assert np.std((other - found.value)[middle]) < 0.15 * np.std(wanted[middle])
+    assert np.std((found.value - wanted)[middle]) < np.std((other - wanted)[middle])
+
+
+def test_what_does_not_fit_is_refused():
+    rest = grid_of(lattice(5, 5))
+    field = plane_displacement(rest, rest)
+    with pytest.raises(FieldError, match="now has"):
+        plane_displacement(rest, grid_of(lattice(4, 5)))
+    with pytest.raises(ConfigError, match="radius"):
+        plane_strain(field, radius=0)
+    with pytest.raises(FieldError, match="6 x 6"):
+        with_measured_noise(field)
+    with pytest.raises(ConfigError, match="step"):
+        rasterize(field, step=0)
+    with pytest.raises(FieldError, match="mm"):
+        projected_density(rasterize(field), distance=3)
+    with pytest.raises(ConfigError, match="focus"):
+        surface_height(rasterize(field), depth=10, camera=1)
+    with pytest.raises(FieldError, match="four valid"):
+        rasterize(plane_displacement(rest, grid_of(np.full((5, 5, 2), np.nan))))

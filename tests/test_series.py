@@ -1,0 +1,264 @@
+"""Recordings in every format, read by the programs that they are for."""
+
+import csv
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.series import SERIES_SUFFIXES, Description, open_series, read_series
+from cmp_cl.series.tables import CsvSeries
+
+ABOUT = Description(
+    units={"displacement": "mm", "sigma": "mm", "rest": "mm"}, settings={"configuration": "nms = 3"}
+)
+
+
+def needs(module):
+    """The module, else the test is skipped."""
+    pytest.importorskip(module, reason=f"{module} is not installed")
+    return importlib.import_module(module)
+
+
+def rest():
+    row, column = np.mgrid[:4, :5]
+    return np.stack([2.0 * column, 2.0 * row, 40.0 + 0 * row], axis=-1)
+
+
+def frame(number):
+    """What a frame holds; node (0, 0) is missing."""
+    shift = np.full((4, 5, 3), 0.25 * number) + rest() / 100
+    shift[0, 0] = np.nan
+    return {
+        "displacement": shift,
+        "sigma": np.full((4, 5), 0.01 * (number + 1), np.float32),
+        "status": np.ones((4, 5), np.uint8),
+    }
+
+
+def write(path, frames=3):
+    with open_series(path, ABOUT, {"rest": rest(), "unit": "mm"}) as series:
+        for number in range(frames):
+            series.append(index=10 + number, time_ms=20.0 * number, **frame(number))
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".h5"])
+def test_what_is_written_is_read_again(tmp_path, suffix):
+    if suffix == ".h5":
+        needs("h5py")
+    found = read_series(write(tmp_path / f"press{suffix}"))
+    assert found["index"].tolist() == [10, 11, 12]
+    assert found["time_ms"].tolist() == [0, 20, 40]
+    np.testing.assert_array_equal(found["displacement"][2], frame(2)["displacement"])
+    np.testing.assert_array_equal(found["rest"], rest())
+    assert str(found["unit"]) == "mm"
+    assert found["status"].dtype == np.uint8
+
+
+def test_hdf5_says_units_version_time_and_configuration(tmp_path):
+    h5py = needs("h5py")
+    with h5py.File(write(tmp_path / "press.h5"), "r") as file:
+        assert file["displacement"].attrs["unit"] == "mm"
+        assert file["time_ms"].attrs["unit"] == "ms"
+        assert file.attrs["configuration"] == "nms = 3"
+        assert file.attrs["cmp_cl"]
+        assert file.attrs["written"].startswith("20")
+
+
+WRITER = """
+import sys, time
+sys.path.insert(0, {tests!r})
+from test_series import ABOUT, frame, rest
+from cmp_cl.series import open_series
+with open_series({path!r}, ABOUT, {{"rest": rest()}}) as series:
+    for number in range(1000):
+        series.append(index=number, time_ms=number, **frame(number))
+        print(number, flush=True)
+        sys.stdin.readline()
+"""
+
+
+def test_a_second_process_reads_hdf5_while_it_grows_and_a_kill_loses_nothing(tmp_path):
+    h5py = needs("h5py")
+    path = tmp_path / "live.h5"
+    code = WRITER.format(tests=str(Path(__file__).parent), path=str(path))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    writer = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    try:
+        assert writer.stdout.readline() == "0\n"
+        with h5py.File(path, "r", libver="latest", swmr=True) as file:
+            index = file["index"]
+            assert index[:].tolist() == [0]
+            for number in (1, 2):
+                writer.stdin.write("\n")
+                writer.stdin.flush()
+                assert writer.stdout.readline() == f"{number}\n"
+            index.refresh()
+            file["displacement"].refresh()
+            assert index[:].tolist() == [0, 1, 2]
+            np.testing.assert_array_equal(file["displacement"][2], frame(2)["displacement"])
+        writer.send_signal(signal.SIGKILL)
+        writer.wait(10)
+    finally:
+        writer.kill()
+        writer.communicate()
+    found = read_series(path)
+    assert found["index"].tolist() == [0, 1, 2]
+    np.testing.assert_array_equal(found["displacement"][2], frame(2)["displacement"])
+
+
+def test_pandas_reads_parquet_with_units(tmp_path):
+    needs("pyarrow")
+    pandas = needs("pandas")
+    table = pandas.read_parquet(write(tmp_path / "press.parquet"))
+    assert len(table) == 3 * 20
+    last = table[(table.frame == 12) & (table.row == 3) & (table.column == 4)].iloc[0]
+    assert last.displacement_z == frame(2)["displacement"][3, 4, 2]
+    assert table.sigma.dtype == np.float32
+    schema = importlib.import_module("pyarrow.parquet").read_schema(tmp_path / "press.parquet")
+    assert schema.field("displacement_x").metadata == {b"unit": b"mm"}
+    assert schema.metadata[b"configuration"] == b"nms = 3"
+    assert json.loads(schema.metadata[b"constants"])["rest"] == rest().tolist()
+
+
+def test_csv_has_a_row_a_node_and_metadata_beside_it(tmp_path):
+    with open(write(tmp_path / "press.csv"), newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3 * 20
+    assert list(rows[0])[:5] == ["frame", "time_ms", "row", "column", "displacement_x_mm"]
+    assert rows[0]["displacement_x_mm"] == "nan"
+    last = rows[-1]
+    assert (last["frame"], last["time_ms"], last["row"], last["column"]) == ("12", "40", "3", "4")
+    assert float(last["displacement_x_mm"]) == pytest.approx(0.58, rel=1e-9)
+    assert last["status"] == "1"
+    about = json.loads((tmp_path / "press.csv-metadata.json").read_text())
+    assert about["units"]["sigma"] == "mm"
+    assert about["configuration"] == "nms = 3"
+    assert about["constants"]["rest"] == rest().tolist()
+
+
+def test_csv_takes_under_2_ms_a_frame_of_1600_nodes(tmp_path):
+    rng = np.random.default_rng(0)
+    arrays = {
+        "xy": rng.random((40, 40, 2), np.float32),
+        "sigma": rng.random((40, 40), np.float32),
+        "status": np.ones((40, 40), np.uint8),
+    }
+    spent = []
+    with CsvSeries(tmp_path / "many.csv", Description(), {}) as series:
+        for number in range(20):
+            start = time.process_time()
+            series.append(index=number, time_ms=number, **arrays)
+            spent.append(time.process_time() - start)
+    assert min(spent) < 2e-3 * 1.5, f"{min(spent) * 1e3:.1f} ms"  # of slower machines, too
+
+
+def test_json_lines_go_through_a_pipe(tmp_path):
+    code = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from test_series import write; write('-')"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    )
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(lines) == 4
+    assert lines[0]["units"]["displacement"] == "mm"
+    assert lines[0]["constants"]["rest"] == rest().tolist()
+    assert lines[1]["displacement"][0][0] == [None, None, None]
+    assert lines[3]["frame"] == 12
+    assert lines[3]["displacement"][3][4] == frame(2)["displacement"][3, 4].tolist()
+
+
+def test_vtk_reads_what_the_pvd_lists(tmp_path):
+    path = write(tmp_path / "press.pvd")
+    sets = xml.etree.ElementTree.parse(path).getroot().findall("Collection/DataSet")
+    assert [float(entry.get("timestep")) for entry in sets] == [0, 0.02, 0.04]
+    assert [(tmp_path / entry.get("file")).is_file() for entry in sets] == [True] * 3
+    needs("vtk")
+    io = importlib.import_module("vtkmodules.vtkIOXML")
+    numbers = importlib.import_module("vtkmodules.util.numpy_support")
+    reader = io.vtkXMLPolyDataReader()
+    reader.SetFileName(str(tmp_path / sets[2].get("file")))
+    reader.Update()
+    surface = reader.GetOutput()
+    assert surface.GetNumberOfPoints() == 19
+    assert surface.GetNumberOfPolys() == 11
+    shift = numbers.vtk_to_numpy(surface.GetPointData().GetArray("displacement"))
+    np.testing.assert_array_equal(shift, frame(2)["displacement"].reshape(-1, 3)[1:])
+    place = numbers.vtk_to_numpy(surface.GetPoints().GetData())
+    np.testing.assert_array_equal(place, rest().reshape(-1, 3)[1:])
+
+
+def test_a_pvd_is_whole_after_every_frame(tmp_path):
+    with open_series(tmp_path / "live.pvd", None, {"rest": rest()}) as series:
+        for number in range(2):
+            series.append(index=number, time_ms=np.nan, **frame(number))
+            root = xml.etree.ElementTree.parse(tmp_path / "live.pvd").getroot()
+            assert len(root.findall("Collection/DataSet")) == number + 1
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".h5", ".csv", ".jsonl", ".parquet"])
+def test_what_was_there_stays_where_nothing_is_measured_or_an_error_comes_first(tmp_path, suffix):
+    needs({".h5": "h5py", ".parquet": "pyarrow"}.get(suffix, "json"))
+    path = tmp_path / f"old{suffix}"
+    path.write_bytes(b"old")
+    with pytest.raises(OSError, match="nothere"):
+        open_series(tmp_path / "nothere" / path.name)
+    series = open_series(path, ABOUT, {"rest": rest()})
+    assert path.read_bytes() == b"old"
+    with pytest.raises(FieldError, match="numbers"):
+        series.append(index=0, time_ms=0, what=np.array([["text"]]))
+    assert path.read_bytes() == b"old"
+    series.append(index=0, time_ms=0, **frame(0))
+    with pytest.raises(FieldError, match="first frame"):
+        series.append(index=1, time_ms=0, sigma=np.zeros((2, 2)))
+    series.close()
+    series.close()
+    assert path.read_bytes() != b"old"
+    leftovers = [entry.name for entry in tmp_path.iterdir() if entry.name.startswith(".")]
+    assert leftovers == []
+    with pytest.raises(FieldError, match="closed"):
+        series.append(index=1, time_ms=0, **frame(0))
+
+
+def test_an_unknown_suffix_is_refused_with_the_known_ones():
+    with pytest.raises(ConfigError, match=r"\.npz, \.h5") as refusal:
+        open_series("press.mat")
+    assert all(suffix in str(refusal.value) for suffix in SERIES_SUFFIXES)
+
+
+def test_a_missing_package_is_named_by_its_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(ConfigError, match=r"cmp-cl\[hdf5\]"):
+        open_series(tmp_path / "press.h5")
+
+
+def test_what_is_no_series_is_refused(tmp_path):
+    (tmp_path / "bad.npz").write_bytes(b"nothing")
+    np.savez(tmp_path / "other.npz", x=1)
+    with pytest.raises(FieldError, match="no series"):
+        read_series(tmp_path / "bad.npz")
+    with pytest.raises(FieldError, match="index"):
+        read_series(tmp_path / "other.npz")
+    with pytest.raises(ConfigError, match="must end"):
+        read_series(tmp_path / "x.txt")
+    with pytest.raises(FieldError, match="no file"):
+        read_series(tmp_path / "gone.npz")
