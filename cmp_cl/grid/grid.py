@@ -45,6 +45,16 @@ class Grid:
         """(R, C), where there is a position."""
         return ~np.isnan(self.xy[..., 0])
 
+    def to_opencv(self, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The valid nodes as cv2.calibrateCamera takes a view: object and image points.
+
+        spacing: side of a square, any unit. Returns (N, 1, 3) float32 in that unit and
+        (N, 1, 2) float32, px. Raises ConfigError where spacing is not positive.
+        """
+        from cmp_cl.stereo.exports import grid_to_opencv
+
+        return grid_to_opencv(self, spacing)
+
     def with_virtual_markers(self, count: int) -> "Grid":
         """The grid with `count` points on every edge between two neighbouring nodes.
 

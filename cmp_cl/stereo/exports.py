@@ -1,0 +1,352 @@
+"""Corners and cameras in the files that other calibration tools read.
+
+Pixels are OpenCV's everywhere here, the centre of the first one at (0, 0); COLMAP's are half a
+pixel further, and its file says so.
+"""
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import CalibrationError, ConfigError
+from cmp_cl.files import write_text
+from cmp_cl.grid.grid import Grid
+from cmp_cl.stereo.cameras import Camera, Lens
+from cmp_cl.stereo.rig import StereoRig
+
+Array = NDArray[np.float64]
+Views = Mapping[str, Grid | None]
+
+
+def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The valid nodes as cv2.calibrateCamera takes a view: object and image points.
+
+    spacing: side of a square, any unit. Returns (N, 1, 3) float32, x by column, y by row and
+    z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError.
+    """
+    if not 0 < spacing < math.inf:
+        raise ConfigError(f"spacing must be a positive length, not {spacing!r}")
+    row, column = np.nonzero(grid.valid)
+    nodes = np.column_stack([column, row, np.zeros(len(row))]) * float(spacing)
+    return nodes.astype(np.float32)[:, None], grid.xy[grid.valid].astype(np.float32)[:, None]
+
+
+# corners
+
+
+def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = math.nan) -> None:
+    """Write the corners of a board in many images, by suffix, whole or not at all.
+
+    views: by file name of the image the grid, None where the board is not seen; all of one
+    shape. spacing: side of a square, for the formats that say it.
+
+    .vnl: mrcal's corners.vnl, `# filename x y level`, rows first, `- -` where missing and for
+        the one line of an image without the board. A level of n weighs 2^-n there: it is
+        log2(sigma / smallest sigma of all), rounded, and 0 where sigma is unknown.
+    .yaml .yml .json: OpenCV's FileStorage: `rows`, `columns`, `spacing`, and of each view
+        `name`, `object_points` (N, 3) and `image_points` (N, 2).
+    .csv: a row for each node: image, row, column, x_px, y_px, sigma_px.
+
+    Raises ConfigError on another suffix or without any view, CalibrationError where shapes
+    differ or a name has white space that .vnl cannot hold, OSError.
+    """
+    writers: dict[str, Callable[[Views, float], str]] = {
+        ".vnl": _vnl,
+        ".yaml": _opencv_yaml,
+        ".yml": _opencv_yaml,
+        ".json": _opencv_json,
+        ".csv": _corners_csv,
+    }
+    suffix = Path(path).suffix.lower()
+    if suffix not in writers:
+        raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(writers)}")
+    shapes = {grid.shape for grid in views.values() if grid is not None}
+    if not shapes:
+        raise ConfigError("no view shows the board: there are no corners to write")
+    if len(shapes) > 1:
+        raise CalibrationError(f"the views show boards of different shapes: {sorted(shapes)}")
+    write_text(path, writers[suffix](views, spacing))
+
+
+def _vnl(views: Views, _: float) -> str:
+    known = [g.sigma[g.valid & (g.sigma > 0)] for g in views.values() if g is not None]
+    every = np.concatenate(known)
+    smallest = float(every.min()) if len(every) else 1.0
+    lines = ["# filename x y level"]
+    for name, grid in views.items():
+        if not name or any(letter.isspace() for letter in name) or name.startswith("#"):
+            raise CalibrationError(f"mrcal's .vnl cannot hold the file name {name!r}")
+        if grid is None:
+            lines.append(f"{name} - - -")
+            continue
+        sigma = np.where(grid.sigma > 0, grid.sigma, smallest)
+        level = np.rint(np.log2(sigma / smallest)).astype(int)
+        for place in np.ndindex(grid.shape):
+            x, y = grid.xy[place]
+            lines.append(
+                f"{name} - - -" if np.isnan(x) else f"{name} {x:.6f} {y:.6f} {level[place]}"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def _opencv_yaml(views: Views, spacing: float) -> str:
+    text = _opencv(views, spacing, cv2.FILE_STORAGE_FORMAT_YAML)
+    return "%YAML:1.0\n" + text.split("\n", 1)[1]
+
+
+def _opencv_json(views: Views, spacing: float) -> str:
+    return _opencv(views, spacing, cv2.FILE_STORAGE_FORMAT_JSON)
+
+
+def _opencv(views: Views, spacing: float, form: int) -> str:
+    suffix = ".json" if form == cv2.FILE_STORAGE_FORMAT_JSON else ".yml"
+    mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | form
+    storage = cv2.FileStorage(suffix, mode)
+    seen = {name: grid for name, grid in views.items() if grid is not None}
+    rows, columns = next(iter(seen.values())).shape
+    storage.write("rows", rows)
+    storage.write("columns", columns)
+    side = spacing if spacing > 0 else 1.0
+    storage.write("spacing", side)
+    storage.startWriteStruct("views", cv2.FILE_NODE_SEQ)
+    for name, grid in seen.items():
+        nodes, points = grid_to_opencv(grid, side)
+        storage.startWriteStruct("", cv2.FILE_NODE_MAP)
+        storage.write("name", name)
+        storage.write("object_points", nodes.reshape(-1, 3))
+        storage.write("image_points", points.reshape(-1, 2))
+        storage.endWriteStruct()
+    storage.endWriteStruct()
+    return str(storage.releaseAndGetString())
+
+
+def _corners_csv(views: Views, _: float) -> str:
+    lines = ["image,row,column,x_px,y_px,sigma_px"]
+    for name, grid in views.items():
+        if grid is None:
+            continue
+        quoted = '"' + name.replace('"', '""') + '"' if any(c in name for c in ',"\n') else name
+        for row, column in np.argwhere(grid.valid).tolist():
+            x, y = grid.xy[row, column].tolist()
+            sigma = float(grid.sigma[row, column])
+            lines.append(f"{quoted},{row},{column},{x:.9g},{y:.9g},{sigma:.9g}")
+    return "\n".join(lines) + "\n"
+
+
+# cameras
+
+
+def cameras_of(rig: StereoRig, size: tuple[int, int]) -> dict[str, Camera]:
+    """The two cameras of a rig, `left` and `right`; size: (width, height) of a view, px.
+
+    Raises CalibrationError where a lens has other than 4, 5 or 8 coefficients.
+    """
+    cameras = {}
+    poses = (np.eye(3), np.zeros(3)), (rig.R, rig.T)
+    lenses = ((rig.K1, rig.D1), (rig.K2, rig.D2))
+    for name, (matrix, distortion), (turn, shift) in zip(
+        ("left", "right"), lenses, poses, strict=True
+    ):
+        if len(distortion) not in (4, 5, 8):
+            raise CalibrationError(
+                f"the {name} camera has {len(distortion)} coefficients of distortion; only those "
+                "with 4, 5 or 8 can be written"
+            )
+        cameras[name] = Camera(
+            lens=Lens.RATIONAL if len(distortion) == 8 else Lens.PINHOLE,
+            size=size,
+            matrix=matrix,
+            distortion=np.pad(distortion, (0, 5 - len(distortion)))
+            if len(distortion) == 4
+            else distortion,
+            R=np.asarray(turn, np.float64),
+            T=np.asarray(shift, np.float64),
+            unit=rig.unit,
+        )
+    return cameras
+
+
+def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
+    """Cameras as OpenCV's FileStorage YAML, whole or not at all.
+
+    Numbered from 1: K1 D1 K2 D2 ..., `lens1`, `name1`, `size1`, and of each after the first
+    R2 T2 ... from the first one; of two pinhole or rational cameras also R and T, so that
+    `StereoRig.load` reads it. Raises OSError.
+    """
+    mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
+    storage = cv2.FileStorage(".yml", mode)
+    for number, (name, camera) in enumerate(cameras.items(), 1):
+        storage.write(f"name{number}", name)
+        storage.write(f"lens{number}", camera.lens.value)
+        storage.write(f"size{number}", np.array([camera.size], np.int32))
+        storage.write(f"K{number}", camera.matrix.copy())
+        storage.write(f"D{number}", camera.distortion[None].copy())
+        if number > 1:
+            storage.write(f"R{number}", camera.R.copy())
+            storage.write(f"T{number}", camera.T[:, None].copy())
+    lenses = {camera.lens for camera in cameras.values()}
+    if len(cameras) == 2 and Lens.FISHEYE not in lenses:
+        last = list(cameras.values())[1]
+        storage.write("R", last.R.copy())
+        storage.write("T", last.T[:, None].copy())
+    storage.write("unit", next(iter(cameras.values())).unit)
+    write_text(path, "%YAML:1.0\n" + storage.releaseAndGetString().split("\n", 1)[1])
+
+
+def save_ros(path: str | PathLike[str], camera: Camera, *, name: str) -> None:
+    """One camera as ROS camera_info YAML (camera_calibration_parsers), unrectified.
+
+    Raises OSError.
+    """
+    model = {
+        Lens.PINHOLE: "plumb_bob",
+        Lens.RATIONAL: "rational_polynomial",
+        Lens.FISHEYE: "equidistant",
+    }[camera.lens]
+    projection = np.column_stack([camera.matrix, np.zeros(3)])
+    text = [
+        f"image_width: {camera.size[0]}",
+        f"image_height: {camera.size[1]}",
+        f"camera_name: {json.dumps(name)}",
+        *_ros_matrix("camera_matrix", camera.matrix),
+        f"distortion_model: {model}",
+        *_ros_matrix("distortion_coefficients", camera.distortion[None]),
+        *_ros_matrix("rectification_matrix", np.eye(3)),
+        *_ros_matrix("projection_matrix", projection),
+    ]
+    write_text(path, "\n".join(text) + "\n")
+
+
+def _ros_matrix(name: str, matrix: Array) -> list[str]:
+    return [
+        f"{name}:",
+        f"  rows: {matrix.shape[0]}",
+        f"  cols: {matrix.shape[1]}",
+        f"  data: {_numbers(matrix.ravel())}",
+    ]
+
+
+def _numbers(values: Sequence[float] | Array) -> str:
+    return "[" + ", ".join(_number(float(value)) for value in values) + "]"
+
+
+def _number(value: float) -> str:
+    """A float as YAML 1.1 reads one: with a point, also before an exponent."""
+    text = repr(value)
+    mantissa, mark, exponent = text.partition("e")
+    return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
+
+
+def save_kalibr(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
+    """Cameras as Kalibr's camchain YAML; T_cn_cnm1 in m, whole or not at all.
+
+    The topic of each is /NAME/image_raw. Raises CalibrationError where a lens has no such
+    model (rational, or k3 other than 0) or the unit is not m, cm, mm or um; OSError.
+    """
+    text, before = [], np.eye(4)
+    for number, (name, camera) in enumerate(cameras.items()):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = camera.R, camera.T * _metres(camera)
+        k = camera.matrix
+        text += [
+            f"cam{number}:",
+            "  camera_model: pinhole",
+            f"  intrinsics: {_numbers([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])}",
+            f"  distortion_model: {'equidistant' if camera.lens is Lens.FISHEYE else 'radtan'}",
+            f"  distortion_coeffs: {_numbers(_four(name, camera))}",
+            f"  resolution: [{camera.size[0]}, {camera.size[1]}]",
+            f"  rostopic: {json.dumps(f'/{name}/image_raw')}",
+        ]
+        if number:
+            step = pose @ np.linalg.inv(before)
+            text += ["  T_cn_cnm1:", *(f"  - {_numbers(row)}" for row in step)]
+        before = pose
+    write_text(path, "\n".join(text) + "\n")
+
+
+def _four(name: str, camera: Camera) -> Array:
+    """Four coefficients of radtan or equidistant."""
+    exact = camera.lens is not Lens.RATIONAL and not camera.distortion[4:].any()
+    if not exact:
+        raise CalibrationError(
+            f"{name}: Kalibr knows k1 k2 p1 p2 and equidistant lenses, this one is "
+            f"{camera.lens.value} with {len(camera.distortion)} coefficients; calibrate it as "
+            "a pinhole or fisheye"
+        )
+    return camera.distortion[:4]
+
+
+def _metres(camera: Camera) -> float:
+    lengths = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+    if camera.unit not in lengths:
+        raise CalibrationError(f"the unit must be one of {', '.join(lengths)}, not {camera.unit}")
+    return lengths[camera.unit]
+
+
+def save_colmap(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
+    """Cameras as COLMAP's cameras.txt, numbered from 1, whole or not at all.
+
+    Pinholes are OPENCV, or FULL_OPENCV with k3 or rational, fisheyes OPENCV_FISHEYE. COLMAP's
+    pixel centres are at halves: the principal points are half a pixel further. Raises OSError.
+    """
+    lines = [
+        "# Camera list with one line of data per camera:",
+        "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
+        f"# Number of cameras: {len(cameras)}",
+    ]
+    for number, camera in enumerate(cameras.values(), 1):
+        k, distortion = camera.matrix, camera.distortion
+        if camera.lens is Lens.FISHEYE:
+            model = "OPENCV_FISHEYE"
+        elif camera.lens is Lens.RATIONAL or distortion[4:].any():
+            model, distortion = "FULL_OPENCV", np.pad(distortion, (0, 8 - len(distortion)))
+        else:
+            model, distortion = "OPENCV", distortion[:4]
+        numbers = [k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5, *distortion]
+        width, height = camera.size
+        values = " ".join(repr(float(value)) for value in numbers)
+        lines.append(f"{number} {model} {width} {height} {values}")
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def save_cameras(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> list[Path]:
+    """Write cameras in the format that the name says; returns the files.
+
+    NAME.camchain.yaml: Kalibr. NAME.camera_info.yaml: ROS, of several cameras one file each,
+    NAME-CAMERA.camera_info.yaml. cameras.txt: COLMAP. Other .yaml and .yml: OpenCV.
+
+    Raises ConfigError on another name, and what the formats raise.
+    """
+    target = Path(path)
+    name = target.name.lower()
+    ending = next((e for e in _ENDINGS if name.endswith(e)), None)
+    if name == "cameras.txt":
+        save_colmap(target, cameras)
+    elif ending == ".camchain.yaml":
+        save_kalibr(target, cameras)
+    elif ending == ".camera_info.yaml":
+        stem = target.name[: -len(ending)]
+        several = len(cameras) > 1
+        files = [
+            target.with_name(f"{stem}-{each}{ending}") if several else target for each in cameras
+        ]
+        for file, (each, camera) in zip(files, cameras.items(), strict=True):
+            save_ros(file, camera, name=each)
+        return files
+    elif ending is not None:
+        save_opencv(target, cameras)
+    else:
+        raise ConfigError(
+            f"{str(path)!r}: the name must end in .yaml, .yml, .camera_info.yaml (ROS), "
+            ".camchain.yaml (Kalibr), or be cameras.txt (COLMAP)"
+        )
+    return [target]
+
+
+_ENDINGS = (".camchain.yaml", ".camera_info.yaml", ".yaml", ".yml")

@@ -1,0 +1,265 @@
+"""Cameras of several kinds, and corners and cameras as other tools read them."""
+
+import csv
+import math
+import shutil
+import subprocess
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from stereo_data import grid_of, photographs, toed_in_rig, truth_grid
+
+from cmp_cl.errors import CalibrationError, ConfigError
+from cmp_cl.stereo import StereoRig
+from cmp_cl.stereo.cameras import Camera, Lens, calibrate_cameras
+from cmp_cl.stereo.exports import cameras_of, grid_to_opencv, save_cameras, save_corners
+
+SIZE = (640, 480)
+MATRIX = np.array([[420.0, 0, 325], [0, 418.0, 236], [0, 0, 1]])
+DISTORTIONS = {
+    Lens.PINHOLE: np.array([-0.1, 0.03, 0.001, -0.0005, 0]),
+    Lens.RATIONAL: np.array([0.3, 0.05, 0.0005, -0.0005, 0.01, 0.42, 0.08, 0.02]),
+    Lens.FISHEYE: np.array([0.05, -0.01, 0.004, -0.001]),
+}
+
+
+def camera(lens, turn=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0)):
+    return Camera(
+        lens=lens,
+        size=SIZE,
+        matrix=MATRIX,
+        distortion=DISTORTIONS[lens],
+        R=cv2.Rodrigues(np.array(turn))[0],
+        T=np.array(shift),
+        unit="mm",
+    )
+
+
+def views(cameras, count=12, noise=0.03):
+    """Grids of a 7 x 9 board of 20 mm squares in random poses; partly outside is missing."""
+    rng = np.random.default_rng(900001)
+    row, column = np.mgrid[:7, :9]
+    board = np.stack([column, row, 0 * row], axis=-1) * 20.0 - [80, 60, 0]
+    seen = {name: [] for name in cameras}
+    for _ in range(count):
+        turn = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))[0]
+        place = board @ turn.T + [*rng.uniform(-60, 60, 2), rng.uniform(190, 330)]
+        for name, each in cameras.items():
+            xy = each.project(place) + rng.normal(0, noise, (7, 9, 2))
+            outside = (xy < 0).any(axis=-1) | (xy > np.array(SIZE) - 1).any(axis=-1)
+            xy[outside] = np.nan
+            seen[name].append(grid_of(xy, noise))
+    return seen
+
+
+@pytest.mark.parametrize("lens", list(Lens))
+def test_a_camera_of_each_lens_is_found_again(lens):
+    truth = {"front": camera(lens)}
+    found = calibrate_cameras(views(truth), spacing=20, sizes={"front": SIZE}, lens=lens)
+    assert found.error == pytest.approx(0.03 * math.sqrt(2), rel=0.1)
+    assert 0.6 < found.coverage["front"] <= 1
+    missed = np.sqrt(np.nanmean(np.square(np.stack(found.residuals["front"])).sum(axis=-1)))
+    assert missed == pytest.approx(found.error)
+    row, column = np.mgrid[-3:4, -3:4]
+    rays = np.stack([column * 0.2, row * 0.15, np.ones((7, 7))], axis=-1)
+    off = found.cameras["front"].project(rays) - truth["front"].project(rays)
+    assert np.abs(off).max() < 1.0
+
+
+def test_three_cameras_find_their_places_though_none_sees_every_moment():
+    truth = {
+        "a": camera(Lens.PINHOLE),
+        "b": camera(Lens.PINHOLE, (0.01, 0.15, -0.02), (-50, 2, 5)),
+        "c": camera(Lens.PINHOLE, (-0.1, -0.2, 0.05), (60, -3, 8)),
+    }
+    grids = views(truth, count=14)
+    grids["b"][:4] = [None] * 4
+    grids["c"][10:] = [None] * 4
+    found = calibrate_cameras(grids, spacing=20, sizes=dict.fromkeys(truth, SIZE))
+    for name, expected in truth.items():
+        np.testing.assert_allclose(found.cameras[name].T, expected.T, atol=0.3)
+        np.testing.assert_allclose(found.cameras[name].R, expected.R, atol=2e-3)
+    assert np.isnan(found.view_errors["b"][:4]).all()
+    assert found.error < 0.06
+    two = {name: grids[name] for name in ("a", "b")}
+    rig = calibrate_cameras(two, spacing=20, sizes=dict.fromkeys(two, SIZE)).rig()
+    assert np.linalg.norm(rig.T) == pytest.approx(np.linalg.norm(truth["b"].T), rel=0.01)
+
+
+def test_views_that_do_not_determine_a_camera_are_refused():
+    row, column = np.mgrid[:7, :9]
+    flat = [grid_of(np.stack([column, row], axis=-1) * 30.0 + 20 * n) for n in range(4)]
+    with pytest.raises(CalibrationError, match=r"front: .*(focal|determine)") as refusal:
+        calibrate_cameras({"front": flat}, spacing=20, sizes={"front": SIZE})
+    assert "\n" not in str(refusal.value)
+    with pytest.raises(CalibrationError, match="2 views"):
+        calibrate_cameras({"front": flat[:2]}, spacing=20, sizes={"front": SIZE})
+    seen = views({"a": camera(Lens.PINHOLE), "b": camera(Lens.PINHOLE, shift=(-20.0, 0, 0))})
+    apart = {"a": [*seen["a"][:6], *[None] * 6], "b": [*[None] * 6, *seen["b"][6:]]}
+    with pytest.raises(CalibrationError, match="b: no moment"):
+        calibrate_cameras(apart, spacing=20, sizes=dict.fromkeys(apart, SIZE))
+
+
+def test_a_grid_gives_opencv_its_points():
+    xy = np.stack(np.meshgrid([10.0, 20.0, 30.0], [5.0, 6.0]), axis=-1)
+    xy[0, 1] = np.nan
+    nodes, points = grid_of(xy).to_opencv(2.5)
+    assert nodes.shape == (5, 1, 3)
+    assert points.dtype == np.float32
+    assert nodes[1, 0].tolist() == [5, 0, 0]
+    assert points[1, 0].tolist() == [30, 5]
+    with pytest.raises(ConfigError, match="spacing"):
+        grid_of(xy).to_opencv(0)
+
+
+# corners
+
+
+def corners():
+    xy = np.stack(np.meshgrid(np.arange(3.0), np.arange(2.0)), axis=-1) * 10 + 5
+    xy[1, 2] = np.nan
+    one = grid_of(xy, 0.02)
+    one.sigma[0, 0] = 0.08
+    return {"a.png": one, "b.png": None}
+
+
+def test_vnl_says_missing_nodes_and_weights(tmp_path):
+    save_corners(tmp_path / "corners.vnl", corners())
+    lines = (tmp_path / "corners.vnl").read_text().splitlines()
+    assert lines[0] == "# filename x y level"
+    assert lines[1] == "a.png 5.000000 5.000000 2"  # 4 times less certain
+    assert lines[2] == "a.png 15.000000 5.000000 0"
+    assert lines[6] == "a.png - - -"
+    assert lines[7] == "b.png - - -"
+    assert len(lines) == 8
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".yml", ".json"])
+def test_opencv_reads_the_corners(tmp_path, suffix):
+    path = tmp_path / f"corners{suffix}"
+    save_corners(path, corners(), spacing=2.5)
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    assert storage.getNode("spacing").real() == 2.5
+    assert storage.getNode("columns").real() == 3
+    view = storage.getNode("views").at(0)
+    assert view.getNode("name").string() == "a.png"
+    nodes, points = grid_to_opencv(corners()["a.png"], 2.5)
+    np.testing.assert_array_equal(view.getNode("object_points").mat(), nodes[:, 0])
+    np.testing.assert_array_equal(view.getNode("image_points").mat(), points[:, 0])
+
+
+def test_csv_has_a_row_a_corner(tmp_path):
+    save_corners(tmp_path / "corners.csv", corners())
+    with open(tmp_path / "corners.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 5
+    assert rows[2]["image"] == "a.png"
+    assert (rows[2]["row"], rows[2]["column"], rows[2]["x_px"]) == ("0", "2", "25")
+
+
+def test_corners_that_a_format_cannot_hold_are_refused(tmp_path):
+    path = tmp_path / "corners.vnl"
+    path.write_text("old")
+    with pytest.raises(ConfigError, match=r"\.vnl, \.yaml"):
+        save_corners(tmp_path / "corners.mat", corners())
+    with pytest.raises(CalibrationError, match=r"a b\.png"):
+        save_corners(path, {"a b.png": corners()["a.png"]})
+    with pytest.raises(ConfigError, match="no view"):
+        save_corners(path, {"b.png": None})
+    with pytest.raises(CalibrationError, match="shapes"):
+        save_corners(path, {**corners(), "c.png": grid_of(np.zeros((3, 3, 2)))})
+    assert path.read_text() == "old"
+
+
+def test_mrcal_calibrates_the_pairs_of_opencv(tmp_path):
+    if shutil.which("mrcal-calibrate-cameras") is None:
+        pytest.skip("mrcal is not installed: apt install mrcal")
+    folder = photographs("stereo_opencv")
+    found = {path.stem: truth_grid(path) for path in sorted(folder.glob("*[0-9].json"))}
+    for name in found:
+        shutil.copy(folder / f"{name}.jpg", tmp_path)
+    shape = next(iter(found.values())).shape
+    save_corners(tmp_path / "corners.vnl", {f"{name}.jpg": g for name, g in found.items()})
+    done = subprocess.run(
+        [
+            *("mrcal-calibrate-cameras", "--corners-cache", "corners.vnl"),
+            *("--lensmodel", "LENSMODEL_OPENCV4", "--focal", "530", "--object-spacing", "0.025"),
+            *("--object-width-n", str(shape[1]), "--object-height-n", str(shape[0])),
+            *("--skip-calobject-warp-solve", "left*.jpg", "right*.jpg"),
+        ],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr[-600:]
+    assert "RMS reprojection error" in done.stdout + done.stderr
+    assert len(list(tmp_path.glob("*.cameramodel"))) == 2
+
+
+# cameras
+
+
+def test_opencv_and_the_library_read_a_rig_back(tmp_path):
+    rig = toed_in_rig()
+    save_cameras(tmp_path / "rig.yaml", cameras_of(rig, (800, 1200)))
+    again = StereoRig.load(tmp_path / "rig.yaml")
+    for name in ("K1", "D1", "K2", "D2", "R", "T"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(rig, name))
+    storage = cv2.FileStorage(str(tmp_path / "rig.yaml"), cv2.FILE_STORAGE_READ)
+    assert storage.getNode("name2").string() == "right"
+    assert storage.getNode("size1").mat().tolist() == [[800, 1200]]
+
+
+def loaded(path):
+    yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
+    return yaml.safe_load(Path(path).read_text())
+
+
+@pytest.mark.parametrize("lens", list(Lens))
+def test_ros_reads_each_camera(tmp_path, lens):
+    pair = {"left": camera(lens), "right": camera(lens, shift=(-1e-7, 0, 0))}
+    files = save_cameras(tmp_path / "rig.camera_info.yaml", pair)
+    assert [file.name for file in files] == [
+        "rig-left.camera_info.yaml",
+        "rig-right.camera_info.yaml",
+    ]
+    info = loaded(files[0])
+    assert (info["image_width"], info["image_height"]) == SIZE
+    assert info["camera_matrix"]["data"] == MATRIX.ravel().tolist()
+    assert info["distortion_coefficients"]["data"] == DISTORTIONS[lens].tolist()
+    assert info["distortion_model"] in ("plumb_bob", "rational_polynomial", "equidistant")
+    assert info["projection_matrix"]["cols"] == 4
+
+
+def test_kalibr_reads_a_chain_in_metres(tmp_path):
+    chain = {
+        "a": camera(Lens.PINHOLE),
+        "b": camera(Lens.FISHEYE, (0, 0.1, 0), (-50, 0, 0)),
+        "c": camera(Lens.PINHOLE, (0, 0.1, 0), (-90, 0, 0)),
+    }
+    save_cameras(tmp_path / "rig.camchain.yaml", chain)
+    found = loaded(tmp_path / "rig.camchain.yaml")
+    assert found["cam0"]["intrinsics"] == [420, 418, 325, 236]
+    assert found["cam1"]["distortion_model"] == "equidistant"
+    step = np.array(found["cam2"]["T_cn_cnm1"])
+    np.testing.assert_allclose(step[:3, 3], [-0.04, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(step[:3, :3], np.eye(3), atol=1e-12)
+    with pytest.raises(CalibrationError, match="a: Kalibr"):
+        save_cameras(tmp_path / "rig.camchain.yaml", {"a": camera(Lens.RATIONAL)})
+
+
+def test_colmap_gets_its_models_with_its_pixel_centres(tmp_path):
+    save_cameras(tmp_path / "cameras.txt", {lens.value: camera(lens) for lens in Lens})
+    lines = (tmp_path / "cameras.txt").read_text().splitlines()[3:]
+    models = [line.split()[1] for line in lines]
+    assert models == ["OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"]
+    assert [len(line.split()) - 4 for line in lines] == [8, 12, 8]
+    assert lines[0].split()[6:8] == ["325.5", "236.5"]
+
+
+def test_an_unknown_name_of_cameras_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"cameras\.txt"):
+        save_cameras(tmp_path / "rig.xml", {"a": camera(Lens.PINHOLE)})
