@@ -41,6 +41,9 @@ from cmp_cl.stereo import (
     calibrate,
     calibrate_camera,
 )
+from cmp_cl.version import package_version
+
+__version__ = package_version()
 
 __all__ = [
     "AdaptiveMean",
@@ -79,6 +82,7 @@ __all__ = [
     "SeriesWriter",
     "SpectralCriteria",
     "StereoRig",
+    "__version__",
     "build_grid",
     "calibrate",
     "calibrate_camera",

@@ -4,7 +4,8 @@ import argparse
 import dataclasses
 from typing import Any
 
-from cmp_cl.cli.arguments import grid_shape, shown
+from cmp_cl.cli.arguments import grid_shape
+from cmp_cl.cli.messages import shown
 from cmp_cl.pattern import PAPERS, Checkerboard, cell_for, fitting_paper
 
 
