@@ -644,7 +644,6 @@ def stability(result: Row, folder: Path) -> str:
         table(
             (
                 "scenes",
-                "sigma0",
                 "corners",
                 "z (1 is right)",
                 "rank correlation",
@@ -655,7 +654,6 @@ def stability(result: Row, folder: Path) -> str:
             [
                 [
                     r["kind"],
-                    r["sigma0"],
                     r["corners"],
                     r["z"],
                     r["rank_correlation"],
@@ -692,7 +690,7 @@ def _sigma_plot(rows: Sequence[Row], path: Path) -> None:
     for row in rows:
         sigma = [d["sigma"] for d in row["deciles"]]
         error = [d["error"] for d in row["deciles"]]
-        axis.plot(sigma, error, "o-", ms=4, label=f"{row['kind']}, sigma0 {row['sigma0']}")
+        axis.plot(sigma, error, "o-", ms=4, label=row["kind"])
     high = axis.get_xlim()[1]
     axis.plot([0, high], [0, high], color="grey", lw=0.8, label="equal")
     axis.set(

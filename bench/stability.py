@@ -277,12 +277,11 @@ def calibration(scenes: dict[str, list[Scene]]) -> list[dict[str, Any]]:
     axis is 1 where sigma is right; the flag `doubtful` against errors above 1 px."""
     rows = []
     for kind, those in scenes.items():
-        sigma0 = 0.025 if kind == "print" else 0.2
         errors, sigmas, doubts = [], [], []
         for scene in those:
             frame = rendered(scene)
             cell = 0.92 * 480 / (scene.markers + 1)
-            config = DetectorConfig(refinement=EdgeStep(cell=cell, sigma0=sigma0))
+            config = DetectorConfig(refinement=EdgeStep(cell=cell))
             with Detector(shape=frame.image.shape, config=config) as detector:
                 found = detector(frame.image)
             partner = match(found.xy, frame.truth, reach(frame.cell))
@@ -296,7 +295,6 @@ def calibration(scenes: dict[str, list[Scene]]) -> list[dict[str, Any]]:
         rows.append(
             {
                 "kind": kind,
-                "sigma0": sigma0,
                 "corners": len(error),
                 "z": _z(error, sigma),
                 "rank_correlation": _rank_correlation(error, sigma),

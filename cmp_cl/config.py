@@ -7,14 +7,12 @@ Section numbers in the docstrings are those of the stages: 1 binarization, 3 cri
 import dataclasses
 import enum
 import math
-import tomllib
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from cmp_cl.errors import ConfigError
-from cmp_cl.files import write_text
+from cmp_cl.files import read_toml, write_text
 
 if TYPE_CHECKING:
     from cmp_cl.image import GreyImage
@@ -240,16 +238,12 @@ class EdgeStep:
     """EDGE_LINES, then one least-squares step of a corner model (section 6, EDGE_STEP).
 
     cell: side of a cell, px, 4 to 1000; the model sees min(9, max(4.5, 0.75 cell)) px around.
-    sigma0: floor of the standard deviation of a position, px, 0 to 5: 0.025 for
-        print, 0.2 for a worn gel.
     """
 
     cell: float = 12.0
-    sigma0: float = 0.025
 
     def __post_init__(self) -> None:
         _check("EdgeStep", "cell", self.cell, 4, 1000, kind=float)
-        _check("EdgeStep", "sigma0", self.sigma0, 0, 5, kind=float)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -273,7 +267,7 @@ class Midlines:
 class Pyramid:
     """Several working scales, of which the one with the nearest count wins (section 7).
 
-    factors: scale factors, each 0.05 to 4, at least one.
+    factors: scale factors, each 0.05 to 4, 1 to 32 of them.
     expected: number of corners that the pattern has, at least 1.
     """
 
@@ -281,15 +275,17 @@ class Pyramid:
     expected: int
 
     def __post_init__(self) -> None:
-        if not isinstance(self.factors, tuple) or not self.factors:
+        if not isinstance(self.factors, tuple) or not 1 <= len(self.factors) <= _MOST_FACTORS:
             raise ConfigError(
-                f"Pyramid.factors must be a tuple of at least one factor, not {self.factors!r}"
+                f"Pyramid.factors must be a tuple of 1 to {_MOST_FACTORS} factors, "
+                f"not {self.factors!r}"
             )
         for factor in self.factors:
             _check("Pyramid", "factors", factor, 0.05, 4, kind=float)
         _check("Pyramid", "expected", self.expected, 1, 2**31 - 1, kind=int)
 
 
+_MOST_FACTORS = 32
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
 _WIDE_CELL = 20  # px; cells as wide are not squeezed under 6 px
 _WIDEST_CELL = 60  # px; wider ones are found at a working scale
@@ -401,17 +397,15 @@ class DetectorConfig:
         key or a value outside its range.
         """
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            data = read_toml(path)
         except OSError as error:
             why = error.strerror
             raise ConfigError(f"cannot read the configuration {str(path)!r}: {why}") from error
-        except UnicodeDecodeError as error:
-            raise ConfigError(
-                f"cannot read the configuration {str(path)!r}: it is no text in UTF-8"
-            ) from error
+        except ValueError as error:
+            raise ConfigError(f"cannot read the configuration {str(path)!r}: {error}") from error
         try:
-            return cls._from_dict(tomllib.loads(text))
-        except (ValueError, RecursionError) as error:
+            return cls._from_dict(data)
+        except ValueError as error:
             raise ConfigError(f"{path}: {error}") from error
 
     @classmethod

@@ -10,30 +10,16 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.config import DetectorConfig, EdgeStep, Pyramid
-from cmp_cl.corners import Corners, Method
+from cmp_cl.config import DetectorConfig, Pyramid
+from cmp_cl.corners import Corners
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage, check_image
-from cmp_cl.maps import Maps
+from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
+from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan
-from cmp_cl.stages.plan_base import multiple
-from cmp_cl.stages.refine_stages import (
-    CORRELATION,
-    EDGES,
-    LANES,
-    METHOD,
-    PIXEL,
-    POSITION,
-    RESPONSE,
-    RESULT_FIELDS,
-    RESULT_HEAD,
-    VARIANCE,
-)
-from cmp_cl.stages.resampling import full_pixels
-
-DOUBTFUL_EXCESS = 0.010  # of the autocorrelation of what the corner model leaves
+from cmp_cl.stages.refine import no_corners, read_corners
 
 
 class Detector:
@@ -85,6 +71,12 @@ class Detector:
             self.device = describe_handle(queue.device)
         else:
             self.device = device if isinstance(device, Device) else select_device(device)
+        needed = self.shape[0] * self.shape[1] * self.dtype.itemsize
+        if needed > self.device.memory:
+            raise CapacityError(
+                f"one image needs {needed} bytes, {self.device} has {self.device.memory}; use "
+                "smaller images"
+            )
         context = queue.context if queue is not None else cl.Context([self.device.handle])
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
@@ -142,7 +134,7 @@ class Detector:
         """
         self._check(frame)
         if not frame.size:
-            return _no_corners(str(self.device))
+            return no_corners(str(self.device))
         with self._lock:
             self._check_alive()
             return self._best(self._each_factor([frame], 1))[0]
@@ -199,12 +191,12 @@ class Detector:
             for frame in frames:
                 self._check(frame)
         if not count or not (self.shape[0] and self.shape[1]):
-            return [_no_corners(str(self.device)) for _ in range(count)]
+            return [no_corners(str(self.device)) for _ in range(count)]
         with self._lock:
             self._check_alive()
             return self._best(self._each_factor(frames, count))
 
-    def maps(self, frame: GreyImage) -> Maps:
+    def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
         """Every intermediate image of a frame; with a Pyramid those of its first factor.
 
         Raises what a call raises.
@@ -216,9 +208,12 @@ class Detector:
             self._check_alive()
             if not frame.size:
                 return no_maps(self.shape, self.config)
-            plan = self._plan(self._factors[0])
-            self._whole(plan, [frame])  # makes room
-            return read_maps(plan)
+            plan = self._made(self._factors[0], frames=1, form=Form.PORTABLE)
+            try:
+                self._whole(plan, [frame])  # makes room
+                return read_maps(plan)
+            finally:
+                plan.release()
 
     def grid(
         self,
@@ -256,17 +251,21 @@ class Detector:
             if frames > 1:  # room for one size of batch
                 for old in [old for old in self._plans if old[0] > 1 and old[0] != frames]:
                     self._plans.pop(old).release()
-            self._plans[key] = Plan(
-                self._queue,
-                self.device,
-                self.shape,
-                self.dtype,
-                self.config,
-                factor,
-                self._mask,
-                frames,
-            )
+            self._plans[key] = self._made(factor, frames)
         return self._plans[key]
+
+    def _made(self, factor: float | None, frames: int, form: Form | None = None) -> Plan:
+        return Plan(
+            self._queue,
+            self.device,
+            self.shape,
+            self.dtype,
+            self.config,
+            factor,
+            self._mask,
+            frames,
+            form,
+        )
 
     def _start(
         self, plan: Plan, frames: list[GreyImage] | cl.Buffer, transfers: cl.CommandQueue
@@ -286,7 +285,7 @@ class Detector:
         try:
             while True:
                 try:
-                    return _corners(plan.read(transfers), plan)
+                    return read_corners(plan.read(transfers), plan)
                 except Overflow as overflow:
                     self._grow(plan, overflow)
         except cl.MemoryError as error:
@@ -371,64 +370,6 @@ def detect(
         config = DetectorConfig.for_image(image)
     with Detector(shape=image.shape, dtype=image.dtype, config=config, device=device) as detector:
         return detector(image)
-
-
-def _corners(rows: NDArray[np.float32], plan: Plan) -> list[Corners]:
-    """The corners of each frame: parts of what `Plan.read` has fetched."""
-    device, found = str(plan.device), []
-    for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
-        places = multiple(count, LANES)
-        numbers = row[RESULT_HEAD:][: RESULT_FIELDS * places]
-        fields = numbers.reshape(RESULT_FIELDS, places)
-        sigma, doubtful = _deviation(fields[:, :count], plan.config)
-        pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
-        if plan.scale is not None:
-            pixel = full_pixels(pixel, plan.shape, plan.scale)
-        found.append(
-            Corners(
-                xy=fields[POSITION].reshape(-1, 2)[:count],
-                pixel=pixel,
-                response=fields[RESPONSE, :count],
-                method=fields[METHOD, :count].astype(np.uint8),
-                sigma=sigma,
-                edges=fields[EDGES].reshape(-1, 4)[:count],
-                doubtful=doubtful,
-                device=device,
-            )
-        )
-    return found
-
-
-def _deviation(
-    fields: NDArray[np.float32], config: DetectorConfig
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Standard deviation of each position, px, and which corners do not look like one: where
-    what the model leaves is more correlated than in the middle one of the frame's corners."""
-    count = fields.shape[1]
-    if not isinstance(config.refinement, EdgeStep):
-        return np.full(count, np.nan, np.float32), np.zeros(count, np.bool_)
-    accepted = fields[METHOD] == Method.EDGE_STEP
-    correlation = fields[CORRELATION]
-    excess = np.zeros(count, np.float32)
-    if accepted.any():
-        middle = (np.count_nonzero(accepted) - 1) // 2
-        typical = np.partition(correlation[accepted], middle)[middle]
-        excess[accepted] = np.maximum(correlation[accepted] - typical, 0)
-    variance = config.refinement.sigma0**2 + np.maximum(fields[VARIANCE], 0) + 1000 * excess**2
-    return np.sqrt(variance), excess > DOUBTFUL_EXCESS
-
-
-def _no_corners(device: str) -> Corners:
-    return Corners(
-        xy=np.empty((0, 2), np.float32),
-        pixel=np.empty((0, 2), np.int32),
-        response=np.empty(0, np.float32),
-        method=np.empty(0, np.uint8),
-        sigma=np.empty(0, np.float32),
-        edges=np.empty((0, 4), np.float32),
-        doubtful=np.empty(0, np.bool_),
-        device=device,
-    )
 
 
 def _checked_shape(shape: Any) -> tuple[int, int]:

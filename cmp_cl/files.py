@@ -1,13 +1,19 @@
-"""Files written whole or not at all."""
+"""Files written whole or not at all, and settings read within bounds."""
 
 import contextlib
 import errno
 import os
 import secrets
+import tomllib
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+_MOST_TOML = 1 << 16  # bytes
+_MOST_BRACKETS = 500  # of a TOML file: tables and arrays within one another
+_MOST_DOTS = 100  # of a line: keys within one another
+_WRITABLE = 0o222  # a mode in which somebody may write
 
 
 @contextlib.contextmanager
@@ -15,8 +21,9 @@ def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
     """A file to write that appears under its name only when the block ends without an error.
 
     It is a temporary file in the same folder, renamed at the end; what stood under the name
-    stays until then. Devices and pipes are written as they are. Raises OSError where the
-    folder is missing, not writable or full.
+    stays until then, and its mode and owner afterwards. Devices and pipes are written as they
+    are. Raises OSError where the folder is missing, not writable or full, or the file is
+    read-only.
     """
     target = check_target(path)
     if target.exists() and not target.is_file():
@@ -27,6 +34,7 @@ def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
     try:
         with _named(path, temporary):
             with open(temporary, "xb") as file:
+                _keep_rights(target, temporary)
                 yield file
             os.replace(temporary, target)
     except BaseException:
@@ -37,7 +45,8 @@ def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
 def check_target(path: str | PathLike[str]) -> Path:
     """The place that a path to write to names, with links resolved.
 
-    Raises OSError where it is empty or a folder, or lies in a folder that is not there.
+    Raises OSError where it is empty, a folder or a read-only file, or lies in a folder that is
+    not there or cannot be written.
     """
     if not os.fspath(path):
         raise FileNotFoundError("'' is no name of a file")
@@ -46,7 +55,21 @@ def check_target(path: str | PathLike[str]) -> Path:
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise FileNotFoundError(f"there is no folder {str(target.parent)!r} to write to")
+    if target.is_file() and not (os.access(target, os.W_OK) and target.stat().st_mode & _WRITABLE):
+        raise PermissionError(errno.EACCES, "the file is read-only", str(path))
+    if not target.exists() and not os.access(target.parent, os.W_OK):
+        raise PermissionError(errno.EACCES, "its folder cannot be written", str(path))
     return target
+
+
+def _keep_rights(old: Path, new: Path) -> None:
+    """Give a file the mode of another, and its owner where that is allowed."""
+    with contextlib.suppress(FileNotFoundError):
+        stat = old.stat()
+        if hasattr(os, "chown"):
+            with contextlib.suppress(OSError):
+                os.chown(new, stat.st_uid, stat.st_gid)
+        new.chmod(stat.st_mode & 0o7777)
 
 
 @contextlib.contextmanager
@@ -71,3 +94,23 @@ def write_bytes(path: str | PathLike[str], data: bytes) -> None:
 def write_text(path: str | PathLike[str], text: str) -> None:
     """Write UTF-8 text whole or not at all, line ends as they are; raises OSError."""
     write_bytes(path, text.encode("utf-8"))
+
+
+def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
+    """Read settings in TOML; a byte order mark is skipped.
+
+    Raises OSError where the file cannot be read, ValueError where it is no TOML in UTF-8, or
+    over 64 KiB, or nested so deep that parsing takes memory without end.
+    """
+    with open(path, "rb") as file:
+        data = file.read(_MOST_TOML + 1)
+    if len(data) > _MOST_TOML:
+        raise ValueError(f"over {_MOST_TOML} bytes, no settings")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError("it is no text in UTF-8") from error
+    dots = max(line.count(".") for line in text.split("\n"))
+    if dots > _MOST_DOTS or text.count("[") + text.count("{") > _MOST_BRACKETS:
+        raise ValueError("nested too deep, no settings")
+    return tomllib.loads(text.replace("\r\n", "\n"))

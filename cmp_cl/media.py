@@ -4,6 +4,9 @@ import contextlib
 import csv
 import dataclasses
 import os
+import stat
+import sys
+import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
 from os import PathLike
@@ -17,6 +20,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ImageError
 from cmp_cl.files import write_bytes
 from cmp_cl.image import GreyImage
+from cmp_cl.image_size import page_sizes
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".gif", ".jp2", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".pnm", ".ppm"}
@@ -24,8 +28,12 @@ IMAGE_SUFFIXES = frozenset(
 )
 SUFFIXES_OF_16_BITS = frozenset({".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff"})
 VIDEO_SUFFIXES = frozenset(
-    {".avi", ".m4v", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm", ".wmv"}
+    {".3gp", ".asf", ".avi", ".flv", ".m4v", ".mjpeg", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg"}
+    | {".mpg", ".mts", ".mxf", ".ogv", ".ts", ".webm", ".wmv", ".y4m"}
 )
+MAX_PIXELS = 1 << 28  # of an image, unless a caller says more
+_MAX_PIPED = 1 << 28  # bytes of an image that comes through a pipe
+_MAX_SAID = 1 << 12  # bytes of what a codec says
 
 LONGEST_GAP = 250  # frames
 
@@ -82,32 +90,125 @@ def is_video(path: str | PathLike[str]) -> bool:
     return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
-def read_image(path: str | PathLike[str]) -> GreyImage:
-    """An image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
+def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> GreyImage:
+    """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
     Of a file with several pages it is the first. Raises ImageError where the file cannot be
-    read or is no image of 8 or 16 bits.
+    read, is damaged, has more pixels than that, or is no image of 8 or 16 bits.
     """
-    return read_pages(path)[0]
+    return next(read_pages(path, max_pixels=max_pixels))
 
 
-def read_pages(path: str | PathLike[str]) -> list[GreyImage]:
-    """The pages of an image file (a TIFF stack, say), each as `read_image` gives it."""
-    _check_readable(path)
-    data = np.frombuffer(Path(path).read_bytes(), np.uint8)
-    pages: Sequence[NDArray[Any]] = ()
-    if data.size:
-        with contextlib.suppress(cv2.error):
-            pages = cv2.imdecodemulti(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)[1]
-    if not pages:
-        raise ImageError(f"{str(path)!r} is no image that OpenCV can read")
-    for page in pages:
+def read_pages(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[GreyImage]:
+    """Read the pages of an image file (a TIFF stack, say) one by one, each as `read_image`."""
+    data = _bytes_of(path)
+    try:
+        sizes = page_sizes(data.data)
+    except ValueError as error:
+        raise ImageError(f"{str(path)!r} is no image that OpenCV can read: {error}") from error
+    number = 0
+    while sizes is None or number < len(sizes):
+        if sizes is not None:
+            _check_size(path, sizes[number], max_pixels)
+        page, said = _decoded(data, number)
+        if page is None and sizes is None and number:
+            return
+        if page is None or _tells_damage(said):
+            what = "is no image that OpenCV can read" if page is None else "is damaged"
+            raise ImageError(f"{str(path)!r} {what}{f': {said}' if said else ''}")
         if page.dtype not in (np.uint8, np.uint16):
             raise ImageError(
                 f"{str(path)!r} holds {page.dtype} pixels, expected 8 or 16 bits without sign; "
                 "scale it and save it as PNG"
             )
-    return list(pages)
+        _check_size(path, (page.shape[1], page.shape[0]), max_pixels)
+        yield page
+        number += 1
+
+
+def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
+    """The bytes of a file as they are asked for, or what comes from a pipe."""
+    _check_readable(path)
+    kind = os.stat(path).st_mode
+    try:
+        if stat.S_ISREG(kind):
+            empty = not os.path.getsize(path)
+            return np.empty(0, np.uint8) if empty else np.memmap(path, np.uint8, mode="r")
+        if stat.S_ISFIFO(kind):
+            with open(path, "rb") as file:
+                data = file.read(_MAX_PIPED + 1)
+            if len(data) <= _MAX_PIPED:
+                return np.frombuffer(data, np.uint8)
+            raise ImageError(f"over {_MAX_PIPED} bytes come from {str(path)!r}; save it as a file")
+    except OSError as error:
+        raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
+    raise ImageError(f"{str(path)!r} is no file")
+
+
+def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, str]:
+    """A page, None where it cannot be decoded, and what the codec has said of it."""
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+    pages: Sequence[NDArray[Any]] = ()
+    with _codec_messages() as said:
+        if data.size:
+            with contextlib.suppress(cv2.error):
+                pages = cv2.imdecodemulti(data, flags, range=(page, page + 1))[1]
+    return (pages[0] if pages else None), "; ".join(said)
+
+
+def _tells_damage(said: str) -> bool:
+    """Whether a codec that gave an image speaks of damage: libjpeg goes on after any."""
+    return "Corrupt JPEG data" in said or "Premature end of JPEG" in said
+
+
+def _check_size(path: str | PathLike[str], size: tuple[int, int], most: int) -> None:
+    width, height = size
+    if width * height > most:
+        raise ImageError(
+            f"{str(path)!r} has {width} x {height} pixels, more than the limit of {most}; "
+            "--max-pixels, or max_pixels=, raises it"
+        )
+
+
+_catching = False
+
+
+@contextlib.contextmanager
+def codec_messages_caught() -> Iterator[None]:
+    """Catch what codecs write to stderr, and take damage that they tell for an error.
+
+    It is for a process that has stderr to itself, a command: while an image is decoded,
+    whatever is written there is caught.
+    """
+    global _catching
+    before, _catching = _catching, True
+    try:
+        yield
+    finally:
+        _catching = before
+
+
+@contextlib.contextmanager
+def _codec_messages() -> Iterator[list[str]]:
+    """The lines that codecs write to stderr in the block, where these are caught."""
+    lines: list[str] = []
+    if not _catching:
+        yield lines
+        return
+    sys.stderr.flush()
+    before = os.dup(2)
+    try:
+        with tempfile.TemporaryFile() as file:
+            os.dup2(file.fileno(), 2)
+            try:
+                yield lines
+            finally:
+                os.dup2(before, 2)
+                file.seek(0)
+                text = file.read(_MAX_SAID).decode("utf-8", "replace")
+                lines += [line.strip() for line in text.splitlines() if line.strip()][:4]
+    finally:
+        os.close(before)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -122,22 +223,28 @@ class Frame:
     image: GreyImage | None
 
 
-def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:
-    """The frames of a video, or the pages of an image; colour becomes grey.
+def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[Frame]:
+    """Read the frames of a video, or the pages of an image; colour becomes grey.
 
     A video ends before its stated number of frames where `LONGEST_GAP` of them in a row
-    cannot be read. Raises ImageError where the file cannot be read or is neither an image
-    nor a video.
+    cannot be read. Raises ImageError where the file cannot be read, is neither an image nor a
+    video, or has more pixels in a frame than that.
     """
     if not is_video(path):
-        for index, page in enumerate(read_pages(path)):
+        for index, page in enumerate(read_pages(path, max_pixels=max_pixels)):
             yield Frame(index, page)
         return
     with _opened(path) as capture:
+        width, height = (
+            int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        )
+        _check_size(path, (width, height), max_pixels)
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         index = gap = 0
         while gap < LONGEST_GAP:
-            read, picture = capture.read()
+            with _codec_messages() as said:
+                read, picture = capture.read()
+            read = read and not _tells_damage("; ".join(said))
             if not read and index >= count:
                 return
             gap = 0 if read else gap + 1

@@ -26,14 +26,14 @@ nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
+nb_execution_in_temp = True
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 suppress_warnings = ["misc.highlighting_failure"]
 
 html_theme = "furo"
 html_title = f"cmp_cl {release}"
-html_static_path: list[str] = []
-html_extra_path = ["_generated/copied"]
+
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
@@ -41,7 +41,17 @@ autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autoclass_content = "class"
 
+EXECUTED = ("tutorials/", "questions/")  # their blocks run, and the site shows what they print
+HEAD = """---
+file_format: mystnb
+kernelspec:
+  name: python3
+---
+
+"""
+BLOCK = re.compile(r"^```(python|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FIELD = re.compile(r"^([A-Za-z_]\w*(?:, [A-Za-z_]\w*)*): (?=\S)")
+BAR = re.compile(r"(?<![`\w])\|(?=\w)")  # |F2| is no substitution
 CODE = re.compile(r"(?<![`\w:])`([^`]+)`(?!`)")
 
 
@@ -50,7 +60,7 @@ def as_restructured_text(app, what, name, obj, options, lines):
     out: list[str] = []
     in_list = False
     for line in lines:
-        line = CODE.sub(r"``\1``", line)
+        line = BAR.sub(r"\\|", CODE.sub(r"``\1``", line))
         field = FIELD.match(line)
         if field and not line.startswith(("Returns", "Raises")):
             if not in_list:
@@ -70,6 +80,22 @@ def as_restructured_text(app, what, name, obj, options, lines):
     lines[:] = out
 
 
+def with_output(app, docname, source):
+    """Turn the blocks of a page into cells of a notebook; the source stays plain Markdown."""
+    if docname.startswith(EXECUTED) and BLOCK.search(source[0]):
+        source[0] = HEAD + BLOCK.sub(as_cell, source[0])
+
+
+def as_cell(block):
+    if block[1] == "python":
+        return f"```{{code-cell}} ipython3\n{block[2]}```"
+    here = f"!{sys.executable} -m cmp_cl"
+    commands = re.sub(r"^\$ cmp-cl\b", here, block[2], flags=re.MULTILINE)
+    commands = re.sub(r"^\$ ", "!", commands, flags=re.MULTILINE)
+    return f"{block[0]}\n\n```{{code-cell}} ipython3\n:tags: [remove-input]\n{commands}```"
+
+
 def setup(app):
+    app.connect("source-read", with_output)
     app.connect("autodoc-process-docstring", as_restructured_text)
-    app.connect("builder-inited", lambda app: pictures.make(HERE / "_generated"))
+    app.connect("builder-inited", lambda app: pictures.gallery(HERE / "_generated"))

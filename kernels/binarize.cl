@@ -1,3 +1,5 @@
+#include "plane.clh"
+
 /* Binarization (section 3.1): black iff (I + C) n < S, with S the sum of the n = w w pixels
  * of the window, border repeated. Bit k of a pixel is its colour in mask k, 1 where black.
  *
@@ -11,32 +13,27 @@
 #error "WINDOW_SUM must add over the window"
 #endif
 
-/* Repeat the border pixel in the PAD columns on either side. */
-#define REPEAT_BORDER(T, row)                                                       \
-  {                                                                                 \
-    const T first = (row)[0], last = (row)[columns - 1];                            \
-    for (int k = 1; k <= PAD; ++k) (row)[-k] = first;                               \
-    for (int k = 0; k < (int)(step - PAD - columns); ++k) (row)[columns + k] = last; \
-  }
-
-/* One work-item per row. */
-__kernel void repeat_border(const uint rows, const uint columns, const uint step,
-                            __global PIXEL *restrict image) {
-  REPEAT_BORDER(PIXEL, image + ROW(0, get_global_id(0)) + PAD)
-}
-
-/* The same of the binary image; the lists and the maxima are then empty. One work-item per row. */
+/* Repeat the border of the binary image; the lists and the maxima are then empty. One work-item per
+ * row. */
 __kernel void repeat_border_binary(const uint rows, const uint columns, const uint step,
                                    __global uchar *restrict binary,
                                    __global uint *restrict totals,
                                    __global uint *restrict row_counts,
+#if GATE
+                                   __global uint *restrict passed,
+#endif
                                    __global uint *restrict maxima) {
   const size_t row = get_global_id(0);
   REPEAT_BORDER(uchar, binary + ROW(0, row) + PAD)
   if (row % rows == 0)
     for (uint mask = 0; mask < MASKS; ++mask) totals[row / rows * MASKS + mask] = 0;
   row_counts[row] = 0;
-  for (uint word = 0; word < step / 32; ++word) maxima[row * (step / 32) + word] = 0;
+  for (uint word = 0; word < step / 32; ++word) {
+    maxima[row * (step / 32) + word] = 0;
+#if GATE
+    passed[row * (step / 32) + word] = 0;
+#endif
+  }
 }
 
 #define SUMS_ROW(p, y) (((size_t)(p) * slab + (y) + 1) * step)

@@ -1,3 +1,5 @@
+#include "plane.clh"
+
 /* Eight pixels, and whether any of them is not 0. */
 #if RAPID
 typedef uchar8 RESPONSES_8;

@@ -1,3 +1,6 @@
+#include "plane.clh"
+#include "ring.clh"
+
 /* Double-layer sampling and the four rapid criteria (sections 3.2 and 3.4, Eqs. 18 to 24).
  *
  * A colour is 0 or 1, black. a0..a15 are the inner ring's samples, b0..b15 the outer ring's.
@@ -15,7 +18,7 @@
   RUN_INDEX(11, 10) RUN_INDEX(12, 11) RUN_INDEX(13, 12) RUN_INDEX(14, 13)           \
   RUN_INDEX(15, 14)
 
-#if RAPID && !IN_WORDS
+#if RAPID
 
 /* The colour in a mask, whose bit `to_top` brings to the highest place: LLVM packs products of
  * bytes, not shifts by a variable. */

@@ -1,3 +1,5 @@
+#include "plane.clh"
+
 /* Non-maximum suppression (section 3.5): S is the response under the tent [1 2 3 2 1] in x
  * and y; a candidate is kept iff its key 10 S + R is the largest of its window, the earlier
  * pixel in raster order winning a tie. The response is 0 outside the image.
@@ -5,8 +7,8 @@
  * Candidates are places from the start of the frame's rows on. Where there is none the response
  * is 0, and a key means nothing. */
 
-#ifndef RADIUS
-#error "RADIUS must be that of suppression"
+#ifndef NMS_RADIUS
+#error "NMS_RADIUS must be that of suppression"
 #endif
 
 /* S of a pixel of row y. */
@@ -27,8 +29,6 @@ __kernel void score_map(__global const RESPONSE *restrict response, const uint r
   scores[(size_t)y * get_global_size(0) + x] = tent(response + ROW(0, y) + PAD + x, y, rows, step);
 }
 
-#if !IN_WORDS
-
 #define CANDIDATE                                                                   \
   const size_t n = get_global_id(0), p = get_global_id(1), frame = p / MASKS;       \
   if (n >= min(totals[p], room)) return;                                            \
@@ -36,22 +36,13 @@ __kernel void score_map(__global const RESPONSE *restrict response, const uint r
   const size_t i = ROW(frame, 0) + place;                                           \
   const int y = (int)(place / step);
 
-/* The responses of the candidates that the gate keeps; of three masks together
- * 2 R(0) + R(-1/2) + R(+1/2), each added within the word that holds it. */
-__kernel void keep(__global const uint *restrict list, __global const uint *restrict totals,
-                   const uint rows, const uint step, const uint room,
-#if GATE
-                   __global const CONTRAST *restrict contrast,
-                   __global const CONTRAST *restrict mean_difference,
-                   __global const int2 *restrict bounds,
-#endif
-                   __global const RESPONSE *restrict list_of_responses,
-                   __global RESPONSE *restrict response) {
+/* The responses of the candidates; of three masks together 2 R(0) + R(-1/2) + R(+1/2), each added
+ * within the word that holds it. */
+__kernel void spread(__global const uint *restrict list, __global const uint *restrict totals,
+                       const uint rows, const uint step, const uint room,
+                     __global const RESPONSE *restrict list_of_responses,
+                     __global RESPONSE *restrict response) {
   CANDIDATE
-#if GATE
-  const int2 bound = bounds[p];
-  if (contrast[p * room + n] < bound.x || mean_difference[p * room + n] < bound.y) return;
-#endif
   const RESPONSE r = list_of_responses[p * room + n];
 #if MASKS == 1
   response[i] = r;
@@ -76,15 +67,15 @@ __kernel void score(__global const uint *restrict list, __global const uint *res
 __kernel void maximum(__global const uint *restrict list, __global const uint *restrict totals,
                       const uint rows, const uint step, const uint room,
                       __global const RESPONSE *restrict response,
-                      __global const SCORE *restrict key, __global uint *restrict maxima,
-                      __global uint *restrict row_counts) {
+                      __global const SCORE *restrict key, __global uint *restrict row_counts,
+                      __global uint *restrict maxima) {
   CANDIDATE
   if (response[i] == 0) return;
   const SCORE k = key[i];
-  for (int row = 0; row <= 2 * RADIUS; ++row) { /* the nearest ones first */
+  for (int row = 0; row <= 2 * NMS_RADIUS; ++row) { /* the nearest ones first */
     const int dy = row % 2 ? row / 2 + 1 : -(row / 2);
     if (y + dy < 0 || y + dy >= (int)rows) continue;
-    for (int dx = -RADIUS; dx <= RADIUS; ++dx) {
+    for (int dx = -NMS_RADIUS; dx <= NMS_RADIUS; ++dx) {
       const size_t other = i + dy * (long)step + dx;
       if (response[other] == 0) continue;
       const bool earlier = dy < 0 || (dy == 0 && dx < 0);
@@ -93,31 +84,9 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
   }
   const uint bit = 1u << place % 32;
   __global uint *word = maxima + (frame * rows + y) * (step / 32) + place % step / 32;
+#if GATE /* which counts what passes it */
+  atomic_or(word, bit);
+#else
   if (!(atomic_or(word, bit) & bit)) atomic_inc(row_counts + frame * rows + y);
-}
-
 #endif
-
-#if LANES == 1
-
-/* The list of the maxima, bit k of word i of a row being pixel 32 i + k, in (y, x) order whatever
- * the order of the work-items; its count runs past the room. One work-item per band of rows. */
-__kernel void list_maxima(__global const uint *restrict maxima,
-                          __global const uint *restrict counts, const uint rows,
-                          const uint step, const uint room, const uint place,
-                          const uint band_rows, __global int2 *restrict list,
-                          __global uint *restrict totals) {
-  const size_t band = get_global_id(0), p = get_global_id(1);
-  const uint top = (uint)band * band_rows, end = SMALLER(top + band_rows, rows);
-  uint n = 0;
-  for (uint y = 0; y < top; ++y) n += counts[p * rows + y];
-  for (uint y = top; y < end; ++y)
-    for (uint i = 0; i < step / 32; ++i)
-      for (uint left = maxima[(p * rows + y) * (step / 32) + i]; left; left &= left - 1, ++n)
-        if (n < room)
-          list[p * room + n] =
-              (int2)((int)(32 * i + 31 - clz(left & (0u - left))) - PAD, (int)y);
-  if (end == rows) totals[place + p] = n;
 }
-
-#endif

@@ -1,3 +1,5 @@
+#include "plane.clh"
+
 /* The working scale: the image resampled with separable integer weights of sum 2048, rounded.
  * One work-item per pixel of the scaled image. Taps that lie outside the image have no weight;
  * those of a row stay in its pads. */

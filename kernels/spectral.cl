@@ -1,3 +1,6 @@
+#include "plane.clh"
+#include "ring.clh"
+
 /* Double-layer sampling and the spectral criteria (section 3.3, Eqs. 13 and 17).
  *
  * The tables hold, by ring mask, the response of an inner mask whose |F2| is above |F1| and

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from corner_images import board, noise
 
+import cmp_cl.cell as cell_module
 from cmp_cl.cell import estimate_cell
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ImageError
@@ -64,3 +65,23 @@ def test_for_image_uses_it():
     image, _ = board(180, 200, 10)
     assert DetectorConfig.for_image(image) == DetectorConfig.for_cell(estimate_cell(image))
     assert DetectorConfig.for_image(image).detection.fine
+
+
+def test_of_a_large_image_it_looks_at_a_sample(monkeypatch):
+    image, _ = board(700, 900, 14.5, angle=0.1)
+    whole = estimate_cell(image)
+    looked_at = []
+    black = cell_module._black
+    monkeypatch.setattr(cell_module, "_MOST_PIXELS", image.size // 4)
+
+    def noted(part):
+        looked_at.append(part.size)
+        return black(part)
+
+    monkeypatch.setattr(cell_module, "_black", noted)
+    assert estimate_cell(image) == pytest.approx(whole, abs=1)
+    assert len(looked_at) > 10
+    assert max(looked_at) < image.size // 5
+    edges = np.full((700, 900), 90, np.uint8)  # a board in a corner is seen too
+    edges[-120:, -150:] = image[:120, :150]
+    assert estimate_cell(edges) == pytest.approx(whole, abs=2)

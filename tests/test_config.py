@@ -42,7 +42,6 @@ BOUNDS = [
     (SectorContrast, "noise", 0, 100, 1e-3),
     (EdgeLines, "max_shift", 0, 5, 1e-3),
     (EdgeStep, "cell", 4, 1000, 1e-3),
-    (EdgeStep, "sigma0", 0, 5, 1e-3),
     (Midlines, "max_shift", 0, 5, 1e-3),
     (DetectorConfig, "nms_radius", 1, 15, 1),
     (DetectorConfig, "scale", 0.05, 4, 1e-3),
@@ -90,7 +89,7 @@ def test_a_fraction_is_refused_where_an_integer_is_needed(part, field):
         (lambda: AdaptiveMean(masks=3.0), "AdaptiveMean.masks must be 1 or 3, not 3.0"),
         (lambda: AdaptiveMean(masks=3, offset=1), "AdaptiveMean.offset must be 0 with masks=3"),
         (lambda: Midlines(fit="linear"), "Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC"),
-        (lambda: Pyramid(factors=(), expected=1), "Pyramid.factors must be a tuple of at least"),
+        (lambda: Pyramid(factors=(), expected=1), "Pyramid.factors must be a tuple of 1 to 32"),
         (lambda: Pyramid(factors=[1.0], expected=1), "Pyramid.factors must be a tuple"),
         (lambda: Pyramid(factors=(0.01,), expected=1), "Pyramid.factors must be a number in"),
         (lambda: Pyramid(factors=(1.0,), expected=0), "Pyramid.expected must be an integer in"),
@@ -240,7 +239,7 @@ def test_a_file_of_the_older_kind_gets_one_line_that_says_what_to_write(text, in
         ("nms_radius = ", "Invalid value"),
         ("nms_radius = 3\nnms_radius = 4", "Cannot overwrite a value"),
         ("nms_radius = " + "9" * 5000, "4300 digits"),
-        ("x = " + "[" * 100_000, "recursion"),
+        ("x = " + "[" * 10_000, "nested too deep"),
     ],
     ids=lambda value: str(value)[:32],
 )
@@ -299,3 +298,9 @@ def test_the_papers_preset_holds_the_windows_of_table_2(markers, window):
         contrast=None,
     )
     assert paper.refinement == Midlines(fit=Fit.LINEAR)
+
+
+def test_a_pyramid_has_as_many_factors_as_can_be_searched():
+    assert len(Pyramid(factors=(0.5,) * 32, expected=1).factors) == 32
+    with pytest.raises(ConfigError, match="1 to 32"):
+        Pyramid(factors=(0.5,) * 33, expected=1)

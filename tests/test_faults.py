@@ -158,7 +158,7 @@ def test_without_a_folder_to_write_to_it_is_compiled_each_time(device, cache):
 SHARED = """
 import pathlib, sys
 sys.path[:0] = {path!r}
-from cmp_cl import program
+from cmp_cl.opencl import program
 program.platformdirs.user_cache_path = lambda *_, **__: pathlib.Path({folder!r})
 import test_faults
 print(len(test_faults.find({device!r})))

@@ -5,7 +5,7 @@ import stat
 
 import pytest
 
-from cmp_cl.files import whole_file, write_bytes, write_text
+from cmp_cl.files import read_toml, whole_file, write_bytes, write_text
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -37,6 +37,37 @@ def test_a_new_file_has_the_permissions_of_any_other(tmp_path):
     assert len(modes) == 1
 
 
+@pytest.mark.skipif(os.name == "nt", reason="modes are others on Windows")
+def test_a_file_keeps_its_mode_from_the_first_byte_on(tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("old")
+    secret.chmod(0o600)
+    with whole_file(secret) as file:
+        assert stat.S_IMODE(os.stat(file.name).st_mode) == 0o600
+        file.write(b"new")
+    assert secret.read_text() == "new"
+    assert stat.S_IMODE(secret.stat().st_mode) == 0o600
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes are others on Windows")
+def test_a_read_only_file_is_not_replaced(tmp_path):
+    target = tmp_path / "kept.csv"
+    target.write_text("old")
+    target.chmod(0o444)
+    with pytest.raises(PermissionError, match=r"read-only: .*kept\.csv"):
+        write_text(target, "new")
+    assert target.read_text() == "old"
+    assert os.listdir(tmp_path) == ["kept.csv"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes are others on Windows")
+@pytest.mark.skipif(os.name != "nt" and os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder_is_told_with_the_name_that_was_given(tmp_path):
+    tmp_path.chmod(0o555)
+    with pytest.raises(PermissionError, match=r"cannot be written: .*new\.csv"):
+        write_text(tmp_path / "new.csv", "")
+
+
 @pytest.mark.skipif(os.name == "nt", reason="links need rights on Windows")
 def test_a_link_stays_a_link_and_its_target_is_written(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "target")
@@ -62,3 +93,24 @@ def test_a_missing_folder_and_a_folder_as_a_file_are_named(tmp_path):
 def test_a_full_disk_is_named():
     with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
         write_text("/dev/full", "much")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (b"a" + b".a" * 30_000 + b" = 1", "nested too deep"),  # takes memory without end
+        (b"a = " + b"[" * 1000, "nested too deep"),
+        (b"a = '" + b"b" * 70_000 + b"'", "over 65536 bytes"),
+        (b"a = '\xff'", "no text in UTF-8"),
+        (b"a = ", "Invalid value"),
+    ],
+)
+def test_settings_without_bounds_are_refused(text, why, tmp_path):
+    (tmp_path / "a.toml").write_bytes(text)
+    with pytest.raises(ValueError, match=why):
+        read_toml(tmp_path / "a.toml")
+
+
+def test_settings_with_a_byte_order_mark_and_other_line_ends_are_read(tmp_path):
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbfa = 1\r\nb = 0.5\r\n")
+    assert read_toml(tmp_path / "a.toml") == {"a": 1, "b": 0.5}

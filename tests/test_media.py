@@ -1,8 +1,11 @@
 """Images and videos read as grey; CSV with units."""
 
+import contextlib
 import csv
 import itertools
 import os
+import struct
+import threading
 
 import cv2
 import numpy as np
@@ -13,6 +16,7 @@ from cmp_cl.cli.tables import CORNER_COLUMNS, Table, corner_rows
 from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import ImageError
 from cmp_cl.files import whole_file
+from cmp_cl.image_size import page_sizes
 
 NOISE = np.random.default_rng(1).integers(0, 256, (48, 64), dtype=np.uint8)
 
@@ -40,6 +44,70 @@ def test_grey_comes_back_as_it_was_written(tmp_path):
             read = media.read_image(tmp_path / f"a{suffix}")
             assert read.dtype == image.dtype
             np.testing.assert_array_equal(read, image)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["a.png", "a.jpg", "a.bmp", "a.pgm", "a.ppm", "a.pbm", "a.tif", "a.webp", "a.jp2", "a.gif"],
+)
+def test_the_size_of_an_image_is_known_before_it_is_unpacked(name, tmp_path):
+    image = np.dstack([NOISE] * 3) if name in ("a.ppm", "a.gif") else NOISE
+    media.write_image(tmp_path / name, image)
+    data = (tmp_path / name).read_bytes()
+    assert page_sizes(memoryview(data)) == [(64, 48)]
+    for most, fits in ((64 * 48, True), (64 * 48 - 1, False)):
+        with contextlib.nullcontext() if fits else pytest.raises(ImageError, match="64 x 48"):
+            assert media.read_image(tmp_path / name, max_pixels=most).shape == (48, 64)
+    for end in range(0, min(len(data), 120), 7):  # never another size, never another error
+        with contextlib.suppress(ValueError):
+            assert page_sizes(memoryview(data[:end])) in (None, [(64, 48)])
+
+
+def test_unknown_formats_have_no_known_size():
+    for data in (b"", b"text", b"\x76\x2f\x31\x01 OpenEXR"):
+        assert page_sizes(memoryview(data)) is None
+
+
+def test_a_webp_with_transparency_and_a_big_endian_tiff_have_their_sizes(tmp_path):
+    media.write_image(tmp_path / "a.webp", np.dstack([NOISE] * 4))
+    assert page_sizes(memoryview((tmp_path / "a.webp").read_bytes())) == [(64, 48)]
+    tiff = struct.pack(">2sHIHHHIHHHHIII", b"MM", 42, 8, 2, 256, 3, 1, 64, 0, 257, 4, 1, 48, 0)
+    assert page_sizes(memoryview(tiff)) == [(64, 48)]
+
+
+def test_a_stack_whose_pages_lead_to_one_another_is_an_image_error(tmp_path):
+    tiff = struct.pack("<2sHIHHHIHHHHIII", b"II", 42, 8, 2, 256, 3, 1, 64, 0, 257, 4, 1, 48, 8)
+    (tmp_path / "loop.tif").write_bytes(tiff)
+    with pytest.raises(ImageError, match="lead to one another"):
+        media.read_image(tmp_path / "loop.tif")
+
+
+def test_a_stack_is_unpacked_page_by_page(tmp_path, monkeypatch):
+    pages = [np.full((300, 400), level, np.uint8) for level in range(20)]
+    cv2.imwritemulti(str(tmp_path / "stack.tif"), pages)
+    asked = []
+    decode = cv2.imdecodemulti
+
+    def noted(data, flags, **what):
+        asked.append(what["range"])
+        return decode(data, flags, **what)
+
+    monkeypatch.setattr(cv2, "imdecodemulti", noted)
+    frames = media.read_frames(tmp_path / "stack.tif")
+    for index in range(3):
+        np.testing.assert_array_equal(next(frames).image, pages[index])
+    assert asked == [(0, 1), (1, 2), (2, 3)]
+    assert len(list(frames)) == 17
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no named pipes on Windows")
+def test_an_image_comes_through_a_pipe(tmp_path):
+    data = cv2.imencode(".png", NOISE)[1].tobytes()
+    os.mkfifo(tmp_path / "pipe")
+    writer = threading.Thread(target=(tmp_path / "pipe").write_bytes, args=(data,))
+    writer.start()
+    np.testing.assert_array_equal(media.read_image(tmp_path / "pipe"), NOISE)
+    writer.join()
 
 
 def test_colour_is_read_as_opencv_reads_it_grey(tmp_path):
@@ -124,8 +192,8 @@ class Dead:
     def isOpened(self):
         return True
 
-    def get(self, _):
-        return 1e6
+    def get(self, what):
+        return 1e6 if what == cv2.CAP_PROP_FRAME_COUNT else 0
 
     def read(self):
         return False, None

@@ -1,10 +1,16 @@
 """Arguments that commands share, and what they mean for a frame."""
 
 import argparse
+import math
+import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
+from cmp_cl import media
+from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
+from cmp_cl.grid.limits import MOST_NODES
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Region
 from cmp_cl.stereo import BinocularSplit
@@ -13,6 +19,26 @@ _BOX = r"(\d+),(\d+),(\d+),(\d+)"
 
 Box = tuple[int, int, int, int]  # x, y, width, height, px
 View = tuple[Box, bool]  # where it is in the frame, and whether it is mirrored
+
+
+def refuse_to_overwrite(
+    inputs: Iterable[str | Path | None], outputs: Iterable[str | Path | None]
+) -> None:
+    """Raise ConfigError where an output is an input, or two outputs are one file.
+
+    None stands for a file that was not asked for. Devices and pipes may be named twice.
+    """
+    read = {os.path.realpath(path) for path in inputs if path is not None}
+    written = set()
+    for path in outputs:
+        if path is None or (os.path.exists(path) and not os.path.isfile(path)):
+            continue
+        place = os.path.realpath(path)
+        if place in read:
+            raise ConfigError(f"{shown(path)} is an input and would be overwritten")
+        if place in written:
+            raise ConfigError(f"{shown(path)} is named for two outputs")
+        written.add(place)
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +60,17 @@ def add_full_scale(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_max_pixels(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--max-pixels",
+        metavar="N",
+        type=positive,
+        default=media.MAX_PIXELS,
+        help="largest number of pixels of an image that is decoded; default: "
+        f"{media.MAX_PIXELS}, a square of {math.isqrt(media.MAX_PIXELS)}",
+    )
+
+
 def add_split(parser: argparse.ArgumentParser, *, help_: str) -> None:
     parser.add_argument("--split", metavar="WHERE", help=help_)
     parser.add_argument(
@@ -47,12 +84,22 @@ def add_region(parser: argparse.ArgumentParser, *, help_: str) -> None:
     parser.add_argument("--region", metavar="WHERE", type=boxes, help=help_)
 
 
+def positive(text: str) -> int:
+    """A whole number from 1 on."""
+    if re.fullmatch(r"\d{1,18}", text) is None or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on")
+    return int(text)
+
+
 def grid_shape(text: str) -> tuple[int, int]:
     """Rows and columns from a text such as 40x40."""
     match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text)
     if match is None or min(int(match[1]), int(match[2])) < 2:
         raise argparse.ArgumentTypeError(f"{text!r} is no pair of counts such as 40x40")
-    return int(match[1]), int(match[2])
+    rows, columns = int(match[1]), int(match[2])
+    if rows * columns > MOST_NODES:
+        raise argparse.ArgumentTypeError(f"{text!r} is more than {MOST_NODES} nodes")
+    return rows, columns
 
 
 def boxes(text: str) -> tuple[Box, ...]:

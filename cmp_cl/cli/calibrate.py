@@ -1,6 +1,7 @@
 """`cmp-cl calibrate`: two cameras from views of a rigid board."""
 
 import argparse
+import itertools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,9 +13,11 @@ from cmp_cl import media
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
+    add_max_pixels,
     add_region,
     add_split,
     grid_shape,
+    refuse_to_overwrite,
     regions_in,
     split_of,
     views_of,
@@ -82,6 +85,7 @@ def add_parser(commands: Any) -> None:
         help=f"largest standard deviation of a corner that is used; default: {MAX_SIGMA:g} px",
     )
     add_full_scale(parser)
+    add_max_pixels(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -99,6 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns its exit status."""
     _check(arguments)
     names = _names(arguments)
+    refuse_to_overwrite(itertools.chain(*names), [arguments.out])
     device = select_device(arguments.device)
     views: list[tuple[Grid, Grid]] = []
     used: list[str] = []
@@ -164,7 +169,7 @@ def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:
 
 def _read(paths: tuple[Path, ...], arguments: argparse.Namespace) -> _Pair:
     name = ", ".join(shown(path.name) for path in paths)
-    images = [media.read_image(path) for path in paths]
+    images = [media.read_image(path, max_pixels=arguments.max_pixels) for path in paths]
     if len(images) == 2:
         left, right = images
         regions = regions_in(arguments.region, whole(left), whole(right))

@@ -2,19 +2,26 @@
 
 import argparse
 import contextlib
+import itertools
 import os
 import statistics
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import add_device, add_full_scale, grid_shape
-from cmp_cl.cli.messages import one_line, shown
+from cmp_cl.cli.arguments import (
+    add_device,
+    add_full_scale,
+    add_max_pixels,
+    grid_shape,
+    refuse_to_overwrite,
+)
+from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.tables import CORNER_COLUMNS, NODE_COLUMNS, Table, corner_rows, node_rows
 from cmp_cl.config import DetectorConfig
@@ -65,6 +72,7 @@ def add_parser(commands: Any) -> None:
         "that are missing; table and picture then show its nodes, and how each was found",
     )
     add_full_scale(parser)
+    add_max_pixels(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -77,20 +85,21 @@ def run(arguments: argparse.Namespace) -> int:
     paths = media.find_inputs(arguments.inputs)
     overlays = _overlay_paths(arguments.overlay, paths)
     out = _csv_path(arguments.out)
-    _refuse_to_overwrite(paths, [*overlays.values(), *([] if out is None else [out])])
+    refuse_to_overwrite([*paths, arguments.config], [*overlays.values(), out])
     device = None if arguments.device is None else select_device(arguments.device)
     status = 0
-    with contextlib.ExitStack() as stack:
-        table = None
+    table = None
+    with contextlib.suppress(_NothingToWrite), contextlib.ExitStack() as stack:
         if out is not None:
             columns = CORNER_COLUMNS if arguments.grid is None else NODE_COLUMNS
             table = Table(stack.enter_context(whole_file(out)), columns)
         finder = stack.enter_context(
-            contextlib.closing(_Finder(config, arguments.full_scale, device))
+            contextlib.closing(_Finder(config, arguments.full_scale, device, arguments.max_pixels))
         )
         progress = stack.enter_context(Progress(_frames_in(paths), "frames"))
         for path in paths:
             tally = _Tally()
+            failures = []
             try:
                 for number, image, corners in finder.find(path, tally):
                     grid = None
@@ -109,12 +118,16 @@ def run(arguments: argparse.Namespace) -> int:
                         tally.overlays.append(name)
                     progress.step()
             except ImageError as error:
-                progress.say(f"cmp-cl: {one_line(error)}", sys.stderr)
-                status = 2
-            for line in tally.refused:
-                progress.say(f"cmp-cl: {shown(path)}: {line}", sys.stderr)
-                status = 2
-            if tally.broken:
+                failures.append(one_line(error))
+            if tally.refused:
+                failures.append(f"{shown(path)}: {tally.refused_line()}")
+            status = 2 if failures else status
+            empty = table is not None and status == 2 and not table.rows and path is paths[-1]
+            if empty:
+                failures.append(f"{shown(out)} is not written")
+            if failures:
+                progress.say(f"cmp-cl: {'; '.join(failures)}", sys.stderr)
+            if tally.broken and tally.counts:
                 progress.say(f"cmp-cl: {shown(path)}: {tally.broken_line()}", sys.stderr)
             if tally.counts:
                 progress.say(f"{shown(path)}: {tally.line()}", sys.stdout)
@@ -124,10 +137,16 @@ def run(arguments: argparse.Namespace) -> int:
                     f"{tally.brightest}; for a camera of 12 bits say --full-scale 4095",
                     sys.stderr,
                 )
-    if table is not None:
+            if empty:
+                raise _NothingToWrite
+    if table is not None and not (status and not table.rows):
         what = "corners" if arguments.grid is None else "nodes"
         print(f"wrote {shown(out)}: {table.rows} {what}")
     return status
+
+
+class _NothingToWrite(Exception):
+    """Nothing was found and something failed: an older table is kept."""
 
 
 class _Tally:
@@ -137,7 +156,7 @@ class _Tally:
         self.counts: list[int] = []
         self.milliseconds: list[float] = []
         self.nodes: list[int] = []
-        self.refused: list[str] = []
+        self.refused: dict[int, str] = {}  # frame to reason
         self.broken: list[int] = []
         self.overlays: list[Path] = []
         self.brightest = 0
@@ -156,7 +175,7 @@ class _Tally:
         try:
             grid = build_grid(corners, image, shape=shape)
         except GridError as error:
-            self.refused.append(f"frame {frame} is not numbered: {one_line(error)}")
+            self.refused[frame] = one_line(error)
             return None
         self.nodes.append(int(np.count_nonzero(grid.valid)))
         self.size = grid.status.size
@@ -180,11 +199,22 @@ class _Tally:
         """Whether a 16-bit file holds less than 16 bits, and nothing was found in it."""
         return 0 < self.brightest < 2**14 and not any(self.counts)
 
+    def refused_line(self) -> str:
+        (first, why), *more = self.refused.items()
+        if not more:
+            return f"frame {first} is not numbered: {why}"
+        some = _some(self.refused)
+        return f"{len(self.refused)} frames are not numbered: {some}; the first: {why}"
+
     def broken_line(self) -> str:
-        noun = "frame" if len(self.broken) == 1 else "frames"
-        some = ", ".join(map(str, self.broken[:8]))
-        more = ", ..." if len(self.broken) > 8 else ""
-        return f"skipped {len(self.broken)} {noun} that could not be read: {some}{more}"
+        frames = counted(len(self.broken), "frame")
+        return f"skipped {frames} that could not be read: {_some(self.broken)}"
+
+
+def _some(numbers: Collection[int]) -> str:
+    """The first of the numbers, as a list."""
+    few = ", ".join(map(str, itertools.islice(numbers, 8)))
+    return f"{few}, ..." if len(numbers) > 8 else few
 
 
 def _span(counts: Sequence[int]) -> str:
@@ -196,8 +226,13 @@ class _Finder:
     """Finds corners in images as they come; a detector is kept while it fits."""
 
     def __init__(
-        self, config: DetectorConfig | None, full_scale: int | None, device: Device | None
+        self,
+        config: DetectorConfig | None,
+        full_scale: int | None,
+        device: Device | None,
+        max_pixels: int,
     ) -> None:
+        self._max_pixels = max_pixels
         self._config = config
         self._full_scale = full_scale
         self._device = device
@@ -211,7 +246,7 @@ class _Finder:
         Without a configuration it is estimated from each frame until one has corners.
         """
         config = self._config
-        for frame in media.read_frames(path):
+        for frame in media.read_frames(path, max_pixels=self._max_pixels):
             if frame.image is None:
                 tally.broken.append(frame.index)
                 continue
@@ -306,10 +341,3 @@ def _of_frame(overlay: Path, path: Path, index: int) -> Path:
     if index == 0 and not media.is_video(path):
         return overlay
     return overlay.with_stem(f"{overlay.stem}-{index:06}")
-
-
-def _refuse_to_overwrite(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
-    read = {os.path.realpath(path) for path in inputs}
-    for path in outputs:
-        if os.path.realpath(path) in read:
-            raise ConfigError(f"{shown(path)} is an input and would be overwritten")

@@ -19,6 +19,7 @@ from cmp_cl.cli import calibrate, demo, detect, pattern, plot, render, run, tune
 from cmp_cl.cli.messages import one_line
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
+from cmp_cl.media import codec_messages_caught
 from cmp_cl.opencl.device import DEVICE_VARIABLE
 
 INSTALL = """\
@@ -46,11 +47,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     set_log_level(0)
     _open_streams()
     try:
-        with handled(interrupt):
+        with handled(interrupt), codec_messages_caught():
             arguments = _parser().parse_args(argv)
             run: Callable[[argparse.Namespace], int] = arguments.run
             status = run(arguments)
-            _flush()
+            sys.stdout.flush()  # a full disk is told now
         return status
     except KernelBuildError as error:
         return _fail(str(error))
@@ -63,16 +64,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail("there is not enough memory for this")
     except KeyboardInterrupt:
         return _fail("interrupted", status=130)
-
-
-def _flush() -> None:
-    """Write what was printed; raises OSError, which Python would only tell after the end."""
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, "standard output") from error
 
 
 def _open_streams() -> None:

@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+_LONGEST = 1000  # letters of a message: a value that is refused may be of any length
+
 
 def shown(name: object) -> str:
     """A file name as it can stand in a line: itself, or quoted with its odd characters escaped."""
@@ -15,7 +17,8 @@ def one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror is not None:
         name = "" if error.filename is None else f"{shown(error.filename)}: "
         return f"{name}{error.strerror}"
-    return " ".join(str(error).splitlines())
+    line = " ".join(str(error).splitlines())
+    return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 100]} ... {line[-90:]}"
 
 
 def counted(count: int, noun: str) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from cmp_cl import media
+from cmp_cl.cli.arguments import refuse_to_overwrite
 from cmp_cl.cli.messages import shown
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
@@ -73,6 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         bits=arguments.bits,
         seed=arguments.seed,
     )
+    refuse_to_overwrite([], [arguments.out, arguments.truth])
     rendered = render(scene)
     media.write_image(arguments.out, rendered.image)
     rows, columns = scene.shape

@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import dataclasses
-import os
 import sys
 import time
 from collections.abc import Generator, Sequence
@@ -17,9 +16,11 @@ from cmp_cl.cli.arguments import (
     Box,
     add_device,
     add_full_scale,
+    add_max_pixels,
     add_region,
     add_split,
     grid_shape,
+    refuse_to_overwrite,
     regions_in,
     split_of,
     views_of,
@@ -99,6 +100,7 @@ def add_parser(commands: Any) -> None:
         "complete ones for the cells seen at rest",
     )
     add_full_scale(parser)
+    add_max_pixels(parser)
     add_device(parser)
     parser.epilog = (
         "The series holds, with F frames of R x C nodes: index (F,), time_ms (F,) (NaN where "
@@ -120,7 +122,8 @@ class _Shot(NamedTuple):
 class _Source:
     """Where the frames come from."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, max_pixels: int) -> None:
+        self._max_pixels = max_pixels
         self.camera = (
             int(name) if name.isascii() and name.isdigit() and not Path(name).exists() else None
         )
@@ -153,7 +156,7 @@ class _Source:
         index = 0
         for path in self.paths:
             try:
-                for frame in media.read_frames(path):
+                for frame in media.read_frames(path, max_pixels=self._max_pixels):
                     yield _Shot(index, index * self._period, frame.image)
                     index += 1
             except ImageError:
@@ -249,8 +252,10 @@ class _Settings:
         config = None if arguments.config is None else DetectorConfig.load(arguments.config)
         rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
         device = select_device(arguments.device)
-        source = _Source(arguments.source)
-        _refuse_to_overwrite(source.paths, arguments)
+        source = _Source(arguments.source, arguments.max_pixels)
+        refuse_to_overwrite(
+            [*source.paths, arguments.config, arguments.stereo], [arguments.out, arguments.rerun]
+        )
         return cls(
             source=source,
             rest_frame=arguments.rest_frame,
@@ -392,10 +397,3 @@ def _why_broken(shot: _Shot, rest: GreyImage) -> str:
 def _check_suffix(option: str, path: str | None, suffix: str) -> None:
     if path is not None and Path(path).suffix.lower() != suffix:
         raise ConfigError(f"{option} {shown(path)} must end in {suffix}")
-
-
-def _refuse_to_overwrite(inputs: Sequence[Path], arguments: argparse.Namespace) -> None:
-    read = {os.path.realpath(path) for path in inputs}
-    for path in (arguments.out, arguments.rerun):
-        if path is not None and os.path.realpath(path) in read:
-            raise ConfigError(f"{shown(path)} is an input and would be overwritten")

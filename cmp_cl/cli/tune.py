@@ -17,9 +17,11 @@ from cmp_cl import media
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
+    add_max_pixels,
     add_region,
     add_split,
     grid_shape,
+    refuse_to_overwrite,
     regions_in,
     split_of,
     views_of,
@@ -92,6 +94,7 @@ def add_parser(commands: Any) -> None:
         "outside are left out in every frame",
     )
     add_full_scale(parser)
+    add_max_pixels(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -164,6 +167,7 @@ def run(arguments: argparse.Namespace) -> int:
     if Path(arguments.out).suffix.lower() != ".toml":
         raise ConfigError(f"--out {shown(arguments.out)} must end in .toml")
     check_target(arguments.out)
+    refuse_to_overwrite(media.find_inputs(arguments.frames), [arguments.out])
     device = select_device(arguments.device)
     views = _views(arguments)
     full, frames = _reference(views, arguments.markers, device, arguments.full_scale)
@@ -216,7 +220,7 @@ def _views(arguments: argparse.Namespace) -> list[tuple[GreyImage, Region | None
 
 def _every_view(arguments: argparse.Namespace) -> Iterator[tuple[GreyImage, Region | None]]:
     for path in media.find_inputs(arguments.frames):
-        for frame in media.read_frames(path):
+        for frame in media.read_frames(path, max_pixels=arguments.max_pixels):
             if frame.image is None:
                 continue
             if arguments.split is None:

@@ -9,6 +9,7 @@ from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.grid.lattice import Lattice, lattice, starts
+from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.second_look import second_look
 from cmp_cl.image import GreyImage, check_image
 
@@ -54,6 +55,7 @@ def build_grid(
     """
     if not isinstance(corners, Corners):
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
+    check_finite(corners)
     if image is not None:
         _check_holds(check_image(image), corners)
     shape = _known_shape(shape, like)
@@ -178,6 +180,8 @@ def _known_shape(shape: tuple[int, int] | None, like: Grid | None) -> tuple[int,
         and min(shape) >= 1
     ):
         raise GridError(f"shape must be (rows, columns), each at least 1, not {shape!r}")
+    if shape is not None:
+        check_size(*shape)
     if like is None:
         return shape
     if not isinstance(like, Grid):

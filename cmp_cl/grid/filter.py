@@ -54,16 +54,23 @@ class Filtered:
     _mixtures: "tuple[_Mixture, ...]"
 
     def covariance(self) -> Array:
-        """(R, C, K, K) float64, of the coordinates of each node, NaN where sigma is.
+        """(R, C, K, K) float64, of the coordinates of each filtered node, NaN where sigma is.
 
         The residuals around the node say how its coordinates vary together; the mean of the
         diagonal is sigma squared.
         """
+        return self._covariance(self.sigma)
+
+    def noise_covariance(self) -> Array:
+        """(R, C, K, K) float64, the same of the values before the filter."""
+        return self._covariance(self.noise)
+
+    def _covariance(self, sigma: Array) -> Array:
         count = self.values.shape[2]
-        whole = np.full((*self.sigma.shape, count, count), np.nan)
+        whole = np.full((*sigma.shape, count, count), np.nan)
         for mixture in self._mixtures:
             box, part = mixture.box, mixture.part
-            covariance = mixture.common() * np.square(self.sigma[box])[..., None, None]
+            covariance = mixture.common() * np.square(sigma[box])[..., None, None]
             whole[box] = np.where(part[..., None, None], covariance, whole[box])
         return whole
 
@@ -159,15 +166,25 @@ def _box(votes: Bools) -> Box:
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
+@functools.lru_cache(maxsize=64)
+def _bilinear(rows: int, columns: int) -> Array:
+    """(R, C, 4): 1, r, c and r c, from -1 to 1; orthogonal over all nodes."""
+    r = np.linspace(-1, 1, rows)[:, None] if rows > 1 else np.full((1, 1), 1e-9)
+    c = np.linspace(-1, 1, columns)[None, :] if columns > 1 else np.full((1, 1), 1e-9)
+    return np.stack(np.broadcast_arrays(1.0, r, c, r * c), axis=-1)
+
+
 def _plane(values: Array, votes: Bools) -> Array:
     """(R, C, K): the bilinear surface that fits best. The filters leave such surfaces as they
     are; without it float32 is exact enough for what is left.
     """
     rows, columns = votes.shape
-    r = np.linspace(-1, 1, rows)[:, None] if rows > 1 else np.zeros((1, 1))
-    c = np.linspace(-1, 1, columns)[None, :] if columns > 1 else np.zeros((1, 1))
-    terms = np.stack(np.broadcast_arrays(1.0, r, c, r * c), axis=-1)
-    fit = np.linalg.lstsq(terms[votes], values[votes], rcond=None)[0]
+    terms = _bilinear(rows, columns)
+    if votes.all():
+        flat = terms.reshape(-1, 4)
+        fit = (flat.T @ values.reshape(len(flat), -1)) / np.square(flat).sum(axis=0)[:, None]
+    else:
+        fit = np.linalg.lstsq(terms[votes], values[votes], rcond=None)[0]
     plane: Array = terms @ fit
     return plane
 
@@ -376,16 +393,15 @@ def _mixed(data: Single, votes: Bools, part: Bools, box: Box) -> _Mixture:
 def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     """The pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
 
-    The mean of the roots of the residual's size hardly sees a few large ones: a sharp bend of
-    the surface is no noise.
+    The mean of the square roots of the residual's size hardly sees a few large ones: a sharp
+    bend of the surface is no noise.
     """
-    count = len(data)
     rows, columns = votes.shape
     down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
     residual = data - down.pilot @ data @ along.pilot.T
     left = 1 - pairs.pilot_own
     square = np.square(residual).mean(axis=0) / np.maximum(left, 1e-3)
-    root = np.sqrt(np.sqrt(square))
+    root = np.asarray(np.sqrt(np.sqrt(square)), np.float32)
     usable = left > 0.05
     if not whole:
         support = down.pilot_share @ votes.astype(np.float32) @ along.pilot_share.T
@@ -393,13 +409,32 @@ def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     if usable.all():
         mean = down.near_noise @ root @ along.near_noise.T
     else:
+        root = np.where(usable, root, np.float32(0))
         near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
-        mean = down.near_noise @ np.where(usable, root, 0) @ along.near_noise.T
-        mean = np.where(near > 1e-6, mean / np.maximum(near, 1e-6), np.nan)
-    expected = (2 / count) ** 0.25 * math.gamma(count / 2 + 0.25) / math.gamma(count / 2)
+        mean = down.near_noise @ root @ along.near_noise.T
+        mean = np.where(near > 1e-6, mean / np.maximum(near, 1e-6), np.float32(np.nan))
+    expected = _expected_root(residual, root)
     floor = max(_FLOOR * float(np.square(data).mean()), _LEAST)
-    noise: Single = np.square(np.square(mean / np.float32(expected))) + np.float32(floor)
-    return residual.astype(np.float32, copy=False), noise
+    noise = np.square(np.square(mean / np.float32(expected))) + np.float32(floor)
+    return np.asarray(residual, np.float32), np.asarray(noise, np.float32)
+
+
+def _expected_root(residual: Single, root: Single) -> float:
+    """The mean of the square root of a residual's size where its variance per coordinate is 1.
+
+    That size is taken as chi-distributed, with as many degrees of freedom as there are
+    directions of like variance: those of the residuals, weighted so that few large ones do not
+    decide. residual: (K, R, C). root: (R, C), the square root of its size, 0 where it is unknown.
+    """
+    count = len(residual)
+    relative = root / max(float(root.max()), 1e-30)
+    weights = np.where(root > 0, np.maximum(relative, 1e-4) ** -3, 0)
+    flat = residual.reshape(count, -1)
+    common = (flat * weights.reshape(-1)) @ flat.T
+    square = float(np.square(common).sum())
+    freedom = float(np.trace(common)) ** 2 / square if square > 0 else float(count)
+    share: float = (2 / freedom) ** 0.25
+    return share * math.gamma(freedom / 2 + 0.25) / math.gamma(freedom / 2)
 
 
 def _suspects(residual: Single, noise: Single, votes: Bools) -> Bools:
@@ -423,35 +458,37 @@ def _mixture(
     down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
     filters, others = len(down.filters), len(along.filters)
     known = np.isfinite(noise)
-    s2 = np.where(known, noise, np.float32(1))[:, None]  # (R, 1, C)
-    s2 = s2.reshape(rows, 1, columns)
+    s2 = np.where(known, noise, np.float32(1))
     first = np.matmul(down.stacked, data).reshape(count, filters, rows, columns)
     smooth = np.matmul(first.reshape(-1, columns), along.stacked.T)
     smooth = smooth.reshape(count, filters, rows, others, columns)
-    apart = np.square(smooth - data[:, None, :, None]).sum(axis=0)
-    loss = apart * np.float32(1 / count) + pairs.own * (2 * s2)
+    loss = pairs.own * (2 * count * s2[:, None])
+    for coordinate in range(count):
+        apart = smooth[coordinate] - data[coordinate, :, None]
+        loss += np.square(apart, out=apart)
     whole = bool(votes.all())
     if not whole:
         loss *= votes[:, None]
     loss = np.matmul(loss.reshape(-1, columns), along.near_risk.T)
     loss = np.matmul(down.near_risk, loss.reshape(filters, rows, -1))
-    risk = loss.reshape(filters, rows, others, columns)
+    risk: Single = loss.reshape(filters, rows, others, columns)
     if whole:
-        risk = risk / s2
+        risk *= (1 / (count * s2))[:, None]
     else:
         near = down.near_risk @ votes.astype(np.float32) @ along.near_risk.T
-        risk = risk / (s2 * np.maximum(near, 1e-6)[:, None])
+        risk *= (1 / (count * s2 * np.maximum(near, np.float32(1e-6))))[:, None]
         support = np.matmul(down.share, votes.astype(np.float32))
         support = np.einsum("arj,bcj->arbc", support, along.share)
         bad = (support < LEAST_SUPPORT) | ~known[:, None] | (near < 1e-6)[:, None]
         bad[0, :, 0] = False
-        risk = np.where(bad, np.float32(np.inf), risk)
-    weights = np.exp((risk.min(axis=(0, 2))[:, None] - risk) * np.float32(_SHARPNESS))
-    weights /= weights.sum(axis=(0, 2))[:, None]
-    values = (weights * smooth).sum(axis=(1, 3))
-    risk = np.where(weights > 0, risk, 0)
-    mean_risk = (weights * risk).sum(axis=(0, 2)) - 1
-    gain = (weights * pairs.gain).sum(axis=(0, 2))
+        risk = np.where(bad, np.float32(1e30), risk)
+    least = risk.min(axis=0).min(axis=1)
+    weights = (least[:, None] - risk) * np.float32(_SHARPNESS)
+    np.exp(weights, out=weights)
+    weights *= (1 / _over_pairs(weights))[:, None]
+    values = np.stack([_over_pairs(weights * each) for each in smooth])
+    gain = _over_pairs(weights * pairs.gain)
+    mean_risk = _over_pairs(np.multiply(weights, risk, out=risk)) - 1
     variance = noise * np.maximum(mean_risk, gain)
     return _Mixture(
         box=box,
@@ -465,6 +502,12 @@ def _mixture(
         variance=variance,
         gain=gain,
     )
+
+
+def _over_pairs(values: Single) -> Single:
+    """(A, R, B, C) -> (R, C), the sum."""
+    total: Single = values.sum(axis=0).sum(axis=1)
+    return total
 
 
 def _filled(data: Single, votes: Bools) -> Single:

@@ -18,6 +18,10 @@ class NodeStatus(enum.IntEnum):
     VIRTUAL = 5  # a marker on the edge between two neighbours
 
 
+# what an image shows, and no neighbour has told
+MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Grid:
     """Corners by row and column of the pattern.

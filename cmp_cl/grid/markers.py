@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import Grid, NodeStatus
+from cmp_cl.grid.limits import check_size
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.opencl import program
 from cmp_cl.opencl.device import Device, select_device
@@ -28,12 +29,13 @@ def virtual_markers(grid: Grid, count: int) -> Grid:
     two grids do. The markers lie on a cubic Hermite curve through the nodes of the row or
     column, whose slopes are central differences, one-sided at ends and holes.
 
-    Raises GridError where count is not an integer of at least 1.
+    Raises GridError where count is not an integer of at least 1, or makes a grid too large.
     """
     if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
         raise GridError(f"the number of markers on an edge must be at least 1, not {count!r}")
     times = int(count) + 1
     rows, columns = (max((n - 1) * times + 1, 0) if n else 0 for n in grid.shape)
+    check_size(rows, columns)
     xy = np.full((rows, columns, 2), np.nan)
     status = np.zeros((rows, columns), np.uint8)
     sigma = np.full((rows, columns), np.nan, np.float32)

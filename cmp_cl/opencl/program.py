@@ -11,6 +11,7 @@ use, and written anew where they do not fit. Without a folder to write to it tak
 import contextlib
 import hashlib
 import os
+import re
 import threading
 import warnings
 from collections.abc import Mapping, Sequence
@@ -24,7 +25,8 @@ from cmp_cl.errors import KernelBuildError
 from cmp_cl.files import write_bytes
 from cmp_cl.opencl.device import check_process
 
-_HEADERS = ("plane.clh", "ring.clh")
+_OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
+_INCLUDE = re.compile(r'#include "(.+)"')
 _NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
 _WARNINGS = threading.Lock()  # the filters of warnings are those of the whole process
 
@@ -33,7 +35,7 @@ def kernel_folder() -> Path:
     """Where the kernels are: in the package, or beside it in a checkout."""
     package = Path(__file__).parents[1]
     for folder in (package / "kernels", package.parent / "kernels"):
-        if (folder / _HEADERS[0]).is_file():
+        if (folder / "plane.clh").is_file():
             return folder
     raise KernelBuildError(
         f"the OpenCL kernels are neither in {package / 'kernels'} nor beside the package; "
@@ -42,15 +44,31 @@ def kernel_folder() -> Path:
 
 
 def source(stages: Sequence[str], macros: Mapping[str, str] | None = None) -> str:
-    """The text of the headers and of kernels/STAGE.cl for each stage.
+    """Return the text of kernels/STAGE.cl for each stage; each header that they include comes once.
 
     macros: function-like macros, "NAME(ARGUMENTS)" to text, that are put before.
     """
-    folder = kernel_folder()
     text = [f"#define {name} {body}" for name, body in (macros or {}).items()]
-    for name in (*_HEADERS, *(f"{stage}.cl" for stage in stages)):
-        text += [f'#line 1 "{name}"', (folder / name).read_text(encoding="utf-8")]
+    seen: set[str] = set()
+    for stage in stages:
+        text += _with_headers(f"{stage}.cl", seen)
     return "\n".join(text)
+
+
+def _with_headers(name: str, seen: set[str]) -> list[str]:
+    """Return the lines of a file, in place of every #include those of the header."""
+    lines = [f'#line 1 "{name}"']
+    path = kernel_folder() / name
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 2):
+        header = _INCLUDE.fullmatch(line)
+        if header is None:
+            lines.append(line)
+        elif header[1] not in seen:
+            seen.add(header[1])
+            lines += [*_with_headers(header[1], seen), f'#line {number} "{name}"']
+        else:
+            lines.append("")
+    return lines
 
 
 class Kernels:
@@ -77,7 +95,11 @@ def build(
     Raises KernelBuildError with the compiler's log, DeviceError in a forked child.
     """
     check_process()
-    options = ["-cl-std=CL1.2", *(f"-D{name}={value}" for name, value in defines.items())]
+    options = [
+        "-cl-std=CL1.2",
+        "-cl-kernel-arg-info",
+        *(f"-D{name}={value}" for name, value in defines.items()),
+    ]
     text = source(stages, macros)
     kept = _place(context, text, options)
     program = None if kept is None else _loaded(context, kept, options)

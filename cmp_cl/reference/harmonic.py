@@ -237,11 +237,17 @@ def maxima(response: Whole, bound: int, radius: int) -> NDArray[np.bool_]:
 def looks_alike(
     once: Whole, thrice: Whole, y: Whole, x: Whole, response: Whole, rule: RingHarmonic
 ) -> NDArray[np.bool_]:
-    """(N,): the maxima of the 5 px ring that smaller rings confirm."""
-    passed = np.ones(len(y), np.bool_)
+    """(N,): the maxima of the 5 px ring that smaller rings confirm, and that are no stripes.
+
+    Around the middle of a stripe the grey goes up and down twice too. There the centre differs
+    from the mean of its ring, and the small ring, inside the stripe, hardly sees a harmonic:
+    a centre may differ by 11/8 of the length, and by more as the small ring's harmonic grows.
+    """
+    small, large = harmonics(once, y, x, FINE), harmonics(thrice, y, x, COARSE)
+    along, whole = _dot(small, large), _dot(large, large)
+    passed: NDArray[np.bool_] = 8 * large.centre * whole <= large.length * (11 * whole + 8 * along)
     if rule.alignment is not None:
-        small, large = harmonics(once, y, x, FINE), harmonics(thrice, y, x, COARSE)
-        passed &= rule.alignment * _dot(small, large) >= _dot(large, large)
+        passed &= rule.alignment * along >= whole
     if rule.support is not None:
         middle = coarse_measure(harmonics(thrice, y, x, MIDDLE))
         passed &= (rule.support * middle >= response) & (middle <= 2 * response)

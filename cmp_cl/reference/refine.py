@@ -31,6 +31,9 @@ BLUR = 1.2
 LEAST_CONTRAST = 1e-3
 LEAST_DETERMINANT = 1e-3
 DOUBT = 0.010
+# px: what bent edges, shading and sampling add to the noise of a position on perfect prints
+LINES_ERROR = 0.02
+STEP_ERROR = 0.01
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,6 +121,7 @@ def refine(
         shift, method, margin = midlines(points, refinement.fit, max_shift / scale)
     else:
         shift, method, margin = edge_lines(points, max_shift / scale)
+        sigma = np.where(method == Method.EDGE_LINES, lines_sigma(points), np.nan)
     method = np.where(enough, method, Method.KEPT).astype(np.uint8)
     lines = np.nonzero(method == Method.EDGE_LINES)[0]
     if isinstance(refinement, EdgeStep) and len(lines):
@@ -127,7 +131,7 @@ def refine(
         accepted = lines[step.accepted]
         shift[accepted] = step.position[step.accepted]
         method[accepted] = Method.EDGE_STEP
-        sigma[lines] = step.sigma
+        sigma[accepted] = step.sigma[step.accepted]
         doubtful[lines] = step.doubtful
         margin[lines] = np.minimum(margin[lines], step.margin)
     edges = np.arctan2(points.direction[..., 1], points.direction[..., 0])
@@ -135,7 +139,7 @@ def refine(
     return Refined(
         xy=np.where(kept, centroid, start + shift),
         method=method,
-        sigma=sigma,
+        sigma=np.where(method == Method.KEPT, np.nan, sigma),
         edges=np.where(enough[:, None], edges, np.nan),
         doubtful=doubtful,
         margin=np.where(enough, np.minimum(margin, points.margin), points.margin),
@@ -325,6 +329,28 @@ def edge_lines(points: EdgePoints, max_shift: float) -> tuple[Floats, NDArray[np
     return meeting.position, method, meeting.margin
 
 
+def lines_sigma(points: EdgePoints) -> Floats:
+    """(N,): standard deviation per axis of where the lines of EDGE_LINES meet, px.
+
+    A line through n points has the sum of squared distances d from them and n - 2 degrees of
+    freedom; its own variance is a share 1 / n of theirs, and crossing at an angle divides it by
+    sin^2. Both lines share their points' variance.
+    """
+    counts = 2 * points.valid.sum(axis=1)
+    squares = np.zeros(len(counts))
+    lines = _both_lines(points)
+    for line, boundaries in zip(lines, ((0, 2), (1, 3)), strict=True):
+        point, valid = _boundary_points(points, boundaries)
+        normal = _normal(line)[:, None]
+        apart = ((point - line.centre[:, None]) * normal).sum(axis=2)
+        squares += np.where(valid, apart**2, 0).sum(axis=1)
+    sin = np.sin(lines[1].angle - lines[0].angle)
+    with np.errstate(all="ignore"):
+        variance = squares / (2 * (counts - 2)) / counts / sin**2
+    result: Floats = np.sqrt(LINES_ERROR**2 + variance)
+    return result
+
+
 def _both_lines(points: EdgePoints) -> tuple[Lines, Lines]:
     return (
         fit_lines(*_boundary_points(points, (0, 2))),
@@ -468,7 +494,7 @@ def edge_step(
     excess = np.zeros(len(start))
     if accepted.any():
         excess = np.maximum(0, correlation - lower_median(correlation[accepted]))
-    sigma = np.sqrt(refinement.sigma0**2 + 0.25 * variance + 1000 * excess**2)
+    sigma = np.sqrt(STEP_ERROR**2 + 0.25 * variance + 1000 * excess**2)
     margin = np.min(
         [
             near,

@@ -5,20 +5,30 @@ frame costs its upload, its launches and the download of its corners.
 """
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from cmp_cl.config import DetectorConfig, EdgeStep, Fit, Midlines, RapidCriteria
+from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.device import Device
 from cmp_cl.opencl.program import Kernels, build
-from cmp_cl.stages import band_stages, pixel_stages, refine_stages, scale_stages
-from cmp_cl.stages.plan_base import GROUP, Launch, PlanBase, multiple
-from cmp_cl.stages.refine_stages import LANES, RESULT_FIELDS, RESULT_HEAD
+from cmp_cl.stages import harmonic, noise, refine, rings, scale
+from cmp_cl.stages.form import Form
+from cmp_cl.stages.layout import (
+    CORNER_COLUMNS,
+    GROUP,
+    LANES,
+    Launch,
+    PlanBase,
+    multiple,
+)
+from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
+from cmp_cl.stages.types import defines_of
 
 ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
 
@@ -26,18 +36,19 @@ ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a b
 class Overflow(Exception):
     """A list was too short; holds the largest counts that were seen."""
 
-    def __init__(self, candidates: int, corners: int) -> None:
-        super().__init__(f"{candidates} candidates, {corners} corners")
-        self.candidates = candidates
+    def __init__(self, listed: int, corners: int) -> None:
+        super().__init__(f"{listed} entries of a list, {corners} corners")
+        self.listed = listed
         self.corners = corners
 
 
 class Plan(PlanBase):
     """Buffers and bound kernels for `frames` frames of one shape at one working scale.
 
-    scale: the working scale, or None for the image as it is.
+    factor: the working scale, or None for the image as it is.
     mask: (H, W) bool, where candidates may be centred, or None.
     frames: how many it takes at a time.
+    form: that of the kernels, None for the device's own.
     """
 
     def __init__(
@@ -47,17 +58,17 @@ class Plan(PlanBase):
         shape: tuple[int, int],
         dtype: np.dtype[Any],
         config: DetectorConfig,
-        scale: float | None,
+        factor: float | None,
         mask: NDArray[np.bool_] | None,
         frames: int,
+        form: Form | None = None,
     ) -> None:
-        super().__init__(queue, device, shape, dtype, config, scale, frames)
+        super().__init__(queue, device, shape, dtype, config, factor, frames, form)
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
         self.uploads: list[cl.Event] = []  # on their way in another queue
         self._mask = mask
-        rapid = isinstance(config.criteria, RapidCriteria)
-        self.front_stages = band_stages if rapid and device.kind is DeviceKind.CPU else pixel_stages
+        self.detection: ModuleType = rings if isinstance(self.rule, BinaryRings) else harmonic
         self.kernels = self._build()
         self._allocate()
         self._bind()
@@ -65,59 +76,25 @@ class Plan(PlanBase):
     # What is compiled
 
     def _build(self) -> Kernels:
-        rapid = isinstance(self.config.criteria, RapidCriteria)
-        deep = self.dtype == np.uint16
         defines: dict[str, str | int] = {
             "PAD": self.pad,
-            "PIXEL": "ushort" if deep else "uchar",
-            "PIXEL_BITS": 16 if deep else 8,
-            "MASKS": self.masks,
-            "OUTER_RADIUS": self.config.outer_radius,
-            "RAPID": int(rapid),
-            **self.front_stages.defines(self),
-            "GATE": int(self.config.contrast is not None),
-            "CORROSION": int(self.config.criteria.corrosion_threshold is not None),
-            "COLUMN": "uint" if deep else "ushort",
-            "COLUMN8": "uint8" if deep else "ushort8",
-            "LEVEL": ("ulong" if self.config.threshold.offset else "uint") if deep else "int",
-            "SQUARE": "ulong" if deep else "uint",
-            "VARIANCE": "ulong" if deep else "long",
-            "DISTANCE": "long" if deep else "int",
-            "NOISE": "uint" if deep else "ushort",
-            "BAND_NOISE": "ulong" if deep else "uint",
-            "CURVATURE": "int" if deep else "short",
             "GROUP": GROUP,
-            "LANES": refine_stages.lanes(self),
-            "CONTRAST": "int" if deep else "short",
-            "SUM": "uint" if deep else "ushort",
-            "MEANS": "int" if deep else "short",
-            "RADIUS": self.config.nms_radius,
-            "RESPONSE": "uchar" if rapid else "ushort",
-            "SCORE": "ushort" if rapid else "int",
-            "SCALED": int(self.scale is not None),
-            "REFINED": int(self.config.refinement is not None),
-            "EDGE_STEP": int(isinstance(self.config.refinement, EdgeStep)),
-            "MIDLINES": int(isinstance(self.config.refinement, Midlines)),
-            "QUADRATIC": int(
-                isinstance(self.config.refinement, Midlines)
-                and self.config.refinement.fit is Fit.QUADRATIC
-            ),
+            "NMS_RADIUS": self.config.nms_radius,
+            "NOISE_BAND": noise.NOISE_BAND,
+            **defines_of(self.types),
+            **self.detection.defines(self),
+            **refine.defines(self),
         }
         distances = range(1, self.config.nms_radius + 1)
-        macros = {
-            **self.front_stages.macros(self),
-            "OVER_SUPPRESSION(F)": " ".join(f"F({d})" for d in distances),
-        }
+        macros = {"OVER_SUPPRESSION(F)": " ".join(f"F({d})" for d in distances)}
+        if isinstance(self.rule, BinaryRings):
+            macros |= rings.macros(self)
         return build(self.queue.context, self.stages, defines, macros)
 
     @property
     def stages(self) -> list[str]:
-        """The kernel files that the configuration needs."""
-        return [
-            *scale_stages.files(self),
-            *self.front_stages.files(self),
-            *refine_stages.files(self),
-        ]
+        """The kernel files that the configuration needs, in the order of the stages."""
+        return [*scale.files(self), *self.detection.files(self), *refine.files(self)]
 
     # What is allocated
 
@@ -128,10 +105,11 @@ class Plan(PlanBase):
         parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in self._layouts]
         sizes = {
             "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
-            **self.front_stages.sizes(self),
-            "work": max(sum(sizes) for sizes in parts),
-            "result": self.frames * refine_stages.result_size(self),
-            "totals": 4 * self.frames * (self.masks + 1),  # candidates of planes, corners
+            **self.detection.sizes(self),
+            "scratch": max((sum(sizes) for sizes in parts), default=0),
+            "corners": 4 * CORNER_COLUMNS * self.frames * self.corner_room,
+            "result": self.frames * refine.result_size(self),
+            "totals": 4 * self.frames * (self.lists + 1),  # entries of the lists, corners
         }
         if self.scale is not None:
             sizes["working"] = (self.frames * self.working[0] + 2) * self.step * pixel
@@ -140,9 +118,8 @@ class Plan(PlanBase):
     @property
     def _layouts(self) -> list[dict[str, int]]:
         """Bytes of the arrays that are needed only in passing. Those of a layout lie one after
-        the other in the buffer "work", where each layout takes the place of the one before."""
-        scaling = scale_stages.layout(self)
-        return [scaling, *self.front_stages.layouts(self), refine_stages.layout(self)]
+        the other in the buffer "scratch", where each layout takes the place of the one before."""
+        return [*self.detection.scratch(self), refine.scratch(self)]
 
     def _allocate(self) -> None:
         needed = sum(self.sizes.values())
@@ -161,7 +138,7 @@ class Plan(PlanBase):
             self.arrays = {**self.buffers, **self._parts_of_work()}
         except cl.Error as error:  # of memory, or of a size above the device's largest
             raise self.refused(error) from error
-        self._upload_mask()
+        self._upload_area()
 
     def refused(self, error: cl.Error) -> CapacityError:
         """The error for a device that has no room left, though its memory would be enough."""
@@ -177,13 +154,13 @@ class Plan(PlanBase):
     def _parts_of_work(self) -> dict[str, cl.Buffer]:
         parts = {}
         for layout in self._layouts:
-            place = 0
+            start = 0
             for name, size in layout.items():
-                parts[name] = self.buffers["work"].get_sub_region(place, size)
-                place += multiple(size, ALIGNMENT)
+                parts[name] = self.buffers["scratch"].get_sub_region(start, size)
+                start += multiple(size, ALIGNMENT)
         return parts
 
-    def _upload_mask(self) -> None:
+    def _upload_area(self) -> None:
         rows, columns = self.working
         allowed = np.ones(self.working, np.bool_)
         if self._mask is not None:
@@ -194,8 +171,10 @@ class Plan(PlanBase):
                 ((np.arange(columns) + 0.5) / (self.scale or 1)).astype(int), self.shape[1] - 1
             )
             allowed = self._mask[np.ix_(y, x)]
-        places = self.front_stages.allowed_places(self, allowed)
-        cl.enqueue_copy(self.queue, self.buffers["mask"], places)
+        after = self.step - self.pad - columns
+        padded = np.pad(allowed, ((0, 0), (self.pad, after)))
+        bits = np.packbits(padded, bitorder="little")
+        cl.enqueue_copy(self.queue, self.buffers["area"], bits)
 
     def release(self) -> None:
         """Give the device's memory back."""
@@ -207,9 +186,8 @@ class Plan(PlanBase):
 
     def _bind(self) -> None:
         self.image = self.arrays["image" if self.scale is None else "working"]
-        self.response = self.arrays["response"]
-        self.front = [*scale_stages.launches(self), *self.front_stages.launches(self)]
-        self.launches = [*self.front, *refine_stages.launches(self)]
+        detection = [*scale.launches(self), *self.detection.launches(self)]
+        self.launches = [*detection, *refine.launches(self)]
         self._likely = self.corner_room  # corners of a frame, at most
 
     # What happens in a frame
@@ -264,14 +242,14 @@ class Plan(PlanBase):
         queue.flush()
 
     def read(self, queue: cl.CommandQueue) -> NDArray[np.float32]:
-        """The result of each frame as kernels/refine.cl has it, (frames, numbers), once the
+        """The result of each frame as kernels/result.clh has it, (frames, numbers), once the
         launches are done; raises Overflow."""
         rows = self._fetch(queue, self._likely)
         self.uploads.clear()
-        head = rows[:, : 1 + self.masks].view(np.uint32)
-        most, candidates = int(head[:, 0].max()), int(head[:, 1:].max())
-        if candidates > self.candidate_room or most > self.corner_room:
-            raise Overflow(candidates, most)
+        head = rows[:, : 1 + self.lists].view(np.uint32)
+        most, listed = int(head[:, 0].max()), int(head[:, 1:].max())
+        if listed > self.list_room or most > self.corner_room:
+            raise Overflow(listed, most)
         if most > self._likely:
             rows = self._fetch(queue, most)
         self._likely = min(most * 9 // 8, self.corner_room)
@@ -288,7 +266,7 @@ class Plan(PlanBase):
             buffer_origin=(0, 0, 0),
             host_origin=(0, 0, 0),
             region=(4 * numbers, self.frames, 1),
-            buffer_pitches=(refine_stages.result_size(self), 0),
+            buffer_pitches=(refine.result_size(self), 0),
             host_pitches=(4 * numbers, 0),
             wait_for=[self._last],
         )
@@ -296,8 +274,8 @@ class Plan(PlanBase):
 
     def grow(self, overflow: Overflow) -> None:
         """Make room for what did not fit; the frames stay on the device."""
-        if overflow.candidates > self.candidate_room:
-            self.candidate_room = multiple(overflow.candidates * 5 // 4, GROUP)
+        if overflow.listed > self.list_room:
+            self.list_room = multiple(overflow.listed * 5 // 4, GROUP)
         if overflow.corners > self.corner_room:
             self.corner_room = multiple(overflow.corners * 5 // 4, GROUP)
         image = self.buffers.pop("image")

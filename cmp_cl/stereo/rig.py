@@ -16,6 +16,7 @@ from cmp_cl.files import write_text
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage
 from cmp_cl.stereo.points import Points3D, PointStatus
+from cmp_cl.stereo.reading import check_nesting
 
 MIN_PARALLAX = 1.0  # px: under it, depth is noise
 _MAX_ROUND_TRIP = 0.01  # px: undistorted and distorted again
@@ -365,6 +366,7 @@ def _open(path: str | PathLike[str]) -> cv2.FileStorage:
             data = file.read(_MAX_FILE + 1)
         if len(data) > _MAX_FILE:
             raise CalibrationError(f"{path}: over {_MAX_FILE} bytes, no calibration file")
+        check_nesting(data, path)
         return cv2.FileStorage(
             data.decode("utf-8"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY
         )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import FieldError
-from cmp_cl.field.field import DisplacementField, mesh
+from cmp_cl.field import DisplacementField, mesh
 from cmp_cl.files import whole_file
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage, check_image

@@ -1,3 +1,5 @@
+#include "plane.clh"
+
 /* The grey-level rule for CPUs: one launch takes bands of rows from the image to the maxima of
  * both responses, a second one decides for the frame. kernels/harmonic.cl has the equations.
  *
@@ -41,7 +43,7 @@ ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort 
 }
 
 /* [1 2 1] down the columns. */
-#define COLUMN(T)                                                                   \
+#define DOWN_COLUMNS(T)                                                             \
   (__global const T *restrict above, __global const T *restrict middle,             \
    __global const T *restrict below, __global ushort *restrict column, const int width) { \
     for (int x = 0; x < width; ++x)                                                 \
@@ -49,8 +51,8 @@ ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort 
     column[-1] = column[0];                                                         \
     column[width] = column[width - 1];                                              \
   }
-ROW_LOOP void column_of_greys COLUMN(PIXEL)
-ROW_LOOP void column_of_levels COLUMN(ushort)
+ROW_LOOP void column_of_greys DOWN_COLUMNS(PIXEL)
+ROW_LOOP void column_of_levels DOWN_COLUMNS(ushort)
 
 /* [1 2 1] along a row, and the repeated border of the result. */
 #define ALONG_ROW(SCALED_DOWN)                                                      \
@@ -227,9 +229,9 @@ void append(__global int *restrict list, const uint n, const uint room, const in
   y >= d ? largest + RESPONSE_AT(y - d) : nothing,                                  \
       y + d < height ? largest + RESPONSE_AT(y + d) : nothing,
 
-/* From the image to the lists of the maxima of a band; a count runs past the room of its list.
+/* From the image to the lists of the maxima of a band, and the pads of its rows; a count runs past the room of its list.
  * `area` has a bit for every pixel. One work-item a band. */
-__kernel void harmonic_band(__global const PIXEL *restrict image,
+__kernel void harmonic_band(__global PIXEL *restrict image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
                             const uint room, const uint full_scale, const float inverse,
@@ -252,6 +254,7 @@ __kernel void harmonic_band(__global const PIXEL *restrict image,
   ulong noise_of_band = 0;
   uint found[2] = {0, 0};
   for (int x = 0; x < (int)step - PAD; ++x) nothing[x] = 0;
+  for (int y = top; y < end; ++y) REPEAT_BORDER(PIXEL, image + ROW(p, y) + PAD)
 
   for (int y_in = LARGER(top - BEYOND, -1); y_in < end + BEYOND; ++y_in) {
     const int y1 = y_in - 1, y2 = y_in - 2, y3 = y_in - 3, y_response = y_in - LAG;
@@ -313,8 +316,8 @@ __kernel void harmonic_band(__global const PIXEL *restrict image,
       for (int word = 0; 32 * word < width; ++word)
         for (uint left = bits[word]; left; left &= left - 1) {
           const int x = 32 * word + (int)lowest_bit(left);
-          const uint place = (uint)y * step + PAD + (uint)x;
-          if (!(area[place / 32] >> place % 32 & 1)) continue;
+          const uint at = (uint)y * step + PAD + (uint)x;
+          if (!(area[at / 32] >> at % 32 & 1)) continue;
           const int2 inner = fine ? second_harmonic(s1, x, y, 2, 1, height, step)
                                   : second_harmonic(s1, x, y, 3, 2, height, step);
           const int2 outer = fine ? second_harmonic(s1, x, y, 3, 2, height, step)
@@ -388,7 +391,8 @@ __kernel void decide(__global const ulong *restrict noise, __global const uint *
                      __global const int *restrict lists, const uint rows, const uint columns,
                      const uint step, const uint bands, const uint room,
                      const uint full_scale, const uint coarse_noise, const int coarse_share,
-                     const int fine_share, const uint corner_room, const uint length,
+                     const int fine_share, const uint corner_room, const uint place,
+                     const uint length,
                      __global uint *restrict taken, __global int *restrict corners,
                      __global uint *restrict totals) {
   const size_t p = get_global_id(0);
@@ -440,8 +444,8 @@ __kernel void decide(__global const ulong *restrict noise, __global const uint *
           128 * r < (before ? coarse_share : fine_share) * reference)
         continue;
       if (!before) {
-        const uint place = (uint)list[room] * step + PAD + (uint)list[0];
-        if (taken[place / 32] >> place % 32 & 1) continue;
+        const uint at = (uint)list[room] * step + PAD + (uint)list[0];
+        if (taken[at / 32] >> at % 32 & 1) continue;
       }
       if (total < corner_room)
         for (uint k = 0; k < LIST_COLUMNS; ++k)
@@ -449,6 +453,9 @@ __kernel void decide(__global const ulong *restrict noise, __global const uint *
       ++total;
     }
   }
-  totals[p * 2] = most;
-  totals[p * 2 + 1] = total;
+  totals[p * (1 + FINE)] = most;
+#if FINE
+  totals[p * (1 + FINE) + 1] = 0;
+#endif
+  totals[place + p] = total;
 }

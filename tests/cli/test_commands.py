@@ -30,7 +30,7 @@ from cmp_cl import (
 from cmp_cl.cli import demo, tune
 from cmp_cl.cli import main as cli
 from cmp_cl.cli.arguments import region_in, split_of
-from cmp_cl.field.field import _Column
+from cmp_cl.field.series import _Column
 from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
 from cmp_cl.media import Frame
 from cmp_cl.synthetic import (

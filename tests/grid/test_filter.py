@@ -5,6 +5,7 @@ import pytest
 
 from cmp_cl.errors import GridError
 from cmp_cl.grid import filter_grid
+from cmp_cl.reference import lattice_filter
 
 
 def surface(rows, columns, bend=2.0):
@@ -162,3 +163,51 @@ def test_wrong_shapes_are_refused():
         filter_grid(np.zeros((3, 3, 2)), measured=np.ones((2, 3), bool))
     with pytest.raises(GridError, match="stencil"):
         filter_grid(np.zeros((9, 9, 2))).deviation_of(np.zeros((9, 9, 2, 2)))
+
+
+def assert_as_the_oracle(values, measured=None):
+    """The fast form in float32 is the oracle's in float64, to 5e-3 of the noise."""
+    found = filter_grid(values, measured=measured)
+    expected = lattice_filter.filter_grid(values, measured)
+    assert expected.margin.min() > 1e-4
+    np.testing.assert_array_equal(found.refused, expected.refused)
+    np.testing.assert_array_equal(np.isnan(found.sigma), np.isnan(expected.sigma))
+    np.testing.assert_array_equal(np.isnan(found.values), np.isnan(expected.values))
+    if np.isfinite(expected.noise).any():
+        apart = np.abs(found.values - expected.values).max(axis=2) / expected.noise
+        assert np.nanmax(apart) < 5e-3
+        np.testing.assert_allclose(found.sigma, expected.sigma, rtol=5e-3)
+        np.testing.assert_allclose(found.noise, expected.noise, rtol=1e-3)
+
+
+def test_the_fast_form_is_the_oracles():
+    assert_as_the_oracle(noisy(surface(17, 20), 0.1) + 300)
+
+
+def test_the_fast_form_is_the_oracles_for_holes_and_errors():
+    values = noisy(surface(18, 19), 0.1)
+    values[np.random.default_rng(7).random((18, 19)) < 0.08] = np.nan
+    values[3:7, 12:16] = np.nan
+    values[10, 5] += 4
+    measured = np.random.default_rng(8).random((18, 19)) > 0.05
+    assert_as_the_oracle(values, measured)
+
+
+def test_the_fast_form_is_the_oracles_for_components():
+    values = np.full((20, 22, 3), np.nan)
+    values[:9, :8] = noisy(surface(9, 8), 0.1)[..., [0, 1, 1]]
+    values[12:, 12:] = 5 + noisy(surface(8, 10), 0.2, seed=1)[..., [0, 1, 1]]
+    values[1, 20] = 3
+    assert_as_the_oracle(values)
+
+
+@pytest.mark.parametrize("shape", [(1, 9), (4, 4), (5, 6), (7, 8), (15, 3)])
+def test_the_fast_form_is_the_oracles_for_small_lattices(shape):
+    assert_as_the_oracle(noisy(surface(*shape), 0.1))
+
+
+def test_the_oracles_interior_filters_are_those_of_savitzky_and_golay():
+    row = lattice_filter.axis_filter(20, 2, 3)[10]
+    np.testing.assert_allclose(row[8:13] * 35, [-3, 12, 17, 12, -3])
+    row = lattice_filter.axis_filter(20, 3, 5)[10]
+    np.testing.assert_allclose(row[7:14] * 231, [5, -30, 75, 131, 75, -30, 5])

@@ -92,33 +92,49 @@ def test_a_step_brings_edge_lines_nearer():
     assert errors[EdgeStep] < errors[EdgeLines] / 2 < 0.02
 
 
-def test_sigma_and_doubt_come_with_the_step_only():
+def test_every_refined_corner_has_a_sigma_and_the_step_doubts():
     image, truth = board(150, 160, 11)
     image[60:66, 60:90] = 120  # a torn place
-    corners = found(image, EdgeStep(cell=11, sigma0=0.025))
+    corners = found(image, EdgeStep(cell=11))
     stepped = corners.method == Method.EDGE_STEP
     assert stepped.sum() > 0.8 * len(truth)
-    assert (corners.sigma[stepped] >= 0.025).all()
-    assert np.isnan(corners.sigma[~stepped]).all()
+    assert (corners.sigma[stepped] >= refine.STEP_ERROR).all()
+    assert np.array_equal(np.isnan(corners.sigma), corners.method == Method.KEPT)
     assert 0 < corners.doubtful.sum() < 0.2 * len(corners)
     torn = np.linalg.norm(corners.xy - np.array([75, 63]), axis=1) < 25
     whole = ((corners.xy > 9) & (corners.xy < np.array([150, 140]))).all(axis=1)
     assert not (corners.doubtful & whole & ~torn).any()
     assert corners.sigma[corners.doubtful].min() > math.sqrt(1000) * 0.010
-    worn = found(image, EdgeStep(cell=11, sigma0=0.2))
-    assert (worn.sigma[stepped] > 0.2).all()
     lines = found(image, EdgeLines())
-    assert np.isnan(lines.sigma).all()
+    assert np.array_equal(np.isnan(lines.sigma), lines.method == Method.KEPT)
     assert not lines.doubtful.any()
+    assert np.nanmedian(lines.sigma) < np.nanmax(lines.sigma[torn[: len(lines)]])
 
 
-def test_sigma_grows_with_noise():
+def test_sigma_of_lines_is_that_of_their_crossing():
+    """Points off two lines by known distances: the variance of the crossing by hand."""
+    points = rays([0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])
+    off = np.array([0.1, -0.2, 0.1])
+    for boundary, normal in ((0, (0, 1)), (2, (0, 1))):
+        points.point[0, :, boundary] += off[:, None] * normal
+    straight = np.polyfit(
+        points.point[0, :, [0, 2], 0].reshape(-1), points.point[0, :, [0, 2], 1].reshape(-1), 1
+    )
+    fitted = np.polyval(straight, points.point[0, :, [0, 2], 0].reshape(-1))
+    squares = np.sum((points.point[0, :, [0, 2], 1].reshape(-1) - fitted) ** 2)
+    variance = squares / 8 / 6  # 12 points less 2 lines of 2 parameters; 6 points a line
+    expected = math.sqrt(refine.LINES_ERROR**2 + variance)
+    np.testing.assert_allclose(refine.lines_sigma(points), expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("refinement", [EdgeLines(), EdgeStep(cell=11)], ids=["lines", "step"])
+def test_sigma_grows_with_noise(refinement):
     rng = np.random.default_rng(4)
     image, truth = board(120, 130, 11)
     medians = []
     for level in (0, 4, 12):
         noisy = np.clip(np.rint(image + rng.normal(0, level, image.shape)), 0, 255)
-        corners = found(noisy.astype(np.uint8), EdgeStep(cell=11, sigma0=0))
+        corners = found(noisy.astype(np.uint8), refinement)
         distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2).min(axis=1)
         inside = distance < 1
         medians.append(float(np.nanmedian(corners.sigma[inside])))
@@ -309,7 +325,7 @@ def test_a_step_from_nearby_reaches_the_model(angles):
         step = refine.edge_step(image, start, np.zeros((1, 2)), points, EdgeStep(), 1.0)
         assert step.accepted[0]
         np.testing.assert_allclose(step.position, [t], atol=1e-3)
-        assert step.sigma[0] == pytest.approx(0.025, rel=0.05)
+        assert step.sigma[0] == pytest.approx(refine.STEP_ERROR, rel=0.3)
 
 
 def step_by_least_squares(
@@ -362,10 +378,12 @@ def test_a_step_is_weighted_least_squares(cell):
     np.testing.assert_allclose(terms[2], variance, rtol=1e-8)
     np.testing.assert_allclose(terms[3], correlation, rtol=1e-8)
     points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
-    refinement = EdgeStep(cell=cell, sigma0=0.03)
+    refinement = EdgeStep(cell=cell)
     found = refine.edge_step(image, start, shift, points, refinement, 1.0)
     np.testing.assert_allclose(found.position, shift + step, rtol=1e-8)
-    np.testing.assert_allclose(found.sigma, math.sqrt(0.03**2 + variance / 4), rtol=1e-8)
+    np.testing.assert_allclose(
+        found.sigma, math.sqrt(refine.STEP_ERROR**2 + variance / 4), rtol=1e-8
+    )
 
 
 def test_a_step_of_more_than_0_3_px_is_refused():

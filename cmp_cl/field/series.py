@@ -1,0 +1,201 @@
+"""Fields of a whole recording in one file."""
+
+import contextlib
+import io
+import math
+import shutil
+import zipfile
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import FieldError
+from cmp_cl.files import check_target, whole_file
+
+
+class SeriesWriter:
+    """Writes a recording, frame by frame, to one .npz; memory does not grow with it.
+
+    The file holds `index` (F,) int64, `time_ms` (F,) float64, every array that `append` gets
+    stacked along a first axis of F frames, and the constants (rest positions, unit) as they
+    are; numpy.load reads it. It appears when the `with` block ends, also by an exception or
+    Ctrl-C: then with the frames so far. Until then they lie beside it in the folder NAME.parts,
+    an .npy for each array that numpy.load reads, so there must be room for two copies. Where
+    there is not, or the process is killed, that folder stays; the OSError names it.
+
+        with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
+            series.append(index=i, time_ms=t, displacement=field.displacement)
+
+    Raises OSError where the folder is missing or not writable.
+    """
+
+    def __init__(self, path: str | PathLike[str], **constants: ArrayLike) -> None:
+        self._path = check_target(path)
+        self._constants = {name: np.asarray(value) for name, value in constants.items()}
+        self._files = contextlib.ExitStack()
+        self._folder = _made_folder(self._path)
+        self._open = True
+        self._count = 0
+        self._columns: dict[str, _Column] = {}
+        try:
+            for name, constant in self._constants.items():
+                np.save(self._folder / f"{name}.npy", constant, allow_pickle=False)
+            self._add_column("index", (), np.dtype(np.int64))
+            self._add_column("time_ms", (), np.dtype(np.float64))
+        except BaseException:
+            self._remove()
+            raise
+
+    def __len__(self) -> int:
+        """Frames so far."""
+        return self._count
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def append(self, *, index: int, time_ms: float, **arrays: ArrayLike) -> None:
+        """Add a frame: its number, its time stamp in ms, and its arrays.
+
+        Raises FieldError where the names, shapes or types differ from the first frame's, a
+        name is one of the constants', or the series is closed, OSError where the disk is full;
+        then nothing is added.
+        """
+        if not self._open:
+            raise FieldError("the series is closed")
+        frame = {name: np.asarray(value) for name, value in arrays.items()}
+        self._check(frame)
+        if not self._count:
+            for name, value in frame.items():
+                self._add_column(name, value.shape, value.dtype)
+        frame["index"] = np.asarray(index, np.int64)
+        frame["time_ms"] = np.asarray(time_ms, np.float64)
+        try:
+            for name, value in frame.items():
+                self._columns[name].write(self._count, value)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self._path)) from error
+        self._count += 1
+
+    def _check(self, frame: Mapping[str, NDArray[Any]]) -> None:
+        came = {name: (value.shape, value.dtype.str) for name, value in frame.items()}
+        wanted = {
+            name: (column.shape, column.dtype.str)
+            for name, column in self._columns.items()
+            if name not in ("index", "time_ms")
+        }
+        if self._count and came != wanted:
+            raise FieldError(f"the first frame had {wanted}, this one has {came}")
+        taken = sorted(came.keys() & self._constants.keys())
+        if taken:
+            raise FieldError(f"the series already has constants of the names {taken}")
+        for name, value in frame.items():
+            if value.dtype.hasobject:
+                raise FieldError(f"{name} must be an array of numbers, not of {value.dtype}")
+
+    def _add_column(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        # without a buffer, which would keep the bytes that a full disk has refused; anew where
+        # the first frame was interrupted
+        file = open(self._folder / f"{name}.npy", "w+b", buffering=0)  # noqa: SIM115, closed by _files
+        self._columns[name] = _Column(self._files.enter_context(file), shape, dtype)
+
+    def close(self) -> None:
+        """Write the file; closing again does nothing. Raises OSError."""
+        if not self._open:
+            return
+        self._open = False
+        try:
+            with self._files:
+                self._write()
+        except OSError as error:
+            what = "1 frame" if self._count == 1 else f"{self._count} frames"
+            raise OSError(
+                error.errno,
+                f"{error.strerror}; what was added, {what}, is in the folder "
+                f"{str(self._folder)!r}, an .npy file for each array",
+                str(self._path),
+            ) from error
+        self._remove()
+
+    def _write(self) -> None:
+        with whole_file(self._path) as file, zipfile.ZipFile(file, "w") as archive:
+            for name, value in self._constants.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, value, allow_pickle=False)
+            for name, column in self._columns.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    column.copy(self._count, member)
+
+    def _remove(self) -> None:
+        self._files.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _made_folder(path: Path) -> Path:
+    """A new folder for the arrays of a series: NAME.parts, or with a number where it is there."""
+    folder = path.with_name(f"{path.name}.parts")
+    number = 1
+    while True:
+        try:
+            folder.mkdir()
+            return folder
+        except FileExistsError:
+            number += 1
+            folder = path.with_name(f"{path.name}.parts-{number}")
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+class _Column:
+    """The frames of one array so far: an .npy file that grows."""
+
+    def __init__(self, file: io.FileIO, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        self.file = file
+        self.shape = shape
+        self.dtype = dtype
+        self._write_at(0, self._header(0))
+
+    def write(self, frame: int, value: NDArray[np.generic]) -> None:
+        """Write a frame in its place, also over one that was interrupted."""
+        header = self._header(frame + 1)
+        self._write_at(len(header) + frame * value.nbytes, value.tobytes())
+        self._write_at(0, header)
+
+    def copy(self, frames: int, target: IO[bytes]) -> None:
+        """Write the first frames as one .npy."""
+        header = self._header(frames)
+        self._write_at(0, header)
+        self.file.truncate(len(header) + frames * self.dtype.itemsize * math.prod(self.shape))
+        self.file.seek(0)
+        shutil.copyfileobj(self.file, target, 1 << 20)
+
+    def _header(self, frames: int) -> bytes:
+        """The header of an .npy of that many frames; NumPy makes it as long for any number."""
+        header = io.BytesIO()
+        np.lib.format.write_array_header_2_0(
+            header,
+            {
+                "descr": np.lib.format.dtype_to_descr(self.dtype),
+                "fortran_order": False,
+                "shape": (frames, *self.shape),
+            },
+        )
+        return header.getvalue()
+
+    def _write_at(self, place: int, data: bytes) -> None:
+        self.file.seek(place)
+        rest = memoryview(data)
+        while rest:  # a nearly full disk takes a part of it
+            rest = rest[self.file.write(rest) :]

@@ -1,0 +1,131 @@
+"""Strain of a surface from the positions of its nodes, and how far it may be off."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import ConfigError
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
+    """Green-Lagrange strain of a surface in its tangent plane at rest.
+
+    rest, now: (R, C, 3) positions of the same nodes, NaN where missing. Around each node a
+    plane in (column, row) is fitted to both by least squares, over the valid ones of the
+    (2 radius + 1)^2 nodes, to give the tangent vectors A = (a1, a2) at rest and B now. In the
+    orthonormal basis of the rest plane, axis 1 along a1 and axis 2 towards a2, with
+    A = Q U: E = (U^-T B^T B U^-1 - I) / 2. Turning or shifting the surface gives 0.
+
+    Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN where the node is
+    missing, or fewer than 6 of the window are there, or all of those on a line.
+
+    Raises ConfigError where radius is not a whole number from 1 to 50.
+    """
+    if type(radius) is not int or not 1 <= radius <= 50:
+        raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
+    both = np.concatenate([rest, now], axis=2)
+    valid = ~np.isnan(both).any(axis=2)
+    tangents = _tangents(np.where(valid[..., None], both, 0), valid, radius)
+    strain = np.full((*valid.shape, 3), np.nan)
+    area = np.linalg.norm(np.cross(tangents[..., 0, :3], tangents[..., 1, :3]), axis=-1)
+    good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
+    first, second = tangents[good, :, :3], tangents[good, :, 3:]
+    metric = first @ first.transpose(0, 2, 1)
+    deformed = second @ second.transpose(0, 2, 1)
+    lower = np.linalg.cholesky(metric)
+    inverse = np.linalg.inv(lower)
+    relative = inverse @ deformed @ inverse.transpose(0, 2, 1)
+    strain[good, 0] = (relative[:, 0, 0] - 1) / 2
+    strain[good, 1] = (relative[:, 1, 1] - 1) / 2
+    strain[good, 2] = relative[:, 0, 1] / 2
+    return strain
+
+
+def slope_weights(valid: Bools, radius: int) -> tuple[Array, Array]:
+    """The weights of the neighbours in the slopes by column and by row, (R, C, S, S) each.
+
+    S = 2 radius + 1. The slopes are those of the plane that fits the valid nodes of the window
+    best; 0 where the node or such a plane is missing.
+    """
+    rows, columns = valid.shape
+    side = 2 * radius + 1
+    padded = np.pad(valid.astype(np.float64), radius)
+    there = np.lib.stride_tricks.sliding_window_view(padded, (side, side))
+    offset = np.arange(-radius, radius + 1, dtype=np.float64)
+    basis = np.stack(
+        np.broadcast_arrays(np.ones((side, side)), offset[None, :], offset[:, None])
+    ).reshape(3, -1)
+    flat = there.reshape(rows, columns, -1)
+    moments = np.einsum("rcs,is,js->rcij", flat, basis, basis, optimize=True)
+    solvable = valid & (moments[..., 0, 0] >= 6) & (np.linalg.det(moments) > 1e-6)
+    moments[~solvable] = np.eye(3)
+    weights = (np.linalg.inv(moments)[:, :, 1:] @ basis) * flat[:, :, None]
+    weights = np.where(solvable[..., None, None], weights, 0)
+    by_column, by_row = weights.reshape(rows, columns, 2, side, side).transpose(2, 0, 1, 3, 4)
+    return by_column, by_row
+
+
+def strain_deviation(
+    rest: Array,
+    now: Array,
+    covariance: Array,
+    by_column: Array,
+    by_row: Array,
+    *,
+    radius: int = 2,
+) -> Array:
+    """Standard deviations of the strain that `green_lagrange` finds, (R, C, 3).
+
+    To first order E = sym(F^T G), F the surface's tangents now and G the error of the slopes of
+    the displacement, both along the orthonormal axes of the rest plane. rest, now: (R, C, 3).
+    covariance: (R, C, 3, 3) of the displacement; only how the coordinates vary together
+    counts. by_column, by_row: (R, C), standard deviations of the slopes per node step and
+    coordinate, see `slope_weights`. The error of the position at rest changes the strain by a
+    share of it and is left out. NaN where the strain is, or the error is unknown.
+    """
+    both = np.concatenate([rest, now], axis=2)
+    valid = ~np.isnan(both).any(axis=2)
+    tangents = _tangents(np.where(valid[..., None], both, 0), valid, radius)
+    mean = np.trace(covariance, axis1=2, axis2=3)[..., None, None] / 3
+    area = np.linalg.norm(np.cross(tangents[..., 0, :3], tangents[..., 1, :3]), axis=-1)
+    good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
+    good &= np.isfinite(mean[..., 0, 0]) & (mean[..., 0, 0] > 0)
+    first, second = tangents[good, :, :3], tangents[good, :, 3:]
+    lower = np.linalg.cholesky(first @ first.transpose(0, 2, 1))
+    inverse = np.linalg.inv(lower)  # its rows: the orthonormal axes in steps of a node
+    along = inverse @ second
+    alike = covariance[good] / mean[good]
+    sizes = along @ alike @ along.transpose(0, 2, 1)
+    steps = np.stack([by_column[good] ** 2, by_row[good] ** 2], axis=1)
+    slopes = np.einsum("nik,njk,nk->nij", inverse, inverse, steps)
+    deviation = np.full((*valid.shape, 3), np.nan)
+    deviation[good, 0] = sizes[:, 0, 0] * slopes[:, 0, 0]
+    deviation[good, 1] = sizes[:, 1, 1] * slopes[:, 1, 1]
+    deviation[good, 2] = (
+        sizes[:, 0, 0] * slopes[:, 1, 1]
+        + sizes[:, 1, 1] * slopes[:, 0, 0]
+        + 2 * sizes[:, 0, 1] * slopes[:, 0, 1]
+    ) / 4
+    return np.sqrt(deviation)
+
+
+def _tangents(values: Array, valid: Bools, radius: int) -> Array:
+    """Slopes of the local plane by column and by row: (R, C, K) -> (R, C, 2, K), NaN if none."""
+    rows, columns = valid.shape
+    sums = np.zeros((rows, columns, 3, values.shape[2]))  # of 1, c, r times the values
+    moments = np.zeros((rows, columns, 3, 3))
+    pad = ((radius, radius), (radius, radius))
+    weights = np.pad(valid.astype(np.float64), pad)
+    padded = np.pad(values, (*pad, (0, 0)))
+    for row in range(2 * radius + 1):
+        for column in range(2 * radius + 1):
+            at = slice(row, row + rows), slice(column, column + columns)
+            basis = np.array([1.0, column - radius, row - radius])
+            sums += basis[:, None] * padded[at][:, :, None]
+            moments += np.outer(basis, basis) * weights[at][:, :, None, None]
+    solvable = (moments[..., 0, 0] >= 6) & (np.linalg.det(moments) > 1e-6)
+    slopes = np.full((rows, columns, 2, values.shape[2]), np.nan)
+    slopes[solvable] = np.linalg.solve(moments[solvable], sums[solvable])[:, 1:]
+    return slopes

@@ -1,0 +1,193 @@
+"""Files of one field: .npz, .csv, .ply and .vtp."""
+
+import base64
+import struct
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import ConfigError
+from cmp_cl.files import whole_file, write_bytes
+from cmp_cl.grid.grid import NodeStatus
+from cmp_cl.media import write_csv
+from cmp_cl.stereo.points import PointStatus
+
+if TYPE_CHECKING:
+    from cmp_cl.field.field import DisplacementField
+
+
+def save(field: "DisplacementField", path: str | PathLike[str]) -> None:
+    """Write a field by suffix, whole or not at all; positions are those at rest.
+
+    .npz: the arrays of the field under their names, for numpy.load.
+    .csv: a row per node, the unit in the header, nan where missing.
+    .ply: the valid nodes and the quadrilaterals between them, little-endian.
+    .vtp: the same for VTK and ParaView; "Warp By Vector" shows the surface as it is now.
+
+    Raises ConfigError on another suffix, OSError where the file cannot be written.
+    """
+    writers = {".npz": _save_npz, ".csv": _save_csv, ".ply": _save_ply, ".vtp": _save_vtp}
+    suffix = Path(path).suffix.lower()
+    if suffix not in writers:
+        raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(writers)}")
+    writers[suffix](field, path)
+
+
+def _arrays(field: "DisplacementField", begin: str = "") -> dict[str, NDArray[Any]]:
+    """The arrays of a field by name, those of the raw one with names that begin with raw_."""
+    arrays: dict[str, NDArray[Any]] = {
+        f"{begin}position": field.position,
+        f"{begin}displacement": field.displacement,
+        f"{begin}sigma": field.sigma,
+    }
+    if field.strain is not None and field.strain_sigma is not None:
+        arrays |= {f"{begin}strain": field.strain, f"{begin}strain_sigma": field.strain_sigma}
+    arrays[f"{begin}position_sigma"] = field.position_sigma
+    if field.raw is not None:
+        arrays |= _arrays(field.raw, "raw_")
+    return arrays
+
+
+def _save_npz(field: "DisplacementField", path: str | PathLike[str]) -> None:
+    arrays: dict[str, Any] = _arrays(field) | {
+        "status": field.status,
+        "source": field.source,
+        "unit": np.array(field.unit),
+        "filtered": np.array(field.raw is not None),
+    }
+    with whole_file(path) as file:
+        np.savez(file, **arrays)
+
+
+_FIRST = ("position", "displacement", "sigma")
+_COLUMNS = {
+    "position": ("x", "y", "z"),
+    "position_sigma": ("position_sigma",),
+    "displacement": ("ux", "uy", "uz"),
+    "sigma": ("sigma",),
+    "strain": ("e11", "e22", "e12"),
+    "strain_sigma": ("e11_sigma", "e22_sigma", "e12_sigma"),
+}
+
+
+def _names(name: str) -> tuple[str, ...]:
+    """The columns of an array of the field."""
+    begin = "raw_" if name.startswith("raw_") else ""
+    return tuple(begin + column for column in _COLUMNS[name.removeprefix("raw_")])
+
+
+def _save_csv(field: "DisplacementField", path: str | PathLike[str]) -> None:
+    arrays = _arrays(field)
+    lengths, others = _columns(arrays, _FIRST, field.unit), [n for n in arrays if n not in _FIRST]
+    header = ["row", "column", *lengths, "status", "source", *_columns(arrays, others, field.unit)]
+    shape = field.status.shape
+    parts = [
+        np.concatenate([arrays[name].reshape(*shape, -1) for name in names], axis=2)
+        for names in (_FIRST, others)
+    ]
+    rows = (
+        [
+            *(*node, *(float(number) for number in parts[0][node])),
+            PointStatus(int(field.status[node])).name,
+            NodeStatus(int(field.source[node])).name,
+            *(float(number) for number in parts[1][node]),
+        ]
+        for node in np.ndindex(*shape)
+    )
+    write_csv(path, header, rows)
+
+
+def _columns(arrays: dict[str, NDArray[Any]], names: Sequence[str], unit: str) -> list[str]:
+    """The columns of some arrays, lengths with their unit."""
+    return [
+        column if "strain" in name else f"{column}_{unit}"
+        for name in names
+        if name in arrays
+        for column in _names(name)
+    ]
+
+
+def mesh(field: "DisplacementField") -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
+    """Columns of the valid nodes, and the quadrilaterals between them, (Q, 4) numbers of nodes."""
+    valid = field.valid
+    row, column = np.nonzero(valid)
+    columns: dict[str, NDArray[Any]] = {
+        **{name: array[valid] for name, array in _arrays(field).items()},
+        "row": row.astype(np.int32),
+        "column": column.astype(np.int32),
+        "source": field.source[valid].astype(np.int32),
+    }
+    number = np.full(valid.shape, -1, np.int32)
+    number[valid] = np.arange(len(row))
+    corners = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    quads = np.stack(corners, axis=-1).reshape(-1, 4)
+    return columns, quads[(quads >= 0).all(axis=1)]
+
+
+def _save_ply(field: "DisplacementField", path: str | PathLike[str]) -> None:
+    columns, quads = mesh(field)
+    names = {
+        key: (key,) if values.dtype.kind == "i" else _names(key) for key, values in columns.items()
+    }
+    properties = [
+        (name, values.dtype.kind == "i") for key, values in columns.items() for name in names[key]
+    ]
+    vertices = np.empty(
+        len(columns["row"]), [(name, "<i4" if whole else "<f8") for name, whole in properties]
+    )
+    for key, values in columns.items():
+        for name, column in zip(names[key], np.atleast_2d(values.T), strict=True):
+            vertices[name] = column
+    faces = np.empty(len(quads), [("count", "u1"), ("nodes", "<i4", 4)])
+    faces["count"], faces["nodes"] = 4, quads
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment lengths in {field.unit}",
+        f"element vertex {len(vertices)}",
+        *(f"property {'int' if whole else 'double'} {name}" for name, whole in properties),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    text = "\n".join(header) + "\n"
+    write_bytes(path, text.encode() + vertices.tobytes() + faces.tobytes())
+
+
+def _save_vtp(field: "DisplacementField", path: str | PathLike[str]) -> None:
+    columns, quads = mesh(field)
+    position = columns.pop("position")
+    data = "".join(_vtk_array(name, values) for name, values in columns.items())
+    text = f"""<?xml version="1.0"?>
+<!-- lengths in {field.unit} -->
+<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">
+<PolyData>
+<Piece NumberOfPoints="{len(position)}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" \
+NumberOfPolys="{len(quads)}">
+<PointData Vectors="displacement">
+{data}</PointData>
+<Points>
+{_vtk_array("Points", position)}</Points>
+<Polys>
+{_vtk_array("connectivity", quads.reshape(-1))}\
+{_vtk_array("offsets", np.arange(4, 4 * len(quads) + 1, 4, dtype=np.int32))}</Polys>
+</Piece>
+</PolyData>
+</VTKFile>
+"""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def _vtk_array(name: str, values: NDArray[Any]) -> str:
+    kind, dtype = ("Int32", "<i4") if values.dtype.kind == "i" else ("Float64", "<f8")
+    width = values.shape[1] if values.ndim == 2 else 1
+    raw = values.astype(dtype).tobytes()
+    body = base64.b64encode(struct.pack("<Q", len(raw)) + raw).decode("ascii")
+    return (
+        f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{width}" format="binary">'
+        f"\n{body}\n</DataArray>\n"
+    )

@@ -1,0 +1,25 @@
+"""What a grid is built from must keep to, before anything is allocated."""
+
+import numpy as np
+
+from cmp_cl.corners import Corners
+from cmp_cl.errors import GridError
+
+MOST_NODES = 1 << 22
+
+
+def check_size(rows: int, columns: int) -> None:
+    """Raise GridError for a grid of more than MOST_NODES nodes."""
+    if int(rows) * int(columns) > MOST_NODES:
+        raise GridError(
+            f"a grid of {rows} x {columns} nodes is beyond the limit of {MOST_NODES} nodes"
+        )
+
+
+def check_finite(corners: Corners) -> None:
+    """Raise GridError for corners without a position."""
+    lost = len(corners) - int(np.count_nonzero(np.isfinite(corners.xy).all(axis=1)))
+    if lost:
+        raise GridError(
+            f"{lost} of the {len(corners)} corners have no finite position; leave them out"
+        )

@@ -1,0 +1,255 @@
+"""The adaptive lattice filter, node by node, in float64.
+
+1. Nodes that nobody measured, and those refused below, have no vote. Components are the votes
+   grown by a node, connected along rows, columns and diagonals; each is filtered by itself in
+   the smallest rectangle around its votes.
+2. A hole gets the value of the quadratic surface through the votes within 3 nodes (6 where
+   those are under 8), with weights exp(-r^2 / (2 (reach / 2)^2)) and a slight pull towards a
+   constant: 1e-3 on the slopes, 1e-2 on the curvatures.
+3. An axis filter (h, p) gives a node the value there of the polynomial of degree p fitted to
+   the 2 h + 1 nodes around it; at an end the window stays inside. A pair is one along the
+   column and one along the row.
+4. The pilot, (3, 5) ((2, 3) under 8 nodes, none under 5), leaves r; k is the node's own weight
+   in it. With u = |r|^2 / (K (1 - k)) the variance of the noise is
+   s2 = (G2(u^(1/4)) / e)^4 + 1e-10 mean |X|^2 / K, over the votes with 1 - k > .05 and at least
+   three quarters of the window measured. G is a Gaussian of that standard deviation, in nodes,
+   of weights that sum to 1; e is the mean of the root of a chi variable over root(root(f)), f
+   degrees of freedom: those of sum r r^T / |r|^(3/2), trace^2 / sum of squares.
+5. A node is refused where |r|^2 / K > 36 s2 (1 - k) and no neighbour's |r| is larger; three rounds.
+6. Pair by pair: E, Q = |X - E|^2 / K + 2 s2 H with H the node's own weight in the pair, and the
+   risk G1.5(Q) / s2 over the votes. Windows under three quarters measured take no part, except
+   that of the node alone. The result is the mean of the E with weights
+   exp(-(risk - least risk) 2 pi 1.5^2 / 3).
+7. Its variance is s2 max(sum w risk - 1, sum w V), V the sum of the squares of the pair's weights.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+PAIRED = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Filtered:
+    """As `cmp_cl.grid.Filtered`, and
+
+    margin: (R, C), the smallest relative distance from its bound of a quantity that refuses or
+        accepts a node of the component. float32 may decide otherwise where it is tiny.
+    """
+
+    values: Floats
+    sigma: Floats
+    noise: Floats
+    refused: Bools
+    margin: Floats
+
+
+def filter_grid(values: Floats, measured: Bools | None = None) -> Filtered:
+    """Filter (R, C, K) values; NaN where missing. measured: (R, C), None for all."""
+    there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
+    votes = there if measured is None else there & measured
+    result = np.where(there[..., None], values, np.nan)
+    sigma, noise = np.full(there.shape, np.nan), np.full(there.shape, np.nan)
+    margin = np.full(there.shape, np.inf)
+    refused = np.zeros(there.shape, np.bool_)
+    for part in _components(votes):
+        rows, columns = np.nonzero(votes & part)
+        box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+        here = there[box] & part[box]
+        kept, s2, smooth, variance, near = _component(values[box], votes[box] & part[box])
+        gone = votes[box] & part[box] & ~kept
+        off = ((values[box] - smooth) ** 2).mean(axis=2)
+        variance = np.where(kept, variance, s2)
+        variance = np.where(gone, np.maximum(off, s2), variance)
+        changed = here & ~gone & np.isfinite(variance)
+        result[box] = np.where(changed[..., None], smooth, result[box])
+        sigma[box] = np.where(here, np.sqrt(variance), sigma[box])
+        noise[box] = np.where(here, np.sqrt(s2), noise[box])
+        refused[box] |= gone
+        margin[box] = np.where(here, near, margin[box])
+    return Filtered(values=result, sigma=sigma, noise=noise, refused=refused, margin=margin)
+
+
+def _components(votes: Bools) -> list[Bools]:
+    """Flood fill over the votes grown by a node."""
+    rows, columns = votes.shape
+    grown = np.zeros_like(votes)
+    for r, c in zip(*np.nonzero(votes), strict=True):
+        grown[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2] = True
+    parts = []
+    left = grown.copy()
+    while left.any():
+        part = np.zeros_like(votes)
+        stack = [tuple(int(n) for n in np.argwhere(left)[0])]
+        left[stack[0]] = False
+        while stack:
+            r, c = stack.pop()
+            part[r, c] = True
+            for i in range(max(r - 1, 0), min(r + 2, rows)):
+                for j in range(max(c - 1, 0), min(c + 2, columns)):
+                    if left[i, j]:
+                        left[i, j] = False
+                        stack.append((i, j))
+        parts.append(part)
+    return parts
+
+
+def _component(given: Floats, votes: Bools) -> tuple[Bools, Floats, Floats, Floats, float]:
+    """The votes that are kept, s2, the filtered values (R, C, K), their variance, the margin."""
+    plane = _plane(given, votes)
+    data = np.where(votes[..., None], given - plane, 0)
+    if not votes.all():
+        data = _filled(data, votes)
+    margin = math.inf
+    kept = votes
+    residual, s2, own = _noise(data, kept)
+    for _ in range(3):
+        gone, near = _refused(residual, s2, own, kept)
+        margin = min(margin, near)
+        if not gone.any():
+            break
+        kept = kept & ~gone
+        data = _filled(np.where(kept[..., None], data, 0), kept)
+        residual, s2, own = _noise(data, kept)
+    values, variance = _mixture(data, kept, s2)
+    return kept, s2, values + plane, variance, margin
+
+
+def _plane(values: Floats, votes: Bools) -> Floats:
+    """The best bilinear surface; what it leaves sets the scale of the least variance."""
+    rows, columns = votes.shape
+    r, c = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    terms = np.stack([np.ones(votes.shape), r, c, r * c], axis=-1).astype(np.float64)
+    fit = np.linalg.lstsq(terms[votes], values[votes], rcond=None)[0]
+    plane: Floats = terms @ fit
+    return plane
+
+
+def axis_filter(n: int, half: int, degree: int) -> Floats:
+    """(n, n), the weights of the nodes in each node's polynomial."""
+    weights = np.zeros((n, n))
+    for i in range(n):
+        low = min(max(i - half, 0), n - 2 * half - 1)
+        t = np.arange(low, low + 2 * half + 1) - i
+        vander = np.stack([t.astype(np.float64) ** q for q in range(degree + 1)], axis=1)
+        weights[i, low : low + 2 * half + 1] = np.linalg.pinv(vander)[0]
+    return weights
+
+
+def _window(n: int, half: int, i: int) -> slice:
+    low = min(max(i - half, 0), n - 2 * half - 1)
+    return slice(low, low + 2 * half + 1)
+
+
+def _near(shape: tuple[int, int], r: int, c: int, deviation: float) -> Floats:
+    """Gaussian weights of all nodes around one."""
+    down = np.exp(-((np.arange(shape[0]) - r) ** 2) / (2 * deviation**2))
+    along = np.exp(-((np.arange(shape[1]) - c) ** 2) / (2 * deviation**2))
+    return np.outer(down / down.sum(), along / along.sum())
+
+
+def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
+    """The Gaussian mean around each node of the values that count; NaN where none is near."""
+    result = np.full(counted.shape, np.nan)
+    for r, c in np.ndindex(*counted.shape):
+        weights = np.where(counted, _near(counted.shape, r, c, deviation), 0)
+        if weights.sum() > 1e-6:
+            result[r, c] = (weights * np.where(counted, values, 0)).sum() / weights.sum()
+    return result
+
+
+def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
+    """The pilot's residual (R, C, K), s2 and the pilot's own weights (R, C)."""
+    rows, columns, count = data.shape
+    shapes = [(3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0) for n in (rows, columns)]
+    down, along = (axis_filter(n, *s) for n, s in zip((rows, columns), shapes, strict=True))
+    residual = data - np.einsum("ij,jlk,ml->imk", down, data, along)
+    own = np.outer(np.diag(down), np.diag(along))
+    usable = votes & (1 - own > 0.05)
+    for r, c in np.ndindex(rows, columns):
+        window = votes[_window(rows, shapes[0][0], r), _window(columns, shapes[1][0], c)]
+        usable[r, c] &= window.mean() >= 0.75 - 1e-6
+    u = (residual**2).mean(axis=2) / np.maximum(1 - own, 1e-3)
+    root = np.sqrt(np.sqrt(u))
+    common = np.zeros((count, count))
+    for node in zip(*np.nonzero(usable & (root > 0)), strict=True):
+        common += np.outer(residual[node], residual[node]) / root[node] ** 3
+    square = (common**2).sum()
+    f = np.trace(common) ** 2 / square if square > 0 else count
+    expected = (2 / f) ** 0.25 * math.gamma(f / 2 + 0.25) / math.gamma(f / 2)
+    s2 = (_average(root, usable, 2.0) / expected) ** 4 + max(1e-10 * (data**2).mean(), 1e-30)
+    return residual, s2, own
+
+
+def _refused(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[Bools, float]:
+    size = np.where(votes, (residual**2).mean(axis=2), 0)
+    gone = np.zeros_like(votes)
+    margin = math.inf
+    for r, c in zip(*np.nonzero(votes & np.isfinite(s2)), strict=True):
+        bound = 36 * s2[r, c] * (1 - own[r, c])
+        around = size[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
+        if bound > 1e-20:
+            margin = min(margin, abs(size[r, c] / bound - 1))
+        gone[r, c] = size[r, c] > bound and size[r, c] >= around.max()
+    return gone, margin
+
+
+def _mixture(data: Floats, votes: Bools, s2: Floats) -> tuple[Floats, Floats]:
+    rows, columns, _ = data.shape
+    estimates, risks, gains = [], [], []
+    for h_row, p_row in PAIRED:
+        for h_column, p_column in PAIRED:
+            if rows < 2 * h_row + 1 or columns < 2 * h_column + 1:
+                continue
+            a, b = axis_filter(rows, h_row, p_row), axis_filter(columns, h_column, p_column)
+            estimate = np.einsum("ij,jlk,ml->imk", a, data, b)
+            loss = ((data - estimate) ** 2).mean(axis=2)
+            loss = loss + 2 * s2 * np.outer(np.diag(a), np.diag(b))
+            risk = _average(np.where(votes, loss, 0), votes, 1.5) / s2
+            if (h_row, h_column) != (0, 0):
+                for r, c in np.ndindex(rows, columns):
+                    window = votes[_window(rows, h_row, r), _window(columns, h_column, c)]
+                    if window.mean() < 0.75 - 1e-6:
+                        risk[r, c] = np.inf
+            estimates.append(estimate)
+            risks.append(np.where(np.isnan(risk), np.inf, risk))
+            gains.append(np.outer((a**2).sum(axis=1), (b**2).sum(axis=1)))
+    risks[0] = np.where(np.isinf(risks[0]), 0, risks[0])
+    risk, gain, estimate = np.array(risks), np.array(gains), np.array(estimates)
+    weights = np.exp(-(risk - risk.min(axis=0)) * 2 * math.pi * 1.5**2 / 3)
+    weights /= weights.sum(axis=0)
+    values = np.einsum("prc,prck->rck", weights, estimate)
+    mean_risk = (weights * np.where(weights > 0, risk, 0)).sum(axis=0) - 1
+    variance = s2 * np.maximum(mean_risk, (weights * gain).sum(axis=0))
+    return values, variance
+
+
+def _filled(data: Floats, votes: Bools) -> Floats:
+    """The data with a value in each hole."""
+    rows, columns = votes.shape
+    result = np.where(votes[..., None], data, 0.0)
+    for r, c in zip(*np.nonzero(~votes), strict=True):
+        for reach in (3, 6):
+            near = [
+                (i, j)
+                for i in range(max(r - reach, 0), min(r + reach + 1, rows))
+                for j in range(max(c - reach, 0), min(c + reach + 1, columns))
+                if votes[i, j]
+            ]
+            if len(near) < 8:
+                continue
+            y, x = (np.array(near, np.float64) - (r, c)).T
+            terms = np.stack([np.ones_like(x), y, x, y * y, y * x, x * x], axis=1)
+            weight = np.exp(-(x * x + y * y) / (2 * (reach / 2) ** 2))
+            normal = terms.T @ (weight[:, None] * terms)
+            normal += np.diag([0, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])
+            seen = np.array([data[node] for node in near])
+            result[r, c] = np.linalg.solve(normal, terms.T @ (weight[:, None] * seen))[0]
+            break
+    return result

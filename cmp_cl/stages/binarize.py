@@ -1,0 +1,94 @@
+"""Binarization against the mean of a window, with one threshold mask or three."""
+
+import numpy as np
+
+from cmp_cl.config import BinaryRings
+from cmp_cl.opencl.program import sum_of_terms
+from cmp_cl.stages.layout import Launch, PlanBase
+
+SLAB = 3  # bytes of sums a pixel: three masks are worked out slab by slab
+
+
+def macros(plan: PlanBase, rule: BinaryRings) -> dict[str, str]:
+    """Return the sum over the window, and the one of column sums.
+
+    Of these, as many are added in their own type as it can hold.
+    """
+    window = rule.threshold.window
+    terms = [f"F({k})" for k in range(-(window // 2), window // 2 + 1)]
+    fits = window if plan.dtype == np.uint16 else 65535 // (255 * window)
+    groups = [
+        f"(T)({sum_of_terms(terms[start : start + fits], 'COLUMN')})"
+        for start in range(0, window, fits)
+    ]
+    return {
+        "WINDOW_SUM(T, F)": sum_of_terms(terms, "T"),
+        "WIDE_SUM(T, F)": sum_of_terms(groups, "T"),
+    }
+
+
+def scratch(plan: PlanBase, rule: BinaryRings) -> dict[str, int]:
+    """Return the bytes of the arrays that are needed only in passing."""
+    slab = (plan.frames * _slab_rows(plan, rule) + 2) * plan.step
+    sums = {"sums": plan.types["COLUMN"].itemsize * slab}
+    if rule.threshold.masks == 3:
+        sums["squares"] = plan.types["SQUARE"].itemsize * slab
+    return sums
+
+
+def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
+    """Return the launches from the image to the binary images, and to empty lists."""
+    frame_rows, b = plan.frames * plan.working[0], plan.arrays
+    stages = [plan.few("repeat_border", frame_rows, 1, **plan.size, image=plan.image)]
+    for first in range(0, plan.working[0], _slab_rows(plan, rule)):
+        stages += _slab(plan, rule, first)
+    emptied = {"totals": b["totals"], "row_counts": b["row_counts"]}
+    if rule.contrast is not None:
+        emptied["passed"] = b["passed"]
+    border = plan.few(
+        "repeat_border_binary",
+        frame_rows,
+        1,
+        **plan.size,
+        binary=b["binary"],
+        **emptied,
+        maxima=b["maxima"],
+    )
+    return [*stages, border]
+
+
+def _slab_rows(plan: PlanBase, rule: BinaryRings) -> int:
+    if rule.threshold.masks == 1:
+        return plan.working[0]
+    return -(-plan.working[0] // (6 * plan.dtype.itemsize // SLAB))
+
+
+def _slab(plan: PlanBase, rule: BinaryRings, first: int) -> list[Launch]:
+    """Return the launches of the rows from the first one on."""
+    b, threshold, slab = plan.arrays, rule.threshold, _slab_rows(plan, rule)
+    height = min(slab, plan.working[0] - first)
+    window = {
+        "rows": plan.size["rows"],
+        "step": plan.size["step"],
+        "first": np.uint32(first),
+        "slab": np.uint32(slab),
+    }
+    column, count = plan.types["COLUMN"].type, threshold.window**2
+    image, sums = {"image": plan.image}, {"sums": b["sums"]}
+    stages = [plan.dense("column_sums", height, **image, **window, zero=column(0), **sums)]
+    if threshold.masks == 1:
+        level = plan.types["LEVEL"].type
+        # A mean of bytes is never above 255.
+        offset = threshold.offset if plan.dtype == np.uint16 else min(threshold.offset, 255)
+        levels = {"count": level(count), "offset": level(offset), "zero": np.uint32(0)}
+        given = {**image, **sums, **window, **levels, "binary": b["binary"]}
+        return [*stages, plan.dense("binarize", height, **given)]
+    squares = {"squares": b["squares"]}
+    zero = plan.types["SQUARE"].type(0)
+    levels = {"count": np.uint64(count), "zero": np.uint64(0)}
+    given = {**image, **sums, **squares, **window, **levels, "binary": b["binary"]}
+    return [
+        *stages,
+        plan.dense("column_squares", height, **image, **window, zero=zero, **squares),
+        plan.dense("binarize_three", height, **given),
+    ]

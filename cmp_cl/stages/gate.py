@@ -1,0 +1,112 @@
+"""The contrast gate: which maxima have four sectors of clearly different grey."""
+
+import math
+
+import numpy as np
+
+from cmp_cl.config import SectorContrast
+from cmp_cl.stages import noise
+from cmp_cl.stages.criteria import listed, of_candidates
+from cmp_cl.stages.layout import Launch, PlanBase
+
+BINS = 256  # of the histograms of contrasts
+CONTRASTS = ("inner_contrast", "contrast", "mean_difference")
+NOISE_FACTOR = 6.68  # Immerkaer's estimate sums 6 sqrt(pi / 2) standard deviations; less 11 %
+LEAST_NOISE_OF_THREE = 3  # standard deviations, with three masks
+
+
+def sizes(plan: PlanBase) -> dict[str, int]:
+    """Return the bytes of the buffers."""
+    planes = plan.frames * plan.lists
+    return {
+        "noise": 8 * plan.frames * noise.bands(plan),
+        "found": 8 * planes,
+        "bounds": 8 * planes,
+        "counted": 4 * planes,
+        "bins": 4 * planes * BINS,
+        "passed": plan.frames * plan.working[0] * plan.step // 8,
+    }
+
+
+def scratch(plan: PlanBase) -> dict[str, int]:
+    """Return the bytes of the arrays that are needed only in passing."""
+    room = plan.frames * plan.lists * plan.list_room
+    contrasts = dict.fromkeys(CONTRASTS, plan.types["CONTRAST"].itemsize * room)
+    return {**noise.scratch(plan), **contrasts}
+
+
+def launches(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
+    """Return the launches from the maxima to a bit for every one that passes."""
+    b, planes = plan.arrays, plan.frames * plan.lists
+    contrasts = {name: b[name] for name in CONTRASTS}
+    counted = {"counted": b["counted"]}
+    given = listed(plan)
+    limits = {"rows": given.pop("rows"), "step": given.pop("step"), "room": given.pop("room")}
+    return [
+        *noise.launches(plan),
+        plan.stage("clear_bins", (BINS, planes), None, **counted, bins=b["bins"]),
+        of_candidates(
+            plan,
+            "sector_contrast",
+            image=plan.image,
+            binary=b["binary"],
+            **given,
+            **limits,
+            maxima=b["maxima"],
+            **contrasts,
+            **counted,
+            bins=b["bins"],
+        ),
+        *_percentile(plan, gate),
+        of_candidates(
+            plan,
+            "pass_gate",
+            **given,
+            contrast=b["contrast"],
+            mean_difference=b["mean_difference"],
+            bounds=b["bounds"],
+            **limits,
+            passed=b["passed"],
+            row_counts=b["row_counts"],
+        ),
+    ]
+
+
+def _percentile(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
+    """Return the launches from the histogram of the inner contrasts to the bounds."""
+    b, deep = plan.arrays, plan.dtype == np.uint16
+    levels = np.arange(2**16 if deep else 2**8)
+    floor = math.ceil(gate.minimum * plan.config.grey_levels(plan.dtype) / 255)
+    limit = np.maximum(np.ceil(np.float64(gate.relative) * levels), floor).astype(np.int32)
+    least_noise = gate.noise if plan.lists == 1 else max(gate.noise, LEAST_NOISE_OF_THREE)
+    given = {
+        "counted": b["counted"],
+        "noise_totals": b["noise"],
+        "limit": plan.constant(limit),
+        "rows": plan.size["rows"],
+        "columns": plan.size["columns"],
+        "bands": np.uint32(noise.bands(plan)),
+    }
+    left = {
+        "noise_factor": np.uint32(math.floor(NOISE_FACTOR * least_noise + 0.5)),
+        "bins": b["bins"],
+        "found": b["found"],
+        "bounds": b["bounds"],
+    }
+
+    def percentile(shift: int) -> Launch:
+        planes = plan.frames * plan.lists
+        return plan.few("percentile", planes, 1, **given, shift=np.uint32(shift), **left)
+
+    if not deep:
+        return [percentile(0)]
+    lower = of_candidates(
+        plan,
+        "histogram",
+        inner_contrast=b["inner_contrast"],
+        total=b["totals"],
+        found=b["found"],
+        room=np.uint32(plan.list_room),
+        bins=b["bins"],
+    )
+    return [percentile(8), lower, percentile(0)]

@@ -1,0 +1,277 @@
+"""The grey-level rule, from the image at its working scale to the list of its corners."""
+
+from typing import Any, cast
+
+import numpy as np
+
+from cmp_cl.config import RingHarmonic
+from cmp_cl.stages import noise
+from cmp_cl.stages.form import Form
+from cmp_cl.stages.layout import CORNER_COLUMNS, GROUP, Launch, PlanBase
+
+BINS = 256  # of responses, in which the reference is looked for
+SPAN = 64  # responses of a bin
+
+
+def files(plan: PlanBase) -> list[str]:
+    """Return the kernel files."""
+    return ["cpu/harmonic"] if plan.form is Form.CPU else ["border", "noise", "harmonic"]
+
+
+def defines(plan: PlanBase) -> dict[str, str | int]:
+    """Return the macros that only these kernels need."""
+    whole = plan.dtype == np.uint8 and _full_scale(plan) == 255
+    return {"FINE": int(_rule(plan).fine), "WHOLE_LEVELS": int(whole)}
+
+
+def sizes(plan: PlanBase) -> dict[str, int]:
+    """Return the bytes of the buffers."""
+    frames, plane = plan.frames, plan.working[0] * plan.step
+    lists = frames * plan.bands * plan.lists * CORNER_COLUMNS * plan.list_room
+    sizes = {"area": plane // 8, "taken": frames * plane // 8 + 8, "lists": 4 * lists}
+    if plan.form is Form.CPU:
+        return {
+            **sizes,
+            "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step,
+            "noise": 8 * frames * plan.bands,
+            "counts": 4 * frames * plan.bands * plan.lists,
+        }
+    smooth = 2 * (frames * plan.working[0] + 2) * plan.step
+    return {
+        **sizes,
+        "fine": smooth,
+        "coarse": smooth,
+        "response": smooth,
+        "noise": 8 * frames * noise.bands(plan),
+        "maxima": frames * plane // 8,
+        "row_counts": 4 * frames * plan.working[0],
+        "row_starts": 4 * frames * plan.working[0],
+        "squares": 8 * frames * BINS,
+        "decision": 48 * frames,
+    }
+
+
+def scratch(plan: PlanBase) -> list[dict[str, int]]:
+    """Return the bytes of the arrays that are needed only in passing, see `Plan`."""
+    return [] if plan.form is Form.CPU else [noise.scratch(plan)]
+
+
+def launches(plan: PlanBase) -> list[Launch]:
+    """Return the launches from the image to the list of corners."""
+    return _by_bands(plan) if plan.form is Form.CPU else _by_pixels(plan)
+
+
+def _rule(plan: PlanBase) -> RingHarmonic:
+    return cast(RingHarmonic, plan.rule)
+
+
+def _full_scale(plan: PlanBase) -> int:
+    return plan.config.grey_levels(plan.dtype)
+
+
+def _checks(plan: PlanBase) -> dict[str, Any]:
+    """Return the factors of the checks; 0 leaves one out."""
+    rule = _rule(plan)
+    return {"alignment": np.int32(rule.alignment or 0), "support": np.int32(rule.support or 0)}
+
+
+# One work-item per pixel
+
+
+def _by_pixels(plan: PlanBase) -> list[Launch]:
+    b, size = plan.arrays, plan.size
+    rows, step = size["rows"], size["step"]
+    frame_rows = plan.frames * plan.working[0]
+    emptied = {"totals": b["totals"], "row_counts": b["row_counts"], "maxima": b["maxima"]}
+    clear = plan.few(
+        "clear", plan.working[0], plan.frames, rows=rows, step=step, **emptied, taken=b["taken"]
+    )
+    smooth_image = plan.dense(
+        "smooth_image",
+        image=plan.image,
+        **size,
+        full_scale=np.uint32(_full_scale(plan)),
+        smooth=b["fine"],
+    )
+    stages = [
+        plan.few("repeat_border", frame_rows, 1, **size, image=plan.image),
+        clear,
+        *noise.launches(plan),
+        smooth_image,
+    ]
+    found = {"totals": b["totals"], "lists": b["lists"]}
+    limits = {**size, "room": np.uint32(plan.list_room)}
+    if _rule(plan).fine:
+        stages += [
+            plan.dense("fine_response", plane=b["fine"], **size, response=b["response"]),
+            plan.dense(
+                "fine_maxima",
+                fine_plane=b["fine"],
+                response=b["response"],
+                area=b["area"],
+                **limits,
+                **found,
+            ),
+        ]
+    return [
+        *stages,
+        plan.dense("smooth", plane=b["fine"], **size, smoother=b["response"]),
+        plan.dense("smooth", plane=b["response"], **size, smoother=b["coarse"]),
+        plan.dense("coarse_response", plane=b["coarse"], **size, response=b["response"]),
+        plan.dense(
+            "coarse_maxima",
+            fine_plane=b["fine"],
+            coarse_plane=b["coarse"],
+            response=b["response"],
+            area=b["area"],
+            **limits,
+            **_checks(plan),
+            **found,
+        ),
+        *_decide(plan),
+    ]
+
+
+def _decide(plan: PlanBase) -> list[Launch]:
+    """Return the launches from the lists of maxima to the corners in (y, x) order."""
+    b, rule, size = plan.arrays, _rule(plan), plan.size
+    room, rows, step = np.uint32(plan.list_room), size["rows"], size["step"]
+    lists = {"lists": b["lists"], "totals": b["totals"]}
+    totals = {"totals": b["totals"], "lists": b["lists"]}
+    stages = [
+        plan.few(
+            "bound_noise",
+            plan.frames,
+            1,
+            noise=b["noise"],
+            **totals,
+            rows=rows,
+            columns=size["columns"],
+            bands=np.uint32(noise.bands(plan)),
+            room=room,
+            full_scale=np.uint32(_full_scale(plan)),
+            coarse_noise=np.uint32(rule.coarse_noise),
+            found=b["decision"],
+        )
+    ]
+    for bins, span in ((BINS, SPAN), (SPAN, 1)):
+        stages += [
+            plan.stage(
+                "sum_squares",
+                (bins, plan.frames),
+                None,
+                **totals,
+                found=b["decision"],
+                room=room,
+                span=np.uint32(span),
+                squares=b["squares"],
+            ),
+            plan.few(
+                "find_reference",
+                plan.frames,
+                1,
+                squares=b["squares"],
+                bins=np.uint32(bins),
+                span=np.uint32(span),
+                found=b["decision"],
+            ),
+        ]
+
+    def of_maxima(name: str, **arguments: Any) -> Launch:
+        items = (plan.list_room, plan.frames)
+        return plan.stage(name, items, (GROUP, 1), **lists, found=b["decision"], **arguments)
+
+    counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
+    limits = {"rows": rows, "step": step, "room": room}
+    share = np.int32(rule.coarse_share)
+    kept = {"row_counts": counts, "maxima": maxima}
+    stages.append(of_maxima("keep_coarse", **limits, coarse_share=share, **kept, taken=taken))
+    if rule.fine:
+        share = np.int32(rule.fine_share)
+        stages.append(of_maxima("keep_fine", taken=taken, **limits, fine_share=share, **kept))
+    corners = plan.corner_list
+    stages.append(
+        plan.few(
+            "start_rows",
+            plan.working[0],
+            plan.frames,
+            row_counts=counts,
+            rows=rows,
+            place=corners["place"],
+            row_starts=b["row_starts"],
+            totals=b["totals"],
+        )
+    )
+    for kind in range(plan.lists):
+        stages.append(
+            of_maxima(
+                "put_in_order",
+                taken=taken,
+                maxima=maxima,
+                row_starts=b["row_starts"],
+                **limits,
+                kind=np.uint32(kind),
+                corner_room=corners["room"],
+                length=corners["length"],
+                corners=b["corners"],
+            )
+        )
+    return stages
+
+
+# For CPUs
+
+
+def _work_rows(plan: PlanBase) -> int:
+    """Return the rows of 16-bit numbers that a band keeps, see kernels/cpu/harmonic.cl."""
+    radius = plan.config.nms_radius
+    smooth = 16 if radius <= 4 else 32
+    responses = 8 if radius <= 3 else 16 if radius <= 7 else 32
+    return 4 + smooth + 4 + smooth + 2 + 1 + 3 * responses * plan.lists
+
+
+def _by_bands(plan: PlanBase) -> list[Launch]:
+    b, rule, size = plan.arrays, _rule(plan), plan.size
+    band_rows = -(-plan.working[0] // plan.bands)
+    room, full_scale = np.uint32(plan.list_room), np.uint32(_full_scale(plan))
+    band = plan.stage(
+        "harmonic_band",
+        (plan.bands, plan.frames),
+        (1, 1),
+        image=plan.image,
+        area=b["area"],
+        **size,
+        band_rows=np.uint32(band_rows),
+        room=room,
+        full_scale=full_scale,
+        inverse=np.float32(1 / _full_scale(plan)),
+        **_checks(plan),
+        work=b["work"],
+        work_size=np.uint32(_work_rows(plan) * plan.step),
+        noise=b["noise"],
+        counts=b["counts"],
+        lists=b["lists"],
+    )
+    corners = plan.corner_list
+    decide = plan.few(
+        "decide",
+        plan.frames,
+        1,
+        noise=b["noise"],
+        counts=b["counts"],
+        lists=b["lists"],
+        **size,
+        bands=np.uint32(plan.bands),
+        room=room,
+        full_scale=full_scale,
+        coarse_noise=np.uint32(rule.coarse_noise),
+        coarse_share=np.int32(rule.coarse_share),
+        fine_share=np.int32(rule.fine_share),
+        corner_room=corners["room"],
+        place=corners["place"],
+        length=corners["length"],
+        taken=b["taken"],
+        corners=b["corners"],
+        totals=b["totals"],
+    )
+    return [band, decide]

@@ -1,0 +1,156 @@
+"""How frames lie on a device, and kernels bound to their arguments by name."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines, EdgeStep
+from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.program import Kernels
+from cmp_cl.stages.form import Form, form_for
+from cmp_cl.stages.resampling import working_shape
+from cmp_cl.stages.types import types_of
+
+GROUP = 64  # work-items of a group over a list
+LEAST_PAD = 16  # columns on either side of the pixels: what rings, discs and tents need
+LANES = 8  # corners of a vector in the form for CPUs
+CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
+
+
+class Launch(NamedTuple):
+    """A kernel with its arguments, which must outlive it, and the work-items it runs over."""
+
+    stage: str
+    kernel: cl.Kernel
+    items: tuple[int, ...]
+    group: tuple[int, ...] | None
+    arguments: dict[str, Any]
+
+
+class PlanBase:
+    """How frames lie on a device, and how the stages for them are bound.
+
+    shape: (H, W) of a frame; working: the same at the working scale. pad: columns on either
+    side of the pixels; step, full_step: elements of a row at the working and at full scale.
+    frames: how many there are; lists: lists of maxima or candidates of a frame, with `list_room`
+    entries each; corner_room: entries of the list of a frame's corners. bands: bands of rows that
+    share a frame out in the form for CPUs. buffers: the memory; arrays: these and the parts of
+    them, by name. image: what the stages start from.
+    """
+
+    kernels: Kernels
+    arrays: dict[str, cl.Buffer]
+    image: cl.Buffer
+
+    def __init__(
+        self,
+        queue: cl.CommandQueue,
+        device: Device,
+        shape: tuple[int, int],
+        dtype: np.dtype[Any],
+        config: DetectorConfig,
+        scale: float | None,
+        frames: int,
+        form: Form | None = None,
+    ) -> None:
+        self.queue = queue
+        self.device = device
+        self.form = form_for(device) if form is None else form
+        self.shape = shape
+        self.dtype = dtype
+        self.types = types_of(dtype, config)
+        self.config = config
+        self.rule = config.detection
+        self.scale = None if scale == 1 else scale
+        self.frames = frames
+        self.working = shape if self.scale is None else working_shape(shape, self.scale)
+        pixels = self.working[0] * self.working[1]
+        if isinstance(self.rule, BinaryRings):
+            self.lists = self.rule.threshold.masks
+            self.pad = multiple(max(LEAST_PAD, self.rule.threshold.window // 2), LEAST_PAD)
+            self.list_room = multiple(pixels // 14 + 1, GROUP)  # a candidate has ten pixels
+        else:
+            self.lists = 2 if self.rule.fine else 1
+            self.pad = LEAST_PAD
+            # A maximum has 49 pixels in cells of 7 px.
+            self.list_room = multiple(pixels // 64 // self.bands + 64, GROUP)
+        self.step = multiple(self.working[1] + 2 * self.pad, GROUP)
+        self.full_step = multiple(shape[1] + 2 * self.pad, GROUP)
+        self.corner_room = multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
+        self.buffers: dict[str, cl.Buffer] = {}
+
+    @property
+    def bands(self) -> int:
+        """Bands of rows: two for each of a CPU's units, of at least 32 rows; else one."""
+        if self.form is not Form.CPU:
+            return 1
+        units = self.device.handle.max_compute_units
+        return max(min(2 * units, self.working[0] // 32), 1)
+
+    @property
+    def lanes(self) -> int:
+        """Corners that a work-item of refinement takes at a time."""
+        lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
+        return LANES if self.form is Form.CPU and lines else 1
+
+    def constant(self, table: NDArray[Any]) -> cl.Buffer:
+        """Return the table on the device."""
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self.queue.context, flags, hostbuf=np.ascontiguousarray(table))
+
+    def stage(
+        self, name: str, items: tuple[int, ...], group: tuple[int, ...] | None, **arguments: Any
+    ) -> Launch:
+        """Bind a kernel over work-items in groups, None for any; arguments in its order."""
+        kernel = self.kernels.bind(name, *arguments.values())
+        return Launch(name, kernel, items, group, arguments)
+
+    def dense(self, name: str, *heights: int, **arguments: Any) -> Launch:
+        """Bind a kernel with one work-item per pixel, pads included; of a slab of that height."""
+        height = heights[0] if heights else self.working[0]
+        items = (self.step, height, self.frames)
+        return self.stage(name, items, (self.width, 1, 1), **arguments)
+
+    def few(self, name: str, items: int, planes: int, **arguments: Any) -> Launch:
+        """Bind a kernel with one work-item per row, or per something else that is few."""
+        group = (1, 1) if self.form is Form.CPU else None
+        return self.stage(name, (items, planes), group, **arguments)
+
+    def of_corners(self, name: str, **arguments: Any) -> Launch:
+        """Bind a kernel with one work-item per entry of the list of corners."""
+        return self.stage(name, (self.corner_room, self.frames), (GROUP, 1), **arguments)
+
+    @property
+    def width(self) -> int:
+        """Work-items of a group of a dense kernel: a share of the row, pads included."""
+        most = min(self.device.handle.max_work_group_size, 1024)
+        if self.form is not Form.CPU:
+            most = min(most, 128)
+        units = self.step // GROUP
+        return max(
+            GROUP * n
+            for n in range(1, units + 1)
+            if units % n == 0 and GROUP * n <= max(most, GROUP)
+        )
+
+    @property
+    def size(self) -> dict[str, Any]:
+        """Rows, columns and step of the image that the stages start from, by argument."""
+        (rows, columns), step = self.working, self.step
+        return {"rows": np.uint32(rows), "columns": np.uint32(columns), "step": np.uint32(step)}
+
+    @property
+    def corner_list(self) -> dict[str, Any]:
+        """Where a frame's corners are in the lists of all, by argument."""
+        return {
+            "room": np.uint32(self.corner_room),
+            "place": np.uint32(self.frames * self.lists),
+            "length": np.uint32(self.frames * self.corner_room),
+        }
+
+
+def multiple(value: int, of: int) -> int:
+    """Return the least multiple that is not below the value, and not 0."""
+    return max(-(-value // of), 1) * of

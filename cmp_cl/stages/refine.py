@@ -1,0 +1,222 @@
+"""The stages from the list of corners to positions, and what the host reads of them."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines
+from cmp_cl.corners import Corners, Method
+from cmp_cl.stages.layout import LANES, Launch, PlanBase, multiple
+from cmp_cl.stages.resampling import full_pixels
+
+RESULT_HEAD = 16  # numbers before the fields of a frame, like the next of kernels/result.clh
+RESULT_FIELDS = 12
+POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
+RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
+START_FIELDS = 2
+LINE_FIELDS = 6
+SHARES = 32  # for each of a device's units, of the corners
+RADII = (3, 4, 5)  # of the rings, px of the working image
+RING_SAMPLES = 32
+STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
+DOUBTFUL_EXCESS = 0.010  # of the residual's autocorrelation, over the frame's median
+VARIANCE_OF_EXCESS = 1000  # px^2: what bends the residual moves the corner, fitted on renders
+
+
+def files(plan: PlanBase) -> list[str]:
+    """Return the kernel files, in the order of the stages."""
+    refinement = plan.config.refinement
+    if refinement is None:
+        return ["centroids"]
+    if isinstance(refinement, Midlines):
+        return ["midlines"]
+    step = ["edge_step"] if isinstance(refinement, EdgeStep) else []
+    names = ["refine" if plan.lanes == LANES else "edge_lines", *step]
+    return [f"cpu/{name}" for name in names] if plan.lanes == LANES else names
+
+
+def defines(plan: PlanBase) -> dict[str, str | int]:
+    """Return the macros that only these kernels need."""
+    refinement = plan.config.refinement
+    quadratic = isinstance(refinement, Midlines) and refinement.fit is Fit.QUADRATIC
+    return {
+        "LANES": plan.lanes,
+        "LISTS": plan.lists,
+        "SCALED": int(plan.scale is not None),
+        "EDGE_STEP": int(isinstance(refinement, EdgeStep)),
+        "QUADRATIC": int(quadratic),
+    }
+
+
+def scratch(plan: PlanBase) -> dict[str, int]:
+    """Return the bytes of what the kernels leave to one another, see `Plan`."""
+    fields = {"start": START_FIELDS, "lines": LINE_FIELDS}
+    if not isinstance(plan.config.refinement, EdgeStep):
+        fields = {}
+    return {name: 4 * n * plan.frames * plan.corner_room for name, n in fields.items()}
+
+
+def result_size(plan: PlanBase) -> int:
+    """Return the bytes of the result of a frame."""
+    return 4 * (RESULT_HEAD + RESULT_FIELDS * plan.corner_room)
+
+
+def launches(plan: PlanBase) -> list[Launch]:
+    """Return the launches from the list of corners to positions."""
+    refinement = plan.config.refinement
+    if refinement is None:
+        return [_centroids(plan)]
+    stages = [_lines(plan, refinement)]
+    if isinstance(refinement, EdgeStep):
+        stages.append(_step(plan, refinement))
+    return stages
+
+
+def _of_corners(plan: PlanBase, name: str, **arguments: Any) -> Launch:
+    """Bind a kernel over the corners: one each, or work-items that share them out."""
+    if plan.lanes == 1:
+        return plan.of_corners(name, **arguments)
+    shares = min(SHARES * plan.device.handle.max_compute_units, plan.corner_room // LANES)
+    return plan.stage(name, (shares, plan.frames), (1, 1), **arguments)
+
+
+def _full_size(plan: PlanBase) -> dict[str, Any]:
+    rows, columns = (np.uint32(n) for n in plan.shape)
+    return {"rows": rows, "columns": columns, "step": np.uint32(plan.full_step)}
+
+
+def _centroids(plan: PlanBase) -> Launch:
+    size = _full_size(plan)
+    return plan.of_corners(
+        "centroids",
+        corners=plan.arrays["corners"],
+        totals=plan.arrays["totals"],
+        rows=size["rows"],
+        columns=size["columns"],
+        **plan.corner_list,
+        scale=np.float32(plan.scale or 1),
+        result=plan.arrays["result"],
+    )
+
+
+def _lines(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Launch:
+    """Return the launch from the corners to where the lines through the edge points meet."""
+    b = plan.arrays
+    scaled: dict[str, Any] = {}
+    if plan.scale is not None:
+        scaled["scale"] = np.float32(plan.scale)
+        if plan.lanes == LANES:
+            scaled["reach"] = np.uint32(math.ceil(RADII[-1] / plan.scale) + 1)
+        scaled["ring_samples"] = _ring_samples(plan, plan.scale)
+    step = isinstance(refinement, EdgeStep)
+    between = {"start": b["start"], "lines": b["lines"]} if step else {}
+    name = "refine_eight" if plan.lanes == LANES else "edge_lines"
+    return _of_corners(
+        plan,
+        "midlines" if isinstance(refinement, Midlines) else name,
+        image=b["image"],
+        corners=b["corners"],
+        totals=b["totals"],
+        **_full_size(plan),
+        **plan.corner_list,
+        max_shift=_largest_shift(plan),
+        **scaled,
+        **between,
+        result=b["result"],
+    )
+
+
+def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
+    """(rings, 32, 8) float32, see RING_32 in kernels/edges.clh."""
+    angle = np.arange(RING_SAMPLES) * (math.tau / RING_SAMPLES)
+    circle = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+    offset = np.float32(np.array(RADII)[:, None, None] / scale * circle)
+    pixel = np.floor(offset)
+    parts = (offset, np.roll(offset, -1, axis=1) - offset, pixel, offset - pixel)
+    return plan.constant(np.concatenate(parts, axis=2))
+
+
+def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
+    b, factor = plan.arrays, plan.scale or 1.0
+    share, least, most = STEP_RADIUS
+    return _of_corners(
+        plan,
+        "edge_step_eight" if plan.lanes == LANES else "edge_step",
+        image=b["image"],
+        start=b["start"],
+        lines=b["lines"],
+        totals=b["totals"],
+        **_full_size(plan),
+        **plan.corner_list,
+        radius=np.float32(min(max(share * refinement.cell * factor, least), most) / factor),
+        scale=np.float32(factor),
+        result=b["result"],
+    )
+
+
+def _largest_shift(plan: PlanBase) -> np.float32:
+    """Of a refined position from its start, px of the image."""
+    refinement = plan.config.refinement
+    shift = refinement.max_shift if isinstance(refinement, EdgeLines | Midlines) else 2.0
+    return np.float32(shift / (plan.scale or 1.0))
+
+
+def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
+    """Return the corners of each frame: parts of what `Plan.read` has fetched."""
+    device, found = str(plan.device), []
+    for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
+        padded = multiple(count, LANES)
+        fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
+        sigma, doubtful = _deviation(fields[:, :count], plan.config)
+        pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
+        if plan.scale is not None:
+            pixel = full_pixels(pixel, plan.shape, plan.scale)
+        found.append(
+            Corners(
+                xy=fields[POSITION].reshape(-1, 2)[:count],
+                pixel=pixel,
+                response=fields[RESPONSE, :count],
+                method=fields[METHOD, :count].astype(np.uint8),
+                sigma=sigma,
+                edges=fields[EDGES].reshape(-1, 4)[:count],
+                doubtful=doubtful,
+                device=device,
+            )
+        )
+    return found
+
+
+def no_corners(device: str) -> Corners:
+    """Return the corners of an image without any."""
+    return Corners(
+        xy=np.empty((0, 2), np.float32),
+        pixel=np.empty((0, 2), np.int32),
+        response=np.empty(0, np.float32),
+        method=np.empty(0, np.uint8),
+        sigma=np.empty(0, np.float32),
+        edges=np.empty((0, 4), np.float32),
+        doubtful=np.empty(0, np.bool_),
+        device=device,
+    )
+
+
+def _deviation(
+    fields: NDArray[np.float32], config: DetectorConfig
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the standard deviation of each position, px, and which corners are doubtful.
+
+    A corner is doubtful whose residual autocorrelation exceeds the frame's median by
+    DOUBTFUL_EXCESS: its surroundings do not look like the corner model.
+    """
+    variance = fields[VARIANCE]
+    accepted = fields[METHOD] == Method.EDGE_STEP
+    excess = np.zeros(len(variance), np.float32)
+    if isinstance(config.refinement, EdgeStep) and accepted.any():
+        correlation = fields[CORRELATION]
+        middle = (np.count_nonzero(accepted) - 1) // 2
+        typical = np.partition(correlation[accepted], middle)[middle]
+        excess[accepted] = np.maximum(correlation[accepted] - typical, 0)
+    return np.sqrt(variance + VARIANCE_OF_EXCESS * excess**2), excess > DOUBTFUL_EXCESS

@@ -1,0 +1,110 @@
+"""The paper's rule, from the image at its working scale to the list of its corners.
+
+The order: binarize, criteria, nms, gate, and the corners' list with the moments of the response.
+"""
+
+from typing import cast
+
+from cmp_cl.config import BinaryRings, RapidCriteria
+from cmp_cl.stages import binarize, criteria, gate, nms
+from cmp_cl.stages.layout import Launch, PlanBase
+
+
+def files(plan: PlanBase) -> list[str]:
+    """Return the kernel files, in the order of the stages."""
+    rule = _rule(plan)
+    rapid = isinstance(rule.criteria, RapidCriteria)
+    gated = ["noise", "gate"] if rule.contrast is not None else []
+    kind = "criteria" if rapid else "spectral"
+    return ["border", "binarize", kind, "collect", "nms", *gated, "centroid"]
+
+
+def defines(plan: PlanBase) -> dict[str, str | int]:
+    """Return the macros that only these kernels need."""
+    rule = _rule(plan)
+    return {
+        "MASKS": rule.threshold.masks,
+        "OUTER_RADIUS": rule.outer_radius,
+        "RAPID": int(isinstance(rule.criteria, RapidCriteria)),
+        "GATE": int(rule.contrast is not None),
+        "CORROSION": int(rule.criteria.corrosion_threshold is not None),
+    }
+
+
+def macros(plan: PlanBase) -> dict[str, str]:
+    """Return the function-like macros."""
+    return binarize.macros(plan, _rule(plan))
+
+
+def sizes(plan: PlanBase) -> dict[str, int]:
+    """Return the bytes of the buffers."""
+    plane = plan.working[0] * plan.step
+    image = plan.frames * plane + 2 * plan.step
+    rule = _rule(plan)
+    return {
+        "area": plane // 8,
+        "binary": image,
+        "response": plan.types["RESPONSE"].itemsize * image,
+        "candidates": 4 * plan.frames * plan.lists * plan.list_room,
+        "maxima": plan.frames * plane // 8,
+        "row_counts": 4 * plan.frames * plan.working[0],
+        **(gate.sizes(plan) if rule.contrast is not None else {}),
+    }
+
+
+def scratch(plan: PlanBase) -> list[dict[str, int]]:
+    """Return the bytes of the arrays that are needed only in passing, see `Plan`."""
+    rule = _rule(plan)
+    response, key = plan.types["RESPONSE"].itemsize, plan.types["SCORE"].itemsize
+    lists = {
+        "responses": response * plan.frames * plan.lists * plan.list_room,
+        "key": key * (plan.frames * plan.working[0] + 2) * plan.step,
+    }
+    gated = [gate.scratch(plan)] if rule.contrast is not None else []
+    return [binarize.scratch(plan, rule), lists, *gated]
+
+
+def launches(plan: PlanBase) -> list[Launch]:
+    """Return the launches from the image to the list of corners."""
+    rule = _rule(plan)
+    stages = [
+        *binarize.launches(plan, rule),
+        *criteria.launches(plan, rule),
+        *nms.launches(plan),
+    ]
+    if rule.contrast is not None:
+        stages += gate.launches(plan, rule.contrast)
+    return stages + _corners(plan, "maxima" if rule.contrast is None else "passed")
+
+
+def _rule(plan: PlanBase) -> BinaryRings:
+    return cast(BinaryRings, plan.rule)
+
+
+def _corners(plan: PlanBase, kept: str) -> list[Launch]:
+    """Return the launches from the bits of the maxima to the corners in (y, x) order."""
+    b, rows, step = plan.arrays, plan.size["rows"], plan.size["step"]
+    corners = {"corners": b["corners"]}
+    return [
+        plan.few(
+            "list_maxima",
+            plan.working[0],
+            plan.frames,
+            maxima=b[kept],
+            row_counts=b["row_counts"],
+            rows=rows,
+            step=step,
+            **plan.corner_list,
+            **corners,
+            totals=b["totals"],
+        ),
+        plan.of_corners(
+            "centroid",
+            response=b["response"],
+            totals=b["totals"],
+            rows=rows,
+            step=step,
+            **plan.corner_list,
+            **corners,
+        ),
+    ]

@@ -1,0 +1,50 @@
+#include "plane.clh"
+
+/* The corners of a frame as refinement takes them, whatever found the maxima: x, y, response, and
+ * of the responses of the 5 x 5 around it the sum and the sums times the offsets in x and in y, a
+ * column each of `length` rows; corner n of frame p has row p * room + n. */
+
+/* The list of the maxima, bit k of word i of a row being pixel 32 i + k, in (y, x) order whatever
+ * the order of the work-items; its count, at place `place` of the totals, runs past the room. One
+ * work-item per row. */
+__kernel void list_maxima(__global const uint *restrict maxima,
+                          __global const uint *restrict row_counts, const uint rows,
+                          const uint step, const uint room, const uint place,
+                          const uint length, __global int *restrict corners,
+                          __global uint *restrict totals) {
+  const size_t y = get_global_id(0), p = get_global_id(1);
+  uint n = 0;
+  for (uint row = 0; row < y; ++row) n += row_counts[p * rows + row];
+  for (uint i = 0; i < step / 32; ++i)
+    for (uint left = maxima[(p * rows + y) * (step / 32) + i]; left; left &= left - 1, ++n) {
+      if (n >= room) continue;
+      corners[p * room + n] = (int)(32 * i + 31 - clz(left & (0u - left))) - PAD;
+      corners[length + p * room + n] = (int)y;
+    }
+  if (y + 1 == rows) totals[place + p] = n;
+}
+
+/* The response and its moments. One work-item per corner. */
+__kernel void centroid(__global const RESPONSE *restrict response,
+                       __global const uint *restrict totals, const uint rows, const uint step,
+                       const uint room, const uint place, const uint length,
+                       __global int *restrict corners) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= min(totals[place + p], room)) return;
+  __global int *corner = corners + p * room + n;
+  const int x = PAD + corner[0], y = corner[length];
+  int sum = 0, sum_x = 0, sum_y = 0;
+  for (int dy = -2; dy <= 2; ++dy) {
+    if (y + dy < 0 || y + dy >= (int)rows) continue;
+    for (int dx = -2; dx <= 2; ++dx) {
+      const int r = (int)response[ROW(p, y + dy) + x + dx];
+      sum += r;
+      sum_x += r * dx;
+      sum_y += r * dy;
+    }
+  }
+  corner[2 * (size_t)length] = (int)response[ROW(p, y) + x];
+  corner[3 * (size_t)length] = sum;
+  corner[4 * (size_t)length] = sum_x;
+  corner[5 * (size_t)length] = sum_y;
+}

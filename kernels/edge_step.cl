@@ -1,0 +1,127 @@
+#include "corner_model.clh"
+
+/* One work-item per corner, eight pixels of a row at a time. */
+#define MOST_EIGHTS 57 /* 19 rows of 24 pixels hold a radius of 9 */
+
+/* Greys of eight pixels from (i, j) of the start on, the border repeated. */
+#define GREY_NEAR(i, j) \
+  (float)image[CLAMPED_ROW(from_y + (j)) + (size_t)clamp(from_x + (i), 0, (int)columns - 1)]
+#if SCALED
+#define EIGHT_GREYS(i, j)                                                           \
+  (float8)(GREY_NEAR(i, j), GREY_NEAR(i + 1, j), GREY_NEAR(i + 2, j), GREY_NEAR(i + 3, j), \
+           GREY_NEAR(i + 4, j), GREY_NEAR(i + 5, j), GREY_NEAR(i + 6, j), GREY_NEAR(i + 7, j))
+#else /* the pads repeat the border */
+#define EIGHT_GREYS(i, j) \
+  EIGHT_OF(float8, image + CLAMPED_ROW(from_y + (j)) + (size_t)(from_x + (i)))
+#endif
+
+/* Row j of the disc: from the middle on, as many times eight pixels as hold its chord. */
+#define DISC_ROW(j)                                                                 \
+  const float uy = (float)(j) - y, uy_2 = uy * uy;                                  \
+  int eights = 1;                                                                   \
+  while ((float)(16 * eights * eights) < radius_2 - uy_2) ++eights;                 \
+  const int left = (int)floor(x) + 1 - 4 * eights, right = left + 8 * eights;
+
+__kernel void edge_step(__global const PIXEL *restrict image,
+                        __global const float *restrict start,
+                        __global const float *restrict lines,
+                        __global const uint *restrict totals, const uint rows,
+                        const uint columns, const uint step, const uint room,
+                        const uint place, const uint length, const float radius,
+                        const float scale, __global float *restrict result) {
+  const size_t n = get_global_id(0), p = get_global_id(1);
+  if (n >= totals[place + p]) return;
+  const size_t row = p * room + n;
+  RESULT_OF_FRAME(totals[place + p])
+  if (*RESULT_METHOD != METHOD_EDGE_LINES) return;
+  const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
+  const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
+  const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
+  const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
+  const float core_radius = fmin(4.0f, radius / 2), radius_2 = radius * radius;
+  const float core_2 = core_radius * core_radius;
+  const float a_x = n1x / BLUR, a_y = n1y / BLUR, b_x = n2x / BLUR, b_y = n2y / BLUR;
+  const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);
+  const float centre = GREY_NEAR(0, 0);
+
+#if !SCALED
+  float weight_of[8 * MOST_EIGHTS + 1], model_of[8 * MOST_EIGHTS + 1];
+  float grey_of[8 * MOST_EIGHTS + 1];
+  int k = 0;
+#endif
+  float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vii = 0, va = 0, vb = 0;
+  float8 vaa = 0, vab = 0, vbb = 0, vap = 0, vbp = 0, vai = 0, vbi = 0;
+  for (int j = top; j <= bottom; ++j) {
+    DISC_ROW(j)
+    for (int i = left; i < right; i += 8) {
+      const float8 ux = (float)i - x + EIGHT;
+      CORNER_MODEL(uy_2)
+      SLOPES
+      const float8 I = EIGHT_GREYS(i, j) - centre;
+      const float8 wP = w * P, wA = w * A, wB = w * B, wI = w * I;
+      v1 += w;
+      vp += wP;
+      vpp += wP * P;
+      vi += wI;
+      vpi += wP * I;
+      vii += wI * I;
+      va += wA;
+      vb += wB;
+      vaa += wA * A;
+      vab += wA * B;
+      vbb += wB * B;
+      vap += wA * P;
+      vbp += wB * P;
+      vai += wA * I;
+      vbi += wB * I;
+#if !SCALED
+      STORE_8(weight_of, k, r2 + 2 * ux + 1 < radius_2 ? w : (float8)(0.0f));
+      STORE_8(model_of, k, P);
+      STORE_8(grey_of, k, I);
+      k += 8;
+#endif
+    }
+  }
+  const float s1 = sum_of_eight(v1), sp = sum_of_eight(vp), spp = sum_of_eight(vpp);
+  const float si = sum_of_eight(vi), spi = sum_of_eight(vpi), sii = sum_of_eight(vii);
+  const float sa = sum_of_eight(va), sb = sum_of_eight(vb), saa = sum_of_eight(vaa);
+  const float sab = sum_of_eight(vab), sbb = sum_of_eight(vbb), sap = sum_of_eight(vap);
+  const float sbp = sum_of_eight(vbp), sai = sum_of_eight(vai), sbi = sum_of_eight(vbi);
+
+  const float spread = s1 * spp - sp * sp;
+  const float c = (s1 * spi - sp * si) / spread, m = (si - c * sp) / s1;
+  const float ra = sai - m * sa - c * sap, rb = sbi - m * sb - c * sbp;
+  SOLVE_STEP
+  if (!sound) return;
+
+  /* Autocorrelation of what the model leaves, between each pixel and the next of its row. */
+  float8 products = 0, weights = 0;
+#if SCALED
+  for (int j = top; j <= bottom; ++j) {
+    DISC_ROW(j)
+    float last = 0, last_weight = 0;
+    for (int i = left; i < right; i += 8) {
+      const float8 ux = (float)i - x + EIGHT;
+      CORNER_MODEL(uy_2)
+      const float8 r = REST((EIGHT_GREYS(i, j) - centre), P);
+      const float8 before = (float8)(last, r.s0123, r.s456);
+      const float8 weight = (float8)(last_weight, w.s0123, w.s456);
+      const float8 both = r2 < radius_2 ? weight : (float8)(0.0f);
+      products += both * before * r;
+      weights += both;
+      last = r.s7;
+      last_weight = w.s7;
+    }
+  }
+#else
+  weight_of[k] = model_of[k] = grey_of[k] = 0;
+  for (int n = 0; n < k; n += 8) {
+    const float8 w = LOAD_8(weight_of, n);
+    const float8 r = REST(LOAD_8(grey_of, n), LOAD_8(model_of, n));
+    const float8 next = REST(LOAD_8(grey_of, n + 1), LOAD_8(model_of, n + 1));
+    products += w * r * next;
+    weights += w;
+  }
+#endif
+  STORE_STEP
+}

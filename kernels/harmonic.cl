@@ -1,0 +1,364 @@
+#include "plane.clh"
+
+/* The grey-level rule: the second harmonic of eight samples on a ring, less what a corner does not
+ * have. Shifts are arithmetic; every number is whole, so every device has the same result.
+ *
+ *   S1 = [1 2 1]^T [1 2 1] * I, S2 and S3 the same of the one before, divided by 16
+ *   s0 .. s7 the samples of ring (a, d), clockwise: (0, -a) (d, -d) (a, 0) (d, d) ...
+ *   u_k = s_k + s_(k+4);  A = u0 - u2, B = u1 - u3: the second harmonic
+ *   F = max(|A|, |B|) + min / 4 + min / 8, its length
+ *   o = sum |s_k - s_(k+4)|: the odd harmonics;  e = |u0 + u1 + u2 + u3 - 8 centre|
+ *   coarse response: F - 3/4 o - 3/8 e of ring (5, 4) on S3
+ *   fine response:   F - 3/4 (o + e) of ring (3, 2) on S1
+ *
+ * A plane of S1 is in sixteenths of 1/255 of full scale. */
+
+#ifndef NMS_RADIUS
+#error "NMS_RADIUS must be that of suppression"
+#endif
+
+#define LEAST 80 /* below every bound of a response: five grey levels */
+#define KINDS (1 + FINE)
+#define LIST_COLUMNS 6
+
+/* The column of a work-item that runs over the pads too: there it repeats the border. */
+#define HELD_COLUMN (size_t)(PAD + clamp((int)get_global_id(0) - PAD, 0, (int)columns - 1))
+
+#define BINOMIAL(at)                                                                \
+  (at(-1, -1) + at(1, -1) + at(-1, 1) + at(1, 1) +                                  \
+   2 * (at(0, -1) + at(-1, 0) + at(1, 0) + at(0, 1)) + 4 * at(0, 0))
+
+/* S1. One work-item per pixel. */
+__kernel void smooth_image(__global const PIXEL *restrict image, const uint rows,
+                           const uint columns, const uint step, const uint full_scale,
+                           __global ushort *restrict smooth) {
+  const size_t x = HELD_COLUMN, y = get_global_id(1), p = get_global_id(2);
+#if WHOLE_LEVELS /* a pixel is the grey level */
+#define LEVEL_AT(dx, dy)                                                            \
+  (uint)image[NEAR_ROW(p, (int)y + (dy)) + PAD +                                    \
+              clamp((int)x - PAD + (dx), 0, (int)columns - 1)]
+  const uint level = BINOMIAL(LEVEL_AT);
+#else
+#define LEVEL_AT(dx, dy)                                                            \
+  ((min((uint)image[NEAR_ROW(p, (int)y + (dy)) + PAD +                              \
+                    clamp((int)x - PAD + (dx), 0, (int)columns - 1)],               \
+        full_scale) * 4080 + full_scale / 2) / full_scale)
+  const uint level = (BINOMIAL(LEVEL_AT) + 8) >> 4;
+#endif
+  smooth[ROW(p, y) + get_global_id(0)] = (ushort)level;
+}
+
+/* S2 of S1, S3 of S2. One work-item per pixel. */
+__kernel void smooth(__global const ushort *restrict plane, const uint rows,
+                     const uint columns, const uint step, __global ushort *restrict smoother) {
+  const size_t x = HELD_COLUMN, y = get_global_id(1), p = get_global_id(2);
+#define SMOOTH_AT(dx, dy)                                                           \
+  (uint)plane[NEAR_ROW(p, (int)y + (dy)) + PAD +                                    \
+              clamp((int)x - PAD + (dx), 0, (int)columns - 1)]
+  smoother[ROW(p, y) + get_global_id(0)] = (ushort)((BINOMIAL(SMOOTH_AT) + 8) >> 4);
+}
+
+typedef struct {
+  int2 second; /* A, B */
+  int length, odd, centre;
+} Harmonics;
+
+/* Those of ring (a, d) around column x of row y of frame p; the pads repeat the border. */
+Harmonics harmonics_of(__global const ushort *plane, const size_t p, const int x, const int y,
+                       const int a, const int d, const uint rows, const uint step) {
+  __global const ushort *middle = plane + ROW(p, y) + x;
+  __global const ushort *upper = plane + NEAR_ROW(p, y - d) + x;
+  __global const ushort *lower = plane + NEAR_ROW(p, y + d) + x;
+  const int s0 = plane[NEAR_ROW(p, y - a) + x], s4 = plane[NEAR_ROW(p, y + a) + x];
+  const int s1 = upper[d], s5 = lower[-d], s2 = middle[a], s6 = middle[-a];
+  const int s3 = lower[d], s7 = upper[-d];
+  const int u0 = s0 + s4, u1 = s1 + s5, u2 = s2 + s6, u3 = s3 + s7;
+  const int low = min(abs(u0 - u2), abs(u1 - u3)), high = max(abs(u0 - u2), abs(u1 - u3));
+  Harmonics found = {(int2)(u0 - u2, u1 - u3), high + (low >> 2) + (low >> 3),
+                     abs(s0 - s4) + abs(s1 - s5) + abs(s2 - s6) + abs(s3 - s7),
+                     abs(u0 + u1 + u2 + u3 - 8 * middle[0])};
+  return found;
+}
+
+int coarse_response_of(const Harmonics h) {
+  return h.length - (h.odd - (h.odd >> 2)) - ((h.centre >> 2) + (h.centre >> 3));
+}
+
+int fine_response_of(const Harmonics h) {
+  return h.length - ((h.odd + h.centre) - ((h.odd + h.centre) >> 2));
+}
+
+/* A response; 0 outside the image. One work-item per pixel. */
+#define DENSE(RESPONSE_OF, a, d)                                                    \
+  (__global const ushort *restrict plane, const uint rows, const uint columns,      \
+   const uint step, __global short *restrict response) {                            \
+    const int x = (int)get_global_id(0), y = (int)get_global_id(1);                 \
+    const size_t p = get_global_id(2);                                              \
+    const bool inside = x >= PAD && x < PAD + (int)columns;                         \
+    const int near = inside ? x : PAD;                                              \
+    const Harmonics h = harmonics_of(plane, p, near, y, a, d, rows, step);          \
+    response[ROW(p, y) + x] = (short)(inside ? RESPONSE_OF(h) : 0);                 \
+  }
+__kernel void coarse_response DENSE(coarse_response_of, 5, 4)
+#if FINE
+__kernel void fine_response DENSE(fine_response_of, 3, 2)
+#endif
+
+int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
+
+/* Check 1: the second harmonics of a small and of a large ring point alike. */
+bool aligned(const int alignment, const Harmonics inner, const Harmonics outer) {
+  return alignment == 0 ||
+         alignment * dot_of(inner.second, outer.second) >= dot_of(outer.second, outer.second);
+}
+
+/* Whether a pixel is the largest of its window, the earlier one of equals. */
+bool is_maximum(__global const short *response, const size_t p, const int x, const int y,
+                const uint rows, const uint step) {
+  const short r = response[ROW(p, y) + x];
+  if (r <= LEAST) return false;
+  for (int line = 0; line <= 2 * NMS_RADIUS; ++line) { /* the nearest rows first */
+    const int dy = line % 2 ? line / 2 + 1 : -(line / 2);
+    if (y + dy < 0 || y + dy >= (int)rows) continue;
+    for (int dx = -NMS_RADIUS; dx <= NMS_RADIUS; ++dx) {
+      const short other = response[ROW(p, y + dy) + x + dx];
+      const bool earlier = dy < 0 || (dy == 0 && dx < 0);
+      if (other > r || (earlier && other == r)) return false;
+    }
+  }
+  return true;
+}
+
+/* Append a maximum to a list: x, y, response, and of the responses above 0 of the 5 x 5 around it
+ * the sum and the sums times the offsets in x and in y, a column each. */
+void append(__global const short *response, const size_t p, const int x, const int y,
+            const uint rows, const uint step, const uint room, __global uint *total,
+            __global int *list) {
+  const uint n = atomic_inc(total);
+  if (n >= room) return;
+  int sum = 0, sum_x = 0, sum_y = 0;
+  for (int dy = -2; dy <= 2; ++dy) {
+    if (y + dy < 0 || y + dy >= (int)rows) continue;
+    for (int dx = -2; dx <= 2; ++dx) {
+      const int r = max((int)response[ROW(p, y + dy) + x + dx], 0);
+      sum += r;
+      sum_x += r * dx;
+      sum_y += r * dy;
+    }
+  }
+  list[n] = x - PAD;
+  list[room + n] = y;
+  list[2 * room + n] = response[ROW(p, y) + x];
+  list[3 * room + n] = sum;
+  list[4 * room + n] = sum_x;
+  list[5 * room + n] = sum_y;
+}
+
+#define LIST(kind) (p * KINDS + (kind))
+#define LIST_OF(kind) lists + LIST(kind) * LIST_COLUMNS * room
+
+#define IN_AREA(x, y) (area[((y) * step + (x)) / 32] >> (x) % 32 & 1)
+
+/* The maxima of the coarse response that pass the checks. `area` has a bit for every pixel. One
+ * work-item per pixel. */
+__kernel void coarse_maxima(__global const ushort *restrict fine_plane,
+                            __global const ushort *restrict coarse_plane,
+                            __global const short *restrict response,
+                            __global const uint *restrict area, const uint rows,
+                            const uint columns, const uint step, const uint room,
+                            const int alignment, const int support,
+                            __global uint *restrict totals, __global int *restrict lists) {
+  const int x = (int)get_global_id(0), y = (int)get_global_id(1);
+  const size_t p = get_global_id(2);
+  if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y)) return;
+  if (!is_maximum(response, p, x, y, rows, step)) return;
+  const Harmonics outer = harmonics_of(coarse_plane, p, x, y, 5, 4, rows, step);
+  if (!aligned(alignment, harmonics_of(fine_plane, p, x, y, 3, 2, rows, step), outer)) return;
+  if (support) { /* check 2: a ring of 4 px responds alike */
+    const int r = response[ROW(p, y) + x];
+    const int middle = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 4, 3, rows, step));
+    if (support * middle < r || middle > 2 * r) return;
+  }
+  append(response, p, x, y, rows, step, room, totals + LIST(0), LIST_OF(0));
+}
+
+#if FINE
+
+/* The maxima of the fine response that pass their check. One work-item per pixel. */
+__kernel void fine_maxima(__global const ushort *restrict fine_plane,
+                          __global const short *restrict response,
+                          __global const uint *restrict area, const uint rows,
+                          const uint columns, const uint step, const uint room,
+                          __global uint *restrict totals, __global int *restrict lists) {
+  const int x = (int)get_global_id(0), y = (int)get_global_id(1);
+  const size_t p = get_global_id(2);
+  if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y)) return;
+  if (!is_maximum(response, p, x, y, rows, step)) return;
+  const Harmonics inner = harmonics_of(fine_plane, p, x, y, 2, 1, rows, step);
+  if (!aligned(4, inner, harmonics_of(fine_plane, p, x, y, 3, 2, rows, step))) return;
+  append(response, p, x, y, rows, step, room, totals + LIST(1), LIST_OF(1));
+}
+
+#endif
+
+/* The lists and the maxima of a frame are empty. One work-item per row. */
+__kernel void clear(const uint rows, const uint step, __global uint *restrict totals,
+                    __global uint *restrict row_counts, __global uint *restrict maxima,
+                    __global uint *restrict taken) {
+  const size_t y = get_global_id(0), p = get_global_id(1), row = p * rows + y;
+  if (y == 0)
+    for (uint kind = 0; kind < KINDS; ++kind) totals[LIST(kind)] = 0;
+  row_counts[row] = 0;
+  for (uint word = 0; word < step / 32; ++word)
+    maxima[row * (step / 32) + word] = taken[row * (step / 32) + word] = 0;
+}
+
+/* The reference is found by bins of 64 responses, then within a bin; `found` holds what is decided
+ * so far of a frame. */
+#define BINS 256
+#define SPAN 64
+typedef struct {
+  ulong all, above; /* sums of squares: of all responses, of those above the bin */
+  int bound[2];     /* the least responses that the noise allows */
+  int kind, base, reference;
+} Decision;
+
+int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
+                const ulong full_scale) {
+  if (!pixels) return LEAST;
+  const ulong whole = 100 * pixels * full_scale;
+  const ulong bound = (factor * amplitude * 255 + whole - 1) / whole;
+  return (int)max((ulong)LEAST, min(bound, (ulong)INT_MAX));
+}
+
+/* The bounds that the noise sets; of `noise` there are `bands` sums. One work-item per frame. */
+__kernel void bound_noise(__global const ulong *restrict noise, __global const uint *restrict totals,
+                          __global const int *restrict lists, const uint rows,
+                          const uint columns, const uint bands, const uint room,
+                          const uint full_scale, const uint coarse_noise,
+                          __global Decision *restrict found) {
+  const size_t p = get_global_id(0);
+  const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
+  ulong amplitude = 0;
+  for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
+  found[p].bound[0] = noise_bound(coarse_noise, amplitude, pixels, full_scale);
+  found[p].bound[1] = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
+  found[p].all = found[p].above = 0;
+  found[p].kind = found[p].base = found[p].reference = 0;
+#if FINE /* of the fine responses where no coarse one is above its bound */
+  const uint count = min(totals[LIST(0)], room);
+  __global const int *value = LIST_OF(0) + 2 * room;
+  found[p].kind = 1;
+  for (uint n = 0; n < count; ++n)
+    if (value[n] > found[p].bound[0]) found[p].kind = 0;
+#endif
+}
+
+/* Sums of the squares of the responses of a bin, which is `span` wide. One work-item per bin. */
+__kernel void sum_squares(__global const uint *restrict totals, __global const int *restrict lists,
+                          __global const Decision *restrict found, const uint room, const uint span,
+                          __global ulong *restrict squares) {
+  const size_t bin = get_global_id(0), p = get_global_id(1);
+  const Decision decision = found[p];
+  const int low = decision.base + (int)(bin * span), high = low + (int)span;
+  __global const int *value = LIST_OF(decision.kind) + 2 * room;
+  const uint count = min(totals[LIST(decision.kind)], room);
+  ulong sum = 0;
+  for (uint n = 0; n < count; ++n)
+    if (value[n] >= low && value[n] < high && value[n] > decision.bound[decision.kind])
+      sum += (ulong)((long)value[n] * value[n]);
+  squares[p * BINS + bin] = sum;
+}
+
+/* The reference: sorted downwards, the first response at which twice the sum of the squares so far
+ * reaches the sum of all; 0 of none. One work-item per frame. */
+__kernel void find_reference(__global const ulong *restrict squares, const uint bins,
+                             const uint span, __global Decision *restrict found) {
+  const size_t p = get_global_id(0);
+  Decision decision = found[p];
+  if (span > 1)
+    for (uint bin = 0; bin < bins; ++bin) decision.all += squares[p * BINS + bin];
+  int bin = (int)bins - 1;
+  if (decision.all)
+    for (; 2 * (decision.above + squares[p * BINS + bin]) < decision.all; --bin)
+      decision.above += squares[p * BINS + bin];
+  decision.base += bin * (int)span;
+  if (span == 1) decision.reference = decision.all ? decision.base : 0;
+  found[p] = decision;
+}
+
+#define ENTRY(kind)                                                                 \
+  const size_t n = get_global_id(0), p = get_global_id(1);                          \
+  if (n >= min(totals[LIST(kind)], room)) return;                                   \
+  __global const int *entry = LIST_OF(kind) + n;                                    \
+  const int x = PAD + entry[0], y = entry[room], r = entry[2 * room];               \
+  const size_t word = (p * rows + y) * (step / 32) + x / 32;                        \
+  const Decision decision = found[p];
+
+/* The coarse corners: a response above the noise and a share of the reference. Each takes the
+ * window around it. One work-item per maximum. */
+__kernel void keep_coarse(__global const int *restrict lists, __global const uint *restrict totals,
+                          __global const Decision *restrict found, const uint rows,
+                          const uint step, const uint room, const int coarse_share,
+                          __global uint *restrict row_counts, __global uint *restrict maxima,
+                          __global uint *restrict taken) {
+  ENTRY(0)
+  if (r <= decision.bound[0] || 128 * r < coarse_share * decision.reference) return;
+  atomic_or(maxima + word, 1u << x % 32);
+  atomic_inc(row_counts + p * rows + y);
+  const int left = x - NMS_RADIUS;
+  const ulong reach = (ulong)(uint)((2 << 2 * NMS_RADIUS) - 1) << left % 32;
+  for (int j = max(y - NMS_RADIUS, 0); j <= min(y + NMS_RADIUS, (int)rows - 1); ++j) {
+    __global uint *own = taken + (p * rows + j) * (step / 32) + left / 32;
+    atomic_or(own, (uint)reach);
+    if (reach >> 32) atomic_or(own + 1, (uint)(reach >> 32));
+  }
+}
+
+#if FINE
+
+/* The fine corners, where no coarse one has taken the pixel. One work-item per maximum. */
+__kernel void keep_fine(__global const int *restrict lists, __global const uint *restrict totals,
+                        __global const Decision *restrict found,
+                        __global const uint *restrict taken, const uint rows, const uint step,
+                        const uint room, const int fine_share, __global uint *restrict row_counts,
+                        __global uint *restrict maxima) {
+  ENTRY(1)
+  if (r <= decision.bound[1] || 128 * r < fine_share * decision.reference) return;
+  if (taken[word] >> x % 32 & 1) return;
+  atomic_or(maxima + word, 1u << x % 32);
+  atomic_inc(row_counts + p * rows + y);
+}
+
+#endif
+
+/* How many corners the rows before each have, and of the frame, place `place` of its totals. One
+ * work-item per row. */
+__kernel void start_rows(__global const uint *restrict row_counts, const uint rows,
+                         const uint place, __global uint *restrict row_starts,
+                         __global uint *restrict totals) {
+  const size_t y = get_global_id(0), p = get_global_id(1);
+  uint start = 0;
+  for (uint row = 0; row < y; ++row) start += row_counts[p * rows + row];
+  row_starts[p * rows + y] = start;
+  if (y + 1 == rows) totals[place + p] = start + row_counts[p * rows + y];
+}
+
+/* The corners in (y, x) order: each finds its rank among the bits of the maxima. A fine maximum
+ * whose pixel a coarse corner has taken has no bit of its own. One work-item per maximum. */
+__kernel void put_in_order(__global const int *restrict lists, __global const uint *restrict totals,
+                           __global const Decision *restrict found,
+                           __global const uint *restrict taken,
+                           __global const uint *restrict maxima,
+                           __global const uint *restrict row_starts, const uint rows,
+                           const uint step, const uint room, const uint kind,
+                           const uint corner_room, const uint length,
+                           __global int *restrict corners) {
+  ENTRY(kind)
+  if (!(maxima[word] >> x % 32 & 1) || (kind && taken[word] >> x % 32 & 1)) return;
+  uint rank = row_starts[p * rows + y] + popcount(maxima[word] & ((1u << x % 32) - 1));
+  for (size_t before = word - x / 32; before < word; ++before) rank += popcount(maxima[before]);
+  if (rank >= corner_room) return;
+  for (uint k = 0; k < LIST_COLUMNS; ++k)
+    corners[(size_t)k * length + p * corner_room + rank] = entry[k * room];
+}

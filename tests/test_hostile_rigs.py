@@ -1,0 +1,42 @@
+"""Calibration files that would take the process with them."""
+
+import subprocess
+import sys
+
+import pytest
+
+from cmp_cl import CalibrationError, StereoRig
+
+YAML = "%YAML:1.0\n---\nK1: "
+DEEP = {
+    "a YAML sequence": YAML + "[" * 200_000,
+    "a YAML mapping": YAML + "{a: " * 200_000,
+    "YAML dashes": YAML + "\n  " + "- " * 200_000 + "1\n",
+    "a JSON array": '{"K1": ' + "[" * 200_000,
+    "a JSON object": '{"a":' * 200_000,
+    "XML tags": '<?xml version="1.0"?>\n<opencv_storage>' + "<a>" * 200_000,
+    "brackets that strings close": YAML + '["]",' * 200_000,
+}
+
+
+@pytest.mark.parametrize("kind", DEEP)
+def test_a_deeply_nested_file_is_refused_and_does_not_end_the_process(kind, tmp_path):
+    (tmp_path / "rig.yaml").write_text(DEEP[kind])
+    code = "import sys, cmp_cl; cmp_cl.StereoRig.load(sys.argv[1])"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "rig.yaml")],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PYTHONPATH": ":".join(sys.path)},
+    )
+    assert done.returncode == 1  # and not -11
+    assert "CalibrationError" in done.stderr
+
+
+@pytest.mark.parametrize("depth", [10, 1300])
+def test_indented_levels_are_bounded_by_the_size_of_the_file(depth, tmp_path):
+    lines = "".join(f"{' ' * level}a:\n" for level in range(depth))
+    (tmp_path / "rig.yaml").write_text("%YAML:1.0\n---\n" + lines)
+    with pytest.raises(CalibrationError):
+        StereoRig.load(tmp_path / "rig.yaml")
