@@ -431,8 +431,9 @@ def test_a_region_follows_its_rectangle_into_the_view(mirror):
 @pytest.mark.parametrize("option", [["--rerun", "a.rrd"], ["--show"]])
 def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch, option):
     monkeypatch.setitem(sys.modules, "rerun", None)
+    monkeypatch.setenv("DISPLAY", ":0")
     fails_in_one_line(
-        run("run", recording, *STEREO, *option), option[0], "pip install 'rerun-sdk>=0.23'"
+        run("run", recording, *STEREO, *option), option[0], "pip install 'cmp-cl[view]'"
     )
     assert not list(tmp_path.glob("*.npz"))
 
@@ -440,7 +441,16 @@ def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch,
 def test_without_its_viewer_rerun_shows_nothing_and_says_why(run, recording, tmp_path, monkeypatch):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("DISPLAY", ":0")
     fails_in_one_line(run("run", recording, *STEREO, "--show"), "--show", "Viewer")
+    assert not list(tmp_path.glob("*.npz"))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others always have a display")
+def test_without_a_display_nothing_is_measured(run, recording, tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    fails_in_one_line(run("run", recording, *STEREO, "--show"), "--show", "display")
     assert not list(tmp_path.glob("*.npz"))
 
 
@@ -459,6 +469,7 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
             shown.append(what)
 
     monkeypatch.setattr("cmp_cl.cli.run.RerunLog", Viewer)
+    monkeypatch.setenv("DISPLAY", ":0")
     status, _, err = run("run", recording, *STEREO, "--show")
     assert (status, err) == (0, "")
     assert [what["index"] for what in shown] == list(range(len(press)))
