@@ -2,8 +2,10 @@
 
 import contextlib
 import dataclasses
+import json
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -33,6 +35,7 @@ from cmp_cl.cli.arguments import region_in, split_of
 from cmp_cl.field.series import _Column
 from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
 from cmp_cl.media import Frame
+from cmp_cl.series import read_series
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -102,6 +105,16 @@ def recording(press, tmp_path):
     for number, shot in enumerate(press):
         cv2.imwrite(str(folder / f"{number}.png"), shot.frame)
     StereoRig(*RIG).save(tmp_path / "rig.yaml")
+    return folder
+
+
+@pytest.fixture
+def one_view(press, tmp_path):
+    """A folder with the left views."""
+    folder = tmp_path / "left"
+    folder.mkdir()
+    for number, shot in enumerate(press):
+        cv2.imwrite(str(folder / f"{number}.png"), shot.left.image)
     return folder
 
 
@@ -477,6 +490,45 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
         np.testing.assert_array_equal(what["image"], shot.left.image)
         assert np.abs(what["grid"].xy - shot.left.truth).max() < 1
     assert np.nanmax(np.abs(shown[-1]["field"].displacement)) > 0.1
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".csv", ".jsonl", ".pvd"])
+def test_a_series_is_written_in_the_format_of_its_suffix(run, one_view, suffix):
+    if suffix == ".h5":
+        pytest.importorskip("h5py", reason="h5py is not installed")
+    status, out, _ = run("run", one_view, "--grid", "12x12", "--out", f"flat{suffix}")
+    assert status == 0
+    assert f"wrote flat{suffix}" in out
+    if suffix == ".h5":
+        found = read_series("flat.h5")
+        assert found["xy"].shape[1:] == (12, 12, 2)
+        assert str(found["unit"]) == "px"
+    elif suffix == ".csv":
+        assert Path("flat.csv").read_text().startswith("frame,time_ms,row,column,xy_x_px,xy_y_px")
+    elif suffix == ".jsonl":
+        first = json.loads(Path("flat.jsonl").read_text().splitlines()[0])
+        assert first["units"]["xy"] == "px"
+        assert first["device"]
+    else:
+        assert len(list(Path("flat_frames").iterdir())) == Path("flat.pvd").read_text().count(
+            "<DataSet"
+        )
+
+
+def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
+    command = [sys.executable, "-m", "cmp_cl", "run", str(one_view), "--grid", "12x12"]
+    done = subprocess.run([*command, "--out", "-"], capture_output=True, text=True, check=True)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [line["frame"] for line in lines[1:]] == list(range(len(lines) - 1))
+    assert "wrote -" in done.stderr
+
+
+def test_one_annotated_video_is_written(run, recording, press):
+    status, out, _ = run("run", recording, *STEREO, "--overlay", "film.mp4")
+    assert (status, out.splitlines()[-1]) == (0, "wrote film.mp4")
+    capture = cv2.VideoCapture("film.mp4")
+    assert sum(capture.read()[0] for _ in range(len(press) + 3)) == len(press)
+    fails_in_one_line(run("run", recording, *STEREO, "--overlay", "film.gif"), "film.gif", ".mp4")
 
 
 # demo
