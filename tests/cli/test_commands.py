@@ -907,3 +907,59 @@ def test_a_split_is_read_as_it_is_written():
     for text in ("", "1,2,3,4", "1,2,3,4:5,6,7", "-1,2,3,4:5,6,7,8"):
         with pytest.raises(ConfigError, match="halves"):
             split_of(text, None, (6, 10))
+
+
+@pytest.fixture
+def opencv_views():
+    """The left and the right photographs of OpenCV's stereo pairs."""
+    folder = photographs("stereo_opencv")
+    return [sorted(folder.glob(f"{side}0?.jpg")) for side in ("left", "right")]
+
+
+CHESSBOARD = "--board", "9x6", "--square", 25
+
+
+def test_one_camera_is_calibrated_by_itself(run, opencv_views):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+    left = opencv_views[0][:4]
+    status, out, _ = run(
+        *("calibrate", "--camera", f"front={left[0]}", *left[1:], *CHESSBOARD),
+        *("--out", "front.camera_info.yaml", "--corners", "corners.csv", "--picture", "r.png"),
+    )
+    assert status == 0
+    assert "wrote front.camera_info.yaml, corners.csv, r.png: 4 moments" in out
+    assert 'camera_name: "front"' in Path("front.camera_info.yaml").read_text()
+    error = float(out.split("all views: ")[1].split()[0])
+    assert 0.05 < error < 0.3
+    assert len(Path("corners.csv").read_text().splitlines()) > 4 * 50
+    assert cv2.imread("r.png").std() > 10
+
+
+def test_named_cameras_make_a_rig_that_run_takes(run, opencv_views):
+    left, right = (views[:4] for views in opencv_views)
+    cameras = (
+        *("--camera", f"left={left[0]}", *left[1:]),
+        *("--camera", f"right={right[0]}", *right[1:]),
+    )
+    assert run("calibrate", *cameras, *CHESSBOARD, "--out", "rig.yaml")[0] == 0
+    rig = StereoRig.load("rig.yaml")
+    assert np.linalg.norm(rig.T) == pytest.approx(83.2, abs=1)
+    for wrong, why in (
+        (["--camera", "left=gone.png"], "gone.png"),
+        (["--camera", "noname.png"], "NAME=IMAGE"),
+        ([*cameras, "--camera", f"third={left[0]}"], "third 1"),
+        ([*cameras, "--camera", f"left={left[0]}"], "twice"),
+        ([*cameras, "--split", "halves"], "--split"),
+        ([*cameras, "--corners", "c.mat"], "c.mat"),
+        (["--left", left[0], "--right", right[0], "--lens", "fisheye"], "--camera"),
+    ):
+        before = Path("rig.yaml").read_bytes()
+        fails_in_one_line(run("calibrate", *wrong, *CHESSBOARD, "--out", "rig.yaml"), why)
+        assert Path("rig.yaml").read_bytes() == before
+
+
+def test_single_views_given_as_pairs_say_what_is_expected(run, tmp_path):
+    cv2.imwrite(str(tmp_path / "plain.png"), np.full((120, 160), 90, np.uint8))
+    status, _, err = run("calibrate", "plain.png", *CHESSBOARD, "--out", "rig.yaml")
+    assert status == 2
+    assert "--camera NAME=IMAGE" in err.splitlines()[-1]
