@@ -116,7 +116,9 @@ def test_the_other_rule(detector_for):
     shared = {"border", "noise", "edge_lines", "edge_step", "cpu/refine", "cpu/edge_step"}
     assert set(harmonic.stages) & set(binary.stages) <= shared
     assert not any("harmonic" in name for name in binary.stages)
-    assert not any("maxima" in name or "rapid" in name for name in harmonic_kernels & binary_kernels)
+    assert not any(
+        "maxima" in name or "rapid" in name for name in harmonic_kernels & binary_kernels
+    )
     assert not {"binary", "candidates", "bins"} & set(harmonic.arrays)
     assert not {"fine", "coarse", "lists", "taken"} & set(binary.arrays)
 
@@ -125,7 +127,7 @@ def test_squeezed_cells(detector_for, form):
     """Without them there is one list, and one response."""
     wide = HARMONIC.replace(detection=RingHarmonic(fine=False))
     plan, launched, kernels = plan_of(detector_for, wide)
-    full, full_launched, full_kernels = plan_of(detector_for, HARMONIC)
+    full, _, _ = plan_of(detector_for, HARMONIC)
     assert plan.sizes["lists"] < full.sizes["lists"]
     assert not any("fine" in name for name in launched | kernels)
     if form is Form.PORTABLE:
@@ -243,9 +245,7 @@ pixels = pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", 
 @pixels
 @configurations
 def test_every_argument_has_the_name_that_its_kernel_gives_it(device_in_form, config, dtype):
-    with Detector(
-        shape=IMAGE.shape, dtype=dtype, config=config, device=device_in_form
-    ) as detector:
+    with Detector(shape=IMAGE.shape, dtype=dtype, config=config, device=device_in_form) as detector:
         for launch in detector._plan(config.scale).launches:
             kernel = launch.kernel
             names = [

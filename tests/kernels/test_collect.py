@@ -1,7 +1,5 @@
 """kernels/collect.cl and the maxima: each is listed once; counts run past their room."""
 
-import dataclasses
-
 import images
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ from corner_images import noise
 
 from cmp_cl import (
     Detector,
-    DeviceKind,
     RapidCriteria,
     SpectralCriteria,
     reference,
@@ -57,20 +54,18 @@ def test_small_shapes(detector_for, shape):
 
 def with_room(detector, room):
     plan = detector._plan(None)
-    plan.candidate_room = plan.corner_room = room
+    plan.list_room = plan.corner_room = room
     plan._allocate()
     plan._bind()
 
 
 @pytest.mark.parametrize(("count", "regrown"), [(63, False), (64, False), (65, True), (128, True)])
-@pytest.mark.parametrize("kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value)
-def test_room_for_64_holds_64(device, kind, count, regrown):
+def test_room_for_64_holds_64(device, count, regrown):
     """A mask leaves exactly that many candidates, each of which is a maximum."""
     image = images.texture((300, 60), seed=9)
     maxima = np.argwhere(reference.maps(image, DENSE).maximum)
     mask = np.zeros(image.shape, np.bool_)
     mask[tuple(maxima[:count].T)] = True
-    device = dataclasses.replace(device, kind=kind)
     with Detector(shape=image.shape, config=DENSE, device=device, mask=mask) as detector:
         with_room(detector, 64)
         corners = assert_corners_equal(detector, image, mask=mask)

@@ -1,7 +1,5 @@
 """kernels/nms.cl: suppression by the smoothed response, equal to the oracle."""
 
-import dataclasses
-
 import images
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from cmp_cl import (
     BinaryRings,
     Detector,
     DetectorConfig,
-    DeviceKind,
     RapidCriteria,
     SpectralCriteria,
 )
@@ -35,6 +32,7 @@ def check(detector_for, image, config=DENSE, **changes):
     return assert_maps_equal(detector_for(image, config), image, fields=FIELDS)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("radius", [1, 2, 3, 7])
 @pytest.mark.parametrize("name", EIGHT)
 def test_every_radius(detector_for, name, radius):
@@ -90,12 +88,10 @@ def test_windows_larger_than_the_image(detector_for, shape, radius):
     check(detector_for, noise(shape, seed=6), nms_radius=radius)
 
 
-@pytest.mark.parametrize("kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value)
-def test_frames_of_a_batch_do_not_see_each_other(device, kind):
+def test_frames_of_a_batch_do_not_see_each_other(device):
     """Cut so that corners lie on the first and the last row: there is no response beyond."""
     texture = images.texture((120, 83))
     frames = [np.ascontiguousarray(texture[y : y + 40]) for y in range(16)]
-    device = dataclasses.replace(device, kind=kind)
     with Detector(shape=frames[0].shape, config=DENSE, device=device) as detector:
         together = detector.batch(frames)
         for frame, corners in zip(frames, together, strict=True):
