@@ -130,7 +130,7 @@ def test_without_the_test_vectors():
     pytest.skip("the folder of test vectors is not beside the repository")
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive
 def test_an_enormous_image_on_tiles(device):
     """8192 x 8192: the tile and its surroundings alone give the corners of the tile."""
     tile = images.texture((256, 256))

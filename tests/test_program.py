@@ -46,11 +46,11 @@ def altered(monkeypatch, tmp_path):
 
 
 def test_the_source_is_headers_and_stages_with_their_lines():
-    text = program.source(["nms", "collect"], {"F(x)": "g(x)"})
+    text = program.source(["criteria", "collect"], {"F(x)": "g(x)"})
     assert text.startswith("#define F(x) g(x)\n")
     names = re.findall(r'^#line 1 "(.*)"$', text, re.MULTILINE)
-    assert names == ["nms.cl", "plane.clh", "ring.clh", "collect.cl"]
-    whole = (program.kernel_folder() / "nms.cl").read_text(encoding="utf-8")
+    assert names == ["criteria.cl", "plane.clh", "ring.clh", "collect.cl"]
+    whole = (program.kernel_folder() / "criteria.cl").read_text(encoding="utf-8")
     assert whole.split("\n\n", 1)[1] in text
     assert "#include" not in text
 
@@ -69,8 +69,8 @@ def test_a_missing_macro_is_an_error(device):
     context = cl.Context([device.handle])
     with pytest.raises(KernelBuildError, match="PIXEL must be"):
         program.build(context, ["nms"], {})
-    with pytest.raises(KernelBuildError, match="OUTER_RADIUS must be"):
-        program.build(context, ["nms"], {"PIXEL": "uchar", "PAD": 16, "OUTER_RADIUS": 6})
+    with pytest.raises(KernelBuildError, match="NMS_RADIUS must be"):
+        program.build(context, ["nms"], {"PIXEL": "uchar", "PAD": 16})
 
 
 CONFIGS = {

@@ -1,4 +1,4 @@
-"""kernels/refine.cl: positions in float32, within the tolerances of the oracle in float64."""
+"""Every refinement: positions in float32, within the tolerances of the oracle in float64."""
 
 import images
 import numpy as np
@@ -39,6 +39,7 @@ METHODS = {
     "quadratic midlines": {Method.MIDLINE, Method.CUSP, Method.KEPT},
 }
 refinements = pytest.mark.parametrize("refinement", REFINEMENTS)
+exhaustive = pytest.mark.exhaustive
 
 
 def check(detector_for, image, refinement, **changes):
@@ -47,7 +48,13 @@ def check(detector_for, image, refinement, **changes):
 
 
 @refinements
-@pytest.mark.parametrize("name", EIGHT)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in ("worn scene", "board") else pytest.param(name, marks=exhaustive)
+        for name in EIGHT
+    ],
+)
 def test_eight_bits(detector_for, name, refinement):
     corners = check(detector_for, EIGHT[name], refinement)
     assert set(corners.method) <= METHODS[refinement]
@@ -55,7 +62,10 @@ def test_eight_bits(detector_for, name, refinement):
 
 
 @refinements
-@pytest.mark.parametrize("name", DEEP)
+@pytest.mark.parametrize(
+    "name",
+    [name if name == "12-bit scene" else pytest.param(name, marks=exhaustive) for name in DEEP],
+)
 def test_sixteen_bits(detector_for, name, refinement):
     corners = check(detector_for, DEEP[name], refinement, full_scale=4095)
     assert np.isfinite(corners.xy).all()
@@ -82,21 +92,13 @@ def test_scenes(detector_for, refinement, severity):
 
 
 @pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
-@pytest.mark.parametrize("kind", [EdgeLines, Midlines])
-def test_the_largest_shift(detector_for, kind, max_shift):
+def test_the_largest_shift(detector_for, max_shift):
     image = images.scene(1.5, seed=3).image
-    config = DetectorConfig(detection=BinaryRings(), refinement=kind(max_shift=max_shift))
+    config = DetectorConfig(detection=BinaryRings(), refinement=EdgeLines(max_shift=max_shift))
     corners = assert_corners_equal(detector_for(image, config), image)
     kept = (corners.method == Method.KEPT).sum()
     usual = (check(detector_for, image, "edge lines").method == Method.KEPT).sum()
     assert kept == len(corners) if max_shift == 0 else kept > usual if max_shift < 1 else True
-
-
-@pytest.mark.parametrize("cell", [4.0, 8.0, 12.0, 30.0])
-def test_the_cell_sets_the_radius_of_the_step(detector_for, cell):
-    image = board(*images.SHAPE, 12)[0]
-    config = DetectorConfig(detection=BinaryRings(), refinement=EdgeStep(cell=cell))
-    assert_corners_equal(detector_for(image, config), image)
 
 
 def test_the_step_says_how_sure_it_is(detector_for):
@@ -139,17 +141,6 @@ def test_clipped_profiles(detector_for, refinement, steep):
     grey = (EIGHT["board"].astype(np.float64) - 120) * steep + 120
     image = np.where(grey < 0, 0, np.where(grey > 255, 255, grey)).astype(np.uint8)
     check(detector_for, image, refinement)
-
-
-@refinements
-def test_perfect_squares_have_parallel_centrelines(detector_for, refinement):
-    y, x = np.indices(images.SHAPE)
-    image = np.where((x // 12 + y // 12) % 2 == 0, 40, 200).astype(np.uint8)
-    corners = check(detector_for, image, refinement)
-    assert len(corners) == 30
-    assert np.isfinite(corners.xy).all()
-    if refinement == "midlines":
-        assert (corners.method != Method.MIDLINE).all()
 
 
 @pytest.mark.parametrize(
