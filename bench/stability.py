@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import methods
 import cv2
+import methods
 import numpy as np
 from environment import RESULTS, environment
 from methods import DEFAULT, STEP, Method
