@@ -1,4 +1,4 @@
-"""What may import what: each module only what stands below it, and no circle when it is imported."""
+"""What may import what: a module only what stands below it, and none in a circle."""
 
 import ast
 from pathlib import Path
