@@ -3,6 +3,7 @@
 import images
 import numpy as np
 import pytest
+from cases import some
 from comparison import assert_corners_equal, assert_same_bytes
 from configs import rings
 from corner_images import board
@@ -85,14 +86,14 @@ def test_both_forms(device_in_form, refinement, depth):
 
 
 @LINES
-@pytest.mark.parametrize("shape", [(1, 31), (31, 1), (2, 3), (9, 40), (40, 9)])
+@pytest.mark.parametrize("shape", some([(1, 31), (31, 1), (2, 3), (9, 40), (40, 9)], ((9, 40),)))
 def test_images_smaller_than_the_rings(device_in_form, refinement, shape):
     image = images.texture((60, 60))[: shape[0], : shape[1]].copy()
     with detector_of_form(device_in_form, image, refinement=refinement, **DENSE) as detector:
         assert_corners_equal(detector, image)
 
 
-@pytest.mark.parametrize("factor", [0.2, 0.63, 2.0])
+@pytest.mark.parametrize("factor", some([0.2, 0.63, 2.0], (0.63,)))
 @pytest.mark.parametrize("depth", [8, 16])
 def test_rings_of_a_scaled_image_that_leave_it(device_in_form, factor, depth):
     """Corners everywhere, so that rings in a vector are inside, some, all or none of them."""
@@ -113,7 +114,7 @@ def test_rings_of_a_scaled_image_that_leave_it(device_in_form, factor, depth):
         assert (distance > reach).sum() > 8
 
 
-@pytest.mark.parametrize("factor", [0.3, 0.63, 1.5])
+@pytest.mark.parametrize("factor", some([0.3, 0.63, 1.5], (1.5,)))
 def test_the_forms_agree_to_the_bit_on_a_scaled_image(device, factor):
     image = images.texture((240, 300), seed=4)
     changes = {**DENSE, "scale": factor, "refinement": EdgeLines()}

@@ -3,6 +3,7 @@
 import images
 import numpy as np
 import pytest
+from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
 from configs import rings
 from corner_images import noise
@@ -61,7 +62,9 @@ def test_the_largest_scores(detector_for):
     assert maps.response.max() > 50
 
 
-@pytest.mark.parametrize("name", ["texture", "noise", "worn scene", "stripes 3"])
+@pytest.mark.parametrize(
+    "name", some(["texture", "noise", "worn scene", "stripes 3"], ("texture",))
+)
 def test_spectral_responses(detector_for, name):
     criteria = SpectralCriteria(correlation=0, corrosion_threshold=None)
     maps = check(detector_for, EIGHT[name], criteria=criteria)
@@ -82,8 +85,10 @@ def test_a_plateau_has_one_winner_the_first_in_raster_order(detector_for):
     assert near.sum() > 1
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 31), (31, 1), (3, 2), (5, 4), (29, 31)])
-@pytest.mark.parametrize("radius", [3, 7])
+@pytest.mark.parametrize(
+    "shape", some([(1, 1), (1, 31), (31, 1), (3, 2), (29, 31)], ((1, 1), (29, 31)))
+)
+@pytest.mark.parametrize("radius", some([3, 7], (7,)))
 def test_windows_larger_than_the_image(detector_for, shape, radius):
     check(detector_for, noise(shape, seed=6), nms_radius=radius)
 
