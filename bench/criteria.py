@@ -51,11 +51,12 @@ def corners_per_ring(image: GreyImage, threshold: Threshold) -> np.ndarray:
     black = ring.popcount(outer).astype(int)
     corrosion = np.maximum(black - in_region, in_region - black - 5)
     candidate = found.candidate & (corrosion < (usual.corrosion_threshold or 0))
+    response = np.where(candidate, found.response, 0)
+    maximum = nms.maxima(response, nms.score(response), 3)
     contrast = BinaryRings().contrast
     if contrast is not None:
-        _, candidate = gate.gate(image, inner, candidate, 5, contrast, 255, 1)
-    response = np.where(candidate, found.response, 0)
-    y, x = np.nonzero(nms.maxima(response, nms.score(response), 3))
+        _, maximum = gate.gate(image, inner, maximum, 5, contrast, 255, 1)
+    y, x = np.nonzero(maximum)
     centroid, rounded = nms.centroids(response, x, y)
     return refine.refine(image, rounded, centroid, EdgeLines(), 1.0).xy
 

@@ -27,6 +27,7 @@ from cmp_cl.synthetic.scoring import match
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 PICTURES = ("water/reference_df", "water/ellipse_10", "puzzleboard/example1", "curved/curve_4")
+BOARDS = ("stereo_opencv", "stereo_bumblebee2")  # folders of boards in a room
 CELLS = {20: 21.0, 30: 14.2, 40: 10.8, 44: 9.8}  # px, of the densities that were searched
 AT_ONCE = ("find_chessboard", "find_chessboard_sb")  # ask for whole boards of known size
 
@@ -46,18 +47,21 @@ class Photograph(NamedTuple):
     def read(cls, name: str) -> "Photograph":
         listed = json.loads((DATA / name).with_suffix(".json").read_text())
         picture = (DATA / name).with_name(listed["image"])
-        region = cv2.imread(str(DATA / f"{name}.region.png"), cv2.IMREAD_GRAYSCALE)
+        image = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
+        region = np.zeros_like(image)  # nowhere, where not every corner is listed
+        if listed["region"] is not None:
+            region = cv2.imread(str(DATA / f"{name}.region.png"), cv2.IMREAD_GRAYSCALE)
         corners = listed["corners"]
         return cls(
             name=name,
-            image=cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE),
+            image=image,
             truth=np.array([(corner["x"], corner["y"]) for corner in corners]),
             sure=np.array([corner.get("sure", True) for corner in corners]),
             region=region > 0,
             cell=listed["cell_px"]["median"],
         )
 
-    def answer(self, xy: np.ndarray) -> dict[str, Any]:
+    def judge(self, xy: np.ndarray) -> "Judged":
         """Missed, false and distances; matched within a quarter of a cell, at most 3 px."""
         partner = match(xy, self.truth, min(3, self.cell / 4))
         hit = partner >= 0
@@ -67,22 +71,46 @@ class Photograph(NamedTuple):
         x, y = np.rint(xy[~hit]).astype(int).T
         x, y = x.clip(0, columns - 1), y.clip(0, rows - 1)
         false = int(self.region[y, x].sum())
-        apart = np.hypot(*(xy[hit] - self.truth[partner[hit]]).T)
-        return {
-            "expected": int(self.sure.sum()),
-            "missed": int((missed & self.sure).sum()),
-            "false": false,
-            "outside": int(len(xy) - hit.sum()) - false,
-            "recall": 1 - float((missed & self.sure).sum() / self.sure.sum()),
-            "precision": float(hit.sum() / max(hit.sum() + false, 1)),
-            "median": float(np.median(apart)) if hit.any() else None,
-            "p95": float(np.percentile(apart, 95)) if hit.any() else None,
-        }
+        return Judged(
+            expected=int(self.sure.sum()),
+            missed=int((missed & self.sure).sum()),
+            false=false,
+            outside=int(len(xy) - hit.sum()) - false,
+            apart=np.hypot(*(xy[hit] - self.truth[partner[hit]]).T),
+        )
 
 
-def own_rows(photograph: Photograph) -> dict[str, DetectorConfig]:
-    """Our configurations: the default, what the library chooses itself, both outer radii."""
-    cell = photograph.cell
+class Judged(NamedTuple):
+    """Counts of a photograph, and the distances of what was found from the truth, px."""
+
+    expected: int
+    missed: int
+    false: int
+    outside: int
+    apart: np.ndarray
+
+
+def summary(parts: Sequence[Judged]) -> dict[str, Any]:
+    """The sums over some photographs."""
+    expected, missed, false, outside = (
+        int(sum(column)) for column in list(zip(*parts, strict=True))[:4]
+    )
+    apart = np.concatenate([part.apart for part in parts])
+    return {
+        "expected": expected,
+        "missed": missed,
+        "false": false,
+        "outside": outside,
+        "recall": 1 - missed / expected,
+        "precision": len(apart) / max(len(apart) + false, 1),
+        "median": float(np.median(apart)) if len(apart) else None,
+        "p95": float(np.percentile(apart, 95)) if len(apart) else None,
+    }
+
+
+def own_rows(photograph: Photograph, cell: float) -> dict[str, DetectorConfig]:
+    """Our configurations: the default, what the library chooses itself, and the binary rings,
+    as they come, with three masks, and with a window for the cell and both outer radii."""
     window = AdaptiveMean(window=window_for_cell(cell))
     return {
         methods.DEFAULT: DetectorConfig(),
@@ -92,6 +120,7 @@ def own_rows(photograph: Photograph) -> dict[str, DetectorConfig]:
             refinement=EdgeStep(cell=cell)
         ),
         methods.RINGS: DetectorConfig(detection=BinaryRings()),
+        methods.THREE: DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
         **{
             f"{methods.RINGS}, window of 1.3 cells, outer radius {radius}": DetectorConfig(
                 detection=BinaryRings(threshold=window, outer_radius=radius)
@@ -101,39 +130,48 @@ def own_rows(photograph: Photograph) -> dict[str, DetectorConfig]:
     }
 
 
-def rows(photograph: Photograph, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Every method on one photograph."""
-    count = round(len(photograph.truth) ** 0.5)
-    nearest = min(CELLS, key=lambda markers: abs(CELLS[markers] - photograph.cell))
+def rows(
+    name: str, photographs: Sequence[Photograph], names: Sequence[str]
+) -> list[dict[str, Any]]:
+    """Every method on the photographs, which are of one size, together."""
+    first = photographs[0]
+    cell = float(np.median([each.cell for each in photographs]))
+    count = round(len(first.truth) ** 0.5)
+    nearest = min(CELLS, key=lambda markers: abs(CELLS[markers] - cell))
     table = []
     detectors = []
-    for name, config in own_rows(photograph).items():
-        detector = Detector(shape=photograph.image.shape, config=config)
-        detectors.append((name, repr(config), lambda image, run=detector: run(image).xy))
-    for name in names:
-        peer = PEERS[name]
+    for label, config in own_rows(first, cell).items():
+        detector = Detector(shape=first.image.shape, config=config)
+        detectors.append((label, repr(config), lambda image, run=detector: run(image).xy))
+    for peer in (PEERS[each] for each in names):
         settings = peer.settings(nearest)
         detectors.append((peer.label, json.dumps(settings), peer.make(settings, Pattern(count))))
     for label, settings, detect in detectors:
-        spent = []
-        for _ in range(1 if label in ("libcbdetect",) else 4):
-            start = time.perf_counter()
-            xy = np.asarray(detect(photograph.image))
-            spent.append(getattr(detect, "seconds", time.perf_counter() - start) * 1e3)
+        spent, judged = [], []
+        for photograph in photographs:
+            for _ in range(1 if label in ("libcbdetect",) else 4):
+                start = time.perf_counter()
+                xy = np.asarray(detect(photograph.image))
+                spent.append(getattr(detect, "seconds", time.perf_counter() - start) * 1e3)
+            judged.append(photograph.judge(xy))
         table.append(
             {
-                "photograph": photograph.name,
+                "photograph": name,
+                "photographs": len(photographs),
                 "method": label,
                 "settings": settings,
                 "ms": float(np.median(spent[1:] or spent)),
-                **photograph.answer(xy),
+                **summary(judged),
             }
         )
     return table
 
 
 def show(table: list[dict[str, Any]]) -> None:
-    print(f"\n{table[0]['photograph']}: {table[0]['expected']} corners")
+    print(
+        f"\n{table[0]['photograph']}: {table[0]['expected']} corners, "
+        f"photographs: {table[0]['photographs']}"
+    )
     print(f"{'method':46}{'missed':>8}{'false':>7}{'outside':>9}{'median':>8}{'p95':>7}{'ms':>9}")
     for row in table:
         median = "-" if row["median"] is None else f"{row['median']:.3f}"
@@ -154,8 +192,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     keep_freed_memory()
     found, reasons = available()
     whole = []
-    for name in PICTURES:
-        table = rows(Photograph.read(name), [peer for peer in found if peer not in AT_ONCE])
+    groups = {name: [name] for name in PICTURES}
+    for folder in BOARDS:
+        groups[folder] = [
+            f"{folder}/{path.stem}" for path in sorted((DATA / folder).glob("*.json"))
+        ]
+    for name, pictures in groups.items():
+        photographs = [Photograph.read(picture) for picture in pictures]
+        table = rows(name, photographs, [peer for peer in found if peer not in AT_ONCE])
         show(table)
         whole += table
     result = {

@@ -562,7 +562,11 @@ def photographs(result: Row) -> str:
     names = list(dict.fromkeys(row["photograph"] for row in result["rows"]))
     for name in names:
         rows = [row for row in result["rows"] if row["photograph"] == name]
-        parts.append(f"### {name}: {rows[0]['expected']} corners\n")
+        count = rows[0]["photographs"]
+        parts.append(
+            f"### {name}: {rows[0]['expected']} corners"
+            + (f" in {count} photographs\n" if count > 1 else "\n")
+        )
         keys = (
             "method",
             "missed",

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import methods
 import numpy as np
 from environment import RESULTS, environment
@@ -350,6 +351,14 @@ def cases() -> list[dict[str, Any]]:
         stripes = (np.arange(640) // width % 2 * 200 + 20).astype(np.uint8)
         count = len(found(np.broadcast_to(stripes, (480, 640)).copy()))
         case(f"stripes of {width} px: corners", count, "0")
+    rows_, columns_ = np.indices((480, 640))
+    for width in range(3, 13):
+        across = 0.9 * columns_ + 0.44 * rows_
+        slanted = (np.floor(across / width) % 2 * 200 + 20).astype(np.uint8)
+        slanted = cv2.GaussianBlur(slanted, (0, 0), 0.8)
+        xy = found(slanted).xy
+        inside = ((xy > 12) & (xy < (627, 467))).all(axis=1)
+        case(f"slanted stripes of {width} px: corners inside", int(inside.sum()), "0")
     salt = image.copy()
     hit = draw.random(salt.shape) < 0.02
     salt[hit] = draw.choice(np.array([0, 255], np.uint8), int(hit.sum()))
