@@ -109,7 +109,7 @@ int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 /* Check 1: the second harmonics of a small and of a large ring point alike. */
 bool aligned(const int alignment, const Harmonics inner, const Harmonics outer) {
   return alignment == 0 ||
-         alignment * dot_of(inner.second, outer.second) >= dot_of(outer.second, outer.second);
+         (long)alignment * dot_of(inner.second, outer.second) >= dot_of(outer.second, outer.second);
 }
 
 /* Check 3: no stripe. Around the middle of a stripe the grey goes up and down twice too, but there the

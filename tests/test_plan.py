@@ -1,27 +1,28 @@
 """What a configuration leaves out is not compiled, not launched and not allocated."""
 
-import dataclasses
-
 import images
 import numpy as np
 import pyopencl as cl
 import pytest
-from cmp_cl.stages.refine_stages import RESULT_HEAD
 from configs import rings
-from detectors import detectors_on
 
 from cmp_cl import (
     AdaptiveMean,
     BinaryRings,
     Detector,
     DetectorConfig,
-    DeviceKind,
+    Device,
     EdgeLines,
     EdgeStep,
+    Fit,
     Midlines,
     RapidCriteria,
+    RingHarmonic,
     SpectralCriteria,
 )
+from cmp_cl.stages.form import Form
+from cmp_cl.stages.plan import Plan
+from cmp_cl.stages.refine import RESULT_HEAD
 
 IMAGE = images.eight_bits()["board"]
 FULL = DetectorConfig(
@@ -30,20 +31,12 @@ FULL = DetectorConfig(
     refinement=EdgeStep(),
     max_corners=512,
 )
-
-
-@pytest.fixture(
-    scope="module", params=[DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value
-)
-def form(request, device):
-    """The device under test, taken for one of each kind."""
-    return dataclasses.replace(device, kind=request.param)
+HARMONIC = DetectorConfig(refinement=EdgeStep())
 
 
 @pytest.fixture(scope="module")
-def detector_for(form):
-    with detectors_on(form) as make:
-        yield make
+def detector_for(detector_in_form):
+    return detector_in_form
 
 
 def plan_of(detector_for, config):
@@ -75,56 +68,75 @@ def left_out(detector_for, config, *, files=(), launches=(), buffers=(), than=FU
     assert sum(plan.sizes.values()) <= sum(full.sizes.values())
 
 
-def test_the_gate(detector_for, form):
-    kernels = {
-        DeviceKind.CPU: ["gate_words", "percentile"],
-        DeviceKind.GPU: ["noise", "sector_contrast", "percentile"],
-    }
-    bins = {DeviceKind.CPU: ["bins_of_bands"], DeviceKind.GPU: ["bins"]}
+def test_the_gate(detector_for):
     left_out(
         detector_for,
         rings(FULL, contrast=None),
-        files=["gate"],
-        launches=kernels[form.kind],
-        buffers=["contrast", "noise", *bins[form.kind], "found", "bounds"],
+        files=["noise", "gate"],
+        launches=["noise", "sector_contrast", "percentile", "pass_gate"],
+        buffers=["contrast", "noise", "bins", "found", "bounds", "passed"],
     )
 
 
-def test_refinement(detector_for, form):
-    kernels = {
-        DeviceKind.CPU: ["refine_eight", "edge_step_eight"],
-        DeviceKind.GPU: ["edge_lines", "edge_step"],
-    }
+@pytest.mark.parametrize("base", [FULL, HARMONIC], ids=["rings", "harmonic"])
+def test_refinement(detector_for, form, base):
+    lines, step = ("refine_eight", "edge_step_eight"), ("edge_lines", "edge_step")
     left_out(
         detector_for,
-        FULL.replace(refinement=None),
-        launches=kernels[form.kind],
-        buffers=["lines"],
+        base.replace(refinement=None),
+        launches=lines if form is Form.CPU else step,
+        buffers=["start", "lines"],
+        than=base,
     )
 
 
-def test_extra_masks(detector_for, form):
-    kernels = {DeviceKind.CPU: [], DeviceKind.GPU: ["column_squares", "binarize_three"]}
-    buffers = {DeviceKind.CPU: ["square_prefix"], DeviceKind.GPU: []}
+def test_extra_masks(detector_for):
     left_out(
         detector_for,
         rings(FULL, threshold=AdaptiveMean()),
-        launches=kernels[form.kind],
-        buffers=["squares", *buffers[form.kind]],
+        launches=["column_squares", "binarize_three"],
+        buffers=["squares"],
     )
 
 
-def test_the_working_scale(detector_for, form):
-    forms = {DeviceKind.CPU: ("scale_bands", "resample_bands")}
-    file, launch = forms.get(form.kind, ("scale", "resample"))
+def test_the_working_scale(detector_for):
     left_out(
         detector_for,
         rings(FULL, scale=None, threshold=AdaptiveMean()),
-        files=[file],
-        launches=[launch],
+        files=["scale"],
+        launches=["resample"],
         buffers=["working"],
         than=rings(FULL, scale=2.0, threshold=AdaptiveMean()),
     )
+
+
+def test_the_other_rule(detector_for):
+    harmonic, _, harmonic_kernels = plan_of(detector_for, HARMONIC)
+    binary, _, binary_kernels = plan_of(detector_for, rings(refinement=EdgeStep()))
+    shared = {"border", "noise", "edge_lines", "edge_step", "cpu/refine", "cpu/edge_step"}
+    assert set(harmonic.stages) & set(binary.stages) <= shared
+    assert not any("harmonic" in name for name in binary.stages)
+    assert not any(
+        "maxima" in name or "rapid" in name for name in harmonic_kernels & binary_kernels
+    )
+    assert not {"binary", "candidates", "bins"} & set(harmonic.arrays)
+    assert not {"fine", "coarse", "lists", "taken"} & set(binary.arrays)
+
+
+def test_squeezed_cells(detector_for, form):
+    """Without them there is one list, and one response."""
+    wide = HARMONIC.replace(detection=RingHarmonic(fine=False))
+    plan, launched, kernels = plan_of(detector_for, wide)
+    full, _, _ = plan_of(detector_for, HARMONIC)
+    assert plan.sizes["lists"] < full.sizes["lists"]
+    assert not any("fine" in name for name in launched | kernels)
+    if form is Form.PORTABLE:
+        left_out(
+            detector_for,
+            wide,
+            launches=["fine_response", "fine_maxima", "keep_fine"],
+            than=HARMONIC,
+        )
 
 
 def test_the_other_form_of_the_criteria(detector_for):
@@ -133,10 +145,9 @@ def test_the_other_form_of_the_criteria(detector_for):
         detector_for, DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()))
     )
     assert "spectral" not in rapid.stages
-    assert not {"criteria", "criteria_words"} & set(spectral.stages)
+    assert "criteria" not in spectral.stages
     assert not any("spectral" in name for name in rapid_kernels)
-    assert not any("rapid" in name or "words" in name for name in spectral_kernels)
-    assert not {"words", "candidate_words"} & set(spectral.sizes)
+    assert not any("rapid" in name for name in spectral_kernels)
 
 
 def test_the_other_refinements(detector_for):
@@ -144,9 +155,12 @@ def test_the_other_refinements(detector_for):
         kind: plan_of(detector_for, DetectorConfig(refinement=kind()))[2]
         for kind in (EdgeLines, EdgeStep, Midlines)
     }
-    assert "edge_step" not in kernels[EdgeLines]
+    lines, step = {"edge_lines", "refine_eight"}, {"edge_step", "edge_step_eight"}
+    assert kernels[EdgeLines] & lines
+    assert kernels[EdgeStep] & step
+    assert not kernels[EdgeLines] & step
     assert "midlines" not in kernels[EdgeLines] | kernels[EdgeStep]
-    assert not {"edge_lines", "edge_step"} & kernels[Midlines]
+    assert not (lines | step) & kernels[Midlines]
 
 
 @pytest.mark.parametrize("criteria", [RapidCriteria, SpectralCriteria])
@@ -165,13 +179,11 @@ def test_the_corrosion_criterion(detector_for, criteria):
     assert "-DCORROSION=0" in options[1]
 
 
-@pytest.mark.parametrize("kind", DeviceKind, ids=lambda kind: kind.value)
 @pytest.mark.parametrize("refinement", [None, EdgeLines(), EdgeStep(), Midlines()])
-def test_a_flat_frame_needs_no_refinement(device, kind, refinement):
+def test_a_flat_frame_needs_no_refinement(device_in_form, refinement):
     """Refinement stops at the number of corners: it writes nothing where there are none."""
-    form = dataclasses.replace(device, kind=kind)
     config = DetectorConfig(refinement=refinement)
-    with Detector(shape=IMAGE.shape, device=form, config=config) as detector:
+    with Detector(shape=IMAGE.shape, device=device_in_form, config=config) as detector:
         plan = detector._plan(None)
         result = plan.arrays["result"]
         before = np.full(result.size // 4, 7, np.float32)
@@ -185,13 +197,93 @@ def test_a_flat_frame_needs_no_refinement(device, kind, refinement):
         assert (after != before)[RESULT_HEAD:].any()
 
 
-@pytest.mark.parametrize("shape", [(480, 640), (1200, 1600)])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_the_full_configuration_needs_at_most_eight_bytes_a_pixel(form, dtype, shape):
-    """Beyond the image, on which three masks, the gate and EDGE_STEP work."""
-    config = DetectorConfig(
-        detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep()
-    )
-    with Detector(shape=shape, dtype=dtype, config=config, device=form) as detector:
-        beyond = detector.memory - detector._plan(None).sizes["image"]
-    assert beyond <= 8 * shape[0] * shape[1]
+# --- memory and arguments, in every configuration --------------------------------------------
+
+DETECTIONS = {
+    "harmonic": RingHarmonic(),
+    "wide cells": RingHarmonic(fine=False),
+    "rings": BinaryRings(),
+    "rings without the gate": BinaryRings(contrast=None),
+    "wide window": BinaryRings(threshold=AdaptiveMean(window=255)),
+    "three masks": BinaryRings(threshold=AdaptiveMean(masks=3)),
+    "three masks without the gate": BinaryRings(threshold=AdaptiveMean(masks=3), contrast=None),
+    "spectral": BinaryRings(criteria=SpectralCriteria()),
+    "spectral, three masks": BinaryRings(
+        criteria=SpectralCriteria(), threshold=AdaptiveMean(masks=3)
+    ),
+}
+REFINEMENTS = {
+    "centroids": None,
+    "lines": EdgeLines(),
+    "step": EdgeStep(),
+    "midlines": Midlines(),
+    "quadratic": Midlines(fit=Fit.QUADRATIC),
+}
+CONFIGS = {
+    **{
+        name: DetectorConfig(detection=detection, refinement=EdgeStep())
+        for name, detection in DETECTIONS.items()
+    },
+    **{name: DetectorConfig(refinement=each) for name, each in REFINEMENTS.items()},
+    "scaled lines": DetectorConfig(scale=0.5),
+    "scaled step": DetectorConfig(scale=0.5, refinement=EdgeStep()),
+    "scaled midlines": DetectorConfig(scale=0.5, refinement=Midlines()),
+    "scaled centroids": DetectorConfig(scale=0.5, refinement=None),
+    "suppression in 15 px": DetectorConfig(nms_radius=15),
+}
+QUICK = ("harmonic", "three masks", "midlines", "scaled step")
+configurations = pytest.mark.parametrize(
+    "config",
+    [
+        pytest.param(config, id=name, marks=() if name in QUICK else pytest.mark.exhaustive)
+        for name, config in CONFIGS.items()
+    ],
+)
+pixels = pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
+
+
+@pixels
+@configurations
+def test_every_argument_has_the_name_that_its_kernel_gives_it(device_in_form, config, dtype):
+    with Detector(shape=IMAGE.shape, dtype=dtype, config=config, device=device_in_form) as detector:
+        for launch in detector._plan(config.scale).launches:
+            kernel = launch.kernel
+            names = [
+                kernel.get_arg_info(n, cl.kernel_arg_info.NAME) for n in range(kernel.num_args)
+            ]
+            assert list(launch.arguments) == names, launch.stage
+
+
+class Unbuilt(Plan):
+    """A plan of which nothing is compiled or taken: its sizes alone are looked at."""
+
+    def _build(self):
+        return None
+
+    def _allocate(self):
+        pass
+
+    def _bind(self):
+        pass
+
+
+@pytest.mark.parametrize("shape", [(480, 640), (1200, 1600)], ids=str)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
+@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
+def test_at_most_eight_bytes_a_pixel_beyond_the_image(device_in_form, config, dtype, shape):
+    sizes = sizes_of(device_in_form, config, dtype, shape)
+    beyond = sum(sizes.values()) - sizes["image"]
+    assert beyond <= 8 * shape[0] * shape[1], sizes
+
+
+def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[int, int]):
+    """Bytes of every buffer of a detector, which takes none of them."""
+    plan = Unbuilt(None, device, shape, np.dtype(dtype), config, config.scale, None, 1)
+    return plan.sizes
+
+
+def test_the_sizes_are_those_of_the_buffers(detector_in_form, device_in_form):
+    detector = detector_in_form(IMAGE, HARMONIC)
+    sizes = sizes_of(device_in_form, HARMONIC, np.uint8, IMAGE.shape)
+    assert detector._plan(None).sizes == sizes
+    assert detector.memory == sum(sizes.values())

@@ -1,8 +1,8 @@
 """The one place that builds: sources, errors, kept binaries."""
 
-import dataclasses
 import re
 import secrets
+import shutil
 import warnings
 from pathlib import Path
 
@@ -18,10 +18,11 @@ from cmp_cl import (
     BinaryRings,
     Detector,
     DetectorConfig,
-    DeviceKind,
     EdgeStep,
     Fit,
     Midlines,
+    RapidCriteria,
+    RingHarmonic,
     SpectralCriteria,
 )
 from cmp_cl.errors import KernelBuildError
@@ -35,29 +36,29 @@ def altered(monkeypatch, tmp_path):
     """altered(name, old, new): kernels of which one file has been changed."""
 
     def make(name, old, new):
-        for path in program.kernel_folder().iterdir():
-            text = path.read_text(encoding="utf-8")
-            if path.name == name:
-                assert old in text
-                text = text.replace(old, new, 1)
-            (tmp_path / path.name).write_text(text, encoding="utf-8")
+        shutil.copytree(program.kernel_folder(), tmp_path, dirs_exist_ok=True)
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        assert old in text
+        (tmp_path / name).write_text(text.replace(old, new, 1), encoding="utf-8")
         monkeypatch.setattr(program, "kernel_folder", lambda: tmp_path)
 
     return make
 
 
 def test_the_source_is_headers_and_stages_with_their_lines():
-    text = program.source(["nms", "collect"], {"F(x)": "g(x)"})
+    text = program.source(["criteria", "collect"], {"F(x)": "g(x)"})
     assert text.startswith("#define F(x) g(x)\n")
     names = re.findall(r'^#line 1 "(.*)"$', text, re.MULTILINE)
-    assert names == ["plane.clh", "ring.clh", "nms.cl", "collect.cl"]
-    assert (program.kernel_folder() / "nms.cl").read_text(encoding="utf-8") in text
+    assert names == ["criteria.cl", "plane.clh", "ring.clh", "collect.cl"]
+    whole = (program.kernel_folder() / "criteria.cl").read_text(encoding="utf-8")
+    assert whole.split("\n\n", 1)[1] in text
+    assert "#include" not in text
 
 
 def test_a_kernel_that_does_not_compile_gives_the_compilers_log(altered, device):
     altered("nms.cl", "__kernel void score_map(", "__kernel void score_map(nonsense ")
     with pytest.raises(KernelBuildError) as error:
-        Detector(shape=IMAGE.shape, device=device)
+        Detector(shape=IMAGE.shape, config=rings(), device=device)
     message = str(error.value)
     assert "nms" in message
     assert device.name in message
@@ -68,12 +69,15 @@ def test_a_missing_macro_is_an_error(device):
     context = cl.Context([device.handle])
     with pytest.raises(KernelBuildError, match="PIXEL must be"):
         program.build(context, ["nms"], {})
-    with pytest.raises(KernelBuildError, match="OUTER_RADIUS must be"):
-        program.build(context, ["nms"], {"PIXEL": "uchar", "PAD": 16, "OUTER_RADIUS": 6})
+    with pytest.raises(KernelBuildError, match="NMS_RADIUS must be"):
+        program.build(context, ["nms"], {"PIXEL": "uchar", "PAD": 16})
 
 
 CONFIGS = {
     "default": DetectorConfig(),
+    "wide cells, step, scaled": DetectorConfig(
+        detection=RingHarmonic(fine=False), refinement=EdgeStep(), scale=0.5
+    ),
     "rings": rings(),
     "three masks, step, scaled": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(), scale=0.5
@@ -82,13 +86,26 @@ CONFIGS = {
         detection=BinaryRings(contrast=None), refinement=Midlines(fit=Fit.QUADRATIC)
     ),
     "spectral": DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()), refinement=None),
+    "plain": DetectorConfig(
+        detection=BinaryRings(criteria=RapidCriteria(corrosion_threshold=None), contrast=None),
+        nms_radius=15,
+        refinement=None,
+    ),
+    "spectral without corrosion": DetectorConfig(
+        detection=BinaryRings(criteria=SpectralCriteria(corrosion_threshold=None), outer_radius=4)
+    ),
 }
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
-@pytest.mark.parametrize("kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value)
-def test_compilers_have_nothing_to_remark(device, monkeypatch, capfd, kind, config, dtype):
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
+@pytest.mark.parametrize(
+    "config",
+    [
+        pytest.param(config, id=name, marks=() if name == "default" else pytest.mark.exhaustive)
+        for name, config in CONFIGS.items()
+    ],
+)
+def test_compilers_have_nothing_to_remark(device_in_form, monkeypatch, capfd, config, dtype):
     programs = []
 
     def compiled(source, options):
@@ -99,11 +116,11 @@ def test_compilers_have_nothing_to_remark(device, monkeypatch, capfd, kind, conf
 
     monkeypatch.setattr(program, "_built", compiled)
     monkeypatch.setattr(program, "_place", lambda *_: None)
-    device = dataclasses.replace(device, kind=kind)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        Detector(shape=(64, 64), dtype=dtype, config=config, device=device).close()
-    log = programs[0].get_build_info(device.handle, cl.program_build_info.LOG)
+        Detector(shape=(64, 64), dtype=dtype, config=config, device=device_in_form).close()
+    (built,) = programs
+    log = built.get_build_info(device_in_form.handle, cl.program_build_info.LOG)
     assert "warning" not in (log + capfd.readouterr().err).lower()
 
 
@@ -114,9 +131,9 @@ def test_missing_kernels(monkeypatch, tmp_path):
 
 
 def test_one_changed_offset_of_a_ring_changes_the_masks(altered, device, detector_for):
-    expected = detector_for(IMAGE).maps(IMAGE)
+    expected = detector_for(IMAGE, rings()).maps(IMAGE)
     altered("ring.clh", "F(1, 1, -3)", "F(1, 2, -3)")
-    with Detector(shape=IMAGE.shape, device=device) as detector:
+    with Detector(shape=IMAGE.shape, config=rings(), device=device) as detector:
         found = detector.maps(IMAGE)
     np.testing.assert_array_equal(found.binary, expected.binary)
     changed = np.bitwise_or.reduce((found.inner ^ expected.inner).ravel())
@@ -190,23 +207,46 @@ def test_the_cache_can_be_switched_off(kept, device, monkeypatch):
 # --- the index -----------------------------------------------------------------------------
 
 
-def test_the_index_names_every_kernel_and_no_other():
+def files_of_kernels():
+    """The kernel files by name, "cpu/harmonic.cl" for one in the folder cpu."""
     folder = program.kernel_folder()
-    index = (folder / "README.md").read_text(encoding="utf-8")
-    in_table = [line.split("|")[1] for line in index.splitlines() if line.startswith("| ")]
-    files = {path.name for path in folder.glob("*.cl")}
+    return {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.cl")}
+
+
+def test_the_index_names_every_kernel_and_no_other():
+    index = (program.kernel_folder() / "README.md").read_text(encoding="utf-8")
+    cells = [line.split("|")[1] for line in index.splitlines() if line.startswith("| ")]
+    named, file = {}, None
+    for cell in cells:
+        heads = re.findall(r"\*\*(.+)\*\*", cell)
+        if heads:
+            (file,) = heads
+        names = set(re.findall(r"`(\w+)`", cell))
+        if file is not None:
+            named[file] = named.get(file, set()) | names
     kernels = {
-        name
-        for file in files
-        for name in re.findall(r"__kernel void (\w+)\(", (folder / file).read_text("utf-8"))
+        name: set(re.findall(r"__kernel void (\w+)", path.read_text("utf-8")))
+        for name, path in files_of_kernels().items()
     }
-    named = {name for cell in in_table for name in re.findall(r"`([a-z_]+)`", cell)}
-    assert {name for cell in in_table for name in re.findall(r"\*\*(.+)\*\*", cell)} == files
     assert named == kernels
 
 
+def test_the_index_names_the_headers():
+    index = (program.kernel_folder() / "README.md").read_text(encoding="utf-8")
+    headers = {path.name for path in program.kernel_folder().rglob("*.clh")}
+    assert {name for name in re.findall(r"`(?:cpu/)?(\w+\.clh)`", index)} == headers
+
+
 def test_every_kernel_file_has_a_test():
+    """A file of the form for CPUs shares the test of the stage."""
     tests = Path(__file__).parent
-    for path in program.kernel_folder().glob("*.cl"):
-        name = "test_markers.py" if path.stem == "markers" else f"test_kernel_{path.stem}.py"
-        assert (tests / name).is_file()
+    for path in files_of_kernels().values():
+        named = tests / "kernels" / f"test_{path.stem}.py"
+        assert named.is_file() or (tests / SHARED_TESTS[path.stem]).is_file(), path.name
+
+
+SHARED_TESTS = {
+    "border": "kernels/test_binarize.py",
+    "centroids": "kernels/test_centroid.py",
+    "markers": "grid/test_markers.py",
+}

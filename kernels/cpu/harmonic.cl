@@ -15,7 +15,8 @@
 #define LEAST 80  /* below every bound of a response */
 #define REACH_OF_RING 5
 #define LAG (REACH_OF_RING + 3) /* from an image row to the response that it completes */
-#define BEYOND (LAG + NMS_RADIUS)
+#define BESIDE_MAXIMUM LARGER(NMS_RADIUS, 2) /* rows of suppression, and of the moments */
+#define BEYOND (LAG + BESIDE_MAXIMUM)
 
 /* Ring buffers: powers of two. A smoothed row serves from the response REACH_OF_RING rows above
  * until check 1 of a maximum REACH_OF_RING rows below. */
@@ -120,7 +121,7 @@ ROW_LOOP ulong noise_of_row(__global const CURVATURE *restrict left,
       const short e = ABS(c);                                                       \
       response[x] = (short)(length - (short)(PENALTY));                             \
     }                                                                               \
-    for (int k = 1; k <= LARGER(NMS_RADIUS, 2); ++k) /* none outside the image */   \
+    for (int k = 1; k <= BESIDE_MAXIMUM; ++k) /* none outside the image */   \
       response[-k] = response[width - 1 + k] = 0;                                   \
   }
 ROW_LOOP void coarse_response_of_row RESPONSE_OF_ROW((short)(o - QUARTER(o)) +
@@ -296,7 +297,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
                        s2 + LEVEL_AT(HELD(y3 + 1)), column + PAD, width);
       smooth_row_by_16(NEIGHBOURS(column + PAD), s3 + SMOOTH_AT(y3), width);
     }
-    if (y_response >= LARGER(top - NMS_RADIUS, 0) && y_response < height) {
+    if (y_response >= LARGER(top - BESIDE_MAXIMUM, 0) && y_response < height) {
       const int y = y_response;
       __global short *response = first_response + RESPONSE_AT(y);
       coarse_response_of_row(s3 + SMOOTH_AT(HELD(y - 5)), s3 + SMOOTH_AT(HELD(y - 4)),
@@ -313,7 +314,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
                    response + 2 * kind, width);
 #endif
     }
-    const int y = y_response - NMS_RADIUS;
+    const int y = y_response - BESIDE_MAXIMUM;
     if (y < top || y >= end) continue;
     for (int fine = 0; fine <= FINE; ++fine) {
       __global const short *responses = first_response + 3 * fine * kind;
@@ -342,7 +343,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
             const Harmonics h5 = harmonics_of(&outer, x, 5, 4), h4 = harmonics_of(&between, x, 4, 3);
             const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
             const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
-            if (alignment && alignment * along < all) continue;
+            if (alignment && (long)alignment * along < all) continue;
             const int r = kept[x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
                                         ((h4.centre >> 2) + (h4.centre >> 3));
             if (support && (support * r4 < r || r4 > 2 * r)) continue;

@@ -3,6 +3,7 @@
 import images
 import numpy as np
 import pytest
+from cases import some
 from comparison import RAPID, assert_maps_equal
 from configs import rings
 
@@ -20,12 +21,12 @@ def check(detector_for, image, mask=None, **changes):
 
 
 @pytest.mark.parametrize("outer_radius", [4, 5])
-@pytest.mark.parametrize("name", EIGHT)
+@pytest.mark.parametrize("name", some(EIGHT, ("texture", "worn scene", "two levels")))
 def test_every_map(detector_for, name, outer_radius):
     check(detector_for, EIGHT[name], outer_radius=outer_radius)
 
 
-@pytest.mark.parametrize("name", ["noise", "near levels", "worn scene", "texture"])
+@pytest.mark.parametrize("name", some(["noise", "near levels", "worn scene"], ("noise",)))
 def test_every_map_of_three_masks(detector_for, name):
     maps = check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
     assert maps.candidate.shape == (3, *images.SHAPE)
@@ -42,18 +43,21 @@ def test_without_the_corrosion_criterion(detector_for, name):
 
 @pytest.mark.parametrize(
     "criteria",
-    [
-        {"sector_threshold": 1},
-        {"sector_threshold": 4},
-        {"sector_threshold": 16},
-        {"ring_threshold": 1},
-        {"ring_threshold": 4},
-        {"ring_threshold": 17},
-        {"corrosion_threshold": -4},
-        {"corrosion_threshold": 2},
-        {"corrosion_threshold": 17},
-        {"sector_threshold": 16, "ring_threshold": 17, "corrosion_threshold": 17},
-    ],
+    some(
+        [
+            {"sector_threshold": 1},
+            {"sector_threshold": 4},
+            {"sector_threshold": 16},
+            {"ring_threshold": 1},
+            {"ring_threshold": 4},
+            {"ring_threshold": 17},
+            {"corrosion_threshold": -4},
+            {"corrosion_threshold": 2},
+            {"corrosion_threshold": 17},
+            {"sector_threshold": 16, "ring_threshold": 17, "corrosion_threshold": 17},
+        ],
+        [{"sector_threshold": 4}, {"ring_threshold": 4}, {"corrosion_threshold": 2}],
+    ),
     ids=str,
 )
 def test_each_threshold_decides(detector_for, criteria):

@@ -3,6 +3,7 @@
 import images
 import numpy as np
 import pytest
+from cases import some
 from comparison import assert_corners_equal, assert_maps_equal
 from corner_images import board, noise
 
@@ -16,7 +17,9 @@ FACTORS = [0.5, 0.63, 2.0]
 
 
 @pytest.mark.parametrize("factor", FACTORS)
-@pytest.mark.parametrize("name", ["noise", "texture", "pixels", "worn scene", "board", "white"])
+@pytest.mark.parametrize(
+    "name", some(["noise", "texture", "pixels", "worn scene", "white"], ("worn scene",))
+)
 def test_every_map(detector_for, name, factor):
     image = EIGHT[name]
     maps = assert_maps_equal(
@@ -26,8 +29,8 @@ def test_every_map(detector_for, name, factor):
     assert (rows, columns) == (int(61 * factor + 0.5), int(83 * factor + 0.5))
 
 
-@pytest.mark.parametrize("factor", FACTORS)
-@pytest.mark.parametrize("name", ["noise", "white", "12-bit scene"])
+@pytest.mark.parametrize("factor", some(FACTORS, (0.63,)))
+@pytest.mark.parametrize("name", some(["noise", "white", "12-bit scene"], ("noise",)))
 def test_sixteen_bits(detector_for, name, factor):
     image = DEEP[name]
     assert_maps_equal(
@@ -35,7 +38,7 @@ def test_sixteen_bits(detector_for, name, factor):
     )
 
 
-@pytest.mark.parametrize("factor", [0.05, 0.1, 1 / 3, 0.999, 1.001, 1.5, 4.0])
+@pytest.mark.parametrize("factor", some([0.05, 0.1, 1 / 3, 0.999, 1.001, 1.5, 4.0], (0.1, 1.5)))
 def test_odd_factors(detector_for, factor):
     image = noise((30, 23), seed=2)
     assert_maps_equal(
@@ -43,7 +46,7 @@ def test_odd_factors(detector_for, factor):
     )
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (2, 2), (5, 3)])
+@pytest.mark.parametrize("shape", some([(1, 1), (1, 7), (2, 2), (5, 3)], ((1, 1),)))
 @pytest.mark.parametrize("factor", [0.05, 0.63, 4.0])
 def test_tiny_shapes(detector_for, shape, factor):
     image = noise(shape, seed=5)
@@ -66,7 +69,9 @@ def test_weights_are_those_of_the_oracle(length, factor):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("refinement", [EdgeLines(), EdgeStep(cell=24.0), Midlines(), None])
+@pytest.mark.parametrize(
+    "refinement", some([EdgeLines(), EdgeStep(cell=24.0), Midlines(), None], (EdgeStep(cell=24.0),))
+)
 @pytest.mark.parametrize("factor", FACTORS)
 def test_corners_are_those_of_the_full_image(detector_for, factor, refinement):
     image = board(*images.SHAPE, 24 if factor < 1 else 9)[0]
@@ -86,7 +91,7 @@ def test_a_mask_follows_the_scale(detector_for):
         assert_maps_equal(detector_for(image, config, mask), image, mask=mask)
 
 
-@pytest.mark.parametrize("expected", [1, 7, 12, 1000])
+@pytest.mark.parametrize("expected", some([1, 7, 12, 1000], (7,)))
 def test_a_pyramid_takes_the_scale_with_the_nearest_count(detector_for, expected):
     image = board(*images.SHAPE, 20)[0]
     pyramid = Pyramid(factors=(0.5, 0.63, 1.0, 2.0), expected=expected)
@@ -102,6 +107,6 @@ def test_a_pyramid_takes_the_scale_with_the_nearest_count(detector_for, expected
 
 def test_scale_one_is_the_image_as_it_is(detector_for):
     image = EIGHT["scene"]
-    plain = detector_for(image)(image)
+    plain = detector_for(image, DetectorConfig(detection=BinaryRings()))(image)
     scaled = detector_for(image, DetectorConfig(detection=BinaryRings(), scale=1.0))(image)
     assert plain.xy.tobytes() == scaled.xy.tobytes()

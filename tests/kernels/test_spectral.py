@@ -5,6 +5,7 @@ import math
 import images
 import numpy as np
 import pytest
+from cases import some
 from comparison import FLOATS, assert_maps_equal
 
 from cmp_cl import AdaptiveMean, BinaryRings, DetectorConfig, SpectralCriteria
@@ -21,12 +22,14 @@ def check(detector_for, image, config=None, **criteria):
     return assert_maps_equal(detector_for(image, config), image, fields=FIELDS)
 
 
-@pytest.mark.parametrize("name", EIGHT)
+@pytest.mark.parametrize("name", some(EIGHT, ("texture", "worn scene")))
 def test_every_map(detector_for, name):
     check(detector_for, EIGHT[name])
 
 
-@pytest.mark.parametrize("name", ["noise", "texture", "worn scene", "fine board"])
+@pytest.mark.parametrize(
+    "name", some(["noise", "texture", "worn scene", "fine board"], ("texture",))
+)
 def test_with_the_gate_and_the_smaller_ring(detector_for, name):
     check(
         detector_for,

@@ -1,77 +1,65 @@
-"""kernels/refine_eight.cl: eight corners at a time and one by one, held to the same oracle."""
-
-import dataclasses
+"""kernels/edge_lines.cl and kernels/cpu/refine.cl: one corner at a time, and eight."""
 
 import images
 import numpy as np
 import pytest
+from cases import some
 from comparison import assert_corners_equal, assert_same_bytes
 from configs import rings
 from corner_images import board
+from forms import in_form
 
 from cmp_cl import (
     AdaptiveMean,
     Detector,
-    DeviceKind,
+    DetectorConfig,
     EdgeLines,
     EdgeStep,
     Midlines,
     RapidCriteria,
     SpectralCriteria,
 )
+from cmp_cl.stages.form import Form
 
 EIGHT = images.eight_bits()
 DEEP = images.sixteen_bits()
 WIDE = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
 DENSE = {"contrast": None, "nms_radius": 1, "criteria": WIDE}
 
-KINDS = pytest.mark.parametrize(
-    "kind", [DeviceKind.CPU, DeviceKind.GPU], ids=lambda kind: kind.value
-)
 LINES = pytest.mark.parametrize(
     "refinement", [EdgeLines(), EdgeStep()], ids=lambda refinement: type(refinement).__name__
 )
 
 
-def detector_of_kind(device, kind, image, mask=None, **settings):
-    form = dataclasses.replace(device, kind=kind)
+def detector_of_form(device, image, mask=None, **settings):
     config = rings(**settings)
-    return Detector(shape=image.shape, dtype=image.dtype, config=config, device=form, mask=mask)
+    return Detector(shape=image.shape, dtype=image.dtype, config=config, device=device, mask=mask)
 
 
-@pytest.mark.parametrize(
-    ("kind", "changes", "eight"),
-    [
-        (DeviceKind.CPU, {}, True),
-        (DeviceKind.CPU, {"refinement": EdgeStep()}, True),
-        (DeviceKind.CPU, {"refinement": Midlines()}, False),
-        (DeviceKind.CPU, {"refinement": None}, False),
-        (DeviceKind.CPU, {"scale": 0.63}, True),
-        (DeviceKind.CPU, {"scale": 0.63, "refinement": Midlines()}, False),
-        (DeviceKind.GPU, {}, False),
-    ],
-)
-def test_which_form_is_taken(device, kind, changes, eight):
+@pytest.mark.parametrize("scale", [None, 0.63])
+@pytest.mark.parametrize("rule", [rings(), DetectorConfig()], ids=["rings", "harmonic"])
+def test_which_form_is_taken(detector_in_form, form, rule, scale):
     image = EIGHT["board"]
-    with detector_of_kind(device, kind, image, **changes) as detector:
-        launched = {launch.stage for launch in detector._plan(changes.get("scale")).launches}
-    assert ("refine_eight" in launched) is eight
-    assert ("centroid" in launched) is not eight
+    for refinement in (EdgeLines(), EdgeStep(), Midlines(), None):
+        config = rule.replace(refinement=refinement, scale=scale)
+        detector = detector_in_form(image, config)
+        launched = {launch.stage for launch in detector._plan(scale).launches}
+        eight = form is Form.CPU and isinstance(refinement, EdgeLines | EdgeStep)
+        assert ("refine_eight" in launched) is eight
 
 
-@KINDS
 @LINES
-def test_every_number_of_corners(device, kind, refinement):
+def test_every_number_of_corners(device_in_form, refinement):
     """A mask leaves that many corners: vectors that are full, and the last one that is not."""
     image = images.texture((120, 150), seed=9)
-    with detector_of_kind(device, kind, image, refinement=refinement) as detector:
+    with detector_of_form(device_in_form, image, refinement=refinement) as detector:
         whole = assert_corners_equal(detector, image)
     assert len(whole) > 40
-    for count in (1, 2, 7, 8, 9, 16, 23):
+    for count in (1, 7, 8, 9, 16):
         mask = np.zeros(image.shape, np.bool_)
         mask[tuple(whole.pixel[:count, ::-1].T)] = True
-        with detector_of_kind(
-            device, kind, image, mask, refinement=refinement, contrast=None
+        with detector_of_form(
+            device_in_form, image, mask, refinement=refinement, contrast=None
         ) as detector:
             found = assert_corners_equal(detector, image, mask=mask)
             assert len(found) == count
@@ -81,35 +69,33 @@ def test_every_number_of_corners(device, kind, refinement):
                 assert_same_bytes(one, alone)
 
 
-@KINDS
 @LINES
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("depth", [8, 16])
-def test_both_forms(device, kind, refinement, depth):
+def test_both_forms(device_in_form, refinement, depth):
     pictures = EIGHT if depth == 8 else DEEP
     changes = {} if depth == 8 else {"full_scale": 4095}
     first = next(iter(pictures.values()))
     with (
-        detector_of_kind(device, kind, first, refinement=refinement, **changes) as plain,
-        detector_of_kind(device, kind, first, refinement=refinement, **changes, **DENSE) as noisy,
+        detector_of_form(device_in_form, first, refinement=refinement, **changes) as plain,
+        detector_of_form(device_in_form, first, refinement=refinement, **changes, **DENSE) as noisy,
     ):
         for image in pictures.values():
             assert_corners_equal(plain, image)
             assert_corners_equal(noisy, image)
 
 
-@KINDS
 @LINES
-@pytest.mark.parametrize("shape", [(1, 31), (31, 1), (2, 3), (9, 40), (40, 9)])
-def test_images_smaller_than_the_rings(device, kind, refinement, shape):
+@pytest.mark.parametrize("shape", some([(1, 31), (31, 1), (2, 3), (9, 40), (40, 9)], ((9, 40),)))
+def test_images_smaller_than_the_rings(device_in_form, refinement, shape):
     image = images.texture((60, 60))[: shape[0], : shape[1]].copy()
-    with detector_of_kind(device, kind, image, refinement=refinement, **DENSE) as detector:
+    with detector_of_form(device_in_form, image, refinement=refinement, **DENSE) as detector:
         assert_corners_equal(detector, image)
 
 
-@KINDS
-@pytest.mark.parametrize("factor", [0.2, 0.63, 2.0])
+@pytest.mark.parametrize("factor", some([0.2, 0.63, 2.0], (0.63,)))
 @pytest.mark.parametrize("depth", [8, 16])
-def test_rings_of_a_scaled_image_that_leave_it(device, kind, factor, depth):
+def test_rings_of_a_scaled_image_that_leave_it(device_in_form, factor, depth):
     """Corners everywhere, so that rings in a vector are inside, some, all or none of them."""
     cell = 12 / factor
     image = board(int(8 * cell), int(9 * cell), cell)[0]
@@ -118,8 +104,8 @@ def test_rings_of_a_scaled_image_that_leave_it(device, kind, factor, depth):
         image = image.astype(np.uint16) * 16
     changes = {"contrast": None, "nms_radius": 1, "full_scale": 255 if depth == 8 else 4095}
     for refinement in (EdgeLines(), EdgeStep(cell=cell)):
-        with detector_of_kind(
-            device, kind, image, scale=factor, refinement=refinement, **changes
+        with detector_of_form(
+            device_in_form, image, scale=factor, refinement=refinement, **changes
         ) as detector:
             found = assert_corners_equal(detector, image)
         reach = 5 / factor + 1
@@ -128,26 +114,25 @@ def test_rings_of_a_scaled_image_that_leave_it(device, kind, factor, depth):
         assert (distance > reach).sum() > 8
 
 
-@pytest.mark.parametrize("factor", [0.3, 0.63, 1.5])
+@pytest.mark.parametrize("factor", some([0.3, 0.63, 1.5], (1.5,)))
 def test_the_forms_agree_to_the_bit_on_a_scaled_image(device, factor):
     image = images.texture((240, 300), seed=4)
     changes = {**DENSE, "scale": factor, "refinement": EdgeLines()}
     results = []
-    for kind in (DeviceKind.CPU, DeviceKind.GPU):
-        with detector_of_kind(device, kind, image, **changes) as detector:
+    for form in Form:
+        with detector_of_form(in_form(device, form), image, **changes) as detector:
             results.append(detector(image))
     assert len(results[0]) > 20
     assert_same_bytes(*results)
 
 
-@KINDS
 @LINES
-def test_the_largest_responses(device, kind, refinement):
+def test_the_largest_responses(device_in_form, refinement):
     """Of the spectral criteria, whose responses are integers, and of three masks together."""
     image = EIGHT["texture"]
     for changes in (
         {"criteria": SpectralCriteria(correlation=0), "contrast": None},
         {"threshold": AdaptiveMean(masks=3), "criteria": RapidCriteria(sector_threshold=16)},
     ):
-        with detector_of_kind(device, kind, image, refinement=refinement, **changes) as detector:
+        with detector_of_form(device_in_form, image, refinement=refinement, **changes) as detector:
             assert len(assert_corners_equal(detector, image)) > 5

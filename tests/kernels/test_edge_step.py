@@ -1,0 +1,63 @@
+"""kernels/edge_step.cl and kernels/cpu/edge_step.cl: both forms of the step, held to the oracle."""
+
+import images
+import numpy as np
+import pytest
+from cases import some
+from comparison import assert_corners_equal
+from configs import rings
+from corner_images import board
+
+from cmp_cl import EdgeLines, EdgeStep, Method
+from cmp_cl.stages.form import Form
+
+
+@pytest.mark.parametrize("scale", [None, 0.63])
+def test_which_form_is_taken(detector_in_form, form, scale):
+    image = images.eight_bits()["board"]
+    for refinement, names in (
+        (EdgeLines(), set()),
+        (EdgeStep(), {"edge_step_eight"} if form is Form.CPU else {"edge_step"}),
+    ):
+        detector = detector_in_form(image, rings(refinement=refinement, scale=scale))
+        launched = {launch.stage for launch in detector._plan(scale).launches}
+        assert launched & {"edge_step", "edge_step_eight"} == names
+
+
+@pytest.mark.parametrize("cell", some([4.0, 6.7, 10.0, 30.0], (6.7, 30.0)))
+def test_the_cell_sets_the_radius(detector_in_form, cell):
+    image = images.scene(1.0, seed=5).image
+    detector = detector_in_form(image, rings(refinement=EdgeStep(cell=cell)))
+    corners = assert_corners_equal(detector, image)
+    assert (corners.method == Method.EDGE_STEP).sum() > 20
+
+
+def test_a_corner_in_the_very_middle_of_a_pixel(detector_in_form):
+    """That pixel's weight is 0, but the pair it makes with the one before counts."""
+    grey = (images.eight_bits()["board"].astype(np.float64) - 120) * 20 + 120
+    image = np.clip(grey, 0, 255).astype(np.uint8)
+    detector = detector_in_form(image, rings(refinement=EdgeStep()))
+    assert_corners_equal(detector, image)
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+def test_soft_corners(detector_in_form, depth):
+    image = board(121, 83, 12)[0]
+    if depth == 16:
+        image = image.astype(np.uint16) * 257
+    detector = detector_in_form(image, rings(refinement=EdgeStep()))
+    corners = assert_corners_equal(detector, image)
+    assert (corners.method == Method.EDGE_STEP).sum() > 20
+
+
+@pytest.mark.parametrize("cell", some([20.0, 60.0, 130.0], (60.0,)))
+def test_discs_of_a_scaled_image(detector_in_form, cell):
+    """Of a radius of 0.6 cells: in one part, in several, and with rows that leave the image."""
+    image = board(int(4 * cell), int(5 * cell), cell)[0]
+    config = {"scale": 15 / cell, "refinement": EdgeStep(cell=cell)}
+    detector = detector_in_form(image, rings(**config))
+    corners = assert_corners_equal(detector, image)
+    stepped = corners.xy[corners.method == Method.EDGE_STEP]
+    distance = np.minimum(stepped, np.array(image.shape[::-1]) - 1 - stepped).min(axis=1)
+    assert (distance < 0.6 * cell).any()
+    assert (distance > 0.6 * cell).any()

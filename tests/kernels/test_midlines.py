@@ -1,0 +1,50 @@
+"""kernels/midlines.cl: the paper's refinement, held to the oracle."""
+
+import images
+import numpy as np
+import pytest
+from comparison import assert_corners_equal
+from configs import rings
+
+from cmp_cl import DetectorConfig, Fit, Method, Midlines
+
+RULES = pytest.mark.parametrize("rule", [rings(), DetectorConfig()], ids=["rings", "harmonic"])
+FITS = pytest.mark.parametrize("fit", Fit, ids=lambda fit: fit.value)
+
+
+@RULES
+@FITS
+@pytest.mark.parametrize("scale", [None, 0.63])
+def test_after_both_rules(detector_for, rule, fit, scale):
+    image = images.scene(1.5, seed=3).image
+    config = rule.replace(refinement=Midlines(fit=fit), scale=scale)
+    corners = assert_corners_equal(detector_for(image, config), image)
+    assert {Method.MIDLINE, Method.CUSP} & set(corners.method)
+
+
+@FITS
+def test_perfect_squares_have_parallel_centrelines(detector_for, fit):
+    y, x = np.indices(images.SHAPE)
+    image = np.where((x // 12 + y // 12) % 2 == 0, 40, 200).astype(np.uint8)
+    config = rings(refinement=Midlines(fit=fit))
+    corners = assert_corners_equal(detector_for(image, config), image)
+    assert len(corners) == 30
+    assert np.isfinite(corners.xy).all()
+    if fit is Fit.LINEAR:
+        assert (corners.method != Method.MIDLINE).all()
+
+
+@pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
+def test_the_largest_shift(detector_for, max_shift):
+    image = images.scene(1.5, seed=3).image
+    kept = [
+        (corners.method == Method.KEPT).sum()
+        for corners in (
+            assert_corners_equal(detector_for(image, config), image)
+            for config in (rings(refinement=Midlines(max_shift=m)) for m in (max_shift, 2.0))
+        )
+    ]
+    if max_shift == 0:
+        assert kept[0] > 30
+    else:
+        assert kept[0] > kept[1] if max_shift < 1 else kept[0] <= kept[1]

@@ -1,0 +1,88 @@
+"""What may import what: a module only what stands below it, and none in a circle."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import cmp_cl
+
+ROOT = Path(cmp_cl.__file__).parent
+# From the bottom up; a name stands for a module, or for a package and all within it.
+LAYERS = [
+    {"errors"},
+    {"files"},
+    {"image"},
+    {"config"},
+    {"corners", "maps"},
+    {"opencl"},
+    {"stages"},
+    {"reference", "cell"},
+    {"grid", "detector"},
+    {"stereo"},
+    {"field"},
+    {"measure"},
+    {"cli"},
+]
+ASIDE = {"__main__", "__init__"}  # the door, which imports everything
+
+
+def modules():
+    return {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts): path
+        for path in sorted(ROOT.rglob("*.py"))
+    }
+
+
+def imported(path, *, everywhere):
+    """Modules of cmp_cl that a file imports, when it is imported or in functions too."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    waiting, names = list(tree.body), set()
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "cmp_cl":
+            inner = node.module.split(".")[1:]
+            names |= {".".join([*inner, alias.name]) for alias in node.names}
+        inside = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        typing = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+        if not typing and (everywhere or not inside):
+            waiting += ast.iter_child_nodes(node)
+    known = modules()
+
+    def module_of(name):
+        parts = name.split(".")
+        for count in (len(parts), len(parts) - 1):
+            for end in ([], ["__init__"]):
+                found = ".".join([*parts[:count], *end])
+                if found in known:
+                    return found
+        return None
+
+    return {module for module in map(module_of, names) if module}
+
+
+def layer_of(module):
+    top = module.split(".")[0]
+    return next((n for n, layer in enumerate(LAYERS) if top in layer), None)
+
+
+@pytest.mark.parametrize("name", modules())
+def test_a_module_imports_only_what_stands_below_it(name):
+    own = layer_of(name)
+    for other in imported(modules()[name], everywhere=False):
+        if own is not None and layer_of(other) is not None:
+            assert layer_of(other) <= own, other
+
+
+def test_every_layer_is_there():
+    tops = {name.split(".")[0] for name in modules()}
+    assert set().union(*LAYERS) <= tops
+
+
+def test_modules_do_not_import_each_other_in_a_circle():
+    needs = {name: imported(path, everywhere=False) for name, path in modules().items()}
+    left = dict(needs)
+    while ready := [name for name, others in left.items() if not others & left.keys() - {name}]:
+        for name in ready:
+            del left[name]
+    assert left == {}
