@@ -64,6 +64,7 @@ class Found(NamedTuple):
     xy: np.ndarray
     number: np.ndarray
     doubts: bool = False
+    sized: bool = False  # whether the numbers are meant to be those of the whole board
 
 
 Method = Callable[[View], Found | None]
@@ -82,9 +83,8 @@ def views(folder: str) -> Iterator[View]:
             region = cv2.imread(str(drawn), cv2.IMREAD_GRAYSCALE) > 0
         cell = listed["cell_px"]["median"]
         for share in shares:
-            yield from _cuts(
-                f"{folder}/{name}, {share:g}", image, truth, region, cell, whole, share
-            )
+            title = f"{folder}/{name}, {share:g}"
+            yield from _cuts(title, image, truth, region, cell, whole, share)
     if folder == "stereo_opencv":
         yield from gels()
 
@@ -146,7 +146,7 @@ def own(*, sized: bool) -> Method:
                 grid = detector.grid(view.image, shape=view.whole if sized else None)[1]
         except GridError:
             return Found(np.zeros((0, 2)), np.zeros((0, 2), int))
-        return found(grid)
+        return found(grid)._replace(sized=sized)
 
     return find
 
@@ -203,14 +203,8 @@ METHODS: dict[str, Method] = {
 
 def scored(view: View, answer: Found) -> dict[str, int]:
     """Corners in view, nodes that are right, false, neither, and numbers wrong in silence."""
-    row = {
-        "visible": len(view.truth),
-        "right": 0,
-        "false": 0,
-        "other": 0,
-        "refused": 0,
-        "silent": 0,
-    }
+    row = dict.fromkeys(("right", "false", "other", "refused", "doubted", "silent"), 0)
+    row["visible"] = len(view.truth)
     if not len(answer.xy):
         row["refused"] = 1
         return row
@@ -223,8 +217,9 @@ def scored(view: View, answer: Found) -> dict[str, int]:
     row["false"] = int(np.count_nonzero((distance >= max(3, view.cell / 4)) & counts))
     right, identity = agreeing(answer.number[hit], view.truth[nearest[hit], 2:].astype(int), view)
     row["right"] = right
-    row["other"] = int(np.count_nonzero(counts)) - row["false"] - right
-    row["silent"] = int(view.whole is not None and not identity and not answer.doubts)
+    row["other"] = int(np.count_nonzero(hit | counts)) - row["false"] - right
+    row["doubted"] = int(answer.doubts)
+    row["silent"] = int(answer.sized and not identity and not answer.doubts)
     return row
 
 
@@ -333,7 +328,7 @@ def island() -> dict[str, Any]:
 
 
 def show(result: dict[str, Any]) -> None:
-    keys = ("views", "visible", "right", "false", "other", "refused", "silent")
+    keys = ("views", "visible", "right", "false", "other", "refused", "doubted", "silent")
     print(f"{'set':20}{'method':22}" + "".join(f"{key:>10}" for key in keys))
     for row in result["partial"]:
         print(f"{row['set']:20}{row['method']:22}" + "".join(f"{row[key]:10}" for key in keys))
