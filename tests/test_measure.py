@@ -121,24 +121,24 @@ def test_a_turned_grid_is_the_same_grid():
     grid = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
     corners = grid.xy.reshape(-1, 2)
     for quarters in range(4):
-        other = measure.turned(grid, quarters)
+        other = grid.turned(quarters)
         assert other.shape == ((3, 4) if quarters % 2 == 0 else (4, 3))
         np.testing.assert_array_equal(other.xy[tuple(other.index.T)], corners)
-    half = measure.turned(grid, 2)
+    half = grid.turned(2)
     np.testing.assert_array_equal(half.xy, grid.xy[::-1, ::-1])
     assert half.parity == 1  # 3 + 4 is odd: the other colour comes first
-    assert measure.turned(measure.turned(grid, 1), 3).parity == grid.parity
+    assert grid.turned(1).turned(3).parity == grid.parity
 
 
 def test_two_views_are_numbered_alike():
     row, column = np.indices((3, 4))
     left = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
-    right = measure.align_views(left, measure.turned(left, 2))
+    right = measure.align_views(left, left.turned(2))
     np.testing.assert_array_equal(right.xy, left.xy)
     with pytest.raises(GridError, match="alike"):
         measure.align_views(left, dataclasses.replace(left, parity=1))
     across = grid_of(np.stack([-row * 10.0, column * 10.0], axis=-1))
     with pytest.raises(GridError, match="alike"):
         measure.align_views(left, across)
-    with pytest.raises(GridError, match="without any node"):
+    with pytest.raises(GridError, match="shows no node"):
         measure.align_views(left, grid_of(np.full((3, 4, 2), np.nan)))

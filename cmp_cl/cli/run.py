@@ -49,9 +49,9 @@ def add_parser(commands: Any) -> None:
         description="Numbers the pattern in every frame as in the rest frame and writes the "
         "series. With --stereo each frame shows two views, and the series holds the "
         "displacement of every node in space; without it, the positions in the image. "
-        "Each frame is measured against the rest frame alone. Frames that cannot be read are "
-        "left out and counted; in frames without the pattern all nodes are missing. Ctrl-C "
-        "ends the run, and what was measured is written.",
+        "Each frame is measured against the rest frame alone, unless --track is given. Frames "
+        "that cannot be read are left out and counted; in frames without the pattern all nodes "
+        "are missing. Ctrl-C ends the run, and what was measured is written.",
     )
     parser.add_argument(
         "source", metavar="SOURCE", help="video, folder of images, image, or number of a camera"
@@ -72,6 +72,13 @@ def add_parser(commands: Any) -> None:
         type=int,
         default=0,
         help="number of the frame at rest, from 0; of a camera, the frames before are dropped",
+    )
+    parser.add_argument(
+        "--track",
+        action="store_true",
+        help="continue the numbers of the frame before where the rest frame leaves them "
+        "ambiguous, as it does where no border of the pattern is in view; the pattern as a whole "
+        "must move by less than half a cell from frame to frame",
     )
     add_split(
         parser,
@@ -110,7 +117,8 @@ def add_parser(commands: Any) -> None:
     add_device(parser)
     parser.epilog = (
         "The series holds, with F frames of R x C nodes: index (F,), time_ms (F,) (NaN where "
-        "the source has no clock), sigma and status (F, R, C) and unit; with --stereo rest "
+        "the source has no clock), ambiguous (F,) (whether the numbers may be those of other "
+        "nodes), sigma and status (F, R, C) and unit; with --stereo rest "
         "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
         "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px. filtered says "
         "whether the lattice filter is on; then raw_rest, raw_displacement or raw_xy, and "
@@ -198,7 +206,7 @@ class _Tally:
     """What was measured, for the line at the end."""
 
     def __init__(self) -> None:
-        self.frames = self.empty = self.broken = 0
+        self.frames = self.empty = self.broken = self.ambiguous = 0
         self._nodes = 0
         self._fewest: int | None = None
         self._ms = 0.0
@@ -210,6 +218,7 @@ class _Tally:
         if not measured.nodes:
             self.empty += 1
             return
+        self.ambiguous += measured.ambiguous
         self._nodes += measured.nodes
         self._fewest = min(measured.nodes, self._fewest or measured.nodes)
         if measured.largest > self._largest:
@@ -224,6 +233,8 @@ class _Tally:
             parts.append(f"moved by up to {self._largest:.3g} {unit} (frame {self._where})")
         if self.empty:
             parts.append(f"{self.empty} without the pattern")
+        if self.ambiguous:
+            parts.append(f"{self.ambiguous} with ambiguous numbers")
         if self.broken:
             parts.append(f"{self.broken} left out")
         if self.frames:
@@ -249,6 +260,7 @@ class _Settings:
     rig: StereoRig | None
     split: str
     mirror: str | None
+    track: bool
 
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> Self:
@@ -280,6 +292,7 @@ class _Settings:
             rig=rig,
             split=arguments.split or "halves",
             mirror=arguments.mirror,
+            track=arguments.track,
         )
 
     def measurement(self, rest: GreyImage) -> Measurement:
@@ -290,6 +303,7 @@ class _Settings:
             "full_scale": self.full_scale,
             "device": self.device,
             "raw": self.raw,
+            "track": self.track,
         }
         hint = ""
         try:
@@ -332,7 +346,12 @@ def run(arguments: argparse.Namespace) -> int:
             measured = measure(image)
             spent = (time.perf_counter() - start) * 1e3
             try:
-                series.append(index=shot.number, time_ms=shot.time_ms, **measured.arrays)
+                series.append(
+                    index=shot.number,
+                    time_ms=shot.time_ms,
+                    ambiguous=measured.ambiguous,
+                    **measured.arrays,
+                )
             except OSError as error:
                 full = error
                 break

@@ -185,29 +185,28 @@ Ring ring_of(__global const ushort *rows_of, const int y, const int a, const int
   return ring;
 }
 
-/* The second harmonic (A, B) of a ring. */
-int2 second_harmonic(const Ring *ring, const int x, const int a, const int d) {
-  return (int2)(ring->north[x] + ring->south[x] - ring->middle[x + a] - ring->middle[x - a],
-                ring->upper[x + d] + ring->lower[x - d] - ring->lower[x + d] - ring->upper[x - d]);
+typedef struct {
+  int2 second; /* A, B */
+  int length, odd, centre;
+} Harmonics;
+
+#define MAGNITUDE_OF(v) ((v) < 0 ? -(v) : (v))
+Harmonics harmonics_of(const Ring *ring, const int x, const int a, const int d) {
+  const int s0 = ring->north[x], s1 = ring->upper[x + d], s2 = ring->middle[x + a];
+  const int s3 = ring->lower[x + d], s4 = ring->south[x], s5 = ring->lower[x - d];
+  const int s6 = ring->middle[x - a], s7 = ring->upper[x - d];
+  const int u0 = s0 + s4, u1 = s1 + s5, u2 = s2 + s6, u3 = s3 + s7;
+  const int2 v = (int2)(u0 - u2, u1 - u3);
+  const int p = MAGNITUDE_OF(v.x), q = MAGNITUDE_OF(v.y), low = SMALLER(p, q);
+  const int c = u0 + u1 + u2 + u3 - 8 * ring->middle[x];
+  const Harmonics found = {v, LARGER(p, q) + (low >> 2) + (low >> 3),
+                           MAGNITUDE_OF(s0 - s4) + MAGNITUDE_OF(s1 - s5) +
+                               MAGNITUDE_OF(s2 - s6) + MAGNITUDE_OF(s3 - s7),
+                           MAGNITUDE_OF(c)};
+  return found;
 }
 
 int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
-
-#define MAGNITUDE_OF(v) ((v) < 0 ? -(v) : (v))
-
-/* The response of ring (4, 3) of the coarse rows. */
-int middle_response(const Ring *ring, const int x) {
-  const int s0 = ring->north[x], s1 = ring->upper[x + 3], s2 = ring->middle[x + 4];
-  const int s3 = ring->lower[x + 3], s4 = ring->south[x], s5 = ring->lower[x - 3];
-  const int s6 = ring->middle[x - 4], s7 = ring->upper[x - 3];
-  const int p = s0 + s4 - s2 - s6, q = s1 + s5 - s3 - s7;
-  const int a = MAGNITUDE_OF(p), b = MAGNITUDE_OF(q), low = SMALLER(a, b);
-  const int o = MAGNITUDE_OF(s0 - s4) + MAGNITUDE_OF(s1 - s5) + MAGNITUDE_OF(s2 - s6) +
-                MAGNITUDE_OF(s3 - s7);
-  const int c = s0 + s1 + s2 + s3 + s4 + s5 + s6 + s7 - 8 * ring->middle[x];
-  const int e = MAGNITUDE_OF(c);
-  return LARGER(a, b) + (low >> 2) + (low >> 3) - (o - (o >> 2)) - ((e >> 2) + (e >> 3));
-}
 
 /* Append a maximum to a list: x, y, response, and of the responses above 0 of the 5 x 5 around it
  * the sum and the sums times the offsets in x and in y, a column each. `rows_of` are the five rows,
@@ -336,14 +335,18 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
           const uint at = (uint)y * step + PAD + (uint)x;
           if (!(area[at / 32] >> at % 32 & 1)) continue;
           if (fine) {
-            const int2 v3 = second_harmonic(&outer, x, 3, 2);
-            if (4 * dot_of(second_harmonic(&inner, x, 2, 1), v3) < dot_of(v3, v3)) continue;
+            const int2 v2 = harmonics_of(&inner, x, 2, 1).second;
+            const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
+            if (4 * dot_of(v2, v3) < dot_of(v3, v3)) continue;
           } else {
-            const int2 v5 = second_harmonic(&outer, x, 5, 4);
-            const int2 v3 = second_harmonic(&inner, x, 3, 2);
-            if (alignment && alignment * dot_of(v3, v5) < dot_of(v5, v5)) continue;
-            const int r = kept[x], r4 = middle_response(&between, x);
+            const Harmonics h5 = harmonics_of(&outer, x, 5, 4), h4 = harmonics_of(&between, x, 4, 3);
+            const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
+            const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
+            if (alignment && alignment * along < all) continue;
+            const int r = kept[x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
+                                        ((h4.centre >> 2) + (h4.centre >> 3));
             if (support && (support * r4 < r || r4 > 2 * r)) continue;
+            if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along)) continue;
           }
           if (found[fine] < room) append(list, found[fine], room, x, y, rows_of);
           ++found[fine];
