@@ -17,7 +17,17 @@ from environment import environment
 
 HERE = Path(__file__).parent
 QUICK = Path(tempfile.gettempdir()) / "cmp_cl-bench"
-PARTS = ("speed", "scaling", "theory", "criteria", "photographs", "field", "accuracy", "stability")
+PARTS = (
+    "speed",
+    "scaling",
+    "theory",
+    "criteria",
+    "photographs",
+    "field",
+    "positions",
+    "accuracy",
+    "stability",
+)
 LONG = ("implementations",)  # only in the long form
 WHOLE = ("theory", "photographs")  # have no short form
 
