@@ -223,9 +223,7 @@ def test_the_largest_noise(detector_in_form, pixel):
 def test_fine_maxima_alone_have_a_reference_of_their_own(detector_in_form):
     image = board(61, 83, 4.0, blur=0.4)[0]
     config = configured(alignment=1, support=1)
-    found = harmonic.corners(
-        image, config.detection, 3, 255, np.ones(image.shape, np.bool_)
-    )
+    found = harmonic.corners(image, config.detection, 3, 255, np.ones(image.shape, np.bool_))
     assert found.reference == 0
     assert found.fine.sum() > 20
     assert_corners_equal(detector_in_form(image, config), image)
