@@ -256,6 +256,13 @@ class Detector:
         slot = 0
         while (frames, slot, factor) in self._plans and self._plans[frames, slot, factor].awaited:
             slot += 1
+        dropped = [
+            key
+            for key, plan in self._plans.items()
+            if (key[0], key[2]) == (frames, factor) and key[1] > max(slot, 1) and not plan.awaited
+        ]
+        for key in dropped:  # of streams that were begun and not ended
+            self._plans.pop(key).release()
         key = (frames, slot, factor)
         if key not in self._plans:
             if frames > 1:  # room for one size of batch

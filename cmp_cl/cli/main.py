@@ -8,6 +8,7 @@ import argparse
 import contextlib
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn, TextIO
 
@@ -15,11 +16,12 @@ import cv2
 
 import cmp_cl
 from cmp_cl.cli import bench as benchmark
-from cmp_cl.cli import calibrate, demo, detect, pattern, render, run, tune
+from cmp_cl.cli import calibrate, demo, detect, pattern, plot, render, run, tune
 from cmp_cl.cli.messages import one_line
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 from cmp_cl.media import codec_messages_caught
+from cmp_cl.opencl.caches import pocl_is_stuck
 from cmp_cl.opencl.device import DEVICE_VARIABLE
 
 INSTALL = """\
@@ -47,7 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     set_log_level(0)
     _open_streams()
     try:
-        with handled(interrupt), codec_messages_caught():
+        with handled(interrupt), codec_messages_caught(), warnings.catch_warnings():
+            warnings.showwarning = _warn  # type: ignore[assignment]
             arguments = _parser().parse_args(argv)
             run: Callable[[argparse.Namespace], int] = arguments.run
             status = run(arguments)
@@ -95,17 +98,23 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="cmp-cl", description="Corners of deformed checkerboards on any OpenCL device."
     )
+    parser.add_argument("--version", action="version", version=f"cmp-cl {cmp_cl.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_devices(commands)
     detect.add_parser(commands)
     render.add_parser(commands)
     demo.add_parser(commands)
     run.add_parser(commands)
+    plot.add_parser(commands)
     calibrate.add_parser(commands)
     tune.add_parser(commands)
     benchmark.add_parser(commands)
     pattern.add_parser(commands)
     return parser
+
+
+def _warn(message: Warning | str, *_: object) -> None:
+    print(f"cmp-cl: {message}", file=sys.stderr)
 
 
 def _fail(message: str, *, status: int = 2) -> int:
@@ -157,6 +166,9 @@ def _devices(arguments: argparse.Namespace) -> int:
 
 
 def _why_none() -> str:
+    stuck = pocl_is_stuck()
+    if stuck:
+        return stuck
     place = os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors")
     if os.path.isdir(place):
         drivers = sorted(name for name in os.listdir(place) if name.endswith(".icd"))
