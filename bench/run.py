@@ -26,6 +26,7 @@ PARTS = (
     "partial_views",
     "open_patterns",
     "field",
+    "positions",
     "accuracy",
     "stability",
 )
