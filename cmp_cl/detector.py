@@ -222,6 +222,8 @@ class Detector:
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
         region: tuple[float, float, float, float] | None = None,
+        previous: Grid | None = None,
+        strict: bool = False,
     ) -> tuple[Corners, Grid]:
         """The corners of a frame and their numbering, see `build_grid`.
 
@@ -232,7 +234,15 @@ class Detector:
         from cmp_cl.grid.build import build_grid
 
         corners = self(frame)
-        return corners, build_grid(corners, frame, shape=shape, like=like, region=region)
+        return corners, build_grid(
+            corners,
+            frame,
+            shape=shape,
+            like=like,
+            region=region,
+            previous=previous,
+            strict=strict,
+        )
 
     @property
     def _factors(self) -> list[float | None]:
