@@ -60,6 +60,12 @@ class CameraSettings:
             raise ConfigError(f"fps must be positive, not {self.fps}")
 
 
+def is_live(name: str) -> bool:
+    """Whether it names a camera by number, a device such as /dev/video0, or an address."""
+    number = name.isascii() and name.isdigit() and not Path(name).exists()
+    return number or re.match(r"/dev/video|[a-z][a-z0-9+.-]*://", name) is not None
+
+
 class Source:
     """Where frames come from.
 
@@ -75,11 +81,8 @@ class Source:
     def __init__(self, name: str, settings: CameraSettings | None = None) -> None:
         self.name = name
         self._settings = settings or CameraSettings()
-        number = name.isascii() and name.isdigit() and not Path(name).exists()
-        device = name.startswith("/dev/video")
-        address = re.match(r"[a-z][a-z0-9+.-]*://", name) is not None
-        self.live = number or device or address
-        self._opened_as: int | str = int(name) if number else name
+        self.live = is_live(name)
+        self._opened_as: int | str = int(name) if self.live and name.isdigit() else name
         self.paths = () if self.live else tuple(media.find_inputs([name]))
         self.period_ms = math.nan
         if len(self.paths) == 1:
@@ -135,7 +138,7 @@ class Source:
     def _capture(self) -> Any:
         capture = cv2.VideoCapture(self._opened_as)
         if not capture.isOpened():
-            raise ImageError(f"there is no camera {self.name!r} that OpenCV can open")
+            raise ImageError(f"there is no camera {self.name} that OpenCV can open")
         asked: list[tuple[int, float | None, str]] = [
             (cv2.CAP_PROP_FRAME_WIDTH, self._settings.size and self._settings.size[0], "width"),
             (cv2.CAP_PROP_FRAME_HEIGHT, self._settings.size and self._settings.size[1], "height"),
