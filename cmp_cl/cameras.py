@@ -24,6 +24,7 @@ import numpy as np
 from cmp_cl import media
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
+from cmp_cl.series.mcap import mcap_images
 
 _WAITING = 64  # frames of a camera that may wait to be measured
 _LONGEST_WAIT = 10.0  # s, for a frame of a camera
@@ -69,8 +70,8 @@ def is_live(name: str) -> bool:
 class Source:
     """Where frames come from.
 
-    name: a file, a folder of images, the number of a camera, a device such as /dev/video0, or
-    an address such as rtsp://camera/stream.
+    name: a file (.mcap too), a folder of images, the number of a camera, a device such as
+    /dev/video0, or an address such as rtsp://camera/stream.
 
     live: whether it is a camera or a stream, whose frames come whether or not they are taken.
     paths: the files, () of a live one. period_ms: between frames, NaN where nobody knows.
@@ -101,6 +102,10 @@ class Source:
     def _file_frames(self) -> Generator[Timed, None, None]:
         numbers = itertools.count()
         for path in self.paths:
+            if path.suffix.lower() == ".mcap":
+                for stamp, image in mcap_images(path):
+                    yield Timed(next(numbers), stamp / 1e6, image)
+                continue
             if media.is_video(path) and has_pyav():
                 for frame in video_frames(path):
                     yield dataclasses.replace(frame, index=next(numbers))

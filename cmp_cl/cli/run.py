@@ -39,6 +39,7 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, open_series
+from cmp_cl.series.mcap import mcap_images
 from cmp_cl.stereo import StereoRig
 from cmp_cl.viz import RerunLog
 from cmp_cl.viz.film import FILM_SUFFIXES, OverlayFilm
@@ -63,8 +64,8 @@ def add_parser(commands: Any) -> None:
         "source",
         metavar="SOURCE",
         nargs="?",
-        help="video, folder of images, image, number of a camera, device such as /dev/video0, or "
-        "address such as rtsp://camera/stream",
+        help="video, folder of images, image, .mcap, number of a camera, device such as "
+        "/dev/video0, or address such as rtsp://camera/stream",
     )
     parser.add_argument(
         "--left",
@@ -94,7 +95,7 @@ def add_parser(commands: Any) -> None:
         metavar="FILE",
         required=True,
         help="the series: .npz (numpy.load), .h5 (readable while it grows), .parquet, .csv, "
-        ".jsonl, .pvd (ParaView), or - for JSON lines on standard output; see below",
+        ".jsonl, .pvd (ParaView), .mcap (ROS 2), or - for JSON lines on standard output; see below",
     )
     parser.add_argument("--stereo", metavar="YAML", help="the calibration of the two views")
     parser.add_argument(
@@ -176,6 +177,7 @@ class _Source:
         self.live = is_live(name)
         self._number = int(name) if name.isdigit() and camera == CameraSettings() else None
         self._camera = cameras.Source(name, camera) if self.live else None
+        self.start_ns: int | None = None  # since 1970, of an MCAP
         self.paths: list[Path] = [] if self.live else media.find_inputs([name])
         self.name = name
         self.rate = media.frame_rate(self.paths[0]) if len(self.paths) == 1 else None
@@ -207,6 +209,11 @@ class _Source:
             for taken in self._camera.frames():
                 start = taken.time_ms if start is None else start
                 yield _Shot(taken.index, taken.time_ms - start, taken.image)
+            return
+        if self.paths[0].suffix.lower() == ".mcap":
+            for number, (stamp, image) in enumerate(mcap_images(self.paths[0])):
+                self.start_ns = self.start_ns or stamp
+                yield _Shot(number, (stamp - self.start_ns) / 1e6, image)
             return
         index = 0
         for path in self.paths:
@@ -244,6 +251,7 @@ class _Pairs(_Source):
         if left.live != right.live:
             raise ConfigError("--left and --right must both be files or both be cameras")
         self.name = f"{left.name}, {right.name}"
+        self.start_ns = None
         self.live = left.live
         self.paths = [*left.paths, *right.paths]
         periods = [side.period_ms for side in self._sides if np.isfinite(side.period_ms)]
@@ -420,6 +428,8 @@ class _Settings:
             "device": str(self.device),
             "configuration": repr(self.config) if self.config else "for the cells seen at rest",
         }
+        if self.source.start_ns is not None:
+            settings["start_ns"] = str(self.source.start_ns)
         return Description(units=units, settings=settings)
 
     def measurement(self, rest: GreyImage) -> Measurement:
