@@ -19,7 +19,7 @@ from typing import Any
 import methods
 import numpy as np
 from environment import RESULTS, environment
-from methods import DEFAULT, FULL, STEP, Method
+from methods import DEFAULT, FILTERED, FULL, GRIDDED, STEP, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
@@ -63,8 +63,9 @@ def rows_of(markers: int, frame: Frame, names: Sequence[str]) -> list[Method]:
     pattern = Pattern(markers)
     configs = methods.configs(markers, cell)
     rows = [methods.own(name, config, frame.image.shape) for name, config in configs.items()]
-    rows.append(methods.own_with_grid(f"{DEFAULT} + grid", configs[DEFAULT], frame))
+    rows.append(methods.own_with_grid(GRIDDED, configs[DEFAULT], frame))
     rows.append(methods.own_with_grid(FULL, configs["cmp_cl, full"], frame))
+    rows.append(methods.own_with_filter(FILTERED, configs[DEFAULT], frame))
     rows += [methods.peer(name, pattern) for name in names]
     rows += [methods.peer_with_grid(name, pattern) for name in names if name in GRID_PEERS]
     return rows

@@ -25,7 +25,7 @@ from cmp_cl import (
     SpectralCriteria,
 )
 from cmp_cl.errors import GridError
-from cmp_cl.grid import build_grid
+from cmp_cl.grid import build_grid, filter_grid
 from cmp_cl.image import GreyImage
 from cmp_cl.reference import refine
 
@@ -35,6 +35,8 @@ PAPER = "cmp_cl, paper's preset"
 RINGS = "cmp_cl, binary rings"
 THREE = f"{RINGS}, three masks"
 FULL = "cmp_cl, full with grid"
+GRIDDED = f"{DEFAULT} + grid"
+FILTERED = f"{DEFAULT} + grid + filter"
 _MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 
@@ -106,12 +108,29 @@ def own_with_grid(name: str, config: DetectorConfig, frame: Any) -> Method:
     return Method(name, f"{config!r}, build_grid(shape={size})", detect, grid=True)
 
 
+def own_with_filter(name: str, config: DetectorConfig, frame: Any) -> Method:
+    """One of our configurations, the grid step and the lattice filter: each measured node is
+    where it and its neighbours say."""
+    detector = Detector(shape=frame.image.shape, config=config)
+    size = (frame.markers, frame.markers)
+
+    def detect(image: GreyImage) -> np.ndarray:
+        with contextlib.suppress(GridError):
+            grid = build_grid(detector(image), image, shape=size)
+            measured = np.isin(grid.status, _MEASURED)
+            return filter_grid(grid.xy, measured=measured).values[measured]
+        return np.empty((0, 2), np.float32)
+
+    settings = f"{config!r}, build_grid(shape={size}), filter_grid"
+    return Method(name, settings, detect, grid=True)
+
+
 def peer(name: str, pattern: Pattern) -> Method:
     """A peer as a row, at the settings that the search found for that density."""
     entry = PEERS[name]
     settings = entry.settings(pattern.markers)
     detect = entry.make(settings, pattern)
-    return Method(entry.label, json.dumps(settings), detect, entry.slow)
+    return Method(entry.label, json.dumps(settings), detect, entry.slow, entry.labels)
 
 
 def peer_with_grid(name: str, pattern: Pattern) -> Method:

@@ -9,8 +9,8 @@ raises Unavailable with the reason where what it needs is not installed.
 """
 
 import ctypes
+import dataclasses
 import importlib
-import itertools
 import json
 import os
 import struct
@@ -43,13 +43,15 @@ class Pattern(NamedTuple):
 
 class Peer(NamedTuple):
     """label: as tables show it. make: settings and pattern -> detect. search: the values that
-    each setting is tried at, the first being the usual one. slow: takes more than 50 ms."""
+    each setting is tried at, the first being the usual one. slow: takes more than 50 ms.
+    labels: numbers the corners and returns those that it has numbered."""
 
     label: str
     make: Callable[[Settings, Pattern], Detect]
     search: dict[str, list[Any]]
     version: Callable[[], str]
     slow: bool = False
+    labels: bool = False
     same_as: str | None = None  # another form of this peer, whose settings it shares
 
     def settings(self, markers: int) -> Settings:
@@ -59,14 +61,6 @@ class Peer(NamedTuple):
             found = json.loads(FOUND_SETTINGS.read_text())["settings"]
             usual |= found.get(self.same_as or NAMES[self.label], {}).get(str(markers), {})
         return usual
-
-    def grid(self) -> list[Settings]:
-        """Every combination of the searched values."""
-        names = list(self.search)
-        return [
-            dict(zip(names, values, strict=True))
-            for values in itertools.product(*self.search.values())
-        ]
 
 
 def _opencv_version() -> str:
@@ -272,6 +266,43 @@ def _chess_corners(refiner: str | None) -> Callable[[Settings, Pattern], Detect]
     return make
 
 
+# calib-targets, PyPI: numbers boards whose corners chess-corners finds
+
+
+def _calib_targets_version() -> str:
+    from importlib.metadata import version
+
+    return f"calib-targets {version('calib-targets')}"
+
+
+def _calib_targets(settings: Settings, pattern: Pattern) -> Detect:
+    package = _module("calib_targets", "pip install calib-targets")
+    usual = package.ChessboardParams()
+    wider = settings["tolerance"]  # of everything that a deformed lattice strains
+    angles = ("cluster_tol_deg", "attach_axis_tol_deg", "edge_axis_tol_deg", "weak_cluster_tol_deg")
+    lengths = ("step_tol", "attach_search_rel", "geometry_recovery_tol_rel")
+    topology = {
+        name: wider * getattr(usual.topological, name)
+        for name in ("axis_align_tol_rad", "cluster_axis_tol_rad")
+    }
+    params = dataclasses.replace(
+        usual,
+        min_corner_strength=settings["strength"],
+        max_components=max(usual.max_components, pattern.views),
+        topological=dataclasses.replace(usual.topological, **topology),
+        **{name: wider * getattr(usual, name) for name in (*angles, *lengths)},
+    )
+    corners = package.ChessConfig(threshold=settings["threshold"])
+
+    def detect(image: np.ndarray) -> np.ndarray:
+        boards = package.detect_chessboard_all(image, chess_cfg=corners, params=params)
+        boards = sorted(boards, key=lambda board: -len(board.corners))[: pattern.views]
+        xy = [corner.position for board in boards for corner in board.corners]
+        return np.array(xy, np.float32).reshape(-1, 2)
+
+    return detect
+
+
 # libcbdetect (Geiger), PyPI; its upstream is under the GPL
 
 
@@ -469,6 +500,18 @@ PEERS: dict[str, Peer] = {
         _chess_corners("saddle_point"),
         {"threshold": [100.0, 10.0, 20.0, 30.0, 50.0, 200.0]},
         _chess_corners_version,
+    ),
+    "calib_targets": Peer(
+        "calib-targets, its own grid",
+        _calib_targets,
+        {
+            "threshold": [15.0, 5.0, 50.0],
+            "strength": [33.0, 0.0],
+            "tolerance": [1.0, 1.4, 2.0],
+        },
+        _calib_targets_version,
+        slow=True,
+        labels=True,
     ),
     "mrgingham": Peer(
         "mrgingham, corners only",

@@ -33,6 +33,8 @@ QUICK_PEERS = (
     "chess_opencl",
     "spectrum_opencl",
 )
+PACED_PEERS = ("good_features", "chess_corners_lean", "chess_opencl")  # the leanest
+PACE = 0.01  # s from a frame to the next, as a camera gives them
 SCENES: dict[str, Callable[[int], Frame]] = {"vga": vga, "wide": wide}
 
 
@@ -75,6 +77,45 @@ def measure(
     return rows
 
 
+def paced(
+    rows_of: Sequence[Method], frames: Sequence[Frame], rounds: int, block: int = 50
+) -> list[dict[str, Any]]:
+    """Time the methods on frames that come one every PACE seconds, and in a loop beside it.
+
+    Between two frames the process sleeps: caches cool down and threads have to wake up.
+    """
+    pauses = {"paced": PACE, "loop": 0.0}
+    times = {(method.name, how): [] for method in rows_of for how in pauses}
+    for _ in range(rounds):
+        for method in rows_of:
+            for how, pause in pauses.items():
+                due = time.perf_counter()
+                for k in range(block + 1):
+                    image = frames[k % len(frames)].image
+                    time.sleep(max(0.0, due - time.perf_counter()))
+                    start = time.perf_counter()
+                    method.detect(image)
+                    spent = time.perf_counter() - start
+                    due = max(due + pause, start)
+                    if k:
+                        times[method.name, how].append(spent * 1e3)
+    rows = []
+    for method in rows_of:
+        spaced, loop = (np.array(times[method.name, how]) for how in pauses)
+        rows.append(
+            {
+                "method": method.name,
+                "ms": float(np.median(spaced)),
+                "ms_p99": float(np.percentile(spaced, 99)),
+                "loop_ms": float(np.median(loop)),
+                "loop_ms_p99": float(np.percentile(loop, 99)),
+                "times_loop": float(np.median(spaced) / np.median(loop)),
+                "samples": len(spaced),
+            }
+        )
+    return rows
+
+
 def stages(config: DetectorConfig, frame: Frame, repeats: int = 40) -> dict[str, Any]:
     """Median ms of each kernel, of all of them, and of the host and transfers around them."""
     with Detector(shape=frame.image.shape, config=config, profile=True) as detector:
@@ -110,8 +151,17 @@ def compare(
     configs = methods.configs(first.markers, cell)
     kept = {name: configs[name] for name in (own or configs)}
     rows_of = [methods.own(name, config, first.image.shape) for name, config in kept.items()]
-    rows_of += [methods.peer(name, Pattern(first.markers, first.views)) for name in names]
+    if first.views == 1:
+        rows_of += [
+            methods.own_with_grid(f"{name} + grid", configs[name], first)
+            for name in (DEFAULT, STEP)
+        ]
+    pattern = Pattern(first.markers, first.views)
+    peers = {name: methods.peer(name, pattern) for name in names}
+    rows_of += peers.values()
     rows = measure(rows_of, frames, rounds)
+    lean = [row for row in rows_of if row.name in (DEFAULT, STEP)]
+    lean += [row for name, row in peers.items() if name in PACED_PEERS]
     base = next(row["ms"] for row in rows if row["method"] == DEFAULT)
     for row in rows:
         row["times_default"] = row["ms"] / base
@@ -124,6 +174,8 @@ def compare(
         "cell": first.cell,
         "seeds": [TEST_SEED + k for k in range(count)],
         "rows": rows,
+        "pace_ms": PACE * 1e3,
+        "paced": paced(lean, frames, max(2, rounds // 5)),
     }
 
 
@@ -139,6 +191,12 @@ def show(result: dict[str, Any]) -> None:
         print(
             f"{row['method']:38}{row['ms']:8.2f}{row['ms_p95']:8.2f}{row['times_default']:7.2f}"
             f"{row['missed']:8}{row['false']:7}{rmse:>7}"
+        )
+    print(f"one frame every {result['pace_ms']:g} ms: ms, 99 %, and times those of the loop")
+    for row in result["paced"]:
+        print(
+            f"{row['method']:38}{row['ms']:8.2f}{row['ms_p99']:8.2f}{row['times_loop']:7.2f}"
+            f"   loop {row['loop_ms']:.2f}, 99 % {row['loop_ms_p99']:.2f}"
         )
     for row in result["rows"]:
         if row["method"] == DEFAULT:

@@ -30,7 +30,16 @@ from cmp_cl.errors import (
     KernelBuildError,
 )
 from cmp_cl.field import DisplacementField, SeriesWriter, displacement
-from cmp_cl.grid import Grid, NodeStatus, build_grid, refine_markers
+from cmp_cl.grid import (
+    Grid,
+    NodeStatus,
+    Rival,
+    Sides,
+    align,
+    build_grid,
+    build_grids,
+    refine_markers,
+)
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, DeviceKind, list_devices, select_device
 from cmp_cl.stereo import (
@@ -78,12 +87,16 @@ __all__ = [
     "Pyramid",
     "RapidCriteria",
     "RingHarmonic",
+    "Rival",
     "SectorContrast",
     "SeriesWriter",
+    "Sides",
     "SpectralCriteria",
     "StereoRig",
     "__version__",
+    "align",
     "build_grid",
+    "build_grids",
     "calibrate",
     "calibrate_camera",
     "detect",

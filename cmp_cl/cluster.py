@@ -16,6 +16,8 @@ import hashlib
 import json
 import os
 import threading
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from itertools import chain
@@ -33,6 +35,7 @@ from cmp_cl.files import write_bytes, write_text
 from cmp_cl.image import GreyImage, check_image
 
 _ABOUT = "about.json"
+_DAMAGE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
 _ARRAYS = ("xy", "pixel", "response", "method", "sigma", "edges", "doubtful")
 
 
@@ -51,16 +54,19 @@ class Store:
         return self.count
 
     def __getitem__(self, frame: int) -> Corners:
-        """The corners of one frame; raises IndexError, and FileNotFoundError where its part
-        has not been written."""
+        """Return the corners of one frame.
+
+        Raises IndexError, FileNotFoundError where its part has not been written, ConfigError
+        where that is damaged.
+        """
         if not 0 <= frame < self.count:
             raise IndexError(f"frame {frame} of {self.count}")
-        return _read(self._path(frame // self.part))[frame % self.part]
+        return self._read(frame // self.part)[frame % self.part]
 
     def __iter__(self) -> Iterator[Corners]:
-        """The corners of all frames in order."""
+        """The corners of all frames in order; raises as for one of them."""
         for number in range(self.parts):
-            yield from _read(self._path(number))
+            yield from self._read(number)
 
     @property
     def parts(self) -> int:
@@ -68,9 +74,33 @@ class Store:
         return -(-self.count // self.part)
 
     def missing(self) -> list[int]:
-        """The parts that have not been written."""
-        there = {path.name for path in self.folder.glob("part-*.npz")}
-        return [number for number in range(self.parts) if self._path(number).name not in there]
+        """The parts that have not been written, or are damaged: every byte is checked."""
+        return [number for number in range(self.parts) if not self._is_whole(number)]
+
+    def _is_whole(self, number: int) -> bool:
+        """Whether a part is there and each of its arrays has the checksum that it was given."""
+        try:
+            with zipfile.ZipFile(self._path(number)) as archive:
+                names = {f"{name}.npy" for name in (*_ARRAYS, "lengths", "device")}
+                if archive.testzip() is not None or set(archive.namelist()) != names:
+                    return False
+            with np.load(self._path(number), allow_pickle=False) as arrays:
+                return len(arrays["lengths"]) == len(self._frames(number))
+        except _DAMAGE:
+            return False
+
+    def _read(self, number: int) -> list[Corners]:
+        """The frames of a part."""
+        path = self._path(number)
+        try:
+            found = _read(path)
+        except FileNotFoundError:
+            raise
+        except _DAMAGE as error:
+            raise ConfigError(f"{str(path)!r} is damaged; detect again into its folder") from error
+        if len(found) != len(self._frames(number)):
+            raise ConfigError(f"{str(path)!r} is no part of this store")
+        return found
 
     def _path(self, number: int) -> Path:
         return self.folder / f"part-{number:08d}.npz"
@@ -84,7 +114,7 @@ def open_store(folder: str | PathLike[str]) -> Store:
     try:
         about = json.loads((Path(folder) / _ABOUT).read_text(encoding="utf-8"))
         return Store(Path(folder), int(about["count"]), int(about["part"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ConfigError(f"there is no store of corners in {str(folder)!r}: {error}") from error
 
 
@@ -107,8 +137,9 @@ def detect(
     config: the defaults of DetectorConfig where None. device: as `select_device` takes it on a
         worker; None is the default there. part: frames of a file.
 
-    Parts that are there already are kept. Raises ConfigError where the folder holds those of
-    another count, part or configuration, and what `read` or the detector raise on a worker.
+    Parts that are there already are kept, damaged ones done again. Raises ConfigError where the
+    folder holds those of another count, part or configuration, and what `read` or the detector
+    raise on a worker.
     """
     import distributed
 
@@ -140,7 +171,7 @@ def _claim(store: Store, config: DetectorConfig) -> None:
         write_text(path, json.dumps(about) + "\n")
     try:
         before = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{str(path)!r} is damaged: {error}") from error
     if before != about:
         raise ConfigError(
@@ -171,7 +202,7 @@ def _work(
     }
     data = BytesIO()
     np.savez(data, lengths=lengths, device=np.array(found[0].device), **arrays)
-    write_bytes(store._path(number), data.getvalue())
+    write_bytes(store._path(number), data.getvalue(), durable=True)
 
 
 class _Own:

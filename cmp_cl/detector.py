@@ -222,6 +222,8 @@ class Detector:
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
         region: tuple[float, float, float, float] | None = None,
+        previous: Grid | None = None,
+        strict: bool = False,
     ) -> tuple[Corners, Grid]:
         """The corners of a frame and their numbering, see `build_grid`.
 
@@ -232,7 +234,15 @@ class Detector:
         from cmp_cl.grid.build import build_grid
 
         corners = self(frame)
-        return corners, build_grid(corners, frame, shape=shape, like=like, region=region)
+        return corners, build_grid(
+            corners,
+            frame,
+            shape=shape,
+            like=like,
+            region=region,
+            previous=previous,
+            strict=strict,
+        )
 
     @property
     def _factors(self) -> list[float | None]:
@@ -246,6 +256,13 @@ class Detector:
         slot = 0
         while (frames, slot, factor) in self._plans and self._plans[frames, slot, factor].awaited:
             slot += 1
+        dropped = [
+            key
+            for key, plan in self._plans.items()
+            if (key[0], key[2]) == (frames, factor) and key[1] > max(slot, 1) and not plan.awaited
+        ]
+        for key in dropped:  # of streams that were begun and not ended
+            self._plans.pop(key).release()
         key = (frames, slot, factor)
         if key not in self._plans:
             if frames > 1:  # room for one size of batch

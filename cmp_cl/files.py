@@ -17,12 +17,13 @@ _WRITABLE = 0o222  # a mode in which somebody may write
 
 
 @contextlib.contextmanager
-def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
+def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[BinaryIO]:
     """A file to write that appears under its name only when the block ends without an error.
 
     It is a temporary file in the same folder, renamed at the end; what stood under the name
     stays until then, and its mode and owner afterwards. Devices and pipes are written as they
-    are. Raises OSError where the folder is missing, not writable or full, or the file is
+    are. durable: write through to the disk before the rename, so that a power cut leaves one
+    of the two. Raises OSError where the folder is missing, not writable or full, or the file is
     read-only.
     """
     target = check_target(path)
@@ -36,6 +37,9 @@ def whole_file(path: str | PathLike[str]) -> Iterator[BinaryIO]:
             with open(temporary, "xb") as file:
                 _keep_rights(target, temporary)
                 yield file
+                if durable:
+                    file.flush()
+                    os.fsync(file.fileno())
             os.replace(temporary, target)
     except BaseException:
         temporary.unlink(missing_ok=True)
@@ -85,9 +89,9 @@ def _named(path: str | PathLike[str], temporary: Path | None = None) -> Iterator
         raise
 
 
-def write_bytes(path: str | PathLike[str], data: bytes) -> None:
-    """Write a file whole or not at all; raises OSError."""
-    with whole_file(path) as file:
+def write_bytes(path: str | PathLike[str], data: bytes, *, durable: bool = False) -> None:
+    """Write a file whole or not at all, see `whole_file`; raises OSError."""
+    with whole_file(path, durable=durable) as file:
         file.write(data)
 
 

@@ -31,7 +31,8 @@ from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
 from cmp_cl.field import DisplacementField, displacement
-from cmp_cl.grid import Grid, NodeStatus, build_grid
+from cmp_cl.grid import Grid, NodeStatus, align, build_grid, filter_positions
+from cmp_cl.grid.align import row_direction
 from cmp_cl.image import GreyImage
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
@@ -39,10 +40,10 @@ from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 MAX_SIGMA = 0.2  # px: corners of a board that are less certain are not used
+_MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
 _USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried where the estimate does not find the pattern
-_MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 
 
 # frames against the frame at rest
@@ -53,15 +54,18 @@ class Measured:
     """One frame against the frame at rest.
 
     arrays: what `SeriesWriter.append` takes, by name: xy (R, C, 2) float32, px, sigma (R, C)
-        float32, px, and status (R, C) uint8 of `NodeStatus`.
+        float32, px, and status (R, C) uint8 of `NodeStatus`; raw_xy and raw_sigma are those
+        before the lattice filter, where that is on.
     nodes: how many nodes are measured in both frames.
     largest: the largest displacement, px or the rig's unit, 0 without nodes.
+    ambiguous: whether the numbers of a grid may be those of other nodes, see `Grid.ambiguous`.
     views, corners, grids: of the one view, or of the left and of the right one.
     """
 
     arrays: dict[str, NDArray[Any]]
     nodes: int
     largest: float
+    ambiguous: bool
     views: tuple[GreyImage, ...]
     corners: tuple[Corners, ...]
     grids: tuple[Grid, ...]
@@ -72,8 +76,9 @@ class MeasuredInSpace(Measured):
     """One frame of two views against the frame at rest, in space.
 
     points: where the nodes are now. field: how far they have moved.
-    arrays: displacement, sigma, status and source of the field, and the positions left and
-        right, (R, C, 2) float32, px.
+    arrays: displacement, sigma, status and source of the field, raw_displacement and raw_sigma
+        of the raw one where the lattice filter is on, and the positions left and right, as
+        they were detected, (R, C, 2) float32, px.
     """
 
     points: Points3D
@@ -83,8 +88,9 @@ class MeasuredInSpace(Measured):
 class Measurement:
     """Measures frames against the frame at rest. Use it in a with statement.
 
-    constants: arrays that a series says once: rest (R, C, 2) or (R, C, 3), unit, and with two
-        views left_rest and right_rest (R, C, 2).
+    constants: arrays that a series says once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
+        whether the lattice filter is on; raw_rest is then the rest before it), and with two
+        views left_rest and right_rest (R, C, 2), as they were detected.
     unit: of the displacements, "px" or the rig's.
     nodes: how many nodes the pattern has.
     """
@@ -127,8 +133,12 @@ class OneView(Measurement):
     shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
     region: (x0, y0, x1, y1), px, where the pattern is in every frame; None is everywhere.
     config: of the detector; None is `exact_config` for the cells seen at rest.
+    track: continue the numbers of the frame before where the frame at rest leaves them
+        ambiguous. Frames then come in order, and the pattern as a whole moves by less than
+        half a cell from each to the next.
     full_scale: the camera's largest grey level; None is that of the settings or of the type.
     device: a Device, a text for `select_device`, or None for the default device.
+    raw: leave out the lattice filter, see `cmp_cl.grid.filter_positions`.
 
     Raises GridError where the frame at rest shows no such pattern, and what `Detector` raises.
     """
@@ -142,14 +152,22 @@ class OneView(Measurement):
         config: DetectorConfig | None = None,
         full_scale: int | None = None,
         device: Device | str | None = None,
+        track: bool = False,
+        raw: bool = False,
     ) -> None:
         super().__init__()
-        search = _Search(_selected(device), shape, config, full_scale)
+        self._raw = raw
+        search = _Search(_selected(device), shape, config, full_scale, track)
         self._pattern = _Pattern(rest, search, region)
         self._detectors.enter_context(self._pattern.detector)
         self.unit = "px"
         self.nodes = self._pattern.rest.status.size
-        self.constants = {"rest": self._pattern.rest.xy, "unit": np.array(self.unit)}
+        rest_grid = self._pattern.rest
+        self._rest = filter_positions(rest_grid)[1 if raw else 0]
+        self.constants = {"rest": self._rest.xy, "unit": np.array(self.unit)}
+        self.constants["filtered"] = np.array(not raw)
+        if not raw:
+            self.constants["raw_rest"] = rest_grid.xy
 
     @property
     def rest_grid(self) -> Grid:
@@ -159,12 +177,22 @@ class OneView(Measurement):
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, see `Measurement.__call__`."""
         corners, grid = self._pattern.find(frame)
-        moved = np.linalg.norm(grid.xy - self._pattern.rest.xy, axis=2)
+        filtered, as_it_is = filter_positions(grid, rest=self._pattern.rest)
+        best = as_it_is if self._raw else filtered
+        moved = np.linalg.norm(best.xy - self._rest.xy, axis=2)
         moved = moved[~np.isnan(moved)]
+        arrays: dict[str, NDArray[Any]] = {
+            "xy": best.xy,
+            "sigma": best.sigma,
+            "status": grid.status,
+        }
+        if not self._raw:
+            arrays |= {"raw_xy": as_it_is.xy, "raw_sigma": as_it_is.sigma}
         return Measured(
-            arrays={"xy": grid.xy, "sigma": grid.sigma, "status": grid.status},
+            arrays=arrays,
             nodes=len(moved),
             largest=float(moved.max(initial=0)),
+            ambiguous=grid.ambiguous,
             views=(frame,),
             corners=(corners,),
             grids=(grid,),
@@ -194,11 +222,14 @@ class TwoViews(Measurement):
         config: DetectorConfig | None = None,
         full_scale: int | None = None,
         device: Device | str | None = None,
+        track: bool = False,
+        raw: bool = False,
     ) -> None:
         super().__init__()
+        self._raw = raw
         self._rig = rig
         self._split = split
-        search = _Search(_selected(device), shape, config, full_scale)
+        search = _Search(_selected(device), shape, config, full_scale, track)
         with contextlib.ExitStack() as stack:
             patterns = []
             for side, view, region in zip(("left", "right"), split(rest), regions, strict=True):
@@ -215,12 +246,16 @@ class TwoViews(Measurement):
             self._detectors = stack.pop_all()
         self.unit = rig.unit
         self.nodes = self.rest.status.size
+        at_rest = displacement(self.rest, self.rest, raw=raw)
         self.constants = {
-            "rest": self.rest.xyz,
+            "rest": at_rest.position,
+            "filtered": np.array(not raw),
             "left_rest": self._left.rest.xy,
             "right_rest": self._right.rest.xy,
             "unit": np.array(rig.unit),
         }
+        if not raw:
+            self.constants["raw_rest"] = self.rest.xyz
 
     @property
     def rest_grids(self) -> tuple[Grid, Grid]:
@@ -245,7 +280,7 @@ class TwoViews(Measurement):
         left_corners, left = self._left.find(views[0])
         right_corners, right = self._right.find(views[1])
         points = self._rig.triangulate(left, right)
-        field = displacement(self.rest, points)
+        field = displacement(self.rest, points, raw=self._raw)
         arrays: dict[str, NDArray[Any]] = {
             "displacement": field.displacement,
             "sigma": field.sigma,
@@ -254,11 +289,14 @@ class TwoViews(Measurement):
             "left": left.xy,
             "right": right.xy,
         }
+        if field.raw is not None:
+            arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
         moved = np.linalg.norm(field.displacement[field.valid], axis=1)
         return MeasuredInSpace(
             arrays=arrays,
             nodes=len(moved),
             largest=float(moved.max(initial=0)),
+            ambiguous=left.ambiguous or right.ambiguous,
             views=views,
             corners=(left_corners, right_corners),
             grids=(left, right),
@@ -275,6 +313,7 @@ class _Search:
     shape: tuple[int, int] | None
     config: DetectorConfig | None
     full_scale: int | None
+    track: bool
 
 
 class _Pattern:
@@ -286,11 +325,13 @@ class _Pattern:
     def __init__(self, view: GreyImage, search: _Search, region: Region | None) -> None:
         config, shape, device = search.config, search.shape, search.device
         self._region = region
+        self._track = search.track
+        self._previous: Grid | None = None
         if config is None:
-            cell, seen = find_pattern(
+            cell, _ = find_pattern(
                 view, shape=shape, region=region, full_scale=search.full_scale, device=device
             )
-            config, shape = exact_config(cell, search.full_scale), seen.shape
+            config = exact_config(cell, search.full_scale)
         elif search.full_scale is not None:
             config = config.replace(full_scale=search.full_scale)
         with contextlib.ExitStack() as stack:
@@ -300,23 +341,34 @@ class _Pattern:
             self.corners, self.rest = self.detector.grid(view, shape=shape, region=region)
             if not self.rest.valid.any():
                 raise GridError("no pattern is seen")
+            _check_size(self.rest)
             stack.pop_all()
 
     def find(self, view: GreyImage) -> tuple[Corners, Grid]:
-        """The corners of another view and their grid, without a node where there is none."""
+        """The corners of another view and their grid, without a node where there is none.
+
+        The grid has the rows and columns at rest: nodes beyond have no displacement.
+        """
         corners = self.detector(view)
+        before = (self._previous or self.rest) if self._track else None
         try:
-            return corners, build_grid(corners, view, like=self.rest, region=self._region)
+            grid = build_grid(
+                corners, view, like=self.rest, region=self._region, previous=before
+            ).cut_to(self.rest)
         except GridError:
-            return corners, _without_nodes(self.rest.shape, len(corners))
+            return corners, _without_nodes(self.rest, len(corners))
+        if grid.valid.any():
+            self._previous = grid
+        return corners, grid
 
 
-def _without_nodes(shape: tuple[int, int], corners: int) -> Grid:
+def _without_nodes(rest: Grid, corners: int) -> Grid:
     return Grid(
-        xy=np.full((*shape, 2), np.nan, np.float32),
-        status=np.zeros(shape, np.uint8),
-        sigma=np.full(shape, np.nan, np.float32),
+        xy=np.full((*rest.shape, 2), np.nan, np.float32),
+        status=np.zeros(rest.shape, np.uint8),
+        sigma=np.full(rest.shape, np.nan, np.float32),
         index=np.full((corners, 2), -1, np.int32),
+        origin=rest.origin,
     )
 
 
@@ -341,7 +393,8 @@ def find_pattern(
     first that shows all nodes of a known shape, or a grid of most corners, ends the search;
     else the one with the most detected nodes wins.
 
-    Raises GridError where no cell shows a pattern, and what `Detector` raises.
+    Raises GridError where no cell shows a pattern or it seems to have another size, and what
+    `Detector` raises.
     """
     device = _selected(device)
     best: Grid | None = None
@@ -364,7 +417,14 @@ def find_pattern(
     if best is None or not cell >= 4:
         size = "" if shape is None else f" of {shape[0]} x {shape[1]} corners"
         raise GridError(f"no pattern{size} is found: {why}")
+    _check_size(best)
     return cell, best
+
+
+def _check_size(grid: Grid) -> None:
+    """Raise GridError where the pattern seems to have another number of corners."""
+    if grid.seen_shape is not None:
+        raise GridError(grid.doubts[0])
 
 
 def _detected(grid: Grid) -> int:
@@ -451,6 +511,7 @@ def find_board(
         if _detected(grids[-1]) == shape[0] * shape[1]:
             break
     grid = max(grids, key=_detected)
+    _check_size(grid)
     seen = grid.status == NodeStatus.DETECTED
     if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
         raise GridError(
@@ -481,50 +542,17 @@ def square_sides(points: Points3D) -> NDArray[np.float64]:
 
 
 def align_views(left: Grid, right: Grid) -> Grid:
-    """Return the right grid numbered as the left one is.
+    """Return the right grid numbered as the left one is, see `cmp_cl.align`.
 
-    Both show one pattern, so the checker colours agree; of the quarter rotations with these
-    colours it is the one that leaves the rows most parallel.
+    The two cameras of a rig have nearly the same side up: if the colours say that the rows are
+    turned by more than 60 degrees, a view is numbered wrongly.
 
-    Raises GridError where the shapes differ or no rotation leaves them within 60 degrees.
+    Raises GridError where shapes, colours or the directions of the rows do not agree.
     """
-    if not (left.valid.any() and right.valid.any()):
-        raise GridError("a view without any node cannot be numbered like the other one")
-    along = _along(left)
-    every = [turned(right, quarters) for quarters in range(4)]
-    fitting = [grid for grid in every if grid.shape == left.shape and grid.parity == left.parity]
-    off = [abs(float(np.angle(_along(grid) / along))) for grid in fitting]
-    if not off or not min(off) <= _MOST_ROTATED:
+    aligned = align([left, right])[1]
+    if not abs(np.angle(row_direction(aligned) / row_direction(left))) <= _MOST_ROTATED:
         raise GridError(
-            "the two views cannot be numbered alike: their shapes, their checker colours or "
-            "the directions of their rows do not agree"
+            "the two views cannot be numbered alike: by their checker colours the directions of "
+            "their rows do not agree"
         )
-    return fitting[int(np.argmin(off))]
-
-
-def _along(grid: Grid) -> complex:
-    """The mean step from a column to the next, x + 1j y, px."""
-    step = np.diff(grid.xy.astype(np.float64), axis=1)
-    known = step[np.isfinite(step).all(axis=2)]
-    return complex(*known.mean(axis=0)) if len(known) else complex(np.nan, np.nan)
-
-
-def turned(grid: Grid, quarters: int) -> Grid:
-    """Return the same nodes, numbered from another corner: row 0 was the last column.
-
-    quarters: 0 to 3, how often.
-    """
-    index: NDArray[np.int32] = grid.index.copy()
-    parity, columns = grid.parity, grid.shape[1]
-    for turn in range(quarters):
-        last = grid.shape[1 - turn % 2] - 1
-        known = index[:, 0] >= 0
-        index[known] = np.column_stack([last - index[known, 1], index[known, 0]])
-    first = (0, columns, sum(grid.shape), grid.shape[0])[quarters]
-    return Grid(
-        xy=np.rot90(grid.xy, quarters).copy(),
-        status=np.rot90(grid.status, quarters).copy(),
-        sigma=np.rot90(grid.sigma, quarters).copy(),
-        index=index,
-        parity=(parity + first) % 2,
-    )
+    return aligned

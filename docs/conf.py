@@ -1,5 +1,6 @@
 """The documentation site: sphinx-build -W docs site."""
 
+import os
 import re
 import sys
 import tomllib
@@ -27,6 +28,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_execution_in_temp = True
+os.environ["TQDM_DISABLE"] = "1"
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 suppress_warnings = ["misc.highlighting_failure"]
@@ -50,9 +52,16 @@ kernelspec:
 
 """
 BLOCK = re.compile(r"^```(python|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FIELD = re.compile(r"^([A-Za-z_]\w*(?:, [A-Za-z_]\w*)*): (?=\S)")
-BAR = re.compile(r"(?<![`\w])\|(?=\w)")  # |F2| is no substitution
+FIELD = re.compile(r"^([A-Za-z_]\w*(?:, [A-Za-z_]\w*)*|\.\w+(?: \.\w+)*): (?=\S)")
 CODE = re.compile(r"(?<![`\w:])`([^`]+)`(?!`)")
+SPECIAL = re.compile(r"\|(?=\w)|(?<=\w)_(?!\w)")  # |F2| is no substitution, raw_ no link
+
+
+def marked(line):
+    """A line of a docstring as reStructuredText: code in literals, no accidental markup."""
+    parts = CODE.sub(r"``\1``", line).split("``")
+    parts[::2] = [SPECIAL.sub(r"\\\g<0>", part) for part in parts[::2]]
+    return "``".join(parts)
 
 
 def as_restructured_text(app, what, name, obj, options, lines):
@@ -60,12 +69,12 @@ def as_restructured_text(app, what, name, obj, options, lines):
     out: list[str] = []
     in_list = False
     for line in lines:
-        line = BAR.sub(r"\\|", CODE.sub(r"``\1``", line))
+        line = marked(line)
         field = FIELD.match(line)
         if field and not line.startswith(("Returns", "Raises")):
             if not in_list:
                 out.append("")
-            names = ", ".join(f"**{part}**" for part in field[1].split(", "))
+            names = ", ".join(f"**{part}**" for part in re.split(",? ", field[1]))
             out.append(f"* {names}: {line[field.end() :]}")
             in_list = True
         elif in_list and line.startswith("    "):

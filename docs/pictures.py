@@ -89,7 +89,7 @@ def edges() -> Figure:
     scene = gel(severity=0.5, corrosion=0.6)
     start = np.rint(scene.truth[12, 7]).astype(np.int64)[None]
     points = refine.edge_points(scene.image, start, 1.0)
-    place = refine.edge_lines(points, 2.0)[0][0] + start[0]
+    place = refine.refine(scene.image, start, start, cmp_cl.EdgeLines(), 1.0).xy[0]
     figure, axes = plt.subplots(figsize=(3.6, 3.6), layout="constrained")
     shown(axes, scene.image, "edge points on rings of 3, 4 and 5 px")
     for boundary, colour in enumerate(COLOURS):

@@ -112,6 +112,13 @@ bool aligned(const int alignment, const Harmonics inner, const Harmonics outer) 
          alignment * dot_of(inner.second, outer.second) >= dot_of(outer.second, outer.second);
 }
 
+/* Check 3: no stripe. Around the middle of a stripe the grey goes up and down twice too, but there the
+ * centre differs from the ring, and the small ring, inside the stripe, has hardly a harmonic. */
+bool no_stripe(const Harmonics inner, const Harmonics outer) {
+  const long all = dot_of(outer.second, outer.second), along = dot_of(inner.second, outer.second);
+  return 8 * outer.centre * all <= outer.length * (11 * all + 8 * along);
+}
+
 /* Whether a pixel is the largest of its window, the earlier one of equals. */
 bool is_maximum(__global const short *response, const size_t p, const int x, const int y,
                 const uint rows, const uint step) {
@@ -173,7 +180,8 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
   if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y)) return;
   if (!is_maximum(response, p, x, y, rows, step)) return;
   const Harmonics outer = harmonics_of(coarse_plane, p, x, y, 5, 4, rows, step);
-  if (!aligned(alignment, harmonics_of(fine_plane, p, x, y, 3, 2, rows, step), outer)) return;
+  const Harmonics inner = harmonics_of(fine_plane, p, x, y, 3, 2, rows, step);
+  if (!aligned(alignment, inner, outer) || !no_stripe(inner, outer)) return;
   if (support) { /* check 2: a ring of 4 px responds alike */
     const int r = response[ROW(p, y) + x];
     const int middle = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 4, 3, rows, step));

@@ -10,9 +10,11 @@ from collections.abc import Iterator
 
 import pytest
 from detectors import MakeDetector, detectors_on
+from forms import in_form
 
 from cmp_cl import Device, select_device
 from cmp_cl.opencl.device import DEVICE_VARIABLE
+from cmp_cl.stages.form import Form
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -26,7 +28,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "slow: takes more than ten seconds")
     texts = config.getoption("device")
     if texts:  # for what is tested through the default device
         os.environ[DEVICE_VARIABLE] = texts[0]
@@ -49,4 +50,23 @@ def device(request: pytest.FixtureRequest) -> Device:
 def detector_for(device: Device) -> Iterator[MakeDetector]:
     """detector_for(image, config, mask): a detector for images like it, made only once."""
     with detectors_on(device) as make:
+        yield make
+
+
+@pytest.fixture(scope="session", params=Form, ids=lambda form: form.value)
+def form(request: pytest.FixtureRequest) -> Form:
+    """Each form of the kernels in turn."""
+    return request.param
+
+
+@pytest.fixture(scope="session")
+def device_in_form(device: Device, form: Form) -> Device:
+    """The device under test, on which the kernels have that form."""
+    return in_form(device, form)
+
+
+@pytest.fixture(scope="session")
+def detector_in_form(device_in_form: Device) -> Iterator[MakeDetector]:
+    """detector_in_form(image, config, mask): as `detector_for`, in each form in turn."""
+    with detectors_on(device_in_form) as make:
         yield make

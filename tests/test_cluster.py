@@ -119,6 +119,32 @@ def test_what_is_there_is_not_done_again(client, tmp_path):
     assert kept.items() <= after.items()
 
 
+@pytest.mark.parametrize("damage", ["cut", "bit", "empty", "another part", "directory"])
+def test_a_damaged_part_is_done_again(client, tmp_path, damage):
+    cluster.detect(client, tmp_path, count=COUNT, read=frame, part=PART)
+    part, last = tmp_path / "part-00000002.npz", tmp_path / "part-00000009.npz"
+    whole = part.read_bytes()
+    bit = bytearray(whole)
+    bit[len(whole) // 2] ^= 4
+    directory = bytearray(whole)
+    directory[-30] ^= 4
+    damaged = {
+        "cut": whole[: len(whole) // 2],
+        "bit": bytes(bit),
+        "empty": b"",
+        "another part": last.read_bytes(),  # of one frame
+        "directory": bytes(directory),
+    }
+    part.write_bytes(damaged[damage])
+    store = cluster.open_store(tmp_path)
+    assert store.missing() == [2]
+    with pytest.raises(ConfigError, match=r"damaged|no part of this store"):
+        store[2 * PART]
+    with pytest.raises(ConfigError, match=r"damaged|no part of this store"):
+        list(store)
+    assert_whole(cluster.detect(client, tmp_path, count=COUNT, read=frame, part=PART))
+
+
 def test_a_folder_is_for_one_recording_and_configuration(client, tmp_path):
     cluster.detect(client, tmp_path, count=3, read=frame, part=2)
     for changes in (

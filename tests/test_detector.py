@@ -490,6 +490,26 @@ def test_an_exception_in_the_loop_leaves_the_detector_usable(detector):
     assert len(detector(BOARD)) > 20
 
 
+def test_streams_that_are_begun_and_dropped_keep_nothing(detector_for):
+    with Detector(shape=images.SHAPE) as detector:
+        expected = detector(BOARD)
+        list(detector.stream(FRAMES))
+        usual = detector.memory
+        for _ in range(3):
+            begun = [detector.stream(FRAMES) for _ in range(5)]
+            results = [next(stream) for stream in begun]
+            assert detector.memory > usual
+            second = [next(stream) for stream in begun]
+            del begun
+            gc.collect()
+            assert_same_bytes(detector(BOARD), expected)
+            assert detector.memory == usual
+        for result in results:
+            assert_same_bytes(result, detector(FRAMES[0]))
+        for result in second:
+            assert_same_bytes(result, detector(FRAMES[1]))
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_after_a_fork_it_says_so(detector):

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import stat
 import subprocess
 import sys
 import threading
@@ -15,7 +16,8 @@ from configs import rings
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError
-from cmp_cl.opencl import program
+from cmp_cl.opencl import caches, program
+from cmp_cl.opencl import device as device_module
 from cmp_cl.stages.plan import Plan
 
 TEXTURE = images.texture(images.SHAPE)
@@ -88,7 +90,7 @@ def cache(tmp_path, monkeypatch):
     """An empty folder for compiled programs."""
     folder = tmp_path / "cache"
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
-    monkeypatch.setattr(program.platformdirs, "user_cache_path", lambda *_, **__: folder)
+    monkeypatch.setattr(caches.platformdirs, "user_cache_path", lambda *_, **__: folder)
     return folder
 
 
@@ -155,11 +157,50 @@ def test_without_a_folder_to_write_to_it_is_compiled_each_time(device, cache):
     assert cache.read_text() == "a file where the folder would be"
 
 
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has a folder for each user")
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o702])
+def test_a_folder_that_others_may_write_to_is_not_trusted(device, cache, mode):
+    cache.mkdir()
+    cache.chmod(mode)
+    with pytest.warns(RuntimeWarning, match="chmod 700"):
+        assert len(find(device)) > 20
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has a folder for each user")
+def test_a_folder_or_a_program_of_another_user_is_not_trusted(device, cache, monkeypatch):
+    first = find(device)
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+    (kept,) = cache.iterdir()
+    kept.chmod(0o666)  # somebody else may have written it
+    compiled = []
+    built = program.cl.Program.build
+    monkeypatch.setattr(
+        cl.Program, "build", lambda self, **what: compiled.append(self) or built(self, **what)
+    )
+    assert_same_bytes(find(device), first)
+    assert len(compiled) == 1
+    assert stat.S_IMODE(kept.stat().st_mode) & 0o022 == 0
+    owner = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: owner + 1)
+    with pytest.warns(RuntimeWarning, match="not yours alone"):
+        find(device)
+
+
+def test_a_compiler_that_a_full_disk_would_end_is_not_started(device, cache, monkeypatch):
+    if not device_module.is_pocl(device.handle):
+        pytest.skip("only PoCL ends the process")
+    usage = type("Usage", (), {"free": 100_000})
+    monkeypatch.setattr(caches.shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(program.KernelBuildError, match="100000 bytes left"):
+        find(device)
+
+
 SHARED = """
 import pathlib, sys
 sys.path[:0] = {path!r}
-from cmp_cl.opencl import program
-program.platformdirs.user_cache_path = lambda *_, **__: pathlib.Path({folder!r})
+from cmp_cl.opencl import caches
+caches.platformdirs.user_cache_path = lambda *_, **__: pathlib.Path({folder!r})
 import test_faults
 print(len(test_faults.find({device!r})))
 """

@@ -37,6 +37,19 @@ def test_a_new_file_has_the_permissions_of_any_other(tmp_path):
     assert len(modes) == 1
 
 
+def test_a_durable_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    synced = []
+
+    def sync(number):
+        synced.append((os.fstat(number).st_size, os.path.exists(tmp_path / "a")))
+
+    monkeypatch.setattr(os, "fsync", sync)
+    write_bytes(tmp_path / "b", b"data")
+    assert synced == []
+    write_bytes(tmp_path / "a", b"data", durable=True)
+    assert synced == [(4, False)]
+
+
 @pytest.mark.skipif(os.name == "nt", reason="modes are others on Windows")
 def test_a_file_keeps_its_mode_from_the_first_byte_on(tmp_path):
     secret = tmp_path / "secret"

@@ -83,6 +83,30 @@ def test_a_view_is_measured_against_the_view_at_rest(shots):
         against_rest(rest)
 
 
+def test_both_the_filtered_and_the_raw_values_are_there_and_said_which(shots):
+    rest, now = (frame for frame, _ in shots)
+    split, rig = cmp_cl.BinocularSplit.halves(*rest.shape[::-1]), StereoRig(*RIG)
+    views = [(frame, frame[:, : frame.shape[1] // 2]) for frame in (rest, now)]
+    for k, kind, name, extra in (
+        (0, measure.TwoViews, "displacement", (rig, split)),
+        (1, measure.OneView, "xy", ()),
+    ):
+        with (
+            kind(views[0][k], *extra, shape=(12, 12)) as filtering,
+            kind(views[0][k], *extra, shape=(12, 12), raw=True) as plain,
+        ):
+            filtered, raw = filtering(views[1][k]).arrays, plain(views[1][k]).arrays
+        assert filtering.constants["filtered"]
+        assert not plain.constants["filtered"]
+        assert "raw_rest" not in plain.constants
+        assert f"raw_{name}" not in raw
+        np.testing.assert_array_equal(filtering.constants["raw_rest"], plain.constants["rest"])
+        np.testing.assert_array_equal(filtered[f"raw_{name}"], raw[name])
+        np.testing.assert_array_equal(filtered["raw_sigma"], raw["sigma"])
+        assert (filtered[name] != raw[name])[np.isfinite(raw[name])].any()
+        assert np.nanmedian(filtered["sigma"]) < np.nanmedian(raw["sigma"])
+
+
 def test_a_pattern_is_found_without_its_cell(shots):
     view = shots[0][0][:, : shots[0][0].shape[1] // 2]
     cell, grid = measure.find_pattern(view, shape=(12, 12))
@@ -97,24 +121,24 @@ def test_a_turned_grid_is_the_same_grid():
     grid = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
     corners = grid.xy.reshape(-1, 2)
     for quarters in range(4):
-        other = measure.turned(grid, quarters)
+        other = grid.turned(quarters)
         assert other.shape == ((3, 4) if quarters % 2 == 0 else (4, 3))
         np.testing.assert_array_equal(other.xy[tuple(other.index.T)], corners)
-    half = measure.turned(grid, 2)
+    half = grid.turned(2)
     np.testing.assert_array_equal(half.xy, grid.xy[::-1, ::-1])
     assert half.parity == 1  # 3 + 4 is odd: the other colour comes first
-    assert measure.turned(measure.turned(grid, 1), 3).parity == grid.parity
+    assert grid.turned(1).turned(3).parity == grid.parity
 
 
 def test_two_views_are_numbered_alike():
     row, column = np.indices((3, 4))
     left = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
-    right = measure.align_views(left, measure.turned(left, 2))
+    right = measure.align_views(left, left.turned(2))
     np.testing.assert_array_equal(right.xy, left.xy)
     with pytest.raises(GridError, match="alike"):
         measure.align_views(left, dataclasses.replace(left, parity=1))
     across = grid_of(np.stack([-row * 10.0, column * 10.0], axis=-1))
     with pytest.raises(GridError, match="alike"):
         measure.align_views(left, across)
-    with pytest.raises(GridError, match="without any node"):
+    with pytest.raises(GridError, match="shows no node"):
         measure.align_views(left, grid_of(np.full((3, 4, 2), np.nan)))

@@ -6,6 +6,7 @@ import images
 import numpy as np
 import pyopencl as cl
 import pytest
+from cmp_cl.stages.refine_stages import RESULT_HEAD
 from configs import rings
 from detectors import detectors_on
 
@@ -21,7 +22,6 @@ from cmp_cl import (
     RapidCriteria,
     SpectralCriteria,
 )
-from cmp_cl.stages.refine_stages import RESULT_HEAD
 
 IMAGE = images.eight_bits()["board"]
 FULL = DetectorConfig(

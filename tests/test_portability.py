@@ -9,6 +9,7 @@ import re
 import images
 import numpy as np
 import pytest
+from cmp_cl.stages.plan_base import GROUP
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
 from configs import rings
 
@@ -25,7 +26,6 @@ from cmp_cl import (
 from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.opencl.program import kernel_folder
 from cmp_cl.stages.plan import Plan
-from cmp_cl.stages.plan_base import GROUP
 
 FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31
 FEW = np.where(np.arange(31) < 16, FRAME, 128).astype(np.uint8)

@@ -25,7 +25,7 @@ from cmp_cl import (
     SpectralCriteria,
 )
 from cmp_cl.errors import KernelBuildError
-from cmp_cl.opencl import program
+from cmp_cl.opencl import caches, program
 
 IMAGE = images.eight_bits()["board"]
 
@@ -139,7 +139,7 @@ def test_a_sum_has_every_term_once(count):
 def kept(monkeypatch, tmp_path):
     """An empty cache folder."""
     monkeypatch.setattr(
-        program.platformdirs, "user_cache_path", lambda *args, **named: tmp_path / "cache"
+        caches.platformdirs, "user_cache_path", lambda *args, **named: tmp_path / "cache"
     )
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
     return tmp_path / "cache"

@@ -157,6 +157,7 @@ class _Tally:
         self.milliseconds: list[float] = []
         self.nodes: list[int] = []
         self.refused: dict[int, str] = {}  # frame to reason
+        self.ambiguous: list[int] = []
         self.broken: list[int] = []
         self.overlays: list[Path] = []
         self.brightest = 0
@@ -171,12 +172,20 @@ class _Tally:
     def numbered(
         self, frame: int, image: GreyImage, corners: Corners, shape: tuple[int, int]
     ) -> Grid | None:
-        """The corners of a frame by row and column; None where that is refused."""
+        """The corners of a frame by row and column; None where that is refused.
+
+        A board of another size is refused: nobody knows which of its corners were meant.
+        """
         try:
             grid = build_grid(corners, image, shape=shape)
         except GridError as error:
             self.refused[frame] = one_line(error)
             return None
+        if grid.seen_shape is not None:
+            self.refused[frame] = grid.doubts[0]
+            return None
+        if grid.ambiguous:
+            self.ambiguous.append(frame)
         self.nodes.append(int(np.count_nonzero(grid.valid)))
         self.size = grid.status.size
         return grid
@@ -190,6 +199,9 @@ class _Tally:
         line = f"{corners} in {time_of_one} (upload, kernels, download) on {self.device}"
         if self.nodes:
             line += f"; {_span(self.nodes)} of {self.size} nodes"
+        if self.ambiguous:
+            line += f"; ambiguous numbers in {counted(len(self.ambiguous), 'frame')}: "
+            line += f"{_some(self.ambiguous)}, which do not show enough of the board's border"
         if self.overlays:
             last = f" to {shown(self.overlays[-1])}" if len(self.overlays) > 1 else ""
             line += f"; wrote {shown(self.overlays[0])}{last}"

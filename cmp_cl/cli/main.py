@@ -8,6 +8,7 @@ import argparse
 import contextlib
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn, TextIO
 
@@ -20,6 +21,7 @@ from cmp_cl.cli.messages import one_line
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 from cmp_cl.media import codec_messages_caught
+from cmp_cl.opencl.caches import pocl_is_stuck
 from cmp_cl.opencl.device import DEVICE_VARIABLE
 
 INSTALL = """\
@@ -47,7 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     set_log_level(0)
     _open_streams()
     try:
-        with handled(interrupt), codec_messages_caught():
+        with handled(interrupt), codec_messages_caught(), warnings.catch_warnings():
+            warnings.showwarning = _warn  # type: ignore[assignment]
             arguments = _parser().parse_args(argv)
             run: Callable[[argparse.Namespace], int] = arguments.run
             status = run(arguments)
@@ -110,6 +113,10 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _warn(message: Warning | str, *_: object) -> None:
+    print(f"cmp-cl: {message}", file=sys.stderr)
+
+
 def _fail(message: str, *, status: int = 2) -> int:
     try:
         sys.stdout.flush()
@@ -159,6 +166,9 @@ def _devices(arguments: argparse.Namespace) -> int:
 
 
 def _why_none() -> str:
+    stuck = pocl_is_stuck()
+    if stuck:
+        return stuck
     place = os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors")
     if os.path.isdir(place):
         drivers = sorted(name for name in os.listdir(place) if name.endswith(".icd"))

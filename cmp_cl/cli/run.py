@@ -56,9 +56,9 @@ def add_parser(commands: Any) -> None:
         description="Numbers the pattern in every frame as in the rest frame and writes the "
         "series. With --stereo each frame shows two views, and the series holds the "
         "displacement of every node in space; without it, the positions in the image. "
-        "Each frame is measured against the rest frame alone. Frames that cannot be read are "
-        "left out and counted; in frames without the pattern all nodes are missing. Ctrl-C "
-        "ends the run, and what was measured is written.",
+        "Each frame is measured against the rest frame alone, unless --track is given. Frames "
+        "that cannot be read are left out and counted; in frames without the pattern all nodes "
+        "are missing. Ctrl-C ends the run, and what was measured is written.",
     )
     parser.add_argument(
         "source",
@@ -111,6 +111,13 @@ def add_parser(commands: Any) -> None:
         default=0,
         help="number of the frame at rest, from 0; of a camera, the frames before are dropped",
     )
+    parser.add_argument(
+        "--track",
+        action="store_true",
+        help="continue the numbers of the frame before where the rest frame leaves them "
+        "ambiguous, as it does where no border of the pattern is in view; the pattern as a whole "
+        "must move by less than half a cell from frame to frame",
+    )
     add_split(
         parser,
         help_="where the views are with --stereo: halves (the default), or "
@@ -121,6 +128,12 @@ def add_parser(commands: Any) -> None:
         help_="which of several patterns is meant: X,Y,WIDTH,HEIGHT, px of the frame, or with "
         "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
         "outside are left out in every frame",
+    )
+    parser.add_argument(
+        "--raw",
+        action="store_true",
+        help="leave out the lattice filter; default: displacements are filtered over the lattice, "
+        "and the series holds the raw ones beside them",
     )
     parser.add_argument(
         "--overlay",
@@ -147,9 +160,12 @@ def add_parser(commands: Any) -> None:
     add_device(parser)
     parser.epilog = (
         "The series holds, with F frames of R x C nodes: index (F,), time_ms (F,) (NaN where "
-        "the source has no clock), sigma and status (F, R, C) and unit; with --stereo rest "
+        "the source has no clock), ambiguous (F,) (whether the numbers may be those of other "
+        "nodes), sigma and status (F, R, C) and unit; with --stereo rest "
         "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
-        "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px."
+        "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px. filtered says "
+        "whether the lattice filter is on; then raw_rest, raw_displacement or raw_xy, and "
+        "raw_sigma are what it was given. left and right are never filtered."
     )
     parser.set_defaults(run=run)
 
@@ -311,7 +327,7 @@ class _Tally:
     """What was measured, for the line at the end."""
 
     def __init__(self) -> None:
-        self.frames = self.empty = self.broken = 0
+        self.frames = self.empty = self.broken = self.ambiguous = 0
         self._nodes = 0
         self._fewest: int | None = None
         self._ms = 0.0
@@ -323,6 +339,7 @@ class _Tally:
         if not measured.nodes:
             self.empty += 1
             return
+        self.ambiguous += measured.ambiguous
         self._nodes += measured.nodes
         self._fewest = min(measured.nodes, self._fewest or measured.nodes)
         if measured.largest > self._largest:
@@ -337,6 +354,8 @@ class _Tally:
             parts.append(f"moved by up to {self._largest:.3g} {unit} (frame {self._where})")
         if self.empty:
             parts.append(f"{self.empty} without the pattern")
+        if self.ambiguous:
+            parts.append(f"{self.ambiguous} with ambiguous numbers")
         if self.broken:
             parts.append(f"{self.broken} left out")
         if self.frames:
@@ -358,10 +377,12 @@ class _Settings:
     shape: tuple[int, int] | None
     config: DetectorConfig | None
     full_scale: int | None
+    raw: bool
     region: Sequence[Box] | None
     rig: StereoRig | None
     split: str
     mirror: str | None
+    track: bool
 
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> Self:
@@ -411,10 +432,12 @@ class _Settings:
             shape=arguments.grid,
             config=config,
             full_scale=arguments.full_scale,
+            raw=arguments.raw,
             region=arguments.region,
             rig=rig,
             split=arguments.split or "halves",
             mirror=arguments.mirror,
+            track=arguments.track,
         )
 
     def description(self, measure: Measurement) -> Description:
@@ -439,6 +462,8 @@ class _Settings:
             "config": self.config,
             "full_scale": self.full_scale,
             "device": self.device,
+            "track": self.track,
+            "raw": self.raw,
         }
         hint = ""
         try:
@@ -486,7 +511,12 @@ def run(arguments: argparse.Namespace) -> int:
             measured = measure(image)
             spent = (time.perf_counter() - start) * 1e3
             try:
-                series.append(index=shot.number, time_ms=shot.time_ms, **measured.arrays)
+                series.append(
+                    index=shot.number,
+                    time_ms=shot.time_ms,
+                    ambiguous=measured.ambiguous,
+                    **measured.arrays,
+                )
             except BrokenPipeError:  # nobody reads on
                 raise
             except OSError as error:

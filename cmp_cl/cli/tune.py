@@ -40,7 +40,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import check_target
 from cmp_cl.grid import Grid
-from cmp_cl.grid.build import predict
+from cmp_cl.grid.predict import predict
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Region, cell_of, exact_config, find_pattern
 from cmp_cl.opencl.device import Device, select_device

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError
-from cmp_cl.field.strain import green_lagrange, slope_weights, strain_deviation
+from cmp_cl.field.strain import Slopes, green_lagrange, slope_weights, strain_deviation
 from cmp_cl.field.writers import save
 from cmp_cl.grid.filter import Filtered, filter_grid
 from cmp_cl.grid.grid import MEASURED, NodeStatus
@@ -24,8 +24,7 @@ class DisplacementField:
         unless the node is valid.
     displacement: (R, C, 3) float64, in `unit`, NaN unless the node is valid.
     covariance: (R, C, 3, 3) float64, of the displacement, in `unit` squared; NaN where unknown.
-    position_sigma: (R, C) float64, standard deviation of `position` along its most uncertain
-        axis, in `unit`; NaN where unknown.
+    position_covariance: (R, C, 3, 3) float64, the same of `position`.
     status: (R, C) uint8 of `PointStatus`, of now; of rest where that one is not valid.
     source: (R, C) uint8 of `NodeStatus`, of the two moments the less direct one.
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12 in the tangent plane of
@@ -35,20 +34,21 @@ class DisplacementField:
     unit: name of the unit of length.
     raw: the field as it was measured, where this one has been through the lattice filter; None
         where this one is raw.
-    filtered: what the filter says of the displacement; None where this field is raw.
+    filtered: what the filter says of the position and of the displacement; None where this field
+        is raw.
     """
 
     position: Array
     displacement: Array
     covariance: Array
-    position_sigma: Array
+    position_covariance: Array
     status: NDArray[np.uint8]
     source: NDArray[np.uint8]
     strain: Array | None = None
     strain_sigma: Array | None = None
     unit: str
     raw: "DisplacementField | None" = None
-    filtered: Filtered | None = None
+    filtered: tuple[Filtered, Filtered] | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -62,6 +62,11 @@ class DisplacementField:
         """
         return largest_deviation(self.covariance)
 
+    @property
+    def position_sigma(self) -> Array:
+        """(R, C) float64, the same of the position at rest."""
+        return largest_deviation(self.position_covariance)
+
     def with_strain(self, radius: int = 2) -> "DisplacementField":
         """The same field with its in-plane strain, smoothed over 2 radius + 1 nodes a side.
 
@@ -71,16 +76,16 @@ class DisplacementField:
         now = self.position + self.displacement
         strain = green_lagrange(self.position, now, radius=radius)
         weights = slope_weights(self.valid, radius)
+        both = self.position_covariance, self.covariance
         if self.filtered is None:
-            variance = np.nan_to_num(np.trace(self.covariance, axis1=2, axis2=3) / 3, nan=0.0)
-            slopes = [_independent(each, variance) for each in weights]
+            slopes = [_independent_slopes(weights, covariance) for covariance in both]
         else:
-            slopes = [self.filtered.deviation_of(each) for each in weights]
+            slopes = [_slopes(weights, *each) for each in zip(self.filtered, both, strict=True)]
         return dataclasses.replace(
             self,
             strain=strain,
             strain_sigma=strain_deviation(
-                self.position, now, self.covariance, slopes[0], slopes[1], radius=radius
+                self.position, now, rest_slopes=slopes[0], slopes=slopes[1], radius=radius
             ),
             raw=None if self.raw is None else self.raw.with_strain(radius),
         )
@@ -95,13 +100,20 @@ class DisplacementField:
         save(self, path)
 
 
-def _independent(weights: Array, variance: Array) -> Array:
-    """(R, C), the deviation of a sum with (R, C, S, S) weights of nodes that share no noise."""
-    reach = weights.shape[2] // 2
+def _slopes(weights: tuple[Array, Array], filtered: Filtered, covariance: Array) -> Slopes:
+    """The errors of the slopes of what the filter has made."""
+    by_column, by_row = (np.square(filtered.deviation_of(each)) for each in weights)
+    return Slopes(by_column=by_column, by_row=by_row, covariance=covariance)
+
+
+def _independent_slopes(weights: tuple[Array, Array], covariance: Array) -> Slopes:
+    """The errors of slopes between nodes that share no noise."""
+    variance = np.nan_to_num(np.trace(covariance, axis1=2, axis2=3) / 3, nan=0.0)
+    reach = weights[0].shape[2] // 2
     padded = np.pad(variance, reach)
-    around = np.lib.stride_tricks.sliding_window_view(padded, weights.shape[2:])
-    deviation: Array = np.sqrt((np.square(weights) * around).sum(axis=(2, 3)))
-    return deviation
+    around = np.lib.stride_tricks.sliding_window_view(padded, weights[0].shape[2:])
+    by_column, by_row = ((np.square(each) * around).sum(axis=(2, 3)) for each in weights)
+    return Slopes(by_column=by_column, by_row=by_row, covariance=covariance)
 
 
 def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> DisplacementField:
@@ -133,9 +145,7 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
         position=position,
         displacement=moved,
         covariance=_either(change.noise_covariance(), rest.covariance + now.covariance, valid),
-        position_sigma=largest_deviation(
-            _either(at_rest.noise_covariance(), rest.covariance, valid)
-        ),
+        position_covariance=_either(at_rest.noise_covariance(), rest.covariance, valid),
         status=status,
         source=source,
         unit=rest.unit,
@@ -146,12 +156,12 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
         position=np.where(valid[..., None], at_rest.values, np.nan),
         displacement=change.values,
         covariance=_either(change.covariance(), rest.covariance + now.covariance, valid),
-        position_sigma=largest_deviation(_either(at_rest.covariance(), rest.covariance, valid)),
+        position_covariance=_either(at_rest.covariance(), rest.covariance, valid),
         status=status,
         source=source,
         unit=rest.unit,
         raw=unfiltered,
-        filtered=change,
+        filtered=(at_rest, change),
     )
 
 

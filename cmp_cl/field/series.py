@@ -130,7 +130,7 @@ class SeriesWriter:
         self._remove()
 
     def _write(self) -> None:
-        with whole_file(self._path) as file, zipfile.ZipFile(file, "w") as archive:
+        with whole_file(self._path, durable=True) as file, zipfile.ZipFile(file, "w") as archive:
             for name, value in self._constants.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array(member, value, allow_pickle=False)

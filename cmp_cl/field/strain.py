@@ -1,5 +1,7 @@
 """Strain of a surface from the positions of its nodes, and how far it may be off."""
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,48 +69,69 @@ def slope_weights(valid: Bools, radius: int) -> tuple[Array, Array]:
     return by_column, by_row
 
 
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Slopes:
+    """The errors of the slopes of positions or displacements over the lattice.
+
+    by_column, by_row: (R, C), their variances per node step and coordinate. covariance: (R, C, 3,
+    3), of the values; how the coordinates vary together is taken from it.
+    """
+
+    by_column: Array
+    by_row: Array
+    covariance: Array
+
+
 def strain_deviation(
-    rest: Array,
-    now: Array,
-    covariance: Array,
-    by_column: Array,
-    by_row: Array,
-    *,
-    radius: int = 2,
+    rest: Array, now: Array, *, rest_slopes: Slopes, slopes: Slopes, radius: int = 2
 ) -> Array:
     """Standard deviations of the strain that `green_lagrange` finds, (R, C, 3).
 
-    To first order E = sym(F^T G), F the surface's tangents now and G the error of the slopes of
-    the displacement, both along the orthonormal axes of the rest plane. rest, now: (R, C, 3).
-    covariance: (R, C, 3, 3) of the displacement; only how the coordinates vary together
-    counts. by_column, by_row: (R, C), standard deviations of the slopes per node step and
-    coordinate, see `slope_weights`. The error of the position at rest changes the strain by a
-    share of it and is left out. NaN where the strain is, or the error is unknown.
+    With Q the orthonormal axes of the rest plane, F the tangents now along them, dG and dA the
+    errors of the slopes of the displacement and of the position at rest along the same axes, to
+    first order dE = sym(F^T dG + (F - Q F^T F)^T dA), and what the turn of axis 1 by Q2 . dA1
+    makes of the components. rest, now: (R, C, 3). rest_slopes, slopes: of the position and of
+    the displacement. NaN where the strain is, or the error is unknown.
     """
     both = np.concatenate([rest, now], axis=2)
     valid = ~np.isnan(both).any(axis=2)
     tangents = _tangents(np.where(valid[..., None], both, 0), valid, radius)
-    mean = np.trace(covariance, axis1=2, axis2=3)[..., None, None] / 3
     area = np.linalg.norm(np.cross(tangents[..., 0, :3], tangents[..., 1, :3]), axis=-1)
     good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
-    good &= np.isfinite(mean[..., 0, 0]) & (mean[..., 0, 0] > 0)
     first, second = tangents[good, :, :3], tangents[good, :, 3:]
     lower = np.linalg.cholesky(first @ first.transpose(0, 2, 1))
-    inverse = np.linalg.inv(lower)  # its rows: the orthonormal axes in steps of a node
-    along = inverse @ second
-    alike = covariance[good] / mean[good]
-    sizes = along @ alike @ along.transpose(0, 2, 1)
-    steps = np.stack([by_column[good] ** 2, by_row[good] ** 2], axis=1)
-    slopes = np.einsum("nik,njk,nk->nij", inverse, inverse, steps)
+    inverse = np.linalg.inv(lower)  # from steps of a node to the axes
+    axes, along = inverse @ first, inverse @ second
+    strain = (along @ along.transpose(0, 2, 1) - np.eye(2)) / 2
+    e11, e22, e12 = (strain[:, i, j, None] for i, j in ((0, 0), (1, 1), (0, 1)))
+    one, two = along[:, 0], along[:, 1]
+    turned = axes[:, 1]  # by which axis 1 turns with its own error
+    off_one, off_two = np.moveaxis(along - (2 * strain + np.eye(2)) @ axes, 1, 0)
+    none = np.zeros_like(one)
+    parts = (
+        (one, none, off_one + 2 * e12 * turned, none),
+        (none, two, -2 * e12 * turned, off_two),
+        (two / 2, one / 2, off_two / 2 + (e22 - e11) * turned, off_one / 2),
+    )
     deviation = np.full((*valid.shape, 3), np.nan)
-    deviation[good, 0] = sizes[:, 0, 0] * slopes[:, 0, 0]
-    deviation[good, 1] = sizes[:, 1, 1] * slopes[:, 1, 1]
-    deviation[good, 2] = (
-        sizes[:, 0, 0] * slopes[:, 1, 1]
-        + sizes[:, 1, 1] * slopes[:, 0, 0]
-        + 2 * sizes[:, 0, 1] * slopes[:, 0, 1]
-    ) / 4
-    return np.sqrt(deviation)
+    for number, (now_one, now_two, rest_one, rest_two) in enumerate(parts):
+        variance = _variance(now_one, now_two, inverse, slopes, good)
+        variance += _variance(rest_one, rest_two, inverse, rest_slopes, good)
+        deviation[good, number] = np.sqrt(variance)
+    return deviation
+
+
+def _variance(one: Array, two: Array, inverse: Array, slopes: Slopes, good: Bools) -> Array:
+    """(N,): of one . g1 + two . g2, g1 and g2 the errors of the slopes along the two axes."""
+    mean = np.trace(slopes.covariance[good], axis1=1, axis2=2) / 3
+    with np.errstate(invalid="ignore", divide="ignore"):
+        alike = slopes.covariance[good] / mean[:, None, None]
+    both = np.stack([one, two], axis=1)
+    sizes = both @ alike @ both.transpose(0, 2, 1)
+    steps = np.stack([slopes.by_column[good], slopes.by_row[good]], axis=1)
+    spread = np.einsum("nik,njk,nk->nij", inverse, inverse, steps)
+    total: Array = (sizes * spread).sum(axis=(1, 2)).clip(0)
+    return total
 
 
 def _tangents(values: Array, valid: Bools, radius: int) -> Array:

@@ -1,8 +1,21 @@
 """The grid of nodes: corners by row and column of the pattern."""
 
-from cmp_cl.grid.build import build_grid
-from cmp_cl.grid.filter import Filtered, filter_grid
-from cmp_cl.grid.grid import Grid, NodeStatus
+from cmp_cl.grid.align import align
+from cmp_cl.grid.build import build_grid, build_grids
+from cmp_cl.grid.filter import Filtered, filter_grid, filter_positions
+from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides
 from cmp_cl.grid.markers import refine_markers
 
-__all__ = ["Filtered", "Grid", "NodeStatus", "build_grid", "filter_grid", "refine_markers"]
+__all__ = [
+    "Filtered",
+    "Grid",
+    "NodeStatus",
+    "Rival",
+    "Sides",
+    "align",
+    "build_grid",
+    "build_grids",
+    "filter_grid",
+    "filter_positions",
+    "refine_markers",
+]

@@ -9,12 +9,14 @@ reach and of which degree they are; there is nothing to set.
 import dataclasses
 import functools
 import math
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import GridError
+from cmp_cl.grid.grid import MEASURED, Grid
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -138,6 +140,41 @@ def filter_grid(values: ArrayLike, *, measured: ArrayLike | None = None) -> Filt
         mixtures.append(mixture)
     return Filtered(
         values=given, sigma=sigma, noise=noise, refused=refused, _mixtures=tuple(mixtures)
+    )
+
+
+def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid]:
+    """The grid with filtered positions, and as it is, each with the sigma that the lattice shows.
+
+    rest: the same pattern at rest, numbered alike. Then the displacements are filtered and
+    stand on the filtered positions at rest; a node that is missing there keeps its position.
+    Nodes that no image has shown, interpolated ones, follow their neighbours. Where the lattice
+    is too small to tell, sigma stays what the corners say.
+
+    Raises GridError where the shapes differ.
+    """
+    if rest is None:
+        found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
+        return _with(now, found.values, found.sigma), _with(now, now.xy, found.noise)
+    if rest.shape != now.shape:
+        raise GridError(f"the grid at rest has {rest.shape} nodes, the other {now.shape}")
+    measured = np.isin(rest.status, MEASURED)
+    start = filter_grid(rest.xy, measured=measured)
+    moved = now.xy.astype(np.float64) - rest.xy
+    change = filter_grid(moved, measured=measured & np.isin(now.status, MEASURED))
+    values = np.where(np.isnan(moved), now.xy, start.values + change.values)
+    return (
+        _with(now, values, np.hypot(start.sigma, change.sigma)),
+        _with(now, now.xy, np.hypot(start.noise, change.noise)),
+    )
+
+
+def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
+    """The grid with other positions, and that sigma where it is known."""
+    return dataclasses.replace(
+        grid,
+        xy=values.astype(np.float32),
+        sigma=np.where(np.isfinite(sigma), sigma, grid.sigma).astype(np.float32),
     )
 
 
@@ -398,7 +435,7 @@ def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     """
     rows, columns = votes.shape
     down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
-    residual = data - down.pilot @ data @ along.pilot.T
+    residual = np.asarray(data - down.pilot @ data @ along.pilot.T, np.float32)
     left = 1 - pairs.pilot_own
     square = np.square(residual).mean(axis=0) / np.maximum(left, 1e-3)
     root = np.asarray(np.sqrt(np.sqrt(square)), np.float32)
@@ -416,7 +453,7 @@ def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     expected = _expected_root(residual, root)
     floor = max(_FLOOR * float(np.square(data).mean()), _LEAST)
     noise = np.square(np.square(mean / np.float32(expected))) + np.float32(floor)
-    return np.asarray(residual, np.float32), np.asarray(noise, np.float32)
+    return residual, np.asarray(noise, np.float32)
 
 
 def _expected_root(residual: Single, root: Single) -> float:

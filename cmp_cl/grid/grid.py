@@ -2,7 +2,9 @@
 
 import dataclasses
 import enum
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +24,36 @@ class NodeStatus(enum.IntEnum):
 MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 
+class Sides(NamedTuple):
+    """The sides of a grid that something holds for."""
+
+    top: bool = False
+    bottom: bool = False
+    left: bool = False
+    right: bool = False
+
+    def turned(self, quarters: int) -> "Sides":
+        """The same sides after the numbers are turned as in `Grid.turned`."""
+        sides = self
+        for _ in range(quarters % 4):
+            sides = Sides(sides.right, sides.left, sides.top, sides.bottom)
+        return sides
+
+
+NO_SIDES = Sides()
+
+
+class Rival(NamedTuple):
+    """The second best numbering: turn the grid, then add rows and columns to its numbers.
+
+    quarters: as in `Grid.turned`.
+    """
+
+    rows: int
+    columns: int
+    quarters: int = 0
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Grid:
     """Corners by row and column of the pattern.
@@ -29,8 +61,21 @@ class Grid:
     xy: (R, C, 2) float32, px, NaN where missing.
     status: (R, C) uint8 of `NodeStatus`.
     sigma: (R, C) float32, standard deviation of the position per axis, px, NaN where unknown.
-    index: (N, 2) int32, (row, column) of each corner it was built from, -1 where unassigned.
-    parity: 0 where the cell between nodes (0, 0) and (1, 1) is black, 1 where it is white.
+    index: (N, 2) int32, place (row, column) in these arrays of each corner that the grid was
+        built from, -1 where unassigned.
+    parity: 0 where the cell between the first node and its diagonal neighbour, places (0, 0)
+        and (1, 1), is black, 1 where it is white.
+    origin: number (row, column) of place (0, 0). It is not (0, 0) where nodes lie above or
+        left of the first row or column at rest; place + origin is the number.
+    component: (R, C) int32, 0 for the nodes that hang together with the most others by steps
+        from neighbour to neighbour, then 1, 2, ...; -1 where missing. Left out, it is computed.
+    border: sides on which the pattern ends in the view.
+    continues: sides on which the pattern goes on beyond a known shape: the shape is wrong.
+    seen_shape: rows and columns of what is seen where that contradicts a known shape.
+    ambiguous: whether another numbering explains the frame too. The numbers are then those of
+        the least displacement, and may be wrong by `rival`.
+    rival: the second best numbering, None where there is no other.
+    margin: by how much the RMS displacement of the rival is larger, cells; NaN without one.
     """
 
     xy: NDArray[np.float32]
@@ -38,6 +83,18 @@ class Grid:
     sigma: NDArray[np.float32]
     index: NDArray[np.int32]
     parity: int = 0
+    origin: tuple[int, int] = (0, 0)
+    component: NDArray[np.int32] = dataclasses.field(default_factory=lambda: np.zeros((0, 0), "i4"))
+    border: Sides = NO_SIDES
+    continues: Sides = NO_SIDES
+    seen_shape: tuple[int, int] | None = None
+    ambiguous: bool = False
+    rival: Rival | None = None
+    margin: float = float("nan")
+
+    def __post_init__(self) -> None:
+        if self.component.shape != self.xy.shape[:2]:
+            object.__setattr__(self, "component", components(self.valid))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -48,6 +105,87 @@ class Grid:
     def valid(self) -> NDArray[np.bool_]:
         """(R, C), where there is a position."""
         return ~np.isnan(self.xy[..., 0])
+
+    @property
+    def doubts(self) -> list[str]:
+        """What speaks against the numbers, a sentence each; empty where nothing does."""
+        rows, columns = self.shape
+        found = []
+        if self.seen_shape is not None:
+            seen = " x ".join(map(str, self.seen_shape))
+            found.append(f"the board looks like {seen} corners; {rows} x {columns} were asked for")
+        if self.ambiguous:
+            other = ""
+            if self.rival is not None:
+                turn = f", turned by {90 * self.rival.quarters} degrees" * (self.rival.quarters > 0)
+                other = f" by ({self.rival.rows}, {self.rival.columns}){turn}"
+            found.append(
+                f"the numbers are ambiguous: they may be wrong{other}; the view shows too little "
+                "of the pattern's border to decide"
+            )
+        return found
+
+    def turned(self, quarters: int) -> "Grid":
+        """The same nodes with the numbers turned: row 0 is the last column, and so on."""
+        quarters %= 4
+        if not quarters:
+            return self
+        index: NDArray[np.int32] = self.index.copy()
+        known = index[:, 0] >= 0
+        for turn in range(quarters):
+            last = self.shape[1 - turn % 2] - 1
+            index[known] = np.column_stack([last - index[known, 1], index[known, 0]])
+        rows, columns = self.shape
+        seen = self.seen_shape
+        if seen is not None and quarters % 2:
+            seen = seen[1], seen[0]
+        return dataclasses.replace(
+            self,
+            xy=np.rot90(self.xy, quarters).copy(),
+            status=np.rot90(self.status, quarters).copy(),
+            sigma=np.rot90(self.sigma, quarters).copy(),
+            component=np.rot90(self.component, quarters).copy(),
+            index=index,
+            parity=(self.parity + (0, columns, rows + columns, rows)[quarters]) % 2,
+            origin=(0, 0),
+            border=self.border.turned(quarters),
+            continues=self.continues.turned(quarters),
+            seen_shape=seen,
+        )
+
+    def cut_to(self, rest: "Grid") -> "Grid":
+        """The nodes on the rows and columns of another grid with the same numbers.
+
+        Equal places of the two are then equal numbers. Corners beyond belong to no node.
+        """
+        if (self.origin, self.shape) == (rest.origin, rest.shape):
+            return self
+        top, left = np.subtract(rest.origin, self.origin).tolist()
+        rows, columns = rest.shape
+        here = np.s_[max(top, 0) : max(top + rows, 0), max(left, 0) : max(left + columns, 0)]
+        size = self.xy[here].shape
+        there = np.s_[
+            max(-top, 0) : max(-top, 0) + size[0], max(-left, 0) : max(-left, 0) + size[1]
+        ]
+
+        def cut(values: NDArray[Any], empty: float) -> NDArray[Any]:
+            whole = np.full((rows, columns, *values.shape[2:]), empty, values.dtype)
+            whole[there] = values[here]
+            return whole
+
+        index: NDArray[np.int32] = self.index - np.array([top, left], np.int32)
+        outside = (self.index[:, 0] < 0) | (index < 0).any(1) | (index >= rest.shape).any(1)
+        index[outside] = -1
+        return dataclasses.replace(
+            self,
+            xy=cut(self.xy, np.nan),
+            status=cut(self.status, 0),
+            sigma=cut(self.sigma, np.nan),
+            component=cut(self.component, -1),
+            index=index,
+            parity=(self.parity + top + left) % 2,
+            origin=rest.origin,
+        )
 
     def to_opencv(self, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The valid nodes as cv2.calibrateCamera takes a view: object and image points.
@@ -69,3 +207,20 @@ class Grid:
         from cmp_cl.grid.markers import virtual_markers
 
         return virtual_markers(self, count)
+
+
+def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """The nodes that hang together by steps along rows and columns, the most first: (R, C).
+
+    there: (R, C), where there is a node. -1 where there is none.
+    """
+    if not there.size or there.all():
+        return np.where(there, 0, -1).astype(np.int32)
+    count, label = cv2.connectedComponents(there.astype(np.uint8), connectivity=4)
+    size = np.bincount(label.ravel(), minlength=count)
+    size[0] = -1  # what is no node
+    rank = np.empty(count, np.int32)
+    rank[np.argsort(-size, kind="stable")] = np.arange(count)
+    rank[0] = -1
+    ranks: NDArray[np.int32] = rank[label]
+    return ranks

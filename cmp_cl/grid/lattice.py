@@ -16,6 +16,7 @@ Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 REACH = 1.6  # cells: how far a neighbour may be; the cell is that of the sparser parts
+CROWD = 64  # more points than that within reach on one side are no lattice
 COSINE = 0.75  # least cosine between a boundary and the way to the neighbour
 SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, of the squares of its diagonals
 STRONG = 0.5  # share of the most votes that a join on less certain links needs
@@ -31,7 +32,7 @@ class Lattice(NamedTuple):
     turn: (N,) complex64, boundary e0 points along this unit of the lattice.
     support: (N,) int64, consistent links of the corner.
     bend: (N,) float32, how far opposite boundaries are from one line, 0 to 2; NaN if unknown.
-    axis: mean step of the image along +1 of the largest component, px.
+    axis: (K,) complex, mean step of the image along +1 of each component, px.
     """
 
     component: Index
@@ -40,7 +41,7 @@ class Lattice(NamedTuple):
     turn: Complex
     support: Index
     bend: NDArray[np.float32]
-    axis: complex
+    axis: Complex
 
 
 def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
@@ -86,7 +87,7 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
     beyond = np.searchsorted(along, along + (strip + reach))
     here = np.arange(len(z))
     begin, end = np.concatenate([here + 1, below]), np.concatenate([ahead, beyond])
-    count = end - begin
+    count = np.minimum(end - begin, CROWD)
     first = np.repeat(np.concatenate([here, here]), count)
     second = np.arange(len(first)) + np.repeat(begin - np.cumsum(count) + count, count)
     step = z[second] - z[first]
@@ -291,7 +292,10 @@ def _arranged(
     label = np.full(len(z), -1)
     label[largest] = np.arange(len(largest))
     label = np.where(linked, label[root], -1)
-    along = ((z[b] - z[a]) * way.conj())[label[a] == 0]
+    along = (z[b] - z[a]) * way.conj()
+    steps = np.maximum(np.bincount(label[a], minlength=len(largest)), 1)
+    axis = np.bincount(label[a], along.real, len(largest)) / steps + 0j
+    axis.imag = np.bincount(label[a], along.imag, len(largest)) / steps
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
     return Lattice(
@@ -301,5 +305,5 @@ def _arranged(
         turn=turn[back],
         support=support[back],
         bend=bend,
-        axis=complex(along.sum(dtype=np.complex128)) / max(len(along), 1),
+        axis=axis,
     )

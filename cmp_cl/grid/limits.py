@@ -6,6 +6,7 @@ from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 
 MOST_NODES = 1 << 22
+FARTHEST = 1e6  # px
 
 
 def check_size(rows: int, columns: int) -> None:
@@ -17,8 +18,8 @@ def check_size(rows: int, columns: int) -> None:
 
 
 def check_finite(corners: Corners) -> None:
-    """Raise GridError for corners without a position."""
-    lost = len(corners) - int(np.count_nonzero(np.isfinite(corners.xy).all(axis=1)))
+    """Raise GridError for corners without a position that an image can have."""
+    lost = int(np.count_nonzero(~(np.abs(corners.xy) < FARTHEST).all(axis=1)))
     if lost:
         raise GridError(
             f"{lost} of the {len(corners)} corners have no finite position; leave them out"

@@ -4,13 +4,16 @@ import contextlib
 import dataclasses
 import enum
 import os
+import re
 from collections.abc import Iterator
 
 import pyopencl as cl
 
 from cmp_cl.errors import DeviceError
+from cmp_cl.opencl import caches
 
 DEVICE_VARIABLE = "CMP_CL_DEVICE"
+_MOST_WORKERS = 4096
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 
 _INSTALL_HINT = (
@@ -77,9 +80,11 @@ def check_process() -> None:
 def list_devices() -> list[Device]:
     """Return all OpenCL devices, in the order of the platforms; empty where there is none.
 
-    Raises DeviceError in a forked child of a process that has used OpenCL.
+    Raises DeviceError in a forked child of a process that has used OpenCL, and where
+    POCL_MAX_PTHREAD_COUNT would end the process.
     """
     check_process()
+    _check_workers()
     _Started.process = os.getpid()
     with _workers_on_own_cores():
         return [
@@ -103,7 +108,8 @@ def select_device(text: str | None = None) -> Device:
     devices = list_devices()
     wanted = text if text is not None else os.environ.get(DEVICE_VARIABLE)
     if not devices:
-        raise DeviceError(f"no OpenCL device found; {_INSTALL_HINT}")
+        stuck = caches.pocl_is_stuck()
+        raise DeviceError(f"no OpenCL device found; {stuck or _INSTALL_HINT}")
     if wanted is None:
         ranks = {DeviceKind.GPU: 0, DeviceKind.CPU: 1, DeviceKind.ACCELERATOR: 2}
         return min(devices, key=lambda device: ranks[device.kind])
@@ -123,12 +129,26 @@ def describe_handle(handle: cl.Device) -> Device:
     return _describe(handle, "")
 
 
+def is_pocl(handle: cl.Device) -> bool:
+    """Whether a device is one of PoCL."""
+    return handle.platform.name == "Portable Computing Language"
+
+
 def _matches(device: Device, wanted: str) -> bool:
     if wanted in (device.index, device.kind.value):
         return True
     if wanted in [kind.value for kind in DeviceKind] or ":" in wanted:
         return False
     return wanted in device.name.lower() or wanted in device.platform.lower()
+
+
+def _check_workers() -> None:
+    """Raise DeviceError for a number of workers with which PoCL ends the process."""
+    text = os.environ.get("POCL_MAX_PTHREAD_COUNT", "")
+    if re.fullmatch(r"\s*[+-]?\d+\s*", text) and not 0 <= int(text) <= _MOST_WORKERS:
+        raise DeviceError(
+            f"POCL_MAX_PTHREAD_COUNT is {text!r}, and PoCL takes 1 to {_MOST_WORKERS} workers"
+        )
 
 
 @contextlib.contextmanager

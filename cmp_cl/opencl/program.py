@@ -18,12 +18,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import platformdirs
 import pyopencl as cl
 
 from cmp_cl.errors import KernelBuildError
 from cmp_cl.files import write_bytes
-from cmp_cl.opencl.device import check_process
+from cmp_cl.opencl import caches
+from cmp_cl.opencl.device import check_process, is_pocl
 
 _OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
 _INCLUDE = re.compile(r'#include "(.+)"')
@@ -104,6 +104,7 @@ def build(
     kept = _place(context, text, options)
     program = None if kept is None else _loaded(context, kept, options)
     if program is None:
+        _check_room(context, stages)
         try:
             program = _built(cl.Program(context, text), options)
         except cl.Error as error:
@@ -115,6 +116,13 @@ def build(
         if kept is not None:
             _keep(kept, program)
     return Kernels(program)
+
+
+def _check_room(context: cl.Context, stages: Sequence[str]) -> None:
+    """Raise KernelBuildError where the compiler is known to end the process instead."""
+    stuck = caches.pocl_is_stuck() if any(is_pocl(device) for device in context.devices) else ""
+    if stuck:
+        raise KernelBuildError(f"the kernels {', '.join(stages)} are not compiled: {stuck}")
 
 
 def _built(program: cl.Program, options: list[str]) -> cl.Program:
@@ -134,13 +142,14 @@ def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
         return None
     names = (device.platform.name, device.platform.version, device.name, device.driver_version)
     key = hashlib.sha256("\0".join([*names, *options, text]).encode()).hexdigest()
-    return platformdirs.user_cache_path("cmp_cl", appauthor=False) / f"{key}.bin"
+    folder = caches.own_folder()
+    return None if folder is None else folder / f"{key}.bin"
 
 
 def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:
     """The program kept there, if there is a whole one that the device takes."""
     with contextlib.suppress(OSError, cl.Error):
-        data = path.read_bytes()
+        data = caches.read_ours(path)
         digest, binary = data[:32], data[32:]
         if hashlib.sha256(binary).digest() == digest:
             return _built(cl.Program(context, context.devices, [binary]), options)
@@ -150,7 +159,7 @@ def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program |
 def _keep(path: Path, program: cl.Program) -> None:
     with contextlib.suppress(OSError, cl.Error):
         (binary,) = program.binaries
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)  # whoever may write to it would keep that right
         write_bytes(path, hashlib.sha256(binary).digest() + binary)
 
 

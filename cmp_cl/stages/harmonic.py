@@ -28,7 +28,8 @@ def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers."""
     frames, plane = plan.frames, plan.working[0] * plan.step
     lists = frames * plan.bands * plan.lists * CORNER_COLUMNS * plan.list_room
-    sizes = {"area": plane // 8, "taken": frames * plane // 8 + 8, "lists": 4 * lists}
+    maxima = frames * plane // 8 + 4  # and a word behind the last, which is read in passing
+    sizes = {"area": plane // 8, "maxima": maxima, "lists": 4 * lists}
     if plan.form is Form.CPU:
         return {
             **sizes,
@@ -43,7 +44,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
         "coarse": smooth,
         "response": smooth,
         "noise": 8 * frames * noise.bands(plan),
-        "maxima": frames * plane // 8,
+        "taken": frames * plane // 8 + 4,
         "row_counts": 4 * frames * plan.working[0],
         "row_starts": 4 * frames * plan.working[0],
         "squares": 8 * frames * BINS,
@@ -270,7 +271,7 @@ def _by_bands(plan: PlanBase) -> list[Launch]:
         corner_room=corners["room"],
         place=corners["place"],
         length=corners["length"],
-        taken=b["taken"],
+        maxima=b["maxima"],
         corners=b["corners"],
         totals=b["totals"],
     )

@@ -173,56 +173,63 @@ ROW_LOOP void maxima_of_row(OVER_SUPPRESSION(NEAR_ROWS) __global const short *re
   }
 }
 
-/* The second harmonic (A, B) of a ring of the smoothed rows. */
-#define ROWS_OF_RING(a, d)                                                          \
-  __global const ushort *north = rows_of + SMOOTH_AT(HELD(y - a)) + x;              \
-  __global const ushort *upper = rows_of + SMOOTH_AT(HELD(y - d)) + x;              \
-  __global const ushort *middle = rows_of + SMOOTH_AT(y) + x;                       \
-  __global const ushort *lower = rows_of + SMOOTH_AT(HELD(y + d)) + x;              \
-  __global const ushort *south = rows_of + SMOOTH_AT(HELD(y + a)) + x;
-int2 second_harmonic(__global const ushort *rows_of, const int x, const int y, const int a,
-                     const int d, const int height, const uint step) {
-  ROWS_OF_RING(a, d)
-  return (int2)(north[0] + south[0] - middle[a] - middle[-a],
-                upper[d] + lower[-d] - lower[d] - upper[-d]);
+/* The rows that ring (a, d) around row y meets. */
+typedef struct {
+  __global const ushort *north, *upper, *middle, *lower, *south;
+} Ring;
+Ring ring_of(__global const ushort *rows_of, const int y, const int a, const int d,
+             const int height, const uint step) {
+  const Ring ring = {rows_of + SMOOTH_AT(HELD(y - a)), rows_of + SMOOTH_AT(HELD(y - d)),
+                     rows_of + SMOOTH_AT(y), rows_of + SMOOTH_AT(HELD(y + d)),
+                     rows_of + SMOOTH_AT(HELD(y + a))};
+  return ring;
+}
+
+typedef struct {
+  int2 second; /* A, B */
+  int length, odd, centre;
+} Harmonics;
+
+#define MAGNITUDE_OF(v) ((v) < 0 ? -(v) : (v))
+Harmonics harmonics_of(const Ring *ring, const int x, const int a, const int d) {
+  const int s0 = ring->north[x], s1 = ring->upper[x + d], s2 = ring->middle[x + a];
+  const int s3 = ring->lower[x + d], s4 = ring->south[x], s5 = ring->lower[x - d];
+  const int s6 = ring->middle[x - a], s7 = ring->upper[x - d];
+  const int u0 = s0 + s4, u1 = s1 + s5, u2 = s2 + s6, u3 = s3 + s7;
+  const int2 v = (int2)(u0 - u2, u1 - u3);
+  const int p = MAGNITUDE_OF(v.x), q = MAGNITUDE_OF(v.y), low = SMALLER(p, q);
+  const int c = u0 + u1 + u2 + u3 - 8 * ring->middle[x];
+  const Harmonics found = {v, LARGER(p, q) + (low >> 2) + (low >> 3),
+                           MAGNITUDE_OF(s0 - s4) + MAGNITUDE_OF(s1 - s5) +
+                               MAGNITUDE_OF(s2 - s6) + MAGNITUDE_OF(s3 - s7),
+                           MAGNITUDE_OF(c)};
+  return found;
 }
 
 int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
-/* The response of ring (4, 3) of the coarse rows. */
-int middle_response(__global const ushort *rows_of, const int x, const int y, const int height,
-                    const uint step) {
-  ROWS_OF_RING(4, 3)
-  const int s0 = north[0], s1 = upper[3], s2 = middle[4], s3 = lower[3];
-  const int s4 = south[0], s5 = lower[-3], s6 = middle[-4], s7 = upper[-3];
-  const int a = abs(s0 + s4 - s2 - s6), b = abs(s1 + s5 - s3 - s7);
-  const int low = min(a, b), length = max(a, b) + (low >> 2) + (low >> 3);
-  const int o = abs(s0 - s4) + abs(s1 - s5) + abs(s2 - s6) + abs(s3 - s7);
-  const int e = abs(s0 + s1 + s2 + s3 + s4 + s5 + s6 + s7 - 8 * middle[0]);
-  return length - (o - (o >> 2)) - ((e >> 2) + (e >> 3));
-}
-
 /* Append a maximum to a list: x, y, response, and of the responses above 0 of the 5 x 5 around it
- * the sum and the sums times the offsets in x and in y, a column each. */
+ * the sum and the sums times the offsets in x and in y, a column each. `rows_of` are the five rows,
+ * of which those outside the image hold 0. */
+#define FROM_TWO_BEFORE(k)                                                          \
+  (int8)(rows_of[k][x - 2], rows_of[k][x - 1], rows_of[k][x], rows_of[k][x + 1],    \
+         rows_of[k][x + 2], rows_of[k][x + 3], rows_of[k][x + 4], rows_of[k][x + 5])
+#define ABOVE_ZERO(v) ((v) & ~((v) >> 31))
 void append(__global int *restrict list, const uint n, const uint room, const int x, const int y,
-            __global const short *restrict responses, const int height, const uint step) {
-  int sum = 0, sum_x = 0, sum_y = 0;
-  for (int dy = -2; dy <= 2; ++dy) {
-    if (y + dy < 0 || y + dy >= height) continue;
-    __global const short *row = responses + RESPONSE_AT(y + dy) + x;
-    const int a = LARGER(row[-2], 0), b = LARGER(row[-1], 0), c = LARGER(row[0], 0);
-    const int d = LARGER(row[1], 0), e = LARGER(row[2], 0);
-    const int of_row = a + b + c + d + e;
-    sum += of_row;
-    sum_x += 2 * (e - a) + d - b;
-    sum_y += dy * of_row;
-  }
+            __global const short *const *rows_of) {
+  const int8 above_2 = FROM_TWO_BEFORE(0), above = FROM_TWO_BEFORE(1);
+  const int8 middle = FROM_TWO_BEFORE(2), below = FROM_TWO_BEFORE(3);
+  const int8 below_2 = FROM_TWO_BEFORE(4);
+  const int8 columns = ABOVE_ZERO(above_2) + ABOVE_ZERO(above) + ABOVE_ZERO(middle) +
+                       ABOVE_ZERO(below) + ABOVE_ZERO(below_2);
+  const int8 slopes = 2 * (ABOVE_ZERO(below_2) - ABOVE_ZERO(above_2)) + ABOVE_ZERO(below) -
+                      ABOVE_ZERO(above);
   list[n] = x;
   list[room + n] = y;
-  list[2 * room + n] = responses[RESPONSE_AT(y) + x];
-  list[3 * room + n] = sum;
-  list[4 * room + n] = sum_x;
-  list[5 * room + n] = sum_y;
+  list[2 * room + n] = middle.s2;
+  list[3 * room + n] = columns.s0 + columns.s1 + columns.s2 + columns.s3 + columns.s4;
+  list[4 * room + n] = 2 * (columns.s4 - columns.s0) + columns.s3 - columns.s1;
+  list[5 * room + n] = slopes.s0 + slopes.s1 + slopes.s2 + slopes.s3 + slopes.s4;
 }
 
 #define NEAR_LARGEST(d)                                                             \
@@ -311,31 +318,38 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
     for (int fine = 0; fine <= FINE; ++fine) {
       __global const short *responses = first_response + 3 * fine * kind;
       __global const short *largest = responses + kind, *peak = responses + 2 * kind;
-      maxima_of_row(OVER_SUPPRESSION(NEAR_LARGEST) peak + RESPONSE_AT(y), kept, bits,
-                    width);
+      maxima_of_row(OVER_SUPPRESSION(NEAR_LARGEST) peak + RESPONSE_AT(y), kept, bits, width);
+      const Ring inner = fine ? ring_of(s1, y, 2, 1, height, step)
+                              : ring_of(s1, y, 3, 2, height, step);
+      const Ring outer = fine ? ring_of(s1, y, 3, 2, height, step)
+                              : ring_of(s3, y, 5, 4, height, step);
+      const Ring between = ring_of(s3, y, 4, 3, height, step);
+      __global const short *rows_of[5];
+      for (int k = 0; k < 5; ++k)
+        rows_of[k] = y + k - 2 < 0 || y + k - 2 >= height ? nothing
+                                                          : responses + RESPONSE_AT(y + k - 2);
+      __global int *list = lists + (own * (1 + FINE) + fine) * LIST_COLUMNS * room;
       for (int word = 0; 32 * word < width; ++word)
         for (uint left = bits[word]; left; left &= left - 1) {
           const int x = 32 * word + (int)lowest_bit(left);
           const uint at = (uint)y * step + PAD + (uint)x;
           if (!(area[at / 32] >> at % 32 & 1)) continue;
-          const int2 inner = fine ? second_harmonic(s1, x, y, 2, 1, height, step)
-                                  : second_harmonic(s1, x, y, 3, 2, height, step);
-          const int2 outer = fine ? second_harmonic(s1, x, y, 3, 2, height, step)
-                                  : second_harmonic(s3, x, y, 5, 4, height, step);
           if (fine) {
-            if (4 * dot_of(inner, outer) < dot_of(outer, outer)) continue;
+            const int2 v2 = harmonics_of(&inner, x, 2, 1).second;
+            const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
+            if (4 * dot_of(v2, v3) < dot_of(v3, v3)) continue;
           } else {
-            const int r = peak[RESPONSE_AT(y) + x];
-            if (alignment && alignment * dot_of(inner, outer) < dot_of(outer, outer)) continue;
-            if (support) {
-              const int middle = middle_response(s3, x, y, height, step);
-              if (support * middle < r || middle > 2 * r) continue;
-            }
+            const Harmonics h5 = harmonics_of(&outer, x, 5, 4), h4 = harmonics_of(&between, x, 4, 3);
+            const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
+            const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
+            if (alignment && alignment * along < all) continue;
+            const int r = kept[x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
+                                        ((h4.centre >> 2) + (h4.centre >> 3));
+            if (support && (support * r4 < r || r4 > 2 * r)) continue;
+            if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along)) continue;
           }
-          const uint n = found[fine]++;
-          if (n < room)
-            append(lists + (own * (1 + FINE) + fine) * LIST_COLUMNS * room, n, room, x, y,
-                   responses, height, step);
+          if (found[fine] < room) append(list, found[fine], room, x, y, rows_of);
+          ++found[fine];
         }
     }
   }
@@ -355,11 +369,11 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
 /* The reference W of responses above a bound: sorted downwards, the first one at which twice the
  * sum of the squares so far reaches the sum of all; 0 of none. By bins of 64 responses. */
 #define BINS 256
-#define SPAN 64
+#define SPAN_BITS 6
 uint reference_of(__global const int *lists, __global const uint *counts, const uint fine,
                   const uint bands, const uint room, const int bound, ulong *squares) {
   ulong all = 0, so_far = 0;
-  uint base = 0, span = SPAN, bins = BINS;
+  uint base = 0, span_bits = SPAN_BITS, bins = BINS;
   for (;;) {
     for (uint bin = 0; bin < bins; ++bin) squares[bin] = 0;
     for (uint band = 0; band < bands; ++band) {
@@ -367,34 +381,51 @@ uint reference_of(__global const int *lists, __global const uint *counts, const 
       __global const int *value = lists + (own * LIST_COLUMNS + 2) * room;
       const uint count = SMALLER(counts[own], room);
       for (uint n = 0; n < count; ++n) {
-        const uint bin = ((uint)value[n] - base) / span;
+        const uint bin = ((uint)value[n] - base) >> span_bits;
         if (value[n] > bound && (uint)value[n] >= base && bin < bins)
           squares[bin] += (ulong)((long)value[n] * value[n]);
       }
     }
-    if (span == SPAN)
+    if (span_bits)
       for (uint bin = 0; bin < bins; ++bin) all += squares[bin];
     if (!all) return 0;
     uint bin = bins - 1;
     for (; 2 * (so_far + squares[bin]) < all; --bin) so_far += squares[bin];
-    base += bin * span;
-    if (span == 1) return base;
-    span = 1;
-    bins = SPAN;
+    base += bin << span_bits;
+    if (!span_bits) return base;
+    span_bits = 0;
+    bins = 1 << SPAN_BITS;
   }
 }
 
+#if FINE
+
+/* Whether a bit is set within NMS_RADIUS of a pixel; most are within a row or two. */
+int any_near(__global const uint *bits, const int x, const int y, const int height,
+             const uint width) {
+  const uint first = (uint)(x - NMS_RADIUS);
+  for (int line = 0; line <= 2 * NMS_RADIUS; ++line) {
+    const int dy = line % 2 ? line / 2 + 1 : -(line / 2);
+    if (y + dy < 0 || y + dy >= height) continue;
+    __global const uint *word = bits + (uint)(y + dy) * width + first / 32;
+    const ulong both = (ulong)word[1] << 32 | word[0];
+    if (both >> first % 32 & ((2ul << 2 * NMS_RADIUS) - 1)) return 1;
+  }
+  return 0;
+}
+
+#endif
+
 /* Which maxima are corners, in (y, x) order: a response above the noise's bound and a share of
- * the reference; a fine one only where no coarse corner is within NMS_RADIUS. One work-item a
- * frame. */
+ * the reference; a fine one only where no coarse corner is within NMS_RADIUS. `maxima` gets a bit
+ * for each coarse corner. One work-item a frame. */
 __kernel void decide(__global const ulong *restrict noise, __global const uint *restrict counts,
                      __global const int *restrict lists, const uint rows, const uint columns,
                      const uint step, const uint bands, const uint room,
                      const uint full_scale, const uint coarse_noise, const int coarse_share,
                      const int fine_share, const uint corner_room, const uint place,
-                     const uint length,
-                     __global uint *restrict taken, __global int *restrict corners,
-                     __global uint *restrict totals) {
+                     const uint length, __global uint *restrict maxima,
+                     __global int *restrict corners, __global uint *restrict totals) {
   const size_t p = get_global_id(0);
   ulong amplitude = 0, squares[BINS];
   for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
@@ -404,24 +435,20 @@ __kernel void decide(__global const ulong *restrict noise, __global const uint *
   lists += p * bands * (1 + FINE) * LIST_COLUMNS * room;
   counts += p * bands * (1 + FINE);
   const uint width = step / 32;
-  taken += p * rows * width;
   int reference = (int)reference_of(lists, counts, 0, bands, room, coarse_bound, squares);
 #if FINE
+  maxima += p * rows * width;
   if (reference == 0)
     reference = (int)reference_of(lists, counts, 1, bands, room, fine_bound, squares);
-  for (uint i = 0; i < rows * width; ++i) taken[i] = 0;
+  for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
   for (uint band = 0; band < bands; ++band) {
     __global const int *list = lists + (size_t)band * (1 + FINE) * LIST_COLUMNS * room;
     const uint count = SMALLER(counts[band * (1 + FINE)], room);
     for (uint n = 0; n < count; ++n) {
       const int r = list[2 * room + n];
       if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
-      const int x = list[n] + PAD - NMS_RADIUS, y = list[room + n];
-      const ulong reach = (ulong)((1u << NMS_RADIUS << NMS_RADIUS << 1) - 1) << x % 32;
-      for (int j = LARGER(y - NMS_RADIUS, 0); j <= SMALLER(y + NMS_RADIUS, (int)rows - 1); ++j) {
-        taken[(uint)j * width + (uint)x / 32] |= (uint)reach;
-        if (reach >> 32) taken[(uint)j * width + (uint)x / 32 + 1] |= (uint)(reach >> 32);
-      }
+      const uint x = (uint)list[n] + PAD;
+      maxima[(uint)list[room + n] * width + x / 32] |= 1u << x % 32;
     }
   }
 #endif
@@ -443,10 +470,9 @@ __kernel void decide(__global const ulong *restrict noise, __global const uint *
       if (r <= (before ? coarse_bound : fine_bound) ||
           128 * r < (before ? coarse_share : fine_share) * reference)
         continue;
-      if (!before) {
-        const uint at = (uint)list[room] * step + PAD + (uint)list[0];
-        if (taken[at / 32] >> at % 32 & 1) continue;
-      }
+#if FINE
+      if (!before && any_near(maxima, list[0] + PAD, list[room], (int)rows, width)) continue;
+#endif
       if (total < corner_room)
         for (uint k = 0; k < LIST_COLUMNS; ++k)
           corners[(size_t)k * length + p * corner_room + total] = list[k * room];

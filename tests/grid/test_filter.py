@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from stereo_data import grid_of
 
 from cmp_cl.errors import GridError
-from cmp_cl.grid import filter_grid
+from cmp_cl.grid import NodeStatus, filter_grid, filter_positions
 from cmp_cl.reference import lattice_filter
 
 
@@ -163,6 +164,44 @@ def test_wrong_shapes_are_refused():
         filter_grid(np.zeros((3, 3, 2)), measured=np.ones((2, 3), bool))
     with pytest.raises(GridError, match="stencil"):
         filter_grid(np.zeros((9, 9, 2))).deviation_of(np.zeros((9, 9, 2, 2)))
+
+
+def grid_at(xy, sigma=0.03):
+    return grid_of(xy, sigma)
+
+
+def test_positions_now_stand_on_those_at_rest():
+    """Wear of .2 px that travels with the nodes, and .02 px of each image's own."""
+    rng = np.random.default_rng(2)
+    r, c = np.mgrid[:30, :30]
+    truth = 50 + 12.0 * np.stack([c, r], axis=-1)
+    wear = rng.normal(0, 0.2, truth.shape)
+    rest = grid_at(truth + wear + rng.normal(0, 0.02, truth.shape))
+    moved = truth + surface(30, 30)
+    now = grid_at(moved + wear + rng.normal(0, 0.02, truth.shape))
+    filtered, raw = filter_positions(now, rest=rest)
+    np.testing.assert_array_equal(raw.xy, now.xy)
+    assert rms(filtered.xy - moved) < 0.5 * rms(raw.xy - moved)
+    for grid in (filtered, raw):
+        assert 0.5 < rms((grid.xy - moved) / grid.sigma[..., None]) < 1.15
+
+
+def test_a_node_that_is_missing_at_rest_keeps_its_position_and_sigma():
+    xy = 50 + 12.0 * np.stack(np.mgrid[:12, :12][::-1], axis=-1)
+    rest, now = noisy(xy, 0.1), noisy(xy, 0.1, seed=1)
+    rest[4, 5] = np.nan
+    filtered, _ = filter_positions(grid_at(now), rest=grid_at(rest))
+    np.testing.assert_array_equal(filtered.xy[4, 5], now[4, 5].astype(np.float32))
+    assert filtered.sigma[4, 5] == np.float32(0.03)
+
+
+def test_interpolated_nodes_follow_their_neighbours():
+    xy = noisy(50 + 12.0 * np.stack(np.mgrid[:12, :12][::-1], axis=-1), 0.1)
+    grid = grid_at(xy)
+    grid.status[6, 6] = NodeStatus.INTERPOLATED
+    off = grid_at(xy + np.where(np.arange(144).reshape(12, 12, 1) == 78, 3.0, 0.0))
+    off.status[6, 6] = NodeStatus.INTERPOLATED
+    assert np.allclose(filter_positions(grid)[0].xy, filter_positions(off)[0].xy, atol=1e-3)
 
 
 def assert_as_the_oracle(values, measured=None):

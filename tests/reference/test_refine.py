@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from corner_images import board, corner, noise
@@ -248,7 +249,32 @@ def test_the_midpoints_of_rays_meet_where_the_rays_do():
 def test_lines_at_a_small_angle_are_refused():
     for angle, expected in [(0.16, Method.KEPT), (0.18, Method.EDGE_LINES)]:
         points = rays([0.0, angle, math.pi, math.pi + angle])
-        assert refine.edge_lines(points, 2.0)[1][0] == expected
+        assert refine.edge_lines(points, 2.0, 1.0)[1][0] == expected
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+@pytest.mark.parametrize(("off", "expected"), [(0.49, Method.EDGE_LINES), (0.51, Method.KEPT)])
+def test_edge_points_off_their_lines_are_refused(scale, off, expected):
+    """Those of e0 and e2 lie to the left and to the right of their line in turns."""
+    points = rays([0.0, np.pi / 2, np.pi, 3 * np.pi / 2])
+    points.point[0] /= scale
+    sideways = np.array([0.5, -1.0, 0.5]) * np.sqrt(2) * off / scale  # their mean square is off^2
+    points.point[0, :, 0, 1] += sideways
+    points.point[0, :, 2, 1] += sideways
+    _, method, margin = refine.edge_lines(points, 2.0 / scale, scale)
+    assert method[0] == expected
+    assert margin[0] == pytest.approx(abs(off**2 - 0.25) / 0.25, rel=1e-6)
+
+
+def test_a_corner_of_squeezed_cells_keeps_its_centroid():
+    """Rings of 4 and 5 px reach over cells that are 4 px high, and the lines with them."""
+    y, x = np.mgrid[:41, :41] - 20.0
+    cells = np.where((np.floor(x / 12) + np.floor(y / 4)) % 2 == 0, 30.0, 220.0)
+    image = np.rint(cv2.GaussianBlur(cells, (0, 0), 0.7)).astype(np.uint8)
+    start = np.array([[20, 20]])
+    found = refine.refine(image, start, start + 0.25, EdgeLines(), 1.0)
+    assert found.method[0] == Method.KEPT
+    np.testing.assert_array_equal(found.xy, [[20.25, 20.25]])
 
 
 def test_quadratic_centrelines_meet_where_parabolas_meet():

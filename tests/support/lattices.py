@@ -67,6 +67,54 @@ def board(
     )
 
 
+def endless(
+    *,
+    zoom: float = 1.0,
+    turn: float = 0.0,
+    shift: complex = 0,
+    cell: float = 10.0,
+    side: int = 300,
+    jitter: float = 0.05,
+    seed: int = 0,
+) -> Board:
+    """What a picture of `side` px shows of a checkerboard that goes on beyond all its edges.
+
+    It is zoomed and turned about the picture's middle, then shifted by so many cells. The
+    numbers are those of the pattern; `truth` is empty.
+    """
+    draw = np.random.default_rng(seed)
+    reach = int(side / cell)
+    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    moved = zoom * np.exp(1j * turn)
+    z = (column + 0.37 + 1j * (row + 0.21)) * cell * moved + shift * cell + side / 2 * (1 + 1j)
+    seen = (np.abs(z.real - side / 2) < side / 2 - 3) & (np.abs(z.imag - side / 2) < side / 2 - 3)
+    index = np.stack([row[seen], column[seen]], axis=1)
+    z = z[seen] + jitter * (draw.normal(size=len(index)) + 1j * draw.normal(size=len(index)))
+    first = index.sum(axis=1, keepdims=True) % 2
+    angles = turn + np.pi / 2 * ((np.arange(4) + first) % 4) + draw.normal(0, 0.05, (len(z), 4))
+    return Board(*_sorted(z, angles, index), np.zeros((0, 0), np.complex128))
+
+
+def drawn(
+    rows: int, columns: int, *, cell: int = 20, origin: tuple[int, int] = (40, 40)
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """A picture of a board on a white ground, and its inner corners, (rows, columns, 2) px.
+
+    origin: (x, y) of the first square's corner, px. The picture has room for two cells more.
+    """
+    high, wide = (rows + 1) * cell + 80 + 2 * cell, (columns + 1) * cell + 80 + 2 * cell
+    y, x = np.mgrid[:high, :wide]
+    v, u = (y - origin[1]) // cell, (x - origin[0]) // cell
+    inside = (v >= 0) & (u >= 0) & (v <= rows) & (u <= columns)
+    level = np.where(inside & ((u + v) % 2 == 0), 40.0, 210.0)
+    for axis in (0, 1):  # the blur of a lens
+        level = (np.roll(level, 1, axis) + 2 * level + np.roll(level, -1, axis)) / 4
+    level += np.random.default_rng(rows).normal(0, 2, level.shape)
+    row, column = np.mgrid[1 : rows + 1, 1 : columns + 1]
+    at = np.stack([origin[0] + column * cell, origin[1] + row * cell], axis=-1) - 0.5
+    return np.clip(np.rint(level), 0, 255).astype(np.uint8), at
+
+
 def joined(first: Board, second: Board) -> Corners:
     """The corners of two boards in one image."""
     z = [part.corners.xy @ np.array([1, 1j]) for part in (first, second)]

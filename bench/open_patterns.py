@@ -1,0 +1,248 @@
+"""Numbers against the rest frame where no border of the pattern is in view.
+
+    python bench/open_patterns.py           writes results/open_patterns.json
+
+Rendered checkerboards that go on beyond all four edges of the picture: zoomed, turned, shifted,
+waved, with a hole in the print or something in front of it. Each frame is numbered like the
+rest frame, alone and after the frame before. A frame counts as right if every node has its
+number, as wrong if one has not, and as wrong in silence if it is wrong and says nothing. No
+peer takes a rest frame: what they are asked is in partial_views.py.
+"""
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from environment import RESULTS, environment
+
+from cmp_cl import Detector, DetectorConfig, build_grid
+from cmp_cl.errors import GridError
+from cmp_cl.grid import Grid
+from cmp_cl.image import GreyImage
+
+SIDE = 600  # px, of the pictures
+SAMPLES = 3  # of a pixel, along each axis
+NOISE = 2.0  # grey levels
+WEAR = 0.03  # cells: standard deviation of the print's errors
+MEASURED = (1, 2, 3)  # statuses of nodes that are no interpolation
+
+
+class Case(NamedTuple):
+    """A frame: cell at rest, px; zoom; rotation, degrees; shift, cells of the rest frame; wave,
+    cells; hole: 6 cells wide, none, of the print or in front of it; worn: whether the print is."""
+
+    cell: float = 10.0
+    zoom: float = 1.0
+    rotation: float = 0.0
+    shift: tuple[float, float] = (0.0, 0.0)
+    wave: float = 0.0
+    hole: str = "none"
+    worn: bool = False
+
+    @property
+    def group(self) -> str:
+        if np.hypot(*self.shift):
+            alias = self.shift[0] % 1 == 0 and self.shift[1] % 1 == 0 and not sum(self.shift) % 2
+            kind = "shifted by a period" if alias else "shifted"
+        elif self.rotation:
+            kind = "turned"
+        elif self.wave:
+            kind = "waved"
+        else:
+            kind = "zoomed" if self.zoom != 1 else "still"
+        return kind + (", worn print" if self.worn else "")
+
+
+def cases(*, quick: bool = False) -> Iterator[Case]:
+    """The frames of the report."""
+    for worn in (False, True):
+        for cell in (10.0,) if quick else (9.0, 10.0, 13.0):
+            yield Case(cell, worn=worn)
+            for hole in ("none",) if quick else ("none", "print", "front"):
+                for zoom in (0.9, 0.91, 0.94, 0.97, 1.03, 1.06, 1.08, 1.1):
+                    yield Case(cell, zoom, hole=hole, worn=worn)
+                for rotation in (2, 4, 5, 15, 30):
+                    yield Case(cell, 1.0, rotation, hole=hole, worn=worn)
+                for length in (0.2, 0.4, 0.6, 0.8, 1.2, 1.6, 2.3, 3.7):
+                    yield Case(cell, shift=(length, 0), hole=hole, worn=worn)
+                    yield Case(cell, shift=(length, 0.7 * length), hole=hole, worn=worn)
+            yield Case(cell, 0.96, 4, worn=worn)
+            yield Case(cell, 1.05, -10, (0.7, -0.4), worn=worn)
+            for wave in (0.5, 1.5):
+                yield Case(cell, wave=wave, worn=worn)
+                yield Case(cell, 0.97, wave=wave, worn=worn)
+                yield Case(cell, wave=wave, shift=(1.3, 0.4), worn=worn)
+            for shift in ((1, 1), (2, 0), (3, 1)):
+                yield Case(cell, shift=shift, worn=worn)
+
+
+class Print:
+    """A checkerboard without end, with the errors of its print: (u, v) are cells."""
+
+    def __init__(self, seed: int, *, worn: bool) -> None:
+        draw = np.random.default_rng(seed)
+        self._error = draw.normal(0, WEAR if worn else 0, (2, 256, 256))
+
+    def printed(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the ink is that belongs to (u, v): off by a field that bends within cells."""
+        at = [np.floor(each).astype(int) for each in (u, v)]
+        part = [each - whole for each, whole in zip((u, v), at, strict=True)]
+        off = np.zeros((2, *u.shape))
+        for i in (0, 1):
+            for j in (0, 1):
+                weight = np.abs(1 - i - part[0]) * np.abs(1 - j - part[1])
+                off += weight * self._error[:, (at[1] + j) % 256, (at[0] + i) % 256]
+        return u + off[0], v + off[1]
+
+
+def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The place (u, v) on the pattern, cells, that a pixel shows."""
+    z = (x - SIDE / 2) + 1j * (y - SIDE / 2)
+    wave = case.wave * case.cell * np.sin(2 * np.pi * (z.real / 210 + z.imag / 330 + 0.13))
+    z = z - wave * (1 + 0.4j) - complex(*case.shift) * case.cell
+    z = z / (case.zoom * np.exp(1j * np.deg2rad(case.rotation)))
+    return z.real / case.cell + 0.37, z.imag / case.cell + 0.21
+
+
+def picture(case: Case, seed: int) -> GreyImage:
+    """The frame, (SIDE, SIDE) uint8."""
+    ink = Print(1, worn=case.worn)
+    steps = (np.arange(SIDE * SAMPLES) + 0.5) / SAMPLES - 0.5
+    x, y = np.meshgrid(steps, steps)
+    u, v = place(case, x, y)
+    across, down = ink.printed(u, v)
+    level = np.where((np.floor(across) + np.floor(down)) % 2 == 0, 45.0, 205.0)
+    if case.hole == "print":
+        level[np.hypot(u - 6, v + 4) < 3] = 120
+    elif case.hole == "front":
+        level[np.hypot(x - 360, y - 240) < 3 * case.cell] = 30
+    level = level.reshape(SIDE, SAMPLES, SIDE, SAMPLES).mean(axis=(1, 3))
+    level += np.random.default_rng(seed).normal(0, NOISE, level.shape)
+    return np.clip(np.rint(level), 0, 255).astype(np.uint8)
+
+
+def rest_of(case: Case) -> Case:
+    return Case(case.cell, hole=case.hole, worn=case.worn)
+
+
+def true_numbers(grid: Grid, case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers (M, 2) of the measured nodes, and the nearest corners (M, 2) of the pattern there."""
+    row, column = np.nonzero(np.isin(grid.status, MEASURED))
+    u, v = place(case, *grid.xy[row, column].astype(np.float64).T)
+    number = np.stack([row + grid.origin[0], column + grid.origin[1]], axis=1)
+    return number, np.rint(np.stack([v, u], axis=1)).astype(int)
+
+
+def verdict(rest: Grid, rest_case: Case, grid: Grid | None, case: Case) -> str:
+    """Right or wrong, and whether it says that it may be wrong; refused without a grid."""
+    if grid is None or not grid.valid.any():
+        return "refused"
+    number, corner = true_numbers(rest, rest_case)
+    offset = np.median(corner - number, axis=0)
+    number, corner = true_numbers(grid, case)
+    wrong = np.any(corner - number != offset, axis=1).mean()
+    word = "right" if wrong < 0.002 else "wrong"
+    return word + (", ambiguous" if grid.ambiguous else "")
+
+
+def attempt(**given: Any) -> Grid | None:
+    try:
+        return build_grid(**given)
+    except GridError:
+        return None
+
+
+def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
+    """Each frame's verdict: by the rest frame alone, and after frames that lead up to it."""
+    rows = []
+    rests: dict[Case, Grid] = {}
+    for number, case in enumerate(every):
+        config = DetectorConfig.for_cell(case.cell)
+        with Detector(shape=(SIDE, SIDE), config=config) as detector:
+            at_rest = rest_of(case)
+            if at_rest not in rests:
+                image = picture(at_rest, 5000)
+                rests[at_rest] = build_grid(detector(image), image)
+            rest = rests[at_rest]
+            image = picture(case, 6000 + number)
+            corners = detector(image)
+            alone = attempt(corners=corners, image=image, like=rest)
+            rows.append(
+                {
+                    **case._asdict(),
+                    "group": case.group,
+                    "corners": len(corners),
+                    "nodes": 0 if alone is None else int(alone.valid.sum()),
+                    "alone": verdict(rest, at_rest, alone, case),
+                    "margin": None if alone is None else alone.margin,
+                    "followed": followed(detector, rest, case, 7000 + number),
+                }
+            )
+    return rows
+
+
+def followed(detector: Detector, rest: Grid, case: Case, seed: int) -> str:
+    """The verdict on the last of frames between which the pattern moves by 0.3 cells at most."""
+    steps = max(1, int(np.ceil(np.hypot(*case.shift) / 0.3)))
+    before = rest
+    grid: Grid | None = None
+    for step in range(1, steps + 1):
+        part = step / steps
+        now = case._replace(
+            zoom=1 + (case.zoom - 1) * part,
+            rotation=case.rotation * part,
+            shift=(case.shift[0] * part, case.shift[1] * part),
+            wave=case.wave * part,
+        )
+        image = picture(now, seed + 1000 * step)
+        grid = attempt(corners=detector(image), image=image, like=rest, previous=before)
+        if grid is not None and grid.valid.any():
+            before = grid
+    return verdict(rest, rest_of(case), grid, case)
+
+
+VERDICTS = ("right", "right, ambiguous", "wrong, ambiguous", "refused", "wrong")
+
+
+def counted(rows: Sequence[dict[str, Any]], form: str) -> dict[str, dict[str, int]]:
+    """How many frames of each group have each verdict."""
+    found: dict[str, dict[str, int]] = {}
+    for row in rows:
+        group = found.setdefault(row["group"], dict.fromkeys(VERDICTS, 0))
+        group[row[form]] += 1
+    return found
+
+
+def show(rows: Sequence[dict[str, Any]]) -> None:
+    for form in ("alone", "followed"):
+        print(f"\nlike the rest frame, {form}")
+        print(f"{'frames':34}" + "".join(f"{word:>19}" for word in (*VERDICTS[:-1], "in silence")))
+        for group, count in counted(rows, form).items():
+            print(f"{group:34}" + "".join(f"{count[word]:19}" for word in VERDICTS))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a third of the frames")
+    parser.add_argument("--out", type=Path, default=RESULTS / "open_patterns.json")
+    arguments = parser.parse_args(argv)
+    rows = answers(list(cases(quick=arguments.quick)))
+    show(rows)
+    result = {
+        "kind": "open_patterns",
+        "environment": environment(),
+        "noise": NOISE,
+        "wear": WEAR,
+        "counts": {form: counted(rows, form) for form in ("alone", "followed")},
+        "rows": rows,
+    }
+    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
+    print(f"wrote {arguments.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

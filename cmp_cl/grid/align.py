@@ -1,0 +1,53 @@
+"""One numbering for several views of the same pattern."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cmp_cl.errors import GridError
+from cmp_cl.grid.grid import Grid
+
+MOST_TURNED = 60  # degrees between the rows of two views that no colour tells apart
+
+
+def align(grids: Sequence[Grid]) -> list[Grid]:
+    """The grids of several views of one board, all numbered as the first is.
+
+    Where a quarter or half turn of the board changes the colours, as it does for 9 x 6 corners,
+    colours decide, however the cameras are turned: of 9 x 6 corners the cell between nodes
+    (0, 0) and (1, 1) is then of one colour in all views. Where several turns have the same
+    colours, it is the one that leaves the rows most parallel to those of the first view.
+
+    Raises GridError where a grid has no node, where shapes or colours do not agree, or where
+    several turns have the same colours and none leaves the rows within 60 degrees.
+    """
+    grids = list(grids)
+    for number, grid in enumerate(grids, 1):
+        if not isinstance(grid, Grid):
+            raise GridError(f"expected grids, got {type(grid).__name__}")
+        if not grid.valid.any():
+            raise GridError(f"view {number} of {len(grids)} shows no node, and cannot be numbered")
+    return [grids[0], *(_like(grids[0], grid) for grid in grids[1:])] if grids else []
+
+
+def _like(first: Grid, grid: Grid) -> Grid:
+    """The grid with the numbers of the first one."""
+    turned = [grid.turned(quarters) for quarters in range(4)]
+    fitting = [turn for turn in turned if turn.shape == first.shape and turn.parity == first.parity]
+    if len(fitting) == 1:
+        return fitting[0]
+    ahead = row_direction(first)
+    off = [abs(float(np.angle(row_direction(turn) / ahead, deg=True))) for turn in fitting]
+    if not off or not min(off) <= MOST_TURNED:
+        raise GridError(
+            "the views cannot be numbered alike: their shapes, their checker colours or the "
+            "directions of their rows do not agree"
+        )
+    return fitting[int(np.argmin(off))]
+
+
+def row_direction(grid: Grid) -> complex:
+    """The mean step from a column to the next, x + 1j y, px; NaN where there is none."""
+    step = np.diff(grid.xy.astype(np.float64), axis=1)
+    known = step[np.isfinite(step).all(axis=2)]
+    return complex(*known.mean(axis=0)) if len(known) else complex(np.nan, np.nan)

@@ -1,0 +1,176 @@
+"""What a node at the rim of a grid must show: four sectors, edges that run on, a place."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid.grid import NodeStatus
+from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points
+from cmp_cl.grid.predict import mean_steps, predict
+from cmp_cl.image import GreyImage
+
+DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
+WITHIN = np.array([0.2, 0.3])  # of the diagonal of a cell: where its grey level is taken
+SAMPLE = 64  # inner nodes that say what contrast the pattern has
+
+
+class Least(NamedTuple):
+    """What a node needs: shares of the span of its four cells and of the pattern's contrast,
+    the cosine between its edges and the lattice's steps, cells from its prediction."""
+
+    span: float
+    contrast: float
+    cosine: float
+    off: float
+
+
+USUAL = Least(0.4, 0.3, 0.85, np.inf)
+ALONE = Least(0.8, 0.7, 0.95, 0.12)  # of a node that is in no whole cell
+EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the picture's edge, and from the prediction there
+EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
+
+
+def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
+    """Drop nodes at the rim that do not look like corners of the pattern; whether any was.
+
+    Junctions of the outermost squares with the surround, dots and codes in cells, T junctions
+    and corners of a room have no four sectors in turn black and white as their number says,
+    or edges that do not run on into their neighbours.
+    """
+    dropped = False
+    usual: float | None = None
+    while True:
+        row, column, whole = _rim(nodes)
+        if not len(row):
+            return dropped
+        if usual is None:
+            usual = _usual_contrast(nodes, image)
+        kept = _convincing(nodes, image, edges, row, column, whole, usual)
+        if kept.all():
+            return dropped
+        nodes.drop(row[~kept], column[~kept])
+        dropped = True
+
+
+def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
+    """Nodes some of whose eight neighbours are neither there nor bracketed; which are in a cell.
+
+    A place is bracketed that has nodes on both sides along its row and along its column.
+    """
+    seen = nodes.status != NodeStatus.MISSING
+    there = seen
+    if not seen.all():
+        bracketed = np.ones_like(seen)
+        for axis in (0, 1):
+            bracketed &= np.logical_or.accumulate(seen, axis)
+            bracketed &= np.flip(np.logical_or.accumulate(np.flip(seen, axis), axis), axis)
+        there = seen | bracketed
+    around = np.zeros(np.add(seen.shape, 2), np.bool_)
+    around[1:-1, 1:-1] = there
+    whole = around[:-2] & around[1:-1] & around[2:]
+    whole = whole[:, :-2] & whole[:, 1:-1] & whole[:, 2:]
+    row, column = np.nonzero(seen & ~whole)
+    around[1:-1, 1:-1] = seen
+    cell = around[:-1, :-1] & around[1:, :-1] & around[:-1, 1:] & around[1:, 1:]
+    inside = cell[row, column] | cell[row + 1, column]
+    inside |= cell[row, column + 1] | cell[row + 1, column + 1]
+    return row, column, inside
+
+
+def _usual_contrast(nodes: Nodes, image: GreyImage) -> float:
+    """The median contrast of some nodes, those inside the grid where there are any."""
+    seen = nodes.status != NodeStatus.MISSING
+    inner = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
+    row, column = np.nonzero(inner)
+    row, column = (row + 1, column + 1) if len(row) else np.nonzero(seen)
+    some = np.linspace(0, len(row) - 1, min(SAMPLE, len(row))).astype(np.int64)
+    row, column = row[some], column[some]
+    along, down, _ = mean_steps(nodes.at, row, column)
+    known = ~np.isnan(along.real + down.real)
+    if not known.any():
+        return 0.0
+    row, column, along, down = row[known], column[known], along[known], down[known]
+    bright, dark, _ = _levels(nodes, image, row, column, along, down)
+    return float(np.median(bright - dark))
+
+
+def _levels(
+    nodes: Nodes, image: GreyImage, row: Index, column: Index, along: Points, down: Points
+) -> tuple[Float, Float, Float]:
+    """The darker of the cells that the number says are bright, the brighter dark one, the span."""
+    step = DIAGONAL.real * along[:, None] + DIAGONAL.imag * down[:, None]
+    at = nodes.at[row, column][:, None, None] + step[..., None] * WITHIN
+    level = grey(image, at).sum(axis=2)
+    black = (nodes.parity + row + column) % 2 == 0  # the cells after and before on the diagonal
+    level[~black] = level[~black][:, [1, 2, 3, 0]]
+    dark, bright = np.maximum(level[:, 0], level[:, 2]), np.minimum(level[:, 1], level[:, 3])
+    return bright, dark, level.max(axis=1) - level.min(axis=1)
+
+
+def grey(image: GreyImage, at: Points) -> Float:
+    """The grey levels of the nearest pixels; of the border for what is beyond it."""
+    rows, columns = image.shape
+    x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1).astype(np.int64)
+    y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1).astype(np.int64)
+    level: Float = image[y, x].astype(np.float64)
+    return level
+
+
+def _convincing(
+    nodes: Nodes,
+    image: GreyImage,
+    edges: NDArray[np.float32],
+    row: Index,
+    column: Index,
+    in_cell: Mask,
+    usual: float,
+) -> Mask:
+    """Which of those nodes look like corners of the pattern."""
+    along, down, cell = mean_steps(nodes.at, row, column)
+    known = ~np.isnan(along.real + down.real)
+    along[~known] = down[~known] = 0
+    bright, dark, span = _levels(nodes, image, row, column, along, down)
+    contrast = bright - dark
+    cosine = _cosine(nodes, edges, row, column, along, down)
+    at = nodes.at[row, column]
+    far = np.array(image.shape[::-1]) - 1
+    inward = np.minimum(
+        np.minimum(at.real, far[0] - at.real), np.minimum(at.imag, far[1] - at.imag)
+    )
+    off = np.zeros(len(row))
+    asked = np.flatnonzero(~in_cell | (inward < np.maximum(EDGE_PIXELS, EDGE_CELLS * cell)))
+    if len(asked):
+        expected, _ = predict(nodes.at, row[asked], column[asked])
+        off[asked] = np.abs(expected - at[asked])
+        off[asked[np.isnan(off[asked])]] = np.inf
+
+    def fits(least: Least) -> Mask:
+        return (
+            (contrast >= least.span * span)
+            & (contrast >= least.contrast * usual)
+            & ~(cosine < least.cosine)
+            & (off <= least.off * cell)
+        )
+
+    beside = (inward < 0) | ((inward < EDGE_PIXELS) & (off > EDGE_OFF))
+    beside |= (inward < EDGE_CELLS * cell) & (off > EDGE_OFF_CELLS * cell)
+    kept: Mask = known & np.where(in_cell, fits(USUAL), fits(ALONE)) & ~beside
+    return kept
+
+
+def _cosine(
+    nodes: Nodes, edges: NDArray[np.float32], row: Index, column: Index, along: Points, down: Points
+) -> Float:
+    """The smaller |cos| between a corner's two lines and the steps; NaN where unknown."""
+    owner = nodes.owner[row, column]
+    angle = edges[owner].astype(np.float64)
+    lines = np.exp(1j * angle)
+    lines = lines[:, :2] - lines[:, 2:]
+    level = (nodes.parity + row + column) % 2 == 0  # e0 and e2 lie along the row
+    steps = np.stack([np.where(level, along, down), np.where(level, down, along)], axis=1)
+    size = np.abs(lines) * np.abs(steps)
+    cosine = np.abs((lines * steps.conj()).real) / np.maximum(size, 1e-9)
+    least: Float = cosine.min(axis=1)
+    least[owner < 0] = np.nan
+    return least

@@ -1,0 +1,238 @@
+"""Growing a grid: what fits is attached or looked for again, what does not is dropped."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid import evidence
+from cmp_cl.grid.grid import NodeStatus
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points
+from cmp_cl.grid.predict import REACHED, mean_steps, predict, predict_within
+from cmp_cl.grid.second_look import second_look
+from cmp_cl.image import GreyImage
+
+NEAR = 0.3  # cells: how far from its prediction a node may be
+APART = 0.4  # cells: nearer than that a second look has found a corner twice
+WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
+FEW = 400  # nodes that are quicker predicted one by one
+
+
+class Seen(NamedTuple):
+    """What a grid is made of.
+
+    z: (N,) positions of the corners. edges: (N, 4) rad, as in `Corners`. image: or None, where
+    neither a second look nor a look at the cells is taken.
+    """
+
+    z: Points
+    edges: NDArray[np.float32]
+    image: GreyImage | None
+
+
+def grow(nodes: Nodes, seen: Seen) -> None:
+    """Attach free corners, beyond the box too, and drop what is no node, until nothing changes."""
+    drop_misfits(nodes)
+    _refuse(nodes, seen)
+    while nodes.free.any() and nodes.there.any():
+        nodes.pad()
+        attached = _attach(nodes, seen)
+        nodes.crop()
+        if not attached:
+            break
+        drop_misfits(nodes)
+        _refuse(nodes, seen)
+    nodes.crop()
+
+
+def extend(nodes: Nodes, seen: Seen) -> None:
+    """Look for further rows and columns around the grid, as long as some are found."""
+    while seen.image is not None:
+        nodes.pad()
+        found = _look_again(nodes, np.zeros(nodes.at.shape), seen.image, WEAK)
+        drop_misfits(nodes)
+        found &= not evidence.refuse(nodes, seen.image, seen.edges)
+        nodes.crop()
+        if not found:
+            return
+
+
+def attach(nodes: Nodes, seen: Seen) -> None:
+    """Attach free corners within the box, as long as there are any."""
+    while _attach(nodes, seen):
+        drop_misfits(nodes)
+        _refuse(nodes, seen)
+
+
+def fill(nodes: Nodes, seen: Seen, least: float) -> None:
+    """Look again where predictions have at least that weight, attach, and interpolate."""
+    looked = np.zeros(nodes.at.shape)
+    while seen.image is not None and _look_again(nodes, looked, seen.image, least):
+        drop_misfits(nodes)
+        _refuse(nodes, seen)
+        attach(nodes, seen)
+    _interpolate(nodes)
+
+
+def _refuse(nodes: Nodes, seen: Seen) -> None:
+    """Drop what does not look like a node at the rim."""
+    if seen.image is not None:
+        evidence.refuse(nodes, seen.image, seen.edges)
+
+
+def drop_misfits(nodes: Nodes) -> None:
+    """Drop nodes far from a well supported prediction, the worst of each neighbourhood first.
+
+    Only those are looked at around which something has changed since the last time.
+    """
+    while nodes.changed.any():
+        row, column = _near_changes(nodes)
+        off = _misfits(nodes.at, row, column)
+        bad = off > NEAR
+        nodes.changed[:] = False
+        if not bad.any():
+            return
+        nodes.changed[row[bad], column[bad]] = True
+        padded = np.zeros((nodes.at.shape[0] + 2, nodes.at.shape[1] + 2))
+        padded[row + 1, column + 1] = off
+        around = [padded[row + r, column + c] for r in range(3) for c in range(3)]
+        worst = bad & (off >= np.max(around, axis=0))
+        nodes.drop(row[worst], column[worst])
+
+
+def _near_changes(nodes: Nodes) -> tuple[Index, Index]:
+    """Rows and columns of the nodes whose misfit may have changed."""
+    seen = nodes.status != NodeStatus.MISSING
+    rows, columns = seen.shape
+    if not nodes.changed.all():
+        near = np.zeros((rows + 6, columns + 6), np.bool_)
+        row, column = np.divmod(np.flatnonzero(nodes.changed), columns)
+        reached = REACHED @ [columns + 6, 1]
+        near.ravel()[((row + 3) * (columns + 6) + column + 3)[:, None] + reached] = True
+        seen &= near[3:-3, 3:-3]
+    row, column = np.divmod(np.flatnonzero(seen), columns)
+    return row, column
+
+
+def _misfits(at: Points, row: Index, column: Index) -> Float:
+    """How far those nodes are from well supported predictions, cells; 0 below a pixel."""
+    prediction = np.full(len(row), NOWHERE)
+    if len(row) > FEW:
+        prediction = predict_within(at)[row, column]
+    rim = np.flatnonzero(np.isnan(prediction))
+    prediction[rim], weight = predict(at, row[rim], column[rim])
+    gap = np.abs(at[row, column] - prediction)
+    gap[rim[weight < STRONG]] = 0
+    far = np.flatnonzero(gap > 1)
+    off = np.zeros(len(row))
+    off[far] = gap[far] / mean_steps(at, row[far], column[far])[2]
+    return off
+
+
+def _expected(nodes: Nodes, least: float) -> tuple[Index, Index, Points, Float, Float, Points]:
+    """Missing nodes whose prediction has at least that weight.
+
+    Returns rows, columns, predictions, their weights, cells, and the direction in which the
+    boundaries e0 and e2 should lie.
+    """
+    missing = np.flatnonzero(nodes.status == NodeStatus.MISSING)
+    row, column = np.divmod(missing, nodes.at.shape[1])
+    if not len(row):
+        return row, column, nodes.at[:0, 0], np.zeros(0), np.zeros(0), nodes.at[:0, 0]
+    at, weight = predict(nodes.at, row, column)
+    kept = weight >= least
+    row, column, at, weight = row[kept], column[kept], at[kept], weight[kept]
+    along, down, cell = mean_steps(nodes.at, row, column)
+    level = (nodes.parity + row + column) % 2 == 0
+    line = np.where(level, along, down)
+    line[np.isnan(line)] = 0
+    line /= np.maximum(np.abs(line), 1e-6)
+    return row, column, at, weight, cell, line
+
+
+def _attach(nodes: Nodes, seen: Seen) -> bool:
+    """Take free corners near the predictions of missing nodes; whether there were any.
+
+    A corner whose boundaries lie the other way round is another one.
+    """
+    free = np.flatnonzero(nodes.free)
+    if not len(free):
+        return False
+    row, column, at, _, cell, line = _expected(nodes, WEAK)
+    near, corner = _nearest(at, seen.z[free], NEAR * cell)
+    corner = free[corner]
+    first, third = np.exp(1j * seen.edges[corner, 0]), np.exp(1j * seen.edges[corner, 2])
+    along = np.abs(((first - third) * line[near].conj()).real)
+    near, corner = near[~(along < 1)], corner[~(along < 1)]
+    nodes.put(row[near], column[near], seen.z[corner], NodeStatus.ATTACHED)
+    nodes.owner[row[near], column[near]] = corner
+    nodes.free[corner] = False
+    return len(near) > 0
+
+
+def _nearest(at: Points, z: Points, reach: Float) -> tuple[Index, Index]:
+    """Places in `at` and in `z` that are each other's nearest and within reach."""
+    order = np.argsort(z.real, kind="stable")
+    x = z.real[order]
+    begin = np.searchsorted(x, at.real - reach)
+    count = np.searchsorted(x, at.real + reach, side="right") - begin
+    here = np.repeat(np.arange(len(at)), count)
+    skipped = np.cumsum(count) - count
+    there = order[np.arange(len(here)) + np.repeat(begin - skipped, count)]
+    away = np.abs(at[here] - z[there])
+    close = away < reach[here]
+    here, there, away = here[close], there[close], away[close]
+    best = np.full(len(at), np.inf)
+    best_there = np.full(len(z), np.inf)
+    np.minimum.at(best, here, away)
+    np.minimum.at(best_there, there, away)
+    mutual = (away == best[here]) & (away == best_there[there])
+    here, there = here[mutual], there[mutual]
+    here, once = np.unique(here, return_index=True)
+    there, twice = np.unique(there[once], return_index=True)
+    return here[twice], there
+
+
+def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> bool:
+    """Refine at the predictions of missing nodes; whether any was found.
+
+    looked: (R, C), the weight of the prediction at the last look; where it is as high, none is
+    taken again.
+    """
+    row, column, at, weight, cell, line = _expected(nodes, least)
+    new = weight > looked[row, column]
+    new &= (at.real >= 0) & (at.real < image.shape[1]) & (at.imag >= 0) & (at.imag < image.shape[0])
+    if not new.any():
+        return False
+    row, column, at, cell, line = row[new], column[new], at[new], cell[new], line[new]
+    looked[row, column] = weight[new]
+    seen = second_look(image, at, cell, line)
+    found = ~np.isnan(seen.real)
+    row, column, seen, cell = row[found], column[found], seen[found], cell[found]
+    nodes.put(row, column, seen, NodeStatus.SECOND_LOOK)
+    twice = _beside_another(nodes.at, row, column, APART * cell)
+    nodes.drop(row[twice], column[twice])
+    return not twice.all()
+
+
+def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask:
+    """Which of those nodes are nearer than that to one of their eight neighbours."""
+    padded = np.pad(at, 1, constant_values=NOWHERE)
+    around = [padded[row + r, column + c] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    away = np.abs(np.stack(around) - at[row, column])
+    beside: Mask = np.asarray(np.less(away, apart).any(axis=0))
+    return beside
+
+
+def _interpolate(nodes: Nodes) -> None:
+    """Fill missing nodes that measured neighbours bracket, inside the pattern only."""
+    seen = nodes.status != NodeStatus.MISSING
+    if seen.all():
+        return
+    inside = np.ones_like(seen)
+    for axis in (0, 1):
+        inside &= np.logical_or.accumulate(seen, axis)
+        inside &= np.flip(np.logical_or.accumulate(np.flip(seen, axis), axis), axis)
+    row, column, at, *_ = _expected(nodes, BRACKETED)
+    kept = inside[row, column]
+    nodes.put(row[kept], column[kept], at[kept], NodeStatus.INTERPOLATED)

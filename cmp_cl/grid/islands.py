@@ -1,0 +1,85 @@
+"""Nodes that no neighbour links to the others: islands, and how they get their numbers."""
+
+import numpy as np
+
+from cmp_cl.grid.grid import Grid
+from cmp_cl.grid.grow import Seen, attach, drop_misfits, grow
+from cmp_cl.grid.lattice import Lattice
+from cmp_cl.grid.nodes import Nodes, Points, boxed
+from cmp_cl.grid.place import Bounds, Reference, climb, is_still, quarter_turns
+
+LEAST = 9  # corners of an island
+OFF = 0.25  # cells: how far the middle of an island may be from its place
+MOST = 16  # islands
+
+
+def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) -> None:
+    """Put the islands into the grid that have one place there.
+
+    rest: the rest grid on the rows and columns of the nodes, or None. An island's place is
+    where the rest grid has it after the affine motion of the other nodes; without a rest grid
+    it is where their rows and columns meet, and they must lie on all sides of it. An island
+    whose middle is more than a quarter of a cell from its place has none.
+    """
+    count = int(np.count_nonzero(found.size >= LEAST))
+    joined = False
+    for component in range(1, min(count, MOST)):
+        free = (found.component == component) & nodes.free
+        if 2 * np.count_nonzero(free) < found.size[component]:
+            continue
+        island = boxed(seen.z, found, component)
+        island.free &= nodes.free & (found.component < 0)
+        grow(island, seen)
+        if island.there.any() and np.greater_equal(nodes.at.shape, island.at.shape).all():
+            joined |= _join(nodes, island, rest)
+    if joined:
+        drop_misfits(nodes)
+        attach(nodes, seen)
+
+
+def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
+    """Put an island into the grid; whether it has a place there."""
+    expected = Reference.at_places(_expected(nodes, rest), nodes.parity, (0, 0))
+    quarters, _ = quarter_turns(island.at, expected)[0]
+    turned = island.turned(quarters)
+    (rows, columns), (high, wide) = nodes.at.shape, turned.at.shape
+    inside = 1 if rest is None else 0
+    bounds = Bounds(inside, rows - high - inside, inside, columns - wide - inside)
+    choices = climb(turned, expected, bounds, quarters)
+    if not choices or not is_still(island, expected, min(choices), OFF):
+        return False
+    *_, top, left = min(choices)
+    row, column = np.nonzero(turned.there)
+    here = row + top, column + left
+    if nodes.there[here].any() or (rest is None and not _surrounded(nodes, *here)):
+        return False
+    nodes.put(*here, turned.at[row, column], turned.status[row, column])
+    owner = turned.owner[row, column]
+    nodes.owner[here] = owner
+    nodes.free[owner[owner >= 0]] = False
+    return True
+
+
+def _expected(nodes: Nodes, rest: Grid | None) -> Points:
+    """Where nodes should be by an affine map of their place, or of their place at rest, (R, C)."""
+    place: Points
+    if rest is None:
+        row, column = np.indices(nodes.at.shape)
+        place = np.asarray(column + 1j * row)
+    else:
+        place = rest.xy[..., 0] + 1j * rest.xy[..., 1].astype(np.float64)
+    known = nodes.there & ~np.isnan(place.real)
+    model = np.stack([np.ones(place.shape), place, place.conj()], axis=-1)
+    motion = np.linalg.lstsq(model[known], nodes.at[known], rcond=None)[0]
+    expected: Points = model @ motion
+    return expected
+
+
+def _surrounded(nodes: Nodes, row: np.ndarray, column: np.ndarray) -> bool:
+    """Whether there are nodes before and after most of those places, on their row and column."""
+    sides = []
+    for axis in (0, 1):
+        before = np.logical_or.accumulate(nodes.there, axis)[row, column]
+        after = np.flip(np.logical_or.accumulate(np.flip(nodes.there, axis), axis), axis)
+        sides += [before, after[row, column]]
+    return all(float(side.mean()) > 0.5 for side in sides)

@@ -1,0 +1,134 @@
+"""A grid in the making."""
+
+import cmath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import GridError
+from cmp_cl.grid.grid import NodeStatus
+from cmp_cl.grid.lattice import Lattice
+
+Points = NDArray[np.complex128]  # x + 1j y, px, NaN where there is none
+Index = NDArray[np.int64]
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+NOWHERE = complex(np.nan, np.nan)
+ROOM, ROOM_EACH = 65536, 64  # nodes that a grid may have, and more of them for each corner
+
+
+class Nodes:
+    """A grid in the making.
+
+    at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
+    status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, where a node was put or dropped
+    since misfits were looked for; parity: as in Grid; free: (N,) bool, corners that have not
+    been in the grid.
+    """
+
+    def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
+        self.at: Points = np.full(shape, NOWHERE)
+        self.owner: Index = np.full(shape, -1)
+        self.status: NDArray[np.uint8] = np.zeros(shape, np.uint8)
+        self.changed: Mask = np.zeros(shape, np.bool_)
+        self.parity = parity
+        self.free = free
+
+    @property
+    def there(self) -> Mask:
+        """(R, C), where there is a node."""
+        return np.not_equal(self.status, NodeStatus.MISSING)
+
+    def put(self, row: Index, column: Index, at: Points, status: Any) -> None:
+        self.at[row, column] = at
+        self.status[row, column] = status
+        self.changed[row, column] = True
+
+    def drop(self, row: Index, column: Index) -> None:
+        self.put(row, column, np.full(len(row), NOWHERE), NodeStatus.MISSING)
+        self.owner[row, column] = -1
+
+    def pad(self) -> None:
+        """A ring of missing nodes around; the parity of node (0, 0) stays."""
+        self.at = np.pad(self.at, 1, constant_values=NOWHERE)
+        self.owner = np.pad(self.owner, 1, constant_values=-1)
+        self.status = np.pad(self.status, 1)
+        self.changed = np.pad(self.changed, 1)
+
+    def crop(self) -> None:
+        """Without the empty rows and columns around."""
+        seen = self.there
+        rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
+        if not len(rows):
+            return
+        box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        self.at, self.owner = self.at[box], self.owner[box]
+        self.status, self.changed = self.status[box], self.changed[box]
+        self.parity = (self.parity + int(rows[0]) + int(columns[0])) % 2
+
+    def turned(self, quarters: int) -> "Nodes":
+        """The same nodes with the numbers turned: row 0 is the last column, and so on."""
+        if not quarters:
+            return self
+        first = (0, self.at.shape[1], sum(self.at.shape), self.at.shape[0])[quarters]
+        turned = Nodes(self.at.shape, (self.parity + first) % 2, self.free)
+        turned.at, turned.owner = np.rot90(self.at, quarters), np.rot90(self.owner, quarters)
+        turned.status = np.rot90(self.status, quarters)
+        turned.changed = np.rot90(self.changed, quarters)
+        return turned
+
+    def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":
+        """The nodes from that row and column on."""
+        if (top, left, *shape) == (0, 0, *self.at.shape):
+            return self
+        cut = Nodes(shape, (self.parity + top + left) % 2, self.free)
+        rows, columns = self.at.shape
+        here = np.s_[
+            max(top, 0) : max(min(rows, top + shape[0]), 0),
+            max(left, 0) : max(min(columns, left + shape[1]), 0),
+        ]
+        there = np.s_[
+            max(-top, 0) : max(min(rows - top, shape[0]), 0),
+            max(-left, 0) : max(min(columns - left, shape[1]), 0),
+        ]
+        for name in ("at", "owner", "status"):
+            getattr(cut, name)[there] = getattr(self, name)[here]
+        return cut
+
+
+def check_room(shape: tuple[int, int], corners: int) -> None:
+    """Raise GridError where a grid of that shape is far too large for that many corners."""
+    if shape[0] * shape[1] > ROOM + ROOM_EACH * corners:
+        raise GridError(
+            f"a grid of {shape[0]} x {shape[1]} nodes is too large for {corners} corners, "
+            f"expected at most {ROOM + ROOM_EACH * corners} nodes"
+        )
+
+
+def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
+    """A component in the box that holds it, rows down and columns right.
+
+    Raises GridError where the box is too large for its corners.
+    """
+    member = np.flatnonzero(found.component == component)
+    member = member[np.argsort(found.support[member], kind="stable")]
+    angle = cmath.phase(complex(found.axis[component]))
+    unit = (1, 1j, -1, -1j)[round(angle / (cmath.pi / 2)) % 4]
+    node, turn = found.node[member] * unit, found.turn[member] * unit
+    row, column = node.imag.astype(np.int64), node.real.astype(np.int64)
+    row -= row.min()
+    column -= column.min()
+    check_room((int(row.max()) + 1, int(column.max()) + 1), len(z))
+    odd = ((turn.imag != 0) + row + column) % 2
+    free = np.ones(len(z), np.bool_)
+    free[member] = False
+    parity = int(2 * np.count_nonzero(odd) > len(odd))
+    nodes = Nodes((int(row.max()) + 1, int(column.max()) + 1), parity, free)
+    nodes.owner[row, column] = member  # the best supported is last and stays
+    seen = nodes.owner >= 0
+    nodes.at = np.where(seen, z[nodes.owner], NOWHERE)
+    nodes.status[seen] = NodeStatus.DETECTED
+    nodes.changed[:] = True
+    return nodes

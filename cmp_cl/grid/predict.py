@@ -1,0 +1,95 @@
+"""Where nodes should be by their neighbours, and how long the steps between them are."""
+
+import numpy as np
+
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Points
+
+
+# (weight, {(row, column): factor, ...}) of each prediction of a node from its neighbours
+def _predictors() -> list[tuple[float, dict[tuple[int, int], float]]]:
+    found: list[tuple[float, dict[tuple[int, int], float]]] = []
+    for r, c in ((0, 1), (1, 0)):
+        line = {(-r, -c): 4 / 6, (r, c): 4 / 6, (-2 * r, -2 * c): -1 / 6, (2 * r, 2 * c): -1 / 6}
+        found.append((12, line))
+        found.append((4, {(-r, -c): 0.5, (r, c): 0.5}))
+    for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        found.append((1.5, {(r, 0): 1, (0, c): 1, (r, c): -1}))
+    for r, c in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+        found.append((0.7, {(r, c): 2, (2 * r, 2 * c): -1}))
+        found.append((0.7, {(r, c): 3, (2 * r, 2 * c): -3, (3 * r, 3 * c): 1}))
+    return found
+
+
+PREDICTORS = _predictors()
+STEPS = np.array(sorted({step for _, factors in PREDICTORS for step in factors}))
+WEIGHTS = np.array([weight for weight, _ in PREDICTORS])
+FACTORS = np.array([[factors.get((r, c), 0) for r, c in STEPS] for _, factors in PREDICTORS])
+USES = (FACTORS != 0).astype(np.float64)
+WEIGHTED = WEIGHTS[:, None] * FACTORS
+ALIKE = [  # the factor of equally distant nodes in the mean of all predictors, and these
+    (float(WEIGHTED[:, alike].sum(0)[0] / WEIGHTS.sum()), STEPS[alike])
+    for alike in ((STEPS**2).sum(1) == away for away in (1, 2, 4, 9))
+]
+ALONG = np.array([(r, c) for r in (-1, 0, 1) for c in (-2, -1, 0, 1)])  # where steps begin
+BEGINS = np.concatenate([ALONG, ALONG[:, ::-1]])
+ENDS = BEGINS + np.repeat([[0, 1], [1, 0]], len(ALONG), axis=0)
+TOUCHED = np.kron(np.eye(2), [1, 2, 2, 1] * 3)  # how many of the 3 x 3 nodes a step touches
+REACHED = np.array(  # where predictions or cells change with the node in the middle
+    [(r, c) for r in range(-3, 4) for c in range(-3, 4) if 0 in (r, c) or max(abs(r), abs(c)) < 3]
+)
+
+
+def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
+    """Where nodes should be by their neighbours, and the weight of the prediction.
+
+    Along a row or column (4 (L + R) - (LL + RR)) / 6 with weight 12 and (L + R) / 2 with 4,
+    the parallelograms with 1.5, linear and quadratic extrapolation with 0.7 each.
+    """
+    padded = _bordered(at)
+    width = padded.shape[1]
+    near = padded.ravel()[(row + 3) * width + column + 3 + (STEPS @ [width, 1])[:, None]]
+    unknown = np.isnan(near.real)
+    near[unknown] = 0
+    known = USES @ unknown == 0
+    weight: Float = WEIGHTS @ known
+    factors = WEIGHTED.T @ known
+    with np.errstate(invalid="ignore"):
+        return (factors * near).sum(0) / weight, weight
+
+
+def predict_within(at: Points) -> Points:
+    """The same for every node, (R, C); NaN where one of those around is missing."""
+    padded = _bordered(at)
+    rows, columns = at.shape
+    total = np.zeros((rows, columns), np.complex128)
+    for factor, steps in ALIKE:
+        first, *others = (padded[r : r + rows, c : c + columns] for r, c in steps + 3)
+        total += factor * sum(others, first)
+    return total
+
+
+def _bordered(at: Points) -> Points:
+    """With three missing nodes around."""
+    rows, columns = at.shape
+    padded = np.full((rows + 6, columns + 6), NOWHERE)
+    padded[3:-3, 3:-3] = at
+    return padded
+
+
+def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, Float]:
+    """The step to the next column, to the next row, and the cell there, each (M,), px.
+
+    Means of the steps to and from the 3 x 3 nodes around; NaN where there are none.
+    """
+    padded = _bordered(at)
+    width = padded.shape[1]
+    place = (row + 3) * width + column + 3
+    begin, end = (padded.ravel()[(steps @ [width, 1])[:, None] + place] for steps in (BEGINS, ENDS))
+    step = end - begin
+    known = ~np.isnan(step.real)
+    step[~known] = 0
+    with np.errstate(invalid="ignore"):
+        mean: Points = TOUCHED @ step / (TOUCHED @ known)
+    length = np.abs(mean)
+    cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
+    return mean[0], mean[1], cell

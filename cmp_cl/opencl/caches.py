@@ -1,0 +1,77 @@
+"""The folders in which compiled kernels are kept: cmp_cl's own, and PoCL's."""
+
+import os
+import shutil
+import stat
+import warnings
+from pathlib import Path
+
+import platformdirs
+
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_LEAST_FREE = 32 << 20  # bytes: a plan's kernels take some 10 MB in PoCL's cache
+
+
+def own_folder() -> Path | None:
+    """The folder of cmp_cl's kernels, made if missing, for this user alone; None if it cannot be.
+
+    What lies in it is run: a folder of another user, or one that others may write to, is not
+    used, and a warning says so.
+    """
+    folder = platformdirs.user_cache_path("cmp_cl", appauthor=False)
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not is_ours(folder.lstat()):
+            warnings.warn(
+                f"the kernels in {str(folder)!r} are not used: the folder is not yours alone; "
+                "chmod 700 it, or name another one in XDG_CACHE_HOME",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+            return None
+        if os.name != "nt":
+            folder.chmod(0o700)
+    except OSError:
+        return None
+    return folder
+
+
+def is_ours(status: os.stat_result) -> bool:
+    """Whether a file or folder is this user's, and nobody else may write to it."""
+    if not hasattr(os, "getuid"):  # Windows has a folder for each user
+        return True
+    return status.st_uid == os.getuid() and not status.st_mode & _OTHERS_WRITE
+
+
+def read_ours(path: Path) -> bytes:
+    """The bytes of a file that is ours; raises OSError, PermissionError where it is not."""
+    with open(path, "rb") as file:
+        if not is_ours(os.fstat(file.fileno())):
+            raise PermissionError(f"{str(path)!r} is not ours alone")
+        return file.read()
+
+
+def pocl_folder() -> Path:
+    """Where PoCL keeps what it compiles."""
+    named = os.environ.get("POCL_CACHE_DIR")
+    if named:
+        return Path(named)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pocl"
+
+
+def pocl_is_stuck() -> str:
+    """Why PoCL cannot start or compile with its cache as it is, "" where it can.
+
+    Without a folder to write to it is not even listed; on a full disk it ends the process.
+    """
+    folder = pocl_folder()
+    there = next((each for each in (folder, *folder.parents) if each.exists()), None)
+    if there is None or not there.is_dir() or not os.access(there, os.W_OK):
+        return f"PoCL cannot write to its cache {str(folder)!r}; XDG_CACHE_HOME names another place"
+    free = shutil.disk_usage(there).free
+    if free < _LEAST_FREE:
+        return (
+            f"PoCL's cache {str(folder)!r} is on a disk with {free} bytes left, and PoCL ends the "
+            "process where it is full; make room, or name another place in XDG_CACHE_HOME"
+        )
+    return ""

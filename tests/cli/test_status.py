@@ -1,0 +1,119 @@
+"""Every command ends with 0, 1, 2 or 130, and a failure is one line."""
+
+import argparse
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from cmp_cl import CalibrationError, KernelBuildError
+from cmp_cl.cli import main as cli
+
+PROJECT = Path(__file__).parents[2]
+(COMMANDS,) = (
+    action.choices
+    for action in cli._parser()._actions
+    if isinstance(action, argparse._SubParsersAction)
+)
+FAILURES = {
+    "an error of ours": (CalibrationError("no camera"), 2, "cmp-cl: no camera\n"),
+    "a kernel": (KernelBuildError("no kernel"), 2, "cmp-cl: no kernel\n"),
+    "a file": (FileNotFoundError(2, "No such file", "a"), 2, "cmp-cl: a: No such file\n"),
+    "memory": (MemoryError(), 2, "cmp-cl: there is not enough memory for this\n"),
+    "Ctrl-C": (KeyboardInterrupt(), 130, "cmp-cl: interrupted\n"),
+    "a closed pipe": (BrokenPipeError(), 0, ""),
+}
+
+
+def least(name):
+    """The arguments without which a command is not begun: any text or number."""
+    arguments = [name]
+    chosen = [
+        group._group_actions[0]
+        for group in COMMANDS[name]._mutually_exclusive_groups
+        if group.required
+    ]
+    for action in COMMANDS[name]._actions:
+        text = "9x9" if "x" in str(action.metavar) else "9"
+        if not action.option_strings and action.nargs != "*":
+            arguments.append("none.png")
+        elif action.option_strings and (action.required or action in chosen):
+            arguments += [action.option_strings[0], *[text] * (action.nargs or 1)]
+    return arguments
+
+
+@pytest.fixture
+def run(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def run_in_folder(*arguments):
+        try:
+            status = cli.main(arguments)
+        except SystemExit as stop:
+            status = stop.code
+        return (status, *capsys.readouterr())
+
+    return run_in_folder
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_is_0_and_an_unknown_option_is_2(run, name):
+    status, out, err = run(name, "--help")
+    assert (status, err) == (0, "")
+    assert out.startswith(f"usage: cmp-cl {name}")
+    status, out, err = run(*least(name), "--no-such-option")
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1
+    assert "--no-such-option" in err
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_a_command_raises_is_a_status_and_one_line(run, monkeypatch, name, failure):
+    error, status, line = FAILURES[failure]
+
+    def raises(_):
+        raise error
+
+    parser = cli._parser()
+
+    parse = parser.parse_args
+
+    def parsed(argv):
+        arguments = parse(argv)
+        arguments.run = raises
+        return arguments
+
+    monkeypatch.setattr(parser, "parse_args", parsed)
+    monkeypatch.setattr(cli, "_parser", lambda: parser)
+    assert run(*least(name)) == (status, "", line)
+
+
+def test_the_statuses_are_those_of_the_documentation():
+    text = (PROJECT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    table = text.partition("## Exit status")[2].partition("\n## ")[0]
+    assert re.findall(r"^\| (\d+) \|", table, re.MULTILINE) == ["0", "1", "2", "130"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no SIGTERM to send on Windows")
+def test_a_signal_from_outside_ends_a_command_with_130(tmp_path):
+    os.mkfifo(tmp_path / "pipe.png")
+    command = [sys.executable, "-m", "cmp_cl", "detect", "pipe.png", "--out", "c.csv"]
+    child = subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(PROJECT)},
+    )
+    with open(tmp_path / "pipe.png", "wb"):  # it waits for the image
+        time.sleep(0.2)
+        child.send_signal(signal.SIGTERM)
+        assert child.communicate(timeout=60)[1] == "cmp-cl: interrupted\n"
+    assert child.returncode == 130
+    assert os.listdir(tmp_path) == ["pipe.png"]

@@ -1,0 +1,309 @@
+"""Numbers that are right, or say that they may be wrong."""
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+from lattices import Board, board, drawn, endless, joined
+
+from cmp_cl import align, build_grids, reference
+from cmp_cl.config import DetectorConfig
+from cmp_cl.corners import Corners
+from cmp_cl.errors import GridError
+from cmp_cl.grid import Grid, NodeStatus, Sides, build_grid
+
+MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
+PERIODS = ((1, 1), (2, 0), (-1, 3))
+
+
+def numbers(grid: Grid) -> np.ndarray:
+    """The number (row, column) of each corner; far from all others where it has none."""
+    return np.where(grid.index < 0, -999, grid.index + np.array(grid.origin))
+
+
+def offset(grid: Grid, seen: Board) -> np.ndarray:
+    """What has to be added to a grid's numbers to give the true ones; one value for all."""
+    known = grid.index[:, 0] >= 0
+    off = np.unique((seen.index - numbers(grid))[known], axis=0)
+    assert len(off) == 1
+    return off[0]
+
+
+def like_rest(**moved) -> tuple[Grid, bool]:
+    """The grid of an endless pattern that moved, and whether its numbers are right."""
+    rest = endless()
+    at_rest = build_grid(rest.corners)
+    now = endless(**moved)
+    grid = build_grid(now.corners, like=at_rest)
+    return grid, bool((offset(grid, now) == offset(at_rest, rest)).all())
+
+
+# patterns without a border in view
+
+
+@pytest.mark.parametrize("zoom", [0.9, 0.94, 0.97, 1.0, 1.03, 1.06, 1.1])
+def test_an_endless_pattern_keeps_its_numbers_however_it_is_zoomed(zoom):
+    grid, right = like_rest(zoom=zoom)
+    assert right
+    assert not grid.ambiguous
+
+
+@pytest.mark.parametrize("degrees", [-20, 5, 30])
+def test_an_endless_pattern_keeps_its_numbers_when_it_is_turned(degrees):
+    grid, right = like_rest(turn=np.deg2rad(degrees))
+    assert right
+    assert not grid.ambiguous
+
+
+@pytest.mark.parametrize("shift", [0.3, 0.4 + 0.4j, 0.8, 1.2, 1.6 + 0.2j, 2.4j, 3.3 - 1.1j])
+def test_a_shift_that_the_period_hides_is_never_silently_wrong(shift):
+    grid, right = like_rest(shift=shift)
+    assert right or grid.ambiguous
+    assert grid.ambiguous == (abs(shift) > 0)
+
+
+def test_the_rival_of_a_wrong_numbering_is_the_right_one():
+    now = endless(shift=0.7 + 0.5j)
+    rest = endless()
+    at_rest = build_grid(rest.corners)
+    grid = build_grid(now.corners, like=at_rest)
+    wrong = offset(grid, now) - offset(at_rest, rest)
+    assert wrong.any()
+    np.testing.assert_array_equal(wrong, grid.rival[:2])
+    assert grid.rival.quarters == 0
+    assert grid.margin > 0
+
+
+def test_frames_in_order_continue_the_numbers_over_any_distance():
+    rest = endless()
+    before = at_rest = build_grid(rest.corners)
+    for step in np.arange(0.4, 4.2, 0.4):
+        now = endless(shift=step * (1 + 0.3j), seed=int(10 * step))
+        before = build_grid(now.corners, like=at_rest, previous=before)
+        assert (offset(before, now) == offset(at_rest, rest)).all()
+
+
+def test_where_the_rest_frame_and_the_frame_before_disagree_the_frame_says_so():
+    rest = endless()
+    at_rest = build_grid(rest.corners)
+    before = build_grid(endless(shift=1.8).corners, like=at_rest, previous=shifted(at_rest, 0, 2))
+    now = endless(shift=2.0)
+    grid = build_grid(now.corners, like=at_rest, previous=before)
+    assert grid.ambiguous
+    assert (offset(grid, now) == offset(at_rest, rest)).all()
+
+
+def shifted(grid: Grid, rows: int, columns: int) -> Grid:
+    """The grid with the nodes numbered as if the pattern had moved by whole cells."""
+    return dataclasses.replace(grid, origin=(grid.origin[0] - rows, grid.origin[1] - columns))
+
+
+def test_a_motion_of_half_a_cell_between_frames_is_not_followed_silently():
+    at_rest = build_grid(endless().corners)
+    grid = build_grid(endless(shift=0.6).corners, like=at_rest, previous=at_rest)
+    assert grid.ambiguous
+
+
+def test_nodes_beyond_the_rest_grid_keep_their_numbers():
+    grid, right = like_rest(zoom=0.9)
+    assert right
+    assert (grid.index >= 0).all()
+    assert min(grid.origin) < 0
+    rest = build_grid(endless().corners)
+    cut = grid.cut_to(rest)
+    assert (cut.shape, cut.origin, cut.parity) == (rest.shape, (0, 0), rest.parity)
+    inside = cut.index[:, 0] >= 0
+    np.testing.assert_array_equal(cut.index[inside], numbers(grid)[inside])
+    np.testing.assert_array_equal(cut.xy[tuple(cut.index[inside].T)].shape, (inside.sum(), 2))
+    assert np.nanmax(np.hypot(*(cut.xy - rest.xy).transpose(2, 0, 1))) < 0.1 * 300
+
+
+def test_a_grid_with_doubts_is_refused_on_demand():
+    at_rest = build_grid(endless().corners)
+    with pytest.raises(GridError, match="ambiguous"):
+        build_grid(endless(shift=1.2).corners, like=at_rest, strict=True)
+    assert build_grid(endless(zoom=0.97).corners, like=at_rest, strict=True).doubts == []
+
+
+# patterns with a border in view
+
+
+def seen_in(picture: np.ndarray) -> Corners:
+    return reference.detect(picture, DetectorConfig.for_cell(20))
+
+
+def true(grid: Grid, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the measured nodes and those of the true corners there, (-1, -1) for none."""
+    row, column = np.nonzero(np.isin(grid.status, MEASURED))
+    away = np.linalg.norm(grid.xy[row, column][:, None] - corners.reshape(-1, 2), axis=2)
+    place = np.stack(np.divmod(away.argmin(axis=1), corners.shape[1]), axis=1)
+    place[away.min(axis=1) > 3] = -1
+    return np.stack([row, column], axis=1) + grid.origin, place
+
+
+def test_a_pattern_that_moved_by_cells_is_numbered_by_its_border():
+    at_rest, _ = drawn(7, 9)
+    rest = build_grid(seen_in(at_rest), at_rest)
+    assert rest.border == Sides(True, True, True, True)
+    moved, corners = drawn(7, 9, origin=(40 + 2 * 20, 40 + 2 * 20))
+    grid = build_grid(seen_in(moved), moved, like=rest)
+    number, place = true(grid, corners)
+    np.testing.assert_array_equal(number, place)
+    assert len(place) == 63
+    assert not grid.ambiguous
+
+
+@pytest.mark.parametrize("side", ["left", "top", "right", "bottom"])
+def test_a_board_partly_out_of_view_is_numbered_by_the_borders_that_are_seen(side):
+    picture, corners = drawn(6, 9)
+    cut = {"left": (85, 0), "top": (0, 85)}.get(side, (0, 0))
+    picture = picture[cut[1] :, cut[0] :]
+    picture = picture[: -85 if side == "bottom" else None, : -85 if side == "right" else None]
+    picture = np.ascontiguousarray(picture)
+    corners = corners - np.array(cut)
+    grid = build_grid(seen_in(picture), picture, shape=(6, 9))
+    number, place = true(grid, corners)
+    np.testing.assert_array_equal(number, place)
+    x, y = corners.reshape(-1, 2).T
+    inside = (x > 4) & (y > 4) & (x < picture.shape[1] - 5) & (y < picture.shape[0] - 5)
+    assert len(place) >= inside.sum() > 30
+    assert not grid.ambiguous
+    assert grid.doubts == []
+
+
+def test_a_board_without_a_border_in_view_is_ambiguous():
+    picture, _ = drawn(6, 9)
+    picture = np.ascontiguousarray(picture[:, 70:-70])
+    grid = build_grid(seen_in(picture), picture, shape=(6, 9))
+    assert grid.valid.any()
+    assert grid.ambiguous
+
+
+def test_junctions_with_the_surround_are_no_nodes():
+    picture, corners = drawn(6, 9)
+    picture = np.ascontiguousarray(picture[:, 85:])
+    for shape in (None, (6, 9)):
+        grid = build_grid(seen_in(picture), picture, shape=shape)
+        assert (true(grid, corners - np.array([85, 0]))[1] >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("asked", "goes_on"),
+    [((5, 9), "rows"), ((6, 8), "columns"), ((4, 7), "both"), ((7, 9), ""), ((6, 10), "")],
+)
+def test_a_wrong_size_is_told(asked, goes_on):
+    picture, _ = drawn(6, 9)
+    corners = seen_in(picture)
+    grid = build_grid(corners, picture, shape=asked)
+    assert grid.seen_shape == (6, 9)
+    assert any(grid.continues[:2]) == (goes_on in ("rows", "both"))
+    assert any(grid.continues[2:]) == (goes_on in ("columns", "both"))
+    (line,) = grid.doubts
+    assert line == f"the board looks like 6 x 9 corners; {asked[0]} x {asked[1]} were asked for"
+    with pytest.raises(GridError, match="looks like 6 x 9"):
+        build_grid(corners, picture, shape=asked, strict=True)
+    assert build_grid(corners, picture, shape=(6, 9)).seen_shape is None
+    assert build_grid(corners, picture, shape=(9, 6)).seen_shape is None
+
+
+# several views and several boards
+
+
+def test_all_views_of_a_board_have_one_origin():
+    views = [board(9, 6, turn=0.1 + turn, twist=0) for turn in (0, 1.4, 2.9, -1.5)]
+    grids = align([build_grid(view.corners, shape=(9, 6)) for view in views])
+    for view, grid in zip(views, grids, strict=True):
+        np.testing.assert_array_equal(grid.index, view.index)
+        assert grid.parity == grids[0].parity
+
+
+def test_views_that_no_colour_tells_apart_are_numbered_by_their_rows():
+    views = [board(6, 6, turn=turn, twist=0) for turn in (0.1, -0.4)]
+    first, second = align([build_grid(views[0].corners), build_grid(views[1].corners).turned(2)])
+    np.testing.assert_array_equal(second.index, views[1].index)
+    assert first.shape == second.shape
+    with pytest.raises(GridError, match="numbered alike"):
+        align([first, build_grid(board(6, 5).corners)])
+    empty = build_grid(board(1, 2).corners)
+    with pytest.raises(GridError, match="view 2 of 2 shows no node"):
+        align([first, empty])
+
+
+def test_all_boards_of_a_view_are_found():
+    first, second = board(9, 9, pull=0), board(6, 8, pull=0, origin=260 + 50j)
+    both = joined(first, second)
+    grids = build_grids(both)
+    assert [grid.shape for grid in grids] == [(9, 9), (6, 8)]
+    owned = np.sum([grid.index[:, 0] >= 0 for grid in grids], axis=0)
+    np.testing.assert_array_equal(owned, 1)
+    assert [grid.shape for grid in build_grids(both, shape=(6, 8))][-1] == (6, 8)
+    assert build_grids(joined(board(2, 2), board(1, 2, origin=200 + 60j))) == []
+
+
+# islands
+
+
+def island(aside: complex) -> tuple[Board, np.ndarray]:
+    """A board with a ring of corners missing, what lies inside moved aside; which is inside."""
+    whole = board(30, 30, pull=0, twist=0)
+    away = np.abs(whole.index - 14.5).max(axis=1)
+    inside = away < 5
+    whole.corners.xy[inside] += [aside.real, aside.imag]
+    kept = inside | (away > 9)
+    fields = {
+        field.name: getattr(whole.corners, field.name)[kept]
+        for field in dataclasses.fields(whole.corners)
+        if field.name != "device"
+    }
+    corners = dataclasses.replace(whole.corners, **fields)
+    return Board(corners, whole.index[kept], whole.truth), inside[kept]
+
+
+def test_an_island_gets_the_numbers_that_its_surroundings_give():
+    seen, inside = island(1.5 - 1j)
+    grid = build_grid(seen.corners)
+    np.testing.assert_array_equal(grid.index, seen.index)
+    component = grid.component[tuple(grid.index.T)]
+    np.testing.assert_array_equal(component, inside)
+    assert (grid.component[grid.status == NodeStatus.MISSING] == -1).all()
+
+
+def test_an_island_between_two_places_is_left_out():
+    seen, inside = island(0.5 * 13 + 0.4 * 13j)
+    grid = build_grid(seen.corners)
+    np.testing.assert_array_equal(grid.index[~inside], seen.index[~inside])
+    assert (grid.index[inside] == -1).all()
+
+
+# lists of corners that come from no image
+
+
+def test_corners_without_a_position_are_refused():
+    for value in (np.nan, np.inf, 3e38):
+        corners = board(5, 5).corners
+        corners.xy[3, 0] = value
+        with pytest.raises(GridError, match="1 of the 25 corners have no finite position"):
+            build_grid(corners)
+
+
+def test_a_shape_far_larger_than_the_corners_is_refused():
+    corners = board(6, 6).corners
+    for shape in ((1500, 1500), (9999, 9999), (10**9, 10**9)):
+        with pytest.raises(GridError, match=r"too large for 36 corners|beyond the limit"):
+            build_grid(corners, shape=shape)
+
+
+def test_a_heap_of_corners_on_one_spot_takes_no_time():
+    corners = board(12, 12).corners
+    heap = dataclasses.replace(
+        corners,
+        **{
+            field.name: np.repeat(getattr(corners, field.name)[:1], 20_000, axis=0)
+            for field in dataclasses.fields(corners)
+            if field.name != "device"
+        },
+    )
+    start = time.perf_counter()
+    assert build_grid(heap).shape == (0, 0)
+    assert time.perf_counter() - start < 3  # about 0.2 s; every pair of them would take minutes

@@ -1,0 +1,361 @@
+"""kernels/harmonic.cl and kernels/cpu/harmonic.cl: the grey-level rule, equal to the oracle."""
+
+import time
+from pathlib import Path
+
+import images
+import numpy as np
+import pytest
+from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+from corner_images import board, corner, noise
+from forms import in_form
+
+from cmp_cl import Detector, DetectorConfig, EdgeLines, RingHarmonic, reference
+from cmp_cl.reference import harmonic
+from cmp_cl.stages.form import Form
+from cmp_cl.stages.layout import PlanBase
+
+EIGHT = images.eight_bits()
+DEEP = images.sixteen_bits()
+FEW = ("scene", "fine board", "pixels", "noise", "white")
+VECTORS = sorted((Path(__file__).resolve().parents[1] / "data").glob("harmonic-*.npz"))
+NAMES = {"fine": "S1", "coarse": "S3", "coarse_response": "R5", "fine_response": "R3"}
+
+
+def configured(refinement=None, nms_radius=3, full_scale=None, **rule):
+    return DetectorConfig(
+        detection=RingHarmonic(**rule),
+        nms_radius=nms_radius,
+        full_scale=full_scale,
+        refinement=refinement,
+    )
+
+
+EVERYTHING = {"noise": 0, "relative": 0, "alignment": None, "support": None}
+DENSE = configured(nms_radius=1, **EVERYTHING)
+LINES = configured(EdgeLines(), **EVERYTHING)
+
+
+def some(names, few=FEW):
+    """Every name; those that are not among the few are for the exhaustive run."""
+    return [
+        name if name in few else pytest.param(name, marks=pytest.mark.exhaustive) for name in names
+    ]
+
+
+# --- vectors -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
+def test_corners_equal_the_vector(detector_in_form, path):
+    with np.load(path) as file:
+        vector = dict(file)
+    config = configured(full_scale=int(vector["full_scale"]))
+    detector = detector_in_form(vector["image"], config)
+    corners = detector(vector["image"])
+    np.testing.assert_array_equal(corners.pixel, vector["kept"][:, :2])
+    np.testing.assert_array_equal(corners.response, vector["kept"][:, 2])
+
+
+@pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
+def test_maps_equal_the_vector(detector_for, path):
+    with np.load(path) as file:
+        vector = dict(file)
+    config = configured(full_scale=int(vector["full_scale"]))
+    maps = detector_for(vector["image"], config).maps(vector["image"])
+    for ours, theirs in NAMES.items():
+        np.testing.assert_array_equal(getattr(maps, ours), vector[theirs], err_msg=ours)
+    y, x = np.nonzero(maps.maximum)
+    np.testing.assert_array_equal(np.stack([x, y], axis=1), vector["kept"][:, :2])
+
+
+def test_there_are_nine_vectors():
+    assert len(VECTORS) == 9
+
+
+# --- images --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", some(EIGHT))
+def test_eight_bits(detector_in_form, name):
+    """With the checks, without any, and as starts of refinement."""
+    image = EIGHT[name]
+    for config in (DetectorConfig(), DENSE, LINES):
+        assert_corners_equal(detector_in_form(image, config), image)
+
+
+@pytest.mark.parametrize("name", some(EIGHT))
+def test_maps_of_eight_bits(detector_for, name):
+    for config in (configured(), DENSE):
+        assert_maps_equal(detector_for(EIGHT[name], config), EIGHT[name])
+
+
+@pytest.mark.parametrize("full_scale", [1, 200, 255, 4095, 65535])
+@pytest.mark.parametrize("name", some(DEEP, ("12-bit board", "noise")))
+def test_greys_above_full_scale_count_as_full_scale(detector_in_form, name, full_scale):
+    image = DEEP[name]
+    config = configured(full_scale=full_scale, **EVERYTHING)
+    assert_corners_equal(detector_in_form(image, config), image)
+    assert_corners_equal(detector_in_form(image, DetectorConfig(full_scale=full_scale)), image)
+    assert_maps_equal(detector_in_form(image, config), image)
+    maps = reference.maps(image, config)
+    clipped = reference.maps(np.minimum(image, full_scale).astype(np.uint16), config)
+    np.testing.assert_array_equal(maps.fine, clipped.fine)
+    assert maps.fine.max() <= 4080
+
+
+@pytest.mark.parametrize("full_scale", [1, 200])
+def test_bytes_above_full_scale(detector_in_form, full_scale):
+    image = EIGHT["scene"]
+    config = configured(full_scale=full_scale, **EVERYTHING)
+    assert_corners_equal(detector_in_form(image, config), image)
+    assert_maps_equal(detector_in_form(image, config), image)
+
+
+def test_levels_of_every_full_scale(detector_in_form):
+    """Quotients of every remainder: the forms divide in different ways."""
+    image = np.arange(61 * 83, dtype=np.uint16).reshape(61, 83)
+    for full_scale in (3, 254, 1000, 4079, 4080, 4081, 5062, 40_000):
+        scaled = (image.astype(np.int64) * full_scale // 5062).astype(np.uint16)
+        config = configured(full_scale=full_scale, nms_radius=1, **EVERYTHING)
+        assert_maps_equal(detector_in_form(scaled, config), scaled)
+        rough = (noise((61, 83)).astype(np.int64) * full_scale // 255).astype(np.uint16)
+        assert_corners_equal(detector_in_form(rough, config), rough)
+
+
+SHAPES = [(1, 1), (1, 40), (40, 1), (2, 2), (2, 31), (3, 3), (5, 4), (9, 11), (11, 64), (34, 7)]
+
+
+@pytest.mark.parametrize("shape", some(SHAPES, ((1, 1), (1, 40), (40, 1), (9, 11))), ids=str)
+def test_images_smaller_than_the_ring(detector_in_form, shape):
+    for image in (noise(shape, seed=3), np.full(shape, 255, np.uint8)):
+        for config in (DetectorConfig(), DENSE, configured(nms_radius=15, **EVERYTHING)):
+            detector = detector_in_form(image, config)
+            assert_corners_equal(detector, image)
+            assert_maps_equal(detector, image)
+
+
+WIDTHS = [31, 32, 33, 47, 48, 49, 63, 64, 65, 95, 96, 97, 127, 128, 129, 159, 160, 161]
+
+
+@pytest.mark.parametrize("width", some(WIDTHS, (32, 33, 97)))
+def test_widths_around_words_and_vectors(detector_in_form, width):
+    """With maxima in the first and in the last column."""
+    tall = images.texture((500, width), seed=6)
+    seen = set()
+    for top in (0, 50, 100):
+        image = tall[top : top + 50]
+        corners = assert_corners_equal(detector_in_form(image, DENSE), image)
+        seen |= set(corners.pixel[:, 0].tolist())
+    assert seen & {0, 1}
+    assert seen & {width - 2, width - 1}
+
+
+@pytest.mark.parametrize("rows", [31, 32, 63, 64, 65, 96, 127, 128])
+def test_heights_around_bands(detector_in_form, rows):
+    image = images.texture((rows, 64), seed=6)
+    corners = assert_corners_equal(detector_in_form(image, DENSE), image)
+    y = corners.pixel[:, 1]
+    assert y.min() < 3
+    assert y.max() >= rows - 3
+
+
+@pytest.mark.parametrize("bands", some([1, 2, 3, 5, 7, 36, 70], (2, 7)))
+def test_bands_of_any_number_give_the_same(device, monkeypatch, bands):
+    """Also with so many that the last ones have no row."""
+    monkeypatch.setattr(PlanBase, "bands", bands)
+    image = images.texture((70, 64), seed=2)
+    for nms_radius in (1, 3, 15):
+        config = configured(nms_radius=nms_radius, **EVERYTHING)
+        with Detector(
+            shape=image.shape, config=config, device=in_form(device, Form.CPU)
+        ) as detector:
+            corners = assert_corners_equal(detector, image)
+            assert_same_bytes(detector.batch([image] * 2)[1], corners)
+    assert len(corners) > 0
+
+
+# --- the rule ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("nms_radius", some([1, 2, 3, 4, 5, 7, 8, 15], (1, 4, 15)))
+@pytest.mark.parametrize("name", some(["texture", "fine board", "pixels", "stripes 4"], "texture"))
+def test_every_radius(detector_in_form, name, nms_radius):
+    config = configured(nms_radius=nms_radius, **EVERYTHING)
+    assert_corners_equal(detector_in_form(EIGHT[name], config), EIGHT[name])
+
+
+RULES = {
+    "wide cells": {"fine": False},
+    "wide cells, no checks": {"fine": False, **EVERYTHING},
+    "no alignment": {"alignment": None},
+    "no support": {"support": None},
+    "strict alignment": {"alignment": 1},
+    "strict support": {"support": 1},
+    "loose": {"alignment": 64, "support": 64},
+    "no noise": {"noise": 0, "relative": 0},
+    "half the noise": {"noise": 0.5},
+    "much noise": {"noise": 7.3},
+    "all noise": {"noise": 100},
+    "half the reference": {"relative": 0.5},
+    "the reference": {"relative": 1},
+}
+
+
+@pytest.mark.parametrize("rule", some(RULES, ("wide cells", "no checks", "much noise", "loose")))
+@pytest.mark.parametrize("name", some(["texture", "worn scene", "fine board"], "texture"))
+def test_every_setting_of_the_rule(detector_in_form, name, rule):
+    image, config = EIGHT[name], configured(**RULES[rule])
+    detector = detector_in_form(image, config)
+    assert_corners_equal(detector, image)
+    assert_maps_equal(detector, image)
+
+
+@pytest.mark.parametrize("pixel", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
+def test_the_largest_noise(detector_in_form, pixel):
+    """The bound of such noise is beyond every response, and its product near 64 bits."""
+    most = np.iinfo(pixel).max
+    image = (np.indices((200, 220)).sum(0) % 2 * most).astype(pixel)
+    corners = assert_corners_equal(detector_in_form(image, configured(noise=100)), image)
+    assert len(corners) == 0
+
+
+def test_fine_maxima_alone_have_a_reference_of_their_own(detector_in_form):
+    image = board(61, 83, 4.0, blur=0.4)[0]
+    config = configured(alignment=1, support=1)
+    found = harmonic.corners(image, config.detection, 3, 255, np.ones(image.shape, np.bool_))
+    assert found.reference == 0
+    assert found.fine.sum() > 20
+    assert_corners_equal(detector_in_form(image, config), image)
+
+
+def test_plateaus_have_one_winner_the_first_in_raster_order(detector_in_form):
+    """Of four equal responses around a corner between pixels; in the same way at every corner."""
+    y, x = np.indices(images.SHAPE)
+    image = np.where((x // 12 + y // 12) % 2 == 0, 40, 200).astype(np.uint8)
+    corners = assert_corners_equal(detector_in_form(image, configured()), image)
+    assert len(corners) == 30
+    response = reference.maps(image, configured()).coarse_response
+    x, y = corners.pixel.T
+    assert (response[y + 1, x + 1] == response[y, x]).all()
+    np.testing.assert_array_equal(corners.pixel % 12, 11)
+
+
+def test_stripes_and_flat_images_have_no_corner(detector_in_form):
+    for width in range(1, 9):
+        for name in (f"stripes {width}", f"slanted stripes {width}"):
+            assert len(detector_in_form(EIGHT[name], configured())(EIGHT[name])) == 0, name
+    for name in ("black", "white", "ramp", "slope"):
+        assert len(detector_in_form(EIGHT[name], configured())(EIGHT[name])) == 0, name
+
+
+def test_a_mask_leaves_corners_inside_and_suppression_as_it_is(detector_in_form):
+    image = EIGHT["texture"]
+    mask = np.zeros(images.SHAPE, np.bool_)
+    mask[10:40, 5:81:2] = True
+    whole = reference.maps(image, DENSE).maximum
+    detector = detector_in_form(image, DENSE, mask)
+    corners = assert_corners_equal(detector, image, mask=mask)
+    assert_maps_equal(detector, image, mask=mask)
+    x, y = corners.pixel.T
+    assert mask[y, x].all()
+    assert 0 < len(corners) < whole.sum()
+
+
+def test_a_corner_in_every_place_of_a_band(detector_in_form):
+    """The list is in (y, x) order, whatever the order in which work-items found its entries."""
+    tile = corner(20, 20, 0.35)[:31, :31]
+    image = np.ascontiguousarray(np.tile(tile, (5, 4)))
+    for shift in (0, 7, 19):
+        moved = np.roll(image, shift, axis=(0, 1))
+        corners = assert_corners_equal(detector_in_form(moved, LINES), moved)
+        x, y = corners.pixel.T
+        assert (np.diff(y * moved.shape[1] + x) > 0).all()
+
+
+@pytest.mark.parametrize("config", [DetectorConfig(), DENSE], ids=["default", "dense"])
+def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
+    frames = [EIGHT[name] for name in ("texture", "white", "worn scene")]
+    detector = detector_in_form(frames[0], config)
+    for one, frame in zip(detector.batch(frames), frames, strict=True):
+        assert_same_bytes(one, assert_corners_equal(detector, frame))
+
+
+# --- room ----------------------------------------------------------------------------------
+
+
+def with_room(detector, room):
+    plan = detector._plan(None)
+    plan.list_room = plan.corner_room = room
+    plan._allocate()
+    plan._bind()
+
+
+def test_more_maxima_than_room_are_counted_and_found_all_the_same(device_in_form):
+    """Noise has more maxima in windows of 3 x 3 than the plan has room for."""
+    image = noise((600, 200), seed=3)
+    config = DENSE.replace(max_corners=1)
+    with Detector(shape=image.shape, config=config, device=device_in_form) as detector:
+        room, memory = detector._plan(None).list_room, detector.memory
+        corners = assert_corners_equal(detector, image)
+        assert detector.regrown > 0
+        assert detector._plan(None).list_room > room
+        assert detector.memory > memory
+        assert len(corners) > room
+        times = detector.regrown
+        assert_same_bytes(detector(image), corners)
+        assert_same_bytes(detector.batch([image, image[::-1].copy()])[0], corners)
+        assert len(detector(np.zeros_like(image))) == 0
+        assert_same_bytes(detector(image), corners)
+        assert detector.regrown - times <= 2  # the plan of the batch grows too
+
+
+@pytest.mark.parametrize(("count", "regrown"), [(63, False), (64, False), (65, True)])
+def test_room_for_64_holds_64(device_in_form, count, regrown):
+    """A mask leaves exactly that many maxima in the one band."""
+    image = images.texture((60, 300), seed=9)
+    config = DENSE.replace(detection=RingHarmonic(fine=False, **EVERYTHING))
+    maxima = np.argwhere(reference.maps(image, config).maximum)
+    mask = np.zeros(image.shape, np.bool_)
+    mask[tuple(maxima[:count].T)] = True
+    with Detector(shape=image.shape, config=config, device=device_in_form, mask=mask) as detector:
+        with_room(detector, 64)
+        corners = assert_corners_equal(detector, image, mask=mask)
+        assert len(corners) == count
+        assert (detector.regrown > 0) is regrown
+
+
+# --- the worst case ------------------------------------------------------------------------
+
+LARGE = (1200, 1600)
+WORST = {
+    "a rotated board of 7 px cells": lambda: tiled(board(300, 400, 7, angle=0.4)[0]),
+    "white noise": lambda: noise(LARGE, seed=1),
+    "a fine texture": lambda: tiled(images.texture((300, 400))),
+}
+
+
+def tiled(tile):
+    return np.tile(tile, (LARGE[0] // tile.shape[0], LARGE[1] // tile.shape[1]))
+
+
+@pytest.mark.exhaustive
+def test_no_image_takes_more_than_ten_times_a_typical_one(device):
+    typical = tiled(board(300, 400, 25)[0])
+    with Detector(shape=LARGE, device=device) as detector:
+        memory = detector.memory
+
+        def least(image):
+            """Seconds, the best of some turns: others use the machine too."""
+            spent = []
+            for _ in range(7):
+                start = time.perf_counter()
+                detector(image)
+                spent.append(time.perf_counter() - start)
+            return min(spent)
+
+        usual = least(typical)
+        for name, make in WORST.items():
+            assert least(make()) < 10 * usual, name
+            assert detector.memory <= 2 * memory, name
+            assert detector.regrown <= 2, name

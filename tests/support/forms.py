@@ -1,0 +1,13 @@
+"""Both forms of the kernels on the device under test."""
+
+import dataclasses
+
+from cmp_cl import Device, DeviceKind
+from cmp_cl.stages.form import Form
+
+KINDS = {Form.CPU: DeviceKind.CPU, Form.PORTABLE: DeviceKind.GPU}
+
+
+def in_form(device: Device, form: Form) -> Device:
+    """The device, taken for one of the kind that has that form."""
+    return dataclasses.replace(device, kind=KINDS[form])
