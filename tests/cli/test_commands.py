@@ -572,7 +572,7 @@ def test_without_matplotlib_demo_says_so_and_writes_the_rest(
     status, out, err = run("demo")
     assert status == 0
     assert err.count("\n") == 1
-    assert "pip install matplotlib" in err
+    assert "pip install 'cmp-cl[plot]'" in err
     assert (tmp_path / "cmp-demo" / "grid.png").exists()
     assert (tmp_path / "cmp-demo" / "field.vtp").exists()
     assert not (tmp_path / "cmp-demo" / "surface.png").exists()
