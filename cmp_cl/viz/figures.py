@@ -39,6 +39,7 @@ STATUS_COLOURS = {  # BGR
 }
 JPEG_QUALITY = 80  # of the pictures in a recording
 _OFF_GRID = (150, 150, 190)  # BGR, of corners that no grid holds
+NARROWEST = 1e-5  # width of a surface over its length: narrower ones are lines
 _FRACTION_BITS = 4
 
 
@@ -321,7 +322,7 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
         raise FieldError(f"{len(points)} nodes are valid, at least 3 are needed to draw a surface")
     origin = points.mean(axis=0)
     _, spread, directions = np.linalg.svd(points - origin, full_matrices=False)
-    if spread[1] < 1e-9 * spread[0] or not spread[0]:
+    if spread[1] < NARROWEST * spread[0] or not spread[0]:
         raise FieldError("all valid nodes lie on a line: they make no surface")
     normal = directions[2] if directions[2] @ origin < 0 else -directions[2]
     row, column = np.nonzero(field.valid)
