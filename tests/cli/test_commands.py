@@ -280,7 +280,7 @@ STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, nam
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("name", STOPS)
 def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
-    def frames_of(path):
+    def frames_of(path, **_):
         if path.name == "1.png":
             for _ in range(times):
                 signal.raise_signal(getattr(signal, name))
@@ -296,7 +296,7 @@ def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatc
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
 def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
-    def frames_of(path):
+    def frames_of(path, **_):
         signal.raise_signal(signal.SIGHUP)
         yield Frame(0, press[int(path.stem)].frame)
 
