@@ -50,6 +50,9 @@ from cmp_cl.stereo import (
     calibrate,
     calibrate_camera,
 )
+from cmp_cl.version import package_version
+
+__version__ = package_version()
 
 __all__ = [
     "AdaptiveMean",
@@ -90,6 +93,7 @@ __all__ = [
     "Sides",
     "SpectralCriteria",
     "StereoRig",
+    "__version__",
     "align",
     "build_grid",
     "build_grids",

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cmp_cl import media
+from cmp_cl.cli import calibrate_cameras
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
@@ -32,13 +33,14 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure import MAX_SIGMA, Region, find_boards, square_sides
 from cmp_cl.opencl.device import select_device
 from cmp_cl.stereo import StereoCalibration, calibrate
+from cmp_cl.stereo.exports import cameras_of, check_cameras, save_cameras
 
 
 def add_parser(commands: Any) -> None:
     """Add `calibrate` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "calibrate",
-        help="the two cameras from views of a rigid board",
+        help="one, two or more cameras from views of a rigid board",
         description="Finds the corners of a flat, rigid checkerboard in at least three pairs of "
         "views, tilted in different directions, calibrates both cameras and the pose between "
         "them, and prints the reprojection error of every view. Corners that the detector did "
@@ -65,7 +67,13 @@ def add_parser(commands: Any) -> None:
         "--square", metavar="LENGTH", type=float, required=True, help="side of a square"
     )
     parser.add_argument("--unit", default="mm", help="of --square and of the result; default: mm")
-    parser.add_argument("--out", metavar="YAML", required=True, help="the calibration to write")
+    parser.add_argument(
+        "--out",
+        metavar="FILE",
+        required=True,
+        help="the calibration to write: .yaml or .yml (OpenCV, for cmp-cl run), .camera_info.yaml "
+        "(ROS), .camchain.yaml (Kalibr), or cameras.txt (COLMAP)",
+    )
     add_split(
         parser,
         help_="where the views are in a frame that shows both: halves (the default), or "
@@ -84,6 +92,7 @@ def add_parser(commands: Any) -> None:
         default=MAX_SIGMA,
         help=f"largest standard deviation of a corner that is used; default: {MAX_SIGMA:g} px",
     )
+    calibrate_cameras.add_arguments(parser)
     add_full_scale(parser)
     add_max_pixels(parser)
     add_device(parser)
@@ -101,6 +110,9 @@ class _Pair(NamedTuple):
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; returns its exit status."""
+    if arguments.camera:
+        _check_numbers(arguments)
+        return calibrate_cameras.run(arguments)
     _check(arguments)
     names = _names(arguments)
     refuse_to_overwrite(itertools.chain(*names), [arguments.out])
@@ -130,11 +142,20 @@ def run(arguments: argparse.Namespace) -> int:
                 used.append(pair.name)
             progress.step()
     if size is None:
-        raise CalibrationError(f"none of the {len(names)} views shows the board")
+        hint = ""
+        if not arguments.left:
+            hint = (
+                "; IMAGE is a frame that shows both views side by side: for views of one camera "
+                "say --camera NAME=IMAGE..., for those of two --left and --right"
+            )
+        raise CalibrationError(f"none of the {len(names)} views shows the board{hint}")
     found = calibrate(
         views, spacing=arguments.square, image_size=(size[1], size[0]), unit=arguments.unit
     )
-    found.rig.save(arguments.out)
+    if check_cameras(arguments.out) in (".yaml", ".yml"):
+        found.rig.save(arguments.out)
+    else:
+        save_cameras(arguments.out, cameras_of(found.rig, (size[1], size[0])))
     _report(found, views, used, arguments)
     print(f"wrote {shown(arguments.out)}: {counted(len(views), 'view')} on {device}")
     return 0
@@ -149,13 +170,18 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     if arguments.left and (arguments.split or arguments.mirror):
         raise ConfigError("--split and --mirror are for frames that show both views")
+    if arguments.corners or arguments.picture or arguments.lens != "pinhole":
+        raise ConfigError("--corners, --picture and --lens need --camera NAME=IMAGE...")
+    _check_numbers(arguments)
+    check_cameras(arguments.out)
+    check_target(arguments.out)
+
+
+def _check_numbers(arguments: argparse.Namespace) -> None:
     if not 0 < arguments.square < np.inf:
         raise ConfigError(f"--square must be a positive length, not {arguments.square}")
     if not arguments.max_sigma > 0:
         raise ConfigError(f"--max-sigma must be above 0 px, not {arguments.max_sigma}")
-    if Path(arguments.out).suffix.lower() not in (".yaml", ".yml"):
-        raise ConfigError(f"--out {shown(arguments.out)} must end in .yaml or .yml")
-    check_target(arguments.out)
 
 
 def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:

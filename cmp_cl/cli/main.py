@@ -16,7 +16,7 @@ import cv2
 
 import cmp_cl
 from cmp_cl.cli import bench as benchmark
-from cmp_cl.cli import calibrate, demo, detect, pattern, render, run, tune
+from cmp_cl.cli import calibrate, demo, detect, pattern, plot, render, run, tune
 from cmp_cl.cli.messages import one_line
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
@@ -98,12 +98,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="cmp-cl", description="Corners of deformed checkerboards on any OpenCL device."
     )
+    parser.add_argument("--version", action="version", version=f"cmp-cl {cmp_cl.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_devices(commands)
     detect.add_parser(commands)
     render.add_parser(commands)
     demo.add_parser(commands)
     run.add_parser(commands)
+    plot.add_parser(commands)
     calibrate.add_parser(commands)
     tune.add_parser(commands)
     benchmark.add_parser(commands)

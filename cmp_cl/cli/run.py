@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import dataclasses
+import os
 import sys
 import time
 from collections.abc import Generator, Sequence
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl import media
 from cmp_cl.cli.arguments import (
@@ -31,12 +33,13 @@ from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError, ImageError
-from cmp_cl.field import SeriesWriter
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
 from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.series import SERIES_SUFFIXES, Description, open_series
 from cmp_cl.stereo import StereoRig
 from cmp_cl.viz import RerunLog
+from cmp_cl.viz.film import FILM_SUFFIXES, OverlayFilm
 
 _LINES_OF_BROKEN = 8  # a recording full of broken frames is told in a number
 
@@ -57,7 +60,11 @@ def add_parser(commands: Any) -> None:
         "source", metavar="SOURCE", help="video, folder of images, image, or number of a camera"
     )
     parser.add_argument(
-        "--out", metavar="NPZ", required=True, help="the series, for numpy.load; see below"
+        "--out",
+        metavar="FILE",
+        required=True,
+        help="the series: .npz (numpy.load), .h5 (readable while it grows), .parquet, .csv, "
+        ".jsonl, .pvd (ParaView), or - for JSON lines on standard output; see below",
     )
     parser.add_argument("--stereo", metavar="YAML", help="the calibration of the two views")
     parser.add_argument(
@@ -96,6 +103,11 @@ def add_parser(commands: Any) -> None:
         action="store_true",
         help="leave out the lattice filter; default: displacements are filtered over the lattice, "
         "and the series holds the raw ones beside them",
+    )
+    parser.add_argument(
+        "--overlay",
+        metavar="MP4",
+        help="write one annotated video, .mp4, .mkv or .avi (the left view)",
     )
     film = parser.add_mutually_exclusive_group()
     film.add_argument(
@@ -136,7 +148,7 @@ class _Shot(NamedTuple):
 
 
 class _Source:
-    """Where the frames come from."""
+    """Where the frames come from; rate: frames per second, None where nobody knows."""
 
     def __init__(self, name: str, max_pixels: int) -> None:
         self._max_pixels = max_pixels
@@ -144,8 +156,9 @@ class _Source:
             int(name) if name.isascii() and name.isdigit() and not Path(name).exists() else None
         )
         self.paths = [] if self.camera is not None else media.find_inputs([name])
-        rate = media.frame_rate(self.paths[0]) if len(self.paths) == 1 else None
-        self._period = np.nan if rate is None else 1e3 / rate
+        self.name = name
+        self.rate = media.frame_rate(self.paths[0]) if len(self.paths) == 1 else None
+        self._period = np.nan if self.rate is None else 1e3 / self.rate
 
     @property
     def total(self) -> int | None:
@@ -249,6 +262,7 @@ class _Settings:
     source: _Source
     rest_frame: int
     out: str
+    overlay: str | None
     rerun: str | None
     show: bool
     device: Device
@@ -268,19 +282,29 @@ class _Settings:
             raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
         if arguments.stereo is None and (arguments.split or arguments.mirror):
             raise ConfigError("--split and --mirror need --stereo")
-        _check_suffix("--out", arguments.out, ".npz")
+        if arguments.out != "-":
+            _check_suffix("--out", arguments.out, *SERIES_SUFFIXES)
+        _check_suffix("--overlay", arguments.overlay, *FILM_SUFFIXES)
         _check_suffix("--rerun", arguments.rerun, ".rrd")
+        if arguments.show:
+            _check_display()
         config = None if arguments.config is None else DetectorConfig.load(arguments.config)
         rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
         device = select_device(arguments.device)
         source = _Source(arguments.source, arguments.max_pixels)
         refuse_to_overwrite(
-            [*source.paths, arguments.config, arguments.stereo], [arguments.out, arguments.rerun]
+            [*source.paths, arguments.config, arguments.stereo],
+            [
+                None if arguments.out == "-" else arguments.out,
+                arguments.overlay,
+                arguments.rerun,
+            ],
         )
         return cls(
             source=source,
             rest_frame=arguments.rest_frame,
             out=arguments.out,
+            overlay=arguments.overlay,
             rerun=arguments.rerun,
             show=arguments.show,
             device=device,
@@ -294,6 +318,19 @@ class _Settings:
             mirror=arguments.mirror,
             track=arguments.track,
         )
+
+    def description(self, measure: Measurement) -> Description:
+        """What the series says of itself."""
+        lengths = ("rest", "displacement", "sigma") if self.rig else ("rest", "xy", "sigma")
+        pixels = ("left", "right", "left_rest", "right_rest") if self.rig else ()
+        units = {**dict.fromkeys(lengths, measure.unit), **dict.fromkeys(pixels, "px")}
+        settings = {
+            "source": self.source.name,
+            "rest_frame": str(self.rest_frame),
+            "device": str(self.device),
+            "configuration": repr(self.config) if self.config else "for the cells seen at rest",
+        }
+        return Description(units=units, settings=settings)
 
     def measurement(self, rest: GreyImage) -> Measurement:
         """Frames against this one at rest; raises GridError where it has no pattern."""
@@ -329,7 +366,9 @@ def run(arguments: argparse.Namespace) -> int:
         stack.enter_context(handled(stop))
         measure = stack.enter_context(settings.measurement(rest))
         stack.enter_context(film)
-        series = stack.enter_context(SeriesWriter(settings.out, **measure.constants))
+        series = stack.enter_context(
+            open_series(settings.out, settings.description(measure), measure.constants)
+        )
         stack.callback(ignore)  # while it is written
         progress = stack.enter_context(Progress(source.total, "frames"))
         for shot in stack.enter_context(contextlib.closing(shots)):
@@ -352,16 +391,20 @@ def run(arguments: argparse.Namespace) -> int:
                     ambiguous=measured.ambiguous,
                     **measured.arrays,
                 )
+            except BrokenPipeError:  # nobody reads on
+                raise
             except OSError as error:
                 full = error
                 break
             tally.add(shot.number, measured, spent)
-            film.frame(shot, measured)
+            film.frame(shot, measured, measure.constants["rest"])
     ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
-    print(f"{ended}wrote {shown(settings.out)}: {line}")
-    if settings.rerun is not None and film.error is None:
-        print(f"wrote {shown(settings.rerun)}")
+    piped = settings.out == "-"
+    print(f"{ended}wrote {shown(settings.out)}: {line}", file=sys.stderr if piped else sys.stdout)
+    for written in (settings.overlay, settings.rerun):
+        if written is not None and film.error is None:
+            print(f"wrote {shown(written)}", file=sys.stderr if piped else sys.stdout)
     failed = [error for error in (full, film.error) if error is not None]
     if failed:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
@@ -370,46 +413,61 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class _Film(contextlib.AbstractContextManager["_Film"]):
-    """The recording or the viewer, if there is one; a run goes on where it cannot be written.
+    """The recording, the viewer and the annotated video, those that are asked for.
 
-    error: why it could not, None else.
+    A run goes on where one cannot be written. error: why it could not, None else.
     """
 
     def __init__(self, settings: _Settings) -> None:
         self._settings = settings
         self._log: RerunLog | None = None
+        self._overlay: OverlayFilm | None = None
         self.error: OSError | None = None
 
     def __enter__(self) -> Self:
-        if self._settings.rerun is None and not self._settings.show:
+        settings = self._settings
+        if settings.overlay is not None:
+            rate, unit = settings.source.rate, "px" if settings.rig is None else settings.rig.unit
+            self._overlay = OverlayFilm(settings.overlay, fps=rate or 25.0, unit=unit)
+        if settings.rerun is None and not settings.show:
             return self
-        option = "--show" if self._settings.show else "--rerun"
+        option = "--show" if settings.show else "--rerun"
         try:
-            self._log = RerunLog(self._settings.rerun)
+            self._log = RerunLog(settings.rerun)
         except ImportError as error:
-            raise ConfigError(f"{option} needs rerun-sdk: pip install 'rerun-sdk>=0.23'") from error
+            raise ConfigError(f"{option} needs rerun-sdk: pip install 'cmp-cl[view]'") from error
         except RuntimeError as error:
             raise ConfigError(f"{option}: {str(error).strip().splitlines()[0]}") from error
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._log is not None:
+        for writer in (self._log, self._overlay):
             try:
-                self._log.close()
+                if writer is not None:
+                    writer.close()
             except OSError as error:
                 self.error = error
 
-    def frame(self, shot: _Shot, measured: Measured) -> None:
-        if self._log is None or self.error is not None:
+    def frame(self, shot: _Shot, measured: Measured, rest: NDArray[Any]) -> None:
+        """Add a frame; rest: the positions at rest, (R, C, 2) px or (R, C, 3)."""
+        if self.error is not None:
             return
+        image, grid = measured.views[0], measured.grids[0]
+        field = measured.field if isinstance(measured, MeasuredInSpace) else None
         try:
-            self._log.frame(
-                index=shot.number,
-                time_ms=shot.time_ms,
-                image=measured.views[0],
-                grid=measured.grids[0],
-                field=measured.field if isinstance(measured, MeasuredInSpace) else None,
-            )
+            if self._log is not None:
+                self._log.frame(
+                    index=shot.number,
+                    time_ms=shot.time_ms,
+                    image=image,
+                    grid=grid,
+                    field=field,
+                )
+            if self._overlay is not None:
+                moved = grid.xy - rest if field is None else field.displacement
+                time_s = "" if np.isnan(shot.time_ms) else f"  {shot.time_ms / 1e3:.3f} s"
+                text = f"frame {shot.number}{time_s}  {measured.nodes} nodes"
+                self._overlay.frame(image, grid, np.linalg.norm(moved, axis=2), text=text)
         except OSError as error:
             self.error = error
 
@@ -424,6 +482,13 @@ def _why_broken(shot: _Shot, rest: GreyImage) -> str:
     )
 
 
-def _check_suffix(option: str, path: str | None, suffix: str) -> None:
-    if path is not None and Path(path).suffix.lower() != suffix:
-        raise ConfigError(f"{option} {shown(path)} must end in {suffix}")
+def _check_display() -> None:
+    """Raise ConfigError where no window can be opened."""
+    displays = "DISPLAY", "WAYLAND_DISPLAY"
+    if sys.platform.startswith("linux") and not any(map(os.environ.get, displays)):
+        raise ConfigError("--show needs a display, there is none; --rerun FILE.rrd records")
+
+
+def _check_suffix(option: str, path: str | None, *suffixes: str) -> None:
+    if path is not None and Path(path).suffix.lower() not in suffixes:
+        raise ConfigError(f"{option} {shown(path)} must end in {' or '.join(suffixes)}")

@@ -3,7 +3,6 @@
 import dataclasses
 import datetime
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from types import TracebackType
 from typing import Any, Self
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import FieldError
+from cmp_cl.version import package_version
 
 Frame = dict[str, NDArray[Any]]
 
@@ -28,12 +28,8 @@ class Description:
 
     def entries(self) -> dict[str, str]:
         """Version of cmp_cl, time of writing (UTC, ISO 8601), settings; without the units."""
-        try:
-            of_product = version("cmp-cl")
-        except PackageNotFoundError:
-            of_product = "unknown"
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        return {"cmp_cl": of_product, "written": now, **self.settings}
+        return {"cmp_cl": package_version(), "written": now, **self.settings}
 
 
 class Series:

@@ -70,13 +70,15 @@ class CamerasCalibration:
 
     cameras: by name, the first at the origin. error: root mean square reprojection error with
     one board pose a view, px. view_errors: by camera (V,), NaN where a camera does not see it.
-    residuals: by camera, of each view (R, C, 2) measured minus projected, px, NaN where missing.
+    places, residuals: by camera, of each view (R, C, 2) where the corners are, and measured
+        minus projected, px, NaN where missing; None where the camera does not see the board.
     coverage: by camera, share of the image's 8 x 8 cells that hold a corner.
     """
 
     cameras: Mapping[str, Camera]
     error: float
     view_errors: Mapping[str, Array]
+    places: Mapping[str, Sequence[Array | None]]
     residuals: Mapping[str, Sequence[Array | None]]
     coverage: Mapping[str, float]
 
@@ -250,7 +252,7 @@ def _projected(
 ) -> Array:
     """cv2.projectPoints of either kind: (N, 1, 3) to (N, 1, 2)."""
     project: Any = cv2.fisheye.projectPoints if lens is Lens.FISHEYE else cv2.projectPoints
-    pose = (np.asarray(part, np.float64).reshape(3, 1) for part in (turn, shift))
+    pose = (np.ascontiguousarray(part, np.float64).reshape(3, 1) for part in (turn, shift))
     seen = project(points, *pose, matrix, distortion)[0]
     return np.asarray(seen, np.float64)
 
@@ -403,6 +405,13 @@ def _result(
         cameras=cameras,
         error=math.sqrt(total / count),
         view_errors=errors,
+        places={
+            name: [
+                None if grid is None or moment not in boards[name] else grid.xy.astype(np.float64)
+                for moment, grid in enumerate(grids)
+            ]
+            for name, grids in views.items()
+        },
         residuals=residuals,
         coverage=coverage,
     )

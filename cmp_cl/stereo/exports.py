@@ -56,22 +56,20 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
     Raises ConfigError on another suffix or without any view, CalibrationError where shapes
     differ or a name has white space that .vnl cannot hold, OSError.
     """
-    writers: dict[str, Callable[[Views, float], str]] = {
-        ".vnl": _vnl,
-        ".yaml": _opencv_yaml,
-        ".yml": _opencv_yaml,
-        ".json": _opencv_json,
-        ".csv": _corners_csv,
-    }
-    suffix = Path(path).suffix.lower()
-    if suffix not in writers:
-        raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(writers)}")
+    check_corners(path)
     shapes = {grid.shape for grid in views.values() if grid is not None}
     if not shapes:
         raise ConfigError("no view shows the board: there are no corners to write")
     if len(shapes) > 1:
         raise CalibrationError(f"the views show boards of different shapes: {sorted(shapes)}")
-    write_text(path, writers[suffix](views, spacing))
+    write_text(path, _CORNER_WRITERS[Path(path).suffix.lower()](views, spacing))
+
+
+def check_corners(path: str | PathLike[str]) -> None:
+    """Raise ConfigError where `save_corners` knows no such suffix."""
+    if Path(path).suffix.lower() not in _CORNER_WRITERS:
+        known = ", ".join(_CORNER_WRITERS)
+        raise ConfigError(f"{str(path)!r}: the suffix must be one of {known}")
 
 
 def _vnl(views: Views, _: float) -> str:
@@ -137,6 +135,15 @@ def _corners_csv(views: Views, _: float) -> str:
             sigma = float(grid.sigma[row, column])
             lines.append(f"{quoted},{row},{column},{x:.9g},{y:.9g},{sigma:.9g}")
     return "\n".join(lines) + "\n"
+
+
+_CORNER_WRITERS: dict[str, Callable[[Views, float], str]] = {
+    ".vnl": _vnl,
+    ".yaml": _opencv_yaml,
+    ".yml": _opencv_yaml,
+    ".json": _opencv_json,
+    ".csv": _corners_csv,
+}
 
 
 # cameras
@@ -323,30 +330,34 @@ def save_cameras(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> li
 
     Raises ConfigError on another name, and what the formats raise.
     """
+    ending = check_cameras(path)
     target = Path(path)
-    name = target.name.lower()
-    ending = next((e for e in _ENDINGS if name.endswith(e)), None)
-    if name == "cameras.txt":
+    if ending == "cameras.txt":
         save_colmap(target, cameras)
     elif ending == ".camchain.yaml":
         save_kalibr(target, cameras)
     elif ending == ".camera_info.yaml":
         stem = target.name[: -len(ending)]
-        several = len(cameras) > 1
-        files = [
-            target.with_name(f"{stem}-{each}{ending}") if several else target for each in cameras
-        ]
+        files = [target]
+        if len(cameras) > 1:
+            files = [target.with_name(f"{stem}-{each}{ending}") for each in cameras]
         for file, (each, camera) in zip(files, cameras.items(), strict=True):
             save_ros(file, camera, name=each)
         return files
-    elif ending is not None:
-        save_opencv(target, cameras)
     else:
-        raise ConfigError(
-            f"{str(path)!r}: the name must end in .yaml, .yml, .camera_info.yaml (ROS), "
-            ".camchain.yaml (Kalibr), or be cameras.txt (COLMAP)"
-        )
+        save_opencv(target, cameras)
     return [target]
 
 
-_ENDINGS = (".camchain.yaml", ".camera_info.yaml", ".yaml", ".yml")
+def check_cameras(path: str | PathLike[str]) -> str:
+    """The ending that names a format of `save_cameras`; raises ConfigError for any other."""
+    name = Path(path).name.lower()
+    for ending in (".camchain.yaml", ".camera_info.yaml", ".yaml", ".yml"):
+        if name.endswith(ending):
+            return ending
+    if name == "cameras.txt":
+        return name
+    raise ConfigError(
+        f"{str(path)!r}: the name must end in .yaml, .yml, .camera_info.yaml (ROS), "
+        ".camchain.yaml (Kalibr), or be cameras.txt (COLMAP)"
+    )

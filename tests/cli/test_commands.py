@@ -2,8 +2,10 @@
 
 import contextlib
 import dataclasses
+import json
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -33,6 +35,7 @@ from cmp_cl.cli.arguments import region_in, split_of
 from cmp_cl.field.series import _Column
 from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
 from cmp_cl.media import Frame
+from cmp_cl.series import read_series
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -102,6 +105,16 @@ def recording(press, tmp_path):
     for number, shot in enumerate(press):
         cv2.imwrite(str(folder / f"{number}.png"), shot.frame)
     StereoRig(*RIG).save(tmp_path / "rig.yaml")
+    return folder
+
+
+@pytest.fixture
+def one_view(press, tmp_path):
+    """A folder with the left views."""
+    folder = tmp_path / "left"
+    folder.mkdir()
+    for number, shot in enumerate(press):
+        cv2.imwrite(str(folder / f"{number}.png"), shot.left.image)
     return folder
 
 
@@ -431,8 +444,9 @@ def test_a_region_follows_its_rectangle_into_the_view(mirror):
 @pytest.mark.parametrize("option", [["--rerun", "a.rrd"], ["--show"]])
 def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch, option):
     monkeypatch.setitem(sys.modules, "rerun", None)
+    monkeypatch.setenv("DISPLAY", ":0")
     fails_in_one_line(
-        run("run", recording, *STEREO, *option), option[0], "pip install 'rerun-sdk>=0.23'"
+        run("run", recording, *STEREO, *option), option[0], "pip install 'cmp-cl[view]'"
     )
     assert not list(tmp_path.glob("*.npz"))
 
@@ -440,7 +454,16 @@ def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch,
 def test_without_its_viewer_rerun_shows_nothing_and_says_why(run, recording, tmp_path, monkeypatch):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("DISPLAY", ":0")
     fails_in_one_line(run("run", recording, *STEREO, "--show"), "--show", "Viewer")
+    assert not list(tmp_path.glob("*.npz"))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others always have a display")
+def test_without_a_display_nothing_is_measured(run, recording, tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    fails_in_one_line(run("run", recording, *STEREO, "--show"), "--show", "display")
     assert not list(tmp_path.glob("*.npz"))
 
 
@@ -459,6 +482,7 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
             shown.append(what)
 
     monkeypatch.setattr("cmp_cl.cli.run.RerunLog", Viewer)
+    monkeypatch.setenv("DISPLAY", ":0")
     status, _, err = run("run", recording, *STEREO, "--show")
     assert (status, err) == (0, "")
     assert [what["index"] for what in shown] == list(range(len(press)))
@@ -466,6 +490,45 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
         np.testing.assert_array_equal(what["image"], shot.left.image)
         assert np.abs(what["grid"].xy - shot.left.truth).max() < 1
     assert np.nanmax(np.abs(shown[-1]["field"].displacement)) > 0.1
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".csv", ".jsonl", ".pvd"])
+def test_a_series_is_written_in_the_format_of_its_suffix(run, one_view, suffix):
+    if suffix == ".h5":
+        pytest.importorskip("h5py", reason="h5py is not installed")
+    status, out, _ = run("run", one_view, "--grid", "12x12", "--out", f"flat{suffix}")
+    assert status == 0
+    assert f"wrote flat{suffix}" in out
+    if suffix == ".h5":
+        found = read_series("flat.h5")
+        assert found["xy"].shape[1:] == (12, 12, 2)
+        assert str(found["unit"]) == "px"
+    elif suffix == ".csv":
+        assert Path("flat.csv").read_text().startswith("frame,time_ms,row,column,xy_x_px,xy_y_px")
+    elif suffix == ".jsonl":
+        first = json.loads(Path("flat.jsonl").read_text().splitlines()[0])
+        assert first["units"]["xy"] == "px"
+        assert first["device"]
+    else:
+        assert len(list(Path("flat_frames").iterdir())) == Path("flat.pvd").read_text().count(
+            "<DataSet"
+        )
+
+
+def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
+    command = [sys.executable, "-m", "cmp_cl", "run", str(one_view), "--grid", "12x12"]
+    done = subprocess.run([*command, "--out", "-"], capture_output=True, text=True, check=True)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [line["frame"] for line in lines[1:]] == list(range(len(lines) - 1))
+    assert "wrote -" in done.stderr
+
+
+def test_one_annotated_video_is_written(run, recording, press):
+    status, out, _ = run("run", recording, *STEREO, "--overlay", "film.mp4")
+    assert (status, out.splitlines()[-1]) == (0, "wrote film.mp4")
+    capture = cv2.VideoCapture("film.mp4")
+    assert sum(capture.read()[0] for _ in range(len(press) + 3)) == len(press)
+    fails_in_one_line(run("run", recording, *STEREO, "--overlay", "film.gif"), "film.gif", ".mp4")
 
 
 # demo
@@ -844,3 +907,59 @@ def test_a_split_is_read_as_it_is_written():
     for text in ("", "1,2,3,4", "1,2,3,4:5,6,7", "-1,2,3,4:5,6,7,8"):
         with pytest.raises(ConfigError, match="halves"):
             split_of(text, None, (6, 10))
+
+
+@pytest.fixture
+def opencv_views():
+    """The left and the right photographs of OpenCV's stereo pairs."""
+    folder = photographs("stereo_opencv")
+    return [sorted(folder.glob(f"{side}0?.jpg")) for side in ("left", "right")]
+
+
+CHESSBOARD = "--board", "9x6", "--square", 25
+
+
+def test_one_camera_is_calibrated_by_itself(run, opencv_views):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+    left = opencv_views[0][:4]
+    status, out, _ = run(
+        *("calibrate", "--camera", f"front={left[0]}", *left[1:], *CHESSBOARD),
+        *("--out", "front.camera_info.yaml", "--corners", "corners.csv", "--picture", "r.png"),
+    )
+    assert status == 0
+    assert "wrote front.camera_info.yaml, corners.csv, r.png: 4 moments" in out
+    assert 'camera_name: "front"' in Path("front.camera_info.yaml").read_text()
+    error = float(out.split("all views: ")[1].split()[0])
+    assert 0.05 < error < 0.3
+    assert len(Path("corners.csv").read_text().splitlines()) > 4 * 50
+    assert cv2.imread("r.png").std() > 10
+
+
+def test_named_cameras_make_a_rig_that_run_takes(run, opencv_views):
+    left, right = (views[:4] for views in opencv_views)
+    cameras = (
+        *("--camera", f"left={left[0]}", *left[1:]),
+        *("--camera", f"right={right[0]}", *right[1:]),
+    )
+    assert run("calibrate", *cameras, *CHESSBOARD, "--out", "rig.yaml")[0] == 0
+    rig = StereoRig.load("rig.yaml")
+    assert np.linalg.norm(rig.T) == pytest.approx(83.2, abs=1)
+    for wrong, why in (
+        (["--camera", "left=gone.png"], "gone.png"),
+        (["--camera", "noname.png"], "NAME=IMAGE"),
+        ([*cameras, "--camera", f"third={left[0]}"], "third 1"),
+        ([*cameras, "--camera", f"left={left[0]}"], "twice"),
+        ([*cameras, "--split", "halves"], "--split"),
+        ([*cameras, "--corners", "c.mat"], "c.mat"),
+        (["--left", left[0], "--right", right[0], "--lens", "fisheye"], "--camera"),
+    ):
+        before = Path("rig.yaml").read_bytes()
+        fails_in_one_line(run("calibrate", *wrong, *CHESSBOARD, "--out", "rig.yaml"), why)
+        assert Path("rig.yaml").read_bytes() == before
+
+
+def test_single_views_given_as_pairs_say_what_is_expected(run, tmp_path):
+    cv2.imwrite(str(tmp_path / "plain.png"), np.full((120, 160), 90, np.uint8))
+    status, _, err = run("calibrate", "plain.png", *CHESSBOARD, "--out", "rig.yaml")
+    assert status == 2
+    assert "--camera NAME=IMAGE" in err.splitlines()[-1]

@@ -1,0 +1,293 @@
+"""Frames with their times from files and cameras, and pairs of them from two.
+
+Files keep the times that are written in them: of a video those of its container where PyAV is
+installed (the extra `video`), else those of its frame rate. Cameras keep the time of arrival.
+"""
+
+import collections
+import contextlib
+import dataclasses
+import importlib.util
+import itertools
+import math
+import queue
+import re
+import threading
+import time
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from cmp_cl import media
+from cmp_cl.errors import ConfigError, ImageError
+from cmp_cl.image import GreyImage
+
+_WAITING = 64  # frames of a camera that may wait to be measured
+_LONGEST_WAIT = 10.0  # s, for a frame of a camera
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Timed:
+    """A frame: number in its source, time in ms (NaN where unknown), image (None if broken)."""
+
+    index: int
+    time_ms: float
+    image: GreyImage | None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CameraSettings:
+    """What a camera is asked for; None leaves it as it is.
+
+    size: (width, height), px. fps: frames per second. exposure: in the driver's own unit.
+    fourcc: pixel format of four letters, GREY, Y16 with a blank, MJPG, YUYV.
+    """
+
+    size: tuple[int, int] | None = None
+    fps: float | None = None
+    exposure: float | None = None
+    fourcc: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.fourcc is not None and len(self.fourcc) != 4:
+            raise ConfigError(f"a pixel format has four letters, such as MJPG, not {self.fourcc!r}")
+        if self.size is not None and min(self.size) < 1:
+            raise ConfigError(f"a camera's size must be positive, not {self.size}")
+        if self.fps is not None and not 0 < self.fps < 1e5:
+            raise ConfigError(f"fps must be positive, not {self.fps}")
+
+
+class Source:
+    """Where frames come from.
+
+    name: a file, a folder of images, the number of a camera, a device such as /dev/video0, or
+    an address such as rtsp://camera/stream.
+
+    live: whether it is a camera or a stream, whose frames come whether or not they are taken.
+    paths: the files, () of a live one. period_ms: between frames, NaN where nobody knows.
+
+    Raises FileNotFoundError and ImageError as `cmp_cl.media` does.
+    """
+
+    def __init__(self, name: str, settings: CameraSettings | None = None) -> None:
+        self.name = name
+        self._settings = settings or CameraSettings()
+        number = name.isascii() and name.isdigit() and not Path(name).exists()
+        device = name.startswith("/dev/video")
+        address = re.match(r"[a-z][a-z0-9+.-]*://", name) is not None
+        self.live = number or device or address
+        self._opened_as: int | str = int(name) if number else name
+        self.paths = () if self.live else tuple(media.find_inputs([name]))
+        self.period_ms = math.nan
+        if len(self.paths) == 1:
+            rate = media.frame_rate(self.paths[0])
+            self.period_ms = math.nan if rate is None else 1e3 / rate
+        elif self.live and self._settings.fps:
+            self.period_ms = 1e3 / self._settings.fps
+
+    def frames(self) -> Generator[Timed, None, None]:
+        """All frames in turn; a live source ends where none comes for 10 s.
+
+        Raises ImageError where the source cannot be read.
+        """
+        return self._live_frames() if self.live else self._file_frames()
+
+    def _file_frames(self) -> Generator[Timed, None, None]:
+        numbers = itertools.count()
+        for path in self.paths:
+            if media.is_video(path) and has_pyav():
+                for frame in video_frames(path):
+                    yield dataclasses.replace(frame, index=next(numbers))
+                continue
+            try:
+                for each in media.read_frames(path):
+                    index = next(numbers)
+                    yield Timed(index, index * self.period_ms, each.image)
+            except ImageError:
+                if len(self.paths) == 1:
+                    raise
+                yield Timed(next(numbers), math.nan, None)
+
+    def _live_frames(self) -> Generator[Timed, None, None]:
+        capture = self._capture()
+        waiting: queue.Queue[Timed | None] = queue.Queue(_WAITING)
+        done = threading.Event()
+        thread = threading.Thread(target=_read, args=(capture, waiting, done), daemon=True)
+        thread.start()
+        try:
+            while True:
+                try:
+                    frame = waiting.get(timeout=_LONGEST_WAIT)
+                except queue.Empty:
+                    return
+                if frame is None:
+                    return
+                yield frame
+        finally:
+            done.set()
+            thread.join(timeout=_LONGEST_WAIT)
+            if not thread.is_alive():
+                capture.release()
+
+    def _capture(self) -> Any:
+        capture = cv2.VideoCapture(self._opened_as)
+        if not capture.isOpened():
+            raise ImageError(f"there is no camera {self.name!r} that OpenCV can open")
+        asked: list[tuple[int, float | None, str]] = [
+            (cv2.CAP_PROP_FRAME_WIDTH, self._settings.size and self._settings.size[0], "width"),
+            (cv2.CAP_PROP_FRAME_HEIGHT, self._settings.size and self._settings.size[1], "height"),
+            (cv2.CAP_PROP_FPS, self._settings.fps, "fps"),
+            (cv2.CAP_PROP_EXPOSURE, self._settings.exposure, "exposure"),
+        ]
+        if self._settings.fourcc is not None:
+            code = cv2.VideoWriter.fourcc(*self._settings.fourcc)
+            asked.insert(0, (cv2.CAP_PROP_FOURCC, float(code), "pixel format"))
+            if self._settings.fourcc in ("Y16 ", "GREY"):
+                asked.append((cv2.CAP_PROP_CONVERT_RGB, 0.0, "raw pixels"))
+        for key, value, what in asked:
+            if value is not None and not capture.set(key, value):
+                capture.release()
+                raise ImageError(f"the camera {self.name!r} does not take this {what}: {value:g}")
+        return capture
+
+
+def _read(capture: Any, waiting: "queue.Queue[Timed | None]", done: threading.Event) -> None:
+    """Take every frame of a camera as it comes; None at its end.
+
+    Where too many wait, the oldest is dropped: its number is then missing.
+    """
+    index = gap = 0
+    while not done.is_set() and gap < media.LONGEST_GAP:
+        read, picture = capture.read()
+        now = time.monotonic() * 1e3
+        gap = 0 if read else gap + 1
+        if read:
+            if waiting.full():
+                with contextlib.suppress(queue.Empty):
+                    waiting.get_nowait()
+            waiting.put(Timed(index, now, _grey(picture)))
+            index += 1
+    while not done.is_set():
+        with contextlib.suppress(queue.Full):
+            waiting.put(None, timeout=0.1)
+            return
+
+
+def _grey(picture: Any) -> GreyImage:
+    if picture.ndim == 3 and picture.shape[2] == 3:
+        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+    return np.ascontiguousarray(picture.reshape(picture.shape[:2]))
+
+
+def has_pyav() -> bool:
+    """Whether PyAV is installed."""
+    return importlib.util.find_spec("av") is not None
+
+
+def video_frames(path: str | Path) -> Iterator[Timed]:
+    """The frames of a video with the times in it, by PyAV; colour becomes grey.
+
+    Frames of more than 8 bits are uint16 with the levels of the file, 0 to 4095 of 12 bits
+    (those of colour models other than grey and YUV are stretched to 16 bits), others uint8.
+    Raises ImageError where the file cannot be read or has no video.
+    """
+    import av
+
+    try:
+        container = av.open(str(Path(path).resolve()))
+    except (av.FFmpegError, OSError) as error:
+        raise ImageError(f"{str(path)!r} is no video that PyAV can read") from error
+    with container:
+        if not container.streams.video:
+            raise ImageError(f"{str(path)!r} has no video")
+        stream = container.streams.video[0]
+        stream.thread_type = "AUTO"
+        index = 0
+        frames = container.decode(stream)
+        while True:
+            try:
+                frame = next(frames)
+            except StopIteration:
+                return
+            except (av.FFmpegError, OSError):
+                if not index:
+                    raise ImageError(f"{str(path)!r} is no video that PyAV can read") from None
+                yield Timed(index, math.nan, None)
+                return
+            image = _luma(frame)
+            time_ms = math.nan if frame.time is None else frame.time * 1e3
+            yield Timed(index, time_ms, image)
+            index += 1
+
+
+def _luma(frame: Any) -> GreyImage:
+    """The grey levels of a frame of PyAV."""
+    name, bits = frame.format.name, max(part.bits for part in frame.format.components)
+    if bits <= 8:
+        return np.asarray(frame.reformat(format="gray").to_ndarray(), np.uint8, order="C")
+    if not (name.startswith(("gray", "yuv")) and name.endswith("le")):
+        return np.asarray(frame.reformat(format="gray16le").to_ndarray(), np.uint16, order="C")
+    plane = frame.planes[0]  # as it is: a conversion would dither
+    rows = np.frombuffer(plane, "<u2").reshape(plane.height, plane.line_size // 2)
+    return rows[:, : plane.width].astype(np.uint16)
+
+
+@dataclasses.dataclass
+class PairCount:
+    """How many pairs were made, and how many frames of either side had no partner."""
+
+    pairs: int = 0
+    left_alone: int = 0
+    right_alone: int = 0
+
+
+def paired(
+    left: Iterator[Timed],
+    right: Iterator[Timed],
+    *,
+    tolerance_ms: float,
+    count: PairCount,
+    endless: bool = False,
+) -> Iterator[tuple[Timed, Timed]]:
+    """Frames of two sources that belong together by their times, each at most once.
+
+    Two frames are a pair where their times differ by at most tolerance_ms and no next frame
+    of either side is nearer. Frames without a time, or a tolerance of NaN, are paired in turn.
+    count: is kept up to date. Frames after the end of the other side are counted too, unless
+    the sources are endless.
+    """
+    ahead: tuple[collections.deque[Timed], collections.deque[Timed]]
+    ahead = collections.deque(), collections.deque()
+    sources = left, right
+
+    def peek(side: int, place: int) -> Timed | None:
+        while len(ahead[side]) <= place:
+            frame = next(sources[side], None)
+            if frame is None:
+                return None
+            ahead[side].append(frame)
+        return ahead[side][place]
+
+    while True:
+        one, two = peek(0, 0), peek(1, 0)
+        if one is None or two is None:
+            break
+        off = one.time_ms - two.time_ms
+        if not (math.isnan(off) or math.isnan(tolerance_ms)):
+            earlier = 0 if off < 0 else 1
+            following, other = peek(earlier, 1), (two, one)[earlier]
+            nearer = following is not None and abs(following.time_ms - other.time_ms) < abs(off)
+            if abs(off) > tolerance_ms or nearer:
+                ahead[earlier].popleft()
+                count.left_alone += earlier == 0
+                count.right_alone += earlier == 1
+                continue
+        ahead[0].popleft()
+        ahead[1].popleft()
+        count.pairs += 1
+        yield one, two
+    count.left_alone += len(ahead[0]) + (0 if endless else sum(1 for _ in left))
+    count.right_alone += len(ahead[1]) + (0 if endless else sum(1 for _ in right))

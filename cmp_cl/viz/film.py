@@ -1,0 +1,171 @@
+"""One annotated video of a recording: the nodes on the image, coloured by their displacement."""
+
+import os
+import secrets
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.files import check_target
+from cmp_cl.grid.grid import Grid
+from cmp_cl.image import GreyImage
+
+FILM_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
+_STRIP = 40  # px below the image, for the text and the colour bar
+_WIDEST = 1920  # px, of a film; wider images are made smaller by a whole factor
+_NARROWEST = 480  # px, so that the strip holds its text
+_DISC = [(y, x) for y in range(-2, 3) for x in range(-2, 3) if y * y + x * x <= 5]
+_LINE = (150, 110, 50)  # BGR
+_NO_VALUE = (150, 150, 150)
+
+
+class OverlayFilm:
+    """Writes an annotated video, frame by frame; use it in a with statement.
+
+    path: .mp4, .mkv or .avi. fps: frames per second. unit: of the displacement. The colour
+    scale goes up to the largest displacement so far, which the bar says. The file appears
+    under its name when the block ends; what stood there stays until then.
+
+    Raises ConfigError on another suffix, OSError where the folder is missing, not writable or
+    full, or OpenCV cannot write such a video.
+    """
+
+    def __init__(self, path: str | PathLike[str], *, fps: float = 25.0, unit: str = "px") -> None:
+        suffix = Path(path).suffix.lower()
+        if suffix not in FILM_SUFFIXES:
+            raise ConfigError(f"{str(path)!r}: a film must end in {', '.join(FILM_SUFFIXES)}")
+        if not 0 < fps < 1e4:
+            raise ConfigError(f"fps must be from 0 to 10000, not {fps!r}")
+        self._target = check_target(path)
+        self._temporary = self._target.with_name(f".{secrets.token_hex(8)}{suffix}")
+        self._fourcc = cv2.VideoWriter.fourcc(*FILM_SUFFIXES[suffix])
+        self._fps, self._unit = fps, unit
+        self._writer: Any = None
+        self._size = (0, 0)
+        self._shape: tuple[int, ...] = ()
+        self._factor = 1.0
+        self._top = 0.0
+        self._colours = cv2.applyColorMap(
+            np.arange(256, dtype=np.uint8).reshape(-1, 1), cv2.COLORMAP_PLASMA
+        )[:, 0]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def frame(
+        self, image: GreyImage, grid: Grid, moved: NDArray[np.floating[Any]], *, text: str = ""
+    ) -> None:
+        """Add a frame: the image (H, W), its nodes, and how far each has moved, (R, C).
+
+        A node without a displacement is grey. Raises FieldError where the image has another
+        size than the first one, or moved another shape than the grid; OSError.
+        """
+        if moved.shape != grid.shape:
+            raise FieldError(f"moved is {moved.shape}, the grid has {grid.shape} nodes")
+        if self._writer is None:
+            self._begin(image.shape)
+        elif image.shape != self._shape:
+            raise FieldError(f"the image is {image.shape}, the first one was {self._shape}")
+        self._top = max(self._top, float(np.nan_to_num(moved).max(initial=0)))
+        canvas = np.zeros((self._size[1], self._size[0], 3), np.uint8)
+        factor = self._factor
+        grey = _eight_bits(image)
+        wide, high = int(image.shape[1] * factor), int(image.shape[0] * factor)
+        if factor != 1:
+            how = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
+            grey = np.asarray(cv2.resize(grey, (wide, high), interpolation=how), np.uint8)
+        canvas[:high, :wide] = grey[..., None]
+        self._nodes(canvas[:high, :wide], (grid.xy + 0.5) * np.float32(factor) - 0.5, moved)
+        self._legend(canvas[high:], text)
+        self._writer.write(canvas)
+
+    def _begin(self, shape: tuple[int, ...]) -> None:
+        self._shape = shape
+        width = shape[1]
+        if width > _WIDEST:
+            self._factor = 1 / -(-width // _WIDEST)
+        elif width < _NARROWEST:
+            self._factor = float(-(-_NARROWEST // width))
+        wide, high = int(width * self._factor), int(shape[0] * self._factor) + _STRIP
+        self._size = (wide + wide % 2, high + high % 2)
+        self._writer = cv2.VideoWriter(
+            str(self._temporary), self._fourcc, self._fps, self._size, isColor=True
+        )
+        if not self._writer.isOpened():
+            self._temporary.unlink(missing_ok=True)
+            raise OSError(f"OpenCV cannot write a video to {str(self._target)!r}")
+
+    def _nodes(
+        self,
+        canvas: NDArray[np.uint8],
+        xy: NDArray[np.float32],
+        moved: NDArray[np.floating[Any]],
+    ) -> None:
+        """Lines between neighbours, then a disc on every node."""
+        valid = ~np.isnan(xy[..., 0])
+        whole = np.rint(np.where(valid[..., None], xy, 0)).astype(np.int32)
+        lines = []
+        across = np.ascontiguousarray(whole.transpose(1, 0, 2))
+        for points, there in ((whole, valid), (across, valid.T)):
+            for line, known in zip(points, there, strict=True):
+                ends = np.flatnonzero(np.diff(known)) + 1
+                lines += [
+                    part
+                    for part, seen in zip(np.split(line, ends), np.split(known, ends), strict=True)
+                    if seen[0] and len(part) > 1
+                ]
+        cv2.polylines(canvas, lines, False, _LINE, 1)
+        level = np.rint(np.nan_to_num(moved[valid]) * (255 / (self._top or 1))).astype(np.uint8)
+        colours = np.where(np.isnan(moved[valid])[:, None], _NO_VALUE, self._colours[level])
+        x, y = whole[valid].T
+        for down, right in _DISC:
+            row, column = y + down, x + right
+            inside = (row >= 0) & (row < canvas.shape[0]) & (column >= 0)
+            inside &= column < canvas.shape[1]
+            canvas[row[inside], column[inside]] = colours[inside]
+
+    def _legend(self, strip: NDArray[np.uint8], text: str) -> None:
+        """The text at the left, the colour bar with its two ends at the right."""
+        font, size, white = cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255)
+        cv2.putText(strip, text, (8, 25), font, size, white, 1, cv2.LINE_AA)
+        top = f"{self._top:.3g} {self._unit}"
+        width = cv2.getTextSize(top, font, size, 1)[0][0]
+        right = strip.shape[1] - width - 14
+        left = right - 110
+        bar = self._colours[np.linspace(0, 255, right - left).astype(int)]
+        strip[14:28, left:right] = bar
+        cv2.putText(strip, "0", (left - 14, 25), font, size, white, 1, cv2.LINE_AA)
+        cv2.putText(strip, top, (right + 6, 25), font, size, white, 1, cv2.LINE_AA)
+
+    def close(self) -> None:
+        """Finish the film; closing again does nothing. Without a frame no file appears."""
+        if self._writer is None:
+            return
+        self._writer.release()
+        self._writer = None
+        if not self._temporary.exists() or not self._temporary.stat().st_size:
+            self._temporary.unlink(missing_ok=True)
+            raise OSError(f"{str(self._target)!r}: the film was not written; is the disk full?")
+        os.replace(self._temporary, self._target)
+
+
+def _eight_bits(image: GreyImage) -> NDArray[np.uint8]:
+    """The image as uint8, 16 bits stretched to its brightest pixel."""
+    if image.dtype == np.uint8:
+        return image.astype(np.uint8, copy=False)
+    white = max(int(image.max(initial=0)), 1)
+    return cv2.convertScaleAbs(image, alpha=255 / white).astype(np.uint8, copy=False)

@@ -1,0 +1,278 @@
+"""Pictures of a recording: maps of a quantity at one frame, and curves over time."""
+
+import dataclasses
+import enum
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import FieldError
+from cmp_cl.extras import extra
+from cmp_cl.field import green_lagrange
+from cmp_cl.field.plane import PlaneField, plane_strain
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+Series = Mapping[str, NDArray[Any]]
+
+_SEQUENTIAL, _DIVERGING = "plasma", "RdBu_r"
+
+
+class Quantity(enum.Enum):
+    """What a map shows of each node.
+
+    DISPLACEMENT: its length. STRAIN: the larger principal Green-Lagrange strain in the plane
+    or in the surface. HEIGHT: the displacement out of the plane that fits the rest best,
+    towards the cameras; of two views only. SIGMA: the standard deviation of the displacement
+    (of two views) or of the position now (of one).
+    """
+
+    DISPLACEMENT = "displacement"
+    STRAIN = "strain"
+    HEIGHT = "height"
+    SIGMA = "sigma"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recorded:
+    """A recording as `cmp_cl.series.read_series` gives it, checked.
+
+    rest: (R, C, 2) or (R, C, 3) in `unit`. shift: (F, R, C, 2 or 3). sigma: (F, R, C), NaN
+    where the recording has none. index, time_ms: (F,).
+    """
+
+    rest: Array
+    shift: Array
+    sigma: Array
+    index: NDArray[np.int64]
+    time_ms: Array
+    unit: str
+
+    @classmethod
+    def of(cls, series: Series) -> "Recorded":
+        """Raises FieldError where it has no frame, no rest, or neither displacement nor xy."""
+        missing = [name for name in ("index", "time_ms", "rest") if name not in series]
+        if missing or not ("displacement" in series or "xy" in series):
+            what = missing or ["displacement or xy"]
+            raise FieldError(f"the recording has no {' and no '.join(what)}")
+        rest = np.asarray(series["rest"], np.float64)
+        if not len(series["index"]):
+            raise FieldError("the recording has no frame")
+        if "displacement" in series:
+            shift = np.asarray(series["displacement"], np.float64)
+        else:
+            shift = np.asarray(series["xy"], np.float64) - rest
+        if rest.ndim != 3 or shift.shape[1:] != rest.shape or rest.shape[2] not in (2, 3):
+            raise FieldError(f"rest is {rest.shape} and the displacement {shift.shape}")
+        sigma = np.asarray(series.get("sigma", np.full(shift.shape[:3], np.nan)), np.float64)
+        return cls(
+            rest=rest,
+            shift=shift,
+            sigma=sigma,
+            index=np.asarray(series["index"], np.int64),
+            time_ms=np.asarray(series["time_ms"], np.float64),
+            unit=str(series.get("unit", "px")),
+        )
+
+    def frame_of(self, index: int | None) -> int:
+        """The place of the frame of that number; None means that of the largest displacement.
+
+        Raises FieldError where there is no such frame.
+        """
+        if index is None:
+            length = np.linalg.norm(self.shift, axis=3).reshape(len(self.index), -1)
+            return int(np.argmax(np.nan_to_num(length).max(axis=1)))
+        found = np.flatnonzero(self.index == index)
+        if not len(found):
+            raise FieldError(
+                f"there is no frame {index}: those from {self.index.min()} to {self.index.max()} "
+                "are recorded"
+            )
+        return int(found[0])
+
+    def node_of(self, node: tuple[int, int] | None) -> tuple[int, int]:
+        """The node; None means that of the largest displacement. Raises FieldError."""
+        shape = self.rest.shape[:2]
+        if node is None:
+            length = np.nan_to_num(np.linalg.norm(self.shift, axis=3)).max(axis=0)
+            row, column = np.unravel_index(int(np.argmax(length)), shape)
+            return int(row), int(column)
+        if not (0 <= node[0] < shape[0] and 0 <= node[1] < shape[1]):
+            raise FieldError(f"there is no node {node}: the pattern has {shape[0]} x {shape[1]}")
+        return node
+
+    def plane(self) -> tuple[Array, Array]:
+        """The rest positions (R, C, 2) to draw on, and (3, 3) axes of that plane.
+
+        Raises FieldError where fewer than three nodes are valid, or all lie on a line.
+        """
+        if self.rest.shape[2] == 2:
+            return self.rest, np.eye(3)
+        known = ~np.isnan(self.rest[..., 0])
+        points = self.rest[known]
+        if len(points) < 3:
+            raise FieldError(f"{len(points)} nodes are valid at rest, at least 3 are needed")
+        origin = points.mean(axis=0)
+        _, spread, axes = np.linalg.svd(points - origin, full_matrices=False)
+        if spread[1] < 1e-9 * spread[0]:
+            raise FieldError("all valid nodes lie on a line: they make no surface")
+        normal = axes[2] if axes[2] @ origin < 0 else -axes[2]
+        along = np.nanmean(np.diff(self.rest, axis=1), axis=(0, 1))
+        along = along - (along @ normal) * normal
+        along /= np.linalg.norm(along)
+        across = np.cross(normal, along)
+        if across @ np.nanmean(np.diff(self.rest, axis=0), axis=(0, 1)) < 0:
+            across = -across
+        basis = np.stack([along, across, normal])
+        return ((self.rest - origin) @ basis.T)[..., :2], basis
+
+    def values(self, quantity: Quantity, frame: int) -> tuple[Array, str]:
+        """A quantity of each node (R, C) of the frame at that place, and its unit."""
+        shift = self.shift[frame]
+        if quantity is Quantity.DISPLACEMENT:
+            return np.linalg.norm(shift, axis=2), self.unit
+        if quantity is Quantity.SIGMA:
+            return self.sigma[frame], self.unit
+        if quantity is Quantity.STRAIN:
+            return self._strain(shift), "1"
+        if self.rest.shape[2] == 2:
+            raise FieldError("one view shows no height: record two views, with --stereo")
+        return shift @ self.plane()[1][2], self.unit
+
+    def _strain(self, shift: Array) -> Array:
+        if self.rest.shape[2] == 2:
+            unknown = np.full(shift.shape[:2], np.nan)
+            field = PlaneField(
+                position=np.where(np.isnan(shift), np.nan, self.rest),
+                displacement=shift,
+                sigma_rest=unknown,
+                sigma_now=unknown,
+                status=np.zeros(shift.shape[:2], np.uint8),
+                unit=self.unit,
+            )
+            return plane_strain(field).principal().strain[..., 0]
+        both = np.where(np.isnan(shift), np.nan, self.rest)
+        first, second, shear = np.moveaxis(green_lagrange(both, both + shift), -1, 0)
+        larger: Array = (first + second) / 2 + np.hypot((first - second) / 2, shear)
+        return larger
+
+
+def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = None) -> "Figure":
+    """One quantity of every cell on the pattern at rest, with a colour bar in its unit.
+
+    index: number of the frame, None for that of the largest displacement. A cell has the mean
+    of its four nodes. Needs matplotlib. Raises FieldError, ConfigError without matplotlib.
+    """
+    figure = _figure((7.5, 6.0))
+    _draw_map(figure, figure.add_subplot(), recorded, quantity, recorded.frame_of(index))
+    return figure
+
+
+def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> "Figure":
+    """The displacement of a node over time, with a band of one standard deviation.
+
+    node: (row, column), None for that of the largest displacement. Raises FieldError,
+    ConfigError without matplotlib.
+    """
+    figure = _figure((8.0, 4.5))
+    _draw_curve(figure.add_subplot(), recorded, recorded.node_of(node))
+    return figure
+
+
+def sheet_figure(
+    recorded: Recorded, *, index: int | None = None, node: tuple[int, int] | None = None
+) -> "Figure":
+    """All that the recording shows on one sheet: the maps of a frame and a node's curve."""
+    place = recorded.frame_of(index)
+    wanted = [Quantity.DISPLACEMENT, Quantity.STRAIN]
+    wanted += [Quantity.HEIGHT] if recorded.rest.shape[2] == 3 else []
+    wanted += [Quantity.SIGMA] if np.isfinite(recorded.sigma[place]).any() else []
+    rows = -(-len(wanted) // 2) + 1
+    figure = _figure((12.0, 4.6 * rows))
+    grid = figure.add_gridspec(rows, 2)
+    for number, quantity in enumerate(wanted):
+        last = number == len(wanted) - 1 and number % 2 == 0
+        at = grid[number // 2, :] if last else grid[number // 2, number % 2]
+        _draw_map(figure, figure.add_subplot(at), recorded, quantity, place)
+    _draw_curve(figure.add_subplot(grid[rows - 1, :]), recorded, recorded.node_of(node))
+    return figure
+
+
+def _figure(size: tuple[float, float]) -> "Figure":
+    with extra("plot", "A figure"):
+        from matplotlib.figure import Figure
+    return Figure(figsize=size, layout="constrained")
+
+
+def _draw_map(
+    figure: "Figure", axes: "Axes", recorded: Recorded, quantity: Quantity, place: int
+) -> None:
+    from matplotlib.collections import PolyCollection
+
+    values, unit = recorded.values(quantity, place)
+    nodes, _ = recorded.plane()
+    cells = np.stack(_around(nodes), axis=2)
+    mean = np.mean(_around(values), axis=0)
+    known = ~(np.isnan(cells).any(axis=(2, 3)) | np.isnan(mean))
+    signed = quantity in (Quantity.STRAIN, Quantity.HEIGHT)
+    drawn = PolyCollection(
+        list(cells[known]),
+        array=mean[known],
+        cmap=_DIVERGING if signed else _SEQUENTIAL,
+        edgecolors="face",
+        linewidths=0.2,
+    )
+    top = float(np.abs(mean[known]).max(initial=0)) or 1.0
+    drawn.set_clim(-top if signed else 0.0, top)
+    axes.add_collection(drawn)
+    points = nodes[~np.isnan(nodes[..., 0])]
+    low, high = points.min(axis=0), points.max(axis=0)
+    edge = 0.03 * float((high - low).max() or 1.0)
+    names = ("x", "y") if recorded.rest.shape[2] == 2 else ("along rows", "along columns")
+    axes.set(
+        xlim=(low[0] - edge, high[0] + edge),
+        ylim=(high[1] + edge, low[1] - edge),
+        aspect="equal",
+        facecolor="0.9",
+        xlabel=f"{names[0]} / {recorded.unit}",
+        ylabel=f"{names[1]} / {recorded.unit}",
+        title=f"{_TITLES[quantity]}, frame {recorded.index[place]}"
+        + ("" if known.any() else ": no cell has a value"),
+    )
+    label = _TITLES[quantity] if unit == "1" else f"{_TITLES[quantity]} / {unit}"
+    figure.colorbar(drawn, ax=axes, label=label, shrink=0.85)
+
+
+def _around(values: Array) -> list[Array]:
+    """Values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each."""
+    return [values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]]
+
+
+_TITLES = {
+    Quantity.DISPLACEMENT: "displacement",
+    Quantity.STRAIN: "larger principal strain",
+    Quantity.HEIGHT: "height",
+    Quantity.SIGMA: "standard deviation",
+}
+
+
+def _draw_curve(axes: "Axes", recorded: Recorded, node: tuple[int, int]) -> None:
+    known = np.isfinite(recorded.time_ms).all()
+    time = recorded.time_ms / 1e3 if known else recorded.index.astype(np.float64)
+    shift, sigma = recorded.shift[:, *node], recorded.sigma[:, *node]
+    for part, name in enumerate("xyz"[: shift.shape[1]]):
+        (line,) = axes.plot(time, shift[:, part], ".-", lw=1, ms=3, label=name)
+        low, high = shift[:, part] - sigma, shift[:, part] + sigma
+        axes.fill_between(time, low, high, color=line.get_color(), alpha=0.2, lw=0)
+    axes.set(
+        xlabel="time / s" if known else "frame",
+        ylabel=f"displacement / {recorded.unit}",
+        title=f"node in row {node[0]}, column {node[1]}",
+    )
+    axes.grid(alpha=0.3)
+    axes.legend()

@@ -1,0 +1,142 @@
+"""Frames with their times, and pairs of them."""
+
+import itertools
+import math
+from fractions import Fraction
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_cl.cameras import CameraSettings, PairCount, Source, Timed, paired, video_frames
+from cmp_cl.errors import ConfigError, ImageError
+
+
+def pairs_of(left, right, tolerance=10.0):
+    """Indices of the pairs of frames at these times, ms, and the count."""
+    count = PairCount()
+    sides = (iter([Timed(i, t, None) for i, t in enumerate(times)]) for times in (left, right))
+    found = [(a.index, b.index) for a, b in paired(*sides, tolerance_ms=tolerance, count=count)]
+    return found, (count.pairs, count.left_alone, count.right_alone)
+
+
+def test_frames_of_one_clock_are_all_paired():
+    left = np.arange(50) * 20.0
+    found, count = pairs_of(left, left + np.random.default_rng(1).normal(0, 2, 50))
+    assert found == [(i, i) for i in range(50)]
+    assert count == (50, 0, 0)
+
+
+def test_a_lost_frame_costs_its_own_pair_alone_and_is_counted():
+    left = [0, 20, 60, 80, 100.0]
+    right = [1, 21, 41, 61, 101.0]
+    found, count = pairs_of(left, right)
+    assert found == [(0, 0), (1, 1), (2, 3), (4, 4)]
+    assert count == (4, 1, 1)
+
+
+def test_the_nearer_one_of_two_is_taken():
+    found, count = pairs_of([0, 9.0, 40], [10.0, 41], tolerance=15)
+    assert found == [(1, 0), (2, 1)]
+    assert count == (2, 1, 0)
+
+
+def test_frames_before_and_after_the_other_recording_are_counted():
+    found, count = pairs_of([0, 20, 40, 60.0], [40, 60, 80, 100, 120.0])
+    assert found == [(2, 0), (3, 1)]
+    assert count == (2, 2, 3)
+
+
+def test_frames_without_times_are_paired_in_turn():
+    found, count = pairs_of([math.nan] * 3, [math.nan] * 4)
+    assert found == [(0, 0), (1, 1), (2, 2)]
+    assert count == (3, 0, 1)
+
+
+def test_no_frame_is_lost_between_two_recordings_with_jitter():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        kept = rng.random((2, 200)) > 0.1
+        times = np.arange(200) * 20.0
+        sides = [times[keep] + rng.uniform(-3, 3, keep.sum()) for keep in kept]
+        _, (pairs, left, right) = pairs_of(*sides)
+        assert pairs == np.count_nonzero(kept.all(axis=0))
+        assert (pairs + left, pairs + right) == (len(sides[0]), len(sides[1]))
+
+
+def test_pyav_reads_12_bits_and_the_times_that_are_written(tmp_path):
+    av = pytest.importorskip("av", reason="PyAV is not installed")
+    path = tmp_path / "deep.mkv"
+    ramp = np.tile(np.arange(64, dtype=np.uint16) * 64, (48, 1))
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray12le"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for time in (0, 35, 110):
+            frame = av.VideoFrame(64, 48, "gray12le")
+            frame.planes[0].update(ramp.tobytes())
+            frame.pts, frame.time_base = time, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    frames = list(video_frames(path))
+    assert [frame.time_ms for frame in frames] == pytest.approx([0, 35, 110])
+    assert frames[0].image.dtype == np.uint16
+    np.testing.assert_array_equal(frames[0].image, ramp)
+    (tmp_path / "bad.mp4").write_bytes(b"nothing")
+    with pytest.raises(ImageError, match="no video"):
+        list(video_frames(tmp_path / "bad.mp4"))
+
+
+def test_folders_have_no_times_and_broken_images_are_frames(tmp_path):
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((8, 8), number, np.uint8))
+    (tmp_path / "1.png").write_bytes(b"broken")
+    source = Source(str(tmp_path))
+    frames = list(source.frames())
+    assert [frame.image is None for frame in frames] == [False, True, False]
+    assert math.isnan(frames[0].time_ms)
+    assert not source.live
+
+
+class Capture:
+    """A camera of ten frames, that takes no exposure."""
+
+    def __init__(self, _):
+        self.left, self.set_to = 10, {}
+
+    def isOpened(self):
+        return True
+
+    def set(self, key, value):
+        self.set_to[key] = value
+        return key != cv2.CAP_PROP_EXPOSURE
+
+    def read(self):
+        self.left -= 1
+        return (self.left >= 0), np.full((4, 6, 3), max(10 - self.left, 0) % 256, np.uint8)
+
+    def release(self):
+        pass
+
+
+@pytest.mark.parametrize("name", ["7", "/dev/video3", "rtsp://camera/stream"])
+def test_cameras_and_addresses_are_live_and_lose_no_frame(monkeypatch, name):
+    monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Capture)
+    source = Source(name, CameraSettings(size=(6, 4), fps=50, fourcc="MJPG"))
+    frames = list(source.frames())
+    assert source.live
+    assert source.period_ms == 20
+    assert [frame.index for frame in frames] == list(range(10))
+    assert frames[3].image[0, 0] == 4
+    assert all(a.time_ms <= b.time_ms for a, b in itertools.pairwise(frames))
+
+
+def test_what_a_camera_does_not_take_is_said(monkeypatch):
+    monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Capture)
+    with pytest.raises(ImageError, match="exposure"):
+        next(Source("0", CameraSettings(exposure=3)).frames())
+    for wrong in ({"fourcc": "MJ"}, {"size": (0, 3)}, {"fps": -1}):
+        with pytest.raises(ConfigError):
+            CameraSettings(**wrong)
+    with pytest.raises(FileNotFoundError):
+        Source("gone.mp4")
