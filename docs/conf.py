@@ -72,6 +72,8 @@ def marked(line):
 
 def as_restructured_text(app, what, name, obj, options, lines):
     """Turn the docstrings' `name: meaning` lines into a list, and `code` into literals."""
+    if what == "data":  # its docstring is that of dict or tuple
+        lines.clear()
     out: list[str] = []
     in_list = False
     for line in lines:
