@@ -209,13 +209,13 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
 
 #endif
 
-/* The lists and the maxima of a frame are empty. One work-item per row. */
-__kernel void clear(const uint rows, const uint step, __global uint *restrict totals,
-                    __global uint *restrict row_counts, __global uint *restrict maxima,
-                    __global uint *restrict taken) {
-  const size_t y = get_global_id(0), p = get_global_id(1), row = p * rows + y;
-  if (y == 0)
-    for (uint kind = 0; kind < KINDS; ++kind) totals[LIST(kind)] = 0;
+/* The lists of a frame are empty. One work-item per list. */
+__kernel void clear_lists(__global uint *restrict totals) { totals[get_global_id(0)] = 0; }
+
+/* So are the maxima. One work-item per row. */
+__kernel void clear_maxima(const uint rows, const uint step, __global uint *restrict row_counts,
+                           __global uint *restrict maxima, __global uint *restrict taken) {
+  const size_t row = get_global_id(1) * rows + get_global_id(0);
   row_counts[row] = 0;
   for (uint word = 0; word < step / 32; ++word)
     maxima[row * (step / 32) + word] = taken[row * (step / 32) + word] = 0;

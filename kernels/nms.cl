@@ -53,25 +53,35 @@ __kernel void spread(__global const uint *restrict list, __global const uint *re
 #endif
 }
 
+#define KEY(pixel, y) (SCORE)(10 * tent(pixel, y, rows, step) + *(pixel))
+
+#if KEYS
+
 /* The keys. */
 __kernel void score(__global const uint *restrict list, __global const uint *restrict totals,
                     const uint rows, const uint step, const uint room,
                     __global const RESPONSE *restrict response, __global SCORE *restrict key) {
   CANDIDATE
-  if (response[i] == 0) return;
-  key[i] = (SCORE)(10 * tent(response + i, y, rows, step) + response[i]);
+  if (response[i] != 0) key[i] = KEY(response + i, y);
 }
+
+#define KEY_AT(i, y) key[i]
+#else
+#define KEY_AT(i, y) KEY(response + (i), y)
+#endif
 
 /* A key that is above all earlier ones and not below any later one is kept, once: masks have
  * candidates in common. */
 __kernel void maximum(__global const uint *restrict list, __global const uint *restrict totals,
                       const uint rows, const uint step, const uint room,
                       __global const RESPONSE *restrict response,
-                      __global const SCORE *restrict key, __global uint *restrict row_counts,
-                      __global uint *restrict maxima) {
+#if KEYS
+                      __global const SCORE *restrict key,
+#endif
+                      __global uint *restrict row_counts, __global uint *restrict maxima) {
   CANDIDATE
   if (response[i] == 0) return;
-  const SCORE k = key[i];
+  const SCORE k = KEY_AT(i, y);
   for (int row = 0; row <= 2 * NMS_RADIUS; ++row) { /* the nearest ones first */
     const int dy = row % 2 ? row / 2 + 1 : -(row / 2);
     if (y + dy < 0 || y + dy >= (int)rows) continue;
@@ -79,7 +89,8 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
       const size_t other = i + dy * (long)step + dx;
       if (response[other] == 0) continue;
       const bool earlier = dy < 0 || (dy == 0 && dx < 0);
-      if (key[other] > k || (earlier && key[other] == k)) return;
+      const SCORE others = KEY_AT(other, y + dy);
+      if (others > k || (earlier && others == k)) return;
     }
   }
   const uint bit = 1u << place % 32;

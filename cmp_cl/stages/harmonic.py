@@ -28,33 +28,38 @@ def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers."""
     frames, plane = plan.frames, plan.working[0] * plan.step
     lists = frames * plan.bands * plan.lists * CORNER_COLUMNS * plan.list_room
-    maxima = frames * plane // 8 + 4  # and a word behind the last, which is read in passing
-    sizes = {"area": plane // 8, "maxima": maxima, "lists": 4 * lists}
+    sizes = {"area": plane // 8, "lists": 4 * lists}
     if plan.form is Form.CPU:
         return {
             **sizes,
+            "maxima": _bits(plan),
             "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step,
             "noise": 8 * frames * plan.bands,
             "counts": 4 * frames * plan.bands * plan.lists,
         }
-    smooth = 2 * (frames * plan.working[0] + 2) * plan.step
-    return {
-        **sizes,
-        "fine": smooth,
-        "coarse": smooth,
-        "response": smooth,
-        "noise": 8 * frames * noise.bands(plan),
-        "taken": frames * plane // 8 + 4,
-        "row_counts": 4 * frames * plan.working[0],
-        "row_starts": 4 * frames * plan.working[0],
-        "squares": 8 * frames * BINS,
-        "decision": 48 * frames,
-    }
+    return {**sizes, "noise": 8 * frames * noise.bands(plan)}
 
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the arrays that are needed only in passing, see `Plan`."""
-    return [] if plan.form is Form.CPU else [noise.scratch(plan)]
+    if plan.form is Form.CPU:
+        return []
+    frames, rows = plan.frames, plan.frames * plan.working[0]
+    plane = 2 * (rows + 2) * plan.step
+    decided = {
+        "maxima": _bits(plan),
+        "taken": _bits(plan),
+        "row_counts": 4 * rows,
+        "row_starts": 4 * rows,
+        "squares": 8 * frames * BINS,
+        "decision": 48 * frames,
+    }
+    return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane), decided]
+
+
+def _bits(plan: PlanBase) -> int:
+    """Return the bytes of a bit for every pixel, and of a word behind the last."""
+    return plan.frames * plan.working[0] * plan.step // 8 + 4
 
 
 def launches(plan: PlanBase) -> list[Launch]:
@@ -81,12 +86,7 @@ def _checks(plan: PlanBase) -> dict[str, Any]:
 
 def _by_pixels(plan: PlanBase) -> list[Launch]:
     b, size = plan.arrays, plan.size
-    rows, step = size["rows"], size["step"]
     frame_rows = plan.frames * plan.working[0]
-    emptied = {"totals": b["totals"], "row_counts": b["row_counts"], "maxima": b["maxima"]}
-    clear = plan.few(
-        "clear", plan.working[0], plan.frames, rows=rows, step=step, **emptied, taken=b["taken"]
-    )
     smooth_image = plan.dense(
         "smooth_image",
         image=plan.image,
@@ -96,7 +96,7 @@ def _by_pixels(plan: PlanBase) -> list[Launch]:
     )
     stages = [
         plan.few("repeat_border", frame_rows, 1, **size, image=plan.image),
-        clear,
+        plan.few("clear_lists", plan.frames * plan.lists, 1, totals=b["totals"]),
         *noise.launches(plan),
         smooth_image,
     ]
@@ -139,7 +139,18 @@ def _decide(plan: PlanBase) -> list[Launch]:
     room, rows, step = np.uint32(plan.list_room), size["rows"], size["step"]
     lists = {"lists": b["lists"], "totals": b["totals"]}
     totals = {"totals": b["totals"], "lists": b["lists"]}
+    counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
+    kept = {"row_counts": counts, "maxima": maxima}
     stages = [
+        plan.few(
+            "clear_maxima",
+            plan.working[0],
+            plan.frames,
+            rows=rows,
+            step=step,
+            **kept,
+            taken=taken,
+        ),
         plan.few(
             "bound_noise",
             plan.frames,
@@ -153,7 +164,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
             full_scale=np.uint32(_full_scale(plan)),
             coarse_noise=np.uint32(rule.coarse_noise),
             found=b["decision"],
-        )
+        ),
     ]
     for bins, span in ((BINS, SPAN), (SPAN, 1)):
         stages += [
@@ -182,10 +193,8 @@ def _decide(plan: PlanBase) -> list[Launch]:
         items = (plan.list_room, plan.frames)
         return plan.stage(name, items, (GROUP, 1), **lists, found=b["decision"], **arguments)
 
-    counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
     limits = {"rows": rows, "step": step, "room": room}
     share = np.int32(rule.coarse_share)
-    kept = {"row_counts": counts, "maxima": maxima}
     stages.append(of_maxima("keep_coarse", **limits, coarse_share=share, **kept, taken=taken))
     if rule.fine:
         share = np.int32(rule.fine_share)

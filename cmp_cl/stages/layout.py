@@ -74,8 +74,8 @@ class PlanBase:
         else:
             self.lists = 2 if self.rule.fine else 1
             self.pad = LEAST_PAD
-            # A maximum has 49 pixels in cells of 7 px.
-            self.list_room = multiple(pixels // 64 // self.bands + 64, GROUP)
+            # One maximum in 128 pixels is one in a cell of 11 px; the lists grow.
+            self.list_room = multiple(pixels // 128 // self.bands + 64, GROUP)
         self.step = multiple(self.working[1] + 2 * self.pad, GROUP)
         self.full_step = multiple(shape[1] + 2 * self.pad, GROUP)
         self.corner_room = multiple(min(config.max_corners, pixels // 96 + 256), GROUP)

@@ -87,9 +87,12 @@ def _harmonic_maps(plan: Plan) -> dict[str, Any]:
         if launch.stage in ("coarse_response", "fine_response"):
             response = _plane(plan, plan.arrays["response"], np.int16)
             values[launch.stage] = response.astype(np.int32)
-    for name in ("fine", "coarse"):
-        values[name] = _plane(plan, plan.arrays[name], np.uint16)
-    return values | {"maximum": _bits(plan, "maxima")}
+        elif launch.stage == "coarse_maxima":
+            for name in ("fine", "coarse"):
+                values[name] = _plane(plan, plan.arrays[name], np.uint16)
+        elif launch.stage == "put_in_order":
+            values["maximum"] = _bits(plan, "maxima")
+    return values
 
 
 def _ring_maps(plan: Plan, rule: BinaryRings) -> dict[str, Any]:

@@ -7,11 +7,22 @@ from cmp_cl.stages.layout import Launch, PlanBase
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the lists of candidates to a bit for every maximum."""
     b, given = plan.arrays, listed(plan)
-    response, key = {"response": b["response"]}, {"key": b["key"]}
+    response = {"response": b["response"]}
+    key = {"key": b["key"]} if keeps_keys(plan) else {}
     found = {"row_counts": b["row_counts"], "maxima": b["maxima"]}
     spread = {"list_of_responses": b["responses"], **response}
+    score = [of_candidates(plan, "score", **given, **response, **key)] if key else []
     return [
         of_candidates(plan, "spread", **given, **spread),
-        of_candidates(plan, "score", **given, **response, **key),
+        *score,
         of_candidates(plan, "maximum", **given, **response, **key, **found),
     ]
+
+
+def keeps_keys(plan: PlanBase) -> bool:
+    """Return whether there is memory for the keys: else each is worked out where it is needed.
+
+    A key of the rapid criteria takes two bytes a pixel. One of the spectral criteria would take
+    four, and their other work is so long that it does not matter.
+    """
+    return plan.types["SCORE"].itemsize == 2

@@ -27,6 +27,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
         "OUTER_RADIUS": rule.outer_radius,
         "RAPID": int(isinstance(rule.criteria, RapidCriteria)),
         "GATE": int(rule.contrast is not None),
+        "KEYS": int(nms.keeps_keys(plan)),
         "CORROSION": int(rule.criteria.corrosion_threshold is not None),
     }
 
@@ -55,11 +56,11 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the arrays that are needed only in passing, see `Plan`."""
     rule = _rule(plan)
-    response, key = plan.types["RESPONSE"].itemsize, plan.types["SCORE"].itemsize
-    lists = {
-        "responses": response * plan.frames * plan.lists * plan.list_room,
-        "key": key * (plan.frames * plan.working[0] + 2) * plan.step,
-    }
+    room = plan.frames * plan.lists * plan.list_room
+    lists = {"responses": plan.types["RESPONSE"].itemsize * room}
+    if nms.keeps_keys(plan):
+        rows = plan.frames * plan.working[0] + 2
+        lists["key"] = plan.types["SCORE"].itemsize * rows * plan.step
     gated = [gate.scratch(plan)] if rule.contrast is not None else []
     return [binarize.scratch(plan, rule), lists, *gated]
 
