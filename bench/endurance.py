@@ -2,10 +2,11 @@
 
     python bench/endurance.py --minutes 20 [--device TEXT] [--json results/endurance.json]
 
-Frames of several sizes and kinds go through stream and batch in turns. Every round hashes every
-result and compares it with the first round's. Then Detectors are opened and closed. The last
-line is PASSED, or FAILED with a status of 1 where a result changed, or memory grew by more than
-the limit after the first tenth.
+Frames of several sizes and kinds go through stream and batch in turns, and through streams that
+are begun and dropped. Every round hashes every result and compares it with the first round's.
+Then Detectors are opened and closed, each for devices that are listed anew. The last line is
+PASSED, or FAILED with a status of 1 where a result changed, memory grew by more than the limit
+after the first tenth, or files stayed open.
 """
 
 import argparse
@@ -26,6 +27,7 @@ from cmp_cl import (
     Detector,
     DetectorConfig,
     EdgeStep,
+    list_devices,
     select_device,
 )
 from cmp_cl.synthetic import scene as synthetic
@@ -37,6 +39,11 @@ def resident() -> float:
     """Memory of this process, MB."""
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def open_files() -> int:
+    """File descriptors of this process."""
+    return len(os.listdir("/proc/self/fd"))
 
 
 def digest(results: list[Corners]) -> str:
@@ -88,12 +95,16 @@ def endure(seconds: float, device: str | None = None, openings: int = 1000) -> d
     def one_round() -> str:
         results: list[Corners] = []
         for detector, (_, frames) in zip(detectors, work, strict=True):
+            begun = [detector.stream(frames) for _ in range(3)]
+            results += [next(stream) for stream in begun]
+            results += [next(stream) for stream in begun[:2]]
+            del begun
             results += detector.stream(frames * 4)
             results += detector.batch(frames)
             results += [detector(frame) for frame in frames[:2]]
         return digest(results)
 
-    frames_a_round = sum(5 * len(frames) + 2 for _, frames in work)
+    frames_a_round = sum(5 * len(frames) + 7 for _, frames in work)
     first = one_round()
     begin = time.monotonic()
     rounds, changed = 1, 0
@@ -101,7 +112,8 @@ def endure(seconds: float, device: str | None = None, openings: int = 1000) -> d
     while time.monotonic() - begin < seconds:
         changed += one_round() != first
         rounds += 1
-        history.append((time.monotonic() - begin, resident(), sum(d.memory for d in detectors)))
+        memory_now = sum(detector.memory for detector in detectors)
+        history.append((time.monotonic() - begin, resident(), memory_now, open_files()))
     settled = history[len(history) // 10]
     device_after = sum(detector.memory for detector in detectors)
     for detector in detectors:
@@ -110,6 +122,7 @@ def endure(seconds: float, device: str | None = None, openings: int = 1000) -> d
     config, frames = work[2]
     memory, opened = [], set()
     for _ in range(openings):
+        list_devices()
         with Detector(shape=frames[0].shape, config=config, device=device) as detector:
             opened.add(digest([detector(frames[0])]))
         memory.append(resident())
@@ -124,6 +137,7 @@ def endure(seconds: float, device: str | None = None, openings: int = 1000) -> d
         "resident_MB": [round(settled[1], 1), round(history[-1][1], 1)],
         "resident_most_MB": round(max(each[1] for each in history), 1),
         "device_bytes": [settled[2], device_after],
+        "open_files": [settled[3], history[-1][3], open_files()],
         "openings": openings,
         "openings_MB": [round(memory[openings // 10], 1), round(memory[-1], 1)] if memory else [],
     }
@@ -140,6 +154,8 @@ def failures(found: dict[str, Any]) -> list[str]:
         )
     if found["device_bytes"][0] != found["device_bytes"][1]:
         wrong.append(f"memory on the device: {found['device_bytes']}")
+    if len(set(found["open_files"])) > 1:
+        wrong.append(f"open files: {found['open_files']}")
     if found["openings_MB"] and found["openings_MB"][1] - found["openings_MB"][0] > GROWTH:
         wrong.append(f"openings: from {found['openings_MB'][0]} MB to {found['openings_MB'][1]}")
     return wrong

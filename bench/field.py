@@ -40,6 +40,8 @@ from cmp_cl import (
 )
 from cmp_cl.cli.demo import wrongly_numbered
 from cmp_cl.cli.progress import Progress
+from cmp_cl.field import DisplacementField
+from cmp_cl.grid import filter_positions
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import (
     MAX_SIGMA,
@@ -145,9 +147,13 @@ def answer(measure: TwoViews, scene: Scene, rest: Shot, now: Shot) -> dict[str, 
         wrongly_numbered(grid, view)
         for grid, view in zip(measure.rest_grids, (rest.left, rest.right), strict=True)
     )
-    place = np.linalg.norm(found.points.xyz - now.xyz, axis=2) * 1e3
-    moved = np.linalg.norm(found.field.displacement - (now.xyz - rest.xyz), axis=2) * 1e3
-    place, moved = place[found.points.valid], moved[found.field.valid]
+    field, raw = found.field, found.field.raw
+    truth = now.xyz - rest.xyz
+    valid = field.valid
+    place = np.linalg.norm(field.position + field.displacement - now.xyz, axis=2)[valid] * 1e3
+    moved = np.linalg.norm(field.displacement - truth, axis=2)[valid] * 1e3
+    raw_place = np.linalg.norm(found.points.xyz - now.xyz, axis=2)[valid] * 1e3
+    raw_moved = np.linalg.norm(raw.displacement - truth, axis=2)[valid] * 1e3
     return {
         "object": scene.indenter.value,
         "mode": scene.mode.value,
@@ -159,8 +165,20 @@ def answer(measure: TwoViews, scene: Scene, rest: Shot, now: Shot) -> dict[str, 
         "place_p95_um": float(np.percentile(place, 95)),
         "moved_um2": float(np.mean(moved**2)),
         "moved_p95_um": float(np.percentile(moved, 95)),
+        "raw_place_um2": float(np.mean(raw_place**2)),
+        "raw_moved_um2": float(np.mean(raw_moved**2)),
+        "within_2": within(field, truth),
+        "raw_within_2": within(raw, truth),
         "ms": ms,
     }
+
+
+def within(field: DisplacementField, truth: np.ndarray) -> float:
+    """The share of errors within two standard deviations, along each node's own axes."""
+    known = np.isfinite(field.covariance).all(axis=(2, 3)) & field.valid
+    values, axes = np.linalg.eigh(field.covariance[known])
+    off = np.einsum("nij,ni->nj", axes, (field.displacement - truth)[known])
+    return float(np.mean(np.abs(off) <= 2 * np.sqrt(values.clip(0))))
 
 
 def grouped(rows: Sequence[dict[str, Any]], *keys: str) -> list[dict[str, Any]]:
@@ -177,6 +195,16 @@ def grouped(rows: Sequence[dict[str, Any]], *keys: str) -> list[dict[str, Any]]:
             "place_rms_um": float(np.sqrt(np.mean([row["place_um2"] for row in group]))),
             "moved_rms_um": float(np.sqrt(np.mean([row["moved_um2"] for row in group]))),
             "moved_p95_um": float(np.median([row["moved_p95_um"] for row in group])),
+            **{
+                f"{name}_rms_um": float(np.sqrt(np.mean([row[f"{name}_um2"] for row in group])))
+                for name in ("raw_place", "raw_moved")
+                if f"{name}_um2" in group[0]
+            },
+            **{
+                name: float(np.mean([row[name] for row in group]))
+                for name in ("within_2", "raw_within_2")
+                if name in group[0]
+            },
             "ms": float(np.median([row["ms"] for row in group])),
         }
         for values, group in groups.items()
@@ -285,21 +313,29 @@ def boards() -> list[dict[str, Any]]:
     for name, config in BOARD_CONFIGS.items():
         if published.is_dir():
             rig = published_rig(published / "stereo.yaml")
-            sides = [
-                square_sides(rig.triangulate(*views))
-                for views in pairs(published, 4, (6, 4), config)
-            ]
-            rows.append({"set": "bumblebee2", "config": name, "true": 30.0, **spread(sides)})
+            views = pairs(published, 4, (6, 4), config)
+            for kind, chosen in (("", views), (", filtered", [*map(lattice_filtered, views)])):
+                sides = [square_sides(rig.triangulate(*pair)) for pair in chosen]
+                row = {"set": "bumblebee2", "config": name + kind, "true": 30.0}
+                rows.append(row | spread(sides))
         if own.is_dir():
             views = pairs(own, 5, (6, 9), config)
             rows.append({"set": "opencv", "config": name, "true": 25.0, **left_out(views)})
             if "STEP" in name:
+                smooth = [lattice_filtered(pair) for pair in views]
+                row = {"set": "opencv", "config": f"{name}, filtered", "true": 25.0}
+                rows.append(row | left_out(smooth))
                 sure = [
                     (trusted(left, MAX_SIGMA), trusted(right, MAX_SIGMA)) for left, right in views
                 ]
                 name = f"{name}, sigma <= {MAX_SIGMA:g} px"
                 rows.append({"set": "opencv", "config": name, "true": 25.0, **left_out(sure)})
     return rows
+
+
+def lattice_filtered(pair: tuple[Grid, Grid]) -> tuple[Grid, Grid]:
+    left, right = (filter_positions(grid)[0] for grid in pair)
+    return left, right
 
 
 def left_out(views: Sequence[tuple[Grid, Grid]]) -> dict[str, Any]:
@@ -337,12 +373,15 @@ def show(result: dict[str, Any]) -> None:
     print("\nboth views of 40 x 40 corners, RMS errors in space, um")
     print(
         f"{'settings':30}{'severity':>9}{'frames':>8}{'index right':>13}{'placed':>8}"
-        f"{'position':>10}{'displacement':>14}{'ms':>7}"
+        f"{'position':>10}{'raw':>7}{'displacement':>14}{'raw':>7}"
+        f"{'within 2':>9}{'raw':>6}{'ms':>7}"
     )
     for row in result["by_severity"]:
         print(
             f"{row['config']:30}{row['severity']:9}{row['frames']:8}{row['index_right']:13.0%}"
-            f"{row['nodes_placed']:8.2%}{row['place_rms_um']:10.1f}{row['moved_rms_um']:14.1f}"
+            f"{row['nodes_placed']:8.2%}{row['place_rms_um']:10.1f}{row['raw_place_rms_um']:7.1f}"
+            f"{row['moved_rms_um']:14.1f}{row['raw_moved_rms_um']:7.1f}"
+            f"{row['within_2']:9.0%}{row['raw_within_2']:6.0%}"
             f"{row['ms']:7.0f}"
         )
     for row in result["numbering"]:

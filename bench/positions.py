@@ -129,7 +129,7 @@ def measured(scene: Scene, detector: Detector, rivals: dict[str, Detect]) -> Nod
         return None
     filtered, raw = filter_positions(now, rest=rest)
     good = np.isin(now.status, MEASURED) & np.isin(rest.status, MEASURED) & ~wrong
-    change = filter_grid(now.xy.astype(float) - rest.xy, measured=good)
+    change = filter_grid(now.xy.astype(float) - rest.xy, measured=good, bends=True)
     moved = truth - rest_truth
     values = {
         "position": (filtered.xy - truth, filtered.sigma),

@@ -474,6 +474,94 @@ def _success_plot(
 # fields in space, photographs, scaling, stability, theory
 
 
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
+
+
+def _between(interval: Sequence[float]) -> str:
+    """An interval of shares; a dash where one frame gives none."""
+    low, high = interval
+    return f"{max(low, 0):.0%} to {min(high, 1):.0%}" if low == low else "-"
+
+
+def positions(result: Row) -> str:
+    """The lattice filter: errors before and behind it, and whether the stated ones hold."""
+    parts = ["## Positions, and their stated errors", conditions(result), left_out(result)]
+    parts.append(
+        "Each scene against its frame at rest; nodes that are measured and rightly numbered. RMSE "
+        "of the distance, px, over both axes: `raw` is EDGE_STEP, the other behind the lattice "
+        "filter. Corrosion 0 is a perfect print, and 1 the wear of the other tables: most of the "
+        "raw error there is that the visible corner is not where the material point is, which "
+        "rewards whoever averages more. `within` is the share of coordinates within one and two "
+        "stated standard deviations (68 and 95 % if errors are normal), with the interval of "
+        "95 % of the second over frames; `corner` is `corners.sigma`, which knows the image's "
+        "noise and no wear. Worse: frames whose displacement the filter makes worse, with its "
+        "interval (Wilson's, of 95 %), and the largest ratio.\n"
+    )
+    for key in ("severity", "markers", "noise", None):
+        others = {"severity", "markers", "noise"} - {key}
+        rows = [
+            row
+            for row in result["groups"]
+            if (key is None or key in row) and not others & row.keys()
+        ]
+        body = []
+        for row in rows:
+            value = row.get(key) if key else "all"
+            if isinstance(value, list):
+                value = " to ".join(f"{each:.1f}" for each in value)
+            cells: list[Any] = [row["corrosion"], value, row["frames"]]
+            for kind in ("position", "displacement"):
+                own, raw = row[kind], row[f"raw {kind}"]
+                interval = own["within_2_interval"]
+                cells += [raw["rms"], own["rms"], f"{own['within_1']:.0%}, {own['within_2']:.0%}"]
+                cells += [_between(interval), f"{raw['within_2']:.0%}"]
+            cells += [f"{row['corner']['within_2']:.0%}"]
+            cells += [f"{row['worse']:.0%} ({_between(row['worse_interval'])})", row["worst_ratio"]]
+            body.append(cells)
+        one = ("raw", "filtered", "within 1, 2", "interval", "raw within 2")
+        head = ("corrosion", key or "", "frames", *(f"position {name}" for name in one))
+        head = (*head, *(f"displacement {name}" for name in one))
+        parts.append(table((*head, "corner within 2", "worse", "worst ratio"), body))
+    parts.append("### Where the truth bends\n\nNodes whose true position or displacement is over")
+    parts.append(".2 px off the cubic through their neighbours; RMSE, px.\n")
+    body = [[kind, value["nodes"], value["rms"]] for kind, value in result["bends"].items()]
+    parts.append(table(("error", "nodes", "px"), body))
+    parts.append("### Other methods, on the corners that they find too\n\nRMSE, px, with wear.\n")
+    body = [
+        [row["method"], row["corners"], row["rms"], row["edge_step"], row["filtered"]]
+        for row in result["compared"]
+    ]
+    parts.append(table(("method", "corners", "its", "EDGE_STEP's", "filtered"), body))
+    bound = result["bound"]
+    parts.append(
+        "### A perfect print\n\nThe noise-only Cramer-Rao bound of a disc of .75 cell is "
+        f"{bound['bound']:.4f} px, the noise part of EDGE_STEP {bound['noise_part']:.4f} px "
+        f"({bound['noise_part'] / bound['bound'] - 1:.0%} above), its whole error "
+        f"{bound['all']:.4f} px; {bound['frames']} frames.\n"
+    )
+    parts.append(
+        "### Known strains\n\nUniform stretches of a flat lattice of 40 x 40 nodes with 10 um of "
+        "wear that travels and 2 um of noise at each moment; E11.\n"
+    )
+    body = [
+        [row["field"], row["strain"], row["mean"], row["rms"], f"{row['within_2']:.0%}"]
+        for row in result["strains"]
+    ]
+    parts.append(table(("field", "strain", "mean found", "RMSE", "within 2"), body))
+    parts.append(
+        "The share that is left of the amplitude of a strain that is a sine over the columns, by "
+        "its wavelength in nodes; half of it is the resolution.\n"
+    )
+    body = [[row["wavelength"], row["raw"], row["filtered"]] for row in result["resolution"]]
+    parts.append(table(("wavelength", "raw", "filtered"), body))
+    parts.append(
+        f"{result['ms']:.2f} ms for positions and sigma of 1936 nodes; {result['left_out']} scenes "
+        "were not numbered and are left out.\n"
+    )
+    return "\n".join(parts)
+
+
 def field(result: Row) -> str:
     parts = ["## Fields in space", conditions(result)]
     rows, columns = result["view"]
@@ -482,10 +570,12 @@ def field(result: Row) -> str:
         f"{result['markers']} corners of a pattern 32 mm wide, through cameras that are known "
         "exactly. Errors are distances in space, in micrometres, over all nodes of all frames: "
         "RMSE of the position, RMSE of the displacement from the frame at rest and its 95th "
-        "percentile (the median of the frames'). A frame counts as right in its numbering if no "
-        "corner of it has a wrong row or column.\n"
+        "percentile (the median of the frames'), behind the lattice filter, and raw before it; "
+        "`within` is the share of errors within two stated standard deviations. A frame counts as "
+        "right in its numbering if no corner of it has a wrong row or column.\n"
     )
-    head = ("frames", "numbering right %", "nodes placed %", "position", "displacement", "95 %")
+    head = ("frames", "numbering right %", "nodes placed %", "position", "raw", "displacement")
+    head = (*head, "raw", "within %", "raw", "95 %")
     for key in ("severity", "object", "mode"):
         body = [
             [
@@ -495,7 +585,10 @@ def field(result: Row) -> str:
                 100 * group["index_right"],
                 100 * group["nodes_placed"],
                 group["place_rms_um"],
+                group.get("raw_place_rms_um"),
                 group["moved_rms_um"],
+                group.get("raw_moved_rms_um"),
+                *(_percent(group.get(name)) for name in ("within_2", "raw_within_2")),
                 group["moved_p95_um"],
                 group["ms"],
             ]
@@ -579,6 +672,59 @@ def photographs(result: Row) -> str:
             "ms",
         )
         parts.append(table(keys, [[row[key] for key in keys] for row in rows]))
+    return "\n".join(parts)
+
+
+def partial_views(result: Row) -> str:
+    """Boards partly out of view, boards of a wrong size, an island."""
+    parts = ["## Boards partly out of view", conditions(result)]
+    parts.append(
+        "Each picture is cut at its four sides. A node is right if it lies within 3 px of a "
+        "corner and its numbers are those of one lattice; false, if no corner is within a quarter "
+        "of a cell. `doubted` views say that their numbers may be wrong, `silent` ones are wrong "
+        "and do not; only a method that is told the board's size has such numbers.\n"
+    )
+    keys = ("set", "method", "views", "visible", "right", "false", "other", "refused", "doubted")
+    keys += ("silent",)
+    parts.append(table(keys, [[row[key] for key in keys] for row in result["partial"]]))
+    for name, reason in result["unavailable"].items():
+        parts.append(f"Not measured: {name} ({reason}).\n")
+    counts: dict[str, list[int]] = {}
+    for row in result["wrong_sizes"]:
+        group = counts.setdefault(row["answer"], [0, 0])
+        group[tuple(row["asked"]) != (6, 9)] += 1
+    parts.append(
+        "Boards of 6 x 9 corners, seen whole, asked for in that size and in seven others:\n"
+    )
+    head = ("answer", "asked for 6 x 9", "asked for another size")
+    parts.append(table(head, [[answer, *group] for answer, group in counts.items()]))
+    parts.append("water/ellipse_10, corners with a node of the right number in their island:\n")
+    rows = [
+        [word, row["outside"], row["island"], row["corners"], "yes" if row["ambiguous"] else "no"]
+        for word, row in result["island"].items()
+    ]
+    parts.append(table(("numbered", "outside", "island", "of", "ambiguous"), rows))
+    return "\n".join(parts)
+
+
+def open_patterns(result: Row) -> str:
+    """Numbers against the rest frame without a border in view."""
+    parts = ["## Patterns without a border in view", conditions(result)]
+    parts.append(
+        "Frames are numbered like the rest frame. Right: every node has its number. In silence: "
+        "some have not, and the frame does not say that its numbers are ambiguous. A print "
+        "without wear that moved by a whole period gives the same picture as one that did not "
+        "move: nothing in the frame can tell.\n"
+    )
+    for form, words in (
+        ("alone", "By the rest frame alone"),
+        ("followed", "After the frames before, between which it moves by 0.3 cells at most"),
+    ):
+        counts = result["counts"][form]
+        head = list(dict.fromkeys(verdict for group in counts.values() for verdict in group))
+        shown = ["in silence" if verdict == "wrong" else verdict for verdict in head]
+        rows = [[group, *(count[verdict] for verdict in head)] for group, count in counts.items()]
+        parts.append(f"{words}:\n\n" + table(("frames", *shown), rows))
     return "\n".join(parts)
 
 
@@ -948,8 +1094,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         "scaling": scaling,
         "scaling-gpu": scaling,
         "accuracy": lambda result: accuracy(result, folder),
+        "positions": positions,
         "field": field,
         "photographs": photographs,
+        "partial_views": partial_views,
+        "open_patterns": open_patterns,
         "stability": lambda result: stability(result, folder),
         "criteria": criteria,
         "implementations": implementations,

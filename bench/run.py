@@ -17,9 +17,21 @@ from environment import environment
 
 HERE = Path(__file__).parent
 QUICK = Path(tempfile.gettempdir()) / "cmp_cl-bench"
-PARTS = ("speed", "scaling", "theory", "criteria", "photographs", "field", "accuracy", "stability")
+PARTS = (
+    "speed",
+    "scaling",
+    "theory",
+    "criteria",
+    "photographs",
+    "partial_views",
+    "open_patterns",
+    "field",
+    "positions",
+    "accuracy",
+    "stability",
+)
 LONG = ("implementations",)  # only in the long form
-WHOLE = ("theory", "photographs")  # have no short form
+WHOLE = ("theory", "photographs", "partial_views")  # have no short form
 
 
 def main(argv: Sequence[str] | None = None) -> int:

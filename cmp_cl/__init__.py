@@ -1,6 +1,6 @@
 """Corners of deformed checkerboards on any OpenCL device, and the deformation they show."""
 
-from cmp_cl import measure, media, reference
+from cmp_cl import arrays, cameras, measure, media, reference, series
 from cmp_cl.cell import estimate_cell
 from cmp_cl.config import (
     AdaptiveMean,
@@ -95,10 +95,12 @@ __all__ = [
     "StereoRig",
     "__version__",
     "align",
+    "arrays",
     "build_grid",
     "build_grids",
     "calibrate",
     "calibrate_camera",
+    "cameras",
     "detect",
     "displacement",
     "estimate_cell",
@@ -108,4 +110,5 @@ __all__ = [
     "reference",
     "refine_markers",
     "select_device",
+    "series",
 ]

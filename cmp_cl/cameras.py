@@ -24,6 +24,7 @@ import numpy as np
 from cmp_cl import media
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
+from cmp_cl.series.mcap import mcap_images
 
 _WAITING = 64  # frames of a camera that may wait to be measured
 _LONGEST_WAIT = 10.0  # s, for a frame of a camera
@@ -60,11 +61,17 @@ class CameraSettings:
             raise ConfigError(f"fps must be positive, not {self.fps}")
 
 
+def is_live(name: str) -> bool:
+    """Whether it names a camera by number, a device such as /dev/video0, or an address."""
+    number = name.isascii() and name.isdigit() and not Path(name).exists()
+    return number or re.match(r"/dev/video|[a-z][a-z0-9+.-]*://", name) is not None
+
+
 class Source:
     """Where frames come from.
 
-    name: a file, a folder of images, the number of a camera, a device such as /dev/video0, or
-    an address such as rtsp://camera/stream.
+    name: a file (.mcap too), a folder of images, the number of a camera, a device such as
+    /dev/video0, or an address such as rtsp://camera/stream.
 
     live: whether it is a camera or a stream, whose frames come whether or not they are taken.
     paths: the files, () of a live one. period_ms: between frames, NaN where nobody knows.
@@ -75,11 +82,8 @@ class Source:
     def __init__(self, name: str, settings: CameraSettings | None = None) -> None:
         self.name = name
         self._settings = settings or CameraSettings()
-        number = name.isascii() and name.isdigit() and not Path(name).exists()
-        device = name.startswith("/dev/video")
-        address = re.match(r"[a-z][a-z0-9+.-]*://", name) is not None
-        self.live = number or device or address
-        self._opened_as: int | str = int(name) if number else name
+        self.live = is_live(name)
+        self._opened_as: int | str = int(name) if self.live and name.isdigit() else name
         self.paths = () if self.live else tuple(media.find_inputs([name]))
         self.period_ms = math.nan
         if len(self.paths) == 1:
@@ -98,6 +102,10 @@ class Source:
     def _file_frames(self) -> Generator[Timed, None, None]:
         numbers = itertools.count()
         for path in self.paths:
+            if path.suffix.lower() == ".mcap":
+                for stamp, image in mcap_images(path):
+                    yield Timed(next(numbers), stamp / 1e6, image)
+                continue
             if media.is_video(path) and has_pyav():
                 for frame in video_frames(path):
                     yield dataclasses.replace(frame, index=next(numbers))
@@ -135,7 +143,7 @@ class Source:
     def _capture(self) -> Any:
         capture = cv2.VideoCapture(self._opened_as)
         if not capture.isOpened():
-            raise ImageError(f"there is no camera {self.name!r} that OpenCV can open")
+            raise ImageError(f"there is no camera {self.name} that OpenCV can open")
         asked: list[tuple[int, float | None, str]] = [
             (cv2.CAP_PROP_FRAME_WIDTH, self._settings.size and self._settings.size[0], "width"),
             (cv2.CAP_PROP_FRAME_HEIGHT, self._settings.size and self._settings.size[1], "height"),

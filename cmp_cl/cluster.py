@@ -15,6 +15,7 @@ import dataclasses
 import hashlib
 import json
 import os
+import struct
 import threading
 import zipfile
 import zlib
@@ -35,7 +36,11 @@ from cmp_cl.files import write_bytes, write_text
 from cmp_cl.image import GreyImage, check_image
 
 _ABOUT = "about.json"
-_DAMAGE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
+_MOST_FRAMES = 1 << 40
+_DAMAGE = (  # what reading a damaged zip or .npy raises
+    *(OSError, ValueError, KeyError, EOFError, OverflowError, MemoryError),
+    *(RuntimeError, struct.error, zipfile.BadZipFile, zlib.error),
+)
 _ARRAYS = ("xy", "pixel", "response", "method", "sigma", "edges", "doubtful")
 
 
@@ -113,7 +118,10 @@ def open_store(folder: str | PathLike[str]) -> Store:
     """The store in a folder; raises ConfigError where there is none."""
     try:
         about = json.loads((Path(folder) / _ABOUT).read_text(encoding="utf-8"))
-        return Store(Path(folder), int(about["count"]), int(about["part"]))
+        count, part = about["count"], about["part"]
+        if not (type(count) is type(part) is int and 0 <= count < _MOST_FRAMES and part >= 1):
+            raise ValueError(f"{_ABOUT} says {count!r} frames in parts of {part!r}")
+        return Store(Path(folder), count, part)
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ConfigError(f"there is no store of corners in {str(folder)!r}: {error}") from error
 

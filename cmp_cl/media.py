@@ -128,9 +128,8 @@ def read_pages(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> It
 
 def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
     """The bytes of a file as they are asked for, or what comes from a pipe."""
-    _check_readable(path)
-    kind = os.stat(path).st_mode
     try:
+        kind = os.stat(path).st_mode
         if stat.S_ISREG(kind):
             empty = not os.path.getsize(path)
             return np.empty(0, np.uint8) if empty else np.memmap(path, np.uint8, mode="r")

@@ -40,6 +40,8 @@ copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
 autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
 autodoc_typehints_format = "short"
 autoclass_content = "class"
 
@@ -52,6 +54,10 @@ kernelspec:
 
 """
 BLOCK = re.compile(r"^```(python|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+ARRAY = re.compile(
+    r"~?(?:numpy\.)?ndarray\[tuple\[~?(?:typing\.)?Any, \.\.\.\], "
+    r"~?(?:numpy\.)?dtype\[~?(?:numpy\.)?(\w+)\]\]"
+)
 FIELD = re.compile(r"^([A-Za-z_]\w*(?:, [A-Za-z_]\w*)*|\.\w+(?: \.\w+)*): (?=\S)")
 CODE = re.compile(r"(?<![`\w:])`([^`]+)`(?!`)")
 SPECIAL = re.compile(r"\|(?=\w)|(?<=\w)_(?!\w)")  # |F2| is no substitution, raw_ no link
@@ -66,6 +72,8 @@ def marked(line):
 
 def as_restructured_text(app, what, name, obj, options, lines):
     """Turn the docstrings' `name: meaning` lines into a list, and `code` into literals."""
+    if what == "data":  # its docstring is that of dict or tuple
+        lines.clear()
     out: list[str] = []
     in_list = False
     for line in lines:
@@ -89,6 +97,11 @@ def as_restructured_text(app, what, name, obj, options, lines):
     lines[:] = out
 
 
+def with_short_arrays(app, what, name, obj, options, signature, returns):
+    """Arrays in a signature without their empty shapes."""
+    return tuple(text and ARRAY.sub(r"ndarray[\1]", text) for text in (signature, returns))
+
+
 def with_output(app, docname, source):
     """Turn the blocks of a page into cells of a notebook; the source stays plain Markdown."""
     if docname.startswith(EXECUTED) and BLOCK.search(source[0]):
@@ -106,5 +119,6 @@ def as_cell(block):
 
 def setup(app):
     app.connect("source-read", with_output)
+    app.connect("autodoc-process-signature", with_short_arrays)
     app.connect("autodoc-process-docstring", as_restructured_text)
     app.connect("builder-inited", lambda app: pictures.gallery(HERE / "_generated"))

@@ -12,6 +12,7 @@ import matplotlib
 import pytest
 
 import cmp_cl
+from cmp_cl import field, grid, series, stereo, synthetic, viz
 from cmp_cl.cli.main import main
 
 ROOT = Path(__file__).parent.parent
@@ -55,6 +56,13 @@ def test_the_reference_has_every_public_name():
     shown = {name for page in API for name in FOUND.findall(page.read_text(encoding="utf-8"))}
     modules = {"measure", "media"}  # their names are shown one by one
     assert set(cmp_cl.__all__) - modules - shown == set()
+
+
+@pytest.mark.parametrize("module", [field, grid, series, stereo, synthetic, viz])
+def test_the_reference_has_every_public_name_of_a_package(module):
+    text = "".join(page.read_text(encoding="utf-8") for page in API)
+    shown = {name.rpartition(".")[2] for name in FOUND.findall(text)}
+    assert set(module.__all__) - shown == set()
 
 
 def command(line):

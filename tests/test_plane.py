@@ -255,9 +255,10 @@ def test_the_strain_of_pictures_is_right_within_the_noise_that_they_show():
 
 
 def test_the_height_of_a_pictured_wave_agrees_with_its_form_and_with_openfcd():
+    board = (24, 24, 276, 276)
     images = [
-        moved_board((300, 300), 12, lambda q: 0 * q, noise=2),
-        moved_board((300, 300), 12, lambda q: -LENGTH * slope(q), noise=2, seed=1),
+        moved_board((300, 300), 12, lambda q: 0 * q, board=board, noise=2),
+        moved_board((300, 300), 12, lambda q: -LENGTH * slope(q), board=board, noise=2, seed=1),
     ]
     raster = rasterize(plane_displacement(*detected(*images, cell=12)))
     found = integrate(raster, -raster.values / LENGTH)

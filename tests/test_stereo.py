@@ -1,5 +1,6 @@
 """Two views: what is placed in space is where it is, what cannot be placed says so."""
 
+import dataclasses
 import itertools
 import math
 import subprocess
@@ -30,6 +31,7 @@ from cmp_cl.stereo import (
     triangulate_points,
     undistort,
 )
+from cmp_cl.stereo.points import largest_deviation
 from cmp_cl.synthetic import default_rig, random_scene, render_stereo
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
@@ -457,3 +459,45 @@ def test_importing_the_module_imports_no_extra():
     code = "import sys, cmp_cl.stereo, cmp_cl.field; print('matplotlib' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
     assert result.stdout.strip() == b"False"
+
+
+def test_the_calibrations_own_covariance_is_that_of_its_errors():
+    """Points from exact views through rigs that were calibrated on noisy ones."""
+    rig, truth = toed_in_rig(), gel(5, 5)
+    exact = [grid_of(view, 0.05) for view in project(rig, truth)]
+    ratios = []
+    for seed in range(8):
+        views = boards(rig, np.random.default_rng(seed), count=8)
+        found = calibrate(views, spacing=3.0, image_size=(800, 1200)).rig
+        assert np.linalg.eigvalsh(found.covariance)[0] >= 0
+        points = found.triangulate(*exact)
+        values, axes = np.linalg.eigh(points.calibration_covariance)
+        off = np.einsum("rcij,rci->rcj", axes, points.xyz - truth)
+        ratios.append((off / np.sqrt(values))[..., 2])
+        assert (points.sigma > largest_deviation(points.covariance)).all()
+    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
+def test_the_covariance_survives_the_file(tmp_path):
+    views = boards(toed_in_rig(), np.random.default_rng(1), count=5)
+    rig = calibrate(views, spacing=3.0, image_size=(800, 1200)).rig
+    rig.save(tmp_path / "rig.yaml")
+    np.testing.assert_allclose(StereoRig.load(tmp_path / "rig.yaml").covariance, rig.covariance)
+
+
+def test_uncertain_views_weigh_less():
+    """Half of the views are ten times as noisy, and say so."""
+    rig, off = toed_in_rig(), {True: [], False: []}
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        sure = [left for left, _ in boards(rig, rng, count=4, sigma=0.05)]
+        rough = [left for left, _ in boards(rig, rng, count=4, sigma=0.5)]
+        for said in (True, False):
+            views = [
+                dataclasses.replace(grid, sigma=np.full(grid.shape, sigma, np.float32))
+                for grids, sigma in ((sure, 0.05), (rough, 0.5 if said else 0.05))
+                for grid in grids
+            ]
+            camera = calibrate_camera(views, spacing=3.0, image_size=(800, 1200))
+            off[said].append(camera.matrix[0, 0] - rig.K1[0, 0])
+    assert np.square(off[True]).mean() < 0.3 * np.square(off[False]).mean()

@@ -1,5 +1,6 @@
 """Pictures: every corner is marked where it is, in the colour of its method."""
 
+import dataclasses
 import subprocess
 import sys
 
@@ -122,6 +123,22 @@ def test_nodes_have_the_colour_of_their_status_and_lines_join_neighbours():
     blue, _, red = np.transpose([pixel(*place) for place in lines.values()]).astype(int)
     assert (red > blue).tolist() == [True, False, False]
     assert blue[2] > blue[1]
+
+
+def test_corners_off_the_grid_are_faint_rings():
+    grid = grid_of(lattice())
+    grid = dataclasses.replace(grid, index=np.vstack([grid.index, [[-1, -1]]]).astype(np.int32))
+    found = corners_at(np.vstack([lattice().reshape(-1, 2), [[180, 60]]]), Method.CENTROID)
+    image = np.full((125, 250), 128, np.uint8)
+    picture = grid_overlay(image, grid, corners=found)
+    plain = grid_overlay(image, grid)
+    changed = (picture[:500] != plain[:500]).any(axis=2)
+    y, x = np.nonzero(changed)
+    assert np.hypot(x / 4 - 180, y / 4 - 60).max() < 8
+    assert np.abs(picture[:500].astype(int) - 128)[changed].max() < 80
+    assert (picture[500:] != plain[500:]).any()  # the legend
+    with pytest.raises(FieldError, match="20 corners, not 21"):
+        grid_overlay(image, grid_of(lattice()), corners=found)
 
 
 def test_no_two_statuses_share_a_colour():

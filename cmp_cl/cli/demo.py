@@ -31,7 +31,6 @@ from cmp_cl.synthetic import (
 )
 from cmp_cl.synthetic.scoring import score
 from cmp_cl.viz import (
-    Projection,
     arrow_figure,
     corner_overlay,
     grid_overlay,
@@ -209,14 +208,11 @@ def _pictures(folder: Path, measured: MeasuredInSpace, left_at_rest: Grid) -> li
         figures = {
             "arrows.png": arrow_figure(view, left_at_rest, grid, field=measured.field),
             "surface.png": surface_figure(measured.field),
-            "surface-orthographic.png": surface_figure(
-                measured.field, projection=Projection.ORTHOGRAPHIC
-            ),
         }
     except ImportError:
         print(
             "cmp-cl: arrows and surfaces need matplotlib, which is not installed: "
-            "pip install matplotlib",
+            "pip install 'cmp-cl[plot]'",
             file=sys.stderr,
         )
         return written

@@ -113,7 +113,8 @@ def run(arguments: argparse.Namespace) -> int:
                         name = _of_frame(overlays[path], path, number)
                         drawn = corner_overlay(image, corners)
                         media.write_image(
-                            name, drawn if grid is None else grid_overlay(image, grid)
+                            name,
+                            drawn if grid is None else grid_overlay(image, grid, corners=corners),
                         )
                         tally.overlays.append(name)
                     progress.step()

@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import dataclasses
 import os
+import re
 import sys
 import time
 from collections.abc import Generator, Sequence
@@ -13,7 +14,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl import media
+from cmp_cl import cameras, media
+from cmp_cl.cameras import CameraSettings, PairCount, is_live, paired
 from cmp_cl.cli.arguments import (
     Box,
     add_device,
@@ -37,10 +39,12 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, open_series
+from cmp_cl.series.mcap import mcap_images
 from cmp_cl.stereo import StereoRig
 from cmp_cl.viz import RerunLog
 from cmp_cl.viz.film import FILM_SUFFIXES, OverlayFilm
 
+_PAIR_WITHIN = 20.0  # ms
 _LINES_OF_BROKEN = 8  # a recording full of broken frames is told in a number
 
 
@@ -57,14 +61,41 @@ def add_parser(commands: Any) -> None:
         "are missing. Ctrl-C ends the run, and what was measured is written.",
     )
     parser.add_argument(
-        "source", metavar="SOURCE", help="video, folder of images, image, or number of a camera"
+        "source",
+        metavar="SOURCE",
+        nargs="?",
+        help="video, folder of images, image, .mcap, number of a camera, device such as "
+        "/dev/video0, or address such as rtsp://camera/stream",
+    )
+    parser.add_argument(
+        "--left",
+        metavar="SOURCE",
+        help="with --stereo and --right: the left view, in place of SOURCE; frames are paired by "
+        "their times, in turn where they have none, and those without a partner are counted",
+    )
+    parser.add_argument("--right", metavar="SOURCE", help="the right view")
+    parser.add_argument(
+        "--pair-within",
+        metavar="MS",
+        type=float,
+        help="largest difference between the times of a pair, ms; default: half of the time "
+        f"between frames, {_PAIR_WITHIN:g} where that is unknown",
+    )
+    camera = parser.add_argument_group("a camera, a device or an address")
+    camera.add_argument(
+        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="of its frames, px"
+    )
+    camera.add_argument("--camera-fps", metavar="FPS", type=float, help="frames per second")
+    camera.add_argument("--exposure", type=float, help="in the unit of its driver")
+    camera.add_argument(
+        "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
     )
     parser.add_argument(
         "--out",
         metavar="FILE",
         required=True,
         help="the series: .npz (numpy.load), .h5 (readable while it grows), .parquet, .csv, "
-        ".jsonl, .pvd (ParaView), or - for JSON lines on standard output; see below",
+        ".jsonl, .pvd (ParaView), .mcap (ROS 2), or - for JSON lines on standard output; see below",
     )
     parser.add_argument("--stereo", metavar="YAML", help="the calibration of the two views")
     parser.add_argument(
@@ -139,6 +170,13 @@ def add_parser(commands: Any) -> None:
     parser.set_defaults(run=run)
 
 
+def _camera_size(text: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size such as 1280x720")
+    return int(match[1]), int(match[2])
+
+
 class _Shot(NamedTuple):
     """A frame of the source; image is None where it cannot be read, time_ms NaN if unknown."""
 
@@ -150,12 +188,13 @@ class _Shot(NamedTuple):
 class _Source:
     """Where the frames come from; rate: frames per second, None where nobody knows."""
 
-    def __init__(self, name: str, max_pixels: int) -> None:
+    def __init__(self, name: str, max_pixels: int, camera: CameraSettings) -> None:
         self._max_pixels = max_pixels
-        self.camera = (
-            int(name) if name.isascii() and name.isdigit() and not Path(name).exists() else None
-        )
-        self.paths = [] if self.camera is not None else media.find_inputs([name])
+        self.live = is_live(name)
+        self._number = int(name) if name.isdigit() and camera == CameraSettings() else None
+        self._camera = cameras.Source(name, camera) if self.live else None
+        self.start_ns: int | None = None  # since 1970, of an MCAP
+        self.paths: list[Path] = [] if self.live else media.find_inputs([name])
         self.name = name
         self.rate = media.frame_rate(self.paths[0]) if len(self.paths) == 1 else None
         self._period = np.nan if self.rate is None else 1e3 / self.rate
@@ -163,7 +202,7 @@ class _Source:
     @property
     def total(self) -> int | None:
         """How many frames there are, None for a camera."""
-        if self.camera is not None:
+        if self.live:
             return None
         if len(self.paths) == 1:
             return media.count_frames(self.paths[0])
@@ -175,12 +214,22 @@ class _Source:
 
     def shots(self) -> Generator[_Shot, None, None]:
         """All frames, from the first; files that cannot be read are one broken frame each."""
-        if self.camera is not None:
-            start = None
-            for frame in media.read_camera(self.camera):
-                now = time.monotonic()
+        start: float | None = None
+        if self.live and self._number is not None:
+            for frame in media.read_camera(self._number):
+                now = time.monotonic() * 1e3
                 start = now if start is None else start
-                yield _Shot(frame.index, (now - start) * 1e3, frame.image)
+                yield _Shot(frame.index, now - start, frame.image)
+            return
+        if self._camera is not None:
+            for taken in self._camera.frames():
+                start = taken.time_ms if start is None else start
+                yield _Shot(taken.index, taken.time_ms - start, taken.image)
+            return
+        if self.paths[0].suffix.lower() == ".mcap":
+            for number, (stamp, image) in enumerate(mcap_images(self.paths[0])):
+                self.start_ns = self.start_ns or stamp
+                yield _Shot(number, (stamp - self.start_ns) / 1e6, image)
             return
         index = 0
         for path in self.paths:
@@ -202,11 +251,70 @@ class _Source:
                 continue
             if shot.image is None:
                 raise ConfigError(f"--rest-frame {number} cannot be read; choose another one")
-            if self.camera is not None:
+            if self.live:
                 return shot.image, _chained(shot, shots)
             shots.close()
             return shot.image, self.shots()
         raise ConfigError(f"--rest-frame {number} is beyond the last frame")
+
+
+class _Pairs(_Source):
+    """Frames of two sources side by side, left and right, paired by their times."""
+
+    def __init__(self, arguments: argparse.Namespace, camera: CameraSettings) -> None:
+        self._sides = [cameras.Source(name, camera) for name in (arguments.left, arguments.right)]
+        left, right = self._sides
+        if left.live != right.live:
+            raise ConfigError("--left and --right must both be files or both be cameras")
+        self.name = f"{left.name}, {right.name}"
+        self.start_ns = None
+        self.live = left.live
+        self.paths = [*left.paths, *right.paths]
+        periods = [side.period_ms for side in self._sides if np.isfinite(side.period_ms)]
+        self.rate = 1e3 / max(periods) if periods else None
+        self._within = arguments.pair_within
+        if self._within is None:
+            self._within = min(periods) / 2 if periods else _PAIR_WITHIN
+        self.count = PairCount()
+
+    @property
+    def total(self) -> int | None:
+        """Nobody knows how many pairs there will be."""
+        return None
+
+    def shots(self) -> Generator[_Shot, None, None]:
+        """All pairs; a pair with a broken frame has no image."""
+        self.count = PairCount()
+        start = None
+        with contextlib.ExitStack() as stack:
+            sides = [stack.enter_context(contextlib.closing(s.frames())) for s in self._sides]
+            found = paired(*sides, tolerance_ms=self._within, count=self.count, endless=self.live)
+            for number, (left, right) in enumerate(found):
+                start = left.time_ms if start is None else start
+                yield _Shot(number, left.time_ms - start, _side_by_side(left.image, right.image))
+
+    def alone(self) -> str:
+        """Say how many frames had no partner, "" where all had one."""
+        if not (self.count.left_alone or self.count.right_alone):
+            return ""
+        return (
+            f"; {self.count.left_alone} left and {self.count.right_alone} right frames without "
+            "a partner"
+        )
+
+
+def _side_by_side(left: GreyImage | None, right: GreyImage | None) -> GreyImage | None:
+    if left is None or right is None:
+        return None
+    if (left.shape, left.dtype) != (right.shape, right.dtype):
+        raise ImageError(f"the left frame is {_size(left)}, the right one {_size(right)}")
+    both = np.empty((left.shape[0], 2 * left.shape[1]), left.dtype)
+    both[:, : left.shape[1]], both[:, left.shape[1] :] = left, right
+    return both
+
+
+def _size(image: GreyImage) -> str:
+    return f"{image.shape[1]} x {image.shape[0]} px of {image.dtype}"
 
 
 def _chained(first: _Shot, others: Generator[_Shot, None, None]) -> Generator[_Shot, None, None]:
@@ -280,6 +388,7 @@ class _Settings:
     def of(cls, arguments: argparse.Namespace) -> Self:
         if arguments.rest_frame < 0:
             raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
+        _check_source(arguments)
         if arguments.stereo is None and (arguments.split or arguments.mirror):
             raise ConfigError("--split and --mirror need --stereo")
         if arguments.out != "-":
@@ -291,7 +400,19 @@ class _Settings:
         config = None if arguments.config is None else DetectorConfig.load(arguments.config)
         rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
         device = select_device(arguments.device)
-        source = _Source(arguments.source, arguments.max_pixels)
+        camera = CameraSettings(
+            size=arguments.camera_size,
+            fps=arguments.camera_fps,
+            exposure=arguments.exposure,
+            fourcc=arguments.pixel_format,
+        )
+        source = (
+            _Pairs(arguments, camera)
+            if arguments.left is not None
+            else _Source(arguments.source, arguments.max_pixels, camera)
+        )
+        if camera != CameraSettings() and not source.live:
+            raise ConfigError(f"{shown(source.name)} is no camera: it takes no camera's settings")
         refuse_to_overwrite(
             [*source.paths, arguments.config, arguments.stereo],
             [
@@ -330,6 +451,8 @@ class _Settings:
             "device": str(self.device),
             "configuration": repr(self.config) if self.config else "for the cells seen at rest",
         }
+        if self.source.start_ns is not None:
+            settings["start_ns"] = str(self.source.start_ns)
         return Description(units=units, settings=settings)
 
     def measurement(self, rest: GreyImage) -> Measurement:
@@ -349,7 +472,10 @@ class _Settings:
                 (region,) = regions_in(self.region, whole(rest))
                 return OneView(rest, region=region, **search)
             split = split_of(self.split, self.mirror, rest.shape)
-            left, right = regions_in(self.region, *views_of(split))
+            one, two = views_of(split)
+            if isinstance(self.source, _Pairs):  # regions are in the two frames
+                two = ((0, 0, *two[0][2:]), two[1])
+            left, right = regions_in(self.region, one, two)
             return TwoViews(rest, self.rig, split, regions=(left, right), **search)
         except GridError as error:
             raise GridError(f"the rest frame {self.rest_frame}: {error}{hint}") from error
@@ -400,6 +526,8 @@ def run(arguments: argparse.Namespace) -> int:
             film.frame(shot, measured, measure.constants["rest"])
     ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
+    if isinstance(source, _Pairs):
+        line += source.alone()
     piped = settings.out == "-"
     print(f"{ended}wrote {shown(settings.out)}: {line}", file=sys.stderr if piped else sys.stdout)
     for written in (settings.overlay, settings.rerun):
@@ -409,7 +537,7 @@ def run(arguments: argparse.Namespace) -> int:
     if failed:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2
-    return 130 if stop.name and source.camera is None else 0
+    return 130 if stop.name and not source.live else 0
 
 
 class _Film(contextlib.AbstractContextManager["_Film"]):
@@ -480,6 +608,18 @@ def _why_broken(shot: _Shot, rest: GreyImage) -> str:
         f"frame {shot.number} is {columns} x {rows} px of {shot.image.dtype}, the rest frame is "
         f"{rest.shape[1]} x {rest.shape[0]} of {rest.dtype}; it is left out"
     )
+
+
+def _check_source(arguments: argparse.Namespace) -> None:
+    two = arguments.left is not None or arguments.right is not None
+    if two == (arguments.source is not None):
+        raise ConfigError("give SOURCE, or --left and --right")
+    if two and (arguments.left is None or arguments.right is None or arguments.stereo is None):
+        raise ConfigError("--left, --right and --stereo belong together")
+    if two and (arguments.split or arguments.mirror):
+        raise ConfigError("--split and --mirror are for frames that show both views")
+    if arguments.pair_within is not None and not (two and arguments.pair_within >= 0):
+        raise ConfigError("--pair-within needs --left and --right, and at least 0 ms")
 
 
 def _check_display() -> None:

@@ -1,8 +1,52 @@
 """Displacement and strain of the nodes, and their files."""
 
 from cmp_cl.field.field import DisplacementField, displacement
+from cmp_cl.field.plane import (
+    Motion,
+    PlaneField,
+    PlaneScale,
+    PlaneStrain,
+    PrincipalStrain,
+    Raster,
+    motion_of,
+    plane_displacement,
+    plane_strain,
+    rasterize,
+    with_measured_noise,
+    without_motion,
+)
+from cmp_cl.field.poisson import (
+    Boundary,
+    Potential,
+    integrate,
+    projected_density,
+    surface_height,
+)
 from cmp_cl.field.series import SeriesWriter
 from cmp_cl.field.strain import green_lagrange
 from cmp_cl.field.writers import mesh
 
-__all__ = ["DisplacementField", "SeriesWriter", "displacement", "green_lagrange", "mesh"]
+__all__ = [
+    "Boundary",
+    "DisplacementField",
+    "Motion",
+    "PlaneField",
+    "PlaneScale",
+    "PlaneStrain",
+    "Potential",
+    "PrincipalStrain",
+    "Raster",
+    "SeriesWriter",
+    "displacement",
+    "green_lagrange",
+    "integrate",
+    "mesh",
+    "motion_of",
+    "plane_displacement",
+    "plane_strain",
+    "projected_density",
+    "rasterize",
+    "surface_height",
+    "with_measured_noise",
+    "without_motion",
+]

@@ -140,7 +140,7 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
     position = np.where(valid[..., None], rest.xyz, np.nan)
     moved = np.where(valid[..., None], now.xyz - rest.xyz, np.nan)
     at_rest = filter_grid(rest.xyz, measured=np.isin(rest.source, MEASURED))
-    change = filter_grid(moved, measured=np.isin(source, MEASURED))
+    change = filter_grid(moved, measured=np.isin(source, MEASURED), bends=True)
     unfiltered = DisplacementField(
         position=position,
         displacement=moved,

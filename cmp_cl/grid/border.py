@@ -6,41 +6,85 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.evidence import grey
-from cmp_cl.grid.grid import Sides
-from cmp_cl.grid.nodes import Index, Nodes, Points
+from cmp_cl.grid.grid import NO_SIDES, Sides
+from cmp_cl.grid.nodes import Index, Mask, Nodes, Points
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
+HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the picture may not be seen
 FLAT = 0.3  # of the contrast of the cells before: below it those beyond are no cells
 SPOTS = np.array([-0.15, 0.0, 0.15])  # cells: where a square's grey level is taken
 MOST = 23  # squares of a side that are looked at; odd, so that of equal steps both colours come
 
 
-def border(nodes: Nodes, image: GreyImage) -> Sides:
+class Ends(NamedTuple):
+    """How a pattern ends in the view.
+
+    border: the sides on which nodes end in the picture, and what lies beyond is no cell.
+    cut: the sides on which the picture ends before the next nodes.
+    """
+
+    border: Sides = NO_SIDES
+    cut: Sides = NO_SIDES
+
+    def turned(self, quarters: int) -> "Ends":
+        """The same after the numbers are turned as in `Grid.turned`."""
+        return Ends(self.border.turned(quarters), self.cut.turned(quarters))
+
+
+def border_of(nodes: Nodes, image: GreyImage) -> Sides:
     """The sides on which nodes end in the picture, and what lies beyond is no cell."""
     at = nodes.at
     if min(at.shape) < 2:
-        return Sides()
+        return NO_SIDES
     lines = [_squares(way, *rows) for way in (at, at.T) for rows in ((0, 1), (-1, -2))]
     side = np.repeat(np.arange(4), [len(line.sign) for line in lines])
-    middle, out, along = (np.concatenate([line[part] for line in lines]) for part in range(3))
+    middle: Points = np.concatenate([line.middle for line in lines])
+    out: Points = np.concatenate([line.out for line in lines])
+    along = np.concatenate([line.along for line in lines])
     sign = np.concatenate([line.sign for line in lines])
-    far = middle + (BEYOND + 0.25) * out
-    rows, columns = image.shape
-    shown = (far.real >= 0) & (far.real < columns) & (far.imag >= 0) & (far.imag < rows)
+    far: Points = middle + (BEYOND + 0.25) * out
+    shown = _inside(far, image)
     spots = np.stack([middle + BEYOND * out, middle - out / 2])[..., None] + SPOTS * along[:, None]
     level = sign * grey(image, spots).sum(axis=2)
-    ends = []
+    borders = []
     for number, line in enumerate(lines):
         here = shown & (side == number)
         count = np.count_nonzero(here)
         if 2 * count < len(line.sign) or count < 2 or abs(int(sign[here].sum())) == count:
-            ends.append(False)
+            borders.append(False)
             continue
         bright, dark = here & (sign > 0), here & (sign < 0)
         beyond, inside = level[:, bright].mean(axis=1) + level[:, dark].mean(axis=1)
-        ends.append(bool(abs(beyond) < FLAT * abs(inside)))
-    return Sides(*ends)
+        borders.append(bool(abs(beyond) < FLAT * abs(inside)))
+    return Sides(*borders)
+
+
+def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
+    """The sides on which the picture ends before the next nodes."""
+    at, across = nodes.at, nodes.at.T
+    return Sides(
+        _cut(at, image), _cut(at[::-1], image), _cut(across, image), _cut(across[::-1], image)
+    )
+
+
+def _cut(at: Points, image: GreyImage) -> bool:
+    """Whether most columns, (R, C) px, have no room in the picture before their first node."""
+    seen = ~np.isnan(at.real)
+    column = np.flatnonzero(seen.any(axis=0))
+    first = seen.argmax(axis=0)[column]
+    second = np.minimum(first + 1, len(at) - 1)
+    one, two = at[first, column], at[second, column]
+    known = ~np.isnan(two.real) & (second > first)
+    beyond = ~_inside((one + (1 + HIDDEN) * (one - two))[known], image)
+    return 2 * int(np.count_nonzero(beyond)) > len(beyond)
+
+
+def _inside(at: Points, image: GreyImage) -> Mask:
+    """Which of those places the picture shows."""
+    rows, columns = image.shape
+    inside: Mask = (at.real >= 0) & (at.real < columns) & (at.imag >= 0) & (at.imag < rows)
+    return inside
 
 
 class _Squares(NamedTuple):

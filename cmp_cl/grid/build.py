@@ -6,8 +6,8 @@ import numpy as np
 
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError, ImageError
-from cmp_cl.grid.border import border, full_lines
-from cmp_cl.grid.grid import Grid, Sides
+from cmp_cl.grid.border import Ends, border_of, cut_of, full_lines
+from cmp_cl.grid.grid import NO_SIDES, Grid, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
 from cmp_cl.grid.lattice import Lattice, lattice
@@ -171,11 +171,14 @@ def _numbered(
         return None, Sides()
     if shape is not None and seen.image is not None and np.less(nodes.at.shape, shape).any():
         extend(nodes, seen)
-    ends = Sides() if seen.image is None else border(nodes, seen.image)
+    border = NO_SIDES if seen.image is None else border_of(nodes, seen.image)
     if like is not None:
-        placed = like_rest(nodes, ends, like, previous)
+        placed = like_rest(nodes, border, like, previous)
     elif shape is not None:
-        placed = in_shape(nodes, found.bend, shape, ends)
+        cut = NO_SIDES
+        if seen.image is not None and np.less(nodes.at.shape, shape).any():
+            cut = cut_of(nodes, seen.image)
+        placed = in_shape(nodes, found.bend, shape, Ends(border, cut))
     else:
         placed = Placed(nodes)
     if not alone and np.count_nonzero(found.size >= LEAST_BOARD) > 1:
@@ -184,10 +187,10 @@ def _numbered(
     count = np.count_nonzero(nodes.there)
     fill(placed.nodes, seen, BRACKETED if shape is None else WEAK)
     if seen.image is not None and np.count_nonzero(placed.nodes.there) != count:
-        ends = border(placed.nodes, seen.image)
+        border = border_of(placed.nodes, seen.image)
     else:
-        ends = ends.turned(placed.quarters)
-    return placed, _declared(placed, ends, shape if like is None else None)
+        border = border.turned(placed.quarters)
+    return placed, _declared(placed, border, shape if like is None else None)
 
 
 def _framed(placed: Placed) -> Grid:
@@ -195,14 +198,14 @@ def _framed(placed: Placed) -> Grid:
     return dataclasses.replace(_empty(0, placed.nodes.at.shape), origin=placed.origin)
 
 
-def _declared(placed: Placed, ends: Sides, shape: tuple[int, int] | None) -> Sides:
+def _declared(placed: Placed, border: Sides, shape: tuple[int, int] | None) -> Sides:
     """The borders of a pattern, all four where it is seen whole in a known shape."""
     there = placed.nodes.there
     if shape is None or placed.seen_shape is not None or not there.any():
-        return ends
+        return border
     top, bottom, left, right = full_lines(there)
     whole = (top, left) == (0, 0) and (bottom + 1, right + 1) == there.shape
-    return Sides(True, True, True, True) if whole else ends
+    return Sides(True, True, True, True) if whole else border
 
 
 def _check_holds(image: GreyImage, corners: Corners) -> None:

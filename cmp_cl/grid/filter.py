@@ -31,6 +31,7 @@ REFUSED = 6.0  # standard deviations from what the neighbours predict
 _SHARPNESS = 2 * math.pi * RISK_REACH**2 / 3  # of the weights, per unit of risk
 _FLOOR = 1e-10  # of the variance of the noise, relative to the mean square of the values
 _LEAST = 1e-30  # of the variance of the noise
+_LEAST_OF_THREE = 1.35  # noise without shape, over the least of its three variances
 _ROUNDS = 3  # searches for nodes to refuse
 _FILL_REACH = (3, 6)  # nodes around a hole that predict its value
 _ROWS_AT_ONCE = 16  # of a lattice, where every node has a kernel of its own
@@ -98,13 +99,18 @@ class Filtered:
         return np.where(np.isnan(self.sigma), np.nan, deviation)
 
 
-def filter_grid(values: ArrayLike, *, measured: ArrayLike | None = None) -> Filtered:
+def filter_grid(
+    values: ArrayLike, *, measured: ArrayLike | None = None, bends: bool = False
+) -> Filtered:
     """Filter a lattice over its rows and columns.
 
     values: (R, C, K), K >= 1 coordinates in one unit and of like noise; a node with a NaN is
     missing. measured: (R, C) bool, the nodes that others may rely on; the rest get what their
     neighbours predict. None means all. A deformation is filtered as one array of displacements,
     not as two of positions: wear that travels with the material cancels in their difference.
+    bends: the values may bend sharply along an axis, as a deformation does at the edge of what
+    presses. What bends is then told from noise by looking along each axis alone, too. Leave it
+    out for positions: wear that neighbours share would be taken for the shape.
 
     Raises GridError where the arrays have other shapes.
     """
@@ -125,7 +131,7 @@ def filter_grid(values: ArrayLike, *, measured: ArrayLike | None = None) -> Filt
     mixtures = []
     for part in _components(votes):
         box = _box(votes & part)
-        mixture, plane = _of_component(given[box], votes[box], part[box], box)
+        mixture, plane = _of_component(given[box], votes[box], part[box], box, bends=bends)
         prediction = mixture.values.transpose(1, 2, 0) + plane
         here = there[box] & part[box]
         refused[box] |= here & votes[box] & ~mixture.votes
@@ -161,7 +167,7 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
     measured = np.isin(rest.status, MEASURED)
     start = filter_grid(rest.xy, measured=measured)
     moved = now.xy.astype(np.float64) - rest.xy
-    change = filter_grid(moved, measured=measured & np.isin(now.status, MEASURED))
+    change = filter_grid(moved, measured=measured & np.isin(now.status, MEASURED), bends=True)
     values = np.where(np.isnan(moved), now.xy, start.values + change.values)
     return (
         _with(now, values, np.hypot(start.sigma, change.sigma)),
@@ -178,12 +184,14 @@ def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
     )
 
 
-def _of_component(given: Array, votes: Bools, part: Bools, box: Box) -> "tuple[_Mixture, Array]":
+def _of_component(
+    given: Array, votes: Bools, part: Bools, box: Box, *, bends: bool
+) -> "tuple[_Mixture, Array]":
     """The mixture for what is left of the best bilinear surface, and that surface (R, C, K)."""
     votes = votes & part
     plane = _plane(given, votes)
     data = np.where(votes[..., None], given - plane, 0).transpose(2, 0, 1)
-    return _mixed(np.ascontiguousarray(data, np.float32), votes, part, box), plane
+    return _mixed(np.ascontiguousarray(data, np.float32), votes, part, box, bends=bends), plane
 
 
 def _components(votes: Bools) -> list[Bools]:
@@ -410,7 +418,7 @@ def _bands(n: int, side: int) -> Single:
     return bands
 
 
-def _mixed(data: Single, votes: Bools, part: Bools, box: Box) -> _Mixture:
+def _mixed(data: Single, votes: Bools, part: Bools, box: Box, *, bends: bool) -> _Mixture:
     """The mixture for data (K, R, C), without the nodes that their neighbours refuse."""
     whole = bool(votes.all())
     if not whole:
@@ -424,7 +432,8 @@ def _mixed(data: Single, votes: Bools, part: Bools, box: Box) -> _Mixture:
         allowed = allowed & ~suspects
         data = _filled(np.where(votes, data, 0), allowed)
         residual, noise = _noise(data, allowed, whole=False)
-    return _mixture(data, allowed, residual, noise, part, box)
+    shape_noise = _noise_along(data, allowed, noise) if bends else noise
+    return _mixture(data, allowed, residual, noise, shape_noise, part, box)
 
 
 def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
@@ -454,6 +463,30 @@ def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     floor = max(_FLOOR * float(np.square(data).mean()), _LEAST)
     noise = np.square(np.square(mean / np.float32(expected))) + np.float32(floor)
     return residual, np.asarray(noise, np.float32)
+
+
+def _noise_along(data: Single, votes: Bools, noise: Single) -> Single:
+    """The least of the noise's variances that both axes and each alone show, (R, C).
+
+    Along an edge the surface is smooth, however sharply it bends across. The least of three is
+    too small by a known share where all show the same noise.
+    """
+    down, along = _axis(votes.shape[0]), _axis(votes.shape[1])
+    least = noise
+    for off, own in (
+        (data - down.pilot @ data, down.pilot_own[:, None]),
+        (data - data @ along.pilot.T, along.pilot_own[None]),
+    ):
+        usable = votes & (own < 0.95)
+        near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
+        residual = np.asarray(off, np.float32)
+        square = np.square(residual).mean(axis=0) / np.maximum(1 - own, 0.05)
+        root = np.where(usable, np.asarray(np.sqrt(np.sqrt(square)), np.float32), np.float32(0))
+        mean = down.near_noise @ root @ along.near_noise.T / np.maximum(near, np.float32(1e-6))
+        alone = np.square(np.square(mean / np.float32(_expected_root(residual, root))))
+        least = np.where(near > 1e-6, np.minimum(least, alone), least)
+    chosen: Single = np.minimum(noise, least * np.float32(_LEAST_OF_THREE))
+    return chosen
 
 
 def _expected_root(residual: Single, root: Single) -> float:
@@ -489,13 +522,19 @@ def _suspects(residual: Single, noise: Single, votes: Bools) -> Bools:
 
 
 def _mixture(
-    data: Single, votes: Bools, residual: Single, noise: Single, part: Bools, box: Box
+    data: Single,
+    votes: Bools,
+    residual: Single,
+    noise: Single,
+    chosen_noise: Single,
+    part: Bools,
+    box: Box,
 ) -> _Mixture:
     count, rows, columns = data.shape
     down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
     filters, others = len(down.filters), len(along.filters)
     known = np.isfinite(noise)
-    s2 = np.where(known, noise, np.float32(1))
+    s2 = np.where(known, chosen_noise, np.float32(1))
     first = np.matmul(down.stacked, data).reshape(count, filters, rows, columns)
     smooth = np.matmul(first.reshape(-1, columns), along.stacked.T)
     smooth = smooth.reshape(count, filters, rows, others, columns)
@@ -525,8 +564,11 @@ def _mixture(
     weights *= (1 / _over_pairs(weights))[:, None]
     values = np.stack([_over_pairs(weights * each) for each in smooth])
     gain = _over_pairs(weights * pairs.gain)
-    mean_risk = _over_pairs(np.multiply(weights, risk, out=risk)) - 1
-    variance = noise * np.maximum(mean_risk, gain)
+    own = _over_pairs(weights * pairs.own) if chosen_noise is not noise else np.float32(0)
+    mean_risk = _over_pairs(np.multiply(weights, risk, out=risk))
+    more = noise - chosen_noise  # the choice takes less noise for granted than the errors do
+    expected = chosen_noise * mean_risk + 2 * more * own - noise
+    variance = np.maximum(expected, noise * gain)
     return _Mixture(
         box=box,
         part=part,

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.grid.border import full_lines
+from cmp_cl.grid.border import Ends, full_lines
 from cmp_cl.grid.grid import Grid, Rival, Sides
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, check_room
 
@@ -45,37 +45,39 @@ class Placed(NamedTuple):
 # a known shape
 
 
-def in_shape(
-    nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], border: Sides
-) -> Placed:
+def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], ends: Ends) -> Placed:
     """The nodes in a grid of that shape.
 
     A shape that fits better across is taken so, by the quarter turn that leaves the columns
     nearest to the image's x axis. Where less is seen, the borders in view say which part it
     is. Where more is seen, it is the fullest window, nearest to the top left.
 
-    bend: of every corner. border: the sides on which the pattern ends in the view.
+    bend: of every corner.
     """
     turns = [0]
     if shape[0] != shape[1]:
         falling = float(np.nansum((nodes.at[:, 1:] - nodes.at[:, :-1]).imag)) > 0
         turns.append(3 if falling else 1)
     turned = [nodes.turned(turn) for turn in turns]
-    sides = [border.turned(turn) for turn in turns]
-    misfit = [_misfit(each.at.shape, shape, ends) for each, ends in zip(turned, sides, strict=True)]
+    sides = [ends.turned(turn) for turn in turns]
+    misfit = [
+        _misfit(each.at.shape, shape, side.border) for each, side in zip(turned, sides, strict=True)
+    ]
     likely = [place for place, off in enumerate(misfit) if off == min(misfit)]
     windows = [_fullest(turned[place], bend, shape) for place in likely]
     fullest = int(np.argmax([weight for weight, _, _ in windows]))
     best = likely[fullest]
     _, top, left = windows[fullest]
-    found, ends = turned[best], sides[best]
+    found, (border, cut) = turned[best], sides[best]
     starts, unsure = [top, left], len(likely) > 1
-    for axis, (begin, end) in enumerate(((ends.top, ends.bottom), (ends.left, ends.right))):
+    for axis in (0, 1):
         lack = shape[axis] - found.at.shape[axis]
         if lack > 0:
+            begin, end = border[2 * axis], border[2 * axis + 1]
+            no_begin, no_end = cut[2 * axis], cut[2 * axis + 1]
             starts[axis] = -lack if end and not begin else 0
-            unsure |= not (begin or end)
-    seen, continues = _seen_shape(found, bend, shape, (top, left), ends)
+            unsure |= not ((begin and end) or (begin and no_end) or (no_begin and end))
+    seen, continues = _seen_shape(found, bend, shape, (top, left), border)
     placed = found.window(starts[0], starts[1], shape)
     return Placed(
         placed, ambiguous=unsure, quarters=turns[best], continues=continues, seen_shape=seen

@@ -21,6 +21,9 @@
    that of the node alone. The result is the mean of the E with weights
    exp(-(risk - least risk) 2 pi 1.5^2 / 3).
 7. Its variance is s2 max(sum w risk - 1, sum w V), V the sum of the squares of the pair's weights.
+8. Where the values may bend sharply, the pairs are chosen with s1 in place of s2: the least of
+   s2 and of its like from the pilot along one axis alone, times 1.35, and at most s2. Then the
+   variance is max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s2 sum w V).
 """
 
 import dataclasses
@@ -32,6 +35,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+LEAST_OF_THREE = 1.35
 PAIRED = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))
 
 
@@ -50,7 +54,7 @@ class Filtered:
     margin: Floats
 
 
-def filter_grid(values: Floats, measured: Bools | None = None) -> Filtered:
+def filter_grid(values: Floats, measured: Bools | None = None, *, bends: bool = False) -> Filtered:
     """Filter (R, C, K) values; NaN where missing. measured: (R, C), None for all."""
     there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
     votes = there if measured is None else there & measured
@@ -62,7 +66,9 @@ def filter_grid(values: Floats, measured: Bools | None = None) -> Filtered:
         rows, columns = np.nonzero(votes & part)
         box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
         here = there[box] & part[box]
-        kept, s2, smooth, variance, near = _component(values[box], votes[box] & part[box])
+        kept, s2, smooth, variance, near = _component(
+            values[box], votes[box] & part[box], bends=bends
+        )
         gone = votes[box] & part[box] & ~kept
         off = ((values[box] - smooth) ** 2).mean(axis=2)
         variance = np.where(kept, variance, s2)
@@ -100,7 +106,9 @@ def _components(votes: Bools) -> list[Bools]:
     return parts
 
 
-def _component(given: Floats, votes: Bools) -> tuple[Bools, Floats, Floats, Floats, float]:
+def _component(
+    given: Floats, votes: Bools, *, bends: bool
+) -> tuple[Bools, Floats, Floats, Floats, float]:
     """The votes that are kept, s2, the filtered values (R, C, K), their variance, the margin."""
     plane = _plane(given, votes)
     data = np.where(votes[..., None], given - plane, 0)
@@ -117,7 +125,8 @@ def _component(given: Floats, votes: Bools) -> tuple[Bools, Floats, Floats, Floa
         kept = kept & ~gone
         data = _filled(np.where(kept[..., None], data, 0), kept)
         residual, s2, own = _noise(data, kept)
-    values, variance = _mixture(data, kept, s2)
+    chosen = _least_noise(data, kept, s2) if bends else s2
+    values, variance = _mixture(data, kept, s2, chosen)
     return kept, s2, values + plane, variance, margin
 
 
@@ -166,7 +175,7 @@ def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
 
 def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
     """The pilot's residual (R, C, K), s2 and the pilot's own weights (R, C)."""
-    rows, columns, count = data.shape
+    rows, columns, _ = data.shape
     shapes = [(3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0) for n in (rows, columns)]
     down, along = (axis_filter(n, *s) for n, s in zip((rows, columns), shapes, strict=True))
     residual = data - np.einsum("ij,jlk,ml->imk", down, data, along)
@@ -177,14 +186,21 @@ def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
         usable[r, c] &= window.mean() >= 0.75 - 1e-6
     u = (residual**2).mean(axis=2) / np.maximum(1 - own, 1e-3)
     root = np.sqrt(np.sqrt(u))
-    common = np.zeros((count, count))
-    for node in zip(*np.nonzero(usable & (root > 0)), strict=True):
-        common += np.outer(residual[node], residual[node]) / root[node] ** 3
-    square = (common**2).sum()
-    f = np.trace(common) ** 2 / square if square > 0 else count
-    expected = (2 / f) ** 0.25 * math.gamma(f / 2 + 0.25) / math.gamma(f / 2)
+    expected = _expected(residual, np.where(usable, root, 0))
     s2 = (_average(root, usable, 2.0) / expected) ** 4 + max(1e-10 * (data**2).mean(), 1e-30)
     return residual, s2, own
+
+
+def _expected(residual: Floats, root: Floats) -> float:
+    """e; root: (R, C), the root of the root of u, 0 where it does not count."""
+    count = residual.shape[2]
+    common = np.zeros((count, count))
+    for node in zip(*np.nonzero(root > 0), strict=True):
+        common += np.outer(residual[node], residual[node]) / root[node] ** 3
+    square = (common**2).sum()
+    f = float(np.trace(common) ** 2 / square) if square > 0 else float(count)
+    share: float = (2 / f) ** 0.25
+    return share * math.gamma(f / 2 + 0.25) / math.gamma(f / 2)
 
 
 def _refused(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[Bools, float]:
@@ -200,9 +216,9 @@ def _refused(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[B
     return gone, margin
 
 
-def _mixture(data: Floats, votes: Bools, s2: Floats) -> tuple[Floats, Floats]:
+def _mixture(data: Floats, votes: Bools, s2: Floats, chosen: Floats) -> tuple[Floats, Floats]:
     rows, columns, _ = data.shape
-    estimates, risks, gains = [], [], []
+    estimates, risks, gains, owns = [], [], [], []
     for h_row, p_row in PAIRED:
         for h_column, p_column in PAIRED:
             if rows < 2 * h_row + 1 or columns < 2 * h_column + 1:
@@ -210,8 +226,10 @@ def _mixture(data: Floats, votes: Bools, s2: Floats) -> tuple[Floats, Floats]:
             a, b = axis_filter(rows, h_row, p_row), axis_filter(columns, h_column, p_column)
             estimate = np.einsum("ij,jlk,ml->imk", a, data, b)
             loss = ((data - estimate) ** 2).mean(axis=2)
-            loss = loss + 2 * s2 * np.outer(np.diag(a), np.diag(b))
-            risk = _average(np.where(votes, loss, 0), votes, 1.5) / s2
+            own = np.outer(np.diag(a), np.diag(b))
+            loss = loss + 2 * chosen * own
+            risk = _average(np.where(votes, loss, 0), votes, 1.5) / chosen
+            owns.append(own)
             if (h_row, h_column) != (0, 0):
                 for r, c in np.ndindex(rows, columns):
                     window = votes[_window(rows, h_row, r), _window(columns, h_column, c)]
@@ -225,9 +243,27 @@ def _mixture(data: Floats, votes: Bools, s2: Floats) -> tuple[Floats, Floats]:
     weights = np.exp(-(risk - risk.min(axis=0)) * 2 * math.pi * 1.5**2 / 3)
     weights /= weights.sum(axis=0)
     values = np.einsum("prc,prck->rck", weights, estimate)
-    mean_risk = (weights * np.where(weights > 0, risk, 0)).sum(axis=0) - 1
-    variance = s2 * np.maximum(mean_risk, (weights * gain).sum(axis=0))
+    mean_risk = (weights * np.where(weights > 0, risk, 0)).sum(axis=0)
+    mean_own = (weights * np.array(owns)).sum(axis=0)
+    expected = chosen * mean_risk + 2 * (s2 - chosen) * mean_own - s2
+    variance = np.maximum(expected, s2 * (weights * gain).sum(axis=0))
     return values, variance
+
+
+def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
+    """The variance of the noise that the choice of the pairs takes for granted."""
+    least = s2
+    for axis in (0, 1):
+        lines = np.moveaxis(data, axis, 0)
+        n = len(lines)
+        filters = axis_filter(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
+        residual = np.moveaxis(lines - np.tensordot(filters, lines, 1), 0, axis)
+        own = np.expand_dims(np.diag(filters), 1 - axis) * np.ones(votes.shape)
+        usable = votes & (own < 0.95)
+        root = ((residual**2).mean(axis=2) / np.maximum(1 - own, 0.05)) ** 0.25
+        mean = _average(root, usable, 2.0) / _expected(residual, np.where(usable, root, 0))
+        least = np.fmin(least, mean**4)
+    return np.minimum(s2, LEAST_OF_THREE * least)
 
 
 def _filled(data: Floats, votes: Bools) -> Floats:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from cmp_cl.errors import ConfigError
 from cmp_cl.series.base import Description, Series
 from cmp_cl.series.hdf5 import Hdf5Series
+from cmp_cl.series.mcap import McapSeries
 from cmp_cl.series.npz import NpzSeries
 from cmp_cl.series.paraview import ParaViewSeries
 from cmp_cl.series.reading import read_series
@@ -21,6 +22,7 @@ __all__ = [
     "Description",
     "Hdf5Series",
     "JsonLines",
+    "McapSeries",
     "NpzSeries",
     "ParaViewSeries",
     "ParquetSeries",
@@ -38,6 +40,7 @@ _WRITERS = {
     ".csv": CsvSeries,
     ".jsonl": JsonLines,
     ".pvd": ParaViewSeries,
+    ".mcap": McapSeries,
 }
 SERIES_SUFFIXES = tuple(_WRITERS)
 

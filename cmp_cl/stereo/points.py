@@ -27,6 +27,8 @@ class Points3D:
     covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared: the corners' standard
         deviations through the geometry, without the calibration's own error; NaN where
         those are unknown.
+    calibration_covariance: (R, C, 3, 3) float64, what the error of the calibration adds, which
+        all nodes share and displacements hardly feel; None where the rig knows none.
     status: (R, C) uint8 of `PointStatus`.
     source: (R, C) uint8 of `NodeStatus`, of the two sides the less direct one.
     unit: name of the unit of length.
@@ -38,6 +40,7 @@ class Points3D:
     status: NDArray[np.uint8]
     source: NDArray[np.uint8]
     unit: str
+    calibration_covariance: NDArray[np.float64] | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -46,8 +49,12 @@ class Points3D:
 
     @property
     def sigma(self) -> NDArray[np.float64]:
-        """(R, C) float64, standard deviation along the most uncertain axis, in `unit`."""
-        return largest_deviation(self.covariance)
+        """(R, C) float64, standard deviation along the most uncertain axis, in `unit`, with
+        that of the calibration where it is known.
+        """
+        if self.calibration_covariance is None:
+            return largest_deviation(self.covariance)
+        return largest_deviation(self.covariance + self.calibration_covariance)
 
 
 def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

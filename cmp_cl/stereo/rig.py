@@ -15,12 +15,15 @@ from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
 from cmp_cl.files import write_text
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage
+from cmp_cl.stereo.adjustment import CAMERA, POSE, Adjusted, View, adjust
 from cmp_cl.stereo.points import Points3D, PointStatus
 from cmp_cl.stereo.reading import check_nesting
 
 MIN_PARALLAX = 1.0  # px: under it, depth is noise
 _MAX_ROUND_TRIP = 0.01  # px: undistorted and distorted again
 _MAX_FILE = 1 << 20  # bytes
+_MAX_NUMBERS = 484  # of a matrix in a file: the covariance of 22
+_COVARIANCE = "covariance"
 _MIN_VIEWS = 3
 _MIN_NODES = 8  # of a board in a view
 _MAX_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not determine it
@@ -100,6 +103,8 @@ class StereoRig:
 
     K1, K2: (3, 3) camera matrices, px, pixel centres at integers. D1, D2: 4, 5, 8, 12 or 14
     distortion coefficients, empty for none. R: (3, 3) rotation. T: (3,), in `unit`.
+    covariance: (22, 22) of fx fy cx cy k1 k2 p1 p2 of the left camera, of the right one, and of
+    the rotation vector and the translation, as `calibrate` finds it; None where unknown.
     All are kept as read-only float64.
 
     Raises CalibrationError where a parameter is malformed or the cameras coincide.
@@ -112,8 +117,12 @@ class StereoRig:
     R: Array
     T: Array
     unit: str = "mm"
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
+        if self.covariance is not None:
+            size = 2 * CAMERA + POSE
+            self._set("covariance", _numbers("covariance", self.covariance, (size, size)))
         for name, shape in (("K1", (3, 3)), ("K2", (3, 3)), ("R", (3, 3)), ("T", (3,))):
             self._set(name, _numbers(name, getattr(self, name), shape))
         for name in ("D1", "D2"):
@@ -144,6 +153,7 @@ class StereoRig:
         """
         found: dict[str, Array] = {}
         named = unit
+        covariance: Array | None = None
         for path in paths:
             storage = _open(path)
             for name, aliases in _ALIASES.items():
@@ -154,6 +164,8 @@ class StereoRig:
                     if name in found and not np.array_equal(found[name], value):
                         raise CalibrationError(f"{path}: {alias} contradicts an earlier {name}")
                     found[name] = value
+            kept = _matrix(storage, _COVARIANCE, path)
+            covariance = covariance if kept is None else kept
             written = storage.getNode("unit")
             if named is None and written.isString():
                 named = written.string()
@@ -162,7 +174,7 @@ class StereoRig:
             files = ", ".join(str(path) for path in paths)
             raise CalibrationError(f"{files}: no {'; no '.join(missing)}")
         try:
-            return cls(**found, unit="mm" if named is None else named)
+            return cls(**found, unit="mm" if named is None else named, covariance=covariance)
         except CalibrationError as error:
             raise CalibrationError(f"{', '.join(map(str, paths))}: {error}") from error
 
@@ -175,6 +187,8 @@ class StereoRig:
         storage = cv2.FileStorage(".yml", mode)
         for name in _ALIASES:
             storage.write(name, np.atleast_2d(getattr(self, name)).copy())
+        if self.covariance is not None:
+            storage.write(_COVARIANCE, self.covariance.copy())
         storage.write("unit", self.unit)
         body = storage.releaseAndGetString().split("\n", 1)[1]
         write_text(path, "%YAML:1.0\n" + body)
@@ -208,6 +222,11 @@ class StereoRig:
         good = status == PointStatus.VALID
         xyz[~good] = np.nan
         covariance[~good] = np.nan
+        shared = None
+        if self.covariance is not None:
+            own = np.full((len(seen), 3, 3), np.nan)
+            own[good] = self._of_calibration(xyz[good], deviation[good])
+            shared = _spread(both, own)
         all_status = np.full(left.shape, PointStatus.MISSING, np.uint8)
         all_status[both] = status
         return Points3D(
@@ -219,6 +238,7 @@ class StereoRig:
                 np.uint8
             ),
             unit=self.unit,
+            calibration_covariance=shared,
         )
 
     def _linear(self, seen: Array) -> tuple[Array, NDArray[np.uint8]]:
@@ -247,19 +267,8 @@ class StereoRig:
         """
         if not len(xyz):
             return xyz, np.empty(0), np.empty((0, 3, 3))
-        turn = cv2.Rodrigues(self.R)[0]
-        zero = np.zeros(3)
-        left, by_left = cv2.projectPoints(xyz, zero, zero, self.K1, self.D1)
-        right, by_right = cv2.projectPoints(xyz, turn, self.T, self.K2, self.D2)
-        miss = seen - np.hstack([left.reshape(-1, 2), right.reshape(-1, 2)])
-        by_shift = slice(3, 6)  # a derivative by the translation is one by the turned point
-        jacobian = np.concatenate(
-            [
-                by_left[:, by_shift].reshape(-1, 2, 3),
-                (by_right[:, by_shift] @ self.R).reshape(-1, 2, 3),
-            ],
-            axis=1,
-        )
+        projected, jacobian, _ = self._projected(xyz)
+        miss = seen - projected
         known = np.isfinite(sigma.sum(axis=1))
         weight = np.repeat(1 / np.where(known[:, None], sigma, 1), 2, axis=1)
         scaled = jacobian * weight[..., None]
@@ -269,6 +278,36 @@ class StereoRig:
         rest = miss - (jacobian @ step)[..., 0]
         error = np.sqrt(np.square(rest).sum(axis=1) / 2)
         return xyz + step[..., 0], error, np.where(known[:, None, None], inverse, np.nan)
+
+    def _of_calibration(self, xyz: Array, sigma: Array) -> Array:
+        """(N, 3, 3): the covariance of the points that the calibration's error makes."""
+        if not len(xyz) or self.covariance is None:
+            return np.empty((0, 3, 3))
+        _, jacobian, by_rig = self._projected(xyz)
+        known = np.isfinite(sigma.sum(axis=1))
+        weight = np.repeat(1 / np.where(known[:, None], sigma, 1), 2, axis=1)[..., None]
+        answer = -np.linalg.pinv(jacobian * weight) @ (by_rig * weight)
+        shared: Array = answer @ self.covariance @ answer.transpose(0, 2, 1)
+        return shared
+
+    def _projected(self, xyz: Array) -> tuple[Array, Array, Array]:
+        """Where both cameras see points: (N, 4) px, and its slopes by the point, (N, 4, 3), and by
+        the 22 numbers of `covariance`, (N, 4, 22).
+        """
+        turn = cv2.Rodrigues(self.R)[0]
+        zero = np.zeros(3)
+        left, by_left = cv2.projectPoints(xyz, zero, zero, self.K1, self.D1)
+        right, by_right = cv2.projectPoints(xyz, turn, self.T, self.K2, self.D2)
+        by_left, by_right = (each.reshape(len(xyz), 2, -1) for each in (by_left, by_right))
+        by_shift = slice(3, 6)  # a derivative by the translation is one by the turned point
+        jacobian = np.concatenate(
+            [by_left[..., by_shift], by_right[..., by_shift] @ self.R], axis=1
+        )
+        by_rig = np.zeros((len(xyz), 4, 2 * CAMERA + POSE))
+        by_rig[:, :2, :CAMERA] = by_left[..., POSE : POSE + CAMERA]
+        by_rig[:, 2:, CAMERA : 2 * CAMERA] = by_right[..., POSE : POSE + CAMERA]
+        by_rig[:, 2:, 2 * CAMERA :] = by_right[..., :POSE]
+        return np.hstack([left.reshape(-1, 2), right.reshape(-1, 2)]), jacobian, by_rig
 
 
 def undistort(
@@ -382,12 +421,13 @@ def _open(path: str | PathLike[str]) -> cv2.FileStorage:
 
 
 def _matrix(storage: cv2.FileStorage, key: str, path: str | PathLike[str]) -> Array | None:
-    """A matrix of at most 64 numbers, None where there is no such key."""
+    """A matrix of at most _MAX_NUMBERS, None where there is no such key."""
     node = storage.getNode(key)
     if node.empty():
         return None
     try:
-        if node.isMap() and node.getNode("rows").real() * node.getNode("cols").real() <= 64:
+        size = node.getNode("rows").real() * node.getNode("cols").real() if node.isMap() else np.inf
+        if size <= _MAX_NUMBERS:
             return np.array(node.mat(), np.float64)
     except (cv2.error, ValueError) as error:
         raise CalibrationError(f"{path}: {key} is a damaged matrix: {error}") from error
@@ -430,8 +470,8 @@ def calibrate_camera(
 ) -> CameraCalibration:
     """Camera matrix and distortion from at least three views of a flat board.
 
-    Partial views are welcome, their numbering does not matter. spacing: side of a square,
-    any unit. image_size: (width, height), px.
+    Partial views are welcome, their numbering does not matter. Each node weighs 1 / sigma^2.
+    spacing: side of a square, any unit. image_size: (width, height), px.
 
     Raises CalibrationError where there are too few views or nodes, or the views do not
     determine the focal length (all seen from the front).
@@ -440,7 +480,7 @@ def calibrate_camera(
     parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
     _check_views(len(parts))
     try:
-        error, matrix, distortion, turns, shifts, _, _, errors = cv2.calibrateCameraExtended(
+        error, matrix, distortion, turns, shifts, _, _, _ = cv2.calibrateCameraExtended(
             [board for board, _ in parts],
             [points for _, points in parts],
             image_size,
@@ -460,13 +500,57 @@ def calibrate_camera(
             f"the views leave the focal length uncertain by {sigma / matrix[0, 0]:.0%}: "
             "show the board tilted, in different directions"
         )
+    views = [
+        _view(board, turn, shift, grid)
+        for (board, _), turn, shift, grid in zip(parts, turns, shifts, grids, strict=True)
+    ]
+    adjusted = adjust(views, _of_camera(matrix, distortion))
     return CameraCalibration(
-        matrix=_double(matrix),
-        distortion=_double(distortion).reshape(-1),
+        matrix=_matrix_of(adjusted.numbers),
+        distortion=_distortion_of(adjusted.numbers),
         focal_sigma=sigma,
-        error=float(error),
-        view_errors=_double(errors).reshape(-1),
+        error=_whole_error(adjusted, views),
+        view_errors=adjusted.errors[:, 0],
     )
+
+
+def _view(
+    board: NDArray[np.float32],
+    turn: ArrayLike,
+    shift: ArrayLike,
+    *grids: Grid,
+    both: NDArray[np.bool_] | None = None,
+) -> View:
+    """A view of a board in one or two grids, at the nodes `both` or all."""
+    chosen = [grid.valid if both is None else both for grid in grids]
+    return View(
+        board=board,
+        seen=tuple(g.xy[v].astype(np.float64) for g, v in zip(grids, chosen, strict=True)),
+        sigma=tuple(g.sigma[v].astype(np.float64) for g, v in zip(grids, chosen, strict=True)),
+        pose=np.concatenate([_double(turn).reshape(-1), _double(shift).reshape(-1)]),
+    )
+
+
+def _of_camera(matrix: ArrayLike, distortion: ArrayLike) -> Array:
+    """fx fy cx cy k1 k2 p1 p2."""
+    k = _double(matrix)
+    return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *_double(distortion).reshape(-1)[:4]])
+
+
+def _matrix_of(numbers: Array) -> Array:
+    fx, fy, cx, cy = numbers[:4]
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+
+
+def _distortion_of(numbers: Array) -> Array:
+    return np.append(numbers[4:CAMERA], 0.0)
+
+
+def _whole_error(adjusted: Adjusted, views: Sequence[View]) -> float:
+    """The root mean square distance over all views and cameras, px."""
+    counts = np.array([len(view.board) for view in views], np.float64)[:, None]
+    mean = (np.square(adjusted.errors) * counts).sum() / (counts.sum() * adjusted.errors.shape[1])
+    return float(math.sqrt(mean))
 
 
 def _focal_sigma(jacobians: Sequence[NDArray[Any]], error: float) -> float:
@@ -521,7 +605,7 @@ def calibrate(
         for view, (left, right) in enumerate(views)
     ]
     try:
-        error, K1, D1, K2, D2, R, T, _, _, _, _, errors = cv2.stereoCalibrateExtended(
+        error, K1, D1, K2, D2, R, T, _, _, turns, shifts, _ = cv2.stereoCalibrateExtended(
             [left[0] for left, _ in pairs],
             [left[1] for left, _ in pairs],
             [right[1] for _, right in pairs],
@@ -543,12 +627,27 @@ def calibrate(
             f"each alone by {alone:.2f} px; check the shape of the board, and that left and "
             "right views are pairs"
         )
+    whole = [
+        _view(left[0], turn, shift, *grids, both=grids[0].valid & grids[1].valid)
+        for (left, _), turn, shift, grids in zip(pairs, turns, shifts, views, strict=True)
+    ]
+    pose = np.concatenate([cv2.Rodrigues(R)[0].reshape(-1), _double(T).reshape(-1)])
+    adjusted = adjust(whole, np.concatenate([_of_camera(K1, D1), _of_camera(K2, D2), pose]))
+    cameras = [adjusted.numbers[k : k + CAMERA] for k in (0, CAMERA)]
+    turned, shifted = np.split(adjusted.numbers[2 * CAMERA :], 2)
     return StereoCalibration(
         rig=StereoRig(
-            _double(K1), _double(D1), _double(K2), _double(D2), _double(R), _double(T), unit
+            _matrix_of(cameras[0]),
+            _distortion_of(cameras[0]),
+            _matrix_of(cameras[1]),
+            _distortion_of(cameras[1]),
+            _double(cv2.Rodrigues(turned)[0]),
+            shifted,
+            unit,
+            adjusted.covariance,
         ),
-        error=float(error),
-        view_errors=_double(errors).reshape(-1, 2),
+        error=_whole_error(adjusted, whole),
+        view_errors=adjusted.errors,
         left=one,
         right=two,
     )

@@ -38,6 +38,8 @@ STATUS_COLOURS = {  # BGR
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
 JPEG_QUALITY = 80  # of the pictures in a recording
+_OFF_GRID = (150, 150, 190)  # BGR, of corners that no grid holds
+NARROWEST = 1e-5  # width of a surface over its length: narrower ones are lines
 _FRACTION_BITS = 4
 
 
@@ -133,14 +135,19 @@ def _with_strip(
     return picture
 
 
-def grid_overlay(image: GreyImage, grid: Grid) -> NDArray[np.uint8]:
+def grid_overlay(
+    image: GreyImage, grid: Grid, *, corners: Corners | None = None
+) -> NDArray[np.uint8]:
     """The image with the lines of the grid, a dot on every node by status, and a legend.
 
-    image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR, enlarged like
+    image: (H, W) uint8 or uint16. corners: those that the grid was built from; the ones off the
+    grid are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like
     `corner_overlay`. The first row is drawn in red and the first column in blue. Raises
-    ImageError.
+    ImageError, and FieldError where there are not as many corners as the grid was built from.
     """
     check_image(image)
+    if corners is not None and len(corners) != len(grid.index):
+        raise FieldError(f"the grid was built from {len(grid.index)} corners, not {len(corners)}")
     xy = grid.xy[grid.valid]
     cell = _spacing(xy)
     longest = max(*image.shape, 1)
@@ -154,6 +161,9 @@ def grid_overlay(image: GreyImage, grid: Grid) -> NDArray[np.uint8]:
                 colour = (60, 60, 255) if along_row else (255, 80, 40)
             _polyline(canvas, line, colour)
     radius = min(max(2.0, 0.1 * cell * factor), 8.0)
+    off = np.empty((0, 2)) if corners is None else corners.xy[grid.index[:, 0] < 0]
+    for centre in (off.astype(np.float64) + 0.5) * factor - 0.5:
+        _circle(canvas, centre, 1.5 * radius, _OFF_GRID, thickness=1)
     for centre, status in zip(nodes[grid.valid], grid.status[grid.valid], strict=True):
         _circle(canvas, centre, radius, STATUS_COLOURS[NodeStatus(status)], thickness=cv2.FILLED)
     count = np.bincount(grid.status.ravel(), minlength=len(NodeStatus))
@@ -163,6 +173,8 @@ def grid_overlay(image: GreyImage, grid: Grid) -> NDArray[np.uint8]:
         for status in NodeStatus
         if count[status]
     ]
+    if len(off):
+        entries.append((f"off the grid {len(off)}", _OFF_GRID))
     return _with_strip(canvas, entries)
 
 
@@ -310,7 +322,7 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
         raise FieldError(f"{len(points)} nodes are valid, at least 3 are needed to draw a surface")
     origin = points.mean(axis=0)
     _, spread, directions = np.linalg.svd(points - origin, full_matrices=False)
-    if spread[1] < 1e-9 * spread[0] or not spread[0]:
+    if spread[1] < NARROWEST * spread[0] or not spread[0]:
         raise FieldError("all valid nodes lie on a line: they make no surface")
     normal = directions[2] if directions[2] @ origin < 0 else -directions[2]
     row, column = np.nonzero(field.valid)

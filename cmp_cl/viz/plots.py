@@ -12,6 +12,7 @@ from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.field import green_lagrange
 from cmp_cl.field.plane import PlaneField, plane_strain
+from cmp_cl.viz.figures import NARROWEST
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,7 +120,7 @@ class Recorded:
             raise FieldError(f"{len(points)} nodes are valid at rest, at least 3 are needed")
         origin = points.mean(axis=0)
         _, spread, axes = np.linalg.svd(points - origin, full_matrices=False)
-        if spread[1] < 1e-9 * spread[0]:
+        if spread[1] < NARROWEST * spread[0]:
             raise FieldError("all valid nodes lie on a line: they make no surface")
         normal = axes[2] if axes[2] @ origin < 0 else -axes[2]
         along = np.nanmean(np.diff(self.rest, axis=1), axis=(0, 1))

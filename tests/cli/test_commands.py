@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -209,8 +210,11 @@ def test_one_view_gives_positions_in_the_image(run, recording, press):
 
 def test_settings_are_used(run, recording):
     DetectorConfig.for_cell(15).replace(refinement=EdgeLines()).save("cmp.toml")
+    run("run", recording, *STEREO)
+    default = np.load("press.npz")["displacement"]
     assert run("run", recording, *STEREO, "--config", "cmp.toml")[0] == 0
-    assert np.isnan(np.load("press.npz")["sigma"]).all()  # EdgeLines knows none
+    other = np.load("press.npz")["displacement"]
+    assert np.nanmax(np.abs(other - default)) > 1e-5
 
 
 def test_a_video_has_a_clock(run, recording, press):
@@ -279,7 +283,7 @@ STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, nam
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("name", STOPS)
 def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
-    def frames_of(path):
+    def frames_of(path, **_):
         if path.name == "1.png":
             for _ in range(times):
                 signal.raise_signal(getattr(signal, name))
@@ -295,7 +299,7 @@ def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatc
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
 def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
-    def frames_of(path):
+    def frames_of(path, **_):
         signal.raise_signal(signal.SIGHUP)
         yield Frame(0, press[int(path.stem)].frame)
 
@@ -363,7 +367,7 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
         (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["leaves the frame"]),
         (["frames", *STEREO, "--grid", "0x3"], ["0x3"]),
         (["frames", *STEREO, "--device", "abacus"], ["abacus"]),
-        (["frames", *STEREO, "--out", "press.csv"], ["npz"]),
+        (["frames", *STEREO, "--out", "press.mat"], ["press.mat", ".npz"]),
         (["frames", *STEREO, "--out", "no/press.npz"], ["there is no folder", "no'"]),
         (["frames", *STEREO, "--rerun", "press.txt"], ["rrd"]),
         (["frames", *STEREO, "--rerun", "press.rrd", "--show"], ["--show", "--rerun"]),
@@ -571,7 +575,7 @@ def test_without_matplotlib_demo_says_so_and_writes_the_rest(
     status, out, err = run("demo")
     assert status == 0
     assert err.count("\n") == 1
-    assert "pip install matplotlib" in err
+    assert "pip install 'cmp-cl[plot]'" in err
     assert (tmp_path / "cmp-demo" / "grid.png").exists()
     assert (tmp_path / "cmp-demo" / "field.vtp").exists()
     assert not (tmp_path / "cmp-demo" / "surface.png").exists()
@@ -966,3 +970,86 @@ def test_single_views_given_as_pairs_say_what_is_expected(run, tmp_path):
     status, _, err = run("calibrate", "plain.png", *CHESSBOARD, "--out", "rig.yaml")
     assert status == 2
     assert "--camera NAME=IMAGE" in err.splitlines()[-1]
+
+
+def film_of(path, images, rate=25):
+    """A lossless video of grey images."""
+    size = images[0].shape[::-1]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), rate, size, False)
+    for image in images:
+        writer.write(image)
+    writer.release()
+
+
+def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press):
+    film_of("left.avi", [shot.left.image for shot in press])
+    film_of("right.avi", [shot.right.image for shot in press])
+    pair = "--left", "left.avi", "--right", "right.avi"
+    status, out, _ = run("run", *pair, *STEREO)
+    assert status == 0
+    assert "without a partner" not in out
+    apart = np.load("press.npz")
+    assert apart["time_ms"].tolist() == pytest.approx([0, 40, 80])
+    assert run("run", recording, *STEREO)[0] == 0
+    np.testing.assert_array_equal(apart["displacement"], np.load("press.npz")["displacement"])
+
+    film_of("right.avi", [shot.right.image for shot in press[:2]])
+    status, out, _ = run("run", *pair, *STEREO)
+    assert status == 0
+    assert "2 frames" in out
+    assert "1 left and 0 right frames without a partner" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["--left", "frames", *STEREO], "--right"),
+        (["--left", "frames", "--right", "frames", "--out", "a.npz"], "--stereo"),
+        (["frames", "--left", "frames", "--right", "frames", *STEREO], "SOURCE"),
+        ([*STEREO], "SOURCE"),
+        (["--left", "frames", "--right", "gone.mp4", *STEREO], "gone.mp4"),
+        (["--left", "frames", "--right", "0", *STEREO], "both be cameras"),
+        (["--left", "frames", "--right", "frames", "--split", "halves", *STEREO], "--split"),
+        (["frames", "--pair-within", "3", *STEREO], "--pair-within"),
+        (["frames", "--exposure", "3", *STEREO], "no camera"),
+        (["0", "--pixel-format", "M", *STEREO], "four letters"),
+    ],
+)
+def test_a_wrong_source_is_one_line_and_no_file(run, recording, tmp_path, arguments, why):
+    fails_in_one_line(run("run", *arguments), why)
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_two_cameras_are_paired_as_they_come(run, recording, press, monkeypatch):
+    class Pair:
+        """Two cameras with one clock, of which the left one starts two frames earlier."""
+
+        def __init__(self, name):
+            self.images = [shot.left.image if name == 0 else shot.right.image for shot in press]
+            self.due = start + (0.0 if name == 0 else 0.4)
+            if name == 0:
+                self.images = self.images[:1] * 2 + self.images
+
+        def isOpened(self):
+            return True
+
+        def set(self, *_):
+            return True
+
+        def read(self):
+            if not self.images:
+                return False, None
+            time.sleep(max(0.0, self.due - time.monotonic()))
+            self.due += 0.2
+            return True, self.images.pop(0)
+
+        def release(self):
+            pass
+
+    start = time.monotonic() + 0.1
+    monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Pair)
+    status, out, _ = run("run", "--left", 0, "--right", 1, "--pair-within", 90, *STEREO)
+    assert status == 0
+    assert "wrote press.npz: 3 frames" in out
+    assert out.rstrip().endswith("2 left and 0 right frames without a partner")
+    assert max(off_by(np.load("press.npz"), press, (0, 1, 2))) < CLOSE

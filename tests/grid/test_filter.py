@@ -204,10 +204,10 @@ def test_interpolated_nodes_follow_their_neighbours():
     assert np.allclose(filter_positions(grid)[0].xy, filter_positions(off)[0].xy, atol=1e-3)
 
 
-def assert_as_the_oracle(values, measured=None):
+def assert_as_the_oracle(values, measured=None, *, bends=False):
     """The fast form in float32 is the oracle's in float64, to 5e-3 of the noise."""
-    found = filter_grid(values, measured=measured)
-    expected = lattice_filter.filter_grid(values, measured)
+    found = filter_grid(values, measured=measured, bends=bends)
+    expected = lattice_filter.filter_grid(values, measured, bends=bends)
     assert expected.margin.min() > 1e-4
     np.testing.assert_array_equal(found.refused, expected.refused)
     np.testing.assert_array_equal(np.isnan(found.sigma), np.isnan(expected.sigma))
@@ -219,8 +219,9 @@ def assert_as_the_oracle(values, measured=None):
         np.testing.assert_allclose(found.noise, expected.noise, rtol=1e-3)
 
 
-def test_the_fast_form_is_the_oracles():
-    assert_as_the_oracle(noisy(surface(17, 20), 0.1) + 300)
+@pytest.mark.parametrize("bends", [False, True])
+def test_the_fast_form_is_the_oracles(bends):
+    assert_as_the_oracle(noisy(surface(17, 20), 0.1) + 300, bends=bends)
 
 
 def test_the_fast_form_is_the_oracles_for_holes_and_errors():
@@ -229,7 +230,8 @@ def test_the_fast_form_is_the_oracles_for_holes_and_errors():
     values[3:7, 12:16] = np.nan
     values[10, 5] += 4
     measured = np.random.default_rng(8).random((18, 19)) > 0.05
-    assert_as_the_oracle(values, measured)
+    for bends in (False, True):
+        assert_as_the_oracle(values, measured, bends=bends)
 
 
 def test_the_fast_form_is_the_oracles_for_components():
@@ -242,7 +244,8 @@ def test_the_fast_form_is_the_oracles_for_components():
 
 @pytest.mark.parametrize("shape", [(1, 9), (4, 4), (5, 6), (7, 8), (15, 3)])
 def test_the_fast_form_is_the_oracles_for_small_lattices(shape):
-    assert_as_the_oracle(noisy(surface(*shape), 0.1))
+    for bends in (False, True):
+        assert_as_the_oracle(noisy(surface(*shape), 0.1), bends=bends)
 
 
 def test_the_oracles_interior_filters_are_those_of_savitzky_and_golay():

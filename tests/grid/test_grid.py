@@ -571,3 +571,17 @@ def test_boards_in_a_room_are_found_whole(name):
     found, same = agreeing(grid, listed)
     assert np.isin(grid.status, MEASURED).all()
     assert found == same >= 53
+
+
+def test_no_node_lies_beyond_the_corners_of_a_board_that_is_partly_out_of_view():
+    image, listed = photograph("stereo_opencv/left02")
+    truth = np.array([(corner["x"], corner["y"]) for corner in listed["corners"]])
+    cut = int(np.quantile(truth[:, 0], 0.7))
+    view = np.ascontiguousarray(image[:, :cut])
+    corners = reference.detect(view, DetectorConfig.for_cell(listed["cell_px"]["median"]))
+    for shape in (None, (6, 9)):
+        grid = build_grid(corners, view, shape=shape)
+        node = grid.xy[np.isin(grid.status, MEASURED)]
+        away = np.linalg.norm(node[:, None] - truth, axis=2).min(axis=1)
+        assert (away < 5).all()
+        assert len(node) >= 0.95 * np.count_nonzero(truth[:, 0] < cut - 3)

@@ -1,0 +1,50 @@
+"""Frames from other array libraries: by DLPack, or from the memory of a CUDA device."""
+
+from typing import Any
+
+import numpy as np
+
+from cmp_cl.errors import ImageError
+from cmp_cl.image import GreyImage, check_image
+
+_HOST = (1, 3)  # kDLCPU and kDLCUDAHost of dlpack.h: memory that the host reads
+_TO_HOST = ("get", "cpu", "copy_to_host")  # CuPy and pyopencl.array, PyTorch and JAX, Numba
+
+
+def as_frame(array: Any) -> GreyImage:
+    """The array as an image (H, W) of uint8 or uint16 that a detector takes.
+
+    NumPy arrays come back as they are. Memory of the host is shared by DLPack, without a copy:
+    PyTorch and JAX on the CPU, pinned memory, and what else has `__dlpack__`. Memory of a
+    device (`__cuda_array_interface__`, or DLPack of a device) is staged: the library that owns
+    it copies it to the host, after the work that was queued for it there.
+
+    Raises ImageError where the array offers neither, or is no image.
+    """
+    if isinstance(array, np.ndarray):
+        return check_image(array)
+    on_host = hasattr(array, "__dlpack_device__") and int(array.__dlpack_device__()[0]) in _HOST
+    if on_host:
+        return check_image(_shared(array))
+    if hasattr(array, "__cuda_array_interface__") or hasattr(array, "__dlpack_device__"):
+        return check_image(_staged(array))
+    return check_image(array)  # which says what is expected
+
+
+def _shared(array: Any) -> Any:
+    try:
+        return np.from_dlpack(array)
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        raise ImageError(f"{type(array).__name__} is not shared by DLPack: {error}") from error
+
+
+def _staged(array: Any) -> Any:
+    for name in _TO_HOST:
+        copy = getattr(array, name, None)
+        if callable(copy):
+            here = copy()
+            return here if isinstance(here, np.ndarray) else _shared(here)
+    raise ImageError(
+        f"{type(array).__name__} lies on a device and has none of {', '.join(_TO_HOST)} to copy it "
+        "to the host; cupy.asarray(image).get() does for anything on CUDA"
+    )

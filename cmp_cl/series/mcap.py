@@ -1,0 +1,236 @@
+"""Recordings of robots: images from MCAP, and nodes as ROS 2 point clouds to MCAP.
+
+Neither needs ROS: the packages mcap and mcap-ros2-support (the extra `mcap`) read and write
+the files.
+"""
+
+import contextlib
+import importlib
+import struct
+from collections.abc import Iterator, Mapping
+from os import PathLike
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import FieldError, ImageError
+from cmp_cl.extras import extra
+from cmp_cl.files import whole_file
+from cmp_cl.image import GreyImage
+from cmp_cl.series.base import Description, Frame, Series
+
+TOPIC = "/cmp_cl/nodes"
+POINT_FIELDS = ("x", "y", "z", "dx", "dy", "dz", "sigma", "row", "column")
+
+_RULE = "=" * 80
+_POINT_CLOUD = f"""\
+std_msgs/Header header
+uint32 height
+uint32 width
+sensor_msgs/PointField[] fields
+bool is_bigendian
+uint32 point_step
+uint32 row_step
+uint8[] data
+bool is_dense
+{_RULE}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{_RULE}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+{_RULE}
+MSG: sensor_msgs/PointField
+uint8 INT8=1
+uint8 UINT8=2
+uint8 INT16=3
+uint8 UINT16=4
+uint8 INT32=5
+uint8 UINT32=6
+uint8 FLOAT32=7
+uint8 FLOAT64=8
+string name
+uint32 offset
+uint8 datatype
+uint32 count
+"""
+_CHANNELS = {"bgr8": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4}
+_TO_GREY = {
+    "bgr8": cv2.COLOR_BGR2GRAY,
+    "rgb8": cv2.COLOR_RGB2GRAY,
+    "bgra8": cv2.COLOR_BGRA2GRAY,
+    "rgba8": cv2.COLOR_RGBA2GRAY,
+}
+
+
+def point_cloud(
+    rest: NDArray[Any], shift: NDArray[Any], sigma: NDArray[Any], stamp_ns: int, frame_id: str
+) -> dict[str, Any]:
+    """The nodes as a message sensor_msgs/PointCloud2: x y z now, dx dy dz from rest.
+
+    rest, shift: (R, C, 2 or 3), in the recording's unit, z and dz 0 of a plane. sigma: (R, C).
+    All fields are FLOAT32; the cloud is organised, height R and width C, NaN where missing.
+    """
+    rows, columns = rest.shape[:2]
+    points = np.full((rows, columns, len(POINT_FIELDS)), np.nan, "<f4")
+    size = rest.shape[2]
+    points[..., 2] = points[..., 5] = np.where(np.isnan(shift[..., 0]), np.nan, 0)
+    points[..., :size] = rest + shift
+    points[..., 3 : 3 + size] = shift
+    points[..., 6] = sigma
+    points[..., 7], points[..., 8] = np.indices((rows, columns))
+    step = 4 * len(POINT_FIELDS)
+    fields = [
+        {"name": name, "offset": 4 * place, "datatype": 7, "count": 1}
+        for place, name in enumerate(POINT_FIELDS)
+    ]
+    seconds, nanoseconds = divmod(stamp_ns, 10**9)
+    return {
+        "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame_id},
+        "height": rows,
+        "width": columns,
+        "fields": fields,
+        "is_bigendian": False,
+        "point_step": step,
+        "row_step": step * columns,
+        "data": points.tobytes(),
+        "is_dense": bool(np.isfinite(points).all()),
+    }
+
+
+class McapSeries(Series):
+    """MCAP with a PointCloud2 a frame on /cmp_cl/nodes, for ROS 2, Foxglove and rosbags.
+
+    It needs the constant `rest`, and of each frame `displacement` or `xy`. Lengths are in the
+    recording's unit, not in m. Stamps are the frames' times, from the setting `start_ns` on
+    where there is one; a frame without a time has its number in ms. The description is a
+    metadata record `cmp_cl`. The file appears when the series is closed.
+
+    Raises ConfigError without the packages, FieldError without `rest`.
+    """
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        description: Description,
+        constants: Mapping[str, ArrayLike],
+    ) -> None:
+        super().__init__(description, constants)
+        if self.constants.get("rest", np.empty(0)).ndim != 3:
+            raise FieldError("an MCAP needs the positions at rest, (R, C, 2) or (R, C, 3)")
+        with extra("mcap", "MCAP"):
+            writing = importlib.import_module("mcap_ros2.writer")
+        self._start_ns = int(description.settings.get("start_ns", "0"))
+        self._files = contextlib.ExitStack()
+        self._writer: Any = writing.Writer(self._files.enter_context(whole_file(path)))
+        self._schema = self._writer.register_msgdef("sensor_msgs/msg/PointCloud2", _POINT_CLOUD)
+
+    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        rest = self.constants["rest"]
+        shift = frame.get("displacement")
+        if shift is None and "xy" in frame:
+            shift = frame["xy"] - rest
+        if shift is None or shift.shape != rest.shape:
+            raise FieldError("an MCAP needs the displacement or the positions xy of the nodes")
+        sigma = frame.get("sigma", np.full(rest.shape[:2], np.nan))
+        stamp = self._start_ns + round((time_ms if np.isfinite(time_ms) else index) * 1e6)
+        frame_id = "camera" if rest.shape[2] == 3 else "image"
+        self._writer.write_message(
+            topic=TOPIC,
+            schema=self._schema,
+            message=point_cloud(rest, shift, sigma, stamp, frame_id),
+            log_time=stamp,
+            publish_time=stamp,
+            sequence=self._count,
+        )
+
+    def _finish(self) -> None:
+        with self._files:
+            about = {
+                **self.description.entries(),
+                **{f"unit of {name}": unit for name, unit in self.description.units.items()},
+            }
+            inner = getattr(self._writer, "_writer", None)
+            if inner is not None:
+                inner.add_metadata("cmp_cl", about)
+            self._writer.finish()
+
+
+def mcap_images(
+    path: str | PathLike[str], *, topic: str | None = None
+) -> Iterator[tuple[int, GreyImage | None]]:
+    """The images of a recording in turn: stamp in ns since 1970, (H, W) uint8 or uint16.
+
+    topic: of sensor_msgs/Image or CompressedImage; None means the only one. Colour becomes
+    grey. The stamp is the header's, the log time where that is 0; the image is None where it
+    cannot be decoded.
+
+    Raises ConfigError without the packages, ImageError where the file cannot be read, has no
+    such topic, or has several and none is chosen.
+    """
+    with extra("mcap", "MCAP"):
+        reading = importlib.import_module("mcap.reader")
+        decoding = importlib.import_module("mcap_ros2.decoder")
+        errors = importlib.import_module("mcap.exceptions")
+    try:
+        with open(path, "rb") as file:
+            reader = reading.make_reader(file, decoder_factories=[decoding.DecoderFactory()])
+            chosen = _image_topic(reader, path, topic)
+            for _, _, record, message in reader.iter_decoded_messages(topics=[chosen]):
+                stamp = message.header.stamp
+                yield stamp.sec * 10**9 + stamp.nanosec or record.log_time, _grey(message)
+    except ImageError:
+        raise
+    except (errors.McapError, OSError, EOFError, ValueError, struct.error) as error:
+        raise ImageError(f"{str(path)!r} is no MCAP that can be read: {error}") from error
+
+
+def _image_topic(reader: Any, path: str | PathLike[str], topic: str | None) -> str:
+    summary = reader.get_summary()
+    if summary is None:
+        raise ImageError(f"{str(path)!r} has no summary: mcap recover repairs it")
+    kinds = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+    found = sorted(
+        channel.topic
+        for channel in summary.channels.values()
+        if channel.schema_id and summary.schemas[channel.schema_id].name in kinds
+    )
+    if topic is None and len(found) == 1:
+        return str(found[0])
+    if topic not in found:
+        names = ", ".join(found) or "none"
+        what = "which topic is meant?" if topic is None else f"there is no image topic {topic};"
+        raise ImageError(f"{str(path)!r}: {what} Its image topics: {names}")
+    return str(topic)
+
+
+def _grey(message: Any) -> GreyImage | None:
+    """An Image or CompressedImage as grey, None where it cannot be decoded."""
+    data = np.frombuffer(bytes(message.data), np.uint8)
+    if not hasattr(message, "encoding"):
+        with contextlib.suppress(cv2.error):
+            image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+            if image is not None and image.dtype == np.uint16:
+                return image.astype(np.uint16)
+            if image is not None and image.dtype == np.uint8:
+                return image.astype(np.uint8)
+        return None
+    encoding, rows, columns = message.encoding, message.height, message.width
+    if len(data) < message.step * rows or not rows:
+        return None
+    lines = data[: message.step * rows].reshape(rows, message.step)
+    if encoding in ("mono16", "16UC1") and message.step >= 2 * columns:
+        order = ">u2" if message.is_bigendian else "<u2"
+        return np.ascontiguousarray(lines[:, : 2 * columns]).view(order).astype(np.uint16)
+    if encoding in ("mono8", "8UC1") and message.step >= columns:
+        return lines[:, :columns].astype(np.uint8)
+    channels = _CHANNELS.get(encoding, 0)
+    if channels and message.step >= channels * columns:
+        colour = np.ascontiguousarray(lines[:, : channels * columns])
+        grey = cv2.cvtColor(colour.reshape(rows, columns, channels), _TO_GREY[encoding])
+        return np.asarray(grey, np.uint8)
+    return None

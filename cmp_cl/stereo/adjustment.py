@@ -1,0 +1,169 @@
+"""The last step of a calibration: every view at once, each node by its own certainty, and the
+covariance of what comes out.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CAMERA = 8  # fx fy cx cy k1 k2 p1 p2
+POSE = 6  # rotation vector, translation
+_STEPS = 20
+_SMALL = 1e-9  # of the cost, by which the last step must improve it
+_RANGE = 5.0  # a node weighs at most so many times the median, and at least 1 / that
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class View:
+    """A view of a board: nodes on the board (N, 3), in the images of one or two cameras (N, 2)
+    each, px, their standard deviations (N,) each, px, NaN where unknown, and the board's pose in
+    the first camera, (6,).
+    """
+
+    board: NDArray[np.float32]
+    seen: tuple[Array, ...]
+    sigma: tuple[Array, ...]
+    pose: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Adjusted:
+    """cameras: 8 numbers for each camera, and with two cameras the pose of the second, 6.
+    covariance: of these numbers. errors: (V, cameras), root mean square distances by view, px.
+    """
+
+    numbers: Array
+    covariance: Array
+    errors: Array
+
+
+def adjust(views: Sequence[View], start: Array) -> Adjusted:
+    """Gauss-Newton on the weighted reprojection error of all views, from a near solution.
+
+    start: as `Adjusted.numbers`. Weights are 1 / sigma^2; nodes of unknown sigma weigh like the
+    median one. The covariance is scaled by the residuals: what makes the sigmas too small or too
+    large together does not matter.
+    """
+    weights = _weights(views)
+    numbers, poses = start.copy(), [view.pose.copy() for view in views]
+    cost, step = _system(views, weights, numbers, poses)
+    for _ in range(_STEPS):
+        by_numbers, by_poses, _ = step()
+        moved = [pose + change for pose, change in zip(poses, by_poses, strict=True)]
+        lower, next_step = _system(views, weights, numbers + by_numbers, moved)
+        if not lower < cost:
+            break
+        done = cost - lower < _SMALL * cost
+        numbers, poses, cost, step = numbers + by_numbers, moved, lower, next_step
+        if done:
+            break
+    _, _, normal = step()
+    count = sum(2 * len(view.board) * len(view.seen) for view in views)
+    freedom = max(count - len(numbers) - POSE * len(views), 1)
+    errors = [
+        [
+            float(np.sqrt(np.square(off).sum(axis=1).mean()))
+            for off, _, _ in _seen(view, numbers, pose)
+        ]
+        for view, pose in zip(views, poses, strict=True)
+    ]
+    return Adjusted(
+        numbers, np.linalg.pinv(normal, hermitian=True) * cost / freedom, np.array(errors)
+    )
+
+
+def _weights(views: Sequence[View]) -> list[tuple[Array, ...]]:
+    """1 / sigma of each node, relative to the median of all."""
+    every = np.concatenate([sigma for view in views for sigma in view.sigma])
+    known = every[np.isfinite(every) & (every > 0)]
+    middle = float(np.median(known)) if len(known) else 1.0
+    return [
+        tuple(
+            np.clip(
+                middle / np.where(np.isfinite(each) & (each > 0), each, middle), 1 / _RANGE, _RANGE
+            )
+            for each in view.sigma
+        )
+        for view in views
+    ]
+
+
+def _system(
+    views: Sequence[View], weights: Sequence[tuple[Array, ...]], numbers: Array, poses: list[Array]
+) -> tuple[float, Any]:
+    """The cost, and a function that gives the step of the numbers, of each pose, and the normal
+    matrix of the numbers alone.
+    """
+    cost = 0.0
+    parts = []
+    for view, weight, pose in zip(views, weights, poses, strict=True):
+        rows = []
+        for (off, by_numbers, by_pose), each in zip(
+            _seen(view, numbers, pose), weight, strict=True
+        ):
+            scale = np.repeat(each, 2)[:, None]
+            rows.append((off.reshape(-1, 1) * scale, by_numbers * scale, by_pose * scale))
+        off, by_numbers, by_pose = (np.concatenate(each) for each in zip(*rows, strict=True))
+        cost += float(np.square(off).sum())
+        parts.append((off[:, 0], by_numbers, by_pose))
+
+    def step() -> tuple[Array, list[Array], Array]:
+        normal = np.zeros((len(numbers), len(numbers)))
+        right = np.zeros(len(numbers))
+        kept = []
+        for off, by_numbers, by_pose in parts:
+            own = np.linalg.pinv(by_pose)
+            free = by_numbers - by_pose @ (own @ by_numbers)
+            normal += free.T @ free
+            right += free.T @ off
+            kept.append(own)
+        change = np.linalg.pinv(normal, hermitian=True) @ right
+        moves = [
+            own @ (off - by_numbers @ change)
+            for own, (off, by_numbers, _) in zip(kept, parts, strict=True)
+        ]
+        return change, moves, normal
+
+    return cost, step
+
+
+def _seen(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, Array]]:
+    """For each camera: seen minus projected (N, 2), and the slopes of the projection (2 N, ...)
+    by the numbers and by the pose.
+    """
+    found: list[tuple[Array, Array, Array]] = []
+    for camera, seen in enumerate(view.seen):
+        own = slice(CAMERA * camera, CAMERA * (camera + 1))
+        fx, fy, cx, cy, *distortion = numbers[own]
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        here, chain = pose, None
+        if camera:
+            here, chain = composed(pose, numbers[2 * CAMERA :])
+        place, slopes = cv2.projectPoints(
+            view.board.astype(np.float64), here[:3], here[3:], matrix, np.array(distortion)
+        )
+        by_numbers: Array = np.zeros((len(slopes), len(numbers)))
+        by_numbers[:, own] = slopes[:, POSE : POSE + CAMERA]
+        by_pose = np.asarray(slopes[:, :POSE], np.float64)
+        if chain is not None:
+            by_numbers[:, 2 * CAMERA :] = by_pose @ chain[1]
+            by_pose = by_pose @ chain[0]
+        off = np.asarray(seen - place.reshape(-1, 2), np.float64)
+        found.append((off, by_numbers, by_pose))
+    return found
+
+
+def composed(first: Array, second: Array) -> tuple[Array, tuple[Array, Array]]:
+    """The pose that applies `first`, then `second`, (6,), and its slopes by both, (6, 6)."""
+    turn, shift, *slopes = cv2.composeRT(first[:3], first[3:], second[:3], second[3:])
+    by = [np.asarray(each, np.float64) for each in slopes]
+    return np.concatenate([turn.ravel(), shift.ravel()]), (
+        np.block([[by[0], by[1]], [by[4], by[5]]]),
+        np.block([[by[2], by[3]], [by[6], by[7]]]),
+    )

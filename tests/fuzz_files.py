@@ -1,0 +1,256 @@
+"""Damaged files of every kind that is read: settings, rigs, images, videos, stores of corners.
+
+    python tests/fuzz_files.py --cases 5000 --seed 1 [--megabytes 3000] [--seconds 600]
+
+Each case changes a whole file: bytes, numbers, pieces left out, repeated or put elsewhere, and
+reads it in a child process that may take so much memory and 20 s. What comes must be a result
+or an error of ours. Case K of a seed is always the same: a failure prints its number, and the
+status is 1.
+"""
+
+import argparse
+import contextlib
+import itertools
+import json
+import re
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from cmp_cl import (
+    CmpClError,
+    Corners,
+    DetectorConfig,
+    EdgeStep,
+    Midlines,
+    Pyramid,
+    StereoRig,
+    cluster,
+    media,
+)
+from cmp_cl.synthetic import default_rig
+
+LIMIT_S = 20
+MOST_PIXELS = 1 << 20
+FRAMES = 40  # of a video
+Rng = np.random.Generator
+
+
+def settings(folder: Path) -> Iterator[Path]:
+    """Settings with every table."""
+    for number, config in enumerate(
+        (
+            DetectorConfig(refinement=EdgeStep(cell=17.5)),
+            DetectorConfig(refinement=Midlines(), scale=Pyramid(factors=(1.0, 0.5), expected=9)),
+        )
+    ):
+        config.save(folder / f"{number}.toml")
+        yield folder / f"{number}.toml"
+
+
+def rigs(folder: Path) -> Iterator[Path]:
+    """A rig as OpenCV writes it in its three formats."""
+    rig = StereoRig(*default_rig((300, 300)))
+    rig.save(folder / "rig.yaml")
+    yield folder / "rig.yaml"
+    for suffix in ("json", "xml"):
+        path = folder / f"rig.{suffix}"
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+        for name in ("K1", "D1", "K2", "D2", "R", "T"):
+            storage.write(name, np.asarray(getattr(rig, name)))
+        storage.release()
+        yield path
+
+
+def picture() -> np.ndarray:
+    y, x = np.indices((60, 80))
+    return ((y // 9 + x // 9) % 2 * 150 + 40).astype(np.uint8)
+
+
+def images(folder: Path) -> Iterator[Path]:
+    """Every format, and a stack."""
+    for suffix in ("png", "jpg", "bmp", "pgm", "tif", "webp", "jp2", "gif"):
+        image = np.dstack([picture()] * 3) if suffix == "gif" else picture()
+        media.write_image(folder / f"a.{suffix}", image)
+        yield folder / f"a.{suffix}"
+    cv2.imwritemulti(str(folder / "stack.tif"), [picture(), picture().T.copy(), picture()])
+    yield folder / "stack.tif"
+
+
+def videos(folder: Path) -> Iterator[Path]:
+    """Containers and codecs that OpenCV brings."""
+    for name, codec in (("a.avi", "FFV1"), ("b.avi", "MJPG"), ("c.mp4", "mp4v"), ("d.mkv", "FFV1")):
+        writer = cv2.VideoWriter(str(folder / name), cv2.VideoWriter_fourcc(*codec), 25, (80, 60))
+        for _ in range(4):
+            writer.write(np.dstack([picture()] * 3))
+        writer.release()
+        yield folder / name
+
+
+def stores(folder: Path) -> Iterator[Path]:
+    """A part of a store, and what the store says of itself."""
+    count = 5
+    lengths = np.array([3, 2])
+    arrays: dict[str, Any] = {
+        field: np.zeros((count, *shape), kind)
+        for field, shape, kind in (
+            *(("xy", (2,), "f4"), ("pixel", (2,), "i4"), ("response", (), "f4")),
+            *(("method", (), "u1"), ("sigma", (), "f4"), ("edges", (4,), "f4")),
+            ("doubtful", (), "?"),
+        )
+    }
+    np.savez(folder / "part-00000000.npz", lengths=lengths, device=np.array("none"), **arrays)
+    (folder / "about.json").write_text(json.dumps({"count": 2, "part": 2, "config": "0"}))
+    yield folder / "part-00000000.npz"
+    yield folder / "about.json"
+
+
+def read_image(path: Path) -> None:
+    for page in itertools.islice(media.read_pages(path, max_pixels=MOST_PIXELS), FRAMES):
+        assert page.size <= MOST_PIXELS
+
+
+def read_video(path: Path) -> None:
+    media.count_frames(path)
+    media.frame_rate(path)
+    for frame in itertools.islice(media.read_frames(path, max_pixels=MOST_PIXELS), FRAMES):
+        assert frame.image is None or frame.image.size <= MOST_PIXELS
+
+
+def read_store(path: Path) -> None:
+    """Beside the other file of the store, which is whole."""
+    store = cluster.open_store(path.parent)
+    if store.count > 100:
+        return
+    whole = not store.missing()
+    with contextlib.suppress(FileNotFoundError):
+        found = list(store)
+        assert all(isinstance(corners, Corners) for corners in found)
+        assert not whole or len(found) == store.count
+
+
+KINDS: dict[str, tuple[Callable[[Path], Iterator[Path]], Callable[[Path], Any]]] = {
+    "settings": (settings, DetectorConfig.load),
+    "rigs": (rigs, StereoRig.load),
+    "images": (images, read_image),
+    "videos": (videos, read_video),
+    "stores": (stores, read_store),
+}
+
+
+def damaged(data: bytes, rng: Rng) -> bytes:
+    """One to four changes."""
+    for _ in range(int(rng.choice([1, 1, 1, 2, 4]))):
+        data = _changed(data, rng)
+    return data
+
+
+def _changed(data: bytes, rng: Rng) -> bytes:
+    if not data:
+        return data
+    start, end = sorted(int(n) for n in rng.integers(0, len(data) + 1, 2))
+    end = min(end, start + int(rng.integers(1, 400)))
+    kind = int(rng.integers(8))
+    if kind == 0:  # bits
+        changed = bytearray(data)
+        for place in rng.integers(0, len(data), int(rng.integers(1, 9))):
+            changed[place] ^= 1 << int(rng.integers(8))
+        return bytes(changed)
+    if kind == 1:  # cut off
+        return data[:start]
+    if kind == 2:  # left out
+        return data[:start] + data[end:]
+    if kind == 3:  # repeated
+        return data[:end] + data[start:end] * int(rng.integers(1, 2000)) + data[end:]
+    if kind == 4:  # somewhere else
+        place = int(rng.integers(len(data)))
+        return data[:place] + data[start:end] + data[place:]
+    if kind == 5:  # another number, in text
+        numbers = list(re.finditer(rb"\d+(\.\d+)?(e[+-]?\d+)?", data[:20_000]))
+        if numbers:
+            match = numbers[int(rng.integers(len(numbers)))]
+            others = [b"0", b"-1", b"1e999", b"nan", b"99999999999999999999", b"'a'", b"[" * 3000]
+            return data[: match.start()] + others[int(rng.integers(7))] + data[match.end() :]
+    if kind == 6:  # another number, in bytes
+        size = int(rng.choice([1, 2, 4, 8]))
+        value = [b"\0", b"\xff", b"\x7f", b"\x80"][int(rng.integers(4))] * size
+        return data[:start] + value + data[start + size :]
+    return data[:start] + rng.bytes(end - start) + data[end:]
+
+
+def one_case(seed: int, number: int, folder: Path) -> str:
+    """Read one damaged file; what it was of, and what came."""
+    rng = np.random.default_rng([seed, number])
+    kind = list(KINDS)[number % len(KINDS)]
+    make, read = KINDS[kind]
+    paths = list(make(folder))
+    path = paths[int(rng.integers(len(paths)))]
+    read(path)  # whole, it is read
+    path.write_bytes(damaged(path.read_bytes(), rng))
+    try:
+        read(path)
+    except (CmpClError, OSError):
+        return f"{kind} refused"
+    return f"{kind} read"
+
+
+def child(seed: int, first: int, last: int, megabytes: int) -> None:
+    """Read case by case; says each number before, and what came after."""
+    size = megabytes << 20
+    resource.setrlimit(resource.RLIMIT_AS, (size, size))
+    cv2.setNumThreads(1)
+    for number in range(first, last):
+        print(number, end=" ", flush=True)
+        signal.alarm(LIMIT_S)  # ends the process
+        with tempfile.TemporaryDirectory() as folder:
+            print(one_case(seed, number, Path(folder)), flush=True)
+        signal.alarm(0)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the cases; 1 where one failed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=5000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--megabytes", type=int, default=3000, help="address space of the reader")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after that")
+    parser.add_argument("--child", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    last = options.first + options.cases
+    if options.child is not None:
+        child(options.seed, options.first, options.child, options.megabytes)
+        return 0
+    begin, first = time.monotonic(), options.first
+    counts: Counter[str] = Counter()
+    while first < last and time.monotonic() - begin < options.seconds:
+        end = min(first + 200, last)
+        command = [sys.executable, __file__, "--seed", str(options.seed), "--first", str(first)]
+        command += ["--megabytes", str(options.megabytes), "--child", str(end)]
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace")
+        lines = done.stdout.splitlines()
+        counts.update(line.partition(" ")[2] for line in lines if line.partition(" ")[2])
+        if done.returncode == 0:
+            first = end
+            continue
+        number = int(lines[-1].split()[0])
+        print(f"FAILED with {done.returncode}; again: --seed {options.seed} --first {number}")
+        print("\n".join(done.stderr.splitlines()[-12:]), flush=True)
+        counts["failed"] += 1
+        first = number + 1
+    print(f"{sum(counts.values())} cases: {dict(sorted(counts.items()))}")
+    return 1 if counts["failed"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

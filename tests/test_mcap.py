@@ -1,0 +1,252 @@
+"""Recordings of robots, in and out, and the example node."""
+
+import importlib.util
+import sys
+import types
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from plane_images import moved_board
+
+from cmp_cl.cameras import Source
+from cmp_cl.cli.main import main
+from cmp_cl.errors import FieldError, ImageError
+from cmp_cl.series import Description, open_series
+from cmp_cl.series.mcap import POINT_FIELDS, TOPIC, mcap_images
+
+EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "ros_node.py"
+START = 1_700_000_000_123  # ms since 1970
+HEADER = """\
+std_msgs/Header header
+{fields}
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+IMAGE = HEADER.format(
+    fields="uint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n"
+    "uint8[] data"
+)
+COMPRESSED = HEADER.format(fields="string format\nuint8[] data")
+
+
+@pytest.fixture
+def ros():
+    """The writer of the package mcap-ros2-support."""
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    return importlib.import_module("mcap_ros2.writer")
+
+
+def header(number):
+    milliseconds = START + 20 * number
+    stamp = {"sec": milliseconds // 1000, "nanosec": milliseconds % 1000 * 10**6}
+    return {"stamp": stamp, "frame_id": "gel"}
+
+
+def image_message(number, image, encoding, *, padding=0, big=False):
+    pixels = image.astype(">u2") if big else image
+    lines = pixels.reshape(image.shape[0], -1).view(np.uint8)
+    lines = np.pad(lines, ((0, 0), (0, padding)))
+    return {
+        "header": header(number),
+        "height": image.shape[0],
+        "width": image.shape[1],
+        "encoding": encoding,
+        "is_bigendian": int(big),
+        "step": lines.shape[1],
+        "data": lines.tobytes(),
+    }
+
+
+def write(ros, path, messages):
+    """messages: topic, definition, message."""
+    with open(path, "wb") as file:
+        writer = ros.Writer(file)
+        schemas = {}
+        for topic, kind, definition, message in messages:
+            if kind not in schemas:
+                schemas[kind] = writer.register_msgdef(f"sensor_msgs/msg/{kind}", definition)
+            stamp = message["header"]["stamp"]
+            time = stamp["sec"] * 10**9 + stamp["nanosec"]
+            writer.write_message(topic, schemas[kind], message, log_time=time, publish_time=time)
+        writer.finish()
+
+
+def test_images_of_every_encoding_are_read_with_their_stamps(ros, tmp_path):
+    ramp = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    deep = ramp.astype(np.uint16) * 80
+    colour = np.repeat(ramp[..., None], 3, axis=2)
+    messages = [
+        image_message(0, ramp, "mono8", padding=3),
+        image_message(1, deep, "mono16"),
+        image_message(2, deep, "16UC1", big=True),
+        image_message(3, colour, "bgr8"),
+        image_message(4, ramp, "bayer_rggb8"),
+    ]
+    path = tmp_path / "gel.mcap"
+    write(ros, path, [("/gel", "Image", IMAGE, message) for message in messages])
+    found = list(mcap_images(path))
+    assert [time for time, _ in found] == [(START + 20 * n) * 10**6 for n in range(5)]
+    for (_, image), expected in zip(found[:4], (ramp, deep, deep, ramp), strict=True):
+        np.testing.assert_array_equal(image, expected)
+        assert image.dtype == expected.dtype
+    assert found[4][1] is None
+    frames = list(Source(str(path)).frames())
+    assert frames[1].time_ms == START + 20
+    np.testing.assert_array_equal(frames[1].image, deep)
+
+
+def test_compressed_images_are_read_and_a_topic_is_chosen(ros, tmp_path):
+    ramp = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    packed = {
+        "header": header(0),
+        "format": "png",
+        "data": cv2.imencode(".png", ramp)[1].tobytes(),
+    }
+    path = tmp_path / "gel.mcap"
+    messages = [
+        ("/a", "Image", IMAGE, image_message(0, ramp, "mono8")),
+        ("/b", "CompressedImage", COMPRESSED, packed),
+    ]
+    write(ros, path, messages)
+    ((_, image),) = mcap_images(path, topic="/b")
+    np.testing.assert_array_equal(image, ramp)
+    with pytest.raises(ImageError, match="/a, /b"):
+        list(mcap_images(path))
+    with pytest.raises(ImageError, match="no image topic /c"):
+        list(mcap_images(path, topic="/c"))
+    (tmp_path / "bad.mcap").write_bytes(b"nothing")
+    with pytest.raises(ImageError, match="no MCAP"):
+        list(mcap_images(tmp_path / "bad.mcap"))
+
+
+def test_rosbags_reads_the_nodes_and_their_stamps(ros, tmp_path):
+    pytest.importorskip("rosbags", reason="rosbags is not installed")
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    row, column = np.mgrid[:3, :4]
+    rest = np.stack([2.0 * column, 2.0 * row, 40.0 + 0 * row], axis=-1)
+    shift = np.full((3, 4, 3), 0.5)
+    shift[0, 1] = np.nan
+    path = tmp_path / "nodes.mcap"
+    about = Description(units={"displacement": "mm"}, settings={"start_ns": str(START * 10**6)})
+    with open_series(path, about, {"rest": rest}) as series:
+        for number in range(2):
+            series.append(
+                index=number,
+                time_ms=20.0 * number,
+                displacement=shift * number,
+                sigma=np.full((3, 4), 0.01),
+            )
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with AnyReader([path], default_typestore=store) as reader:
+        messages = [
+            (stamp, reader.deserialize(raw, link.msgtype))
+            for link, stamp, raw in reader.messages()
+            if link.topic == TOPIC
+        ]
+    assert [stamp for stamp, _ in messages] == [START * 10**6, (START + 20) * 10**6]
+    cloud = messages[1][1]
+    assert (cloud.height, cloud.width) == (3, 4)
+    assert tuple(field.name for field in cloud.fields) == POINT_FIELDS
+    stamp = cloud.header.stamp
+    assert stamp.sec * 1000 + stamp.nanosec // 10**6 == START + 20
+    points = np.frombuffer(cloud.data.tobytes(), "<f4").reshape(3, 4, 9)
+    np.testing.assert_allclose(points[2, 3], [6.5, 4.5, 40.5, 0.5, 0.5, 0.5, 0.01, 2, 3])
+    assert np.isnan(points[0, 1, :6]).all()
+    assert not cloud.is_dense
+
+
+def test_an_mcap_needs_the_positions_at_rest(tmp_path):
+    with pytest.raises(FieldError, match="rest"):
+        open_series(tmp_path / "a.mcap")
+
+
+def test_a_recording_of_a_robot_is_measured_and_its_stamps_are_kept(ros, tmp_path):
+    board = (30, 30, 190, 190)
+    messages = []
+    for number, shift in enumerate((0.0, 1.5, 2.5)):
+        image = moved_board((220, 220), 20, lambda q, s=shift: 0 * q + [s, 0], board=board, noise=1)
+        messages.append(("/gel", "Image", IMAGE, image_message(number, image, "mono8")))
+    write(ros, tmp_path / "gel.mcap", messages)
+    source, out = str(tmp_path / "gel.mcap"), str(tmp_path / "nodes.mcap")
+    assert main(["run", source, "--out", out]) == 0
+    reading, decoding = (importlib.import_module(n) for n in ("mcap.reader", "mcap_ros2.decoder"))
+    with open(out, "rb") as file:
+        reader = reading.make_reader(file, decoder_factories=[decoding.DecoderFactory()])
+        found = [(record.log_time, cloud) for _, _, record, cloud in reader.iter_decoded_messages()]
+        assert next(reader.iter_metadata()).metadata["unit of xy"] == "px"
+    assert [stamp for stamp, _ in found] == [(START + 20 * n) * 10**6 for n in range(3)]
+    points = np.frombuffer(found[2][1].data, "<f4").reshape(8, 8, 9)
+    np.testing.assert_allclose(points[..., 3], 2.5, atol=0.1)
+
+
+# the example node, against a stand-in for ROS
+
+
+class Message:
+    """Any message: its fields are what it was given."""
+
+    def __init__(self, **fields):
+        self.__dict__.update(fields)
+
+
+@pytest.fixture
+def node(monkeypatch):
+    """The example's module, with a stand-in for rclpy that keeps what is published."""
+
+    class Node:
+        def __init__(self, name):
+            self.published, self.said = [], []
+
+        def declare_parameter(self, name, value):
+            return Message(value=value)
+
+        def create_publisher(self, kind, topic, depth):
+            return Message(publish=self.published.append)
+
+        def create_subscription(self, kind, topic, callback, depth):
+            assert topic == "image_raw"
+
+        def get_logger(self):
+            return Message(info=self.said.append, error=self.said.append)
+
+    for name, content in (
+        ("rclpy", {}),
+        ("rclpy.node", {"Node": Node}),
+        ("sensor_msgs", {}),
+        ("sensor_msgs.msg", {kind: Message for kind in ("Image", "PointCloud2", "PointField")}),
+    ):
+        module = types.ModuleType(name)
+        module.__dict__.update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    spec = importlib.util.spec_from_file_location("ros_node", EXAMPLE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_example_node_publishes_displacements_with_the_images_header(node):
+    deformation = node.Deformation()
+    board = (30, 30, 190, 190)
+    for number, shift in enumerate((0.0, 1.5)):
+        image = moved_board((220, 220), 20, lambda q, s=shift: 0 * q + [s, 0], board=board, noise=1)
+        deformation.take(Message(**image_message(number, image, "mono8")))
+    deformation.take(Message(**image_message(2, image, "rgb8")))
+    deformation.close()
+    assert deformation.said[0] == "64 nodes at rest"
+    assert "rgb8" in deformation.said[1]
+    assert len(deformation.published) == 2
+    cloud = deformation.published[1]
+    assert cloud.header == header(1)
+    points = np.frombuffer(cloud.data, "<f4").reshape(cloud.height, cloud.width, 9)
+    np.testing.assert_allclose(points[..., 3], 1.5, atol=0.1)
+    np.testing.assert_allclose(points[..., 4], 0, atol=0.1)
