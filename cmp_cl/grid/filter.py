@@ -534,7 +534,7 @@ def _mixture(
     down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
     filters, others = len(down.filters), len(along.filters)
     known = np.isfinite(noise)
-    s2 = np.where(known, chosen_noise, np.float32(1))
+    s2 = np.where(known, np.maximum(chosen_noise, np.float32(_LEAST)), np.float32(1))
     first = np.matmul(down.stacked, data).reshape(count, filters, rows, columns)
     smooth = np.matmul(first.reshape(-1, columns), along.stacked.T)
     smooth = smooth.reshape(count, filters, rows, others, columns)

@@ -253,3 +253,10 @@ def test_the_oracles_interior_filters_are_those_of_savitzky_and_golay():
     np.testing.assert_allclose(row[8:13] * 35, [-3, 12, 17, 12, -3])
     row = lattice_filter.axis_filter(20, 3, 5)[10]
     np.testing.assert_allclose(row[7:14] * 231, [5, -30, 75, 131, 75, -30, 5])
+
+
+@pytest.mark.parametrize("bends", [False, True])
+def test_what_has_not_moved_stays_where_it_is(bends):
+    still = filter_grid(np.zeros((12, 12, 3)), bends=bends)
+    assert not still.values.any()
+    assert np.isfinite(still.sigma).all()
