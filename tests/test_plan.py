@@ -129,7 +129,7 @@ def test_squeezed_cells(detector_for, form):
     plan, launched, kernels = plan_of(detector_for, wide)
     full, _, _ = plan_of(detector_for, HARMONIC)
     assert plan.sizes["lists"] < full.sizes["lists"]
-    assert not any("fine" in name for name in launched | kernels)
+    assert not {"fine_response", "fine_maxima", "keep_fine"} & (launched | kernels)
     if form is Form.PORTABLE:
         left_out(
             detector_for,
@@ -242,6 +242,9 @@ configurations = pytest.mark.parametrize(
 pixels = pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
 
 
+BUILT_IN = "_cl_"  # PoCL puts it before an argument that is named like a built-in function
+
+
 @pixels
 @configurations
 def test_every_argument_has_the_name_that_its_kernel_gives_it(device_in_form, config, dtype):
@@ -249,7 +252,8 @@ def test_every_argument_has_the_name_that_its_kernel_gives_it(device_in_form, co
         for launch in detector._plan(config.scale).launches:
             kernel = launch.kernel
             names = [
-                kernel.get_arg_info(n, cl.kernel_arg_info.NAME) for n in range(kernel.num_args)
+                kernel.get_arg_info(n, cl.kernel_arg_info.NAME).removeprefix(BUILT_IN)
+                for n in range(kernel.num_args)
             ]
             assert list(launch.arguments) == names, launch.stage
 
