@@ -6,7 +6,7 @@ from cmp_cl.config import BinaryRings
 from cmp_cl.opencl.program import sum_of_terms
 from cmp_cl.stages.layout import Launch, PlanBase
 
-SLAB = 3  # bytes of sums a pixel: three masks are worked out slab by slab
+SLAB = 2  # bytes of sums a pixel: what needs more is worked out slab by slab
 
 
 def macros(plan: PlanBase, rule: BinaryRings) -> dict[str, str]:
@@ -58,9 +58,9 @@ def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
 
 
 def _slab_rows(plan: PlanBase, rule: BinaryRings) -> int:
-    if rule.threshold.masks == 1:
-        return plan.working[0]
-    return -(-plan.working[0] // (6 * plan.dtype.itemsize // SLAB))
+    types = plan.types
+    squares = types["SQUARE"].itemsize if rule.threshold.masks == 3 else 0
+    return -(-plan.working[0] // ((types["COLUMN"].itemsize + squares) // SLAB))
 
 
 def _slab(plan: PlanBase, rule: BinaryRings, first: int) -> list[Launch]:

@@ -127,7 +127,7 @@ def test_the_rank_of_the_percentile_in_short_lists(detector_for, dtype):
 
 def test_a_difference_at_the_noise_bound_is_kept(detector_for):
     """One candidate: 2 N sm = F A and one more deviation."""
-    image = images.texture((200, 200))[:40, :31]
+    image = images.texture((200, 200))[:60, :61]
     maps = reference.maps(image, DetectorConfig(detection=BinaryRings(contrast=None)))
     amplitude, pixels = gate.noise_amplitude(image)
     y, x = np.nonzero(maps.candidate & maps.maximum)
