@@ -67,6 +67,7 @@ DIGESTS = {
     ("noise", "dense, scaled"): "06f8bb55940c5632",
     ("scene", "default"): "6d7de6e740dec40c",
     ("scene", "paper"): "a3c04001cbe7a2dd",
+    ("scene", "rings"): "c6da6bb40868281e",
     ("scene", "small cells"): "a713b63e641a09f0",
     ("scene", "three masks"): "9c7285ac6d5052f2",
     ("scene", "spectral"): "d93a7ca9b7a3681e",

@@ -130,7 +130,8 @@ def test_links_between_pages_lead_somewhere():
     for page in PAGES:
         text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
         for target in re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]+)?\)", text):
-            assert (page.parent / target).exists(), f"{page}: {target}"
+            if not target.startswith("_generated/"):  # made when the site is built
+                assert (page.parent / target).exists(), f"{page}: {target}"
 
 
 def test_questions_are_answered_in_their_first_paragraph():

@@ -113,7 +113,7 @@ class Plan(PlanBase):
         }
         if self.scale is not None:
             sizes["working"] = (self.frames * self.working[0] + 2) * self.step * pixel
-        return sizes
+        return {name: size for name, size in sizes.items() if size}
 
     @property
     def _layouts(self) -> list[dict[str, int]]:
