@@ -18,6 +18,7 @@ from cmp_cl.image import GreyImage, check_image
 
 SMALL = 0.1  # least share of the corners that the pattern must hold
 RIVAL = 0.5  # a second component of this share of the first is a second pattern
+RIVAL_AREA = 1 / 16  # of the first pattern's: cells a quarter as wide are texture
 LEAST_BOARD = 9  # corners of a board among several
 
 Region = tuple[float, float, float, float]
@@ -276,7 +277,11 @@ def _empty(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None
 
 
 def _refuse_rival(found: Lattice, nodes: Nodes, seen: Seen) -> None:
-    """Raise GridError where another component is comparable and was not joined."""
+    """Raise GridError where another component is comparable and was not joined.
+
+    It is comparable in its corners and in the area that they cover: fine texture in a room's
+    background forms lattices too.
+    """
     if len(found.size) < 2 or found.size[1] < RIVAL * found.size[0]:
         return
     free = np.ones(len(seen.z), np.bool_)
@@ -284,10 +289,13 @@ def _refuse_rival(found: Lattice, nodes: Nodes, seen: Seen) -> None:
     second = (found.component == 1) & free
     if np.count_nonzero(second) < RIVAL * found.size[0]:
         return
-    boxes = []
+    boxes, areas = [], []
     for member in (found.component == 0, second):
         x, y = seen.z[member].real, seen.z[member].imag
         boxes.append(f"({x.min():.0f}, {y.min():.0f}, {x.max():.0f}, {y.max():.0f})")
+        areas.append(np.ptp(x) * np.ptp(y))
+    if areas[1] < RIVAL_AREA * areas[0]:
+        return
     raise GridError(
         f"two patterns are seen, of {found.size[0]} and {found.size[1]} corners, within "
         f"{boxes[0]} and {boxes[1]}; say which is meant with a region (x0, y0, x1, y1)"

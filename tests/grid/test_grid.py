@@ -569,6 +569,13 @@ def test_photographs_get_one_consistent_lattice(name, least, wrong):
     assert least <= 0
 
 
+@pytest.mark.parametrize("name", ["left02", "left03", "left05"])
+def test_fine_texture_behind_a_board_is_no_second_pattern(name):
+    image, _ = photograph(f"stereo_opencv/{name}")
+    grid = build_grid(reference.detect(image, DetectorConfig()), image)
+    assert np.count_nonzero(np.isin(grid.status, MEASURED)) == 54
+
+
 @pytest.mark.parametrize("name", ["left01", "right04", "right02"])
 def test_boards_in_a_room_are_found_whole(name):
     image, listed = photograph(f"stereo_opencv/{name}")
