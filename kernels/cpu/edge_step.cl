@@ -1,7 +1,7 @@
 #include "cpu/vectors.clh"
 #include "corner_model.clh"
 
-/* EDGE_STEP of refine.cl for CPUs. The pixels that the disc may hold, wherever in the middle pixel
+/* EDGE_STEP for CPUs. The pixels that the disc may hold, wherever in the middle pixel
  * its centre lies, are listed once for all corners, row by row; then a vector holds the next
  * eight of the list, and every loop has the same length for every corner. The chain from a
  * place to the sums is cut in two, so that several vectors are under way at a time. */

@@ -1,9 +1,8 @@
 #include "cpu/vectors.clh"
 #include "edges.clh"
 
-/* Centroids, edge points and EDGE_LINES of refine.cl in one kernel for CPUs, eight corners at a
- * time: a vector holds one number of each. Lanes past the last corner repeat it, in rows that
- * nobody reads. */
+/* EDGE_LINES for CPUs, eight corners at a time: a vector holds one number of each. Lanes past the
+ * last corner hold what an earlier frame has left there; nobody reads their rows. */
 
 #if LANES != 8
 #error "LANES must be 8"
@@ -108,7 +107,7 @@ void edge_point(const float8 *d, RING_TABLE *ring, const uint8 bit, float8 *x, f
 #endif
 }
 
-/* A work-item takes its share of the corners, eight at a time. */
+/* The work-items take turns, eight corners at a time. */
 __kernel void refine_eight(__global const PIXEL *restrict image,
                            __global const int *restrict corners,
                            __global const uint *restrict totals, const uint rows,
