@@ -70,7 +70,7 @@ class PlanBase:
         if isinstance(self.rule, BinaryRings):
             self.lists = self.rule.threshold.masks
             self.pad = multiple(max(LEAST_PAD, self.rule.threshold.window // 2), LEAST_PAD)
-            self.list_room = multiple(pixels // 14 + 1, GROUP)  # a candidate has ten pixels
+            self.list_room = multiple(pixels // 20 + 1, GROUP)  # the lists grow
         else:
             self.lists = 2 if self.rule.fine else 1
             self.pad = LEAST_PAD
