@@ -85,10 +85,7 @@ class Plan(PlanBase):
             **self.detection.defines(self),
             **refine.defines(self),
         }
-        distances = range(1, self.config.nms_radius + 1)
-        macros = {"OVER_SUPPRESSION(F)": " ".join(f"F({d})" for d in distances)}
-        if isinstance(self.rule, BinaryRings):
-            macros |= rings.macros(self)
+        macros = rings.macros(self) if isinstance(self.rule, BinaryRings) else {}
         return build(self.queue.context, self.stages, defines, macros)
 
     @property

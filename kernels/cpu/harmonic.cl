@@ -128,50 +128,41 @@ ROW_LOOP void coarse_response_of_row RESPONSE_OF_ROW((short)(o - QUARTER(o)) +
                                             (short)(QUARTER(e) + EIGHTH(e)))
 ROW_LOOP void fine_response_of_row RESPONSE_OF_ROW((short)(o + e) - QUARTER((short)(o + e)))
 
-/* The largest response within NMS_RADIUS columns; and the response where it is above those before
- * it and not below those behind it, 0 elsewhere. */
-#define BESIDE(d) \
-  __global const short *restrict before##d, __global const short *restrict behind##d,
-ROW_LOOP void peaks_of_row(OVER_SUPPRESSION(BESIDE) __global const short *restrict response,
-                           __global short *restrict largest, __global short *restrict peak,
-                           const int width) {
-  for (int x = 0; x < width; ++x) {
-    const short r = response[x];
-    short before = before1[x], behind = behind1[x];
-#define WIDEN(d)                                                                    \
-  before = before > before##d[x] ? before : before##d[x];                           \
-  behind = behind > behind##d[x] ? behind : behind##d[x];
-    OVER_SUPPRESSION(WIDEN)
-    const short other = before > behind ? before : behind;
-    largest[x] = r > other ? r : other;
-    peak[x] = r > before && r >= behind ? r : (short)0;
-  }
-}
-#define COLUMNS_BESIDE(d) response - d, response + d,
-
-/* A bit for each peak of a row that is above the rows before it and not below those behind it. */
-#define NEAR_ROWS(d) \
-  __global const short *restrict above##d, __global const short *restrict below##d,
-ROW_LOOP void maxima_of_row(OVER_SUPPRESSION(NEAR_ROWS) __global const short *restrict peak,
-                   __global short *restrict kept, __global uint *restrict bits,
-                   const int width) {
+/* A bit for each response of a row that is above its neighbours before it and not below those
+ * behind it, of the four that touch it. Few pixels are left for the whole window. */
+ROW_LOOP void peaks_of_row(__global const short *restrict above, __global const short *restrict left,
+                           __global const short *restrict response,
+                           __global const short *restrict right,
+                           __global const short *restrict below, __global short *restrict kept,
+                           __global uint *restrict bits, const int width) {
   for (int first = 0; first < width; first += 32) {
     ushort any = 0;
     for (int k = first; k < first + 32; ++k) {
-      short above = LEAST, below = LEAST;
-#define HIGHEST(d)                                                                  \
-  above = above > above##d[k] ? above : above##d[k];                                \
-  below = below > below##d[k] ? below : below##d[k];
-      OVER_SUPPRESSION(HIGHEST)
-      const short r = peak[k] > above && peak[k] >= below ? peak[k] : (short)0;
-      kept[k] = r;
-      any = (ushort)(any | (ushort)r);
+      const short before = above[k] > left[k] ? above[k] : left[k];
+      const short behind = below[k] > right[k] ? below[k] : right[k];
+      const short least = before > LEAST ? before : (short)LEAST, r = response[k];
+      const short peak = r > least && r >= behind ? r : (short)0;
+      kept[k] = peak;
+      any = (ushort)(any | (ushort)peak);
     }
     uint word = 0;
     if (any)
       for (int k = 0; k < 32; ++k) word |= kept[first + k] ? 1u << k : 0;
     bits[first / 32] = first + 32 > width ? word & ((1u << (width - first)) - 1) : word;
   }
+}
+
+/* Whether a response is the largest of its window, the earlier one of equals. row[dy] is a row of
+ * the window; those outside the image hold 0. */
+int is_maximum(__global const short *const *row, const int x, const short r) {
+  __global const short *middle = row[0] + x;
+  for (int line = 1; line <= NMS_RADIUS; ++line) {
+    __global const short *above = row[-line] + x, *below = row[line] + x;
+    if (middle[-line] >= r || middle[line] > r || above[0] >= r || below[0] > r) return 0;
+    for (int d = 1; d <= NMS_RADIUS; ++d)
+      if (above[-d] >= r || above[d] >= r || below[-d] > r || below[d] > r) return 0;
+  }
+  return 1;
 }
 
 /* The rows that ring (a, d) around row y meets. */
@@ -233,10 +224,6 @@ void append(__global int *restrict list, const uint n, const uint room, const in
   list[5 * room + n] = slopes.s0 + slopes.s1 + slopes.s2 + slopes.s3 + slopes.s4;
 }
 
-#define NEAR_LARGEST(d)                                                             \
-  y >= d ? largest + RESPONSE_AT(y - d) : nothing,                                  \
-      y + d < height ? largest + RESPONSE_AT(y + d) : nothing,
-
 /* From the image to the lists of the maxima of a band, and the pads of its rows; a count runs past the room of its list.
  * `area` has a bit for every pixel. One work-item a band. */
 __kernel void harmonic_band(__global PIXEL *restrict image,
@@ -261,7 +248,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
   const size_t kind = (size_t)RESPONSE_ROWS * step;
   ulong noise_of_band = 0;
   uint found[2] = {0, 0};
-  for (int x = 0; x < (int)step - PAD; ++x) nothing[x] = 0;
+  for (int x = -PAD; x < (int)step - PAD; ++x) nothing[x] = 0;
   for (int y = top; y < end; ++y) REPEAT_BORDER(PIXEL, image + ROW(p, y) + PAD)
 
   for (int y_in = LARGER(top - BEYOND, -1); y_in < end + BEYOND; ++y_in) {
@@ -303,38 +290,33 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
       coarse_response_of_row(s3 + SMOOTH_AT(HELD(y - 5)), s3 + SMOOTH_AT(HELD(y - 4)),
                              s3 + SMOOTH_AT(y), s3 + SMOOTH_AT(HELD(y + 4)),
                              s3 + SMOOTH_AT(HELD(y + 5)), 5, 4, response, width);
-      peaks_of_row(OVER_SUPPRESSION(COLUMNS_BESIDE) response, response + kind,
-                   response + 2 * kind, width);
 #if FINE
-      response += 3 * kind;
+      response += kind;
       fine_response_of_row(s1 + SMOOTH_AT(HELD(y - 3)), s1 + SMOOTH_AT(HELD(y - 2)),
                            s1 + SMOOTH_AT(y), s1 + SMOOTH_AT(HELD(y + 2)),
                            s1 + SMOOTH_AT(HELD(y + 3)), 3, 2, response, width);
-      peaks_of_row(OVER_SUPPRESSION(COLUMNS_BESIDE) response, response + kind,
-                   response + 2 * kind, width);
 #endif
     }
     const int y = y_response - BESIDE_MAXIMUM;
     if (y < top || y >= end) continue;
     for (int fine = 0; fine <= FINE; ++fine) {
-      __global const short *responses = first_response + 3 * fine * kind;
-      __global const short *largest = responses + kind, *peak = responses + 2 * kind;
-      maxima_of_row(OVER_SUPPRESSION(NEAR_LARGEST) peak + RESPONSE_AT(y), kept, bits, width);
+      __global const short *responses = first_response + fine * kind;
+      __global const short *rows_of[2 * BESIDE_MAXIMUM + 1], *const *row = rows_of + BESIDE_MAXIMUM;
+      for (int dy = -BESIDE_MAXIMUM; dy <= BESIDE_MAXIMUM; ++dy)
+        rows_of[BESIDE_MAXIMUM + dy] =
+            y + dy < 0 || y + dy >= height ? nothing : responses + RESPONSE_AT(y + dy);
+      peaks_of_row(row[-1], row[0] - 1, row[0], row[0] + 1, row[1], kept, bits, width);
       const Ring inner = fine ? ring_of(s1, y, 2, 1, height, step)
                               : ring_of(s1, y, 3, 2, height, step);
       const Ring outer = fine ? ring_of(s1, y, 3, 2, height, step)
                               : ring_of(s3, y, 5, 4, height, step);
       const Ring between = ring_of(s3, y, 4, 3, height, step);
-      __global const short *rows_of[5];
-      for (int k = 0; k < 5; ++k)
-        rows_of[k] = y + k - 2 < 0 || y + k - 2 >= height ? nothing
-                                                          : responses + RESPONSE_AT(y + k - 2);
       __global int *list = lists + (own * (1 + FINE) + fine) * LIST_COLUMNS * room;
       for (int word = 0; 32 * word < width; ++word)
         for (uint left = bits[word]; left; left &= left - 1) {
           const int x = 32 * word + (int)lowest_bit(left);
           const uint at = (uint)y * step + PAD + (uint)x;
-          if (!(area[at / 32] >> at % 32 & 1)) continue;
+          if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, kept[x])) continue;
           if (fine) {
             const int2 v2 = harmonics_of(&inner, x, 2, 1).second;
             const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
@@ -349,7 +331,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
             if (support && (support * r4 < r || r4 > 2 * r)) continue;
             if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along)) continue;
           }
-          if (found[fine] < room) append(list, found[fine], room, x, y, rows_of);
+          if (found[fine] < room) append(list, found[fine], room, x, y, row - 2);
           ++found[fine];
         }
     }
