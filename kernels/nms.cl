@@ -25,8 +25,9 @@ int tent(__global const RESPONSE *pixel, const int y, const uint rows, const uin
 /* S at every pixel, where there is no response too. */
 __kernel void score_map(__global const RESPONSE *restrict response, const uint rows,
                         const uint step, __global int *restrict scores) {
-  const int x = (int)get_global_id(0), y = (int)get_global_id(1);
-  scores[(size_t)y * get_global_size(0) + x] = tent(response + ROW(0, y) + PAD + x, y, rows, step);
+  const int y = (int)get_global_id(1);
+  const size_t i = ROW(0, y) + get_global_id(0);
+  scores[i] = tent(response + i, y, rows, step);
 }
 
 #define CANDIDATE                                                                   \

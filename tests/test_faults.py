@@ -87,19 +87,19 @@ def test_a_kernel_that_does_not_compile_says_why(device, monkeypatch):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """An empty folder for compiled programs."""
+    """An empty folder for compiled programs, used on every device."""
     folder = tmp_path / "cache"
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
     monkeypatch.setattr(caches.platformdirs, "user_cache_path", lambda *_, **__: folder)
+    monkeypatch.setattr(program, "_keeps_by_itself", lambda _: False)
     return folder
 
 
-PLAIN = DetectorConfig(detection=BinaryRings(contrast=None), refinement=None)
-
-
-def find(device):
-    with Detector(shape=images.SHAPE, config=PLAIN, device=device) as detector:
-        return detector(BOARD)
+def build(device, pad=16):
+    """A program of one file: the border of an image is repeated."""
+    context = cl.Context([device.handle])
+    names = program.build(context, ["border"], {"PIXEL": "uchar", "PAD": pad}).names
+    assert names == {"repeat_border"}
 
 
 def refuse_to_compile(monkeypatch):
@@ -114,47 +114,85 @@ def refuse_to_compile(monkeypatch):
 
 
 def test_a_program_is_compiled_once(device, cache, monkeypatch):
-    first = find(device)
+    build(device)
     (kept,) = cache.iterdir()
     assert kept.suffix == ".bin"
     refuse_to_compile(monkeypatch)
-    assert_same_bytes(find(device), first)
+    build(device)
     assert list(cache.iterdir()) == [kept]
 
 
-def test_another_configuration_is_another_program(device, cache):
-    find(device)
-    config = rings(PLAIN, outer_radius=4)
-    Detector(shape=images.SHAPE, config=config, device=device).close()
+def test_another_macro_is_another_program(device, cache):
+    build(device)
+    build(device, pad=32)
     assert len(list(cache.iterdir())) == 2
+
+
+def test_a_detector_of_kept_programs_gives_the_same_result(device, cache, monkeypatch):
+    with Detector(shape=images.SHAPE, device=device) as detector:
+        first = detector(BOARD)
+    refuse_to_compile(monkeypatch)
+    with Detector(shape=images.SHAPE, device=device) as detector:
+        assert_same_bytes(detector(BOARD), first)
+
+
+def test_another_configuration_compiles_the_stages_that_it_changes(device, cache):
+    Detector(shape=images.SHAPE, device=device).close()
+    detection = set(cache.iterdir())
+    config = DetectorConfig(refinement=None)
+    Detector(shape=images.SHAPE, config=config, device=device).close()
+    assert len(set(cache.iterdir()) - detection) == 1
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "changed", "other"])
 def test_a_damaged_program_is_compiled_and_kept_anew(device, cache, monkeypatch, damage):
-    first = find(device)
+    build(device)
     (kept,) = cache.iterdir()
     whole = kept.read_bytes()
     changed = bytearray(whole)
     changed[len(whole) // 2] ^= 1
     damaged = {"empty": b"", "cut": whole[:-99], "changed": bytes(changed), "other": b"text" * 99}
     kept.write_bytes(damaged[damage])
-    assert_same_bytes(find(device), first)
+    build(device)
     refuse_to_compile(monkeypatch)
-    assert_same_bytes(find(device), first)
+    build(device)
+
+
+def test_a_folder_in_a_programs_place_costs_only_time(device, cache):
+    build(device)
+    (kept,) = cache.iterdir()
+    kept.unlink()
+    kept.mkdir()
+    build(device)
 
 
 def test_a_binary_that_the_device_does_not_take_is_compiled_anew(device, cache):
-    first = find(device)
+    build(device)
     (kept,) = cache.iterdir()
     wrong = b"not a program"
     kept.write_bytes(program.hashlib.sha256(wrong).digest() + wrong)
-    assert_same_bytes(find(device), first)
+    build(device)
 
 
 def test_without_a_folder_to_write_to_it_is_compiled_each_time(device, cache):
     cache.write_text("a file where the folder would be")
-    assert_same_bytes(find(device), find(device))
+    build(device)
     assert cache.read_text() == "a file where the folder would be"
+
+
+def test_the_cache_can_be_switched_off(device, cache, monkeypatch):
+    monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
+    build(device)
+    assert not cache.exists()
+
+
+def test_what_pocl_keeps_by_itself_is_not_kept_twice(device, cache, monkeypatch):
+    if not device_module.is_pocl(device.handle):
+        pytest.skip("PoCL alone keeps what it compiles")
+    monkeypatch.undo()
+    monkeypatch.setattr(caches.platformdirs, "user_cache_path", lambda *_, **__: cache)
+    build(device)
+    assert not cache.exists()
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has a folder for each user")
@@ -163,13 +201,13 @@ def test_a_folder_that_others_may_write_to_is_not_trusted(device, cache, mode):
     cache.mkdir()
     cache.chmod(mode)
     with pytest.warns(RuntimeWarning, match="chmod 700"):
-        assert len(find(device)) > 20
+        build(device)
     assert list(cache.iterdir()) == []
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has a folder for each user")
 def test_a_folder_or_a_program_of_another_user_is_not_trusted(device, cache, monkeypatch):
-    first = find(device)
+    build(device)
     assert stat.S_IMODE(cache.stat().st_mode) == 0o700
     (kept,) = cache.iterdir()
     kept.chmod(0o666)  # somebody else may have written it
@@ -178,13 +216,13 @@ def test_a_folder_or_a_program_of_another_user_is_not_trusted(device, cache, mon
     monkeypatch.setattr(
         cl.Program, "build", lambda self, **what: compiled.append(self) or built(self, **what)
     )
-    assert_same_bytes(find(device), first)
+    build(device)
     assert len(compiled) == 1
     assert stat.S_IMODE(kept.stat().st_mode) & 0o022 == 0
     owner = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
     with pytest.warns(RuntimeWarning, match="not yours alone"):
-        find(device)
+        build(device)
 
 
 def test_a_compiler_that_a_full_disk_would_end_is_not_started(device, cache, monkeypatch):
@@ -193,7 +231,7 @@ def test_a_compiler_that_a_full_disk_would_end_is_not_started(device, cache, mon
     usage = type("Usage", (), {"free": 100_000})
     monkeypatch.setattr(caches.shutil, "disk_usage", lambda _: usage)
     with pytest.raises(program.KernelBuildError, match="100000 bytes left"):
-        find(device)
+        build(device)
 
 
 SHARED = """
@@ -201,19 +239,18 @@ import pathlib, sys
 sys.path[:0] = {path!r}
 from cmp_cl.opencl import caches
 caches.platformdirs.user_cache_path = lambda *_, **__: pathlib.Path({folder!r})
+import cmp_cl
 import test_faults
-print(len(test_faults.find({device!r})))
+from cmp_cl.opencl import program
+program._keeps_by_itself = lambda _: False
+test_faults.build(cmp_cl.select_device({device!r}))
 """
 
 
 def test_processes_share_the_folder(device, cache):
     code = SHARED.format(path=sys.path, folder=str(cache), device=device.index)
-    children = [
-        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) for _ in range(3)
-    ]
-    counts = [int(child.communicate(timeout=300)[0]) for child in children]
-    assert counts == [len(find(device))] * 3
-    assert [child.returncode for child in children] == [0] * 3
+    children = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(3)]
+    assert [child.wait(timeout=300) for child in children] == [0] * 3
     assert len(list(cache.iterdir())) == 1
 
 
@@ -225,7 +262,7 @@ def test_a_compilers_remarks_are_no_warnings(device, cache, monkeypatch):
         return built(self, *arguments, **named)
 
     monkeypatch.setattr(cl.Program, "build", talkative)
-    assert len(find(device)) > 20
+    build(device)
 
 
 # --- kills ---------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ import images
 import numpy as np
 import pyopencl as cl
 import pytest
-from comparison import assert_same_bytes
 from configs import rings
 
 from cmp_cl import (
@@ -26,8 +25,9 @@ from cmp_cl import (
     SpectralCriteria,
 )
 from cmp_cl.errors import KernelBuildError
-from cmp_cl.opencl import caches, program
+from cmp_cl.opencl import program
 
+LOG = cl.program_build_info.LOG
 IMAGE = images.eight_bits()["board"]
 
 
@@ -45,13 +45,14 @@ def altered(monkeypatch, tmp_path):
     return make
 
 
-def test_the_source_is_headers_and_stages_with_their_lines():
-    text = program.source(["criteria", "collect"], {"F(x)": "g(x)"})
-    assert text.startswith("#define F(x) g(x)\n")
+def test_the_source_is_a_stage_with_its_headers_and_their_lines():
+    text = program.source("criteria", {"ROW(y)": "y", "WINDOW_SUM(T, F)": "0"})
+    assert text.startswith("#define ROW(y) y\n")
+    assert "WINDOW_SUM" not in text  # which the stage does not name
     names = re.findall(r'^#line 1 "(.*)"$', text, re.MULTILINE)
-    assert names == ["criteria.cl", "plane.clh", "ring.clh", "collect.cl"]
+    assert names == ["criteria.cl", "plane.clh", "ring.clh"]
     whole = (program.kernel_folder() / "criteria.cl").read_text(encoding="utf-8")
-    assert whole.split("\n\n", 1)[1] in text
+    assert whole.split("\n\n", 1)[1].rstrip() in text
     assert "#include" not in text
 
 
@@ -119,9 +120,9 @@ def test_compilers_have_nothing_to_remark(device_in_form, monkeypatch, capfd, co
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
         Detector(shape=(64, 64), dtype=dtype, config=config, device=device_in_form).close()
-    (built,) = programs
-    log = built.get_build_info(device_in_form.handle, cl.program_build_info.LOG)
-    assert "warning" not in (log + capfd.readouterr().err).lower()
+    assert programs
+    logs = [built.get_build_info(device_in_form.handle, LOG) for built in programs]
+    assert "warning" not in ("".join(logs) + capfd.readouterr().err).lower()
 
 
 def test_missing_kernels(monkeypatch, tmp_path):
@@ -147,61 +148,6 @@ def test_a_sum_has_every_term_once(count):
     assert re.findall(r"F\(\d+\)", text) == terms
     value = eval(text.replace("uint, ", ""), {"F": lambda k: 2**k, "SUM3": lambda *each: sum(each)})
     assert value == 2**count - 1
-
-
-# --- kept binaries -------------------------------------------------------------------------
-
-
-@pytest.fixture
-def kept(monkeypatch, tmp_path):
-    """An empty cache folder."""
-    monkeypatch.setattr(
-        caches.platformdirs, "user_cache_path", lambda *args, **named: tmp_path / "cache"
-    )
-    monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
-    return tmp_path / "cache"
-
-
-def detect(device):
-    with Detector(shape=IMAGE.shape, config=DetectorConfig(refinement=None), device=device) as one:
-        return one(IMAGE)
-
-
-def test_a_program_is_compiled_once_and_kept(kept, device, monkeypatch):
-    first = detect(device)
-    (path,) = kept.iterdir()
-    data = path.read_bytes()
-    monkeypatch.setattr(program, "_keep", lambda *args: pytest.fail("compiled again"))
-    assert_same_bytes(detect(device), first)
-    assert path.read_bytes() == data
-    assert [path.name for path in kept.iterdir()] == [path.name]
-
-
-@pytest.mark.parametrize("damage", ["truncated", "changed", "empty", "a folder"])
-def test_a_damaged_binary_is_written_anew(kept, device, damage):
-    first = detect(device)
-    (path,) = kept.iterdir()
-    data = path.read_bytes()
-    path.unlink()
-    if damage == "a folder":
-        path.mkdir()
-    else:
-        worse = {"truncated": data[:-9], "changed": data[:-1] + b"?", "empty": b""}[damage]
-        path.write_bytes(worse)
-    assert_same_bytes(detect(device), first)
-    if damage != "a folder":
-        assert len(path.read_bytes()) > 32
-
-
-def test_a_cache_that_cannot_be_written_costs_only_time(kept, device):
-    kept.write_text("a file where the folder should be")
-    assert len(detect(device)) > 20
-
-
-def test_the_cache_can_be_switched_off(kept, device, monkeypatch):
-    monkeypatch.setenv("PYOPENCL_NO_CACHE", "1")
-    assert len(detect(device)) > 20
-    assert not kept.exists()
 
 
 # --- the index -----------------------------------------------------------------------------

@@ -1,11 +1,14 @@
 """The kernels: found, put together, compiled. This is the one place that builds.
 
-`build(context, stages, defines)` compiles some of the files in kernels/ into one program;
-`Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be launched.
+`build(context, stages, defines)` compiles some of the files in kernels/, each into a program of
+its own; `Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be
+launched.
 
-Compilers take seconds, and those that keep what they made still read the source each time. So
-binaries are kept in the user's cache folder, a file each: whole or not there, checked before
-use, and written anew where they do not fit. Without a folder to write to it takes longer.
+Compilers take seconds. So a file is compiled under those macros alone that it names, and what
+was compiled is kept: another configuration compiles only the stages that it changes. PoCL keeps
+it by itself, and compiles everything twice when asked for a binary. From others the binaries
+are kept in the user's cache folder, a file each: whole or not there, checked before use, and
+written anew where they do not fit. Without a folder to write to it takes longer.
 """
 
 import contextlib
@@ -43,16 +46,20 @@ def kernel_folder() -> Path:
     )
 
 
-def source(stages: Sequence[str], macros: Mapping[str, str] | None = None) -> str:
-    """Return the text of kernels/STAGE.cl for each stage; each header that they include comes once.
+def source(stage: str, macros: Mapping[str, str] | None = None) -> str:
+    """Return the text of kernels/STAGE.cl; each header that it includes comes once.
 
-    macros: function-like macros, "NAME(ARGUMENTS)" to text, that are put before.
+    macros: function-like macros, "NAME(ARGUMENTS)" to text; those that the text names are put
+    before it.
     """
-    text = [f"#define {name} {body}" for name, body in (macros or {}).items()]
-    seen: set[str] = set()
-    for stage in stages:
-        text += _with_headers(f"{stage}.cl", seen)
-    return "\n".join(text)
+    text = "\n".join(_with_headers(f"{stage}.cl", set()))
+    named = {name: body for name, body in (macros or {}).items() if _names(text, name)}
+    return "\n".join([*(f"#define {name} {body}" for name, body in named.items()), text])
+
+
+def _names(text: str, macro: str) -> bool:
+    """Whether a text uses a macro, in code, in a condition or in another macro."""
+    return re.search(rf"\b{macro.partition('(')[0]}\b", text) is not None
 
 
 def _with_headers(name: str, seen: set[str]) -> list[str]:
@@ -72,14 +79,19 @@ def _with_headers(name: str, seen: set[str]) -> list[str]:
 
 
 class Kernels:
-    """A compiled program."""
+    """Compiled programs, whose kernels have names of their own."""
 
-    def __init__(self, program: cl.Program) -> None:
-        self._program = program
+    def __init__(self, programs: Sequence[cl.Program]) -> None:
+        self._programs = {name: each for each in programs for name in each.kernel_names.split(";")}
+
+    @property
+    def names(self) -> set[str]:
+        """The names of the kernels."""
+        return set(self._programs)
 
     def bind(self, name: str, *arguments: Any) -> cl.Kernel:
         """A kernel of its own with these arguments, NumPy scalars and buffers."""
-        kernel = cl.Kernel(self._program, name)
+        kernel = cl.Kernel(self._programs[name], name)
         kernel.set_args(*arguments)
         return kernel
 
@@ -95,34 +107,39 @@ def build(
     Raises KernelBuildError with the compiler's log, DeviceError in a forked child.
     """
     check_process()
-    options = [
-        "-cl-std=CL1.2",
-        "-cl-kernel-arg-info",
-        *(f"-D{name}={value}" for name, value in defines.items()),
-    ]
-    text = source(stages, macros)
+    return Kernels([_program(context, stage, defines, macros) for stage in stages])
+
+
+def _program(
+    context: cl.Context,
+    stage: str,
+    defines: Mapping[str, str | int],
+    macros: Mapping[str, str] | None,
+) -> cl.Program:
+    text = source(stage, macros)
+    named = [f"-D{name}={value}" for name, value in defines.items() if _names(text, name)]
+    options = [*_OPTIONS, *named]
     kept = _place(context, text, options)
     program = None if kept is None else _loaded(context, kept, options)
     if program is None:
-        _check_room(context, stages)
+        _check_room(context, stage)
         try:
             program = _built(cl.Program(context, text), options)
         except cl.Error as error:
             names = ", ".join(device.name for device in context.devices)
             raise KernelBuildError(
-                f"the kernels {', '.join(stages)} do not compile on {names}; "
-                f"the compiler says:\n{error}"
+                f"the kernels of {stage} do not compile on {names}; the compiler says:\n{error}"
             ) from error
         if kept is not None:
             _keep(kept, program)
-    return Kernels(program)
+    return program
 
 
-def _check_room(context: cl.Context, stages: Sequence[str]) -> None:
+def _check_room(context: cl.Context, stage: str) -> None:
     """Raise KernelBuildError where the compiler is known to end the process instead."""
     stuck = caches.pocl_is_stuck() if any(is_pocl(device) for device in context.devices) else ""
     if stuck:
-        raise KernelBuildError(f"the kernels {', '.join(stages)} are not compiled: {stuck}")
+        raise KernelBuildError(f"the kernels of {stage} are not compiled: {stuck}")
 
 
 def _built(program: cl.Program, options: list[str]) -> cl.Program:
@@ -135,15 +152,19 @@ def _built(program: cl.Program, options: list[str]) -> cl.Program:
 
 
 def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
-    """Where the binary of a program is kept; None where the user wants none kept."""
+    """Where the binary of a program is kept; None where the user wants none, or PoCL keeps it."""
     device = context.devices[0]
     switched_off = os.environ.get(_NO_CACHE_VARIABLE, "").lower() in ("1", "true", "on", "yes")
-    if switched_off or len(context.devices) > 1:
+    if switched_off or len(context.devices) > 1 or _keeps_by_itself(device):
         return None
     names = (device.platform.name, device.platform.version, device.name, device.driver_version)
     key = hashlib.sha256("\0".join([*names, *options, text]).encode()).hexdigest()
     folder = caches.own_folder()
     return None if folder is None else folder / f"{key}.bin"
+
+
+def _keeps_by_itself(device: cl.Device) -> bool:
+    return is_pocl(device)
 
 
 def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:

@@ -7,7 +7,7 @@ import numpy as np
 from cmp_cl.config import SectorContrast
 from cmp_cl.stages import noise
 from cmp_cl.stages.criteria import listed, of_candidates
-from cmp_cl.stages.layout import Launch, PlanBase
+from cmp_cl.stages.layout import GROUP, Launch, PlanBase
 
 BINS = 256  # of the histograms of contrasts
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference")
@@ -44,7 +44,7 @@ def launches(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     limits = {"rows": given.pop("rows"), "step": given.pop("step"), "room": given.pop("room")}
     return [
         *noise.launches(plan),
-        plan.stage("clear_bins", (BINS, planes), None, **counted, bins=b["bins"]),
+        plan.stage("clear_bins", (BINS, planes), (GROUP, 1), **counted, bins=b["bins"]),
         of_candidates(
             plan,
             "sector_contrast",

@@ -171,7 +171,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
             plan.stage(
                 "sum_squares",
                 (bins, plan.frames),
-                None,
+                (GROUP, 1),
                 **totals,
                 found=b["decision"],
                 room=room,

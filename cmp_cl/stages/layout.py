@@ -7,7 +7,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines, EdgeStep
-from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.program import Kernels
 from cmp_cl.stages.form import Form, form_for
 from cmp_cl.stages.resampling import working_shape
@@ -114,8 +114,11 @@ class PlanBase:
         return self.stage(name, items, (self.width, 1, 1), **arguments)
 
     def few(self, name: str, items: int, planes: int, **arguments: Any) -> Launch:
-        """Bind a kernel with one work-item per row, or per something else that is few."""
-        group = (1, 1) if self.form is Form.CPU else None
+        """Bind a kernel with one work-item per row, or per something else that is few.
+
+        A group of a CPU is one work-item: PoCL compiles a kernel for every size of a group.
+        """
+        group = (1, 1) if self.device.kind is DeviceKind.CPU else None
         return self.stage(name, (items, planes), group, **arguments)
 
     def of_corners(self, name: str, **arguments: Any) -> Launch:

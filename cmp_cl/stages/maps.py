@@ -117,19 +117,21 @@ def _ring_maps(plan: Plan, rule: BinaryRings) -> dict[str, Any]:
     return values | {"maximum": _bits(plan, "maxima" if rule.contrast is None else "passed")}
 
 
-def _per_pixel(plan: Plan, name: str, outputs: list[Any], *inputs: Any) -> list[NDArray[Any]]:
-    """Run a kernel that writes maps with one work-item per pixel of every mask."""
+def _per_pixel(
+    plan: Plan, name: str, outputs: list[Any], planes: int, *inputs: Any
+) -> list[NDArray[Any]]:
+    """Run a kernel that writes maps with one work-item per pixel of every plane."""
     rows = plan.working[0]
-    size = (plan.lists * rows + 2) * plan.step
+    size = (planes * rows + 2) * plan.step
     buffers = [
         cl.Buffer(plan.queue.context, cl.mem_flags.WRITE_ONLY, size * np.dtype(dtype).itemsize)
         for dtype in outputs
     ]
     kernel = plan.kernels.bind(name, *inputs, np.uint32(rows), np.uint32(plan.step), *buffers)
-    cl.enqueue_nd_range_kernel(plan.queue, kernel, (plan.step, rows, plan.lists), None)
+    items, group = (plan.step, rows, planes), (plan.width, 1, 1)
+    cl.enqueue_nd_range_kernel(plan.queue, kernel, items, group)
     return [
-        _plane(plan, buffer, dtype, plan.lists)
-        for buffer, dtype in zip(buffers, outputs, strict=True)
+        _plane(plan, buffer, dtype, planes) for buffer, dtype in zip(buffers, outputs, strict=True)
     ]
 
 
@@ -153,7 +155,7 @@ def _black(plan: Plan, binary: NDArray[np.bool_]) -> cl.Buffer:
 
 def _rapid_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[Any] | None]:
     dtypes = [np.uint16, np.uint16, *(dtype for _, dtype in _RAPID_MAPS)]
-    inner, outer, *others = _per_pixel(plan, "ring_maps", dtypes, _black(plan, binary))
+    inner, outer, *others = _per_pixel(plan, "ring_maps", dtypes, plan.lists, _black(plan, binary))
     values: dict[str, NDArray[Any] | None] = {"inner": inner, "outer": outer}
     values |= {name: values for (name, _), values in zip(_RAPID_MAPS, others, strict=True)}
     return values | dict.fromkeys(_SPECTRAL_MAPS)
@@ -162,7 +164,7 @@ def _rapid_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[Any]
 def _spectral_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[Any] | None]:
     dtypes = [np.uint16, np.uint16, np.int8, np.uint8, np.uint8]
     inner, outer, corrosion, best, half_samples = _per_pixel(
-        plan, "spectral_maps", dtypes, _black(plan, binary)
+        plan, "spectral_maps", dtypes, plan.lists, _black(plan, binary)
     )
     margins = spectrum.margins()
     smaller = np.minimum(margins[inner], margins[outer]).astype(np.float32)
@@ -200,11 +202,5 @@ def _at_candidates(plan: Plan, dtype: Any, name: str | None) -> NDArray[Any]:
 
 
 def _score_map(plan: Plan) -> NDArray[np.int32]:
-    rows, columns = plan.working
-    scores = cl.Buffer(plan.queue.context, cl.mem_flags.WRITE_ONLY, 4 * rows * columns)
-    sizes = (np.uint32(rows), np.uint32(plan.step))
-    kernel = plan.kernels.bind("score_map", plan.arrays["response"], *sizes, scores)
-    cl.enqueue_nd_range_kernel(plan.queue, kernel, (columns, rows), None)
-    image = np.empty((rows, columns), np.int32)
-    cl.enqueue_copy(plan.queue, image, scores)
-    return image
+    (scores,) = _per_pixel(plan, "score_map", [np.int32], 1, plan.arrays["response"])
+    return scores
