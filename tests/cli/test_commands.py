@@ -332,6 +332,7 @@ def test_a_disk_that_fills_up_ends_a_run_with_what_it_has(run, recording, press,
 def test_a_film_that_a_full_disk_cuts_is_not_written_and_the_series_is(run, recording, press):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     Path("old.rrd").write_text("old")
+    assert run("run", recording, *STEREO)[0] == 0  # compiles, which on a full disk ends PoCL
     with full_after(60_000):
         status, out, err = run("run", recording, *STEREO, "--rerun", "old.rrd")
     assert status == 2
