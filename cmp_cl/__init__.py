@@ -16,7 +16,7 @@ from cmp_cl.config import (
     SectorContrast,
     SpectralCriteria,
 )
-from cmp_cl.corners import Corners, Method
+from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.detector import Detector, detect
 from cmp_cl.errors import (
     CalibrationError,
@@ -86,6 +86,7 @@ __all__ = [
     "Points3D",
     "Pyramid",
     "RapidCriteria",
+    "Refusal",
     "RingHarmonic",
     "Rival",
     "SectorContrast",
