@@ -207,7 +207,7 @@ class TwoViews(Measurement):
     The other arguments are those of `OneView`.
 
     Raises GridError where a view of the frame at rest shows no such pattern, or the rig does
-    not fit three quarters of its nodes to 1 px; ImageError where a view leaves the frame; and
+    not fit three quarters of its nodes to 1 px; ImageError where a view extends past the frame; and
     what `Detector` raises.
     """
 
