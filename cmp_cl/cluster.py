@@ -69,7 +69,7 @@ class Store:
         return self._read(frame // self.part)[frame % self.part]
 
     def __iter__(self) -> Iterator[Corners]:
-        """Yield the corners of all frames in order; raises as indexing does."""
+        """The corners of all frames in order; raises as for one of them."""
         for number in range(self.parts):
             yield from self._read(number)
 
@@ -79,11 +79,11 @@ class Store:
         return -(-self.count // self.part)
 
     def missing(self) -> list[int]:
-        """Return the parts that are not written, or are damaged. Every byte is checked."""
+        """The parts that have not been written, or are damaged: every byte is checked."""
         return [number for number in range(self.parts) if not self._is_whole(number)]
 
     def _is_whole(self, number: int) -> bool:
-        """Return whether a part is present and the checksum of each of its arrays is right."""
+        """Whether a part is there and each of its arrays has the checksum that it was given."""
         try:
             with zipfile.ZipFile(self._path(number)) as archive:
                 names = {f"{name}.npy" for name in (*_ARRAYS, "lengths", "device")}
@@ -95,7 +95,7 @@ class Store:
             return False
 
     def _read(self, number: int) -> list[Corners]:
-        """Read the frames of a part."""
+        """The frames of a part."""
         path = self._path(number)
         try:
             found = _read(path)
@@ -115,7 +115,7 @@ class Store:
 
 
 def open_store(folder: str | PathLike[str]) -> Store:
-    """Open the store in a folder; raises ConfigError where there is none."""
+    """The store in a folder; raises ConfigError where there is none."""
     try:
         about = json.loads((Path(folder) / _ABOUT).read_text(encoding="utf-8"))
         count, part = about["count"], about["part"]
@@ -239,7 +239,7 @@ class _Own:
 
 
 def _read(path: Path) -> list[Corners]:
-    """Read the frames of a part."""
+    """The frames of a part."""
     with np.load(path, allow_pickle=False) as file:
         arrays = {name: file[name] for name in _ARRAYS}
         ends = np.cumsum(file["lengths"])[:-1]

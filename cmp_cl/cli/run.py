@@ -213,7 +213,7 @@ class _Source:
         return total
 
     def shots(self) -> Generator[_Shot, None, None]:
-        """Yield all frames, from the first; a file that cannot be read is one broken frame."""
+        """All frames, from the first; files that cannot be read are one broken frame each."""
         start: float | None = None
         if self.live and self._number is not None:
             for frame in media.read_camera(self._number):
@@ -244,7 +244,7 @@ class _Source:
                 index += 1
 
     def rest(self, number: int) -> tuple[GreyImage, Generator[_Shot, None, None]]:
-        """Return the rest frame and the frames to measure: from it on of a camera, else all."""
+        """The rest frame, and the frames to measure: of a camera from it on, else all."""
         shots = self.shots()
         for shot in shots:
             if shot.number < number:
@@ -283,7 +283,7 @@ class _Pairs(_Source):
         return None
 
     def shots(self) -> Generator[_Shot, None, None]:
-        """Yield all pairs; a pair with a broken frame has no image."""
+        """All pairs; a pair with a broken frame has no image."""
         self.count = PairCount()
         start = None
         with contextlib.ExitStack() as stack:
@@ -441,7 +441,7 @@ class _Settings:
         )
 
     def description(self, measure: Measurement) -> Description:
-        """Return the series' description of itself."""
+        """What the series says of itself."""
         lengths = ("rest", "displacement", "sigma") if self.rig else ("rest", "xy", "sigma")
         pixels = ("left", "right", "left_rest", "right_rest") if self.rig else ()
         units = {**dict.fromkeys(lengths, measure.unit), **dict.fromkeys(pixels, "px")}
@@ -456,7 +456,7 @@ class _Settings:
         return Description(units=units, settings=settings)
 
     def measurement(self, rest: GreyImage) -> Measurement:
-        """Measure frames against this one at rest; raises GridError where it has no pattern."""
+        """Frames against this one at rest; raises GridError where it has no pattern."""
         search: Any = {
             "shape": self.shape,
             "config": self.config,

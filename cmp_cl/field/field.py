@@ -57,7 +57,7 @@ class DisplacementField:
 
     @property
     def sigma(self) -> Array:
-        """The standard deviation along the most uncertain axis, (R, C), in `unit`; NaN if unknown."""
+        """The standard deviation along the most uncertain axis, (R, C), in `unit`, or NaN."""
         return largest_deviation(self.covariance)
 
     @property

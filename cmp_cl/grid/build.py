@@ -127,7 +127,7 @@ def build_grids(
 def _checked(
     corners: Corners, image: GreyImage | None, shape: tuple[int, int] | None, region: Region | None
 ) -> tuple[Index, Seen]:
-    """Number the corners in the region, and return what is known of them."""
+    """The numbers of the corners in the region, and what is known of them."""
     if not isinstance(corners, Corners):
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
@@ -147,7 +147,7 @@ def _checked(
 
 
 def _found(seen: Seen) -> Lattice | None:
-    """Return the lattice of the corners; None where no closed cell is seen."""
+    """The lattice of the corners; None where no closed cell is seen."""
     if len(seen.z) < 4:
         return None
     found = lattice(seen.z.astype(np.complex64), seen.edges)
@@ -164,7 +164,7 @@ def _numbered(
     previous: Grid | None = None,
     alone: bool = False,
 ) -> tuple[Placed | None, Sides]:
-    """Return the nodes, numbered and with holes filled, and the borders; None where none is left.
+    """The nodes with their numbers and holes filled, None where none is left, and the borders.
 
     alone: whether other components are other boards.
     """
@@ -195,12 +195,12 @@ def _numbered(
 
 
 def _framed(placed: Placed) -> Grid:
-    """Return rows, columns and numbers of that grid, without a node."""
+    """Rows, columns and numbers of that grid, without a node."""
     return dataclasses.replace(_empty(0, placed.nodes.at.shape), origin=placed.origin)
 
 
 def _declared(placed: Placed, border: Sides, shape: tuple[int, int] | None) -> Sides:
-    """Return the borders of a pattern, all four where it is seen whole in a known shape."""
+    """The borders of a pattern, all four where it is seen whole in a known shape."""
     there = placed.nodes.there
     if shape is None or placed.seen_shape is not None or not there.any():
         return border

@@ -33,7 +33,7 @@ class Sides(NamedTuple):
     right: bool = False
 
     def turned(self, quarters: int) -> "Sides":
-        """Return the same sides after the numbers are turned as in `Grid.turned`."""
+        """The same sides after the numbers are turned as in `Grid.turned`."""
         sides = self
         for _ in range(quarters % 4):
             sides = Sides(sides.right, sides.left, sides.top, sides.bottom)
@@ -126,7 +126,7 @@ class Grid:
         return found
 
     def turned(self, quarters: int) -> "Grid":
-        """Return the same nodes with the numbers turned: row 0 is the last column, and so on."""
+        """The same nodes with the numbers turned: row 0 is the last column, and so on."""
         quarters %= 4
         if not quarters:
             return self
@@ -154,7 +154,7 @@ class Grid:
         )
 
     def cut_to(self, rest: "Grid") -> "Grid":
-        """Return the nodes on the rows and columns of another grid with the same numbers.
+        """The nodes on the rows and columns of another grid with the same numbers.
 
         Equal places of the two are then equal numbers. Corners beyond belong to no node.
         """
@@ -188,7 +188,7 @@ class Grid:
         )
 
     def to_opencv(self, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
+        """The valid nodes as cv2.calibrateCamera takes a view: object and image points.
 
         spacing: side of a square, any unit. Returns (N, 1, 3) float32 in that unit and
         (N, 1, 2) float32, px. Raises ConfigError where spacing is not positive.
@@ -198,7 +198,7 @@ class Grid:
         return grid_to_opencv(self, spacing)
 
     def with_virtual_markers(self, count: int) -> "Grid":
-        """Return the grid with `count` points on every edge between two neighbouring nodes.
+        """The grid with `count` points on every edge between two neighbouring nodes.
 
         They lie on cubic curves through the nodes. Node (r, c) is at ((count + 1) r,
         (count + 1) c) of the result, ((R - 1)(count + 1) + 1, (C - 1)(count + 1) + 1), whose
@@ -210,7 +210,7 @@ class Grid:
 
 
 def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Label the nodes connected by steps along rows and columns, the largest part first: (R, C).
+    """The nodes that hang together by steps along rows and columns, the most first: (R, C).
 
     there: (R, C), where there is a node. -1 where there is none.
     """

@@ -46,7 +46,7 @@ class Placed(NamedTuple):
 
 
 def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], ends: Ends) -> Placed:
-    """Return the nodes in a grid of that shape.
+    """The nodes in a grid of that shape.
 
     A shape that fits better across is taken so, by the quarter turn that leaves the columns
     nearest to the image's x axis. Where less is seen, the borders in view say which part it
@@ -85,7 +85,7 @@ def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], en
 
 
 def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int:
-    """Count the lines that are seen too many, or are missing between two borders."""
+    """How many lines are seen too many, or are missing between two borders."""
     both = border.top and border.bottom, border.left and border.right
     off = 0
     for axis in (0, 1):
@@ -95,14 +95,14 @@ def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int
 
 
 def _straight(nodes: Nodes, bend: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return (R, C), corners whose boundaries are straight, as at no junction with the surround."""
+    """(R, C), corners whose boundaries are straight, as at no junction with the surround."""
     return (nodes.owner >= 0) & ~(bend[nodes.owner] > STRAIGHT)
 
 
 def _fullest(
     nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int]
 ) -> tuple[int, int, int]:
-    """Return weight, first row and first column of the fullest window of that shape, or of all.
+    """Weight, first row and first column of the fullest window of that shape, or all there is.
 
     A node weighs less the less the corner's boundaries are straight, as they are not where the
     outermost cells meet the surroundings. Of several it is the nearest to the top left.
@@ -126,7 +126,7 @@ def _seen_shape(
     start: tuple[int, int],
     border: Sides,
 ) -> tuple[tuple[int, int] | None, Sides]:
-    """Return the shape that is seen, None where it is the given one; open sides are told.
+    """The shape that the pattern seems to have, None where that is the given one; where it goes on.
 
     start: first row and column of the window of that shape. Lines beyond it count that hold
     half as many straight corners as lines usually do.
@@ -190,7 +190,7 @@ class Reference(NamedTuple):
 
 
 def _mean_step(at: Points) -> complex:
-    """Return the mean step from a column to the next; 0 where there is none."""
+    """The mean step from a column to the next; 0 where there is none."""
     step = at[:, 1:] - at[:, :-1]
     known = step[~np.isnan(step.real)]
     return complex(known.mean()) if len(known) else 0j
@@ -241,7 +241,7 @@ class Decision(NamedTuple):
 
 
 def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) -> Placed:
-    """Return the nodes with the numbers of the rest grid.
+    """The nodes with the numbers of the rest grid.
 
     border: the sides on which the pattern ends in the view. previous: the frame before, with
     the numbers of the rest grid, or None.
@@ -269,7 +269,7 @@ def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) ->
 
 
 def _decision(nodes: Nodes, border: Sides, like: Grid, reference: Grid, limit: float) -> Decision:
-    """Return which numbers are nearest to the reference.
+    """Which numbers are nearest to the reference.
 
     limit: cells by which the pattern as a whole may have moved and still be sure.
     """
@@ -300,7 +300,7 @@ def _decision(nodes: Nodes, border: Sides, like: Grid, reference: Grid, limit: f
 
 
 def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
-    """Return the quarter turns that keep rows most parallel to the reference's, and angles, rad.
+    """The quarter turns that leave rows most parallel to the reference's, and the angles, rad.
 
     The second is there if it is nearly as good as the first.
     """
@@ -315,7 +315,7 @@ def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
 
 
 def _lines(grid: Grid) -> tuple[int, int, int, int]:
-    """Return the first and last row, first and last column with a fair share of the nodes."""
+    """The numbers of the first and last row, first and last column with a fair part of nodes."""
     top, bottom, left, right = full_lines(grid.valid)
     row, column = grid.origin
     return top + row, bottom + row, left + column, right + column
@@ -324,7 +324,7 @@ def _lines(grid: Grid) -> tuple[int, int, int, int]:
 def _search(
     nodes: Nodes, border: Sides, like: Grid, near: Reference, quarters: int
 ) -> list[Choice]:
-    """Return the allowed numbers with the least displacement, and those around them.
+    """The numbers with the least displacement and those around, of those that borders leave.
 
     What lies beyond a border of the rest grid is none of its nodes, and nodes that end at a
     border of the pattern end where the rest grid does.
@@ -343,7 +343,7 @@ def _axis_bounds(
     rest_ends: tuple[bool, ...],
     ends: tuple[bool, ...],
 ) -> tuple[int, int]:
-    """Return the numbers that line 0 of the nodes can have on one axis.
+    """The numbers that line 0 of the nodes can have on one axis.
 
     here, rest: the first and the last line, of the nodes and at rest.
     """
@@ -354,7 +354,7 @@ def _axis_bounds(
 
 
 def _known_ends(like: Grid, at: Points) -> Sides:
-    """Return where the rest grid ends within what the nodes show of the image.
+    """Where the rest grid ends within what the nodes show of the picture.
 
     For rest grids that were built without their image, which do not know their borders.
     """
@@ -375,7 +375,7 @@ def _known_ends(like: Grid, at: Points) -> Sides:
 
 
 def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
-    """Return rows, columns and positions of some nodes all over the grid."""
+    """Rows, columns and positions of some nodes all over the grid."""
     places = np.flatnonzero(nodes.there)
     some = np.linspace(0, len(places) - 1, min(VOTERS, len(places))).astype(np.int64)
     row, column = np.divmod(places[some], nodes.at.shape[1])
@@ -383,7 +383,7 @@ def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
 
 
 def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[Choice]:
-    """Return the numbers of the right colour with the least displacement and those around them.
+    """The numbers of the right colour with the least displacement and those around them.
 
     Empty where no number is within the bounds.
     """
@@ -419,7 +419,7 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
 def _displacement(
     near: Reference, first: NDArray[np.int64], row: Index, column: Index, at: Points
 ) -> Points:
-    """Return displacements from the reference's nodes, (S, M) px, for (S, 2) of node (0, 0)."""
+    """From the reference's nodes, (S, M) px, for each number (S, 2) of row 0 and column 0."""
     rows = row + (first[:, :1] - near.origin[0])
     columns = column + (first[:, 1:] - near.origin[1])
     inside = (rows >= 0) & (rows < near.shape[0]) & (columns >= 0) & (columns < near.shape[1])
@@ -430,7 +430,7 @@ def _displacement(
 def _costs(
     near: Reference, first: NDArray[np.int64], row: Index, column: Index, at: Points
 ) -> tuple[Float, Float]:
-    """Return the mean of log(1 + (d / HALF)^2) over displacements d, and their RMS, cells, (S,).
+    """The mean of log(1 + (d / HALF)^2) over displacements d, and their RMS, cells, (S,).
 
     Most of a pressed gel stays near its place, whatever the rest does: so the logarithm. Nodes
     without a counterpart add a little to the cost, and it is infinite where few have one.
@@ -447,7 +447,7 @@ def _costs(
 
 
 def is_still(nodes: Nodes, near: Reference, choice: Choice, limit: float) -> bool:
-    """Return whether the pattern as a whole has not moved from the reference, by those numbers.
+    """Whether the pattern as a whole is where the reference has it, by those numbers.
 
     So it is if the middle of the view has not moved, by the affine motion that most nodes
     follow, or if many nodes have not moved at all.
@@ -474,7 +474,7 @@ def is_still(nodes: Nodes, near: Reference, choice: Choice, limit: float) -> boo
 
 
 def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
-    """Return the nodes on the rest grid's rows and columns, and on those beyond an open side."""
+    """The nodes on the rest grid's rows and columns, and on those beyond where it is open."""
     best, second, sure, _ = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []

@@ -13,7 +13,7 @@ _LEAST_FREE = 32 << 20  # bytes: a plan's kernels take some 10 MB in PoCL's cach
 
 
 def own_folder() -> Path | None:
-    """Return this user's folder of compiled kernels, made if missing; None if that fails.
+    """The folder of cmp_cl's kernels, made if missing, for this user alone; None if it cannot be.
 
     What lies in it is run: a folder of another user, or one that others may write to, is not
     used, and a warning says so.
@@ -37,14 +37,14 @@ def own_folder() -> Path | None:
 
 
 def is_ours(status: os.stat_result) -> bool:
-    """Return whether a file or folder is this user's, and nobody else may write to it."""
+    """Whether a file or folder is this user's, and nobody else may write to it."""
     if not hasattr(os, "getuid"):  # Windows has a folder for each user
         return True
     return status.st_uid == os.getuid() and not status.st_mode & _OTHERS_WRITE
 
 
 def read_ours(path: Path) -> bytes:
-    """Read a file that is this user's; raises OSError, PermissionError where it is not."""
+    """The bytes of a file that is ours; raises OSError, PermissionError where it is not."""
     with open(path, "rb") as file:
         if not is_ours(os.fstat(file.fileno())):
             raise PermissionError(f"{str(path)!r} is not ours alone")
@@ -52,7 +52,7 @@ def read_ours(path: Path) -> bytes:
 
 
 def pocl_folder() -> Path:
-    """Return the folder where PoCL keeps what it compiles."""
+    """Where PoCL keeps what it compiles."""
     named = os.environ.get("POCL_CACHE_DIR")
     if named:
         return Path(named)
@@ -60,7 +60,7 @@ def pocl_folder() -> Path:
 
 
 def pocl_is_stuck() -> str:
-    """Return why PoCL cannot start or compile with its cache as it is; "" where it can.
+    """Why PoCL cannot start or compile with its cache as it is, "" where it can.
 
     Without a folder to write to it is not even listed; on a full disk it ends the process.
     """

@@ -195,7 +195,7 @@ def coarse_measure(seen: Harmonics) -> Whole:
 
 
 def fine_measure(seen: Harmonics) -> Whole:
-    """Return R': the second harmonic minus half of the odd ones and of the centre's difference."""
+    """Return R': the second harmonic less 3/4 of the odd ones and of the centre's difference."""
     other = seen.odd + seen.centre
     response: Whole = seen.length - (other - (other >> 2))
     return response

@@ -13,7 +13,7 @@ from cmp_cl.extras import extra
 
 
 def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a recording by name: `index`, `time_ms`, constants, and (F, ...) frames.
+    """The arrays of a recording by name: `index`, `time_ms`, constants, and (F, ...) frames.
 
     Of an HDF5 file that still grows, or whose writer was killed, it is what is there so far.
 
