@@ -147,7 +147,7 @@ class Plan(PlanBase):
         self._upload_area()
 
     def refused(self, error: cl.Error) -> CapacityError:
-        """The error for a device that has no room left, though its memory would be enough."""
+        """Return the error for a device that has too little memory left."""
         return CapacityError(
             f"{self.device} has no room for a plan of {sum(self.sizes.values())} bytes, though "
             f"it has {self.device.memory}: {error}; close what else uses it, or use smaller "
@@ -272,8 +272,9 @@ class Plan(PlanBase):
             self._last.wait()
 
     def read(self, queue: cl.CommandQueue) -> NDArray[np.float32]:
-        """The result of each frame as kernels/result.clh has it, (frames, numbers), once the
-        launches are done; raises Overflow."""
+        """Read the result of each frame as kernels/result.clh lays it out, (frames, numbers), once
+        the launches are done; raises Overflow.
+        """
         rows = self._fetch(queue, self._likely)
         self.uploads.clear()
         head = rows[:, : 1 + self.lists].view(np.uint32)
@@ -286,7 +287,7 @@ class Plan(PlanBase):
         return rows
 
     def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
-        """The result of each frame, as much as holds that many corners."""
+        """Read the result of each frame, as much as holds that many corners."""
         numbers = RESULT_HEAD + RESULT_FIELDS * multiple(most, LANES)
         if "result" in self._here:
             self._wait()
@@ -321,6 +322,6 @@ _copy_rectangle: Any = cl.enqueue_copy  # whose stub does not know the form for 
 
 
 def _flat(frame: GreyImage, pitch: int) -> NDArray[Any]:
-    """The memory from the first to the last pixel of rows that lie apart, as it is."""
+    """Return the memory from the first to the last pixel, with the gaps between rows."""
     count = ((frame.shape[0] - 1) * pitch + frame.shape[1] * frame.itemsize) // frame.itemsize
     return np.lib.stride_tricks.as_strided(frame, (count,), (frame.itemsize,), writeable=False)
