@@ -5,8 +5,8 @@ import numpy as np
 from cmp_cl.grid.grid import Grid
 from cmp_cl.grid.grow import Seen, attach, drop_misfits, grow
 from cmp_cl.grid.lattice import Lattice
+from cmp_cl.grid.nearest import Bounds, Reference, climb, motion, quarter_turns
 from cmp_cl.grid.nodes import Nodes, Points, boxed
-from cmp_cl.grid.place import Bounds, Reference, climb, is_still, quarter_turns
 
 LEAST = 9  # corners of an island
 OFF = 0.25  # cells: how far the middle of an island may be from its place
@@ -46,7 +46,7 @@ def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
     inside = 1 if rest is None else 0
     bounds = Bounds(inside, rows - high - inside, inside, columns - wide - inside)
     choices = climb(turned, expected, bounds, quarters)
-    if not choices or not is_still(island, expected, min(choices), OFF):
+    if not choices or motion(island, expected, min(choices)) > OFF:
         return False
     *_, top, left = min(choices)
     row, column = np.nonzero(turned.there)
