@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import Grid
-from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points
+from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, Points
 
 VOTERS = 384  # nodes that are compared with the reference
-HALF = 0.5  # cells: displacements above it count less and less
-UNMATCHED = 0.5  # cost of a node without a counterpart in the reference
-LEAST_COMMON = 0.25  # share of the nodes that must have a counterpart in the reference
+ALONE = 0.5  # cells: cost of a node without a counterpart in the reference
+MOST_ALONE = 0.75  # share of the nodes
 TURNED = np.deg2rad(30)  # from here on the next quarter turn is compared too
 NEIGHBOURS = np.array(
     [(0, 0), *((r, c) for r in range(-2, 3) for c in range(-2, 3) if abs(r) + abs(c) == 2)]
@@ -80,12 +79,12 @@ class Bounds(NamedTuple):
 class Choice(NamedTuple):
     """A numbering: quarter turns, then the number of the first row and column.
 
-    cost: grows with the displacement from the reference, see `_costs`, infinite where too few
-    nodes can be compared. rms: the RMS displacement, cells.
+    motion: by how much the middle of the pattern has moved from the reference, cells. cost: the
+    same, and a little for nodes without a counterpart there.
     """
 
     cost: float
-    rms: float
+    motion: float
     quarters: int
     top: int
     left: int
@@ -119,17 +118,15 @@ def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
 
 
 def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[Choice]:
-    """The numbers of the right colour with the least displacement and those around them.
+    """The numbers of the right colour around the least mean displacement, the nearest first.
 
-    Empty where no number is within the bounds.
+    nodes: turned already, by that many quarters. Empty where no number is within the bounds.
     """
     row, column, at = _voters(nodes)
     middle = int(np.argmin(np.abs(at - at.mean())))
-    away = np.abs(near.at - at[middle])
-    place = int(np.nanargmin(away))
-    first_row, first_column = np.divmod(place, near.shape[1])
-    start: Index = np.array([first_row - row[middle], first_column - column[middle]])
-    start = start + np.array(near.origin)
+    place = int(np.nanargmin(np.abs(near.at - at[middle])))
+    first = np.array(np.divmod(place, near.shape[1])) + near.origin
+    start: Index = first - [row[middle], column[middle]]
     start = np.clip(start, (bounds.top, bounds.left), (bounds.last_top, bounds.last_left))
     start = start + np.array([(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)])
     sums = start.sum(axis=1) - sum(near.origin) + near.parity - nodes.parity
@@ -140,22 +137,27 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
     while True:
         around = here + NEIGHBOURS
         around = around[bounds.hold(around[:, 0], around[:, 1])]
-        cost, rms = _costs(near, around, row, column, at)
+        moved = _displacement(near, around, row, column, at) / near.cell
+        alone = np.isnan(moved).mean(axis=1)  # share of nodes without a counterpart
+        mean = np.nansum(np.abs(moved), axis=1) / np.maximum(1 - alone, 1e-9) / len(at)
+        cost = np.where(alone <= MOST_ALONE, mean + ALONE * alone, np.inf)
         best = int(np.argmin(cost))
-        if (around[best] == here).all() or not np.isfinite(cost[best]):
+        if best == 0 or not np.isfinite(cost[best]):
             break
         here = around[best]
-    return [
-        Choice(float(each), float(off), quarters, int(top), int(left))
-        for each, off, (top, left) in zip(cost, rms, around, strict=True)
-        if np.isfinite(each) or len(around) == 1
+    motion = np.abs(_motion(at, near.cell, moved[0]) + _differences(moved))
+    choices = [
+        Choice(float(off + ALONE * lost), float(off), quarters, int(top), int(left))
+        for off, lost, (top, left) in zip(motion, alone, around, strict=True)
+        if lost <= MOST_ALONE or len(around) == 1
     ]
+    return sorted(choices)
 
 
 def chosen(nodes: Nodes, near: Reference, quarters: int, top: int, left: int) -> Choice:
-    """That numbering of nodes that are turned already, with its displacement."""
-    cost, rms = _costs(near, np.array([[top, left]]), *_voters(nodes))
-    return Choice(float(cost[0]), float(rms[0]), quarters, top, left)
+    """That numbering of nodes that are turned already, with its motion."""
+    (choice,) = climb(nodes, near, Bounds(top, top, left, left), quarters)
+    return choice
 
 
 def _displacement(
@@ -169,39 +171,17 @@ def _displacement(
     return np.where(inside, at - there, NOWHERE)
 
 
-def _costs(
-    near: Reference, first: NDArray[np.int64], row: Index, column: Index, at: Points
-) -> tuple[Float, Float]:
-    """The mean of log(1 + (d / HALF)^2) over displacements d, and their RMS, cells, (S,).
+def _motion(at: Points, cell: float, moved: Points) -> complex:
+    """How the middle of the view has moved by the affine map that most nodes follow, cells.
 
-    Most of a pressed gel stays near its place, whatever the rest does: so the logarithm. Nodes
-    without a counterpart add a little to the cost, and it is infinite where few have one.
+    moved: (M,), cells. Infinite where fewer than four are known.
     """
-    away = np.abs(_displacement(near, first, row, column, at))
-    known = ~np.isnan(away)
-    count = known.sum(axis=1)
-    away[~known] = 0
-    squares = (away / near.cell) ** 2
-    cost = np.log1p(squares / HALF**2).sum(axis=1) / np.maximum(count, 1)
-    cost += UNMATCHED * (1 - count / len(at))
-    cost[count < max(LEAST_COMMON * len(at), 1)] = np.inf
-    return cost, np.sqrt(squares.sum(axis=1) / np.maximum(count, 1))
-
-
-def motion(nodes: Nodes, near: Reference, choice: Choice) -> float:
-    """By how much the pattern as a whole has moved by those numbers, cells.
-
-    That is the motion of the middle of the view by the affine map that most nodes follow;
-    infinite where fewer than four nodes have a counterpart.
-    """
-    row, column, at = _voters(nodes.turned(choice.quarters))
-    moved = _displacement(near, np.array([[choice.top, choice.left]]), row, column, at)[0]
     known = ~np.isnan(moved.real)
-    moved, at = moved[known] / near.cell, at[known]
+    moved, at = moved[known], at[known]
     if len(moved) < 4:
-        return np.inf
+        return complex(np.inf)
     middle = complex(at.real.min() + at.real.max(), at.imag.min() + at.imag.max()) / 2
-    from_middle = (at - middle) / near.cell
+    from_middle = (at - middle) / cell
     model = np.stack([np.ones(len(at)), from_middle, from_middle.conj()])
     weight = np.ones(len(at))
     for _ in range(3):
@@ -209,4 +189,12 @@ def motion(nodes: Nodes, near: Reference, choice: Choice) -> float:
         affine = np.linalg.lstsq(weighted @ model.T, weighted @ moved, rcond=None)[0]
         off = np.abs(moved - affine @ model)
         weight = np.where(off <= max(2.5 * float(np.median(off)), 1e-3), 1.0, 0.0)
-    return float(np.abs(affine[0]))
+    return complex(affine[0])
+
+
+def _differences(moved: Points) -> Points:
+    """By how much the displacements (S, M) differ from the first, in the mean, (S,), cells."""
+    step = moved - moved[0]
+    known = ~np.isnan(step.real)
+    mean: Points = np.where(known, step, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return mean

@@ -11,13 +11,12 @@ The print. Its errors go where the pattern goes, see `fingerprint`.
 The frame before, where one is given whose own numbers are sure: they go on as long as the
 pattern as a whole moves by less than half a cell from frame to frame.
 
-The least displacement from rest. It says which numbering is most likely, and never that it is
-the right one: a pattern without a border that moved by a whole period looks as if it had not
-moved at all.
+The least motion from rest. It says which numbering is most likely, and never that it is the
+right one: a pattern without a border that moved by a whole period looks as if it had not moved.
 
-The best numbering is kept with the second best and the difference of their RMS displacements.
-It is sure if one of the first three decides; else, and where the frame before contradicts what
-the rest grid says for sure, it is ambiguous.
+The best numbering is kept with the second best and the difference of their motions. It is sure
+if one of the first three decides; else, and where the frame before contradicts what the rest
+grid says for sure, it is ambiguous.
 """
 
 from typing import NamedTuple
@@ -34,7 +33,6 @@ from cmp_cl.grid.nearest import (
     Reference,
     chosen,
     climb,
-    motion,
     quarter_turns,
 )
 from cmp_cl.grid.nodes import NOWHERE, Nodes, Points, check_room
@@ -105,7 +103,7 @@ def _by_border(nodes: Nodes, border: Sides, like: Grid, rest: Reference) -> Deci
     if len(left) == 1 and any(border):
         freely = _nearest(nodes, Sides(), like, rest)
         other = freely[0] if freely else left[0]
-        if other.number != left[0].number and motion(nodes, rest, other) <= STILL:
+        if other.number != left[0].number and other.motion <= STILL:
             return Decision(left[0], other, sure=False)
     if left:
         return Decision(left[0], left[1] if len(left) > 1 else None, sure=len(left) == 1)
@@ -143,7 +141,7 @@ def _by_frame_before(nodes: Nodes, border: Sides, like: Grid, previous: Grid) ->
     found = found or climb(nodes.turned(turns[0][0]), before, Bounds(), turns[0][0])
     best, *others = found
     known = previous is like or not previous.ambiguous
-    near = turns[0][1] < UNSURE and motion(nodes, before, best) <= FOLLOWED
+    near = turns[0][1] < UNSURE and best.motion <= FOLLOWED
     return Decision(best, others[0] if others else None, sure=known and near)
 
 
@@ -230,7 +228,7 @@ def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
     rival = None
     margin = float("nan")
     if second is not None:
-        margin = second.rms - best.rms
+        margin = second.motion - best.motion
         turn = (second.quarters - best.quarters) % 4
         rows, columns = turned.at.shape
         skipped = (  # from the first node of the turned grid to that of the turned nodes
