@@ -1075,9 +1075,41 @@ def figures(speed: Row, accuracy: Row) -> str:
     )
 
 
-def write_readme(text: str) -> None:
-    """Put the table where the README has the last one."""
-    path = RESULTS.parents[1] / "README.md"
+def exactness(accuracy: Row, field: Row) -> str:
+    """The errors by severity, in the image and in space, for the page on accuracy."""
+    rows = unpacked(accuracy)["rows"]
+    spaces = grouped(field["frames"], "config", "severity")
+    severities = sorted({row["severity"] for row in spaces})
+
+    def px(method: str, severity: float) -> float | None:
+        group = f"severity {severity:g}"
+        same = [row["rmse"] for row in rows if (row["method"], row["group"]) == (method, group)]
+        return same[0] if same else None
+
+    def um(config: str, severity: float) -> float | None:
+        same = [row for row in spaces if (row["config"], row["severity"]) == (config, severity)]
+        return same[0]["moved_rms_um"] if same else None
+
+    methods = [name for name in SHOWN if name == DEFAULT or name.startswith("cmp_cl, EDGE")]
+    body: list[list[Any]] = [
+        [f"corner, {name.removeprefix('cmp_cl, ')}, px", *(px(name, each) for each in severities)]
+        for name in dict.fromkeys(methods)
+    ]
+    body += [
+        [f"displacement in space, {config}, µm", *(um(config, each) for each in severities)]
+        for config in dict.fromkeys(row["config"] for row in spaces)
+    ]
+    head = ("RMSE", *(f"severity {each:g}" for each in severities))
+    return (
+        f"Commits {accuracy['environment']['commit']} (px) and {field['environment']['commit']} "
+        "(µm). Severity 1 is a press of 2 mm, a shear of 1.2 mm or a twist of 20 degrees; the "
+        f"print is worn; the pattern in space is 32 mm wide.\n\n{table(head, body)}"
+    )
+
+
+def insert(page: str, text: str) -> None:
+    """Put the text where a page of the documentation has the last one."""
+    path = RESULTS.parents[1] / page
     before, rest = path.read_text("utf-8").split(BEGIN)
     path.write_text(f"{before}{BEGIN}\n{text}{END}{rest.split(END)[1]}", "utf-8")
 
@@ -1118,9 +1150,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     out = folder / "REPORT.md"
     out.write_text("\n".join(text))
     print(f"wrote {out}")
-    measured = [read(folder, name) for name in ("speed", "accuracy")]
+    measured = [read(folder, name) for name in ("speed", "accuracy", "field")]
     if folder == RESULTS and None not in measured:
-        write_readme(figures(*measured))
+        timed, errors, spaces = measured
+        insert("README.md", figures(timed, errors))
+        insert("docs/questions/accuracy.md", exactness(errors, spaces))
     return 0
 
 

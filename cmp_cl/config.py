@@ -210,7 +210,7 @@ class BinaryRings:
 
     @classmethod
     def for_cell(cls, cell: float) -> Self:
-        """The window and the outer radius for cells of that side, px (4 to 1000).
+        """Choose the window and the outer radius for cells of that side, px (4 to 1000).
 
         The outer radius is 4 under 12 px. Raises ConfigError for another cell.
         """
@@ -335,7 +335,7 @@ class DetectorConfig:
 
     @classmethod
     def for_cell(cls, cell: float) -> Self:
-        """The configuration for cells of that side, px (4 to 1000).
+        """Choose the configuration for cells of that side, px (4 to 1000).
 
         Squeezed cells are looked for where cells are under 20 px. Above 60 px the image is
         scaled by 30 / cell. Raises ConfigError for another cell.
@@ -350,7 +350,7 @@ class DetectorConfig:
 
     @classmethod
     def for_image(cls, image: "GreyImage") -> Self:
-        """The configuration for the cell that `estimate_cell` finds in the image.
+        """Choose the configuration for the cell that `estimate_cell` finds in the image.
 
         Raises ImageError where the image is not (H, W) uint8 or uint16.
         """
@@ -360,7 +360,7 @@ class DetectorConfig:
 
     @classmethod
     def paper(cls, markers: int) -> Self:
-        """The paper's method as printed, for 20, 30 or 40 markers a side (Table 2).
+        """Return the paper's method as printed, for 20, 30 or 40 markers a side (Table 2).
 
         Raises ConfigError for another number.
         """
@@ -372,7 +372,7 @@ class DetectorConfig:
         return cls(detection=rings, refinement=Midlines())
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with some fields changed; raises ConfigError on an unknown name."""
+        """Return a copy with some fields changed; raises ConfigError on an unknown name."""
         names = [field.name for field in dataclasses.fields(self)]
         for name in changes:
             if name not in names:
@@ -426,7 +426,7 @@ class DetectorConfig:
 
 
 def window_for_cell(cell: float) -> int:
-    """The window of binarization for a cell, both px: about 1.3 cells, odd, 9 to 255."""
+    """Return the window of binarization for a cell, both px: about 1.3 cells, odd, 9 to 255."""
     return min(max(2 * (math.floor(1.3 * cell) // 2) + 1, 9), 255)
 
 
@@ -443,7 +443,7 @@ def _check_part(part: str, field: str, value: object, *kinds: type) -> None:
 
 
 def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
-    """The entries of a TOML table as field values; false stands for None where it is no bool."""
+    """Return the entries of a TOML table as field values; false means None where it is no bool."""
     types = {field.name: field.type for field in dataclasses.fields(kind)}
     for key in data:
         if key not in types:
@@ -455,7 +455,7 @@ def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
 
 
 def _moved(key: str, value: object) -> str:
-    """What to write instead of a key that belongs into the table [detection]."""
+    """Return what to write instead of a key that belongs in the table [detection]."""
     moved = f"[{key}] as [detection.{key}]"
     if not isinstance(value, Mapping):
         moved = f"{key} = {_toml(None if value is False else value)} in that table"
@@ -463,7 +463,7 @@ def _moved(key: str, value: object) -> str:
 
 
 def _detection(value: object) -> RingHarmonic | BinaryRings | None:
-    """What decides corners, with the parts that tables inside its table stand for."""
+    """Return the detection rule, with the parts given by tables within its table."""
     if not isinstance(value, Mapping) or value.get("kind") != "binary_rings":
         return _chosen("detection", value, _DETECTIONS)
     values = dict(value)
@@ -496,7 +496,7 @@ def _part(field: str, value: object, kind: type[Part]) -> Part | None:
 
 
 def _chosen(field: str, value: object, kinds: Mapping[str, type[Part]]) -> Part | None:
-    """A part that comes in several kinds, named by the key `kind`."""
+    """Return a part of which there are several kinds; the key `kind` names one."""
     if value is None or value is False:
         return None
     if not isinstance(value, Mapping) or value.get("kind") not in list(kinds):
@@ -513,7 +513,7 @@ def to_toml(config: DetectorConfig) -> str:
 
 
 def _table(part: Any, name: str) -> list[str]:
-    """The lines of a part: its values, then the tables of the parts in it."""
+    """Return the lines of a part: its values, then the tables of its own parts."""
     kinds = {**_DETECTIONS, **_CRITERIA, **_REFINEMENTS}
     lines = [f'kind = "{kind}"' for kind, made in kinds.items() if type(part) is made]
     tables: list[str] = []

@@ -207,7 +207,7 @@ class TwoViews(Measurement):
     The other arguments are those of `OneView`.
 
     Raises GridError where a view of the frame at rest shows no such pattern, or the rig does
-    not fit three quarters of its nodes to 1 px; ImageError where a view leaves the frame; and
+    not fit three quarters of its nodes to 1 px; ImageError where a view extends past the frame; and
     what `Detector` raises.
     """
 
@@ -345,7 +345,7 @@ class _Pattern:
             stack.pop_all()
 
     def find(self, view: GreyImage) -> tuple[Corners, Grid]:
-        """The corners of another view and their grid, without a node where there is none.
+        """Find the corners of another view and number them; the grid is empty without a pattern.
 
         The grid has the rows and columns at rest: nodes beyond have no displacement.
         """
@@ -428,7 +428,7 @@ def _check_size(grid: Grid) -> None:
 
 
 def _detected(grid: Grid) -> int:
-    """How many nodes the detector itself has found."""
+    """Count the nodes that the detector itself has found."""
     return int(np.count_nonzero(grid.status == NodeStatus.DETECTED))
 
 

@@ -66,7 +66,7 @@ def measure(device: Device, repeats: int) -> None:
 
 
 def _timed(detector: Detector, image: GreyImage, repeats: int) -> tuple[list[float], Corners]:
-    """Milliseconds of each call, after five that do not count, and the last answer."""
+    """Return the milliseconds of each call, after five warm-up calls, and the last answer."""
     spent = []
     for k in range(repeats + 5):
         start = time.perf_counter()
@@ -77,7 +77,7 @@ def _timed(detector: Detector, image: GreyImage, repeats: int) -> tuple[list[flo
 
 
 def _late(spent: Sequence[float]) -> float:
-    """The 95th percentile."""
+    """Return the 95th percentile."""
     return sorted(spent)[min(len(spent) - 1, int(0.95 * len(spent)))]
 
 
