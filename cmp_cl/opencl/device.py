@@ -17,7 +17,7 @@ _MOST_WORKERS = 4096
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 
 _INSTALL_HINT = (
-    "install an OpenCL implementation: pip install 'pyopencl[pocl]' runs on any CPU, a GPU needs "
+    "install an OpenCL implementation: pip install 'pyopencl[pocl]' (Linux, x86-64), a GPU needs "
     "its vendor's driver; `cmp-cl devices` says more"
 )
 
