@@ -160,7 +160,8 @@ class Detector:
                     plan.awaited = True
                     ready, waiting = waiting, plan
                     done = [] if ready is None else self._finish(ready, self._transfers)
-                    cl.wait_for_events(plan.uploads)
+                    if plan.uploads:
+                        cl.wait_for_events(plan.uploads)
                 yield from done
             if waiting is not None:
                 with self._lock:

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.cell import estimate_cell
-from cmp_cl.config import DetectorConfig, EdgeStep
+from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
@@ -444,11 +444,9 @@ def cell_of(grid: Grid) -> float:
 def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
     """Return the most complete and exact settings for a deformed pattern of such cells, px.
 
-    They are those of `DetectorConfig.for_cell` with EdgeStep.
+    They are those of `DetectorConfig.for_cell`.
     """
-    return DetectorConfig.for_cell(cell).replace(
-        refinement=EdgeStep(cell=cell), full_scale=full_scale
-    )
+    return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
 
 
 # rigid boards
@@ -502,9 +500,7 @@ def find_board(
     """
     device = _selected(device)
     cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
-    scaled = DetectorConfig.for_cell(cell).replace(
-        refinement=EdgeStep(cell=cell), full_scale=full_scale
-    )
+    scaled = exact_config(cell, full_scale)
     grids = []
     for config in dict.fromkeys((scaled.replace(scale=None), scaled)):
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cmp_cl.cli.arguments import add_device
-from cmp_cl.config import BinaryRings, DetectorConfig, EdgeStep
+from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError
@@ -47,7 +47,7 @@ def measure(device: Device, repeats: int) -> None:
     default = DetectorConfig()
     configs = {
         "default": default,
-        "EDGE_STEP": default.replace(refinement=EdgeStep(cell=scene.cell)),
+        "EDGE_LINES": default.replace(refinement=EdgeLines()),
         "binary rings": default.replace(detection=BinaryRings()),
         "centroids": default.replace(refinement=None),
     }

@@ -85,6 +85,7 @@ def list_devices() -> list[Device]:
     """
     check_process()
     _check_workers()
+    caches.guard_pocl()
     _Started.process = os.getpid()
     with _workers_on_own_cores():
         return [
