@@ -99,7 +99,7 @@ def refine(
     refinement: EdgeLines | EdgeStep | Midlines | None,
     scale: float,
 ) -> Refined:
-    """Refine the positions of N corners.
+    """Refined positions of N corners.
 
     start: (N, 2) (x, y), the rounded centroids; centroid: (N, 2), what is kept where a guard
     refuses; both in the full image, scale being the working scale they come from.
@@ -157,7 +157,7 @@ def _chosen(points: EdgePoints, rows: NDArray[np.int64]) -> EdgePoints:
 
 
 def circle(radius: int) -> tuple[tuple[int, int], ...]:
-    """Return the refinement ring of a radius, (dx, dy) clockwise from twelve o'clock.
+    """The refinement ring of a radius, (dx, dy) clockwise from twelve o'clock.
 
     (x, round(sqrt(r^2 - x^2))) for 0 <= x <= y, reflected: 16, 24 and 28 points for the radii
     3, 4 and 5.
@@ -177,7 +177,7 @@ def circle(radius: int) -> tuple[tuple[int, int], ...]:
 def ring_samples(
     image: GreyImage, start: NDArray[np.int64], radius: int, scale: float
 ) -> tuple[Floats, Floats]:
-    """Return (samples, 2) offsets and (N, samples) grey levels of a refinement ring.
+    """(samples, 2) offsets and (N, samples) greys of a refinement ring.
 
     At scale 1 the integer circle; else 32 samples at radius / scale, interpolated
     bilinearly, sample k at the angle k 2 pi / 32 clockwise from twelve o'clock.
@@ -192,7 +192,7 @@ def ring_samples(
 
 
 def bilinear(image: GreyImage, x: Floats, y: Floats) -> Floats:
-    """Interpolate the grey levels at positions, border pixels repeated."""
+    """Greys at positions, border pixels repeated."""
     height, width = image.shape
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     fx, fy = x - left, y - top
@@ -205,7 +205,7 @@ def bilinear(image: GreyImage, x: Floats, y: Floats) -> Floats:
 
 
 def threshold(grey: Floats) -> Floats:
-    """Return (N,): halfway between the means of the lowest and the highest quarter of a ring."""
+    """(N,): halfway between the means of the lowest and the highest quarter of a ring."""
     ordered = np.sort(grey, axis=1)
     quarter = grey.shape[1] // 4
     low, high = ordered[:, :quarter].mean(axis=1), ordered[:, -quarter:].mean(axis=1)
@@ -214,8 +214,8 @@ def threshold(grey: Floats) -> Floats:
 
 
 def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> EdgePoints:
-    """Match the edge points of all rings. A ring whose first black sector lies opposite that of the
-    smallest valid ring swaps (e0, e1) with (e2, e3).
+    """The edge points of all rings, matched: a ring whose first black sector lies opposite
+    that of the smallest valid ring swaps (e0, e1) with (e2, e3).
     """
     rings = [ring_samples(image, start, radius, scale) for radius in RADII]
     level = threshold(rings[0][1])
@@ -239,7 +239,7 @@ def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> Edg
 
 
 def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
-    """Return (N, 4, 2) edge points, (N,) whether there are four, (N,) smallest |d| that decided.
+    """(N, 4, 2) edge points, (N,) whether there are four, (N,) smallest |d| that decided.
 
     d: (N, samples) grey minus threshold, black where negative. A ring without four
     boundaries gets one majority-of-three pass.
@@ -266,7 +266,7 @@ def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
 
 
 def _changes(black: Bools) -> Bools:
-    """Return whether sample k and the next differ in colour."""
+    """Whether sample k and the next differ in colour."""
     changes: Bools = black != np.roll(black, -1, axis=1)
     return changes
 
@@ -275,7 +275,7 @@ def _changes(black: Bools) -> Bools:
 
 
 def fit_lines(point: Floats, valid: Bools) -> Lines:
-    """Fit total-least-squares lines through the valid ones of (N, K, 2) points."""
+    """Total-least-squares lines through the valid ones of (N, K, 2) points."""
     weight = valid[..., None].astype(np.float64)
     count = np.maximum(weight.sum(axis=1), 1)
     centre = (weight * point).sum(axis=1) / count
@@ -295,7 +295,7 @@ def _along(line: Lines) -> Floats:
 
 
 def intersect(first: Lines, second: Lines) -> Meeting:
-    """Return the intersections, accepted where |sin| of the angle between the lines is > 0.17."""
+    """The intersections, accepted where |sin| of the angle between the lines is > 0.17."""
     sin = np.sin(second.angle - first.angle)
     accepted = np.abs(sin) > LEAST_SIN
     a, b = _along(first), _along(second)
@@ -309,7 +309,7 @@ def intersect(first: Lines, second: Lines) -> Meeting:
 
 
 def _within(meeting: Meeting, max_shift: float) -> Meeting:
-    """Return the same, accepted only within a distance of the start."""
+    """The same, accepted only within a distance of the start."""
     shift = _norm(meeting.position)
     near = np.abs(shift - max_shift) / max(max_shift, 1e-12)
     return Meeting(
@@ -320,7 +320,7 @@ def _within(meeting: Meeting, max_shift: float) -> Meeting:
 
 
 def _straight(meeting: Meeting, first: Lines, second: Lines, scale: float) -> Meeting:
-    """Return the same, accepted only where the points are near both lines."""
+    """The same, accepted only where the points are near both lines."""
     largest = (LARGEST_RESIDUAL / scale) ** 2
     residual = first.residual + second.residual
     near = np.abs(residual - largest) / largest
@@ -332,7 +332,7 @@ def _straight(meeting: Meeting, first: Lines, second: Lines, scale: float) -> Me
 
 
 def _boundary_points(points: EdgePoints, boundaries: tuple[int, ...]) -> tuple[Floats, Bools]:
-    """Return (N, K, 2) points of some boundaries on all rings, and (N, K) which are valid."""
+    """(N, K, 2) points of some boundaries on all rings, and (N, K) whether they are valid."""
     chosen = points.point[:, :, list(boundaries)]
     valid = np.repeat(points.valid, len(boundaries), axis=1)
     return chosen.reshape(len(chosen), -1, 2), valid
@@ -341,7 +341,7 @@ def _boundary_points(points: EdgePoints, boundaries: tuple[int, ...]) -> tuple[F
 def edge_lines(
     points: EdgePoints, max_shift: float, scale: float
 ) -> tuple[Floats, NDArray[np.uint8], Floats]:
-    """Apply EDGE_LINES: line e0 e2 meets line e1 e3. Return shift (N, 2), method, margin.
+    """EDGE_LINES: the line of e0 and e2 meets that of e1 and e3: shift (N, 2), method, margin.
 
     Where the edge points are not on two lines, in torn corners and where the rings reach over
     squeezed cells, the centroid is nearer: the mean squared distances of both lines together
@@ -354,7 +354,7 @@ def edge_lines(
 
 
 def lines_sigma(points: EdgePoints) -> Floats:
-    """Return the standard deviation per axis of the intersection of EDGE_LINES, px: (N,).
+    """(N,): standard deviation per axis of where the lines of EDGE_LINES meet, px.
 
     A line through n points has the sum of squared distances d from them and n - 2 degrees of
     freedom; its own variance is a share 1 / n of theirs, and crossing at an angle divides it by
@@ -388,7 +388,7 @@ def _both_lines(points: EdgePoints) -> tuple[Lines, Lines]:
 def midlines(
     points: EdgePoints, fit: Fit, max_shift: float
 ) -> tuple[Floats, NDArray[np.uint8], Floats]:
-    """Apply MIDLINE: the centrelines of the two black sectors meet; where they do not, CUSP.
+    """MIDLINE: the centrelines of the two black sectors meet; where they do not, CUSP.
 
     Returns shift (N, 2), method (N,) and margin (N,).
     """
@@ -413,7 +413,7 @@ def midlines(
 
 
 def cusps(points: EdgePoints) -> Meeting:
-    """Apply CUSP: the edge lines of each black sector meet in a cusp; take the cusps' midpoint."""
+    """CUSP: per black sector its two edge lines meet; the midpoint of the two cusps."""
     line = [fit_lines(*_boundary_points(points, (boundary,))) for boundary in range(4)]
     one, other = intersect(line[0], line[1]), intersect(line[2], line[3])
     return Meeting(
@@ -424,7 +424,7 @@ def cusps(points: EdgePoints) -> Meeting:
 
 
 def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats) -> Meeting:
-    """Intersect the parabolas v = a + b u + c u^2 through three points each.
+    """Where the parabolas v = a + b u + c u^2 through three points each meet.
 
     u runs along a line, v across it, both from its centre. Four Newton steps in the two u
     from where the lines meet.
@@ -458,7 +458,7 @@ def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats
 
 
 def _parabola(point: Floats, along: Floats, across: Floats) -> Floats:
-    """Return (N, 3): a, b, c of the parabola through (N, 3, 2) points, by divided differences."""
+    """(N, 3): a, b, c of the parabola through (N, 3, 2) points, by divided differences."""
     u0, u1, u2 = (point * along[:, None]).sum(axis=2).T
     v0, v1, v2 = (point * across[:, None]).sum(axis=2).T
     slope = (v1 - v0) / (u1 - u0)
@@ -495,7 +495,7 @@ def edge_step(
     refinement: EdgeStep,
     scale: float,
 ) -> Step:
-    """Apply EDGE_STEP: one weighted linear least-squares step of a blurred corner from EDGE_LINES.
+    """EDGE_STEP: one weighted linear least-squares step of a blurred corner from EDGE_LINES.
 
     The model of the grey around x is m + c f(n1.u) g(n2.u), f and g smooth steps of 1.2 px.
     Its radius is clamp(0.75 cell s, 4.5, 9) / s with the working scale s.
@@ -538,12 +538,12 @@ def edge_step(
 
 
 def lower_median(values: Floats) -> float:
-    """Return the value of rank (n - 1) // 2, from 0: one that occurs."""
+    """The value of rank (n - 1) // 2, from 0: one that occurs."""
     return float(np.sort(values)[(len(values) - 1) // 2])
 
 
 def _normal(line: Lines) -> Floats:
-    """Return (N, 2): a unit normal of each line; its sign drops out, with that of c."""
+    """(N, 2): a unit normal of each line; its sign drops out, with that of c."""
     return np.stack([-np.sin(line.angle), np.cos(line.angle)], axis=1)
 
 
@@ -555,7 +555,7 @@ def _step_terms(
     n2: Floats,
     radius: float,
 ) -> tuple[Floats, Bools, Floats, Floats, Floats]:
-    """Return per corner: step (N, 2), whether the system is sound, tr rho^2, ac, and a margin.
+    """Per corner: step (N, 2), whether the system is sound, tr rho^2, ac, and a margin.
 
     ac is the mean of r(q) r(q + (1, 0)), weighted by w(q), over the pixels q that are, like
     their right neighbours, within the radius.
