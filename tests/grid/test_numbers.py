@@ -218,6 +218,16 @@ def test_junctions_with_the_surround_are_no_nodes():
         assert (true(grid, corners - np.array([85, 0]))[1] >= 0).all()
 
 
+def test_what_lies_in_front_of_a_pattern_makes_no_nodes_at_its_rim():
+    picture, corners = drawn(14, 14)
+    y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    picture[np.hypot(x - 191, y - 183) < 70] = 220
+    grid = build_grid(seen_in(picture), picture)
+    number, place = true(grid, corners)
+    np.testing.assert_array_equal(number, place)
+    assert len(place) > 145
+
+
 @pytest.mark.parametrize(
     ("asked", "goes_on"),
     [((5, 9), "rows"), ((6, 8), "columns"), ((4, 7), "both"), ((7, 9), ""), ((6, 10), "")],
