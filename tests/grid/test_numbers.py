@@ -247,6 +247,14 @@ def test_a_wrong_size_is_told(asked, goes_on):
     assert build_grid(corners, picture, shape=(9, 6)).seen_shape is None
 
 
+def test_a_board_that_ends_just_before_the_picture_is_not_cut_off():
+    picture, _ = drawn(6, 9)
+    for room in (4, 5, 6, 7):  # px of the surround
+        view = np.ascontiguousarray(picture[:, : 40 + 10 * 20 + room])
+        grid = build_grid(seen_in(view), view, shape=(6, 10))
+        assert grid.doubts or not grid.valid.any()
+
+
 # several views and several boards
 
 
