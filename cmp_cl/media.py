@@ -101,7 +101,13 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Gr
 
 def read_pages(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[GreyImage]:
     """Read the pages of an image file (a TIFF stack, say) one by one, each as `read_image`."""
-    data = _bytes_of(path)
+    return decoded_pages(_bytes_of(path), path, max_pixels=max_pixels)
+
+
+def decoded_pages(
+    data: NDArray[np.uint8], path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS
+) -> Iterator[GreyImage]:
+    """Decode the pages of an image from its bytes, as `read_pages`; path names it in messages."""
     try:
         sizes = page_sizes(data.data)
     except ValueError as error:

@@ -227,7 +227,9 @@ class _Source:
                 yield _Shot(taken.index, taken.time_ms - start, taken.image)
             return
         if self.paths[0].suffix.lower() == ".mcap":
-            for number, (stamp, image) in enumerate(mcap_images(self.paths[0])):
+            for number, (stamp, image) in enumerate(
+                mcap_images(self.paths[0], max_pixels=self._max_pixels)
+            ):
                 self.start_ns = self.start_ns or stamp
                 yield _Shot(number, (stamp - self.start_ns) / 1e6, image)
             return
