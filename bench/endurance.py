@@ -29,8 +29,8 @@ from cmp_cl import (
     EdgeStep,
     list_devices,
     select_device,
+    synthetic,
 )
-from cmp_cl.synthetic import scene as synthetic
 
 GROWTH = 16.0  # MB that the process may grow: allocators keep some pieces
 

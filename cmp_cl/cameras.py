@@ -61,7 +61,7 @@ class CameraSettings:
 
 
 def is_live(name: str) -> bool:
-    """Whether it names a camera by number, a device such as /dev/video0, or an address."""
+    """Return whether a name is a camera's number, a device such as /dev/video0, or an address."""
     number = name.isascii() and name.isdigit() and not Path(name).exists()
     return number or re.match(r"/dev/video|[a-z][a-z0-9+.-]*://", name) is not None
 
@@ -100,7 +100,7 @@ class Source:
             self.period_ms = 1e3 / self._settings.fps
 
     def frames(self) -> Generator[Timed, None, None]:
-        """All frames in turn; a live source ends where none comes for 10 s.
+        """Yield all frames in turn; a live source ends after 10 s without a frame.
 
         Raises ImageError where the source cannot be read.
         """
@@ -209,7 +209,7 @@ def paired(
     count: PairCount,
     endless: bool = False,
 ) -> Iterator[tuple[Timed, Timed]]:
-    """Frames of two sources that belong together by their times, each at most once.
+    """Yield pairs of frames from two sources, matched by time; each frame is used at most once.
 
     Two frames are a pair where their times differ by at most tolerance_ms and no next frame
     of either side is nearer. Frames without a time, or a tolerance of NaN, are paired in turn.

@@ -47,5 +47,5 @@ class Corners:
         return len(self.xy)
 
     def to_opencv(self) -> NDArray[np.float32]:
-        """The positions as OpenCV's functions take them: (N, 1, 2) float32, px."""
+        """Return the positions as OpenCV's functions take them: (N, 1, 2) float32, px."""
         return self.xy.reshape(-1, 1, 2).copy()

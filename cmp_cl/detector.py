@@ -127,7 +127,7 @@ class Detector:
         return spent
 
     def __call__(self, frame: GreyImage) -> Corners:
-        """The corners of one frame, (H, W).
+        """Find the corners of one frame, (H, W).
 
         Raises ImageError where the frame does not fit, CapacityError where the device is full,
         DeviceError where the detector is closed or of another process.
@@ -140,7 +140,7 @@ class Detector:
             return self._best(self._each_factor([frame], 1))[0]
 
     def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
-        """The corners of each frame, in order.
+        """Yield the corners of each frame, in order.
 
         The next frame is uploaded while the kernels of this one run. A frame may be
         overwritten as soon as the next one is asked for. Calls and other streams may come
@@ -160,7 +160,8 @@ class Detector:
                     plan.awaited = True
                     ready, waiting = waiting, plan
                     done = [] if ready is None else self._finish(ready, self._transfers)
-                    cl.wait_for_events(plan.uploads)
+                    if plan.uploads:
+                        cl.wait_for_events(plan.uploads)
                 yield from done
             if waiting is not None:
                 with self._lock:
@@ -173,7 +174,7 @@ class Detector:
                 waiting.awaited = False
 
     def batch(self, stack: NDArray[Any] | Sequence[GreyImage] | cl.Buffer) -> list[Corners]:
-        """The corners of each frame of (B, H, W), one launch per stage for all of them.
+        """Find the corners of each frame of (B, H, W), with one launch per stage for all of them.
 
         Frames that are on the device already are given as the pyopencl.Buffer that holds them,
         without gaps, in the context of this detector's `queue`; they are read after what that
@@ -197,7 +198,7 @@ class Detector:
             return self._best(self._each_factor(frames, count))
 
     def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
-        """Every intermediate image of a frame; with a Pyramid those of its first factor.
+        """Return every intermediate image of a frame; with a Pyramid those of its first factor.
 
         Raises what a call raises.
         """
@@ -225,7 +226,7 @@ class Detector:
         previous: Grid | None = None,
         strict: bool = False,
     ) -> tuple[Corners, Grid]:
-        """The corners of a frame and their numbering, see `build_grid`.
+        """Find the corners of a frame and number them, see `build_grid`.
 
         All corners of the frame are in the first; a region holds for the numbering alone.
 
@@ -252,7 +253,7 @@ class Detector:
         return [scale]
 
     def _plan(self, factor: float | None, frames: int = 1) -> Plan:
-        """A plan whose results no stream is waiting for."""
+        """Return a plan that no stream is waiting for."""
         slot = 0
         while (frames, slot, factor) in self._plans and self._plans[frames, slot, factor].awaited:
             slot += 1
@@ -309,7 +310,7 @@ class Detector:
             raise plan.refused(error) from error
 
     def _each_factor(self, frames: list[GreyImage] | cl.Buffer, count: int) -> list[list[Corners]]:
-        """The results at each factor."""
+        """Return the corners of each frame at each working scale."""
         plans = [self._plan(factor, frames=count) for factor in self._factors]
         for plan in plans:
             self._start(plan, frames, self._queue)
@@ -331,7 +332,7 @@ class Detector:
         plan.launch(plan.launches)
 
     def _best(self, results: list[list[Corners]]) -> list[Corners]:
-        """Of the results of all factors, for each frame the one with the nearest count."""
+        """Choose, for each frame, the working scale whose count is nearest to the expected one."""
         scale = self.config.scale
         if not isinstance(scale, Pyramid):
             return results[0]
@@ -351,7 +352,7 @@ class Detector:
             )
 
     def _frames_in(self, buffer: cl.Buffer) -> int:
-        """Frames that a buffer on the device holds."""
+        """Return how many frames a buffer on the device holds."""
         check_process()
         if buffer.context != self._queue.context:
             raise DeviceError(
@@ -376,7 +377,7 @@ def detect(
     config: DetectorConfig | None = None,
     device: Device | str | None = None,
 ) -> Corners:
-    """The corners of one image, (H, W) uint8 or uint16.
+    """Find the corners of one image, (H, W) uint8 or uint16.
 
     Makes a Detector, runs it and releases it; for many images of one shape make a Detector.
     config None means DetectorConfig.for_image(image).

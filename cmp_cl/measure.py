@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.cell import estimate_cell
-from cmp_cl.config import DetectorConfig, EdgeStep
+from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
@@ -207,7 +207,7 @@ class TwoViews(Measurement):
     The other arguments are those of `OneView`.
 
     Raises GridError where a view of the frame at rest shows no such pattern, or the rig does
-    not fit three quarters of its nodes to 1 px; ImageError where a view leaves the frame; and
+    not fit three quarters of its nodes to 1 px; ImageError where a view extends past the frame; and
     what `Detector` raises.
     """
 
@@ -345,7 +345,7 @@ class _Pattern:
             stack.pop_all()
 
     def find(self, view: GreyImage) -> tuple[Corners, Grid]:
-        """The corners of another view and their grid, without a node where there is none.
+        """Find the corners of another view and number them; the grid is empty without a pattern.
 
         The grid has the rows and columns at rest: nodes beyond have no displacement.
         """
@@ -428,7 +428,7 @@ def _check_size(grid: Grid) -> None:
 
 
 def _detected(grid: Grid) -> int:
-    """How many nodes the detector itself has found."""
+    """Count the nodes that the detector itself has found."""
     return int(np.count_nonzero(grid.status == NodeStatus.DETECTED))
 
 
@@ -443,11 +443,9 @@ def cell_of(grid: Grid) -> float:
 def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
     """Return the most complete and exact settings for a deformed pattern of such cells, px.
 
-    They are those of `DetectorConfig.for_cell` with EdgeStep.
+    They are those of `DetectorConfig.for_cell`.
     """
-    return DetectorConfig.for_cell(cell).replace(
-        refinement=EdgeStep(cell=cell), full_scale=full_scale
-    )
+    return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
 
 
 # rigid boards
@@ -501,9 +499,7 @@ def find_board(
     """
     device = _selected(device)
     cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
-    scaled = DetectorConfig.for_cell(cell).replace(
-        refinement=EdgeStep(cell=cell), full_scale=full_scale
-    )
+    scaled = exact_config(cell, full_scale)
     grids = []
     for config in dict.fromkeys((scaled.replace(scale=None), scaled)):
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:

@@ -35,7 +35,7 @@ class Table:
 
 
 def corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
-    """CORNER_COLUMNS of every corner."""
+    """Return CORNER_COLUMNS of every corner."""
     arrays = (
         *(corners.xy, corners.pixel, corners.response, corners.method),
         *(corners.sigma, corners.edges, corners.doubtful),
@@ -45,7 +45,7 @@ def corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
 
 
 def node_rows(grid: Grid) -> Iterator[Sequence[object]]:
-    """NODE_COLUMNS of every node, missing ones with NaN."""
+    """Return NODE_COLUMNS of every node, missing ones with NaN."""
     for index in np.ndindex(grid.shape):
         status = NodeStatus(int(grid.status[index])).name
         yield (*index, *grid.xy[index], grid.sigma[index], status)

@@ -57,9 +57,7 @@ class DisplacementField:
 
     @property
     def sigma(self) -> Array:
-        """(R, C) float64, standard deviation of the displacement along its most uncertain axis,
-        in `unit`; NaN where unknown.
-        """
+        """The standard deviation along the most uncertain axis, (R, C), in `unit`, or NaN."""
         return largest_deviation(self.covariance)
 
     @property
@@ -68,7 +66,7 @@ class DisplacementField:
         return largest_deviation(self.position_covariance)
 
     def with_strain(self, radius: int = 2) -> "DisplacementField":
-        """The same field with its in-plane strain, smoothed over 2 radius + 1 nodes a side.
+        """Return the same field with its in-plane strain, fitted over 2 radius + 1 nodes a side.
 
         The raw field gets its own. See `cmp_cl.field.green_lagrange` and
         `cmp_cl.field.strain_deviation`. Raises ConfigError where radius is not 1 to 50.
@@ -101,13 +99,13 @@ class DisplacementField:
 
 
 def _slopes(weights: tuple[Array, Array], filtered: Filtered, covariance: Array) -> Slopes:
-    """The errors of the slopes of what the filter has made."""
+    """Return the covariance of slopes of filtered displacements."""
     by_column, by_row = (np.square(filtered.deviation_of(each)) for each in weights)
     return Slopes(by_column=by_column, by_row=by_row, covariance=covariance)
 
 
 def _independent_slopes(weights: tuple[Array, Array], covariance: Array) -> Slopes:
-    """The errors of slopes between nodes that share no noise."""
+    """Return the covariance of slopes between nodes whose noise is independent."""
     variance = np.nan_to_num(np.trace(covariance, axis1=2, axis2=3) / 3, nan=0.0)
     reach = weights[0].shape[2] // 2
     padded = np.pad(variance, reach)
@@ -117,7 +115,7 @@ def _independent_slopes(weights: tuple[Array, Array], covariance: Array) -> Slop
 
 
 def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> DisplacementField:
-    """How far each node has moved: now - rest per index, whatever lies between.
+    """Return the displacement of each node between two moments, now - rest, by index.
 
     The difference goes through the lattice filter, and so does the position at rest: see
     `cmp_cl.grid.filter_grid`. raw: leave the filter out. The errors are those that the lattice
@@ -166,7 +164,7 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
 
 
 def _either(lattice: Array, points: Array, valid: NDArray[np.bool_]) -> Array:
-    """The covariance that the lattice shows; that of the points where it shows none."""
+    """Return the covariance that the lattice shows, or that of the points where it shows none."""
     known = np.isfinite(lattice).all(axis=(2, 3), keepdims=True)
     chosen: Array = np.where(known, lattice, points)
     return np.where(valid[..., None, None], chosen, np.nan)

@@ -50,19 +50,19 @@ class PlaneScale:
 
     @classmethod
     def pixels(cls) -> Self:
-        """The image itself, px."""
+        """Return the image itself as the plane, in px."""
         return cls(np.eye(3), "px")
 
     @classmethod
     def of_pixel(cls, length: float, unit: str = "mm") -> Self:
-        """A view from the front: one px is that long."""
+        """Return the plane of a camera that faces it: one px has the same length everywhere."""
         if not 0 < length < math.inf:
             raise FieldError(f"the length of a px must be positive, not {length!r}")
         return cls(np.diag([length, length, 1.0]), unit)
 
     @classmethod
     def of_cells(cls, rest: Grid, side: float, unit: str = "mm") -> Self:
-        """The homography that makes the cells of a flat pattern at rest squares of that side.
+        """Return the homography that maps the cells of a flat pattern to squares of that side.
 
         It fits all nodes by least squares. x runs along the rows of the pattern, y along its
         columns. Raises FieldError where fewer than 4 nodes are there, or all on a line.
@@ -82,7 +82,7 @@ class PlaneScale:
         return cls(np.asarray(matrix, np.float64), unit)
 
     def __call__(self, xy: ArrayLike) -> tuple[Array, Array]:
-        """Points (..., 2) px in the plane, and the (..., 2, 2) derivative there by px."""
+        """Map points (..., 2), px, to the plane; also return the derivative by px, (..., 2, 2)."""
         points = np.asarray(xy, np.float64)
         mapped = points @ self.matrix[:, :2].T + self.matrix[:, 2]
         plane = mapped[..., :2] / mapped[..., 2:]
@@ -127,7 +127,7 @@ class PlaneField:
 
 
 def plane_displacement(rest: Grid, now: Grid, scale: PlaneScale | None = None) -> PlaneField:
-    """How far each node has moved in the plane: now - rest per index.
+    """Return the displacement of each node in the plane, now - rest, by index.
 
     scale: from the image to the plane; None means px.
 
@@ -155,7 +155,7 @@ def plane_displacement(rest: Grid, now: Grid, scale: PlaneScale | None = None) -
 
 
 def with_measured_noise(field: PlaneField) -> PlaneField:
-    """The field with the standard deviation that its own roughness shows, the same everywhere.
+    """Return the field with one standard deviation for all nodes, from its own roughness.
 
     It takes the displacement's means over 2 x 2 nodes, in which errors that neighbours share
     count. The second difference by row of that by column, two nodes apart, is 0 for
@@ -197,7 +197,7 @@ class Motion:
 
 
 def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
-    """The motion that fits all nodes best by least squares.
+    """Return the rigid motion that fits all nodes best by least squares.
 
     zoom: whether lengths may change; False is a rigid motion, of zoom 1.
 
@@ -228,7 +228,7 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
 
 
 def without_motion(field: PlaneField, motion: Motion) -> PlaneField:
-    """The field as it were if that motion had not been: the deformation alone.
+    """Remove a motion from the field, so that the deformation alone remains.
 
     The nodes of now are moved back; errors of the motion itself are not in `sigma_now`.
     """
@@ -266,7 +266,7 @@ class PlaneStrain:
         return deviation
 
     def principal(self) -> "PrincipalStrain":
-        """The largest and the smallest strain, and the direction of the largest one."""
+        """Return the largest and the smallest strain, and the direction of the largest one."""
         xx, yy, xy = np.moveaxis(self.tensor, -1, 0)
         mean, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
         direction = np.arctan2(xy, (xx - yy) / 2) / 2
@@ -307,7 +307,7 @@ class PrincipalStrain:
 
 
 def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
-    """Green-Lagrange strain E = (F'F - 1) / 2 of every node, with its covariance.
+    """Return the Green-Lagrange strain E = (F'F - 1) / 2 of every node, with its covariance.
 
     Around each node a plane in (column, row) is fitted to the positions at rest and now by
     least squares, over the (2 radius + 1)^2 nodes, which gives the gradient F of now by rest.
@@ -343,7 +343,7 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
 def _local_planes(
     values: Array, sigma: Array, used: NDArray[np.bool_], radius: int
 ) -> tuple[Array, Array, Array]:
-    """The plane a + b column + c row that fits the values around each node.
+    """Fit the plane a + b column + c row to the values around each node.
 
     values: (R, C, K). sigma: (R, C, L). Returns (R, C, 3, 3) inverses of the sums of w w',
     with w = (1, column, row) of the window's nodes, (R, C, 2, K) slopes by column and by row,
@@ -370,7 +370,7 @@ def _local_planes(
 
 
 def _strain_covariance(gradient: Array, back: Array, inverse: Array, noise: Array) -> Array:
-    """Covariance (N, 3, 3) of Exx, Eyy, Exy.
+    """Return the covariance (N, 3, 3) of Exx, Eyy, Exy.
 
     gradient: (N, 2, 2) F. back: (N, 2, 2) columns and rows by the axes at rest. inverse:
     (N, 3, 3) and noise: (N, 2, 3, 3) of the local planes, rest and now.
@@ -416,7 +416,7 @@ class Raster:
 
 
 def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float = 1.0) -> Raster:
-    """Values of the nodes at the multiples of `step` that the cells at rest cover.
+    """Interpolate the nodes' values at the multiples of `step` that the cells at rest cover.
 
     values: (R, C) or (R, C, K) numbers, NaN where missing; None means the displacement. In px
     and at step 1 these are the pixels. Between nodes the values, and the positions at rest,
@@ -456,7 +456,7 @@ def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float
 
 
 def _continued(values: Array) -> Array:
-    """Values (R, C, K) with a ring around, (R + 2, C + 2, K), and with gaps filled.
+    """Extend values (R, C, K) by a ring around them, (R + 2, C + 2, K), and fill gaps.
 
     A missing value takes the mean of the quadratic, else linear, else constant continuations
     along its row and column; two passes, so that all neighbours of a valid cell have one.
@@ -478,7 +478,7 @@ def _continued(values: Array) -> Array:
 
 
 def _shifted(values: Array, by: int, axis: int) -> Array:
-    """The value `by` places further along an axis, NaN beyond the end."""
+    """Shift values along an axis by that many nodes; NaN enters at the end."""
     moved = np.full_like(values, np.nan)
     size = values.shape[axis]
     target, source = [slice(None)] * values.ndim, [slice(None)] * values.ndim
@@ -489,7 +489,7 @@ def _shifted(values: Array, by: int, axis: int) -> Array:
 
 
 def _covered(padded: Array, cells: NDArray[np.int64], step: float, low: NDArray[Any]) -> Any:
-    """Blocks of raster points within cells: (N, 2) cells, (N, 2) points, (N, 2) fractions.
+    """Yield blocks of raster points in cells: cells (N, 2), points (N, 2), fractions (N, 2).
 
     padded: (R + 2, C + 2, K) values, the first two the positions. Points are in steps. A point
     on the side of two cells comes with both. Fractions are (row, column), 0 to 1.
@@ -524,7 +524,7 @@ def _covered(padded: Array, cells: NDArray[np.int64], step: float, low: NDArray[
 
 
 def _inverse(padded: Array, place: NDArray[np.int64], goal: Array) -> Array:
-    """Where in their cells points lie: (N, 2) fractions (row, column) by Newton's method."""
+    """Return the fractions (row, column) of points within their cells, (N, 2); Newton's method."""
     row, column = place.T + 1
     position = padded[..., :2]
     corner = position[row, column]
@@ -550,7 +550,7 @@ def _inverse(padded: Array, place: NDArray[np.int64], goal: Array) -> Array:
 
 
 def _cubic(padded: Array, place: NDArray[np.int64], fraction: Array) -> Array:
-    """Cubic convolution of values (R + 2, C + 2, K) at fractions (N, 2) of cells: (N, K)."""
+    """Interpolate (R + 2, C + 2, K) at fractions (N, 2) of cells by cubic convolution: (N, K)."""
     by_row, by_column = np.stack(_keys(fraction[:, 0])), np.stack(_keys(fraction[:, 1]))
     flat = padded.reshape(-1, padded.shape[2])
     first = place[:, 0] * padded.shape[1] + place[:, 1]
@@ -564,7 +564,7 @@ def _cubic(padded: Array, place: NDArray[np.int64], fraction: Array) -> Array:
 
 
 def _keys(t: Array) -> tuple[Array, Array, Array, Array]:
-    """Weights of the four neighbours at -1, 0, 1, 2 for a point at t."""
+    """Return the weights of the four neighbours at -1, 0, 1, 2 for a point at t."""
     return (
         ((2 - t) * t - 1) * t / 2,
         ((3 * t - 5) * t**2 + 2) / 2,

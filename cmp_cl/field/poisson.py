@@ -62,7 +62,7 @@ def surface_height(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """Height of a liquid's free surface over its level at rest, from a pattern seen through it.
+    """Return the height of a liquid's surface over its level at rest, seen through it.
 
     displaced: displacement of the pattern, its rest being the flat surface. depth: from the
     surface to the pattern, within the liquid (layers of other media: their thickness times
@@ -93,7 +93,7 @@ def projected_density(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """Density of a gas summed along the view, kg/m2, over that at rest.
+    """Return the density of a gas summed along the view, kg/m2, over that at rest.
 
     displaced: displacement of the background, mm in the background's plane. distance: from
     the middle of the gas to the background, mm. gladstone_dale: m3/kg. index: of the gas at
@@ -126,7 +126,7 @@ def integrate(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """The function whose gradient is nearest, by least squares over neighbouring points.
+    """Return the function whose gradient is nearest, by least squares over neighbouring points.
 
     raster: gives the places. gradient: (H, W, 2) by x and y, NaN where unknown. mask: (H, W)
     where phi is wanted; points of unknown gradient are left out; None means all others.
@@ -181,7 +181,7 @@ class _Poisson:
         self._spectrum[0, 0] = np.inf if self._parts is not None else self._spectrum[0, 1] / 4
 
     def divergence(self, slopes: Array) -> Array:
-        """A'g: the mean slope of both points where both are inside, else that of the one."""
+        """Return A'g: the mean slope of both points where both are inside, else that of the one."""
         return self._spread(self._means(slopes))
 
     def _means(self, slopes: Array) -> list[Array]:
@@ -195,7 +195,7 @@ class _Poisson:
         ]
 
     def _spread(self, differences: list[Array]) -> Array:
-        """A' of differences along x and y."""
+        """Apply A' to differences along x and y."""
         along_x, along_y = differences
         result = np.zeros(self._inside.shape)
         result[:, 1:] += along_x
@@ -211,14 +211,14 @@ class _Poisson:
         ]
 
     def _centred(self, value: Array) -> Array:
-        """Without the mean of each part, where only that fixes it."""
+        """Subtract the mean of each part, where nothing else determines it."""
         if self._parts is None:
             return np.where(self._inside, value, 0)
         sums = np.bincount(self._parts.ravel(), weights=value.ravel())
         return np.where(self._inside, value - (sums / self._sizes)[self._parts], 0)
 
     def _roughly(self, residual: Array) -> Array:
-        """The solution on the whole rectangle."""
+        """Solve on the whole rectangle."""
         padded = np.zeros(self._spectrum.shape)
         padded[: residual.shape[0], : residual.shape[1]] = residual
         waves = cv2.dct(padded) / self._spectrum
@@ -226,7 +226,7 @@ class _Poisson:
         return self._centred(np.asarray(solved, np.float64))
 
     def solve(self, goal: Array) -> Array:
-        """Conjugate gradients. Raises FieldError where they do not end."""
+        """Solve by conjugate gradients. Raises FieldError where they do not converge."""
         value = np.zeros_like(goal)
         residual = self._centred(goal)
         target = _TOLERANCE * float(np.linalg.norm(residual))
@@ -245,7 +245,7 @@ class _Poisson:
         raise FieldError(f"Poisson's equation is not solved after {_MOST_STEPS} steps")
 
     def misfit(self, value: Array, slopes: Array) -> Array:
-        """By point the root mean square difference, both axes added, from the measured slope."""
+        """Return, for each point, the RMS difference from the measured slope over both axes."""
         squares, counts = np.zeros_like(value), np.zeros_like(value)
         total = np.zeros_like(value)
         for axis, (found, wanted, pairs) in enumerate(

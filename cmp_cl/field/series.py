@@ -52,7 +52,7 @@ class SeriesWriter:
             raise
 
     def __len__(self) -> int:
-        """Frames so far."""
+        """Return the number of frames so far."""
         return self._count
 
     def __enter__(self) -> Self:
@@ -144,7 +144,7 @@ class SeriesWriter:
 
 
 def _made_folder(path: Path) -> Path:
-    """A new folder for the arrays of a series: NAME.parts, or with a number where it is there."""
+    """Make a folder for the arrays of a series: NAME.parts, with a number if that exists."""
     folder = path.with_name(f"{path.name}.parts")
     number = 1
     while True:
@@ -182,7 +182,7 @@ class _Column:
         shutil.copyfileobj(self.file, target, 1 << 20)
 
     def _header(self, frames: int) -> bytes:
-        """The header of an .npy of that many frames; NumPy makes it as long for any number."""
+        """Return the header of an .npy of that many frames, as long for any number."""
         header = io.BytesIO()
         np.lib.format.write_array_header_2_0(
             header,

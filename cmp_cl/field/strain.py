@@ -12,7 +12,7 @@ Bools = NDArray[np.bool_]
 
 
 def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
-    """Green-Lagrange strain of a surface in its tangent plane at rest.
+    """Return the Green-Lagrange strain of a surface in its tangent plane at rest.
 
     rest, now: (R, C, 3) positions of the same nodes, NaN where missing. Around each node a
     plane in (column, row) is fitted to both by least squares, over the valid ones of the
@@ -46,7 +46,7 @@ def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
 
 
 def slope_weights(valid: Bools, radius: int) -> tuple[Array, Array]:
-    """The weights of the neighbours in the slopes by column and by row, (R, C, S, S) each.
+    """Return the neighbours' weights in the slopes by column and by row, (R, C, S, S) each.
 
     S = 2 radius + 1. The slopes are those of the plane that fits the valid nodes of the window
     best; 0 where the node or such a plane is missing.
@@ -85,7 +85,7 @@ class Slopes:
 def strain_deviation(
     rest: Array, now: Array, *, rest_slopes: Slopes, slopes: Slopes, radius: int = 2
 ) -> Array:
-    """Standard deviations of the strain that `green_lagrange` finds, (R, C, 3).
+    """Return the standard deviations of the strain of `green_lagrange`, (R, C, 3).
 
     With Q the orthonormal axes of the rest plane, F the tangents now along them, dG and dA the
     errors of the slopes of the displacement and of the position at rest along the same axes, to
@@ -122,7 +122,7 @@ def strain_deviation(
 
 
 def _variance(one: Array, two: Array, inverse: Array, slopes: Slopes, good: Bools) -> Array:
-    """(N,): of one . g1 + two . g2, g1 and g2 the errors of the slopes along the two axes."""
+    """Return the variance (N,) of one . g1 + two . g2, with g1, g2 the slopes' errors by axis."""
     mean = np.trace(slopes.covariance[good], axis1=1, axis2=2) / 3
     with np.errstate(invalid="ignore", divide="ignore"):
         alike = slopes.covariance[good] / mean[:, None, None]
@@ -135,7 +135,7 @@ def _variance(one: Array, two: Array, inverse: Array, slopes: Slopes, good: Bool
 
 
 def _tangents(values: Array, valid: Bools, radius: int) -> Array:
-    """Slopes of the local plane by column and by row: (R, C, K) -> (R, C, 2, K), NaN if none."""
+    """Return slopes of the local plane by column and row: (R, C, K) -> (R, C, 2, K), or NaN."""
     rows, columns = valid.shape
     sums = np.zeros((rows, columns, 3, values.shape[2]))  # of 1, c, r times the values
     moments = np.zeros((rows, columns, 3, 3))

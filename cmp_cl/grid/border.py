@@ -28,12 +28,12 @@ class Ends(NamedTuple):
     cut: Sides = NO_SIDES
 
     def turned(self, quarters: int) -> "Ends":
-        """The same after the numbers are turned as in `Grid.turned`."""
+        """Return the same after the numbers are turned as in `Grid.turned`."""
         return Ends(self.border.turned(quarters), self.cut.turned(quarters))
 
 
 def border_of(nodes: Nodes, image: GreyImage) -> Sides:
-    """The sides on which nodes end in the picture, and what lies beyond is no cell."""
+    """Return the sides on which nodes end in the image, where no cell follows."""
     at = nodes.at
     if min(at.shape) < 2:
         return NO_SIDES
@@ -61,7 +61,7 @@ def border_of(nodes: Nodes, image: GreyImage) -> Sides:
 
 
 def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
-    """The sides on which the picture ends before the next nodes."""
+    """Return the sides on which the image ends before the next nodes."""
     at, across = nodes.at, nodes.at.T
     return Sides(
         _cut(at, image), _cut(at[::-1], image), _cut(across, image), _cut(across[::-1], image)
@@ -69,7 +69,7 @@ def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
 
 
 def _cut(at: Points, image: GreyImage) -> bool:
-    """Whether most columns, (R, C) px, have no room in the picture before their first node."""
+    """Return whether most columns, (R, C) px, have no space in the image before the first node."""
     seen = ~np.isnan(at.real)
     column = np.flatnonzero(seen.any(axis=0))
     first = seen.argmax(axis=0)[column]
@@ -81,7 +81,7 @@ def _cut(at: Points, image: GreyImage) -> bool:
 
 
 def _inside(at: Points, image: GreyImage) -> Mask:
-    """Which of those places the picture shows."""
+    """Return which of those points the image shows."""
     rows, columns = image.shape
     inside: Mask = (at.real >= 0) & (at.real < columns) & (at.imag >= 0) & (at.imag < rows)
     return inside
@@ -98,7 +98,7 @@ class _Squares(NamedTuple):
 
 
 def _squares(at: Points, first: int, second: int) -> _Squares:
-    """Some squares of a side, none where less than half of the lines end there."""
+    """Sample some squares of a side, none where less than half of the lines end there."""
     one, two = at[first], at[second]
     seen = ~np.isnan(one.real) & ~np.isnan(two.real)
     column = np.flatnonzero(seen[1:] & seen[:-1])
@@ -114,7 +114,7 @@ def _squares(at: Points, first: int, second: int) -> _Squares:
 
 
 def full_lines(there: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """First and last row, first and last column that hold a fair part of the nodes of a line.
+    """Return first and last row, first and last column that hold a fair part of a line's nodes.
 
     there: (R, C), where nodes are; at least one.
     """

@@ -13,7 +13,8 @@ from cmp_cl.grid.islands import join_islands
 from cmp_cl.grid.lattice import Lattice, lattice
 from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.nodes import Index, Nodes, boxed, check_room
-from cmp_cl.grid.place import Placed, in_shape, like_rest
+from cmp_cl.grid.place import Placed, like_rest
+from cmp_cl.grid.sizes import in_shape
 from cmp_cl.image import GreyImage, check_image
 
 SMALL = 0.1  # least share of the corners that the pattern must hold

@@ -73,9 +73,10 @@ class Grid:
     continues: sides on which the pattern goes on beyond a known shape: the shape is wrong.
     seen_shape: rows and columns of what is seen where that contradicts a known shape.
     ambiguous: whether another numbering explains the frame too. The numbers are then those of
-        the least displacement, and may be wrong by `rival`.
+        the least motion, and may be wrong by `rival`.
     rival: the second best numbering, None where there is no other.
-    margin: by how much the RMS displacement of the rival is larger, cells; NaN without one.
+    margin: by how much further the middle of the pattern has moved by the rival, cells; NaN
+        without one.
     """
 
     xy: NDArray[np.float32]

@@ -5,8 +5,8 @@ import numpy as np
 from cmp_cl.grid.grid import Grid
 from cmp_cl.grid.grow import Seen, attach, drop_misfits, grow
 from cmp_cl.grid.lattice import Lattice
+from cmp_cl.grid.nearest import Bounds, Reference, climb, quarter_turns
 from cmp_cl.grid.nodes import Nodes, Points, boxed
-from cmp_cl.grid.place import Bounds, Reference, climb, is_still, quarter_turns
 
 LEAST = 9  # corners of an island
 OFF = 0.25  # cells: how far the middle of an island may be from its place
@@ -46,9 +46,9 @@ def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
     inside = 1 if rest is None else 0
     bounds = Bounds(inside, rows - high - inside, inside, columns - wide - inside)
     choices = climb(turned, expected, bounds, quarters)
-    if not choices or not is_still(island, expected, min(choices), OFF):
+    if not choices or choices[0].motion > OFF:
         return False
-    *_, top, left = min(choices)
+    *_, top, left = choices[0]
     row, column = np.nonzero(turned.there)
     here = row + top, column + left
     if nodes.there[here].any() or (rest is None and not _surrounded(nodes, *here)):

@@ -60,7 +60,7 @@ class _Started:
 
 
 def is_forked() -> bool:
-    """Whether this is a child that was forked after OpenCL had started in its parent.
+    """Return whether this process was forked after OpenCL had started in its parent.
 
     Threads do not survive a fork, and an implementation would wait for its own for ever.
     """
@@ -96,8 +96,8 @@ def list_devices() -> list[Device]:
 
 
 def select_device(text: str | None = None) -> Device:
-    """The device that is meant by "0:0" (platform:device), "cpu", "gpu", or a part of its name
-    or its platform's name, case ignored; the first in `list_devices` of those that match.
+    """Return the device that a text means: "0:0" (platform:device), "cpu", "gpu", or a part of its
+    name or of its platform's name, case ignored. Of several the first in `list_devices` is taken.
 
     None means the variable CMP_CL_DEVICE if it is set, else the first GPU, else the first
     CPU, else the first device.
@@ -123,7 +123,7 @@ def select_device(text: str | None = None) -> Device:
 
 
 def describe_handle(handle: cl.Device) -> Device:
-    """The Device of a pyopencl device."""
+    """Return the Device of a pyopencl device."""
     for device in list_devices():
         if device.handle == handle:
             return device
@@ -131,7 +131,7 @@ def describe_handle(handle: cl.Device) -> Device:
 
 
 def is_pocl(handle: cl.Device) -> bool:
-    """Whether a device is one of PoCL."""
+    """Return whether a device is one of PoCL."""
     return handle.platform.name == "Portable Computing Language"
 
 
@@ -154,7 +154,7 @@ def _check_workers() -> None:
 
 @contextlib.contextmanager
 def _workers_on_own_cores() -> Iterator[None]:
-    """PoCL, where it starts here, keeps each of its workers on a core of its own.
+    """Make PoCL, where it starts here, pin each of its workers to a core of its own.
 
     Left to the system two of them often share a core for as long as the process lives, and a
     frame takes half as long again. Not where the user has said something about the workers,

@@ -35,7 +35,7 @@ _WARNINGS = threading.Lock()  # the filters of warnings are those of the whole p
 
 
 def kernel_folder() -> Path:
-    """Where the kernels are: in the package, or beside it in a checkout."""
+    """Return the folder of the kernels: in the package, or beside it in a checkout."""
     package = Path(__file__).parents[1]
     for folder in (package / "kernels", package.parent / "kernels"):
         if (folder / "plane.clh").is_file():
@@ -58,7 +58,7 @@ def source(stage: str, macros: Mapping[str, str] | None = None) -> str:
 
 
 def _names(text: str, macro: str) -> bool:
-    """Whether a text uses a macro, in code, in a condition or in another macro."""
+    """Return whether a text uses a macro, in code, in a condition or in another macro."""
     return re.search(rf"\b{macro.partition('(')[0]}\b", text) is not None
 
 
@@ -90,7 +90,7 @@ class Kernels:
         return set(self._programs)
 
     def bind(self, name: str, *arguments: Any) -> cl.Kernel:
-        """A kernel of its own with these arguments, NumPy scalars and buffers."""
+        """Return a kernel of its own with these arguments, NumPy scalars and buffers."""
         kernel = cl.Kernel(self._programs[name], name)
         kernel.set_args(*arguments)
         return kernel
@@ -152,7 +152,7 @@ def _built(program: cl.Program, options: list[str]) -> cl.Program:
 
 
 def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
-    """Where the binary of a program is kept; None where the user wants none, or PoCL keeps it."""
+    """Return where a program's binary is kept; None if that is switched off or left to PoCL."""
     device = context.devices[0]
     switched_off = os.environ.get(_NO_CACHE_VARIABLE, "").lower() in ("1", "true", "on", "yes")
     if switched_off or len(context.devices) > 1 or _keeps_by_itself(device):
@@ -168,7 +168,7 @@ def _keeps_by_itself(device: cl.Device) -> bool:
 
 
 def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:
-    """The program kept there, if there is a whole one that the device takes."""
+    """Load the program kept there, if it is whole and the device takes it."""
     with contextlib.suppress(OSError, cl.Error):
         data = caches.read_ours(path)
         digest, binary = data[:32], data[32:]
@@ -185,7 +185,7 @@ def _keep(path: Path, program: cl.Program) -> None:
 
 
 def sum_of_terms(terms: Sequence[str], kind: str) -> str:
-    """The sum of the terms in a type, nested three at a time as SUM3 in plane.clh."""
+    """Return the sum of the terms in a type, nested three at a time as SUM3 in plane.clh."""
     if len(terms) == 1:
         return terms[0]
     third = -(-len(terms) // 3)

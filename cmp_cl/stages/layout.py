@@ -103,7 +103,7 @@ class PlanBase:
     def stage(
         self, name: str, items: tuple[int, ...], group: tuple[int, ...] | None, **arguments: Any
     ) -> Launch:
-        """Bind a kernel over work-items in groups, None for any; arguments in its order."""
+        """Bind a kernel over work-items in groups, None for any of a card's; arguments in order."""
         kernel = self.kernels.bind(name, *arguments.values())
         return Launch(name, kernel, items, group, arguments)
 

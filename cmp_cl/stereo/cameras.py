@@ -56,7 +56,7 @@ class Camera:
     unit: str
 
     def project(self, points: Array) -> Array:
-        """Where points (..., 3) in the frame of the first camera are seen, (..., 2) px."""
+        """Project points (..., 3) in the frame of the first camera to the image, (..., 2) px."""
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 3)
         turn = np.asarray(cv2.Rodrigues(self.R)[0], np.float64)
         return _projected(self.lens, flat, turn, self.T, self.matrix, self.distortion).reshape(
@@ -83,7 +83,7 @@ class CamerasCalibration:
     coverage: Mapping[str, float]
 
     def rig(self) -> StereoRig:
-        """The rig of two cameras that are not fisheyes; raises CalibrationError for others."""
+        """Return the rig of two cameras; raises CalibrationError for fisheyes or another number."""
         cameras = list(self.cameras.values())
         if len(cameras) != 2 or Lens.FISHEYE in {camera.lens for camera in cameras}:
             raise CalibrationError("a rig has two cameras, neither of them a fisheye")
@@ -101,7 +101,7 @@ def calibrate_cameras(
     lens: Lens = Lens.PINHOLE,
     unit: str = "mm",
 ) -> CamerasCalibration:
-    """Cameras by name from views of one flat board, numbered alike in all of a moment.
+    """Calibrate cameras on views of one flat board; all cameras number it alike at one moment.
 
     views: of each camera the grid in every moment, None where it does not see the board.
     spacing: side of a square, in `unit`. sizes: (width, height) of each camera's images, px.
@@ -139,7 +139,7 @@ class _Alone:
 
 
 def _seen(grids: Sequence[Grid | None], spacing: float) -> dict[int, tuple[Array, Array]]:
-    """By moment, where enough of them are seen, the nodes as `_nodes` gives them."""
+    """Return, by moment, the nodes as `_nodes` gives them, where enough of them are seen."""
     return {
         moment: _nodes(grid, spacing)
         for moment, grid in enumerate(grids)
@@ -148,7 +148,7 @@ def _seen(grids: Sequence[Grid | None], spacing: float) -> dict[int, tuple[Array
 
 
 def _nodes(grid: Grid, spacing: float) -> tuple[Array, Array]:
-    """Nodes on the board (N, 3) and in the image (N, 2)."""
+    """Return the nodes on the board (N, 3) and in the image (N, 2)."""
     row, column = np.nonzero(grid.valid)
     board = np.column_stack([column, row, np.zeros(len(row))]) * spacing
     return board.astype(np.float64), grid.xy[grid.valid].astype(np.float64)
@@ -157,7 +157,7 @@ def _nodes(grid: Grid, spacing: float) -> tuple[Array, Array]:
 def _one(
     name: str, grids: Sequence[Grid | None], spacing: float, size: tuple[int, int], lens: Lens
 ) -> _Alone:
-    """One camera by itself."""
+    """Calibrate one camera alone."""
     seen = _seen(grids, spacing)
     if len(seen) < _MIN_VIEWS:
         raise CalibrationError(
@@ -191,7 +191,7 @@ def _one(
 
 
 def _fisheye(boards: Any, points: Any, size: tuple[int, int]) -> Any:
-    """cv2.fisheye.calibrate, from a focal length that fits the wider side into 180 degrees."""
+    """Run cv2.fisheye.calibrate, from a focal length that fits the wider side into 180 degrees."""
     focal = max(size) / math.pi
     matrix = np.array([[focal, 0, size[0] / 2 - 0.5], [0, focal, size[1] / 2 - 0.5], [0, 0, 1]])
     names = "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", "CALIB_USE_INTRINSIC_GUESS"
@@ -206,7 +206,7 @@ def _fisheye(boards: Any, points: Any, size: tuple[int, int]) -> Any:
 
 
 def _focal_sigma(alone: _Alone, seen: Mapping[int, tuple[Array, Array]], error: float) -> float:
-    """Standard deviation of the less certain focal length, px, from numeric derivatives."""
+    """Return the larger standard deviation of fx and fy, px, from numeric derivatives."""
     free = []
     start = np.concatenate([alone.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], alone.distortion])
     steps = np.r_[np.full(4, 1e-2), np.full(len(alone.distortion), 1e-5)]
@@ -232,13 +232,13 @@ def _focal_sigma(alone: _Alone, seen: Mapping[int, tuple[Array, Array]], error: 
 
 
 def _seen_by(lens: Lens, points: Array, pose: Array, camera: Array) -> Array:
-    """Where a camera (fx, fy, cx, cy, distortion) sees (N, 1, 3) points, (2 N,) px."""
+    """Return where a camera (fx, fy, cx, cy, distortion) sees (N, 1, 3) points, (2 N,) px."""
     matrix = np.array([[camera[0], 0, camera[2]], [0, camera[1], camera[3]], [0, 0, 1]])
     return _projected(lens, points, pose[:3], pose[3:], matrix, camera[4:]).reshape(-1)
 
 
 def _slopes(function: Any, start: Array, steps: Array) -> Array:
-    """Central differences: (N, parameters)."""
+    """Return the derivatives by central differences: (N, parameters)."""
     columns = []
     for number, step in enumerate(steps):
         shift = np.zeros(len(start))
@@ -250,7 +250,7 @@ def _slopes(function: Any, start: Array, steps: Array) -> Array:
 def _projected(
     lens: Lens, points: Array, turn: Array, shift: Array, matrix: Array, distortion: Array
 ) -> Array:
-    """cv2.projectPoints of either kind: (N, 1, 3) to (N, 1, 2)."""
+    """Project by cv2.projectPoints of either kind: (N, 1, 3) to (N, 1, 2)."""
     project: Any = cv2.fisheye.projectPoints if lens is Lens.FISHEYE else cv2.projectPoints
     pose = (np.ascontiguousarray(part, np.float64).reshape(3, 1) for part in (turn, shift))
     seen = project(points, *pose, matrix, distortion)[0]
@@ -258,7 +258,7 @@ def _projected(
 
 
 def _pose(turn: Any, shift: Any) -> Array:
-    """The (4, 4) of a rotation vector and a translation."""
+    """Return the (4, 4) of a rotation vector and a translation."""
     pose = np.eye(4)
     pose[:3, :3] = cv2.Rodrigues(np.asarray(turn, np.float64).reshape(3, 1))[0]
     pose[:3, 3] = np.asarray(shift, np.float64).reshape(3)
@@ -266,12 +266,12 @@ def _pose(turn: Any, shift: Any) -> Array:
 
 
 def _vector(pose: Array) -> Array:
-    """Rotation vector and translation, (6,)."""
+    """Return the rotation vector and translation of a (4, 4), (6,)."""
     return np.concatenate([cv2.Rodrigues(pose[:3, :3])[0].reshape(3), pose[:3, 3]])
 
 
 def _chained(alone: Mapping[str, _Alone]) -> dict[str, Array]:
-    """By camera the (4, 4) from the first one, the pair with the most common moments first."""
+    """Return, by camera, the (4, 4) from the first; pairs with most common moments come first."""
     names = list(alone)
     placed = {names[0]: np.eye(4)}
     while len(placed) < len(names):
@@ -300,7 +300,7 @@ def _together(
     boards: Mapping[str, Mapping[int, tuple[Array, Array]]],
     poses: dict[str, Array],
 ) -> tuple[dict[str, Array], dict[int, Array]]:
-    """Fit all poses of cameras and boards together by Levenberg and Marquardt's method."""
+    """Fit all poses of cameras and boards together by the method of Levenberg and Marquardt."""
     names = list(alone)
     moments = sorted(set().union(*(camera.poses for camera in alone.values())))
     board_poses = {}

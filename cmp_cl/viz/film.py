@@ -115,7 +115,7 @@ class OverlayFilm:
         xy: NDArray[np.float32],
         moved: NDArray[np.floating[Any]],
     ) -> None:
-        """Lines between neighbours, then a disc on every node."""
+        """Draw lines between neighbours, then a disc on every node."""
         valid = ~np.isnan(xy[..., 0])
         whole = np.rint(np.where(valid[..., None], xy, 0)).astype(np.int32)
         lines = []
@@ -139,7 +139,7 @@ class OverlayFilm:
             canvas[row[inside], column[inside]] = colours[inside]
 
     def _legend(self, strip: NDArray[np.uint8], text: str) -> None:
-        """The text at the left, the colour bar with its two ends at the right."""
+        """Draw the text at the left, the colour bar with its two ends at the right."""
         font, size, white = cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255)
         cv2.putText(strip, text, (8, 25), font, size, white, 1, cv2.LINE_AA)
         top = f"{self._top:.3g} {self._unit}"
@@ -164,7 +164,7 @@ class OverlayFilm:
 
 
 def _eight_bits(image: GreyImage) -> NDArray[np.uint8]:
-    """The image as uint8, 16 bits stretched to its brightest pixel."""
+    """Return the image as uint8; 16 bits are stretched to the brightest pixel."""
     if image.dtype == np.uint8:
         return image.astype(np.uint8, copy=False)
     white = max(int(image.max(initial=0)), 1)

@@ -56,7 +56,7 @@ class Recorded:
 
     @classmethod
     def of(cls, series: Series) -> "Recorded":
-        """Raises FieldError where it has no frame, no rest, or neither displacement nor xy."""
+        """Take the arrays of a recording; raises FieldError without frames, rest or positions."""
         missing = [name for name in ("index", "time_ms", "rest") if name not in series]
         if missing or not ("displacement" in series or "xy" in series):
             what = missing or ["displacement or xy"]
@@ -81,7 +81,7 @@ class Recorded:
         )
 
     def frame_of(self, index: int | None) -> int:
-        """The place of the frame of that number; None means that of the largest displacement.
+        """Return the index of the frame of that number; None means the one displaced most.
 
         Raises FieldError where there is no such frame.
         """
@@ -97,7 +97,7 @@ class Recorded:
         return int(found[0])
 
     def node_of(self, node: tuple[int, int] | None) -> tuple[int, int]:
-        """The node; None means that of the largest displacement. Raises FieldError."""
+        """Return the node; None means that of the largest displacement. Raises FieldError."""
         shape = self.rest.shape[:2]
         if node is None:
             length = np.nan_to_num(np.linalg.norm(self.shift, axis=3)).max(axis=0)
@@ -108,7 +108,7 @@ class Recorded:
         return node
 
     def plane(self) -> tuple[Array, Array]:
-        """The rest positions (R, C, 2) to draw on, and (3, 3) axes of that plane.
+        """Return the rest positions (R, C, 2) to draw on, and (3, 3) axes of that plane.
 
         Raises FieldError where fewer than three nodes are valid, or all lie on a line.
         """
@@ -133,7 +133,7 @@ class Recorded:
         return ((self.rest - origin) @ basis.T)[..., :2], basis
 
     def values(self, quantity: Quantity, frame: int) -> tuple[Array, str]:
-        """A quantity of each node (R, C) of the frame at that place, and its unit."""
+        """Return a quantity of each node (R, C) of the frame at that index, and its unit."""
         shift = self.shift[frame]
         if quantity is Quantity.DISPLACEMENT:
             return np.linalg.norm(shift, axis=2), self.unit
@@ -164,7 +164,7 @@ class Recorded:
 
 
 def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = None) -> "Figure":
-    """One quantity of every cell on the pattern at rest, with a colour bar in its unit.
+    """Draw one quantity of every cell on the pattern at rest, with a colour bar in its unit.
 
     index: number of the frame, None for that of the largest displacement. A cell has the mean
     of its four nodes. Needs matplotlib. Raises FieldError, ConfigError without matplotlib.
@@ -175,7 +175,7 @@ def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = No
 
 
 def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> "Figure":
-    """The displacement of a node over time, with a band of one standard deviation.
+    """Draw the displacement of a node over time, with a band of one standard deviation.
 
     node: (row, column), None for that of the largest displacement. Raises FieldError,
     ConfigError without matplotlib.
@@ -188,7 +188,7 @@ def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> 
 def sheet_figure(
     recorded: Recorded, *, index: int | None = None, node: tuple[int, int] | None = None
 ) -> "Figure":
-    """All that the recording shows on one sheet: the maps of a frame and a node's curve."""
+    """Draw the recording on one sheet: the maps of a frame and a node's curve."""
     place = recorded.frame_of(index)
     wanted = [Quantity.DISPLACEMENT, Quantity.STRAIN]
     wanted += [Quantity.HEIGHT] if recorded.rest.shape[2] == 3 else []
@@ -250,7 +250,7 @@ def _draw_map(
 
 
 def _around(values: Array) -> list[Array]:
-    """Values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each."""
+    """Return the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each."""
     return [values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]]
 
 

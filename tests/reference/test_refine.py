@@ -155,6 +155,21 @@ def test_the_cell_sets_how_much_the_step_sees():
     np.testing.assert_array_equal(far, same)  # 0.75 cell is at most 9 px
 
 
+@pytest.mark.parametrize("cell", [6, 8, 15])
+def test_the_step_is_right_without_a_word_on_the_cell(cell):
+    """What is right for wide cells reaches over the next edges of narrow ones."""
+    image, truth = board(90, 90, cell)
+    speckled = np.clip(image.astype(np.int64) + noise(image.shape) // 12, 0, 255).astype(np.uint8)
+    errors = []
+    for refinement in (EdgeStep(), EdgeLines(), EdgeStep(cell=12)):
+        distance = np.linalg.norm(found(speckled, refinement).xy[:, None] - truth, axis=2)
+        inside = distance.min(axis=0) < 1
+        assert inside.mean() > 0.9
+        errors.append(np.sqrt(np.square(distance.min(axis=0)[inside]).mean()))
+    assert errors[0] < 0.9 * errors[1]
+    assert (errors[2] > errors[1]) == (cell == 6)
+
+
 def test_refused_corners_keep_their_centroid():
     image = corner(20.3, 20.4, 0.7)
     kept = one(image, EdgeLines(max_shift=0))

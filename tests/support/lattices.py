@@ -75,18 +75,22 @@ def endless(
     cell: float = 10.0,
     side: int = 300,
     jitter: float = 0.05,
+    worn: float = 0.0,
     seed: int = 0,
 ) -> Board:
     """What a picture of `side` px shows of a checkerboard that goes on beyond all its edges.
 
-    It is zoomed and turned about the picture's middle, then shifted by so many cells. The
-    numbers are those of the pattern; `truth` is empty.
+    It is zoomed and turned about the picture's middle, then shifted by so many cells. worn:
+    standard deviation of the print's errors, cells, the same whatever the seed. The numbers are
+    those of the pattern; `truth` is empty.
     """
     draw = np.random.default_rng(seed)
     reach = int(side / cell)
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     moved = zoom * np.exp(1j * turn)
-    z = (column + 0.37 + 1j * (row + 0.21)) * cell * moved + shift * cell + side / 2 * (1 + 1j)
+    error = np.random.default_rng(77).normal(0, worn, (2, *row.shape))
+    place = column + error[0] + 0.37 + 1j * (row + error[1] + 0.21)
+    z = place * cell * moved + shift * cell + side / 2 * (1 + 1j)
     seen = (np.abs(z.real - side / 2) < side / 2 - 3) & (np.abs(z.imag - side / 2) < side / 2 - 3)
     index = np.stack([row[seen], column[seen]], axis=1)
     z = z[seen] + jitter * (draw.normal(size=len(index)) + 1j * draw.normal(size=len(index)))

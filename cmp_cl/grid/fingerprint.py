@@ -1,0 +1,110 @@
+"""The errors of a print, which go where the pattern goes.
+
+No print is perfect: each of its corners is off its place by some hundredths of a cell. What is
+left of positions without all that is smooth is those errors and noise. Between two frames the
+errors agree under the right numbers and under no others.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points
+
+CLIP = 2.5  # times the median: a larger error counts as that
+PRINTED = 0.1  # px per axis: smaller errors may be the camera's, which stay in their places
+ABOVE_CHANCE = 6.0  # standard deviations of the correlations under all numbers
+ABOVE_SECOND = 2.0  # times the second best correlation
+LEAST_COMMON = 0.25  # share of the errors that must have a counterpart
+LEAST_COUNT = 100  # errors that must have one
+GAIN = 1 + 68 / 144  # of an error's variance, see `_rough`
+
+
+class Fingerprint(NamedTuple):
+    """The errors of a print.
+
+    error: (R, C), cells, along rows plus 1j along columns, 0 where unknown. known: (R, C).
+    cell: px.
+    """
+
+    error: Points
+    known: Mask
+    cell: float
+
+    @classmethod
+    def of(cls, at: Points) -> "Fingerprint":
+        """Of measured nodes, (R, C) px, NaN where there is none."""
+        rough, step = _rough(at)
+        known = ~np.isnan(rough.real)
+        if not known.any():
+            return cls(np.zeros(at.shape, np.complex128), known, 0.0)
+        size = np.abs(rough)
+        limit = CLIP * np.median(size[known])
+        error = np.where(known, rough * np.minimum(1, limit / np.maximum(size, 1e-12)), 0)
+        return cls(error, known, float(np.median(np.abs(step[known]))))
+
+    @property
+    def pixels(self) -> float:
+        """Root mean square of the errors per axis, px."""
+        squares = (np.abs(self.error) ** 2).sum() / max(np.count_nonzero(self.known), 1)
+        return self.cell * float(np.sqrt(squares / GAIN / 2))
+
+
+def _rough(at: Points) -> tuple[Points, Points]:
+    """How far nodes are from the cubics through their neighbours, cells, and the steps, px.
+
+    The mean of x - (4 (L + R) - (LL + RR)) / 6 along the row and along the column, over the
+    step along the row: an independent error of variance 1 leaves GAIN.
+    """
+    rows, columns = at.shape
+    padded = np.pad(at, 2, constant_values=NOWHERE)
+
+    def near(row: int, column: int) -> Points:
+        there: Points = padded[2 + row : 2 + row + rows, 2 + column : 2 + column + columns]
+        return there
+
+    beside = near(0, -1) + near(0, 1) + near(-1, 0) + near(1, 0)
+    beyond = near(0, -2) + near(0, 2) + near(-2, 0) + near(2, 0)
+    step = (near(0, 1) - near(0, -1)) / 2
+    step[~(np.abs(step) > 1e-6)] = NOWHERE
+    with np.errstate(invalid="ignore"):  # NaN over NaN
+        return (at - (4 * beside - beyond) / 12) / step, step
+
+
+def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
+    """Rows and columns from a node's place now to its place at rest; None if none stands out.
+
+    It stands out if the correlation there is six times the standard deviation of all and twice
+    the second best, and if the common errors are larger than those that a camera makes at the
+    same place of every picture.
+    """
+    if min(now.pixels, rest.pixels) < PRINTED:
+        return None
+    rows, columns = np.add(now.known.shape, rest.known.shape).tolist()
+    size = [1 << (rows - 2).bit_length(), 1 << (columns - 2).bit_length()]
+    total = _correlation(now.error, rest.error, size)
+    count = np.rint(_correlation(now.known, rest.known, size))
+    compared = count >= max(LEAST_COMMON * np.count_nonzero(now.known), LEAST_COUNT)
+    if not compared.any():
+        return None
+    score = np.where(compared, total / np.sqrt(np.maximum(count, 1)), 0).ravel()
+    second, best = np.argpartition(score, -2)[-2:]
+    chance = np.median(np.abs(score[compared.ravel()])) / 0.6745
+    if score[best] < max(ABOVE_CHANCE * chance, ABOVE_SECOND * score[second]):
+        return None
+    common = total.ravel()[best] / count.ravel()[best] / GAIN / 2
+    if common * now.cell * rest.cell < PRINTED**2:
+        return None
+    place: Index = np.array(np.unravel_index(best, size))
+    row, column = (place - np.where(place < rest.known.shape, 0, size)).tolist()
+    return row, column
+
+
+def _correlation(
+    now: NDArray[np.generic], rest: NDArray[np.generic], size: list[int]
+) -> NDArray[np.float64]:
+    """The real part of the sum of conj(now[n]) rest[n + k] over n, by k; negative k at the end."""
+    product = np.conj(np.fft.fft2(now, size)) * np.fft.fft2(rest, size)
+    real: NDArray[np.float64] = np.fft.ifft2(product).real
+    return real

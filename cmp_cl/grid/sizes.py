@@ -1,0 +1,117 @@
+"""Which part of a known shape the nodes are."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid.border import Ends
+from cmp_cl.grid.grid import Sides
+from cmp_cl.grid.nodes import Nodes
+from cmp_cl.grid.place import Placed
+
+WHOLE = 1024  # weight of a corner with straight boundaries
+STRAIGHT = 0.5  # largest bend of a corner that is no junction with the surround
+
+
+def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], ends: Ends) -> Placed:
+    """The nodes in a grid of that shape.
+
+    A shape that fits better across is taken so, by the quarter turn that leaves the columns
+    nearest to the image's x axis. Where less is seen, the borders in view say which part it
+    is. Where more is seen, it is the fullest window, nearest to the top left.
+
+    bend: of every corner.
+    """
+    turns = [0]
+    if shape[0] != shape[1]:
+        falling = float(np.nansum((nodes.at[:, 1:] - nodes.at[:, :-1]).imag)) > 0
+        turns.append(3 if falling else 1)
+    turned = [nodes.turned(turn) for turn in turns]
+    sides = [ends.turned(turn) for turn in turns]
+    misfit = [
+        _misfit(each.at.shape, shape, side.border) for each, side in zip(turned, sides, strict=True)
+    ]
+    likely = [place for place, off in enumerate(misfit) if off == min(misfit)]
+    windows = [_fullest(turned[place], bend, shape) for place in likely]
+    fullest = int(np.argmax([weight for weight, _, _ in windows]))
+    best = likely[fullest]
+    _, top, left = windows[fullest]
+    found, (border, cut) = turned[best], sides[best]
+    starts, unsure = [top, left], len(likely) > 1
+    for axis in (0, 1):
+        lack = shape[axis] - found.at.shape[axis]
+        if lack > 0:
+            begin, end = border[2 * axis], border[2 * axis + 1]
+            no_begin, no_end = cut[2 * axis], cut[2 * axis + 1]
+            starts[axis] = -lack if end and not begin else 0
+            unsure |= not ((begin and end) or (begin and no_end) or (no_begin and end))
+    seen, continues = _seen_shape(found, bend, shape, (top, left), border)
+    placed = found.window(starts[0], starts[1], shape)
+    return Placed(
+        placed, ambiguous=unsure, quarters=turns[best], continues=continues, seen_shape=seen
+    )
+
+
+def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int:
+    """How many lines are seen too many, or are missing between two borders."""
+    both = border.top and border.bottom, border.left and border.right
+    off = 0
+    for axis in (0, 1):
+        lack = shape[axis] - seen[axis]
+        off += lack if lack > 0 and both[axis] else max(-lack, 0)
+    return off
+
+
+def _straight(nodes: Nodes, bend: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(R, C), corners whose boundaries are straight, as at no junction with the surround."""
+    return (nodes.owner >= 0) & ~(bend[nodes.owner] > STRAIGHT)
+
+
+def _fullest(
+    nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int]
+) -> tuple[int, int, int]:
+    """Weight, first row and first column of the fullest window of that shape, or all there is.
+
+    A node weighs less the less the corner's boundaries are straight, as they are not where the
+    outermost cells meet the surroundings. Of several it is the nearest to the top left.
+    """
+    weight = WHOLE - (WHOLE / 4 * np.where(np.isnan(bend), 1, bend)).astype(np.int64)
+    total = np.zeros(np.add(nodes.at.shape, 1), np.int64)
+    total[1:, 1:] = np.where(nodes.owner >= 0, weight[nodes.owner], 0).cumsum(0).cumsum(1)
+    for axis, (size, seen) in enumerate(zip(shape, nodes.at.shape, strict=True)):
+        size = min(size, seen)
+        begin = np.arange(seen - size + 1)
+        total = total.take(begin + size, axis) - total.take(begin, axis)
+    full = np.argwhere(total == total.max())
+    top, left = full[np.argmin(full.sum(axis=1))].tolist()
+    return int(total.max()), top, left
+
+
+def _seen_shape(
+    nodes: Nodes,
+    bend: NDArray[np.float32],
+    shape: tuple[int, int],
+    start: tuple[int, int],
+    border: Sides,
+) -> tuple[tuple[int, int] | None, Sides]:
+    """The shape that the pattern seems to have, None where that is the given one; where it goes on.
+
+    start: first row and column of the window of that shape. Lines beyond it count that hold
+    half as many straight corners as lines usually do.
+    """
+    straight = _straight(nodes, bend)
+    seen, goes_on = list(shape), []
+    both = border.top and border.bottom, border.left and border.right
+    for axis in (0, 1):
+        size, lines = shape[axis], nodes.at.shape[axis]
+        if lines <= size:
+            goes_on += [False, False]
+            if both[axis]:
+                seen[axis] = lines
+            continue
+        count = straight.sum(axis=1 - axis)
+        full = 2 * count >= max(np.median(count), 1)
+        before, after = full[: start[axis]], full[start[axis] + size :]
+        goes_on += [bool(before.any()), bool(after.any())]
+        seen[axis] += int(np.count_nonzero(before) + np.count_nonzero(after))
+    told = None if tuple(seen) == tuple(shape) else (seen[0], seen[1])
+    return told, Sides(*goes_on)
