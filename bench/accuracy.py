@@ -19,7 +19,7 @@ from typing import Any
 import methods
 import numpy as np
 from environment import RESULTS, environment
-from methods import DEFAULT, FILTERED, FULL, GRIDDED, STEP, Method
+from methods import DEFAULT, FILTERED, FOR_CELL, FULL, GRIDDED, LINES, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
@@ -64,7 +64,7 @@ def rows_of(markers: int, frame: Frame, names: Sequence[str]) -> list[Method]:
     configs = methods.configs(markers, cell)
     rows = [methods.own(name, config, frame.image.shape) for name, config in configs.items()]
     rows.append(methods.own_with_grid(GRIDDED, configs[DEFAULT], frame))
-    rows.append(methods.own_with_grid(FULL, configs["cmp_cl, full"], frame))
+    rows.append(methods.own_with_grid(FULL, configs[FOR_CELL], frame))
     rows.append(methods.own_with_filter(FILTERED, configs[DEFAULT], frame))
     rows += [methods.peer(name, pattern) for name in names]
     rows += [methods.peer_with_grid(name, pattern) for name in names if name in GRID_PEERS]
@@ -95,7 +95,7 @@ class Tables:
             self.settings[row.name][str(scene.markers)] = row.settings
             errors[row.name] = by_corner(xy, frame)
         for name, mine in errors.items():
-            trio = np.stack([mine, errors[DEFAULT], errors[STEP]])
+            trio = np.stack([mine, errors[DEFAULT], errors[LINES]])
             self.both[name].append(trio[:, np.isfinite(trio).all(0)])
 
     def as_json(self) -> dict[str, Any]:
@@ -115,12 +115,12 @@ class Tables:
         for name, parts in self.both.items():
             trio = np.concatenate(parts, axis=1)
             if trio.shape[1]:
-                own, lines, step = np.sqrt((trio**2).mean(1))
+                own, step, lines = np.sqrt((trio**2).mean(1))
                 common[name] = {
                     "corners": trio.shape[1],
                     "rmse": float(own),
-                    "rmse_default": float(lines),
-                    "rmse_step": float(step),
+                    "rmse_default": float(step),
+                    "rmse_lines": float(lines),
                 }
         columns = list(rows[0])
         body = [[_short(row[name]) for name in columns] for row in rows]

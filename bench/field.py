@@ -30,7 +30,7 @@ from cmp_cl import (
     Detector,
     DetectorConfig,
     Device,
-    EdgeStep,
+    EdgeLines,
     Grid,
     NodeStatus,
     StereoRig,
@@ -72,7 +72,7 @@ OBJECTS = tuple(kind for kind in Indenter if kind is not Indenter.NONE)
 FIRST_SEED = TEST_SEED + 500
 CONFIGS = {
     "run (EDGE_STEP)": exact_config(CELL),
-    "EDGE_LINES": DetectorConfig.for_cell(CELL),
+    "EDGE_LINES": exact_config(CELL).replace(refinement=EdgeLines()),
 }
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -265,25 +265,20 @@ def numbering(device: Device, rounds: int) -> list[dict[str, Any]]:
 # boards
 
 
-def scaled(cell: float) -> DetectorConfig:
-    """The library's settings for a cell: a working scale for large ones."""
-    return DetectorConfig.for_cell(cell)
+def full_size(cell: float) -> DetectorConfig:
+    """The library's settings for a cell without a working scale."""
+    return exact_config(cell).replace(scale=None)
 
 
-def full_size(_: float) -> DetectorConfig:
-    """The defaults: no working scale."""
-    return DetectorConfig()
-
-
-def with_step(config: Callable[[float], DetectorConfig]) -> Callable[[float], DetectorConfig]:
-    return lambda cell: config(cell).replace(refinement=EdgeStep(cell=cell))
+def with_lines(config: Callable[[float], DetectorConfig]) -> Callable[[float], DetectorConfig]:
+    return lambda cell: config(cell).replace(refinement=EdgeLines())
 
 
 BOARD_CONFIGS: dict[str, Callable[[float], DetectorConfig]] = {
-    "EDGE_LINES, working scale": scaled,
-    "EDGE_LINES, full size": full_size,
-    "EDGE_STEP, working scale": with_step(scaled),
-    "EDGE_STEP, full size": with_step(full_size),
+    "EDGE_LINES, working scale": with_lines(exact_config),
+    "EDGE_LINES, full size": with_lines(full_size),
+    "EDGE_STEP, working scale": exact_config,
+    "EDGE_STEP, full size": full_size,
 }
 
 

@@ -17,7 +17,6 @@ from cmp_cl import (
     Detector,
     DetectorConfig,
     EdgeLines,
-    EdgeStep,
     Midlines,
     NodeStatus,
     RapidCriteria,
@@ -30,7 +29,8 @@ from cmp_cl.image import GreyImage
 from cmp_cl.reference import refine
 
 DEFAULT = "cmp_cl, default"
-STEP = "cmp_cl, EDGE_STEP"
+LINES = "cmp_cl, EDGE_LINES"
+FOR_CELL = "cmp_cl, for_cell"
 PAPER = "cmp_cl, paper's preset"
 RINGS = "cmp_cl, binary rings"
 THREE = f"{RINGS}, three masks"
@@ -56,16 +56,14 @@ def configs(markers: int, cell: float) -> dict[str, DetectorConfig]:
     cell: side of a cell at rest, px.
     """
     default = DetectorConfig()
-    step = EdgeStep(cell=cell)
     rings = BinaryRings()
     table_2 = 40 if markers > 40 else markers
     paper = DetectorConfig.paper(table_2)
     gated = dataclasses.replace(paper.detection, contrast=rings.contrast)
     found = {
         DEFAULT: default,
-        STEP: default.replace(refinement=step),
-        "cmp_cl, for_cell": DetectorConfig.for_cell(cell),
-        "cmp_cl, full": DetectorConfig.for_cell(cell).replace(refinement=step),
+        LINES: default.replace(refinement=EdgeLines()),
+        FOR_CELL: DetectorConfig.for_cell(cell),
         "cmp_cl, centroids": default.replace(refinement=None),
         "cmp_cl, midlines": default.replace(refinement=Midlines()),
         PAPER: paper,
@@ -156,6 +154,7 @@ def _with_edges(xy: np.ndarray, image: GreyImage) -> Corners:
         pixel=pixel.astype(np.int32),
         response=np.ones(len(xy), np.float32),
         method=seen.method,
+        refusal=seen.refusal,
         sigma=seen.sigma.astype(np.float32),
         edges=seen.edges.astype(np.float32),
         doubtful=seen.doubtful,

@@ -20,7 +20,7 @@ import numpy as np
 from environment import RESULTS, environment
 from peers import PEERS, Pattern, available, keep_freed_memory
 
-from cmp_cl import AdaptiveMean, BinaryRings, Detector, DetectorConfig, EdgeStep
+from cmp_cl import AdaptiveMean, BinaryRings, Detector, DetectorConfig, EdgeLines
 from cmp_cl.config import window_for_cell
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.scoring import match
@@ -115,9 +115,9 @@ def own_rows(photograph: Photograph, cell: float) -> dict[str, DetectorConfig]:
     return {
         methods.DEFAULT: DetectorConfig(),
         "cmp_cl, for_image": DetectorConfig.for_image(photograph.image),
-        "cmp_cl, for_cell": DetectorConfig.for_cell(cell),
-        "cmp_cl, for_cell, EDGE_STEP": DetectorConfig.for_cell(cell).replace(
-            refinement=EdgeStep(cell=cell)
+        methods.FOR_CELL: DetectorConfig.for_cell(cell),
+        f"{methods.FOR_CELL}, EDGE_LINES": DetectorConfig.for_cell(cell).replace(
+            refinement=EdgeLines()
         ),
         methods.RINGS: DetectorConfig(detection=BinaryRings()),
         methods.THREE: DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),

@@ -14,7 +14,7 @@ import cv2
 import methods
 import numpy as np
 from environment import RESULTS
-from methods import DEFAULT, FULL, PAPER, Method
+from methods import DEFAULT, FOR_CELL, FULL, PAPER, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 
@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     frame = rendered(scene)
     configs = methods.configs(40, 0.92 * 480 / 41)
     rows = [methods.own(name, configs[name], frame.image.shape) for name in (DEFAULT, PAPER)]
-    rows.append(methods.own_with_grid(FULL, configs["cmp_cl, full"], frame))
+    rows.append(methods.own_with_grid(FULL, configs[FOR_CELL], frame))
     names = [name for name in available()[0] if PEERS[name].same_as is None]
     rows += [methods.peer(name, Pattern(40)) for name in names if name != "chess_corners"]
     panels = [panel(frame, row) for row in rows]

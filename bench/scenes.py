@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cmp_cl import synthetic
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import (
     Rendered,
@@ -20,7 +21,6 @@ from cmp_cl.synthetic import (
     render,
     render_stereo,
 )
-from cmp_cl.synthetic import scene as synthetic
 from cmp_cl.synthetic.scoring import Score, score
 
 TEST_SEED = 1000  # scenes of the report: 1000 and up

@@ -17,7 +17,7 @@ from typing import Any
 import methods
 import numpy as np
 from environment import RESULTS, environment
-from methods import DEFAULT, RINGS, STEP, THREE, Method
+from methods import DEFAULT, LINES, RINGS, THREE, Method
 from peers import PEERS, Pattern, available, keep_freed_memory
 from scenes import TEST_SEED, Frame, vga, wide
 
@@ -154,13 +154,13 @@ def compare(
     if first.views == 1:
         rows_of += [
             methods.own_with_grid(f"{name} + grid", configs[name], first)
-            for name in (DEFAULT, STEP)
+            for name in (DEFAULT, LINES)
         ]
     pattern = Pattern(first.markers, first.views)
     peers = {name: methods.peer(name, pattern) for name in names}
     rows_of += peers.values()
     rows = measure(rows_of, frames, rounds)
-    lean = [row for row in rows_of if row.name in (DEFAULT, STEP)]
+    lean = [row for row in rows_of if row.name in (DEFAULT, LINES)]
     lean += [row for name, row in peers.items() if name in PACED_PEERS]
     base = next(row["ms"] for row in rows if row["method"] == DEFAULT)
     for row in rows:
@@ -221,7 +221,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, reason in reasons.items():
         print(f"left out: {PEERS[name].label}: {reason}")
     names = [name for name in found if not arguments.quick or name in QUICK_PEERS]
-    own = [DEFAULT, STEP, RINGS, THREE] if arguments.quick else None
+    own = [DEFAULT, LINES, RINGS, THREE] if arguments.quick else None
     count, rounds = (2, 8) if arguments.quick else (4, 30)
     rounds = arguments.rounds or rounds
     keep_freed_memory()

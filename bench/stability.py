@@ -17,7 +17,7 @@ import cv2
 import methods
 import numpy as np
 from environment import RESULTS, environment
-from methods import DEFAULT, STEP, Method
+from methods import DEFAULT, FOR_CELL, LINES, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
@@ -219,9 +219,9 @@ def rows_for(frame: Frame, names: Sequence[str]) -> list[Method]:
     """The methods of the curves, for the pattern of that frame."""
     cell = 0.92 * 480 / (frame.markers + 1)
     configs = methods.configs(_nearest(frame.markers), cell)
-    kept = (DEFAULT, STEP, "cmp_cl, for_cell", "cmp_cl, full")
+    kept = (DEFAULT, LINES, FOR_CELL)
     rows = [methods.own(name, configs[name], frame.image.shape) for name in kept]
-    rows.append(methods.own_with_grid(methods.FULL, configs["cmp_cl, full"], frame))
+    rows.append(methods.own_with_grid(methods.FULL, configs[FOR_CELL], frame))
     for name in names:
         peer = PEERS[name]
         settings = peer.settings(_nearest(frame.markers))

@@ -1,5 +1,8 @@
 """Corners of deformed checkerboards on any OpenCL device, and the deformation they show."""
 
+import cmp_cl.cli.starting  # noqa: F401, first: it answers Ctrl-C while the others are imported
+
+# isort: split
 from cmp_cl import arrays, cameras, measure, media, reference, series
 from cmp_cl.cell import estimate_cell
 from cmp_cl.config import (
@@ -16,7 +19,7 @@ from cmp_cl.config import (
     SectorContrast,
     SpectralCriteria,
 )
-from cmp_cl.corners import Corners, Method
+from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.detector import Detector, detect
 from cmp_cl.errors import (
     CalibrationError,
@@ -86,6 +89,7 @@ __all__ = [
     "Points3D",
     "Pyramid",
     "RapidCriteria",
+    "Refusal",
     "RingHarmonic",
     "Rival",
     "SectorContrast",

@@ -12,7 +12,7 @@ _TO_HOST = ("get", "cpu", "copy_to_host")  # CuPy and pyopencl.array, PyTorch an
 
 
 def as_frame(array: Any) -> GreyImage:
-    """The array as an image (H, W) of uint8 or uint16 that a detector takes.
+    """Return the array as an image (H, W) of uint8 or uint16 that a detector takes.
 
     NumPy arrays come back as they are. Memory of the host is shared by DLPack, without a copy:
     PyTorch and JAX on the CPU, pinned memory, and what else has `__dlpack__`. Memory of a

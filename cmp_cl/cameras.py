@@ -62,7 +62,7 @@ class CameraSettings:
 
 
 def is_live(name: str) -> bool:
-    """Whether it names a camera by number, a device such as /dev/video0, or an address."""
+    """Return whether a name is a camera's number, a device such as /dev/video0, or an address."""
     number = name.isascii() and name.isdigit() and not Path(name).exists()
     return number or re.match(r"/dev/video|[a-z][a-z0-9+.-]*://", name) is not None
 
@@ -93,7 +93,7 @@ class Source:
             self.period_ms = 1e3 / self._settings.fps
 
     def frames(self) -> Generator[Timed, None, None]:
-        """All frames in turn; a live source ends where none comes for 10 s.
+        """Yield all frames in turn; a live source ends after 10 s without a frame.
 
         Raises ImageError where the source cannot be read.
         """
@@ -196,7 +196,7 @@ def has_pyav() -> bool:
 
 
 def video_frames(path: str | Path) -> Iterator[Timed]:
-    """The frames of a video with the times in it, by PyAV; colour becomes grey.
+    """Yield the frames of a video with their own times, by PyAV; colour becomes grey.
 
     Frames of more than 8 bits are uint16 with the levels of the file, 0 to 4095 of 12 bits
     (those of colour models other than grey and YUV are stretched to 16 bits), others uint8.
@@ -232,7 +232,7 @@ def video_frames(path: str | Path) -> Iterator[Timed]:
 
 
 def _luma(frame: Any) -> GreyImage:
-    """The grey levels of a frame of PyAV."""
+    """Return the grey levels of a frame of PyAV."""
     name, bits = frame.format.name, max(part.bits for part in frame.format.components)
     if bits <= 8:
         return np.asarray(frame.reformat(format="gray").to_ndarray(), np.uint8, order="C")
@@ -260,7 +260,7 @@ def paired(
     count: PairCount,
     endless: bool = False,
 ) -> Iterator[tuple[Timed, Timed]]:
-    """Frames of two sources that belong together by their times, each at most once.
+    """Yield pairs of frames from two sources, matched by time; each frame is used at most once.
 
     Two frames are a pair where their times differ by at most tolerance_ms and no next frame
     of either side is nearer. Frames without a time, or a tolerance of NaN, are paired in turn.

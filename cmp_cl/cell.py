@@ -12,7 +12,7 @@ _BAND = 16  # rows
 
 
 def estimate_cell(image: GreyImage) -> float:
-    """The side of the pattern's cells, px; 24 where the image shows none.
+    """Estimate the side of the pattern's cells, px; 24 where the image shows none.
 
     Binarizes against the mean of a 63 px window and takes, over all rows and columns, the
     runs of 3 px and more that lie between two colour changes: the cell is the smallest
@@ -35,7 +35,7 @@ def estimate_cell(image: GreyImage) -> float:
 
 
 def _row_runs(image: GreyImage, longest: int) -> NDArray[np.int64]:
-    """(longest + 1,): how many runs of each length the rows hold, or bands of them."""
+    """Count the runs of each length in the rows, or in bands of them: (longest + 1,)."""
     rows, columns = image.shape
     if rows * columns <= _MOST_PIXELS:
         return _run_lengths(_black(image), longest)
@@ -50,7 +50,7 @@ def _row_runs(image: GreyImage, longest: int) -> NDArray[np.int64]:
 
 
 def _black(image: GreyImage) -> NDArray[np.bool_]:
-    """Where the image is darker than its mean over a window."""
+    """Return where the image is darker than its mean over a window."""
     import cv2  # here, since it takes longer than a plan's first frame
 
     pixels: NDArray[np.uint8] = np.ascontiguousarray(image)  # or 16 bits
@@ -61,7 +61,7 @@ def _black(image: GreyImage) -> NDArray[np.bool_]:
 
 
 def _run_lengths(black: NDArray[np.bool_], longest: int) -> NDArray[np.int64]:
-    """(longest + 1,): how many runs of each length lie between two transitions of a row."""
+    """Count the runs of each length between two transitions of a row: (longest + 1,)."""
     change = black[:, 1:] != black[:, :-1]
     row, column = np.nonzero(change)
     length = np.diff(column)[np.diff(row) == 0]

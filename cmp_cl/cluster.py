@@ -19,7 +19,7 @@ import struct
 import threading
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from io import BytesIO
 from itertools import chain
 from os import PathLike
@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl.config import DetectorConfig, to_toml
 from cmp_cl.corners import Corners
@@ -41,7 +42,7 @@ _DAMAGE = (  # what reading a damaged zip or .npy raises
     *(OSError, ValueError, KeyError, EOFError, OverflowError, MemoryError),
     *(RuntimeError, struct.error, zipfile.BadZipFile, zlib.error),
 )
-_ARRAYS = ("xy", "pixel", "response", "method", "sigma", "edges", "doubtful")
+_ARRAYS = ("xy", "pixel", "response", "method", "refusal", "sigma", "edges", "doubtful")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Store:
         return self._read(frame // self.part)[frame % self.part]
 
     def __iter__(self) -> Iterator[Corners]:
-        """The corners of all frames in order; raises as for one of them."""
+        """Yield the corners of all frames in order; raises as indexing does."""
         for number in range(self.parts):
             yield from self._read(number)
 
@@ -79,33 +80,37 @@ class Store:
         return -(-self.count // self.part)
 
     def missing(self) -> list[int]:
-        """The parts that have not been written, or are damaged: every byte is checked."""
+        """Return the parts that are not written, or are damaged. Every byte is checked."""
         return [number for number in range(self.parts) if not self._is_whole(number)]
 
     def _is_whole(self, number: int) -> bool:
-        """Whether a part is there and each of its arrays has the checksum that it was given."""
+        """Return whether a part is present and the checksum of each of its arrays is right."""
         try:
-            with zipfile.ZipFile(self._path(number)) as archive:
-                names = {f"{name}.npy" for name in (*_ARRAYS, "lengths", "device")}
-                if archive.testzip() is not None or set(archive.namelist()) != names:
-                    return False
-            with np.load(self._path(number), allow_pickle=False) as arrays:
-                return len(arrays["lengths"]) == len(self._frames(number))
+            self._arrays(number)
         except _DAMAGE:
             return False
+        return True
 
     def _read(self, number: int) -> list[Corners]:
-        """The frames of a part."""
+        """Read the frames of a part."""
         path = self._path(number)
         try:
-            found = _read(path)
+            arrays = self._arrays(number)
         except FileNotFoundError:
             raise
         except _DAMAGE as error:
             raise ConfigError(f"{str(path)!r} is damaged; detect again into its folder") from error
-        if len(found) != len(self._frames(number)):
-            raise ConfigError(f"{str(path)!r} is no part of this store")
-        return found
+        return _split(arrays)
+
+    def _arrays(self, number: int) -> dict[str, NDArray[Any]]:
+        """The arrays of a part; raises one of _DAMAGE unless they are those it was given."""
+        with np.load(self._path(number), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        digest = str(arrays.pop("digest"))
+        frames = self._frames(number)
+        if digest != _digest(arrays, frames.start) or len(arrays["lengths"]) != len(frames):
+            raise ValueError("it is another part, or a damaged one")
+        return arrays
 
     def _path(self, number: int) -> Path:
         return self.folder / f"part-{number:08d}.npz"
@@ -115,7 +120,7 @@ class Store:
 
 
 def open_store(folder: str | PathLike[str]) -> Store:
-    """The store in a folder; raises ConfigError where there is none."""
+    """Open the store in a folder; raises ConfigError where there is none."""
     try:
         about = json.loads((Path(folder) / _ABOUT).read_text(encoding="utf-8"))
         count, part = about["count"], about["part"]
@@ -208,8 +213,9 @@ def _work(
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(corners, name) for corners in found]) for name in _ARRAYS
     }
+    arrays |= {"lengths": lengths, "device": np.array(found[0].device)}
     data = BytesIO()
-    np.savez(data, lengths=lengths, device=np.array(found[0].device), **arrays)
+    np.savez(data, digest=np.array(_digest(arrays, first)), **arrays)
     write_bytes(store._path(number), data.getvalue(), durable=True)
 
 
@@ -238,13 +244,20 @@ class _Own:
         return self._detector
 
 
-def _read(path: Path) -> list[Corners]:
+def _digest(arrays: Mapping[str, NDArray[Any]], first: int) -> str:
+    """SHA-256 of the arrays with their names, types and shapes, and of the first frame's number."""
+    hashed = hashlib.sha256(f"{first}\n".encode())
+    for name, array in sorted(arrays.items()):
+        hashed.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        hashed.update(array.tobytes())
+    return hashed.hexdigest()
+
+
+def _split(arrays: Mapping[str, NDArray[Any]]) -> list[Corners]:
     """The frames of a part."""
-    with np.load(path, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in _ARRAYS}
-        ends = np.cumsum(file["lengths"])[:-1]
-        device = str(file["device"])
-    split = {name: np.split(values, ends) for name, values in arrays.items()}
+    ends = np.cumsum(arrays["lengths"])[:-1]
+    device = str(arrays["device"])
+    split = {name: np.split(arrays[name], ends) for name in _ARRAYS}
     return [
         Corners(**{name: split[name][n].copy() for name in _ARRAYS}, device=device)
         for n in range(len(ends) + 1)

@@ -210,7 +210,7 @@ class BinaryRings:
 
     @classmethod
     def for_cell(cls, cell: float) -> Self:
-        """The window and the outer radius for cells of that side, px (4 to 1000).
+        """Choose the window and the outer radius for cells of that side, px (4 to 1000).
 
         The outer radius is 4 under 12 px. Raises ConfigError for another cell.
         """
@@ -238,9 +238,11 @@ class EdgeStep:
     """EDGE_LINES, then one least-squares step of a corner model (section 6, EDGE_STEP).
 
     cell: side of a cell, px, 4 to 1000; the model sees min(9, max(4.5, 0.75 cell)) px around.
+        The default is for cells of unknown side: its 6.75 px reach over no more than the next
+        edges of cells of 6 px, and wider cells lose 2 to 10 % of what the right size gains.
     """
 
-    cell: float = 12.0
+    cell: float = 9.0
 
     def __post_init__(self) -> None:
         _check("EdgeStep", "cell", self.cell, 4, 1000, kind=float)
@@ -306,7 +308,7 @@ class DetectorConfig:
 
     detection: how corners are decided: RingHarmonic or BinaryRings.
     nms_radius: radius of the window of non-maximum suppression, px, 1 to 15.
-    refinement: EdgeLines, EdgeStep or Midlines, or None for centroids.
+    refinement: EdgeStep, EdgeLines or Midlines, or None for centroids.
     scale: working scale (0.05 to 4), or Pyramid, or None for the image as it is.
     full_scale: largest grey level of the camera (1 to 65535); None means 255 for
         uint8 and 65535 for uint16.
@@ -315,7 +317,7 @@ class DetectorConfig:
 
     detection: RingHarmonic | BinaryRings = RingHarmonic()
     nms_radius: int = 3
-    refinement: EdgeLines | EdgeStep | Midlines | None = EdgeLines()
+    refinement: EdgeStep | EdgeLines | Midlines | None = EdgeStep()
     scale: float | Pyramid | None = None
     full_scale: int | None = None
     max_corners: int = 65536
@@ -323,7 +325,7 @@ class DetectorConfig:
     def __post_init__(self) -> None:
         part = "DetectorConfig"
         _check_part(part, "detection", self.detection, RingHarmonic, BinaryRings)
-        _check_part(part, "refinement", self.refinement, EdgeLines, EdgeStep, Midlines, type(None))
+        _check_part(part, "refinement", self.refinement, EdgeStep, EdgeLines, Midlines, type(None))
         _check(part, "nms_radius", self.nms_radius, 1, 15, kind=int)
         if not isinstance(self.scale, Pyramid) and self.scale is not None:
             _check(part, "scale", self.scale, 0.05, 4, kind=float)
@@ -333,7 +335,7 @@ class DetectorConfig:
 
     @classmethod
     def for_cell(cls, cell: float) -> Self:
-        """The configuration for cells of that side, px (4 to 1000).
+        """Choose the configuration for cells of that side, px (4 to 1000).
 
         Squeezed cells are looked for where cells are under 20 px. Above 60 px the image is
         scaled by 30 / cell. Raises ConfigError for another cell.
@@ -342,13 +344,13 @@ class DetectorConfig:
         scale = max(_WORKING_CELL / cell, 0.05) if cell > _WIDEST_CELL else None
         return cls(
             detection=RingHarmonic(fine=bool(cell < _WIDE_CELL)),
-            refinement=EdgeLines(),
+            refinement=EdgeStep(cell=cell),
             scale=scale,
         )
 
     @classmethod
     def for_image(cls, image: "GreyImage") -> Self:
-        """The configuration for the cell that `estimate_cell` finds in the image.
+        """Choose the configuration for the cell that `estimate_cell` finds in the image.
 
         Raises ImageError where the image is not (H, W) uint8 or uint16.
         """
@@ -358,7 +360,7 @@ class DetectorConfig:
 
     @classmethod
     def paper(cls, markers: int) -> Self:
-        """The paper's method as printed, for 20, 30 or 40 markers a side (Table 2).
+        """Return the paper's method as printed, for 20, 30 or 40 markers a side (Table 2).
 
         Raises ConfigError for another number.
         """
@@ -370,7 +372,7 @@ class DetectorConfig:
         return cls(detection=rings, refinement=Midlines())
 
     def replace(self, **changes: Any) -> Self:
-        """A copy with some fields changed; raises ConfigError on an unknown name."""
+        """Return a copy with some fields changed; raises ConfigError on an unknown name."""
         names = [field.name for field in dataclasses.fields(self)]
         for name in changes:
             if name not in names:
@@ -424,7 +426,7 @@ class DetectorConfig:
 
 
 def window_for_cell(cell: float) -> int:
-    """The window of binarization for a cell, both px: about 1.3 cells, odd, 9 to 255."""
+    """Return the window of binarization for a cell, both px: about 1.3 cells, odd, 9 to 255."""
     return min(max(2 * (math.floor(1.3 * cell) // 2) + 1, 9), 255)
 
 
@@ -441,7 +443,7 @@ def _check_part(part: str, field: str, value: object, *kinds: type) -> None:
 
 
 def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
-    """The entries of a TOML table as field values; false stands for None where it is no bool."""
+    """Return the entries of a TOML table as field values; false means None where it is no bool."""
     types = {field.name: field.type for field in dataclasses.fields(kind)}
     for key in data:
         if key not in types:
@@ -453,7 +455,7 @@ def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
 
 
 def _moved(key: str, value: object) -> str:
-    """What to write instead of a key that belongs into the table [detection]."""
+    """Return what to write instead of a key that belongs in the table [detection]."""
     moved = f"[{key}] as [detection.{key}]"
     if not isinstance(value, Mapping):
         moved = f"{key} = {_toml(None if value is False else value)} in that table"
@@ -461,7 +463,7 @@ def _moved(key: str, value: object) -> str:
 
 
 def _detection(value: object) -> RingHarmonic | BinaryRings | None:
-    """What decides corners, with the parts that tables inside its table stand for."""
+    """Return the detection rule, with the parts given by tables within its table."""
     if not isinstance(value, Mapping) or value.get("kind") != "binary_rings":
         return _chosen("detection", value, _DETECTIONS)
     values = dict(value)
@@ -494,7 +496,7 @@ def _part(field: str, value: object, kind: type[Part]) -> Part | None:
 
 
 def _chosen(field: str, value: object, kinds: Mapping[str, type[Part]]) -> Part | None:
-    """A part that comes in several kinds, named by the key `kind`."""
+    """Return a part of which there are several kinds; the key `kind` names one."""
     if value is None or value is False:
         return None
     if not isinstance(value, Mapping) or value.get("kind") not in list(kinds):
@@ -511,7 +513,7 @@ def to_toml(config: DetectorConfig) -> str:
 
 
 def _table(part: Any, name: str) -> list[str]:
-    """The lines of a part: its values, then the tables of the parts in it."""
+    """Return the lines of a part: its values, then the tables of its own parts."""
     kinds = {**_DETECTIONS, **_CRITERIA, **_REFINEMENTS}
     lines = [f'kind = "{kind}"' for kind, made in kinds.items() if type(part) is made]
     tables: list[str] = []

@@ -23,17 +23,17 @@ from cmp_cl.stages.refine import no_corners, read_corners
 
 
 class Detector:
-    """Finds the corners of frames of one shape and pixel type.
+    """Finds the corners in frames of one shape and pixel type.
 
-    Use it in a with statement, or call `close`. Buffers and kernels are made once; nothing is
-    allocated on the device per frame. One thread may use it at a time: a second one waits.
+    Use it in a with statement, or call `close`. Buffers and kernels are made once, so that a frame
+    allocates nothing on the device. One thread at a time may use it; a second one waits.
 
     shape: (H, W) of every frame. dtype: uint8 or uint16.
-    config: what to do; the defaults of DetectorConfig where None.
+    config: the settings; None means DetectorConfig().
     device: a Device, a text for `select_device`, or None for the default device.
     queue: a pyopencl queue to use instead of one of its own, one that runs its commands in
         order; then `device` must be None.
-    mask: (H, W) bool, where corners may be centred; pixels outside are still looked at.
+    mask: (H, W) bool, where corners may be centred; pixels outside are still sampled.
     profile: keep the times of the stages of the last frame, see `times`.
 
     Raises ImageError (shape, dtype, mask), ConfigError, DeviceError, KernelBuildError and
@@ -80,11 +80,11 @@ class Detector:
         context = queue.context if queue is not None else cl.Context([self.device.handle])
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
-        self._transfers = cl.CommandQueue(context)  # of streams, beside the kernels
+        self._transfers = cl.CommandQueue(context)  # for streams, beside the kernels
         self._lock = threading.RLock()
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
         self._closed = False
-        self.regrown = 0  # times that a list was too short and a frame was done again
+        self.regrown = 0  # how often a list was too short and a frame was redone
         if self.shape[0] and self.shape[1]:
             for factor in self._factors:
                 self._plan(factor)
@@ -102,7 +102,7 @@ class Detector:
 
     def close(self) -> None:
         """Give the device's memory back; the detector cannot be used afterwards."""
-        if is_forked():  # the memory is the parent's
+        if is_forked():  # the memory belongs to the parent process
             return
         with self._lock:
             for plan in self._plans.values():
@@ -127,7 +127,7 @@ class Detector:
         return spent
 
     def __call__(self, frame: GreyImage) -> Corners:
-        """The corners of one frame, (H, W).
+        """Find the corners of one frame, (H, W).
 
         Raises ImageError where the frame does not fit, CapacityError where the device is full,
         DeviceError where the detector is closed or of another process.
@@ -140,11 +140,11 @@ class Detector:
             return self._best(self._each_factor([frame], 1))[0]
 
     def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
-        """The corners of each frame, in order.
+        """Yield the corners of each frame, in order.
 
-        The next frame is uploaded while the kernels of this one run. A frame may be
-        overwritten as soon as the next one is asked for. Calls and other streams may come
-        in between. Raises what a call raises, at the frame that it concerns.
+        The next frame is uploaded while the kernels of this one run. A frame may be overwritten as
+        soon as the next one is asked for. Calls and other streams may be interleaved. Raises what a
+        call raises, at the frame that it concerns.
         """
         if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
             yield from map(self, frames)
@@ -160,7 +160,8 @@ class Detector:
                     plan.awaited = True
                     ready, waiting = waiting, plan
                     done = [] if ready is None else self._finish(ready, self._transfers)
-                    cl.wait_for_events(plan.uploads)
+                    if plan.uploads:
+                        cl.wait_for_events(plan.uploads)
                 yield from done
             if waiting is not None:
                 with self._lock:
@@ -173,14 +174,13 @@ class Detector:
                 waiting.awaited = False
 
     def batch(self, stack: NDArray[Any] | Sequence[GreyImage] | cl.Buffer) -> list[Corners]:
-        """The corners of each frame of (B, H, W), one launch per stage for all of them.
+        """Find the corners of each frame of (B, H, W), with one launch per stage for all of them.
 
-        Frames that are on the device already are given as the pyopencl.Buffer that holds them,
-        without gaps, in the context of this detector's `queue`; they are read after what that
-        queue was given before, and may be overwritten through it at once.
-        The results share one block of memory: copy what is kept of a frame without the others.
-        Raises what a call raises, ImageError where the buffer does not hold whole frames,
-        DeviceError where it is of another context.
+        Frames that are already on the device are passed as one pyopencl.Buffer without gaps, in the
+        context of this detector's `queue`. They are read in the order of that queue, so commands
+        enqueued there later may overwrite them. The results share one block of memory: copy a
+        result to keep it without the others. Raises what a call raises, ImageError where the buffer
+        does not hold whole frames, DeviceError where it is of another context.
         """
         if isinstance(stack, cl.Buffer):
             frames: cl.Buffer | list[GreyImage] = stack
@@ -197,7 +197,7 @@ class Detector:
             return self._best(self._each_factor(frames, count))
 
     def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
-        """Every intermediate image of a frame; with a Pyramid those of its first factor.
+        """Return every intermediate image of a frame; with a Pyramid those of its first factor.
 
         Raises what a call raises.
         """
@@ -210,7 +210,7 @@ class Detector:
                 return no_maps(self.shape, self.config)
             plan = self._made(self._factors[0], frames=1, form=Form.PORTABLE)
             try:
-                self._whole(plan, [frame])  # makes room
+                self._whole(plan, [frame])  # lets the lists grow
                 return read_maps(plan)
             finally:
                 plan.release()
@@ -225,9 +225,9 @@ class Detector:
         previous: Grid | None = None,
         strict: bool = False,
     ) -> tuple[Corners, Grid]:
-        """The corners of a frame and their numbering, see `build_grid`.
+        """Find the corners of a frame and number them, see `build_grid`.
 
-        All corners of the frame are in the first; a region holds for the numbering alone.
+        The corners are those of the whole frame; `region` limits the numbering alone.
 
         Raises what a call and `build_grid` raise.
         """
@@ -252,7 +252,7 @@ class Detector:
         return [scale]
 
     def _plan(self, factor: float | None, frames: int = 1) -> Plan:
-        """A plan whose results no stream is waiting for."""
+        """Return a plan that no stream is waiting for."""
         slot = 0
         while (frames, slot, factor) in self._plans and self._plans[frames, slot, factor].awaited:
             slot += 1
@@ -261,11 +261,11 @@ class Detector:
             for key, plan in self._plans.items()
             if (key[0], key[2]) == (frames, factor) and key[1] > max(slot, 1) and not plan.awaited
         ]
-        for key in dropped:  # of streams that were begun and not ended
+        for key in dropped:  # of abandoned streams
             self._plans.pop(key).release()
         key = (frames, slot, factor)
         if key not in self._plans:
-            if frames > 1:  # room for one size of batch
+            if frames > 1:  # plans of one batch size are kept
                 for old in [old for old in self._plans if old[0] > 1 and old[0] != frames]:
                     self._plans.pop(old).release()
             self._plans[key] = self._made(factor, frames)
@@ -309,7 +309,7 @@ class Detector:
             raise plan.refused(error) from error
 
     def _each_factor(self, frames: list[GreyImage] | cl.Buffer, count: int) -> list[list[Corners]]:
-        """The results at each factor."""
+        """Return the corners of each frame at each working scale."""
         plans = [self._plan(factor, frames=count) for factor in self._factors]
         for plan in plans:
             self._start(plan, frames, self._queue)
@@ -320,18 +320,18 @@ class Detector:
         return self._finish(plan, self._queue)
 
     def _grow(self, plan: Plan, overflow: Overflow) -> None:
-        """Make room and start again on the frames that are on the device."""
+        """Lengthen the lists and restart on the frames that are on the device."""
         self.regrown += 1
         try:
             plan.grow(overflow)
-        except CapacityError:  # half of its buffers are gone; the next frame makes it anew
+        except CapacityError:  # half of its buffers are gone; the next frame rebuilds it
             self._plans = {key: kept for key, kept in self._plans.items() if kept is not plan}
             plan.release()
             raise
         plan.launch(plan.launches)
 
     def _best(self, results: list[list[Corners]]) -> list[Corners]:
-        """Of the results of all factors, for each frame the one with the nearest count."""
+        """Choose, for each frame, the working scale whose count is nearest to the expected one."""
         scale = self.config.scale
         if not isinstance(scale, Pyramid):
             return results[0]
@@ -351,7 +351,7 @@ class Detector:
             )
 
     def _frames_in(self, buffer: cl.Buffer) -> int:
-        """Frames that a buffer on the device holds."""
+        """Return how many frames a buffer on the device holds."""
         check_process()
         if buffer.context != self._queue.context:
             raise DeviceError(
@@ -376,10 +376,12 @@ def detect(
     config: DetectorConfig | None = None,
     device: Device | str | None = None,
 ) -> Corners:
-    """The corners of one image, (H, W) uint8 or uint16.
+    """Find the corners of one image, (H, W) uint8 or uint16.
 
-    Makes a Detector, runs it and releases it; for many images of one shape make a Detector.
-    config None means DetectorConfig.for_image(image).
+    It makes a Detector, runs it and releases it. For many images of one shape make a Detector
+    yourself.
+    config: the settings; None means DetectorConfig.for_image(image).
+
     Raises what Detector raises.
     """
     check_image(image)

@@ -18,7 +18,7 @@ _WRITABLE = 0o222  # a mode in which somebody may write
 
 @contextlib.contextmanager
 def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[BinaryIO]:
-    """A file to write that appears under its name only when the block ends without an error.
+    """Write a file that appears under its name only if the block ends without an error.
 
     It is a temporary file in the same folder, renamed at the end; what stood under the name
     stays until then, and its mode and owner afterwards. Devices and pipes are written as they
@@ -47,7 +47,7 @@ def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[
 
 
 def check_target(path: str | PathLike[str]) -> Path:
-    """The place that a path to write to names, with links resolved.
+    """Return the file that a path to write to names, with links resolved.
 
     Raises OSError where it is empty, a folder or a read-only file, or lies in a folder that is
     not there or cannot be written.

@@ -13,7 +13,7 @@ _PIXELS = frozenset({np.dtype(np.uint8), np.dtype(np.uint16)})
 
 
 def check_image(image: Any) -> GreyImage:
-    """The image itself, if it is (H, W) uint8 or uint16 with contiguous rows.
+    """Return the image itself, if it is (H, W) uint8 or uint16 with contiguous rows.
 
     Raises ImageError that says what came, what is expected and which call converts it.
     """
@@ -33,7 +33,7 @@ def _is_image(image: Any) -> bool:
 
 
 def _not_an_image(image: Any) -> Exception:
-    """An ImageError that says what is wrong with it and what mends it."""
+    """Return an ImageError that says what is wrong with the image and how to convert it."""
     expected = "expected a NumPy array (H, W) of uint8 or uint16"
     if not isinstance(image, np.ndarray):
         hint = "numpy.asarray(image) converts"

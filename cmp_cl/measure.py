@@ -1,6 +1,6 @@
-"""Measure frames against a frame at rest, and find the patterns and boards that they show.
+"""Measuring frames against a frame at rest, and finding patterns and boards.
 
-From a film of two views in one frame, as behind a mirror device, to a field for every frame:
+A field for every frame of a film that shows two views side by side, for example through mirrors:
 
     import cmp_cl
 
@@ -13,8 +13,8 @@ From a film of two views in one frame, as behind a mirror device, to a field for
             if frame.image is not None:
                 measure(frame.image).field.save(f"press-{frame.index:04}.vtp")
 
-`OneView` does the same in the image, for a camera that sees the pattern from one side.
-`find_boards` gives the pairs of grids that `cmp_cl.calibrate` takes, to make the rig.
+`OneView` does the same in the image, with one camera. `find_boards` returns the pairs of grids from
+which `cmp_cl.calibrate` makes the rig.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.cell import estimate_cell
-from cmp_cl.config import DetectorConfig, EdgeStep
+from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
@@ -53,14 +53,14 @@ _USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried where the estimate does not find 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
-    """One frame against the frame at rest.
+    """A frame, measured against the frame at rest.
 
-    arrays: what `SeriesWriter.append` takes, by name: xy (R, C, 2) float32, px, sigma (R, C)
-        float32, px, and status (R, C) uint8 of `NodeStatus`; raw_xy and raw_sigma are those
-        before the lattice filter, where that is on.
-    nodes: how many nodes are measured in both frames.
+    arrays: the arrays for `SeriesWriter.append`, by name: xy (R, C, 2) float32, px, sigma (R, C)
+        float32, px, and status (R, C) uint8 of `NodeStatus`; raw_xy and raw_sigma are those before
+        the lattice filter, where that is on.
+    nodes: number of nodes that are measured in both frames.
     largest: the largest displacement, px or the rig's unit, 0 without nodes.
-    ambiguous: whether the numbers of a grid may be those of other nodes, see `Grid.ambiguous`.
+    ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
     views, corners, grids: of the one view, or of the left and of the right one.
     """
 
@@ -75,9 +75,9 @@ class Measured:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredInSpace(Measured):
-    """One frame of two views against the frame at rest, in space.
+    """A frame of two views, measured in space against the frame at rest.
 
-    points: where the nodes are now. field: how far they have moved.
+    points: the positions of the nodes now. field: their displacement.
     arrays: displacement, sigma, status and source of the field, raw_displacement and raw_sigma
         of the raw one where the lattice filter is on, and the positions left and right, as
         they were detected, (R, C, 2) float32, px.
@@ -90,11 +90,11 @@ class MeasuredInSpace(Measured):
 class Measurement:
     """Measures frames against the frame at rest. Use it in a with statement.
 
-    constants: arrays that a series says once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
-        whether the lattice filter is on; raw_rest is then the rest before it), and with two
-        views left_rest and right_rest (R, C, 2), as they were detected.
-    unit: of the displacements, "px" or the rig's.
-    nodes: how many nodes the pattern has.
+    constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
+        whether the lattice filter is on; raw_rest is then the rest before it), and with two views
+        left_rest and right_rest (R, C, 2), as they were detected.
+    unit: unit of the displacements, "px" or the rig's.
+    nodes: number of nodes of the pattern.
     """
 
     constants: dict[str, NDArray[Any]]
@@ -217,12 +217,13 @@ class OneView(Measurement):
 class TwoViews(Measurement):
     """Measures displacements in space from frames that hold two views.
 
-    rest: the frame at rest, (H, W) uint8 or uint16. rig: calibrated on views split alike.
-    split: where the two views are in a frame. regions: of the left and of the right view.
-    The other arguments are those of `OneView`.
+    rest: the frame at rest, (H, W) uint8 or uint16. rig: the cameras, calibrated on views that were
+        split in the same way.
+    split: the rectangles of the two views in a frame. regions: regions of the left and of the right
+    view, see `OneView`. The other arguments are those of `OneView`.
 
     Raises GridError where a view of the frame at rest shows no such pattern, or the rig does
-    not fit three quarters of its nodes to 1 px; ImageError where a view leaves the frame; and
+    not fit three quarters of its nodes to 1 px; ImageError where a view extends past the frame; and
     what `Detector` raises.
     """
 
@@ -325,7 +326,7 @@ class TwoViews(Measurement):
 
 @dataclasses.dataclass(frozen=True)
 class _Search:
-    """How a pattern is looked for, see `OneView`."""
+    """The settings of a search for a pattern, see `OneView`."""
 
     device: Device
     shape: tuple[int, int] | None
@@ -364,7 +365,7 @@ class _Pattern:
             stack.pop_all()
 
     def find(self, view: GreyImage) -> tuple[Corners, Grid]:
-        """The corners of another view and their grid, without a node where there is none.
+        """Find the corners of another view and number them; the grid is empty without a pattern.
 
         The grid has the rows and columns at rest: nodes beyond have no displacement.
         """
@@ -453,7 +454,7 @@ def _check_size(grid: Grid) -> None:
 
 
 def _detected(grid: Grid) -> int:
-    """How many nodes the detector itself has found."""
+    """Count the nodes that the detector itself has found."""
     return int(np.count_nonzero(grid.status == NodeStatus.DETECTED))
 
 
@@ -468,11 +469,9 @@ def cell_of(grid: Grid) -> float:
 def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
     """Return the most complete and exact settings for a deformed pattern of such cells, px.
 
-    They are those of `DetectorConfig.for_cell` with EdgeStep.
+    They are those of `DetectorConfig.for_cell`.
     """
-    return DetectorConfig.for_cell(cell).replace(
-        refinement=EdgeStep(cell=cell), full_scale=full_scale
-    )
+    return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
 
 
 # rigid boards
@@ -493,8 +492,8 @@ def find_boards(
     the board's inner corners. max_sigma: the largest standard deviation of a corner that is
     used, px. The other arguments are those of `TwoViews`.
 
-    Raises GridError where a view does not show the board up to all four of its sides: then
-    nobody knows which corner is which.
+    Raises GridError where a view does not show all four sides of the board, because its corners
+    cannot be told apart then.
     """
     device = _selected(device)
     grids = []
@@ -518,17 +517,15 @@ def find_board(
 ) -> Grid:
     """Find a rigid board of (rows, columns) inner corners; return its grid.
 
-    A rigid board has sharp corners: at full size the narrow rings see less of their
-    surroundings than at a working scale, and do not reach over narrow outer squares. So its
-    corners are refined at full size where all of them are found there.
+    The corners of a rigid board are sharp. At full size the rings are smaller in terms of the board
+    than at a working scale, and do not extend past narrow outer squares. So corners are refined at
+    full size if all of them are found there.
 
     Raises GridError where the view does not show corners of all four sides of the board.
     """
     device = _selected(device)
     cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
-    scaled = DetectorConfig.for_cell(cell).replace(
-        refinement=EdgeStep(cell=cell), full_scale=full_scale
-    )
+    scaled = exact_config(cell, full_scale)
     grids = []
     for config in dict.fromkeys((scaled.replace(scale=None), scaled)):
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
@@ -569,8 +566,8 @@ def square_sides(points: Points3D) -> NDArray[np.float64]:
 def align_views(left: Grid, right: Grid) -> Grid:
     """Return the right grid numbered as the left one is, see `cmp_cl.align`.
 
-    The two cameras of a rig have nearly the same side up: if the colours say that the rows are
-    turned by more than 60 degrees, a view is numbered wrongly.
+    The two cameras of a rig have nearly the same side up. If the rows of the two views differ by
+    more than 60 degrees, one of the views is numbered wrongly.
 
     Raises GridError where shapes, colours or the directions of the rows do not agree.
     """

@@ -57,19 +57,19 @@ class _Drawing(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Checkerboard:
-    """A checkerboard on a sheet; raises ConfigError for a field outside its range.
+    """A checkerboard on a sheet.
 
-    shape: rows and columns of inner corners, each 1 or more: there is one cell more along each
-        side. The cell at the top left is black.
+    shape: rows and columns of inner corners, each 1 or more; each side has one cell more. The top
+        left cell is black.
     cell: side of a cell, mm, 0.01 to 1000.
     border: width of the white border around the cells, mm, 0 to 1000; None means one cell.
-    ink_spread: how far black grows beyond its drawn edge in print, mm, less than half a cell;
-        cells are drawn smaller by as much on each side. Negative where black shrinks.
+    ink_spread: how far black spreads past its drawn edge in print, mm, less than half a cell. Cells
+        are drawn smaller by that much on each side. It is negative where black shrinks.
     stretch: factors on all lengths along x and y, 0.5 to 2: nominal over measured length of
         the scale bars of a trial print.
     scale_bar: draw a scale bar along x and one along y, with the size of the pattern.
-    paper: width and height of the sheet, mm, on which the pattern is centred; None means a
-        sheet that just holds it.
+    paper: width and height of the sheet, mm; the pattern is centred on it. None means a sheet that
+        just holds the pattern.
     """
 
     shape: tuple[int, int]
@@ -144,16 +144,16 @@ class Checkerboard:
         write_bytes(path, writers[suffix]())
 
     def _board(self) -> tuple[float, float]:
-        """Width and height of all cells, mm, not stretched."""
+        """Return the width and height of all cells, mm, not stretched."""
         return (self.shape[1] + 1) * self.cell, (self.shape[0] + 1) * self.cell
 
     def _around(self) -> tuple[float, float]:
-        """The border, and the border with a scale bar's strip, mm."""
+        """Return the width of the border, and that of the border with a scale bar, mm."""
         border = self.cell if self.border is None else self.border
         return border, border + _STRIP if self.scale_bar else border
 
     def _extent(self) -> tuple[float, float]:
-        """Width and height that the pattern needs, mm."""
+        """Return the width and height that the pattern needs, mm."""
         width, height = self._board()
         before, after = self._around()
         return (
@@ -162,7 +162,7 @@ class Checkerboard:
         )
 
     def _origin(self) -> tuple[float, float]:
-        """The top-left corner of the cells on the sheet, mm."""
+        """Return the top-left corner of the cells on the sheet, mm."""
         before = self._around()[0]
         free = np.subtract(self.size, self._extent()) / 2
         return (
@@ -171,7 +171,7 @@ class Checkerboard:
         )
 
     def _cells(self) -> NDArray[np.float64]:
-        """(N, 4) black cells, mm from the top left of the cells, not stretched."""
+        """Return the black cells, (N, 4), mm from the top left of the cells, not stretched."""
         rows, columns = self.shape
         row, column = np.indices((rows + 1, columns + 1)).reshape(2, -1)
         black = (row + column) % 2 == 0
@@ -208,7 +208,7 @@ class Checkerboard:
 
 
 def _bar(length: float, top: float) -> NDArray[np.float64]:
-    """A horizontal bar from x = 0 with its two ends: (3, 4) rectangles, mm."""
+    """Return a horizontal bar from x = 0 with its two ends: (3, 4) rectangles, mm."""
     bottom, middle, end = top + _TICK, top + _TICK / 2, _BAR / 2
     return np.array(
         [
@@ -245,7 +245,7 @@ def _svg(drawing: _Drawing) -> bytes:
 
 
 def _pdf(drawing: _Drawing) -> bytes:
-    """One page, its content in mm with y down; Helvetica is in every viewer."""
+    """Return one page of PDF, its content in mm with y down. Every viewer has Helvetica."""
     width, height = (side * _POINTS_PER_MM for side in drawing.size)
     rectangles = "\n".join(
         f"{x0:.5f} {y0:.5f} {x1 - x0:.5f} {y1 - y0:.5f} re" for x0, y0, x1, y1 in drawing.black
@@ -320,7 +320,7 @@ def _png(drawing: _Drawing, dpi: float) -> bytes:
 
 
 def _covered(start: float, end: float, count: int) -> tuple[slice, NDArray[np.float32]]:
-    """The pixels of a row that an interval touches, and the share of each that it covers."""
+    """Return the pixels of a row that an interval covers, and the covered share of each."""
     first, last = max(math.floor(start), 0), min(math.ceil(end), count)
     edge = np.arange(first, max(last, first) + 1)
     inside = np.minimum(edge[1:], end) - np.maximum(edge[:-1], start)
@@ -328,7 +328,7 @@ def _covered(start: float, end: float, count: int) -> tuple[slice, NDArray[np.fl
 
 
 def _dxf(drawing: _Drawing, *, cells: NDArray[np.float64]) -> bytes:
-    """ASCII DXF of release 12, which every reader takes; y points up."""
+    """Return ASCII DXF of release 12, which every reader takes; y points up."""
     height = drawing.size[1]
     out: list[object] = [0, "SECTION", 2, "HEADER", 9, "$ACADVER", 1, "AC1009"]
     out += [9, "$INSUNITS", 70, 4, 0, "ENDSEC"]
@@ -350,12 +350,12 @@ def _dxf(drawing: _Drawing, *, cells: NDArray[np.float64]) -> bytes:
 
 
 def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:
-    """The paper of that name, a key of PAPERS, turned to the pattern's longer side."""
+    """Return the paper of that name, a key of PAPERS, rotated to the pattern's longer side."""
     width, height = PAPERS[name]
     upright = board.size[1] >= board.size[0]
     return (width, height) if upright else (height, width)
 
 
 def cell_for(size: float, shape: Sequence[int]) -> float:
-    """The side of a cell, mm, with which the longer side of all cells is `size` mm."""
+    """Return the side of a cell, mm, for which the longer side of all cells is `size` mm."""
     return size / (max(shape) + 1)

@@ -4,7 +4,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 
 def package_version() -> str:
-    """The version, `unknown` where the package is only on the path and not installed."""
+    """Return the version; `unknown` where the package is on the path and not installed."""
     try:
         return version("cmp-cl")
     except PackageNotFoundError:

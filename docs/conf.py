@@ -111,10 +111,12 @@ def with_output(app, docname, source):
 def as_cell(block):
     if block[1] == "python":
         return f"```{{code-cell}} ipython3\n{block[2]}```"
-    here = f"!{sys.executable} -m cmp_cl"
+    # A cell of %%bash fails where a command fails.
+    here = f"{sys.executable} -m cmp_cl"
     commands = re.sub(r"^\$ cmp-cl\b", here, block[2], flags=re.MULTILINE)
-    commands = re.sub(r"^\$ ", "!", commands, flags=re.MULTILINE)
-    return f"{block[0]}\n\n```{{code-cell}} ipython3\n:tags: [remove-input]\n{commands}```"
+    commands = re.sub(r"^\$ ", "", commands, flags=re.MULTILINE)
+    cell = f"%%bash\nset -e\n{commands}"
+    return f"{block[0]}\n\n```{{code-cell}} ipython3\n:tags: [remove-input]\n{cell}```"
 
 
 def setup(app):

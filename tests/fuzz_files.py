@@ -1,4 +1,4 @@
-"""Damaged files of every kind that is read: settings, rigs, images, videos, stores of corners.
+"""Damaged files of every kind that is read: settings, rigs, pictures, films, stores, recordings.
 
     python tests/fuzz_files.py --cases 5000 --seed 1 [--megabytes 3000] [--seconds 600]
 
@@ -10,6 +10,7 @@ status is 1.
 
 import argparse
 import contextlib
+import importlib
 import itertools
 import json
 import re
@@ -38,11 +39,31 @@ from cmp_cl import (
     cluster,
     media,
 )
+from cmp_cl.series import Description, open_series, read_series
+from cmp_cl.series.mcap import mcap_images
 from cmp_cl.synthetic import default_rig
+from cmp_cl.viz.plots import Quantity, Recorded, sheet_figure
 
 LIMIT_S = 20
 MOST_PIXELS = 1 << 20
 FRAMES = 40  # of a video
+IMAGE_DEFINITION = """\
+std_msgs/Header header
+uint32 height
+uint32 width
+string encoding
+uint8 is_bigendian
+uint32 step
+uint8[] data
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
 Rng = np.random.Generator
 
 
@@ -105,14 +126,55 @@ def stores(folder: Path) -> Iterator[Path]:
         field: np.zeros((count, *shape), kind)
         for field, shape, kind in (
             *(("xy", (2,), "f4"), ("pixel", (2,), "i4"), ("response", (), "f4")),
-            *(("method", (), "u1"), ("sigma", (), "f4"), ("edges", (4,), "f4")),
-            ("doubtful", (), "?"),
+            *(("method", (), "u1"), ("refusal", (), "u1"), ("sigma", (), "f4")),
+            *(("edges", (4,), "f4"), ("doubtful", (), "?")),
         )
     }
-    np.savez(folder / "part-00000000.npz", lengths=lengths, device=np.array("none"), **arrays)
+    arrays |= {"lengths": lengths, "device": np.array("none")}
+    digest = np.array(cluster._digest(arrays, 0))
+    np.savez(folder / "part-00000000.npz", digest=digest, **arrays)
     (folder / "about.json").write_text(json.dumps({"count": 2, "part": 2, "config": "0"}))
     yield folder / "part-00000000.npz"
     yield folder / "about.json"
+
+
+def recordings(folder: Path) -> Iterator[Path]:
+    """Of one view and of two, as `cmp-cl run` writes them."""
+    rows, columns = np.indices((4, 5)) * 10.0
+    rest = np.stack([columns, rows, np.full((4, 5), 80.0)], axis=2)
+    for suffix, size in itertools.product(("npz", "h5"), (2, 3)):
+        path = folder / f"{size}.{suffix}"
+        constants = {"rest": rest[..., :size], "unit": np.array("mm")}
+        with open_series(path, Description(units={"xy": "px"}), constants) as series:
+            for number in range(3):
+                moved = {"xy": rest[..., :2] + number} if size == 2 else {"displacement": rest / 99}
+                sigma = np.full((4, 5), 0.1)
+                series.append(index=number, time_ms=40.0 * number, sigma=sigma, **moved)
+        yield path
+
+
+def bags(folder: Path) -> Iterator[Path]:
+    """Images in an MCAP: as they are, compressed, and of 16 bits."""
+    writing = importlib.import_module("mcap_ros2.writer")
+    path = folder / "a.mcap"
+    with open(path, "wb") as file:
+        writer = writing.Writer(file)
+        image = writer.register_msgdef("sensor_msgs/msg/Image", IMAGE_DEFINITION)
+        for number, (encoding, pixels) in enumerate(
+            (("mono8", picture()), ("mono16", picture().astype(np.uint16) << 4))
+        ):
+            message = {
+                "header": {"stamp": {"sec": number, "nanosec": 5}, "frame_id": "camera"},
+                "height": pixels.shape[0],
+                "width": pixels.shape[1],
+                "encoding": encoding,
+                "is_bigendian": 0,
+                "step": pixels.strides[0],
+                "data": pixels.tobytes(),
+            }
+            writer.write_message("/image", image, message, log_time=number)
+        writer.finish()
+    yield path
 
 
 def read_image(path: Path) -> None:
@@ -139,12 +201,30 @@ def read_store(path: Path) -> None:
         assert not whole or len(found) == store.count
 
 
+def read_recording(path: Path) -> None:
+    """Its arrays, and all that is drawn of them."""
+    recorded = Recorded.of(read_series(path))
+    recorded.node_of(None)
+    frame = recorded.frame_of(None)
+    for quantity in Quantity:
+        with contextlib.suppress(CmpClError):
+            recorded.values(quantity, frame)
+    sheet_figure(recorded)
+
+
+def read_bag(path: Path) -> None:
+    for _, image in itertools.islice(mcap_images(path), FRAMES):
+        assert image is None or image.size <= MOST_PIXELS
+
+
 KINDS: dict[str, tuple[Callable[[Path], Iterator[Path]], Callable[[Path], Any]]] = {
     "settings": (settings, DetectorConfig.load),
     "rigs": (rigs, StereoRig.load),
     "images": (images, read_image),
     "videos": (videos, read_video),
     "stores": (stores, read_store),
+    "recordings": (recordings, read_recording),
+    "bags": (bags, read_bag),
 }
 
 

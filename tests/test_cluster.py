@@ -1,5 +1,6 @@
 """A recording over two worker processes: every frame once, whatever dies."""
 
+import io
 import os
 import threading
 import time
@@ -49,7 +50,7 @@ def worker_process():
 def client():
     with (
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
         ) as local,
         distributed.Client(local) as connected,
     ):
@@ -119,7 +120,9 @@ def test_what_is_there_is_not_done_again(client, tmp_path):
     assert kept.items() <= after.items()
 
 
-@pytest.mark.parametrize("damage", ["cut", "bit", "empty", "another part", "directory"])
+@pytest.mark.parametrize(
+    "damage", ["cut", "bit", "empty", "last part", "next part", "written anew", "directory"]
+)
 def test_a_damaged_part_is_done_again(client, tmp_path, damage):
     cluster.detect(client, tmp_path, count=COUNT, read=frame, part=PART)
     part, last = tmp_path / "part-00000002.npz", tmp_path / "part-00000009.npz"
@@ -128,19 +131,24 @@ def test_a_damaged_part_is_done_again(client, tmp_path, damage):
     bit[len(whole) // 2] ^= 4
     directory = bytearray(whole)
     directory[-30] ^= 4
+    moved = io.BytesIO()
+    with np.load(part) as arrays:
+        np.savez(moved, **{**arrays, "xy": arrays["xy"] + np.float32(1)})
     damaged = {
         "cut": whole[: len(whole) // 2],
         "bit": bytes(bit),
         "empty": b"",
-        "another part": last.read_bytes(),  # of one frame
+        "last part": last.read_bytes(),  # of one frame
+        "next part": (tmp_path / "part-00000003.npz").read_bytes(),  # whole, of as many frames
+        "written anew": moved.getvalue(),  # whole for a zip
         "directory": bytes(directory),
     }
     part.write_bytes(damaged[damage])
     store = cluster.open_store(tmp_path)
     assert store.missing() == [2]
-    with pytest.raises(ConfigError, match=r"damaged|no part of this store"):
+    with pytest.raises(ConfigError, match="damaged"):
         store[2 * PART]
-    with pytest.raises(ConfigError, match=r"damaged|no part of this store"):
+    with pytest.raises(ConfigError, match="damaged"):
         list(store)
     assert_whole(cluster.detect(client, tmp_path, count=COUNT, read=frame, part=PART))
 

@@ -113,7 +113,7 @@ def test_a_fraction_is_refused_where_an_integer_is_needed(part, field):
         ),
         (
             lambda: DetectorConfig(refinement="edge_lines"),
-            "DetectorConfig.refinement must be EdgeLines or EdgeStep or Midlines or None",
+            "DetectorConfig.refinement must be EdgeStep or EdgeLines or Midlines or None",
         ),
         (lambda: DetectorConfig().replace(window=21), "DetectorConfig has no field 'window'"),
         (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),
@@ -273,9 +273,10 @@ def test_small_cells_get_the_small_ring():
 
 def test_squeezed_cells_are_looked_for_where_cells_are_small_and_large_ones_get_a_scale():
     small, wide, huge = (DetectorConfig.for_cell(cell) for cell in (19.9, 20, 120))
-    assert small == DetectorConfig()
-    assert wide == huge.replace(scale=None) == DetectorConfig(detection=RingHarmonic(fine=False))
-    assert huge.scale == 0.25
+    assert small == DetectorConfig(refinement=EdgeStep(cell=19.9))
+    rule = RingHarmonic(fine=False)
+    assert wide == DetectorConfig(detection=rule, refinement=EdgeStep(cell=20))
+    assert huge == DetectorConfig(detection=rule, refinement=EdgeStep(cell=120), scale=0.25)
     assert DetectorConfig.for_cell(60).scale is None
 
 

@@ -45,6 +45,7 @@ def test_memory_that_is_refused_is_a_capacity_error(device, monkeypatch):
     "call", ["pyopencl.enqueue_nd_range_kernel", "cmp_cl.stages.plan._copy_rectangle"]
 )
 def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch, call):
+    monkeypatch.setattr("cmp_cl.stages.plan.shares_memory", lambda _: False)
     with Detector(shape=images.SHAPE, device=device) as detector:
         expected = detector(BOARD)
         with monkeypatch.context() as patch:
@@ -223,6 +224,36 @@ def test_a_folder_or_a_program_of_another_user_is_not_trusted(device, cache, mon
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
     with pytest.warns(RuntimeWarning, match="not yours alone"):
         build(device)
+
+
+FOREIGN = """
+import os, sys
+import cmp_cl
+device = cmp_cl.select_device({device!r})
+cmp_cl.Detector(shape=(40, 40), device=device).close()
+print(os.path.isdir(os.environ["POCL_CACHE_DIR"]), os.environ["POCL_CACHE_DIR"])
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has a folder for each user")
+def test_pocl_runs_no_kernels_of_a_folder_that_others_may_write_to(device, tmp_path):
+    if not device_module.is_pocl(device.handle):
+        pytest.skip("only PoCL has a cache of its own")
+    shared = tmp_path / "pocl"
+    shared.mkdir()
+    shared.chmod(0o777)
+    found = subprocess.run(
+        [sys.executable, "-c", FOREIGN.format(device=device.index)],
+        env={**os.environ, "POCL_CACHE_DIR": str(shared), "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert list(shared.iterdir()) == []
+    assert found.stderr.count(f"the kernels in {str(shared)!r} are not used") == 1
+    there, _, place = found.stdout.strip().partition(" ")
+    assert there == "True"
+    assert not os.path.exists(place)
 
 
 def test_a_compiler_that_a_full_disk_would_end_is_not_started(device, cache, monkeypatch):

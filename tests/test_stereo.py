@@ -324,7 +324,7 @@ def test_an_odd_frame_loses_its_middle_column():
 
 
 def test_a_split_that_leaves_the_frame_is_refused():
-    with pytest.raises(ImageError, match="leaves the frame of 9 x 6"):
+    with pytest.raises(ImageError, match="extends past the frame of 9 x 6"):
         BinocularSplit.halves(10, 6)(np.zeros((6, 9), np.uint8))
 
 

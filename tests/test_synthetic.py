@@ -7,9 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
+from cmp_cl import synthetic
 from cmp_cl.errors import ConfigError
-from cmp_cl.synthetic import Indenter, Mode, Scene, Surround
-from cmp_cl.synthetic import scene as synthetic
+from cmp_cl.synthetic import Indenter, Mode, Scene, Surround, rendering
+from cmp_cl.synthetic.material import SAMPLES
+from cmp_cl.synthetic.surface import surface
 
 PRESSED = [kind for kind in Indenter if kind is not Indenter.NONE]
 CLEAN = {"corrosion": 0.0, "noise": 0.0, "light": 0.0, "vignetting": 1.0, "bits": 12}
@@ -82,16 +84,16 @@ def test_truth_is_where_the_clean_picture_shows_a_corner(markers, indenter, mode
 @pytest.mark.parametrize("severity", [0.0, 1.5, 2.0])
 def test_each_pixel_shows_the_material_point_that_projects_to_it(severity, monkeypatch):
     seen = {}
-    inverse = synthetic._inverse
+    inverse = rendering._inverse
 
     def keep(scene, forward):
         seen["forward"], seen["points"] = forward, inverse(scene, forward)
         return seen["points"]
 
-    monkeypatch.setattr(synthetic, "_inverse", keep)
+    monkeypatch.setattr(rendering, "_inverse", keep)
     synthetic.render(Scene(indenter=Indenter.TORUS, severity=severity, tilt=(0.05, -0.03)))
-    fine = synthetic._supersample(seen["points"], (480, 640)).astype(np.float64)
-    samples = synthetic._SAMPLES
+    fine = rendering._supersample(seen["points"], (480, 640)).astype(np.float64)
+    samples = SAMPLES
     y, x = np.mgrid[: 480 * samples, : 640 * samples]
     pixels = (np.stack([x, y], axis=-1) + 0.5) / samples - 0.5
     assert np.abs(seen["forward"](fine) - pixels).max() < 0.01
@@ -129,14 +131,14 @@ def test_displacement_grows_with_severity(indenter, mode):
 
 def test_severity_one_is_two_millimetres_down_and_a_shear_and_twist_of_their_size():
     middle = np.zeros((1, 2))
-    press = synthetic._surface(Scene(indenter=Indenter.CUBE), middle)[0]
+    press = surface(Scene(indenter=Indenter.CUBE), middle)[0]
     np.testing.assert_allclose(press, [0, 0, -2], atol=1e-9)
-    shear = synthetic._surface(
-        Scene(indenter=Indenter.CUBE, mode=Mode.SHEAR, direction=math.pi / 2), middle
-    )[0]
+    shear = surface(Scene(indenter=Indenter.CUBE, mode=Mode.SHEAR, direction=math.pi / 2), middle)[
+        0
+    ]
     np.testing.assert_allclose(shear, [0, 1.2, -1], atol=1e-9)
     near = np.array([[0.1, 0.0]])
-    twist = synthetic._surface(Scene(indenter=Indenter.CUBE, mode=Mode.TWIST), near)[0]
+    twist = surface(Scene(indenter=Indenter.CUBE, mode=Mode.TWIST), near)[0]
     assert math.degrees(math.atan2(twist[1], twist[0])) == pytest.approx(20, abs=0.01)
 
 

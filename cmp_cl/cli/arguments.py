@@ -85,14 +85,14 @@ def add_region(parser: argparse.ArgumentParser, *, help_: str) -> None:
 
 
 def positive(text: str) -> int:
-    """A whole number from 1 on."""
+    """Parse a whole number from 1 on."""
     if re.fullmatch(r"\d{1,18}", text) is None or not int(text):
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on")
     return int(text)
 
 
 def grid_shape(text: str) -> tuple[int, int]:
-    """Rows and columns from a text such as 40x40."""
+    """Parse rows and columns from a text such as 40x40."""
     match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text)
     if match is None or min(int(match[1]), int(match[2])) < 2:
         raise argparse.ArgumentTypeError(f"{text!r} is no pair of counts such as 40x40")
@@ -103,7 +103,7 @@ def grid_shape(text: str) -> tuple[int, int]:
 
 
 def boxes(text: str) -> tuple[Box, ...]:
-    """One or two rectangles from a text such as 0,0,320,480 or 0,0,320,480:400,0,320,480."""
+    """Parse one or two rectangles from a text such as 0,0,320,480 or 0,0,320,480:400,0,320,480."""
     match = re.fullmatch(f"{_BOX}(?::{_BOX})?", text)
     numbers = [] if match is None else [int(number) for number in match.groups() if number]
     found = [(x, y, w, h) for x, y, w, h in zip(*[iter(numbers)] * 4, strict=True)]
@@ -116,7 +116,7 @@ def boxes(text: str) -> tuple[Box, ...]:
 
 
 def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | None, ...]:
-    """Of each view the region that --region chooses in its frame, None without it.
+    """Return, for each view, the region that --region chooses in its frame, None without it.
 
     Raises ConfigError where there are not as many rectangles as views, or one lies outside.
     """
@@ -134,17 +134,17 @@ def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | Non
 
 
 def whole(image: GreyImage) -> View:
-    """The view that is all of the frame."""
+    """Return the view that is all of the frame."""
     return (0, 0, image.shape[1], image.shape[0]), False
 
 
 def views_of(split: BinocularSplit) -> tuple[View, View]:
-    """The left and the right view."""
+    """Return the left and the right view."""
     return (split.left, split.mirror_left), (split.right, split.mirror_right)
 
 
 def region_in(view: Box, box: Box, *, mirror: bool) -> Region:
-    """Where a rectangle of a frame lies in a view that was cut from it.
+    """Return where a rectangle of a frame lies in a view that was cut from it.
 
     Raises ConfigError where it lies outside.
     """
@@ -162,7 +162,7 @@ def region_in(view: Box, box: Box, *, mirror: bool) -> Region:
 
 
 def split_of(where: str, mirror: str | None, shape: tuple[int, ...]) -> BinocularSplit:
-    """The split that --split and --mirror ask for, for frames of that shape.
+    """Return the split that --split and --mirror ask for, for frames of that shape.
 
     Raises ConfigError for a text that is neither halves nor two rectangles.
     """

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cmp_cl.cli.arguments import add_device
-from cmp_cl.config import BinaryRings, DetectorConfig, EdgeStep
+from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError
@@ -47,7 +47,7 @@ def measure(device: Device, repeats: int) -> None:
     default = DetectorConfig()
     configs = {
         "default": default,
-        "EDGE_STEP": default.replace(refinement=EdgeStep(cell=scene.cell)),
+        "EDGE_LINES": default.replace(refinement=EdgeLines()),
         "binary rings": default.replace(detection=BinaryRings()),
         "centroids": default.replace(refinement=None),
     }
@@ -66,7 +66,7 @@ def measure(device: Device, repeats: int) -> None:
 
 
 def _timed(detector: Detector, image: GreyImage, repeats: int) -> tuple[list[float], Corners]:
-    """Milliseconds of each call, after five that do not count, and the last answer."""
+    """Return the milliseconds of each call, after five warm-up calls, and the last answer."""
     spent = []
     for k in range(repeats + 5):
         start = time.perf_counter()
@@ -77,7 +77,7 @@ def _timed(detector: Detector, image: GreyImage, repeats: int) -> tuple[list[flo
 
 
 def _late(spent: Sequence[float]) -> float:
-    """The 95th percentile."""
+    """Return the 95th percentile."""
     return sorted(spent)[min(len(spent) - 1, int(0.95 * len(spent)))]
 
 

@@ -185,7 +185,7 @@ def _check_numbers(arguments: argparse.Namespace) -> None:
 
 
 def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:
-    """The file or the two files of each pair of views."""
+    """Return the file or the two files of each pair of views."""
     if arguments.left:
         return list(
             zip(media.find_inputs(arguments.left), media.find_inputs(arguments.right), strict=True)

@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _files(cameras: list[list[str]]) -> dict[str, list[Path]]:
-    """By name the files of each camera."""
+    """Return the files of each camera by its name."""
     files: dict[str, list[Path]] = {}
     for first, *others in cameras:
         name, equals, path = first.partition("=")
@@ -145,7 +145,7 @@ def _board(
     arguments: argparse.Namespace,
     device: Device,
 ) -> Grid:
-    """The board in a view, numbered like the first one of this moment."""
+    """Return the board in a view, numbered like the first one of this moment."""
     image = media.read_image(path, max_pixels=arguments.max_pixels)
     size = (image.shape[1], image.shape[0])
     if sizes.get(name, size) != size:

@@ -126,13 +126,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def wrongly_numbered(grid: Grid, view: Rendered) -> int:
-    """How many nodes are nearer to another corner's place: over half a cell from their own."""
+    """Count the nodes that are over half a cell from their own corner, and nearer to another."""
     off = np.linalg.norm(grid.xy - view.truth, axis=2)
     return int(np.count_nonzero(off > 0.5 * view.cell))
 
 
 def _table(measured: MeasuredInSpace, rest: _Truth, now: _Truth) -> list[tuple[str, str, str]]:
-    """The errors against the exact truth: what, value, unit."""
+    """Return the errors against the exact truth: what, value, unit."""
     table = []
     for side, view, corners, grid in zip(
         ("left", "right"), (now.left, now.right), measured.corners, measured.grids, strict=True
@@ -162,7 +162,7 @@ def _table(measured: MeasuredInSpace, rest: _Truth, now: _Truth) -> list[tuple[s
 
 
 def _across_and_along(off: NDArray[np.float64]) -> str:
-    """Root mean squares of (N, 3) in the image plane of the left camera, and along its axis."""
+    """Return the RMS of (N, 3) in the image plane of the left camera, and along its axis."""
     across = np.sqrt(np.mean(np.square(off[:, :2]).sum(axis=1)))
     return f"{across:.1f}, {np.sqrt(np.mean(off[:, 2] ** 2)):.1f}"
 
@@ -186,7 +186,7 @@ def _files(
 
 
 def _around(grid: Grid, view: GreyImage) -> tuple[int, int, int, int]:
-    """The rectangle of a view that shows the pattern: left, top, right, bottom, px."""
+    """Return the rectangle of a view that shows the pattern: left, top, right, bottom, px."""
     xy = grid.xy[grid.valid]
     edge = 2 * cell_of(grid)
     left, top = np.maximum(xy.min(axis=0) - edge, 0)

@@ -173,7 +173,7 @@ class _Tally:
     def numbered(
         self, frame: int, image: GreyImage, corners: Corners, shape: tuple[int, int]
     ) -> Grid | None:
-        """The corners of a frame by row and column; None where that is refused.
+        """Number the corners of a frame by row and column; None where that is refused.
 
         A board of another size is refused: nobody knows which of its corners were meant.
         """
@@ -209,7 +209,7 @@ class _Tally:
         return line
 
     def is_dark(self) -> bool:
-        """Whether a 16-bit file holds less than 16 bits, and nothing was found in it."""
+        """Return whether a 16-bit file holds less than 16 bits, and nothing was found in it."""
         return 0 < self.brightest < 2**14 and not any(self.counts)
 
     def refused_line(self) -> str:
@@ -225,7 +225,7 @@ class _Tally:
 
 
 def _some(numbers: Collection[int]) -> str:
-    """The first of the numbers, as a list."""
+    """Return the first of the numbers, as a list."""
     few = ", ".join(map(str, itertools.islice(numbers, 8)))
     return f"{few}, ..." if len(numbers) > 8 else few
 
@@ -254,7 +254,7 @@ class _Finder:
         self._detector: Detector
 
     def find(self, path: Path, tally: _Tally) -> Iterator[tuple[int, GreyImage, Corners]]:
-        """The frames of a file that can be read: number, image and corners.
+        """Yield the frames of a file that can be read: number, image and corners.
 
         Without a configuration it is estimated from each frame until one has corners.
         """
@@ -297,7 +297,7 @@ class _Finder:
 
 
 def _frames_in(paths: Sequence[Path]) -> int | None:
-    """How many frames there are, None where nobody watches."""
+    """Return how many frames there are, None where nobody watches."""
     if not sys.stderr.isatty():
         return None
     total = 0
@@ -316,7 +316,7 @@ def _csv_path(out: str | None) -> Path | None:
 
 
 def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Path]:
-    """Where the overlay of each input goes; a missing folder is made."""
+    """Return where the overlay of each input goes; a missing folder is made."""
     if overlay is None:
         return {}
     if not overlay:
@@ -350,7 +350,7 @@ def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Pat
 
 
 def _of_frame(overlay: Path, path: Path, index: int) -> Path:
-    """The overlay of one frame of a video, or of one page of an image."""
+    """Return the path of the overlay of one frame of a video, or of one page of an image."""
     if index == 0 and not media.is_video(path):
         return overlay
     return overlay.with_stem(f"{overlay.stem}-{index:06}")

@@ -7,13 +7,13 @@ _LONGEST = 1000  # letters of a message: a value that is refused may be of any l
 
 
 def shown(name: object) -> str:
-    """A file name as it can stand in a line: itself, or quoted with its odd characters escaped."""
+    """Return a file name as one line shows it: itself, or quoted with odd characters escaped."""
     text = os.fspath(name) if isinstance(name, Path) else str(name)
     return text if text.isprintable() else repr(text)
 
 
 def one_line(error: Exception) -> str:
-    """The message of an error on one line."""
+    """Return the message of an error on one line."""
     if isinstance(error, OSError) and error.strerror is not None:
         name = "" if error.filename is None else f"{shown(error.filename)}: "
         return f"{name}{error.strerror}"
@@ -22,5 +22,5 @@ def one_line(error: Exception) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """A number with its noun: 1 frame, 2 frames."""
+    """Return a number with its noun: 1 frame, 2 frames."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -123,7 +123,7 @@ class Row(NamedTuple):
     ms: float
 
     def loses(self, full: "Row") -> str:
-        """What it loses against the most complete row, "" where nothing."""
+        """Return what it loses against the most complete row, "" where nothing."""
         lost = []
         if self.missed > full.missed:
             lost.append("corners")
@@ -137,7 +137,7 @@ class Row(NamedTuple):
 
 
 def changes(full: DetectorConfig, cell: float) -> dict[str, Change]:
-    """The ways in which one stage of a configuration can be left out or replaced, by name."""
+    """Return, by name, the ways to leave out or replace one stage of a configuration."""
     found: dict[str, Change] = {
         "binary rings": lambda c: c.replace(detection=BinaryRings.for_cell(cell)),
         "no alignment check": lambda c: _harmonic(c, alignment=None),
@@ -154,7 +154,7 @@ def changes(full: DetectorConfig, cell: float) -> dict[str, Change]:
 
 
 def _harmonic(config: DetectorConfig, **changes: Any) -> DetectorConfig:
-    """The configuration with changes to its RingHarmonic, as it is where it has none."""
+    """Return the configuration with changes to its RingHarmonic, as it is where it has none."""
     if not isinstance(config.detection, RingHarmonic):
         return config
     return config.replace(detection=dataclasses.replace(config.detection, **changes))
@@ -200,7 +200,7 @@ def _line(row: Row, full: Row) -> str:
 
 
 def _views(arguments: argparse.Namespace) -> list[tuple[GreyImage, Region | None]]:
-    """Some of the views that are given, of one size, spread over all of them."""
+    """Return some of the given views, of one size, spread over all of them."""
     kept: list[tuple[GreyImage, Region | None]] = []
     step = 1
     for number, (view, region) in enumerate(_every_view(arguments)):
@@ -238,7 +238,7 @@ def _reference(
     device: Device,
     full_scale: int | None,
 ) -> tuple[DetectorConfig, list[Frame]]:
-    """The most complete configuration, and the views in which it finds the pattern."""
+    """Return the most complete configuration, and the views in which it finds the pattern."""
     cells = []
     why = "there is no frame that can be read"
     for view, region in views:
@@ -273,7 +273,7 @@ def _reference(
 
 
 def around(grid: Grid) -> NDArray[np.float64]:
-    """Where cell edges meet the surroundings: a ring of nodes beyond the grid, (K, 2) px."""
+    """Return where cell edges meet the surroundings: a ring of nodes beyond the grid, (K, 2) px."""
     xy = grid.xy.astype(np.float64)
     for axis in (0, 1):
         lines = np.moveaxis(xy, axis, 0)
@@ -291,7 +291,7 @@ def measure(
     device: Device,
     progress: Progress,
 ) -> list[Row]:
-    """Every configuration on every frame, timed in turns; the first turn is not timed."""
+    """Run every configuration on every frame, timed in turns; the first turn is not timed."""
     image = frames[0].image
     times: dict[str, list[float]] = {name: [] for name in configs}
     answers: dict[str, list[tuple[int, int, NDArray[np.float64]]]] = {}
@@ -320,7 +320,7 @@ def measure(
 
 
 def judge(xy: NDArray[np.float32], frame: Frame) -> tuple[int, int, NDArray[np.float64]]:
-    """Corners missed, extra ones, and how far the others are from their predictions, px."""
+    """Return the missed corners, the extra ones, and the others' distances from predictions, px."""
     if frame.region is not None:
         low, high = frame.region[:2], frame.region[2:]
         xy = xy[((xy >= low) & (xy <= high)).all(axis=1)]
@@ -346,7 +346,7 @@ def cheapest(
     device: Device,
     progress: Progress,
 ) -> Row:
-    """The most complete row with every change that saves time and loses nothing.
+    """Return the most complete row with every change that saves time and loses nothing.
 
     The changes are added in the order of what they save alone, each measured beside the
     settings without it.

@@ -1,4 +1,4 @@
-"""From gradients to heights and densities: waves on a surface, schlieren in a gas.
+"""Heights and densities from gradients: waves on a surface, schlieren in a gas.
 
 A pattern seen through a medium appears displaced by u = -length grad(phi): through a free
 surface phi is its height (F. Moisy, M. Rabaud, K. Salsac, Exp. Fluids 46, 2009), in a gas the
@@ -25,10 +25,10 @@ _MOST_STEPS = 2000
 
 
 class Boundary(enum.Enum):
-    """What is known of phi at the border of the mask.
+    """The condition on phi at the border of the mask.
 
-    FREE: nothing; each connected part of the mask has a mean of 0. ZERO: phi is 0 at the
-    raster points just outside.
+    FREE: none; each connected part of the mask has a mean of 0. ZERO: phi is 0 at the raster points
+    just outside.
     """
 
     FREE = "free"
@@ -39,10 +39,10 @@ class Boundary(enum.Enum):
 class Potential:
     """A function whose gradient was measured.
 
-    value: (H, W) float64, NaN outside of the mask. gradient: (H, W, 2) float64, as measured,
-        by x and by y. misfit: (H, W) float64, length of the gradient of `value` minus the
-        measured one: what no function has as its gradient, by noise or by a wrong model.
-    x: (W,), y: (H,) float64, places of columns and rows. unit: of value, x and y.
+    value: (H, W) float64, NaN outside the mask. gradient: (H, W, 2) float64, as measured, by x and
+        by y. misfit: (H, W) float64, length of the gradient of `value` minus the measured one. It
+        comes from noise or from a wrong model.
+    x: (W,), y: (H,) float64, coordinates of columns and rows. unit: unit of value, x and y.
     """
 
     value: Array
@@ -62,7 +62,7 @@ def surface_height(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """Height of a liquid's free surface over its level at rest, from a pattern seen through it.
+    """Return the height of a liquid's surface over its level at rest, seen through it.
 
     displaced: displacement of the pattern, its rest being the flat surface. depth: from the
     surface to the pattern, within the liquid (layers of other media: their thickness times
@@ -93,7 +93,7 @@ def projected_density(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """Density of a gas summed along the view, kg/m2, over that at rest.
+    """Return the density of a gas summed along the view, kg/m2, over that at rest.
 
     displaced: displacement of the background, mm in the background's plane. distance: from
     the middle of the gas to the background, mm. gladstone_dale: m3/kg. index: of the gas at
@@ -126,13 +126,13 @@ def integrate(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """The function whose gradient is nearest, by least squares over neighbouring points.
+    """Return the function whose gradient is nearest, by least squares over neighbouring points.
 
-    raster: gives the places. gradient: (H, W, 2) by x and y, NaN where unknown. mask: (H, W)
-    where phi is wanted; points of unknown gradient are left out; None means all others.
+    raster: gives the coordinates. gradient: (H, W, 2) by x and y, NaN where unknown. mask: (H, W),
+    where phi is wanted; None means everywhere. Points of unknown gradient are left out.
 
-    Solved by conjugate gradients, preconditioned by the solution on the whole rectangle in
-    cosines. Raises FieldError where the shapes differ or nothing is left in the mask.
+    The solver is conjugate gradients, preconditioned by the cosine transform's solution on the
+    whole rectangle. Raises FieldError where the shapes differ or nothing is left in the mask.
     """
     known = np.asarray(np.isfinite(gradient).all(axis=2), np.bool_)
     if gradient.shape != (len(raster.y), len(raster.x), 2):
@@ -181,7 +181,7 @@ class _Poisson:
         self._spectrum[0, 0] = np.inf if self._parts is not None else self._spectrum[0, 1] / 4
 
     def divergence(self, slopes: Array) -> Array:
-        """A'g: the mean slope of both points where both are inside, else that of the one."""
+        """Return A'g: the mean slope of both points where both are inside, else that of the one."""
         return self._spread(self._means(slopes))
 
     def _means(self, slopes: Array) -> list[Array]:
@@ -195,7 +195,7 @@ class _Poisson:
         ]
 
     def _spread(self, differences: list[Array]) -> Array:
-        """A' of differences along x and y."""
+        """Apply A' to differences along x and y."""
         along_x, along_y = differences
         result = np.zeros(self._inside.shape)
         result[:, 1:] += along_x
@@ -211,14 +211,14 @@ class _Poisson:
         ]
 
     def _centred(self, value: Array) -> Array:
-        """Without the mean of each part, where only that fixes it."""
+        """Subtract the mean of each part, where nothing else determines it."""
         if self._parts is None:
             return np.where(self._inside, value, 0)
         sums = np.bincount(self._parts.ravel(), weights=value.ravel())
         return np.where(self._inside, value - (sums / self._sizes)[self._parts], 0)
 
     def _roughly(self, residual: Array) -> Array:
-        """The solution on the whole rectangle."""
+        """Solve on the whole rectangle."""
         padded = np.zeros(self._spectrum.shape)
         padded[: residual.shape[0], : residual.shape[1]] = residual
         waves = cv2.dct(padded) / self._spectrum
@@ -226,7 +226,7 @@ class _Poisson:
         return self._centred(np.asarray(solved, np.float64))
 
     def solve(self, goal: Array) -> Array:
-        """Conjugate gradients. Raises FieldError where they do not end."""
+        """Solve by conjugate gradients. Raises FieldError where they do not converge."""
         value = np.zeros_like(goal)
         residual = self._centred(goal)
         target = _TOLERANCE * float(np.linalg.norm(residual))
@@ -245,7 +245,7 @@ class _Poisson:
         raise FieldError(f"Poisson's equation is not solved after {_MOST_STEPS} steps")
 
     def misfit(self, value: Array, slopes: Array) -> Array:
-        """By point the root mean square difference, both axes added, from the measured slope."""
+        """Return, for each point, the RMS difference from the measured slope over both axes."""
         squares, counts = np.zeros_like(value), np.zeros_like(value)
         total = np.zeros_like(value)
         for axis, (found, wanted, pairs) in enumerate(

@@ -1,4 +1,4 @@
-"""Strain of a surface from the positions of its nodes, and how far it may be off."""
+"""The strain of a surface from the positions of its nodes, and its standard deviation."""
 
 import dataclasses
 
@@ -12,13 +12,13 @@ Bools = NDArray[np.bool_]
 
 
 def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
-    """Green-Lagrange strain of a surface in its tangent plane at rest.
+    """Return the Green-Lagrange strain of a surface in its tangent plane at rest.
 
-    rest, now: (R, C, 3) positions of the same nodes, NaN where missing. Around each node a
-    plane in (column, row) is fitted to both by least squares, over the valid ones of the
-    (2 radius + 1)^2 nodes, to give the tangent vectors A = (a1, a2) at rest and B now. In the
-    orthonormal basis of the rest plane, axis 1 along a1 and axis 2 towards a2, with
-    A = Q U: E = (U^-T B^T B U^-1 - I) / 2. Turning or shifting the surface gives 0.
+    rest, now: (R, C, 3) positions of the same nodes, NaN where missing. Around each node a plane in
+    (column, row) is fitted to both by least squares, over the valid ones of the (2 radius + 1)^2
+    nodes, to give the tangent vectors A = (a1, a2) at rest and B now. In the orthonormal basis of
+    the rest plane, axis 1 along a1 and axis 2 towards a2, with A = Q U: E = (U^-T B^T B U^-1 - I) /
+    2. A rigid motion of the surface gives 0.
 
     Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN where the node is
     missing, or fewer than 6 of the window are there, or all of those on a line.
@@ -46,7 +46,7 @@ def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
 
 
 def slope_weights(valid: Bools, radius: int) -> tuple[Array, Array]:
-    """The weights of the neighbours in the slopes by column and by row, (R, C, S, S) each.
+    """Return the neighbours' weights in the slopes by column and by row, (R, C, S, S) each.
 
     S = 2 radius + 1. The slopes are those of the plane that fits the valid nodes of the window
     best; 0 where the node or such a plane is missing.
@@ -71,7 +71,7 @@ def slope_weights(valid: Bools, radius: int) -> tuple[Array, Array]:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Slopes:
-    """The errors of the slopes of positions or displacements over the lattice.
+    """The covariance of the slopes of positions or displacements over the lattice.
 
     by_column, by_row: (R, C), their variances per node step and coordinate. covariance: (R, C, 3,
     3), of the values; how the coordinates vary together is taken from it.
@@ -85,13 +85,13 @@ class Slopes:
 def strain_deviation(
     rest: Array, now: Array, *, rest_slopes: Slopes, slopes: Slopes, radius: int = 2
 ) -> Array:
-    """Standard deviations of the strain that `green_lagrange` finds, (R, C, 3).
+    """Return the standard deviations of the strain of `green_lagrange`, (R, C, 3).
 
     With Q the orthonormal axes of the rest plane, F the tangents now along them, dG and dA the
     errors of the slopes of the displacement and of the position at rest along the same axes, to
-    first order dE = sym(F^T dG + (F - Q F^T F)^T dA), and what the turn of axis 1 by Q2 . dA1
-    makes of the components. rest, now: (R, C, 3). rest_slopes, slopes: of the position and of
-    the displacement. NaN where the strain is, or the error is unknown.
+    first order dE = sym(F^T dG + (F - Q F^T F)^T dA), and the effect of the rotation of axis 1 by
+    Q2 . dA1 on the components. rest, now: (R, C, 3). rest_slopes, slopes: of the position and of
+    the displacement. NaN where the strain is NaN or the error is unknown.
     """
     both = np.concatenate([rest, now], axis=2)
     valid = ~np.isnan(both).any(axis=2)
@@ -105,7 +105,7 @@ def strain_deviation(
     strain = (along @ along.transpose(0, 2, 1) - np.eye(2)) / 2
     e11, e22, e12 = (strain[:, i, j, None] for i, j in ((0, 0), (1, 1), (0, 1)))
     one, two = along[:, 0], along[:, 1]
-    turned = axes[:, 1]  # by which axis 1 turns with its own error
+    turned = axes[:, 1]  # rotation of axis 1 by its own error
     off_one, off_two = np.moveaxis(along - (2 * strain + np.eye(2)) @ axes, 1, 0)
     none = np.zeros_like(one)
     parts = (
@@ -122,7 +122,7 @@ def strain_deviation(
 
 
 def _variance(one: Array, two: Array, inverse: Array, slopes: Slopes, good: Bools) -> Array:
-    """(N,): of one . g1 + two . g2, g1 and g2 the errors of the slopes along the two axes."""
+    """Return the variance (N,) of one . g1 + two . g2, with g1, g2 the slopes' errors by axis."""
     mean = np.trace(slopes.covariance[good], axis1=1, axis2=2) / 3
     with np.errstate(invalid="ignore", divide="ignore"):
         alike = slopes.covariance[good] / mean[:, None, None]
@@ -135,7 +135,7 @@ def _variance(one: Array, two: Array, inverse: Array, slopes: Slopes, good: Bool
 
 
 def _tangents(values: Array, valid: Bools, radius: int) -> Array:
-    """Slopes of the local plane by column and by row: (R, C, K) -> (R, C, 2, K), NaN if none."""
+    """Return slopes of the local plane by column and row: (R, C, K) -> (R, C, 2, K), or NaN."""
     rows, columns = valid.shape
     sums = np.zeros((rows, columns, 3, values.shape[2]))  # of 1, c, r times the values
     moments = np.zeros((rows, columns, 3, 3))

@@ -38,7 +38,7 @@ def save(field: "DisplacementField", path: str | PathLike[str]) -> None:
 
 
 def _arrays(field: "DisplacementField", begin: str = "") -> dict[str, NDArray[Any]]:
-    """The arrays of a field by name, those of the raw one with names that begin with raw_."""
+    """Return the arrays of a field by name; those of the raw one begin with raw_."""
     arrays: dict[str, NDArray[Any]] = {
         f"{begin}position": field.position,
         f"{begin}displacement": field.displacement,
@@ -75,7 +75,7 @@ _COLUMNS = {
 
 
 def _names(name: str) -> tuple[str, ...]:
-    """The columns of an array of the field."""
+    """Return the columns of an array of the field."""
     begin = "raw_" if name.startswith("raw_") else ""
     return tuple(begin + column for column in _COLUMNS[name.removeprefix("raw_")])
 
@@ -102,7 +102,7 @@ def _save_csv(field: "DisplacementField", path: str | PathLike[str]) -> None:
 
 
 def _columns(arrays: dict[str, NDArray[Any]], names: Sequence[str], unit: str) -> list[str]:
-    """The columns of some arrays, lengths with their unit."""
+    """Return the columns of some arrays, lengths with their unit."""
     return [
         column if "strain" in name else f"{column}_{unit}"
         for name in names
@@ -112,7 +112,7 @@ def _columns(arrays: dict[str, NDArray[Any]], names: Sequence[str], unit: str) -
 
 
 def mesh(field: "DisplacementField") -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
-    """Columns of the valid nodes, and the quadrilaterals between them, (Q, 4) numbers of nodes."""
+    """Return columns of the valid nodes, and quadrilaterals between them, (Q, 4) node numbers."""
     valid = field.valid
     row, column = np.nonzero(valid)
     columns: dict[str, NDArray[Any]] = {

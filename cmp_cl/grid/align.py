@@ -11,7 +11,7 @@ MOST_TURNED = 60  # degrees between the rows of two views that no colour tells a
 
 
 def align(grids: Sequence[Grid]) -> list[Grid]:
-    """The grids of several views of one board, all numbered as the first is.
+    """Number the grids of several views of one board as the first one is.
 
     Where a quarter or half turn of the board changes the colours, as it does for 9 x 6 corners,
     colours decide, however the cameras are turned: of 9 x 6 corners the cell between nodes
@@ -31,7 +31,7 @@ def align(grids: Sequence[Grid]) -> list[Grid]:
 
 
 def _like(first: Grid, grid: Grid) -> Grid:
-    """The grid with the numbers of the first one."""
+    """Return the grid with the numbers of the first one."""
     turned = [grid.turned(quarters) for quarters in range(4)]
     fitting = [turn for turn in turned if turn.shape == first.shape and turn.parity == first.parity]
     if len(fitting) == 1:
@@ -47,7 +47,7 @@ def _like(first: Grid, grid: Grid) -> Grid:
 
 
 def row_direction(grid: Grid) -> complex:
-    """The mean step from a column to the next, x + 1j y, px; NaN where there is none."""
+    """Return the mean step from a column to the next, x + 1j y, px; NaN where there is none."""
     step = np.diff(grid.xy.astype(np.float64), axis=1)
     known = step[np.isfinite(step).all(axis=2)]
     return complex(*known.mean(axis=0)) if len(known) else complex(np.nan, np.nan)

@@ -34,12 +34,12 @@ class Ends(NamedTuple):
 
 
 def border_of(nodes: Nodes, image: GreyImage) -> Sides:
-    """The sides on which nodes end in the picture, and what lies beyond is no cell."""
+    """Return the sides on which nodes end in the image, where no cell follows."""
     return _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
 
 
 def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
-    """The sides on which the picture ends before the next nodes, as far as it shows cells there."""
+    """Return the sides on which the image ends before the next nodes, and shows cells there."""
     at, across = nodes.at, nodes.at.T
     cut = [_cut(way, image) for way in (at, at[::-1], across, across[::-1])]
     if any(cut):
@@ -50,9 +50,9 @@ def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
 
 
 def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Sides:
-    """The sides on which there are no cells that many cells from the last nodes.
+    """Return the sides on which there are no cells that many cells from the last nodes.
 
-    shown: how far the picture must reach, cells; else the side is none of them.
+    shown: how far the image must reach, cells; else the side is none of them.
     """
     at = nodes.at
     if min(at.shape) < 2:

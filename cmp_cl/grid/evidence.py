@@ -84,7 +84,7 @@ def _hole(seen: Mask) -> Mask:
 
 
 def _usual_contrast(nodes: Nodes, image: GreyImage) -> float:
-    """The median contrast of some nodes, those inside the grid where there are any."""
+    """Return the median contrast of some nodes, those inside the grid where there are any."""
     seen = nodes.status != NodeStatus.MISSING
     inner = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
     row, column = np.nonzero(inner)
@@ -103,7 +103,7 @@ def _usual_contrast(nodes: Nodes, image: GreyImage) -> float:
 def _levels(
     nodes: Nodes, image: GreyImage, row: Index, column: Index, along: Points, down: Points
 ) -> tuple[Float, Float, Float]:
-    """The darker of the cells that the number says are bright, the brighter dark one, the span."""
+    """Return the grey levels of the darker bright cell and the brighter dark cell, and the span."""
     step = DIAGONAL.real * along[:, None] + DIAGONAL.imag * down[:, None]
     at = nodes.at[row, column][:, None, None] + step[..., None] * WITHIN
     level = grey(image, at).sum(axis=2)
@@ -114,7 +114,7 @@ def _levels(
 
 
 def grey(image: GreyImage, at: Points) -> Float:
-    """The grey levels of the nearest pixels; of the border for what is beyond it."""
+    """Return the grey levels of the nearest pixels; beyond the image those of its border."""
     rows, columns = image.shape
     x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1).astype(np.int64)
     y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1).astype(np.int64)
@@ -131,7 +131,7 @@ def _convincing(
     in_cell: Mask,
     usual: float,
 ) -> Mask:
-    """Which of those nodes look like corners of the pattern."""
+    """Return which of those nodes look like corners of the pattern."""
     along, down, cell = mean_steps(nodes.at, row, column)
     known = ~np.isnan(along.real + down.real)
     along[~known] = down[~known] = 0
@@ -167,7 +167,7 @@ def _convincing(
 def _cosine(
     nodes: Nodes, edges: NDArray[np.float32], row: Index, column: Index, along: Points, down: Points
 ) -> Float:
-    """The smaller |cos| between a corner's two lines and the steps; NaN where unknown."""
+    """Return the smaller |cos| between a corner's two lines and the steps; NaN where unknown."""
     owner = nodes.owner[row, column]
     angle = edges[owner].astype(np.float64)
     lines = np.exp(1j * angle)

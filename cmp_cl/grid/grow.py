@@ -101,7 +101,7 @@ def drop_misfits(nodes: Nodes) -> None:
 
 
 def _near_changes(nodes: Nodes) -> tuple[Index, Index]:
-    """Rows and columns of the nodes whose misfit may have changed."""
+    """Return rows and columns of the nodes whose misfit may have changed."""
     seen = nodes.status != NodeStatus.MISSING
     rows, columns = seen.shape
     if not nodes.changed.all():
@@ -115,7 +115,7 @@ def _near_changes(nodes: Nodes) -> tuple[Index, Index]:
 
 
 def _misfits(at: Points, row: Index, column: Index) -> Float:
-    """How far those nodes are from well supported predictions, cells; 0 below a pixel."""
+    """Return how far those nodes are from well supported predictions, cells; 0 below a pixel."""
     prediction = np.full(len(row), NOWHERE)
     if len(row) > FEW:
         prediction = predict_within(at)[row, column]
@@ -130,7 +130,7 @@ def _misfits(at: Points, row: Index, column: Index) -> Float:
 
 
 def _expected(nodes: Nodes, least: float) -> tuple[Index, Index, Points, Float, Float, Points]:
-    """Missing nodes whose prediction has at least that weight.
+    """Return the missing nodes whose prediction has at least that weight.
 
     Returns rows, columns, predictions, their weights, cells, and the direction in which the
     boundaries e0 and e2 should lie.
@@ -171,7 +171,7 @@ def _attach(nodes: Nodes, seen: Seen) -> bool:
 
 
 def _nearest(at: Points, z: Points, reach: Float) -> tuple[Index, Index]:
-    """Places in `at` and in `z` that are each other's nearest and within reach."""
+    """Return the indices in `at` and in `z` of mutually nearest points within reach."""
     order = np.argsort(z.real, kind="stable")
     x = z.real[order]
     begin = np.searchsorted(x, at.real - reach)
@@ -194,7 +194,7 @@ def _nearest(at: Points, z: Points, reach: Float) -> tuple[Index, Index]:
 
 
 def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> bool:
-    """Refine at the predictions of missing nodes; whether any was found.
+    """Refine at the predictions of missing nodes; return whether any was found.
 
     looked: (R, C), the weight of the prediction at the last look; where it is as high, none is
     taken again.
@@ -216,7 +216,7 @@ def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> 
 
 
 def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask:
-    """Which of those nodes are nearer than that to one of their eight neighbours."""
+    """Return which of those nodes are nearer than that to one of their eight neighbours."""
     padded = np.pad(at, 1, constant_values=NOWHERE)
     around = [padded[row + r, column + c] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
     away = np.abs(np.stack(around) - at[row, column])

@@ -60,7 +60,7 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
 
 
 def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
-    """Pairs of points that are at most REACH cells apart.
+    """Return the pairs of points that are at most REACH cells apart.
 
     Returns an order of the points and the pairs as places in that order, each pair once, the
     lower place first. The cell is taken from the density of the points, where all but a tenth
@@ -96,7 +96,7 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
 
 
 def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
-    """The corners' two lines, (2, N) units along e0 - e2 and e1 - e3, and their bends."""
+    """Return the corners' two lines, (2, N) units along e0 - e2 and e1 - e3, and their bends."""
     edges = np.ascontiguousarray(edges.T)
     x, y = np.cos(edges), np.sin(edges)
     off = (x[:2] + x[2:]) ** 2 + (y[:2] + y[2:]) ** 2
@@ -109,7 +109,7 @@ def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
 
 
 def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Index, Index]:
-    """The links: pairs of half-edges that choose each other.
+    """Return the links: pairs of half-edges that choose each other.
 
     A corner looks along that half of its two lines which is nearest to the way to the other
     corner. On a checkerboard one of two neighbours crosses from white to black there and the
@@ -136,7 +136,7 @@ def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Ind
 def _boundary(
     lines: Complex, corner: Index, way: Complex
 ) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """The number of the boundary nearest to that way, and the cosine between."""
+    """Return the number of the boundary nearest to that direction, and the cosine between."""
     way = way.conj()
     even, odd = ((line * way).real for line in lines.take(corner, axis=1))
     size_even, size_odd = np.abs(even), np.abs(odd)
@@ -146,7 +146,7 @@ def _boundary(
 
 
 def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
-    """How many closed cells each link bounds, 0 to 2.
+    """Count the closed cells that each link bounds, 0 to 2.
 
     A cell is closed if four steps, each turning left, lead back to the start, and if it is
     near enough to a parallelogram.
@@ -182,7 +182,7 @@ class _Trees(NamedTuple):
 
 
 def _planted(corners: int, half: Index, other: Index) -> _Trees:
-    """A first forest: each corner hooks to the lowest of those before it that it is linked to."""
+    """Return a first forest: each corner hooks to the lowest earlier one that it is linked to."""
     nothing = 16 * corners
     lowest = np.full(corners, nothing)
     np.minimum.at(lowest, other >> 2, half << 2 | other & 3)
@@ -215,7 +215,7 @@ def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
 
 
 def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Complex) -> _Trees:
-    """The trees after those roots have hooked to others, flattened by pointer jumping."""
+    """Return the trees after those roots have hooked to others, flattened by pointer jumping."""
     above = np.arange(len(trees.root))
     above[child] = parent
     offset = np.zeros(len(above), np.complex64)
@@ -240,7 +240,7 @@ def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Co
 def _hooks(
     trees: _Trees, half: Index, other: Index
 ) -> tuple[Index, Index, Complex, Complex, Index]:
-    """For each tree with a neighbour of lower root: itself, that root, its frame there, votes."""
+    """Return each tree with a neighbour of lower root, that root, its frame there, and votes."""
     a, b = half >> 2, other >> 2
     spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
     shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
@@ -265,7 +265,7 @@ def _hooks(
 
 
 def starts(values: Index) -> Index:
-    """Where each run of equal values starts."""
+    """Return where each run of equal values starts."""
     new = np.ones(len(values), np.bool_)
     np.not_equal(values[1:], values[:-1], out=new[1:])
     return np.flatnonzero(new)
@@ -279,7 +279,7 @@ def _arranged(
     other: Index,
     trees: _Trees,
 ) -> Lattice:
-    """The components by size, in the corners' own order; z is in that of the places."""
+    """Return the components by size, in the corners' own order; z is in the sorted order."""
     root, node, turn = trees
     a, b = half >> 2, other >> 2
     way = turn[a] * UNITS[half & 3]

@@ -21,7 +21,7 @@ LONGEST_REACH = 6.0  # px
 
 
 def virtual_markers(grid: Grid, count: int) -> Grid:
-    """The grid with `count` points on every edge between two neighbours.
+    """Return the grid with `count` points on every edge between two neighbours.
 
     The result is a grid of ((R-1)(count+1)+1, (C-1)(count+1)+1) nodes: node (r, c) is at
     ((count+1) r, (count+1) c), markers with status VIRTUAL lie between on rows and columns,
@@ -58,7 +58,7 @@ def virtual_markers(grid: Grid, count: int) -> Grid:
 
 
 def _hermite(at: Float, t: float) -> Float:
-    """Points at t between each node and the next along axis 1, (R, C - 1, 2) from (R, C, 2)."""
+    """Return points at t from each node to the next along axis 1: (R, C, 2) -> (R, C - 1, 2)."""
     slope = _slopes(at)
     a, b, from_a, to_b = at[:, :-1], at[:, 1:], slope[:, :-1], slope[:, 1:]
     u = 1 - t
@@ -66,7 +66,7 @@ def _hermite(at: Float, t: float) -> Float:
 
 
 def _slopes(at: Float) -> Float:
-    """Derivatives along axis 1: central, else of the parabola or line on the side there is."""
+    """Return derivatives along axis 1: central, or one-sided by the parabola or line there is."""
     padded = np.pad(at, ((0, 0), (2, 2), (0, 0)), constant_values=np.nan)
     ll, left, right, rr = padded[:, :-4], padded[:, 1:-3], padded[:, 3:-1], padded[:, 4:]
     slope = (right - left) / 2
@@ -97,7 +97,7 @@ class Profiles(NamedTuple):
 
 
 def profiles(dense: Grid, count: int) -> Profiles:
-    """The grey profiles across the edges, at a grid's virtual markers, `count` on each edge."""
+    """Return the grey profiles across the edges at a grid's virtual markers, `count` an edge."""
     row, column = np.nonzero(dense.status == NodeStatus.VIRTUAL)
     padded = np.pad(dense.xy.astype(np.float64), ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     # markers of a row have neighbours left and right, those of a column above and below
@@ -130,7 +130,7 @@ def refine_markers(
     device: Device | str | None = None,
     contrast: float = 20,
 ) -> Grid:
-    """The dense grid with its virtual markers moved across their edges, to where these are.
+    """Refine the virtual markers of a dense grid: move them across their edges to the edge itself.
 
     dense: what `grid.with_virtual_markers(count)` gave. image: (H, W) uint8 or uint16.
     device: a Device, a text for `select_device`, or None for the default device. contrast: grey
@@ -165,7 +165,7 @@ def _check_count(dense: Grid, count: int) -> None:
 
 
 def _shifts(image: GreyImage, at: Profiles, device: Device, contrast: float) -> NDArray[np.float32]:
-    """(M,) px along the normals, NaN where no edge is found, from kernels/markers.cl."""
+    """Return (M,) px along the normals, NaN where no edge is found, from kernels/markers.cl."""
     context = cl.Context([device.handle])
     pixel = "uchar" if image.dtype == np.uint8 else "ushort"
     kernels = program.build(context, ["markers"], {"PIXEL": pixel, "PAD": 0, "OUTER_RADIUS": 5})

@@ -51,14 +51,14 @@ class Nodes:
         self.owner[row, column] = -1
 
     def pad(self) -> None:
-        """A ring of missing nodes around; the parity of node (0, 0) stays."""
+        """Add a ring of missing nodes; the parity of node (0, 0) stays."""
         self.at = np.pad(self.at, 1, constant_values=NOWHERE)
         self.owner = np.pad(self.owner, 1, constant_values=-1)
         self.status = np.pad(self.status, 1)
         self.changed = np.pad(self.changed, 1)
 
     def crop(self) -> None:
-        """Without the empty rows and columns around."""
+        """Remove the empty rows and columns around."""
         seen = self.there
         rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
         if not len(rows):
@@ -69,7 +69,7 @@ class Nodes:
         self.parity = (self.parity + int(rows[0]) + int(columns[0])) % 2
 
     def turned(self, quarters: int) -> "Nodes":
-        """The same nodes with the numbers turned: row 0 is the last column, and so on."""
+        """Return the same nodes with the numbers turned: row 0 is the last column, and so on."""
         if not quarters:
             return self
         first = (0, self.at.shape[1], sum(self.at.shape), self.at.shape[0])[quarters]
@@ -80,7 +80,7 @@ class Nodes:
         return turned
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":
-        """The nodes from that row and column on."""
+        """Return the nodes from that row and column on."""
         if (top, left, *shape) == (0, 0, *self.at.shape):
             return self
         cut = Nodes(shape, (self.parity + top + left) % 2, self.free)
@@ -108,7 +108,7 @@ def check_room(shape: tuple[int, int], corners: int) -> None:
 
 
 def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
-    """A component in the box that holds it, rows down and columns right.
+    """Return a component in the box that holds it, rows down and columns right.
 
     Raises GridError where the box is too large for its corners.
     """

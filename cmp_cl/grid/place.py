@@ -71,7 +71,7 @@ class Decision(NamedTuple):
 
 
 def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) -> Placed:
-    """The nodes with the numbers of the rest grid.
+    """Return the nodes with the numbers of the rest grid.
 
     border: the sides on which the pattern ends in the view. previous: the frame before, with
     the numbers of the rest grid, or None.
@@ -175,7 +175,7 @@ def _bounds(nodes: Nodes, border: Sides, like: Grid) -> Bounds:
 
 
 def _lines(grid: Grid) -> tuple[int, int, int, int]:
-    """The numbers of the first and last row, first and last column with a fair part of nodes."""
+    """Return the first and last row, first and last column with a fair share of the nodes."""
     top, bottom, left, right = full_lines(grid.valid)
     row, column = grid.origin
     return top + row, bottom + row, left + column, right + column
@@ -187,7 +187,7 @@ def _axis_bounds(
     rest_ends: tuple[bool, ...],
     ends: tuple[bool, ...],
 ) -> tuple[int, int]:
-    """The numbers that line 0 of the nodes can have on one axis.
+    """Return the numbers that line 0 of the nodes can have on one axis.
 
     here, rest: the first and the last line, of the nodes and at rest.
     """
@@ -198,7 +198,7 @@ def _axis_bounds(
 
 
 def _known_ends(like: Grid, at: Points) -> Sides:
-    """Where the rest grid ends within what the nodes show of the picture.
+    """Return where the rest grid ends within what the nodes show of the image.
 
     For rest grids that were built without their image, which do not know their borders.
     """
@@ -219,7 +219,7 @@ def _known_ends(like: Grid, at: Points) -> Sides:
 
 
 def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
-    """The nodes on the rest grid's rows and columns, and on those beyond where it is open."""
+    """Return the nodes on the rest grid's rows and columns, and on those beyond an open side."""
     best, second, sure = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []

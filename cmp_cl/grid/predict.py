@@ -40,7 +40,7 @@ REACHED = np.array(  # where predictions or cells change with the node in the mi
 
 
 def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
-    """Where nodes should be by their neighbours, and the weight of the prediction.
+    """Predict nodes from their neighbours; also return the weight of the prediction.
 
     Along a row or column (4 (L + R) - (LL + RR)) / 6 with weight 12 and (L + R) / 2 with 4,
     the parallelograms with 1.5, linear and quadratic extrapolation with 0.7 each.
@@ -58,7 +58,7 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
 
 
 def predict_within(at: Points) -> Points:
-    """The same for every node, (R, C); NaN where one of those around is missing."""
+    """Return the same for every node, (R, C); NaN where one of those around is missing."""
     padded = _bordered(at)
     rows, columns = at.shape
     total = np.zeros((rows, columns), np.complex128)
@@ -69,7 +69,7 @@ def predict_within(at: Points) -> Points:
 
 
 def _bordered(at: Points) -> Points:
-    """With three missing nodes around."""
+    """Add three missing nodes on every side."""
     rows, columns = at.shape
     padded = np.full((rows + 6, columns + 6), NOWHERE)
     padded[3:-3, 3:-3] = at
@@ -77,7 +77,7 @@ def _bordered(at: Points) -> Points:
 
 
 def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, Float]:
-    """The step to the next column, to the next row, and the cell there, each (M,), px.
+    """Return the step to the next column, to the next row, and the cell there, each (M,), px.
 
     Means of the steps to and from the 3 x 3 nodes around; NaN where there are none.
     """

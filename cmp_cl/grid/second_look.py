@@ -24,7 +24,7 @@ ALONG = 0.7  # least |cos| between the line of e0 and e2 and its expected direct
 
 
 def second_look(image: GreyImage, at: Points, cell: Float, line: Points) -> Points:
-    """The corners at these places, (M,) complex px; NaN where none is accepted.
+    """Return the corners at these predictions, (M,) complex px; NaN where none is accepted.
 
     cell: (M,) px, how large cells are there. line: (M,) unit, along the boundaries e0 and e2.
 
@@ -75,7 +75,7 @@ def _look(
 
 
 def ring(radius: int) -> NDArray[np.complex128]:
-    """Points (x, round(sqrt(r^2 - x^2))), 0 <= x <= y, reflected, clockwise from twelve."""
+    """Return points (x, round(sqrt(r^2 - x^2))), 0 <= x <= y, reflected, clockwise from twelve."""
     octant = [(x, round(math.sqrt(radius * radius - x * x))) for x in range(radius + 1)]
     points = {
         complex(sx * a, sy * b)
@@ -107,7 +107,7 @@ AFTER, BEFORE = (
 def edge_lines(
     image: GreyImage, at: Points, rings: NDArray[np.bool_]
 ) -> tuple[Points, Points, Float]:
-    """Where the two edge lines around each place meet (EDGE_LINES).
+    """Return where the two edge lines around each start meet (EDGE_LINES).
 
     at: (M,) complex, px. rings: (M, 4), which of RADII to use. The threshold comes from the
     smallest ring used.
@@ -135,7 +135,7 @@ def edge_lines(
 
 
 def _samples(image: GreyImage, middle: Points) -> GreyImage:
-    """Grey levels around each place, (M, n); beyond the image its border is repeated."""
+    """Return the grey levels around each start, (M, n); beyond the image its border is repeated."""
     rows, columns = image.shape
     x = middle.real.astype(np.int64)[:, None] + ACROSS
     y = middle.imag.astype(np.int64)[:, None] + DOWN
@@ -145,7 +145,7 @@ def _samples(image: GreyImage, middle: Points) -> GreyImage:
 
 
 def _threshold(samples: GreyImage, ring_of: NDArray[np.int64]) -> Float:
-    """Mean of the mean of the lowest and of the highest quarter of that ring, (M,)."""
+    """Return the mean of the mean of the lowest and of the highest quarter of that ring, (M,)."""
     level = np.empty(len(samples))
     for number in set(ring_of.tolist()):
         some = ring_of == number
@@ -160,7 +160,7 @@ def _threshold(samples: GreyImage, ring_of: NDArray[np.int64]) -> Float:
 def _edge_points(
     samples: GreyImage, threshold: Float, rings: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], Points]:
-    """Which of the rings (M, 4) have four boundaries, and e0..e3 of those around the middle.
+    """Return which of the rings (M, 4) have four boundaries, and e0..e3 of those around the middle.
 
     A ring without four boundaries gets one majority of three.
     """
@@ -182,7 +182,7 @@ def _edge_points(
 
 
 def _transitions(black: NDArray[np.bool_]) -> NDArray[np.int8]:
-    """How many boundaries each ring has, (M, 4)."""
+    """Count the boundaries of each ring, (M, 4)."""
     change = (black != black.take(AFTER, axis=1)).view(np.int8)
     count: NDArray[np.int8] = np.add.reduceat(change, STARTS_OF, axis=1)
     return count

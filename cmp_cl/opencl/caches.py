@@ -1,8 +1,14 @@
-"""The folders in which compiled kernels are kept: cmp_cl's own, and PoCL's."""
+"""The folders in which compiled kernels are kept: PoCL's, and cmp_cl's for others.
 
+What lies in them is run, so a folder that others may write to is not used.
+"""
+
+import atexit
+import contextlib
 import os
 import shutil
 import stat
+import tempfile
 import warnings
 from pathlib import Path
 
@@ -13,21 +19,15 @@ _LEAST_FREE = 32 << 20  # bytes: a plan's kernels take some 10 MB in PoCL's cach
 
 
 def own_folder() -> Path | None:
-    """The folder of cmp_cl's kernels, made if missing, for this user alone; None if it cannot be.
+    """Return this user's folder of compiled kernels, made if missing; None if that fails.
 
-    What lies in it is run: a folder of another user, or one that others may write to, is not
-    used, and a warning says so.
+    A folder of another user, or one that others may write to, is not used, and a warning says so.
     """
     folder = platformdirs.user_cache_path("cmp_cl", appauthor=False)
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if not is_ours(folder.lstat()):
-            warnings.warn(
-                f"the kernels in {str(folder)!r} are not used: the folder is not yours alone; "
-                "chmod 700 it, or name another one in XDG_CACHE_HOME",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+            _warn(folder)
             return None
         if os.name != "nt":
             folder.chmod(0o700)
@@ -36,15 +36,24 @@ def own_folder() -> Path | None:
     return folder
 
 
+def _warn(folder: Path) -> None:
+    warnings.warn(
+        f"the kernels in {str(folder)!r} are not used: the folder is not yours alone; chmod 700 "
+        "it, or name another one in XDG_CACHE_HOME",
+        RuntimeWarning,
+        stacklevel=3,
+    )
+
+
 def is_ours(status: os.stat_result) -> bool:
-    """Whether a file or folder is this user's, and nobody else may write to it."""
+    """Return whether a file or folder is this user's, and nobody else may write to it."""
     if not hasattr(os, "getuid"):  # Windows has a folder for each user
         return True
     return status.st_uid == os.getuid() and not status.st_mode & _OTHERS_WRITE
 
 
 def read_ours(path: Path) -> bytes:
-    """The bytes of a file that is ours; raises OSError, PermissionError where it is not."""
+    """Read a file that is this user's; raises OSError, PermissionError where it is not."""
     with open(path, "rb") as file:
         if not is_ours(os.fstat(file.fileno())):
             raise PermissionError(f"{str(path)!r} is not ours alone")
@@ -52,15 +61,30 @@ def read_ours(path: Path) -> bytes:
 
 
 def pocl_folder() -> Path:
-    """Where PoCL keeps what it compiles."""
+    """Return the folder where PoCL keeps what it compiles."""
     named = os.environ.get("POCL_CACHE_DIR")
     if named:
         return Path(named)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pocl"
 
 
+def guard_pocl() -> None:
+    """Give PoCL a temporary folder in place of one that is not this user's alone.
+
+    PoCL asks nobody whose its kernels are. The folder goes with the process; a warning says so.
+    It is for the time before PoCL starts.
+    """
+    folder = pocl_folder()
+    with contextlib.suppress(OSError):  # what cannot be looked at PoCL cannot read
+        if folder.exists() and not is_ours(folder.stat()):
+            _warn(folder)
+            temporary = tempfile.mkdtemp(prefix="cmp_cl-")
+            atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+            os.environ["POCL_CACHE_DIR"] = temporary
+
+
 def pocl_is_stuck() -> str:
-    """Why PoCL cannot start or compile with its cache as it is, "" where it can.
+    """Return why PoCL cannot start or compile with its cache as it is; "" where it can.
 
     Without a folder to write to it is not even listed; on a full disk it ends the process.
     """

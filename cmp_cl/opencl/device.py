@@ -1,4 +1,4 @@
-"""OpenCL devices: what there is, and which one is meant."""
+"""OpenCL devices: listing them and selecting one."""
 
 import contextlib
 import dataclasses
@@ -17,13 +17,13 @@ _MOST_WORKERS = 4096
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 
 _INSTALL_HINT = (
-    "install an OpenCL implementation: pip install 'pyopencl[pocl]' runs on any CPU, a GPU needs "
+    "install an OpenCL implementation: pip install 'pyopencl[pocl]' (Linux, x86-64), a GPU needs "
     "its vendor's driver; `cmp-cl devices` says more"
 )
 
 
 class DeviceKind(enum.Enum):
-    """What sort of processor a device is."""
+    """The kind of processor that a device is."""
 
     CPU = "cpu"
     GPU = "gpu"
@@ -36,7 +36,7 @@ class Device:
 
     index: "platform:device", as `select_device` takes it.
     name, platform, driver: as the implementation reports them.
-    kind: what sort of processor it is.
+    kind: the kind of processor.
     memory: global memory, bytes.
     handle: the device as pyopencl knows it.
     """
@@ -54,15 +54,15 @@ class Device:
 
 
 class _Started:
-    """The process that started OpenCL here, None before."""
+    """The process that first used OpenCL here; None before that."""
 
     process: int | None = None
 
 
 def is_forked() -> bool:
-    """Whether this is a child that was forked after OpenCL had started in its parent.
+    """Return whether this process was forked after OpenCL had started in its parent.
 
-    Threads do not survive a fork, and an implementation would wait for its own for ever.
+    Threads do not survive a fork, and an OpenCL implementation would wait for its own forever.
     """
     return _Started.process not in (None, os.getpid())
 
@@ -85,6 +85,7 @@ def list_devices() -> list[Device]:
     """
     check_process()
     _check_workers()
+    caches.guard_pocl()
     _Started.process = os.getpid()
     with _workers_on_own_cores():
         return [
@@ -95,8 +96,8 @@ def list_devices() -> list[Device]:
 
 
 def select_device(text: str | None = None) -> Device:
-    """The device that is meant by "0:0" (platform:device), "cpu", "gpu", or a part of its name
-    or its platform's name, case ignored; the first in `list_devices` of those that match.
+    """Return the device that a text means: "0:0" (platform:device), "cpu", "gpu", or a part of its
+    name or of its platform's name, case ignored. Of several the first in `list_devices` is taken.
 
     None means the variable CMP_CL_DEVICE if it is set, else the first GPU, else the first
     CPU, else the first device.
@@ -122,7 +123,7 @@ def select_device(text: str | None = None) -> Device:
 
 
 def describe_handle(handle: cl.Device) -> Device:
-    """The Device of a pyopencl device."""
+    """Return the Device of a pyopencl device."""
     for device in list_devices():
         if device.handle == handle:
             return device
@@ -130,7 +131,7 @@ def describe_handle(handle: cl.Device) -> Device:
 
 
 def is_pocl(handle: cl.Device) -> bool:
-    """Whether a device is one of PoCL."""
+    """Return whether a device is one of PoCL."""
     return handle.platform.name == "Portable Computing Language"
 
 
@@ -153,11 +154,11 @@ def _check_workers() -> None:
 
 @contextlib.contextmanager
 def _workers_on_own_cores() -> Iterator[None]:
-    """PoCL, where it starts here, keeps each of its workers on a core of its own.
+    """Make PoCL, where it starts here, pin each of its workers to a core of its own.
 
-    Left to the system two of them often share a core for as long as the process lives, and a
-    frame takes half as long again. Not where the user has said something about the workers,
-    or where the process may not use every core.
+    Otherwise the system often puts two of them on one core for the life of the process, and a frame
+    takes half as long again. It does nothing where the user has set a variable of the workers, or
+    where the process may not use every core.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
     if cores != os.cpu_count() or any(name in os.environ for name in _POCL_WORKERS):

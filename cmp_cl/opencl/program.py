@@ -1,14 +1,15 @@
-"""The kernels: found, put together, compiled. This is the one place that builds.
+"""The kernels are found, assembled and compiled here, and nowhere else.
 
 `build(context, stages, defines)` compiles some of the files in kernels/, each into a program of
 its own; `Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be
 launched.
 
-Compilers take seconds. So a file is compiled under those macros alone that it names, and what
-was compiled is kept: another configuration compiles only the stages that it changes. PoCL keeps
-it by itself, and compiles everything twice when asked for a binary. From others the binaries
-are kept in the user's cache folder, a file each: whole or not there, checked before use, and
-written anew where they do not fit. Without a folder to write to it takes longer.
+Compilers take seconds. So a file is compiled with only those macros that it names, and the binaries
+are cached: another configuration compiles only the stages that it changes. PoCL has a cache of its
+own, and compiles everything twice when asked for a binary. Binaries of other implementations are
+kept in the user's cache folder, one file each. A file appears whole or not at all, is checked
+before use, and is rewritten where the device refuses it. Without a writable folder every start
+compiles.
 """
 
 import contextlib
@@ -31,11 +32,11 @@ from cmp_cl.opencl.device import check_process, is_pocl
 _OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
 _INCLUDE = re.compile(r'#include "(.+)"')
 _NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
-_WARNINGS = threading.Lock()  # the filters of warnings are those of the whole process
+_WARNINGS = threading.Lock()  # the filters of warnings belong to the whole process
 
 
 def kernel_folder() -> Path:
-    """Where the kernels are: in the package, or beside it in a checkout."""
+    """Return the folder of the kernels: in the package, or beside it in a checkout."""
     package = Path(__file__).parents[1]
     for folder in (package / "kernels", package.parent / "kernels"):
         if (folder / "plane.clh").is_file():
@@ -49,7 +50,7 @@ def kernel_folder() -> Path:
 def source(stage: str, macros: Mapping[str, str] | None = None) -> str:
     """Return the text of kernels/STAGE.cl; each header that it includes comes once.
 
-    macros: function-like macros, "NAME(ARGUMENTS)" to text; those that the text names are put
+    macros: function-like macros, "NAME(ARGUMENTS)" to text. Those that the source names are put
     before it.
     """
     text = "\n".join(_with_headers(f"{stage}.cl", set()))
@@ -58,7 +59,7 @@ def source(stage: str, macros: Mapping[str, str] | None = None) -> str:
 
 
 def _names(text: str, macro: str) -> bool:
-    """Whether a text uses a macro, in code, in a condition or in another macro."""
+    """Return whether a text uses a macro, in code, in a condition or in another macro."""
     return re.search(rf"\b{macro.partition('(')[0]}\b", text) is not None
 
 
@@ -79,7 +80,7 @@ def _with_headers(name: str, seen: set[str]) -> list[str]:
 
 
 class Kernels:
-    """Compiled programs, whose kernels have names of their own."""
+    """Compiled programs; no two of their kernels have the same name."""
 
     def __init__(self, programs: Sequence[cl.Program]) -> None:
         self._programs = {name: each for each in programs for name in each.kernel_names.split(";")}
@@ -90,7 +91,7 @@ class Kernels:
         return set(self._programs)
 
     def bind(self, name: str, *arguments: Any) -> cl.Kernel:
-        """A kernel of its own with these arguments, NumPy scalars and buffers."""
+        """Return a kernel of its own with these arguments, NumPy scalars and buffers."""
         kernel = cl.Kernel(self._programs[name], name)
         kernel.set_args(*arguments)
         return kernel
@@ -146,13 +147,13 @@ def _built(program: cl.Program, options: list[str]) -> cl.Program:
     """Compile or link; what a compiler says about what it could do is not the user's concern."""
     with _WARNINGS, warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        build: Any = program.build  # whose stub does not know that False means none
+        build: Any = program.build  # its stub does not know that False means no cache
         build(options=options, cache_dir=False)
     return program
 
 
 def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
-    """Where the binary of a program is kept; None where the user wants none, or PoCL keeps it."""
+    """Return where a program's binary is kept; None if that is switched off or left to PoCL."""
     device = context.devices[0]
     switched_off = os.environ.get(_NO_CACHE_VARIABLE, "").lower() in ("1", "true", "on", "yes")
     if switched_off or len(context.devices) > 1 or _keeps_by_itself(device):
@@ -168,7 +169,7 @@ def _keeps_by_itself(device: cl.Device) -> bool:
 
 
 def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:
-    """The program kept there, if there is a whole one that the device takes."""
+    """Load the program kept there, if it is whole and the device takes it."""
     with contextlib.suppress(OSError, cl.Error):
         data = caches.read_ours(path)
         digest, binary = data[:32], data[32:]
@@ -180,12 +181,12 @@ def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program |
 def _keep(path: Path, program: cl.Program) -> None:
     with contextlib.suppress(OSError, cl.Error):
         (binary,) = program.binaries
-        path.unlink(missing_ok=True)  # whoever may write to it would keep that right
+        path.unlink(missing_ok=True)  # an old file's mode would let others go on writing to it
         write_bytes(path, hashlib.sha256(binary).digest() + binary)
 
 
 def sum_of_terms(terms: Sequence[str], kind: str) -> str:
-    """The sum of the terms in a type, nested three at a time as SUM3 in plane.clh."""
+    """Return the sum of the terms in a type, nested three at a time as SUM3 in plane.clh."""
     if len(terms) == 1:
         return terms[0]
     third = -(-len(terms) // 3)

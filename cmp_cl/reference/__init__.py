@@ -1,6 +1,8 @@
-"""The detector in NumPy, one module per kernel file: slow, plain, and what kernels are held to.
+"""The detector in NumPy, one module per kernel file: slow and plain. Tests compare the kernels with
+it.
 
-It is an oracle, to be called on purpose; the library never falls back to it.
+It is an oracle: call it on purpose. The library never falls back to it. It shares no constant with
+the kernels, so that a wrong one shows.
 """
 
 import dataclasses
@@ -58,7 +60,7 @@ class _Found:
 
 
 def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None) -> Corners:
-    """The corners of an image, (H, W) uint8 or uint16.
+    """Find the corners of an image, (H, W) uint8 or uint16.
 
     config: None stands for DetectorConfig.for_image(image).
     mask: (H, W) bool, where candidates may be centred; pixels outside are still sampled.
@@ -71,7 +73,7 @@ def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = 
 def detect_with_margin(
     image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None
 ) -> tuple[Corners, NDArray[np.float64]]:
-    """The corners, and (N,) float64 how near refinement was to deciding otherwise.
+    """Find the corners; also return (N,) float64, how near refinement was to deciding otherwise.
 
     The margin is the smallest relative distance of a guard's quantity from its bound; where
     it is tiny, float32 may take the other branch. It is infinite without refinement.
@@ -90,6 +92,7 @@ def detect_with_margin(
         pixel=pixel.astype(np.int32),
         response=found.response.astype(np.float32),
         method=refined.method,
+        refusal=refined.refusal,
         sigma=refined.sigma.astype(np.float32),
         edges=refined.edges.astype(np.float32),
         doubtful=refined.doubtful,
@@ -101,13 +104,13 @@ def detect_with_margin(
 def maps(
     image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None
 ) -> Maps | HarmonicMaps:
-    """Every intermediate image of `detect`, with a value at every pixel."""
+    """Return every intermediate image of `detect`, with a value at every pixel."""
     image = check_image(image)
     return _at_best_scale(image, config or DetectorConfig.for_image(image), mask)[1].maps
 
 
 def _at_best_scale(image: GreyImage, config: DetectorConfig, mask: Mask) -> tuple[float, _Found]:
-    """The working scale and what is found at that scale."""
+    """Return the best working scale and what is found at that scale."""
     mask = _checked(mask, image)
     if not isinstance(config.scale, Pyramid):
         factor = 1.0 if config.scale is None else float(config.scale)
@@ -159,7 +162,7 @@ def _of_rings(
     full_scale: int,
     mask: NDArray[np.bool_],
 ) -> _Found:
-    """The corners of the paper's criteria: the gate looks at the maxima of the response."""
+    """Find corners by the paper's criteria; the gate examines the maxima of the response."""
     layers = [_layer(binary, mask, rings) for binary in binarize.binarize(image, rings.threshold)]
     weights = (1,) if len(layers) == 1 else (2, 1, 1)
     response = sum(
@@ -203,7 +206,7 @@ def _of_rings(
 def _layer(
     binary: NDArray[np.bool_], mask: NDArray[np.bool_], rings: BinaryRings
 ) -> dict[str, Any]:
-    """The maps of one binary image by their names, without those of the gate."""
+    """Return the maps of one binary image by their names, without those of the gate."""
     inner = ring.ring_mask(binary, ring.INNER)
     outer = ring.ring_mask(binary, ring.OUTER[rings.outer_radius])
     layer: dict[str, Any] = dict.fromkeys((*_CRITERIA_MAPS, "contrast"))
@@ -219,7 +222,7 @@ def _layer(
 
 
 def _emptied(found: Maps | HarmonicMaps, shape: tuple[int, ...]) -> Maps | HarmonicMaps:
-    """The same maps of an image without pixels."""
+    """Return the same maps of an image without pixels."""
     empty: dict[str, Any] = {
         name: None if values is None else np.empty(values.shape[:-2] + shape, values.dtype)
         for name, values in vars(found).items()

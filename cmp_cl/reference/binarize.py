@@ -8,11 +8,11 @@ from cmp_cl.image import GreyImage
 
 
 def binarize(image: GreyImage, threshold: AdaptiveMean) -> NDArray[np.bool_]:
-    """(M, H, W), True where black, for the M = 1 or 3 masks of the configuration.
+    """Return (M, H, W), True where black, for the M = 1 or 3 threshold layers of the configuration.
 
-    With S the window sum and n the window's area, black iff (I + C) n < S. The second and
-    third mask, black iff I < mean + sigma/2 and iff I < mean - sigma/2, use
-    n^2 variance = n Q - S^2 with Q the window sum of squares.
+    With S the window sum and n the window's area, black iff (I + C) n < S. The second and third
+    layer, black iff I < mean + sigma/2 and iff I < mean - sigma/2, use n^2 variance = n Q - S^2
+    with Q the window sum of squares.
     """
     n = threshold.window**2
     grey = image.astype(np.int64)
@@ -31,7 +31,7 @@ def binarize(image: GreyImage, threshold: AdaptiveMean) -> NDArray[np.bool_]:
 
 
 def window_sum(values: NDArray[np.int64], window: int) -> NDArray[np.int64]:
-    """(H, W) sums over the window x window neighbourhood, border pixels repeated."""
+    """Return (H, W) sums over the window x window neighbourhood, border pixels repeated."""
     padded = np.pad(values, window // 2, mode="edge")
     integral = np.pad(padded.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     rows = integral[window:] - integral[:-window]

@@ -12,7 +12,7 @@ from cmp_cl.reference import ring
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Rapid:
-    """The quantities of the rapid criteria at every pixel, and what they decide.
+    """The quantities of the rapid criteria at every pixel, and the decision.
 
     Fields are those of `cmp_cl.maps.Maps`; response is before the gate.
     """
@@ -32,7 +32,7 @@ def rapid(
     outer: NDArray[np.uint16],
     criteria: RapidCriteria,
 ) -> Rapid:
-    """The rapid criteria at every pixel of one binary image and its ring masks."""
+    """Evaluate the rapid criteria at every pixel of one binary image and its ring masks."""
     d2 = sector_differences()[inner]
     inner_count = inner_transitions(inner)
     outer_count = outer_transitions(outer)
@@ -60,17 +60,17 @@ def rapid(
 
 
 def inner_transitions(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Colour changes around the ring (Eq. 19)."""
+    """Count the transitions of the ring (Eq. 19)."""
     return ring.popcount(mask ^ ring.rotate(mask, 1))
 
 
 def outer_transitions(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Colour changes to a run of two samples or more (Eq. 20)."""
+    """Count the transitions to a run of two samples or more (Eq. 20)."""
     return ring.popcount((mask ^ ring.rotate(mask, 1)) & (mask ^ ring.rotate(mask, 2)))
 
 
 def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[np.int8]:
-    """Cd of Eq. 23: the ring and the region must have about as much black, and white.
+    """Return Cd of Eq. 23: the ring and the region must have about as much black, and white.
 
     With n1 black of 16 samples and nR black of 21 pixels, max(n1 - nR, (16 - n1) - (21 - nR)).
     """
@@ -82,7 +82,7 @@ def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[n
 
 @functools.cache
 def sector_differences() -> NDArray[np.uint8]:
-    """(65536,): d2 = max(|L0 - L2|, |L1 - L3|) of the four runs (Eq. 21), 255 without four."""
+    """Return d2 = max(|L0 - L2|, |L1 - L3|) of four runs (Eq. 21), else 255: (65536,)."""
     black = ring.bits(ring.all_masks())
     starts = black != np.roll(black, 1, axis=1)
     four = starts.sum(axis=1) == 4

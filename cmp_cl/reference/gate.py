@@ -1,4 +1,4 @@
-"""The contrast gate: a candidate's four sectors must differ in grey, not only in sign."""
+"""The contrast gate: a candidate's four sectors must differ in grey level, not only in sign."""
 
 import math
 
@@ -19,11 +19,11 @@ def gate(
     full_scale: int,
     masks: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """(H, W) contrast min(sc1, sc2), 0 off candidates, and (H, W) bool what is kept.
+    """Return the contrast min(sc1, sc2), (H, W), 0 off candidates, and what is kept, (H, W) bool.
 
     candidate: (H, W) bool, the maxima of the response that are candidates of this binary image.
-    masks: how many the candidates' binary image is one of, 1 or 3.
-    Inner masks of candidates are never constant: both forms of the criteria exclude it.
+    masks: number of threshold layers, 1 or 3. Inner masks of candidates are never constant: both
+    forms of the criteria exclude it.
     """
     y, x = np.nonzero(candidate)
     sc1, sc2, sm = sector_contrast(image, x, y, inner[y, x], outer_radius)
@@ -46,12 +46,12 @@ def sector_contrast(
     inner: NDArray[np.uint16],
     outer_radius: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """sc1, sc2 and sm, each (N,) int64, of N pixels with their inner masks.
+    """Return sc1, sc2 and sm, each (N,) int64, of N pixels with their inner masks.
 
-    sc1: on the inner ring, the min over white runs of their largest grey minus the max
-    over black runs of their smallest; sc2: the same on the outer ring. sm: with
-    m = floor(8 (sum of a run's inner and outer greys) / its length), the min of m over
-    white runs minus the max over black runs.
+    sc1: on the inner ring, the min over white runs of their largest grey level minus the max over
+    black runs of their smallest; sc2: the same on the outer ring. sm: with m = floor(8 (sum of a
+    run's inner and outer greys) / its length), the min of m over white runs minus the max over
+    black runs.
     """
     inner_greys = ring.ring_greys(image, x, y, ring.INNER)
     outer_greys = ring.ring_greys(image, x, y, ring.OUTER[outer_radius])
@@ -74,7 +74,7 @@ def sector_contrast(
 
 
 def contrast_bound(sc1: NDArray[np.int64], contrast: SectorContrast, full_scale: int) -> int:
-    """max(floor, ceil(relative P90)): the least contrast that passes, grey levels.
+    """Return max(floor, ceil(relative P90)), the least contrast that passes, grey levels.
 
     P90 is the value of rank (9 n + 9) div 10, from 1, among sc1 of the n candidates.
     Both products are taken in float64.
@@ -88,7 +88,7 @@ def contrast_bound(sc1: NDArray[np.int64], contrast: SectorContrast, full_scale:
 
 
 def noise_amplitude(image: GreyImage) -> tuple[int, int]:
-    """A and N: the sum of |[1 -2 1]^T [1 -2 1] * I| over the N interior pixels (Immerkaer).
+    """Return A and N: the sum of |[1 -2 1]^T [1 -2 1] * I| over the N interior pixels (Immerkaer).
 
     Both are 0 where the image has fewer than three rows or columns.
     """
@@ -99,7 +99,6 @@ def noise_amplitude(image: GreyImage) -> tuple[int, int]:
 
 
 def noise_factor(contrast: SectorContrast, masks: int) -> int:
-    """F = floor(6.68 k + .5) for k standard deviations of the noise, at least 3 with three
-    masks, in float64."""
+    """Return F = floor(6.68 k + .5), with k the noise bound; k >= 3 with three layers."""
     deviations = contrast.noise if masks == 1 else max(contrast.noise, 3)
     return math.floor(6.68 * deviations + 0.5)

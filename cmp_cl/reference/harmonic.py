@@ -1,8 +1,8 @@
 """Corners by the second harmonic of eight grey levels on a ring, in whole numbers.
 
-On a ring around a corner the grey level goes up and down twice: its second harmonic is large.
-What a corner has not is subtracted: differences between opposite samples (the odd harmonics)
-and a centre that is not the mean of its ring.
+On a ring around a corner the grey level goes up and down twice: its second harmonic is large. Two
+quantities that are small at a corner are subtracted: differences between opposite samples (the odd
+harmonics), and the difference of the centre from the mean of its ring.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ FINE_ALIGNMENT = 4
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Harmonics:
-    """What a ring says at some pixels, each int64 of one shape.
+    """The harmonics of a ring at some pixels, each int64 of one shape.
 
     a, b: the second harmonic, a vector. length: about the length of that vector.
     odd: sum of the differences between opposite samples. centre: |sum of the samples - 8 C|.
@@ -45,7 +45,7 @@ class Harmonics:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Corners:
-    """The corners of a frame in raster order, and what led to them.
+    """The corners of a frame in raster order, and how they were found.
 
     x, y: (N,) pixels. fine: (N,) bool, found by the 3 px ring. response: (N,) of the ring that
     found them. bounds: least responses by noise of the 5 px and of the 3 px ring.
@@ -68,9 +68,9 @@ def corners(
     full_scale: int,
     mask: NDArray[np.bool_],
 ) -> Corners:
-    """The corners of an image at working size.
+    """Find the corners of an image at working size.
 
-    mask: (H, W) where maxima may be; elsewhere they suppress others all the same.
+    mask: (H, W), where maxima may be kept. Maxima elsewhere still suppress their neighbours.
     """
     once, thrice = smoothed(image, full_scale)
     rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
@@ -121,7 +121,7 @@ def corners(
 
 
 def centroids(found: Corners) -> tuple[NDArray[np.float64], Whole]:
-    """The centroids of the positive responses around the corners, and rounded: (N, 2) each."""
+    """Return the centroids of the positive responses at the corners, and rounded: (N, 2) each."""
     shape = (len(found.x), 2)
     centroid, rounded = np.zeros(shape), np.zeros(shape, np.int64)
     for response, here in (
@@ -138,9 +138,9 @@ def centroids(found: Corners) -> tuple[NDArray[np.float64], Whole]:
 
 
 def smoothed(image: GreyImage, full_scale: int) -> tuple[Whole, Whole]:
-    """S1 and S3: the image smoothed once and three times, 1/16 of a grey level of 255.
+    """Return S1 and S3: the image smoothed once and three times, 1/16 of a grey level of 255.
 
-    Greys above full scale count as full scale.
+    Grey levels above full scale count as full scale.
     """
     grey = np.minimum(image.astype(np.int64), full_scale)
     if full_scale == 255:
@@ -152,7 +152,7 @@ def smoothed(image: GreyImage, full_scale: int) -> tuple[Whole, Whole]:
 
 
 def binomial(values: Whole) -> Whole:
-    """The convolution with [1 2 1]^T [1 2 1], border pixels repeated."""
+    """Convolve with [1 2 1]^T [1 2 1], border pixels repeated."""
     padded = np.pad(values, 1, mode="edge")
     rows = padded[:-2] + 2 * padded[1:-1] + padded[2:]
     total: Whole = rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:]
@@ -163,7 +163,7 @@ def binomial(values: Whole) -> Whole:
 
 
 def harmonics(values: Whole, y: Whole, x: Whole, ring: Ring) -> Harmonics:
-    """The ring around pixels (x, y); samples outside the image repeat its border."""
+    """Sample the ring around pixels (x, y); samples outside the image repeat its border."""
     height, width = values.shape
     far, near = ring
     offsets = ((0, -far), (near, -near), (far, 0), (near, near))
@@ -187,7 +187,7 @@ def harmonics(values: Whole, y: Whole, x: Whole, ring: Ring) -> Harmonics:
 
 
 def coarse_measure(seen: Harmonics) -> Whole:
-    """R: the second harmonic minus 3/4 of the odd ones and 3/8 of the centre's difference."""
+    """Return R: the second harmonic less 3/4 of the odd ones and 3/8 of the centre's difference."""
     response: Whole = (
         seen.length - (seen.odd - (seen.odd >> 2)) - ((seen.centre >> 2) + (seen.centre >> 3))
     )
@@ -195,7 +195,7 @@ def coarse_measure(seen: Harmonics) -> Whole:
 
 
 def fine_measure(seen: Harmonics) -> Whole:
-    """R': the second harmonic minus 3/4 of all that a corner has not."""
+    """Return R': the second harmonic less 3/4 of the odd ones and of the centre's difference."""
     other = seen.odd + seen.centre
     response: Whole = seen.length - (other - (other >> 2))
     return response
@@ -210,7 +210,7 @@ def _dot(one: Harmonics, other: Harmonics) -> Whole:
 
 
 def noise_bounds(image: GreyImage, rule: RingHarmonic, full_scale: int) -> tuple[int, int]:
-    """The least responses of the 5 px and of the 3 px ring by the image's noise, exactly."""
+    """Return the least responses of the 5 px and of the 3 px ring by the image's noise, exactly."""
     amplitude, pixels = gate.noise_amplitude(image)
     if not pixels:
         return LEAST, LEAST
@@ -223,9 +223,9 @@ def noise_bounds(image: GreyImage, rule: RingHarmonic, full_scale: int) -> tuple
 
 
 def maxima(response: Whole, bound: int, radius: int) -> NDArray[np.bool_]:
-    """(H, W): responses above the bound that are the largest of their (2 radius + 1)^2 window.
+    """Return (H, W): responses above the bound, largest in their (2 radius + 1)^2 window.
 
-    Of equal ones it is the lower raster index.
+    Of equal responses the one with the lower raster index is the maximum.
     """
     size = response.size
     index = np.arange(size).reshape(response.shape)
@@ -237,11 +237,12 @@ def maxima(response: Whole, bound: int, radius: int) -> NDArray[np.bool_]:
 def looks_alike(
     once: Whole, thrice: Whole, y: Whole, x: Whole, response: Whole, rule: RingHarmonic
 ) -> NDArray[np.bool_]:
-    """(N,): the maxima of the 5 px ring that smaller rings confirm, and that are no stripes.
+    """Return (N,): the maxima of the 5 px ring that smaller rings confirm, and that are no stripes.
 
-    Around the middle of a stripe the grey goes up and down twice too. There the centre differs
-    from the mean of its ring, and the small ring, inside the stripe, hardly sees a harmonic:
-    a centre may differ by 11/8 of the length, and by more as the small ring's harmonic grows.
+    Around the middle of a stripe the grey level also goes up and down twice. But there the centre
+    differs from the mean of its ring, and the small ring, inside the stripe, has a weak second
+    harmonic. So the centre may differ by 11/8 of the length, and by more where the small ring's
+    harmonic is strong.
     """
     small, large = harmonics(once, y, x, FINE), harmonics(thrice, y, x, COARSE)
     along, whole = _dot(small, large), _dot(large, large)
@@ -255,16 +256,16 @@ def looks_alike(
 
 
 def looks_alike_when_squeezed(once: Whole, y: Whole, x: Whole) -> NDArray[np.bool_]:
-    """(N,): the maxima of the 3 px ring that the 2 px ring confirms."""
+    """Return (N,): the maxima of the 3 px ring that the 2 px ring confirms."""
     small, large = harmonics(once, y, x, FINEST), harmonics(once, y, x, FINE)
     passed: NDArray[np.bool_] = FINE_ALIGNMENT * _dot(small, large) >= _dot(large, large)
     return passed
 
 
 def reference(responses: Whole) -> int:
-    """W: sorted downwards, the first response at which the squares so far are half of all.
+    """Return W: sorted downwards, the response at which the sum of squares reaches half.
 
-    0 of none. Many weak maxima of a texture hardly lower it.
+    Without responses it is 0. Many weak maxima in texture hardly lower it.
     """
     falling = np.sort(responses)[::-1]
     squares = np.cumsum(falling**2)
@@ -278,7 +279,7 @@ def _any_within(flags: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
 
 
 def _largest_within(values: Whole, radius: int, outside: int = -(1 << 62)) -> Whole:
-    """The largest of the (2 radius + 1)^2 window around each pixel."""
+    """Return the largest of the (2 radius + 1)^2 window around each pixel."""
     height, width = values.shape
     padded = np.pad(values, radius, constant_values=outside)
     window = range(2 * radius + 1)

@@ -16,7 +16,7 @@ def refine_markers(
     reach: NDArray[np.float32],
     contrast: float,
 ) -> NDArray[np.float64]:
-    """How far along its normal the edge is from each marker, (M,) px; NaN where there is none.
+    """Return the edge's offset from each marker along its normal, (M,) px; NaN without an edge.
 
     image: (H, W) uint8 or uint16. pixel, line, reach: as in cmp_cl.grid.markers.Profiles.
     contrast: grey levels by which the white side must be brighter than the black side.
@@ -46,7 +46,7 @@ def refine_markers(
 
 
 def _bilinear(image: GreyImage, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The image at (..., 2) points (x, y); beyond the image its border is repeated."""
+    """Sample the image at (..., 2) points (x, y); beyond the image its border is repeated."""
     low = np.floor(points)
     ax, ay = np.moveaxis(points - low, -1, 0)
     x, y = np.moveaxis(low.astype(np.int64), -1, 0)

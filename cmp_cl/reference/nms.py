@@ -7,7 +7,7 @@ TENT = (1, 2, 3, 2, 1)
 
 
 def score(response: NDArray[np.int32]) -> NDArray[np.int32]:
-    """S: the response convolved with the tent [1 2 3 2 1] x [1 2 3 2 1], 0 outside."""
+    """Return S: the response convolved with the tent [1 2 3 2 1] x [1 2 3 2 1], 0 outside."""
     height, width = response.shape
     padded = np.pad(response, 2)
     rows = np.zeros((height, width + 4), np.int32)
@@ -20,7 +20,7 @@ def score(response: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def maxima(response: NDArray[np.int32], score: NDArray[np.int32], radius: int) -> NDArray[np.bool_]:
-    """(H, W): pixels with R > 0 whose key is the largest in their (2 radius + 1)^2 window.
+    """Return (H, W): pixels with R > 0 whose key is the largest in their (2 radius + 1)^2 window.
 
     The key is 10 S + R; among equals the lower raster index is the larger.
     """
@@ -40,7 +40,7 @@ def maxima(response: NDArray[np.int32], score: NDArray[np.int32], radius: int) -
 def centroids(
     response: NDArray[np.int32], x: NDArray[np.int64], y: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The R-weighted centroid of the 5 x 5 around N maxima, and rounded: (N, 2) each, (x, y).
+    """Return the R-weighted centroid of 5 x 5 around N maxima, and rounded: (N, 2) each, (x, y).
 
     Rounded is floor((2 sum(R dx) + sum R) / (2 sum R)) beside the maximum.
     """

@@ -1,4 +1,4 @@
-"""The double-layer sampler (section 3.2) and what can be said of a 16-bit ring mask.
+"""The double-layer sampler (section 3.2), and functions of a 16-bit ring mask.
 
 Offsets are (dx, dy), x right, y down, clockwise from twelve o'clock. Bit i of a ring mask
 is sample i, 1 where black. Samples outside the image repeat the border pixel. Tables have
@@ -74,7 +74,7 @@ REACH = 5
 def ring_mask(
     binary: NDArray[np.bool_], offsets: tuple[tuple[int, int], ...]
 ) -> NDArray[np.uint16]:
-    """(H, W) uint16: the ring mask around every pixel of a binary image."""
+    """Return (H, W) uint16: the ring mask around every pixel of a binary image."""
     padded = np.pad(binary, REACH, mode="edge").astype(np.uint16)
     mask = np.zeros(binary.shape, np.uint16)
     for bit, offset in enumerate(offsets):
@@ -83,7 +83,7 @@ def ring_mask(
 
 
 def black_in_region(binary: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(H, W): black pixels of the corrosion region (21 px) around every pixel."""
+    """Return (H, W): black pixels of the corrosion region (21 px) around every pixel."""
     padded = np.pad(binary, REACH, mode="edge").astype(np.int64)
     count = np.zeros(binary.shape, np.int64)
     for offset in REGION:
@@ -92,7 +92,7 @@ def black_in_region(binary: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _window(shape: tuple[int, ...], offset: tuple[int, int]) -> tuple[slice, slice]:
-    """The part of an image padded by REACH that lies at an offset from the image."""
+    """Return the part of an image padded by REACH that lies at an offset from the image."""
     dx, dy = offset
     return (
         slice(REACH + dy, REACH + dy + shape[0]),
@@ -106,7 +106,7 @@ def ring_greys(
     y: NDArray[np.int64],
     offsets: tuple[tuple[int, int], ...],
 ) -> NDArray[np.int64]:
-    """(N, samples) int64: the greys of a ring around N pixels."""
+    """Return (N, samples) int64: the grey levels of a ring around N pixels."""
     dx, dy = np.array(offsets).T
     height, width = image.shape
     rows = np.clip(y[:, None] + dy, 0, height - 1)
@@ -116,7 +116,7 @@ def ring_greys(
 
 
 def rotate(mask: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
-    """rot(v, k): sample i + k comes to bit i."""
+    """Return rot(v, k): sample i + k comes to bit i."""
     wide = mask.astype(np.uint32)
     return (wide >> np.uint32(count) | wide << np.uint32(16 - count)).astype(np.uint16)
 
@@ -127,12 +127,12 @@ def popcount(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 
 def bits(mask: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """(..., 16): the samples of each mask, True where black."""
+    """Return (..., 16): the samples of each mask, True where black."""
     return (mask[..., None] >> np.arange(16, dtype=np.uint16) & np.uint16(1)).astype(np.bool_)
 
 
 def all_masks() -> NDArray[np.uint16]:
-    """The 65 536 ring masks in order."""
+    """Return the 65 536 ring masks in order."""
     return np.arange(1 << 16).astype(np.uint16)
 
 
@@ -143,7 +143,7 @@ def _popcounts() -> NDArray[np.uint8]:
 
 
 def runs(mask: NDArray[np.uint16]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The circular runs of N masks: (N, 16) run number of each sample, (N, 16) its colour.
+    """Return the circular runs of N masks: (N, 16) run number of each sample, (N, 16) its colour.
 
     Runs are numbered from 0 clockwise from the first sample that differs from the one
     before it; in a constant mask every sample is in run 0.

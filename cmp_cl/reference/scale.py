@@ -14,12 +14,12 @@ ONE = 2048
 
 
 def working_length(length: int, scale: float) -> int:
-    """max(1, floor(length s + .5)), exactly."""
+    """Return max(1, floor(length s + .5)), exactly."""
     return max(1, int(Fraction(scale) * length + Fraction(1, 2)))
 
 
 def to_working(image: GreyImage, scale: float) -> GreyImage:
-    """The image at working size: floor((sum of wy wx I + 2^21) / 2^22), in its own dtype."""
+    """Return the image at working size: floor((sum of wy wx I + 2^21) / 2^22), in its own dtype."""
     if scale == 1:
         return image
     rows = _resample(image.astype(np.int64), scale)
@@ -37,7 +37,7 @@ def _resample(values: NDArray[np.int64], scale: float) -> NDArray[np.int64]:
 
 
 def weights(length: int, scale: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """What each working pixel of one axis is made of: (n, taps) input pixels and weights.
+    """Return the input pixels and weights of each working pixel of one axis: (n, taps) each.
 
     Per working pixel x' the weights are integers that sum to 2048. Input pixel i, in
     ascending order, gets floor(2048 c_i + .5) - floor(2048 c_(i-1) + .5) where c_i is
@@ -47,7 +47,7 @@ def weights(length: int, scale: float) -> tuple[NDArray[np.int64], NDArray[np.in
     s > 1: 1 - f for the pixel floor(x) and 1 for the next, with x = (x' + .5) / s - .5,
         f = x - floor(x), and both pixel numbers clipped to the image.
 
-    All of it in rational numbers of the exact value of s. Unused taps have weight 0.
+    It is computed in rational numbers from the exact value of s. Unused taps have weight 0.
     """
     p, q = Fraction(scale).as_integer_ratio()
     taps: list[list[tuple[int, int]]] = []
@@ -67,7 +67,7 @@ def weights(length: int, scale: float) -> tuple[NDArray[np.int64], NDArray[np.in
 
 
 def _box(low: int, high: int, unit: int) -> list[tuple[int, int]]:
-    """The pixels under the interval low..high, a pixel being `unit` wide, and their weights."""
+    """Return the pixels under the interval low..high, each `unit` wide, and their weights."""
     taps = []
     before = 0
     for pixel in range(low // unit, -(-high // unit)):
@@ -78,23 +78,23 @@ def _box(low: int, high: int, unit: int) -> list[tuple[int, int]]:
 
 
 def _rounded_share(part: int, whole: int) -> int:
-    """floor(2048 part / whole + .5)."""
+    """Return floor(2048 part / whole + .5)."""
     return (2 * ONE * part + whole) // (2 * whole)
 
 
 def to_full(position: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
-    """Positions at working size as positions in the full image."""
+    """Map positions at working size to positions in the full image."""
     return (position + 0.5) / scale - 0.5
 
 
 def nearest(position: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """(N, 2): the pixel (x, y) of an image that is nearest to each position (x, y)."""
+    """Return (N, 2): the pixel (x, y) of an image that is nearest to each position (x, y)."""
     height, width = shape
     return np.clip(np.floor(position + 0.5), 0, [width - 1, height - 1]).astype(np.int64)
 
 
 def mask_at_working(mask: NDArray[np.bool_], scale: float) -> NDArray[np.bool_]:
-    """The mask at working size: its value at the full pixel nearest to each working pixel."""
+    """Return the mask at working size: its value at the full pixel nearest to each pixel."""
     if scale == 1:
         return mask
     rows, columns = (_nearest_along(length, scale) for length in mask.shape)
@@ -107,5 +107,5 @@ def _nearest_along(length: int, scale: float) -> NDArray[np.int64]:
 
 
 def best_factor(counts: dict[float, int], expected: int) -> float:
-    """The factor whose count is nearest to the expected one; among equals the larger."""
+    """Return the factor whose count is nearest to the expected one; among equals the larger."""
     return min(counts, key=lambda factor: (abs(counts[factor] - expected), -factor))

@@ -17,7 +17,7 @@ TIE = 1e-9
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Spectral:
-    """The quantities of the spectral criteria at every pixel, and what they decide.
+    """The quantities of the spectral criteria at every pixel, and the decision.
 
     Fields are those of `cmp_cl.maps.Maps`; response is before the gate.
     """
@@ -37,7 +37,7 @@ def spectral(
     outer: NDArray[np.uint16],
     criteria: SpectralCriteria,
 ) -> Spectral:
-    """The spectral criteria at every pixel of one binary image and its ring masks."""
+    """Evaluate the spectral criteria at every pixel of one binary image and its ring masks."""
     minus_1, minus_3 = spectrum_differences()
     spectrum_12 = np.minimum(minus_1[inner], minus_1[outer])
     spectrum_23 = np.minimum(minus_3[inner], minus_3[outer])
@@ -68,13 +68,13 @@ def spectral(
 
 @functools.cache
 def magnitudes() -> NDArray[np.float64]:
-    """(65536, 3): |F1|, |F2| and |F3| of the discrete Fourier transform of each mask."""
+    """Return |F1|, |F2| and |F3| of the discrete Fourier transform of each mask: (65536, 3)."""
     return np.abs(np.fft.fft(ring.bits(ring.all_masks()).astype(np.float64), axis=1)[:, 1:4])
 
 
 @functools.cache
 def spectrum_differences() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(65536,) each: |F2| - |F1| and |F2| - |F3|, exactly 0 where they are within 1e-9."""
+    """Return |F2| - |F1| and |F2| - |F3|, exactly 0 where they are within 1e-9: (65536,) each."""
     f1, f2, f3 = magnitudes().T
     minus_1, minus_3 = f2 - f1, f2 - f3
     return (
@@ -85,7 +85,7 @@ def spectrum_differences() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 @functools.cache
 def responses() -> NDArray[np.int32]:
-    """(65536,): max(1, floor(64 |F2| (|F2| - max(|F1|, |F3|)) + .5))."""
+    """Return max(1, floor(64 |F2| (|F2| - max(|F1|, |F3|)) + .5)): (65536,)."""
     difference = np.minimum(*spectrum_differences())
     product = 64 * magnitudes()[:, 1] * difference
     return np.maximum(1, np.floor(product + 0.5)).astype(np.int32)
@@ -94,7 +94,7 @@ def responses() -> NDArray[np.int32]:
 def cross_correlation(
     inner: NDArray[np.uint16], outer: NDArray[np.uint16]
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-    """The largest R(k) = sum of g1(i) g2(i + k) (Eq. 17), and a mask of the k that reach it."""
+    """Return the largest R(k) = sum of g1(i) g2(i + k) (Eq. 17), and a mask of its k."""
     largest = np.zeros(inner.shape, np.uint8)
     best = np.zeros(inner.shape, np.uint16)
     for k in range(16):
@@ -107,7 +107,7 @@ def cross_correlation(
 
 @functools.cache
 def least_correlations(bound: float) -> NDArray[np.int64]:
-    """(17, 17): per n1 and n2 the smallest integer R with R / sqrt(n1 n2) > bound.
+    """Return, per n1 and n2, the smallest integer R with R / sqrt(n1 n2) > bound: (17, 17).
 
     Decided exactly as R^2 > bound^2 n1 n2; 17, which no R reaches, where n1 n2 = 0.
     """
@@ -122,7 +122,7 @@ def least_correlations(bound: float) -> NDArray[np.int64]:
 
 @functools.cache
 def smallest_shifts() -> NDArray[np.uint8]:
-    """(65536,): per mask of the best k, twice the smallest |centre| of its circular runs.
+    """Return, per mask of the best k, twice the smallest |centre| of its circular runs: (65536,).
 
     A run of L from s has centre s + (L - 1) / 2, wrapped to (-8, 8]; 0 for a constant mask.
     """

@@ -50,7 +50,7 @@ def open_series(
     description: Description | None = None,
     constants: Mapping[str, ArrayLike] | None = None,
 ) -> Series:
-    """A recording to write, in the format of the suffix; `-` is JSON lines on standard output.
+    """Open a recording to write, in the format of the suffix; `-` is JSON lines on standard output.
 
     constants: arrays that hold for all frames, such as the positions at rest.
 

@@ -27,7 +27,7 @@ class Description:
     settings: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def entries(self) -> dict[str, str]:
-        """Version of cmp_cl, time of writing (UTC, ISO 8601), settings; without the units."""
+        """Return cmp_cl's version, time of writing (UTC, ISO 8601), settings; without the units."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         return {"cmp_cl": package_version(), "written": now, **self.settings}
 
@@ -50,7 +50,7 @@ class Series:
         self._open = True
 
     def __len__(self) -> int:
-        """Frames so far."""
+        """Return the number of frames so far."""
         return self._count
 
     def __enter__(self) -> Self:

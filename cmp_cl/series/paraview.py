@@ -73,7 +73,7 @@ class ParaViewSeries(Series):
 
 
 def _polydata(rest: NDArray[np.float64], shift: NDArray[np.float64], frame: Frame) -> str:
-    """The valid nodes as VTK's PolyData; positions are those at rest."""
+    """Return the valid nodes as VTK's PolyData; positions are those at rest."""
     valid = ~(np.isnan(rest).any(axis=2) | np.isnan(shift).any(axis=2))
     row, column = np.nonzero(valid)
     number = np.full(valid.shape, -1, np.int32)
@@ -109,7 +109,7 @@ NumberOfPolys="{len(quads)}">
 
 
 def _in_space(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 2) with a third coordinate of 0, or (N, 3) as they are."""
+    """Return (N, 2) with a third coordinate of 0, or (N, 3) as they are."""
     return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
 
 

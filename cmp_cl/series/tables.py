@@ -96,7 +96,7 @@ class CsvSeries(Series):
 
 
 def _plain(value: NDArray[Any]) -> Any:
-    """An array as lists of numbers that JSON has, null for NaN."""
+    """Return an array as lists of numbers that JSON has, null for NaN."""
     finite = np.isfinite(value) if value.dtype.kind == "f" else np.True_
     if np.all(finite):
         return value.tolist()

@@ -1,4 +1,4 @@
-"""The four criteria on the two rings of a binary image: the candidates of each mask."""
+"""The four criteria on the two rings of a binary image: the candidates of each threshold layer."""
 
 from typing import Any, cast
 
@@ -60,7 +60,7 @@ def _collect(plan: PlanBase, layer: int) -> Launch:
     return plan.stage(
         "list_candidates",
         (plan.step // 8, plan.working[0], plan.frames),
-        None,
+        (plan.width // 8, 1, 1),
         response=b["response"],
         area=b["area"],
         layer=np.uint32(layer),

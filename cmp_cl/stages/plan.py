@@ -1,7 +1,7 @@
 """The plan of a detector: buffers and bound kernels for frames of one shape.
 
-A plan is fixed to a shape, a pixel type and a number of frames; it allocates once, and a
-frame costs its upload, its launches and the download of its corners.
+A plan serves one shape, one pixel type and one number of frames. It allocates once. A frame then
+costs its upload, its launches and the download of its corners.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.device import Device, is_forked
 from cmp_cl.opencl.program import Kernels, build
+from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages import harmonic, noise, refine, rings, scale
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import (
@@ -30,11 +31,12 @@ from cmp_cl.stages.layout import (
 from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
 from cmp_cl.stages.types import defines_of
 
-ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
+SHARED = ("image", "result")  # buffers that the host writes or reads
+ALIGNMENT = 128  # bytes: an alignment that every device accepts for a sub-buffer
 
 
 class Overflow(Exception):
-    """A list was too short; holds the largest counts that were seen."""
+    """A list was too short. The fields are the largest counts seen."""
 
     def __init__(self, listed: int, corners: int) -> None:
         super().__init__(f"{listed} entries of a list, {corners} corners")
@@ -47,9 +49,10 @@ class Plan(PlanBase):
 
     factor: the working scale, or None for the image as it is.
     mask: (H, W) bool, where candidates may be centred, or None.
-    frames: how many it takes at a time.
-    form: that of the kernels, None for the device's own.
+    frames: number of frames at a time. form: the form of the kernels; None chooses it by device.
     """
+
+    _last: cl.Event | None = None  # of the kernels
 
     def __init__(
         self,
@@ -66,12 +69,18 @@ class Plan(PlanBase):
         super().__init__(queue, device, shape, dtype, config, factor, frames, form)
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
-        self.uploads: list[cl.Event] = []  # on their way in another queue
+        self.uploads: list[cl.Event] = []  # in flight in another queue
+        self._here: dict[str, NDArray[np.uint8]] = {}  # buffers as the host sees them
         self._mask = mask
         self.detection: ModuleType = rings if isinstance(self.rule, BinaryRings) else harmonic
         self.kernels = self._build()
         self._allocate()
         self._bind()
+
+    def __del__(self) -> None:
+        """Keep the memory that is shared until no kernel uses it."""
+        if not is_forked():
+            self._wait()
 
     # What is compiled
 
@@ -128,22 +137,28 @@ class Plan(PlanBase):
         try:
             for name, size in self.sizes.items():
                 if name not in self.buffers:
-                    buffer = cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, max(size, 4))
-                    self._clear(buffer)
-                    self.buffers[name] = buffer
+                    self.buffers[name] = self._buffer(name, max(size, 4))
+                    self._clear(self.buffers[name])
             self.queue.finish()
             self.arrays = {**self.buffers, **self._parts_of_work()}
-        except cl.Error as error:  # of memory, or of a size above the device's largest
+        except cl.Error as error:  # too little memory, or above the device's largest buffer
             raise self.refused(error) from error
         self._upload_area()
 
     def refused(self, error: cl.Error) -> CapacityError:
-        """The error for a device that has no room left, though its memory would be enough."""
+        """Return the error for a device that has too little memory left."""
         return CapacityError(
             f"{self.device} has no room for a plan of {sum(self.sizes.values())} bytes, though "
             f"it has {self.device.memory}: {error}; close what else uses it, or use smaller "
             "images or fewer frames at a time"
         )
+
+    def _buffer(self, name: str, size: int) -> cl.Buffer:
+        """A buffer that the host shares where it can and would otherwise copy."""
+        if name in SHARED and shares_memory(self.device.handle):
+            buffer, self._here[name] = shared_buffer(self.queue.context, size)
+            return buffer
+        return cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, size)
 
     def _clear(self, buffer: cl.Buffer) -> None:
         cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, buffer.size)
@@ -173,11 +188,12 @@ class Plan(PlanBase):
         bits = np.packbits(padded, bitorder="little")
         cl.enqueue_copy(self.queue, self.buffers["area"], bits)
 
-    def release(self) -> None:
-        """Give the device's memory back."""
-        for buffer in self.buffers.values():
-            buffer.release()
-        self.buffers.clear()
+    def release(self, *kept: str) -> None:
+        """Give the device's memory back, but for the buffers of those names."""
+        self._wait()
+        for name in self.buffers.keys() - kept:
+            self.buffers.pop(name).release()
+            self._here.pop(name, None)
 
     # What is launched
 
@@ -192,6 +208,9 @@ class Plan(PlanBase):
     def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> None:
         """Start to copy the frames to the device; they may be changed once `uploads` are over,
         or after `read` where the queue is the kernels' own."""
+        if "image" in self._here:
+            self._write(frames)
+            return
         size = self.dtype.itemsize
         for n, frame in enumerate(frames):
             pitch = frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * size
@@ -210,6 +229,14 @@ class Plan(PlanBase):
             if queue is not self.queue:
                 self.uploads.append(copy)
         queue.flush()
+
+    def _write(self, frames: Sequence[GreyImage]) -> None:
+        """Copy the frames into the memory that the device shares."""
+        self._wait()  # for a frame that nobody has waited for
+        (rows, columns), place = self.shape, self._here["image"].view(self.dtype)
+        lines = place.reshape(-1, self.full_step)[1:, self.pad : self.pad + columns]
+        for n, frame in enumerate(frames):
+            lines[n * rows : (n + 1) * rows] = frame
 
     def copy(self, frames: cl.Buffer) -> None:
         """Take the frames from a buffer of the device that holds them without gaps."""
@@ -238,9 +265,15 @@ class Plan(PlanBase):
                 self.events.append((stage, self._last))
         queue.flush()
 
+    def _wait(self) -> None:
+        """Wait until no kernel runs."""
+        if self._last is not None:
+            self._last.wait()
+
     def read(self, queue: cl.CommandQueue) -> NDArray[np.float32]:
-        """The result of each frame as kernels/result.clh has it, (frames, numbers), once the
-        launches are done; raises Overflow."""
+        """Read the result of each frame as kernels/result.clh lays it out, (frames, numbers), once
+        the launches are done; raises Overflow.
+        """
         rows = self._fetch(queue, self._likely)
         self.uploads.clear()
         head = rows[:, : 1 + self.lists].view(np.uint32)
@@ -253,8 +286,12 @@ class Plan(PlanBase):
         return rows
 
     def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
-        """The result of each frame, as much as holds that many corners."""
+        """Read the result of each frame, as much as holds that many corners."""
         numbers = RESULT_HEAD + RESULT_FIELDS * multiple(most, LANES)
+        if "result" in self._here:
+            self._wait()
+            result = self._here["result"].view(np.float32).reshape(self.frames, -1)
+            return result[:, :numbers].copy()
         rows = np.empty((self.frames, numbers), np.float32)
         _copy_rectangle(
             queue,
@@ -275,9 +312,7 @@ class Plan(PlanBase):
             self.list_room = multiple(overflow.listed * 5 // 4, GROUP)
         if overflow.corners > self.corner_room:
             self.corner_room = multiple(overflow.corners * 5 // 4, GROUP)
-        image = self.buffers.pop("image")
-        self.release()
-        self.buffers["image"] = image
+        self.release("image")
         self._allocate()
         self._bind()
 
@@ -286,6 +321,6 @@ _copy_rectangle: Any = cl.enqueue_copy  # whose stub does not know the form for 
 
 
 def _flat(frame: GreyImage, pitch: int) -> NDArray[Any]:
-    """The memory from the first to the last pixel of rows that lie apart, as it is."""
+    """Return the memory from the first to the last pixel, with the gaps between rows."""
     count = ((frame.shape[0] - 1) * pitch + frame.shape[1] * frame.itemsize) // frame.itemsize
     return np.lib.stride_tricks.as_strided(frame, (count,), (frame.itemsize,), writeable=False)

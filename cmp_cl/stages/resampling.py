@@ -1,7 +1,7 @@
 """The working scale (section 3.2: the sampler has one size): sizes and weights.
 
-Pixel x of an image maps to (x + 0.5) s - 0.5 of the image scaled by s. Everything is counted
-in whole numbers of the exact ratio s, so that it is the same everywhere.
+Pixel x of an image maps to (x + 0.5) s - 0.5 of the image scaled by s. Sizes and weights are
+computed in integers from the exact ratio s, so that every machine has the same.
 """
 
 from fractions import Fraction
@@ -13,7 +13,7 @@ WEIGHT_SUM = 2048  # of the integer weights of an output pixel along one axis
 
 
 def working_shape(shape: tuple[int, int], scale: float) -> tuple[int, int]:
-    """(H, W) of an image of that shape at a working scale, at least (1, 1)."""
+    """Return (H, W) of an image of that shape at a working scale, at least (1, 1)."""
     exact = Fraction(scale)
     rows, columns = (max(1, int(n * exact + Fraction(1, 2))) for n in shape)
     return rows, columns
@@ -22,7 +22,7 @@ def working_shape(shape: tuple[int, int], scale: float) -> tuple[int, int]:
 def full_pixels(
     pixel: NDArray[np.int32], shape: tuple[int, int], scale: float
 ) -> NDArray[np.int32]:
-    """(N, 2) (x, y): the pixels of an image of that shape nearest to pixels of the scaled one."""
+    """Return the pixels (x, y) of a full image nearest to those of the scaled one, (N, 2)."""
     nearest = np.floor((pixel + 0.5) / scale)
     held: NDArray[np.float64] = np.clip(nearest, 0, [shape[1] - 1, shape[0] - 1])
     return held.astype(np.int32)
@@ -31,11 +31,11 @@ def full_pixels(
 def resampling_weights(
     size: int, working: int, scale: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """What each output pixel of one axis is made of: (working,) first inputs, (working, taps)
-    integer weights that sum to WEIGHT_SUM.
+    """Return the inputs of each output pixel of one axis: the first inputs (working,), and integer
+    weights (working, taps) that sum to WEIGHT_SUM.
 
-    Below scale 1 an output pixel is the mean over its area, above it is interpolated linearly
-    with the border repeated. A weight is the difference of the rounded cumulative shares.
+    Below scale 1 an output pixel is the mean over its area. Above scale 1 it is interpolated
+    linearly, with the border repeated. A weight is the difference of the rounded cumulative shares.
     """
     up, down = Fraction(scale).as_integer_ratio()
     first, shares = zip(
@@ -54,14 +54,14 @@ def resampling_weights(
 
 
 def _area(n: int, size: int, up: int, down: int) -> tuple[int, list[tuple[int, int]]]:
-    """First input and cumulative shares of the area of output n; lengths count 1 / up pixels."""
+    """Return first input and cumulative area shares of output n; lengths count 1 / up pixels."""
     low, high = n * down, min((n + 1) * down, size * up)
     first, last = low // up, (high - 1) // up
     return first, [(min((i + 1) * up, high) - low, high - low) for i in range(first, last + 1)]
 
 
 def _between(n: int, size: int, up: int, down: int) -> tuple[int, list[tuple[int, int]]]:
-    """The same for the two inputs around the centre of output n."""
+    """Return the same for the two inputs around the centre of output n."""
     whole = 2 * up
     place = min(max((2 * n + 1) * down - up, 0), (size - 1) * whole)
     first = min(place // whole, max(size - 2, 0))

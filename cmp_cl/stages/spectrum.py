@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 MASKS = 1 << 16
-TIE = 1e-9  # magnitudes that differ by less are equal
+TIE = 1e-9  # magnitudes that differ by less count as equal
 HALF_SAMPLE = math.radians(11.25)
 
 
 def magnitudes() -> NDArray[np.float64]:
-    """(65536, 3) magnitudes |F1|, |F2|, |F3| of the DFT of every ring mask (Eq. 13)."""
+    """Return the magnitudes |F1|, |F2|, |F3| of the DFT of every ring mask (Eq. 13): (65536, 3)."""
     samples = (np.arange(MASKS)[:, None] >> np.arange(16)) & 1
     turns = np.exp(-2j * np.pi * np.outer(np.arange(16), [1, 2, 3]) / 16)
     result: NDArray[np.float64] = np.abs(samples @ turns)
@@ -20,14 +20,14 @@ def magnitudes() -> NDArray[np.float64]:
 
 
 def margins() -> NDArray[np.float64]:
-    """(65536, 2) differences |F2| - |F1| and |F2| - |F3|, exactly 0 where they are ties."""
+    """Return the differences |F2| - |F1| and |F2| - |F3|, exactly 0 at ties: (65536, 2)."""
     f1, f2, f3 = magnitudes().T
     difference = np.stack([f2 - f1, f2 - f3], axis=1)
     return np.where(np.abs(difference) <= TIE, 0, difference)
 
 
 def response_tables() -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-    """The response of every inner mask, 0 where it fails, and whether an outer mask passes."""
+    """Return each inner mask's response, 0 where it fails, and whether each outer mask passes."""
     f1, f2, f3 = magnitudes().T
     passes: NDArray[np.bool_] = np.min(margins(), axis=1) > 0
     response = np.floor(64 * f2 * (f2 - np.maximum(f1, f3)) + 0.5).astype(np.int32)
@@ -35,7 +35,7 @@ def response_tables() -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
 
 
 def least_correlation(bound: float) -> NDArray[np.uint8]:
-    """(257,) by n1 n2: the least max R with max R / sqrt(n1 n2) > bound, 17 where none (Eq. 17)."""
+    """Return, by n1 n2, the least max R above bound sqrt(n1 n2) (Eq. 17), else 17: (257,)."""
     square = Fraction(bound) ** 2
     least = np.full(257, 17, np.uint8)
     for product in range(1, 257):
@@ -46,5 +46,5 @@ def least_correlation(bound: float) -> NDArray[np.uint8]:
 
 
 def phase_bound(bound: float) -> int:
-    """The number of half samples from 0 on whose phase is below the bound, rad."""
+    """Return the number of half samples from 0 on whose phase is below the bound, rad."""
     return sum(half * HALF_SAMPLE < bound for half in range(17))

@@ -1,7 +1,7 @@
 """Calibration of one, two or more cameras from views of a flat board, with a choice of lens.
 
-`cmp_cl.calibrate` makes the rig of two pinhole cameras that triangulation takes; this one
-takes any number of cameras and wide lenses, for the formats of `cmp_cl.stereo.exports`.
+`cmp_cl.calibrate` makes the rig of two pinhole cameras for triangulation. `calibrate_cameras` takes
+any number of cameras and wide lenses, for the formats of `cmp_cl.stereo.exports`.
 """
 
 import dataclasses
@@ -22,13 +22,13 @@ from cmp_cl.stereo.rig import StereoRig
 Array = NDArray[np.float64]
 
 _MIN_VIEWS = 3
-_MIN_NODES = 8  # of a board in a view
+_MIN_NODES = 8  # of a board that a view must show
 _MOST_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not determine it
-_COVERAGE = 8  # cells a side that coverage is counted in
+_COVERAGE = 8  # cells along a side, in which coverage is counted
 
 
 class Lens(enum.Enum):
-    """How a camera maps directions to the image, in OpenCV's terms.
+    """The lens model of a camera, in OpenCV's terms.
 
     PINHOLE: k1 k2 p1 p2 k3 with k3 = 0. RATIONAL: k1 k2 p1 p2 k3 k4 k5 k6. FISHEYE: the
     equidistant model of cv2.fisheye, k1 k2 k3 k4.
@@ -41,10 +41,10 @@ class Lens(enum.Enum):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Camera:
-    """A calibrated camera, placed in the frame of the first one.
+    """A calibrated camera, and its pose relative to the first one.
 
     lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: 5, 8 or 4
-    coefficients. R: (3, 3), T: (3,): X_here = R X_first + T, T in `unit`.
+    coefficients. R: (3, 3), T: (3,): X = R X_first + T, T in `unit`.
     """
 
     lens: Lens
@@ -56,7 +56,7 @@ class Camera:
     unit: str
 
     def project(self, points: Array) -> Array:
-        """Where points (..., 3) in the frame of the first camera are seen, (..., 2) px."""
+        """Project points (..., 3) in the frame of the first camera to the image, (..., 2) px."""
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 3)
         turn = np.asarray(cv2.Rodrigues(self.R)[0], np.float64)
         return _projected(self.lens, flat, turn, self.T, self.matrix, self.distortion).reshape(
@@ -66,12 +66,12 @@ class Camera:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class CamerasCalibration:
-    """Cameras from views of a flat board.
+    """Cameras, calibrated on views of a flat board.
 
     cameras: by name, the first at the origin. error: root mean square reprojection error with
     one board pose a view, px. view_errors: by camera (V,), NaN where a camera does not see it.
-    places, residuals: by camera, of each view (R, C, 2) where the corners are, and measured
-        minus projected, px, NaN where missing; None where the camera does not see the board.
+    places, residuals: by camera, for each view (R, C, 2) the measured corners, and measured minus
+        projected ones, px, NaN where missing; None where the camera does not see the board.
     coverage: by camera, share of the image's 8 x 8 cells that hold a corner.
     """
 
@@ -83,7 +83,7 @@ class CamerasCalibration:
     coverage: Mapping[str, float]
 
     def rig(self) -> StereoRig:
-        """The rig of two cameras that are not fisheyes; raises CalibrationError for others."""
+        """Return the rig of two cameras; raises CalibrationError for fisheyes or another number."""
         cameras = list(self.cameras.values())
         if len(cameras) != 2 or Lens.FISHEYE in {camera.lens for camera in cameras}:
             raise CalibrationError("a rig has two cameras, neither of them a fisheye")
@@ -101,17 +101,17 @@ def calibrate_cameras(
     lens: Lens = Lens.PINHOLE,
     unit: str = "mm",
 ) -> CamerasCalibration:
-    """Cameras by name from views of one flat board, numbered alike in all of a moment.
+    """Calibrate cameras on views of one flat board; all cameras number it alike at one moment.
 
-    views: of each camera the grid in every moment, None where it does not see the board.
+    views: by camera, the grid at every moment, None where it does not see the board.
     spacing: side of a square, in `unit`. sizes: (width, height) of each camera's images, px.
 
-    Each camera is calibrated by itself; its pose against an earlier one comes from the moments
-    that both see, along the chain with the most of them; then all poses of cameras and
-    boards are fitted together, the lenses staying as they are.
+    Each camera is calibrated alone. Its pose relative to an earlier camera comes from the moments
+    that both see; the pairs with the most common moments come first. Then all poses of cameras and
+    boards are fitted together, with the lenses fixed.
 
-    Raises CalibrationError where a camera has too few views or nodes or leaves its focal
-    length uncertain, or shares no moment with the others.
+    Raises CalibrationError where a camera has too few views or nodes, where its views do not
+    determine the focal length, or where it shares no moment with the others.
     """
     if not 0 < spacing < math.inf:
         raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")
@@ -130,7 +130,7 @@ def calibrate_cameras(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Alone:
-    """A camera by itself; poses: by moment the (4, 4) from the board to the camera."""
+    """A camera, calibrated alone; poses: by moment, the (4, 4) from the board to the camera."""
 
     lens: Lens
     matrix: Array
@@ -139,7 +139,7 @@ class _Alone:
 
 
 def _seen(grids: Sequence[Grid | None], spacing: float) -> dict[int, tuple[Array, Array]]:
-    """By moment, where enough of them are seen, the nodes as `_nodes` gives them."""
+    """Return, by moment, the nodes as `_nodes` gives them, where enough of them are seen."""
     return {
         moment: _nodes(grid, spacing)
         for moment, grid in enumerate(grids)
@@ -148,7 +148,7 @@ def _seen(grids: Sequence[Grid | None], spacing: float) -> dict[int, tuple[Array
 
 
 def _nodes(grid: Grid, spacing: float) -> tuple[Array, Array]:
-    """Nodes on the board (N, 3) and in the image (N, 2)."""
+    """Return the nodes on the board (N, 3) and in the image (N, 2)."""
     row, column = np.nonzero(grid.valid)
     board = np.column_stack([column, row, np.zeros(len(row))]) * spacing
     return board.astype(np.float64), grid.xy[grid.valid].astype(np.float64)
@@ -157,7 +157,7 @@ def _nodes(grid: Grid, spacing: float) -> tuple[Array, Array]:
 def _one(
     name: str, grids: Sequence[Grid | None], spacing: float, size: tuple[int, int], lens: Lens
 ) -> _Alone:
-    """One camera by itself."""
+    """Calibrate one camera alone."""
     seen = _seen(grids, spacing)
     if len(seen) < _MIN_VIEWS:
         raise CalibrationError(
@@ -191,7 +191,7 @@ def _one(
 
 
 def _fisheye(boards: Any, points: Any, size: tuple[int, int]) -> Any:
-    """cv2.fisheye.calibrate, from a focal length that fits the wider side into 180 degrees."""
+    """Run cv2.fisheye.calibrate, from a focal length that fits the wider side into 180 degrees."""
     focal = max(size) / math.pi
     matrix = np.array([[focal, 0, size[0] / 2 - 0.5], [0, focal, size[1] / 2 - 0.5], [0, 0, 1]])
     names = "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", "CALIB_USE_INTRINSIC_GUESS"
@@ -206,7 +206,7 @@ def _fisheye(boards: Any, points: Any, size: tuple[int, int]) -> Any:
 
 
 def _focal_sigma(alone: _Alone, seen: Mapping[int, tuple[Array, Array]], error: float) -> float:
-    """Standard deviation of the less certain focal length, px, from numeric derivatives."""
+    """Return the larger standard deviation of fx and fy, px, from numeric derivatives."""
     free = []
     start = np.concatenate([alone.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], alone.distortion])
     steps = np.r_[np.full(4, 1e-2), np.full(len(alone.distortion), 1e-5)]
@@ -232,13 +232,13 @@ def _focal_sigma(alone: _Alone, seen: Mapping[int, tuple[Array, Array]], error: 
 
 
 def _seen_by(lens: Lens, points: Array, pose: Array, camera: Array) -> Array:
-    """Where a camera (fx, fy, cx, cy, distortion) sees (N, 1, 3) points, (2 N,) px."""
+    """Return where a camera (fx, fy, cx, cy, distortion) sees (N, 1, 3) points, (2 N,) px."""
     matrix = np.array([[camera[0], 0, camera[2]], [0, camera[1], camera[3]], [0, 0, 1]])
     return _projected(lens, points, pose[:3], pose[3:], matrix, camera[4:]).reshape(-1)
 
 
 def _slopes(function: Any, start: Array, steps: Array) -> Array:
-    """Central differences: (N, parameters)."""
+    """Return the derivatives by central differences: (N, parameters)."""
     columns = []
     for number, step in enumerate(steps):
         shift = np.zeros(len(start))
@@ -250,7 +250,7 @@ def _slopes(function: Any, start: Array, steps: Array) -> Array:
 def _projected(
     lens: Lens, points: Array, turn: Array, shift: Array, matrix: Array, distortion: Array
 ) -> Array:
-    """cv2.projectPoints of either kind: (N, 1, 3) to (N, 1, 2)."""
+    """Project by cv2.projectPoints of either kind: (N, 1, 3) to (N, 1, 2)."""
     project: Any = cv2.fisheye.projectPoints if lens is Lens.FISHEYE else cv2.projectPoints
     pose = (np.ascontiguousarray(part, np.float64).reshape(3, 1) for part in (turn, shift))
     seen = project(points, *pose, matrix, distortion)[0]
@@ -258,7 +258,7 @@ def _projected(
 
 
 def _pose(turn: Any, shift: Any) -> Array:
-    """The (4, 4) of a rotation vector and a translation."""
+    """Return the (4, 4) of a rotation vector and a translation."""
     pose = np.eye(4)
     pose[:3, :3] = cv2.Rodrigues(np.asarray(turn, np.float64).reshape(3, 1))[0]
     pose[:3, 3] = np.asarray(shift, np.float64).reshape(3)
@@ -266,12 +266,12 @@ def _pose(turn: Any, shift: Any) -> Array:
 
 
 def _vector(pose: Array) -> Array:
-    """Rotation vector and translation, (6,)."""
+    """Return the rotation vector and translation of a (4, 4), (6,)."""
     return np.concatenate([cv2.Rodrigues(pose[:3, :3])[0].reshape(3), pose[:3, 3]])
 
 
 def _chained(alone: Mapping[str, _Alone]) -> dict[str, Array]:
-    """By camera the (4, 4) from the first one, the pair with the most common moments first."""
+    """Return, by camera, the (4, 4) from the first; pairs with most common moments come first."""
     names = list(alone)
     placed = {names[0]: np.eye(4)}
     while len(placed) < len(names):
@@ -300,7 +300,7 @@ def _together(
     boards: Mapping[str, Mapping[int, tuple[Array, Array]]],
     poses: dict[str, Array],
 ) -> tuple[dict[str, Array], dict[int, Array]]:
-    """Fit all poses of cameras and boards together by Levenberg and Marquardt's method."""
+    """Fit all poses of cameras and boards together by the method of Levenberg and Marquardt."""
     names = list(alone)
     moments = sorted(set().union(*(camera.poses for camera in alone.values())))
     board_poses = {}

@@ -1,7 +1,7 @@
 """Corners and cameras in the files that other calibration tools read.
 
-Pixels are OpenCV's everywhere here, the centre of the first one at (0, 0); COLMAP's are half a
-pixel further, and its file says so.
+Pixel coordinates are OpenCV's, with (0, 0) at the centre of the first pixel. COLMAP's are larger by
+half a pixel, and its file says so.
 """
 
 import json
@@ -25,7 +25,7 @@ Views = Mapping[str, Grid | None]
 
 
 def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The valid nodes as cv2.calibrateCamera takes a view: object and image points.
+    """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
 
     spacing: side of a square, any unit. Returns (N, 1, 3) float32, x by column, y by row and
     z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError.
@@ -43,7 +43,7 @@ def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDA
 def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = math.nan) -> None:
     """Write the corners of a board in many images, by suffix, whole or not at all.
 
-    views: by file name of the image the grid, None where the board is not seen; all of one
+    views: the grid, by file name of the image; None where the board is not seen. All grids have one
     shape. spacing: side of a square, for the formats that say it.
 
     .vnl: mrcal's corners.vnl, `# filename x y level`, rows first, `- -` where missing and for
@@ -150,7 +150,7 @@ _CORNER_WRITERS: dict[str, Callable[[Views, float], str]] = {
 
 
 def cameras_of(rig: StereoRig, size: tuple[int, int]) -> dict[str, Camera]:
-    """The two cameras of a rig, `left` and `right`; size: (width, height) of a view, px.
+    """Return the two cameras of a rig, `left` and `right`; size: (width, height) of a view, px.
 
     Raises CalibrationError where a lens has other than 4, 5 or 8 coefficients.
     """
@@ -180,11 +180,11 @@ def cameras_of(rig: StereoRig, size: tuple[int, int]) -> dict[str, Camera]:
 
 
 def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Cameras as OpenCV's FileStorage YAML, whole or not at all.
+    """Write cameras as OpenCV's FileStorage YAML, whole or not at all.
 
-    Numbered from 1: K1 D1 K2 D2 ..., `lens1`, `name1`, `size1`, and of each after the first
-    R2 T2 ... from the first one; of two pinhole or rational cameras also R and T, so that
-    `StereoRig.load` reads it. Raises OSError.
+    The keys are numbered from 1: K1 D1 K2 D2 ..., `lens1`, `name1`, `size1`; R2 T2 ... are the
+    poses relative to the first camera. Two pinhole or rational cameras also have R and T, so that
+    `StereoRig.load` reads the file. Raises OSError.
     """
     mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
     storage = cv2.FileStorage(".yml", mode)
@@ -207,7 +207,7 @@ def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> Non
 
 
 def save_ros(path: str | PathLike[str], camera: Camera, *, name: str) -> None:
-    """One camera as ROS camera_info YAML (camera_calibration_parsers), unrectified.
+    """Write one camera as ROS camera_info YAML (camera_calibration_parsers), unrectified.
 
     Raises OSError.
     """
@@ -244,14 +244,14 @@ def _numbers(values: Sequence[float] | Array) -> str:
 
 
 def _number(value: float) -> str:
-    """A float as YAML 1.1 reads one: with a point, also before an exponent."""
+    """Return a float as YAML 1.1 reads one: with a point, also before an exponent."""
     text = repr(value)
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
 
 
 def save_kalibr(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Cameras as Kalibr's camchain YAML; T_cn_cnm1 in m, whole or not at all.
+    """Write cameras as Kalibr's camchain YAML; T_cn_cnm1 in m, whole or not at all.
 
     The topic of each is /NAME/image_raw. Raises CalibrationError where a lens has no such
     model (rational, or k3 other than 0) or the unit is not m, cm, mm or um; OSError.
@@ -278,7 +278,7 @@ def save_kalibr(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> Non
 
 
 def _four(name: str, camera: Camera) -> Array:
-    """Four coefficients of radtan or equidistant."""
+    """Return the four coefficients of radtan or equidistant."""
     exact = camera.lens is not Lens.RATIONAL and not camera.distortion[4:].any()
     if not exact:
         raise CalibrationError(
@@ -297,10 +297,11 @@ def _metres(camera: Camera) -> float:
 
 
 def save_colmap(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Cameras as COLMAP's cameras.txt, numbered from 1, whole or not at all.
+    """Write cameras as COLMAP's cameras.txt, numbered from 1, whole or not at all.
 
-    Pinholes are OPENCV, or FULL_OPENCV with k3 or rational, fisheyes OPENCV_FISHEYE. COLMAP's
-    pixel centres are at halves: the principal points are half a pixel further. Raises OSError.
+    Pinholes are OPENCV, or FULL_OPENCV with k3 or a rational lens; fisheyes are OPENCV_FISHEYE.
+    COLMAP's pixel centres are at halves, so the principal points are larger by half a pixel. Raises
+    OSError.
     """
     lines = [
         "# Camera list with one line of data per camera:",
@@ -350,7 +351,7 @@ def save_cameras(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> li
 
 
 def check_cameras(path: str | PathLike[str]) -> str:
-    """The ending that names a format of `save_cameras`; raises ConfigError for any other."""
+    """Return the ending that names a format of `save_cameras`; raises ConfigError for any other."""
     name = Path(path).name.lower()
     for ending in (".camchain.yaml", ".camera_info.yaml", ".yaml", ".yml"):
         if name.endswith(ending):

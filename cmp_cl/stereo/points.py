@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 
 class PointStatus(enum.IntEnum):
-    """Why a triangulated node is there or not."""
+    """Whether a node was triangulated, and if not, why."""
 
-    MISSING = 0  # a side has no position
+    MISSING = 0  # a view does not show the node
     VALID = 1
     PARALLEL = 2  # the rays enclose too small an angle: no disparity, or along the baseline
-    BEHIND = 3  # behind a camera
-    INCONSISTENT = 4  # the two positions do not belong together, or the lens model ends there
+    BEHIND = 3  # the point lies behind a camera
+    INCONSISTENT = 4  # the reprojection error is too large, or the lens cannot be inverted there
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -22,15 +22,15 @@ class Points3D:
     """Triangulated nodes, in the frame of the left camera.
 
     xyz: (R, C, 3) float64, in `unit`, NaN unless the node is valid.
-    error: (R, C) float64, root mean square over both views of the distance between the
-        measured and the reprojected position, px; INCONSISTENT nodes may keep it.
-    covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared: the corners' standard
-        deviations through the geometry, without the calibration's own error; NaN where
-        those are unknown.
-    calibration_covariance: (R, C, 3, 3) float64, what the error of the calibration adds, which
-        all nodes share and displacements hardly feel; None where the rig knows none.
+    error: (R, C) float64, reprojection error, px: root mean square over both views.
+        INCONSISTENT nodes may keep it.
+    covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared. It propagates the corners'
+        standard deviations alone; NaN where those are unknown.
+    calibration_covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared, from the error of
+        the calibration. All nodes share that error, so that it nearly cancels in displacements.
+        None where the rig has no covariance.
     status: (R, C) uint8 of `PointStatus`.
-    source: (R, C) uint8 of `NodeStatus`, of the two sides the less direct one.
+    source: (R, C) uint8 of `NodeStatus`, the less direct one of the two views.
     unit: name of the unit of length.
     """
 
@@ -44,13 +44,14 @@ class Points3D:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(R, C), where there is a position."""
+        """A mask (R, C): the nodes that have a position."""
         return np.equal(self.status, PointStatus.VALID)
 
     @property
     def sigma(self) -> NDArray[np.float64]:
-        """(R, C) float64, standard deviation along the most uncertain axis, in `unit`, with
-        that of the calibration where it is known.
+        """The standard deviation along the most uncertain axis, (R, C) float64, in `unit`.
+
+        It includes the error of the calibration where that is known.
         """
         if self.calibration_covariance is None:
             return largest_deviation(self.covariance)
@@ -58,7 +59,7 @@ class Points3D:
 
 
 def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Square root of the largest eigenvalue: (..., 3, 3) -> (...), NaN stays NaN."""
+    """Return the root of the largest eigenvalue: (..., 3, 3) -> (...). NaN stays NaN."""
     known = np.isfinite(covariance).all(axis=(-2, -1))
     deviation = np.full(known.shape, np.nan)
     deviation[known] = np.sqrt(np.linalg.eigvalsh(covariance[known])[:, -1].clip(0))

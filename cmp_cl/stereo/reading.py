@@ -1,18 +1,65 @@
-"""What a calibration file must keep to before it is parsed."""
+"""Calibration files as OpenCV's FileStorage writes them, read within bounds."""
 
 from os import PathLike
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
 
+_MAX_FILE = 1 << 20  # bytes
+_MAX_NUMBERS = 484  # entries of the largest matrix, a covariance of 22 parameters
 _MOST_NESTED = 4000  # OpenCV's parsers recurse, and overrun the stack from some 20 000 levels on
 _OPENING = (b"[", b"{", b"<", b"- ", b"-\t", b"-\n")
 
 
-def check_nesting(data: bytes, path: str | PathLike[str]) -> None:
-    """Raise CalibrationError where a YAML, JSON or XML file could be nested too deep to parse.
+def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
+    """Open a file of OpenCV's FileStorage; raises CalibrationError where that fails."""
+    try:
+        with Path(path).open("rb") as file:
+            data = file.read(_MAX_FILE + 1)
+        if len(data) > _MAX_FILE:
+            raise CalibrationError(f"{path}: over {_MAX_FILE} bytes, no calibration file")
+        check_nesting(data, path)
+        return cv2.FileStorage(
+            data.decode("utf-8"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY
+        )
+    except OSError as error:
+        why = error.strerror
+        raise CalibrationError(f"cannot read the calibration {str(path)!r}: {why}") from error
+    except UnicodeDecodeError as error:
+        raise CalibrationError(
+            f"cannot read the calibration {str(path)!r}: it is no text in UTF-8"
+        ) from error
+    except (cv2.error, SystemError) as error:
+        raise CalibrationError(f"{path}: neither YAML, XML nor JSON as OpenCV writes it") from error
 
-    It counts whatever may open a level, whether it is in a string or closed again: a rig has
-    some dozen of these.
+
+def read_matrix(
+    storage: cv2.FileStorage, key: str, path: str | PathLike[str]
+) -> NDArray[np.float64] | None:
+    """Read a matrix of at most _MAX_NUMBERS entries; None where the key is missing.
+
+    Raises CalibrationError where it is no matrix, damaged or larger.
+    """
+    node = storage.getNode(key)
+    if node.empty():
+        return None
+    try:
+        size = node.getNode("rows").real() * node.getNode("cols").real() if node.isMap() else np.inf
+        if size <= _MAX_NUMBERS:
+            return np.array(node.mat(), np.float64)
+    except (cv2.error, ValueError) as error:
+        raise CalibrationError(f"{path}: {key} is a damaged matrix: {error}") from error
+    raise CalibrationError(f"{path}: {key} must be a small matrix (!!opencv-matrix)")
+
+
+def check_nesting(data: bytes, path: str | PathLike[str]) -> None:
+    """Raise CalibrationError where a YAML, JSON or XML file may be nested too deeply to parse.
+
+    It counts everything that may open a level, even in strings. A rig has about a dozen.
     """
     levels = sum(data.count(opening) for opening in _OPENING)
     if levels > _MOST_NESTED:

@@ -1,19 +1,8 @@
 """Rendered gels with exact truth, and how detections are scored against it."""
 
-from cmp_cl.synthetic.scene import (
-    Cameras,
-    Indenter,
-    Mode,
-    Rendered,
-    Rig,
-    Scene,
-    Surround,
-    binocular_frame,
-    default_rig,
-    random_scene,
-    render,
-    render_stereo,
-)
+from cmp_cl.synthetic.camera import Cameras, Rig, default_rig
+from cmp_cl.synthetic.rendering import Rendered, binocular_frame, render, render_stereo
+from cmp_cl.synthetic.scene import Indenter, Mode, Scene, Surround, random_scene
 
 __all__ = [
     "Cameras",

@@ -1,4 +1,4 @@
-"""Detections against truth: what was missed, what was invented, and how far off the rest is."""
+"""Detections scored against the truth: missed corners, false corners, errors."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -7,17 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Places = NDArray[np.float64]  # (N, 2), px
+Points = NDArray[np.float64]  # (N, 2), px
 
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """The answer for one frame or for several, see `total`.
+    """The counts and errors of one frame, or of several added by `total`.
 
-    expected: corners in the truth. found: of them, how many were found.
-    missed: the others. false: detections that belong to no corner.
-    frames: how many frames. success: in how many nothing was missed and nothing was false.
-    errors: (found,) float64, distance of each found corner from its truth, px.
+    expected: number of true corners.
+    found, missed: number of them that were found, and that were not.
+    false: number of detections that match no corner.
+    frames: number of frames.
+    success: number of frames with no missed and no false corner.
+    errors: (found,) float64, distance of each found corner from the truth, px.
     """
 
     expected: int
@@ -59,7 +61,7 @@ class Score:
         return float(np.percentile(self.errors, 95)) if self.found else float("nan")
 
     def summary(self) -> dict[str, Any]:
-        """All of it as plain numbers, for a table or JSON; NaN becomes None."""
+        """Return everything as plain numbers, for a table or JSON; NaN becomes None."""
         numbers = {
             "frames": self.frames,
             "success": self.success,
@@ -77,19 +79,20 @@ class Score:
 
 
 def reach(cell: float) -> float:
-    """How far a detection may be from its corner, px: 0.35 cells, at most 3."""
+    """Return how far a detection may be from its corner, px: 0.35 cells, at most 3."""
     return min(3.0, 0.35 * cell)
 
 
 def match(found: ArrayLike, truth: ArrayLike, distance: float) -> NDArray[np.int64]:
-    """Pair detections and corners one to one, nearest first, below `distance`.
+    """Match detections to corners one to one, the nearest pairs first.
 
-    found: (N, 2), truth: (M, 2), px. Returns (N,) the corner of each detection, -1 for none.
+    found: (N, 2), truth: (M, 2), distance: the largest of a pair, px.
+    Returns (N,) int64, the index of each detection's corner, -1 for none.
     """
-    at, place = _places(found), _places(truth)
-    partner = np.full(len(at), -1, np.int64)
-    first, second, apart = _near(at, place, distance)
-    taken = np.zeros(len(place), np.bool_)
+    detections, corners = _points(found), _points(truth)
+    partner = np.full(len(detections), -1, np.int64)
+    first, second, apart = _near(detections, corners, distance)
+    taken = np.zeros(len(corners), np.bool_)
     for k in np.argsort(apart, kind="stable"):
         if partner[first[k]] < 0 and not taken[second[k]]:
             partner[first[k]] = second[k]
@@ -101,28 +104,28 @@ def score(found: ArrayLike, truth: ArrayLike, cell: float, ignored: ArrayLike = 
     """Score the detections of one frame.
 
     found: (N, 2), truth: (M, 2) or (R, C, 2), px. cell: side of a cell, px.
-    ignored: (K, 2), px, places where a detection is neither true nor false.
+    ignored: (K, 2), px, points where a detection is neither true nor false.
     """
-    at, place, junctions = _places(found), _places(truth), _places(ignored)
-    partner = match(at, place, reach(cell))
+    detections, corners, junctions = _points(found), _points(truth), _points(ignored)
+    partner = match(detections, corners, reach(cell))
     hit = partner >= 0
-    rest = at[~hit]
-    near_junction, _, _ = _near(rest, junctions, reach(cell))
-    false = len(rest) - len(np.unique(near_junction))
-    missed = len(place) - int(hit.sum())
+    unmatched = detections[~hit]
+    near_junction, _, _ = _near(unmatched, junctions, reach(cell))
+    false = len(unmatched) - len(np.unique(near_junction))
+    missed = len(corners) - int(hit.sum())
     return Score(
-        expected=len(place),
+        expected=len(corners),
         found=int(hit.sum()),
         missed=missed,
         false=false,
         frames=1,
         success=int(missed == 0 and false == 0),
-        errors=np.hypot(*(at[hit] - place[partner[hit]]).T),
+        errors=np.hypot(*(detections[hit] - corners[partner[hit]]).T),
     )
 
 
 def total(scores: Iterable[Score]) -> Score:
-    """The score of all frames together."""
+    """Add the scores of several frames."""
     parts = list(scores)
     return Score(
         expected=sum(part.expected for part in parts),
@@ -139,15 +142,15 @@ def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else float("nan")
 
 
-def _places(points: ArrayLike) -> Places:
-    places = np.asarray(points, np.float64).reshape(-1, 2)
-    return places[np.isfinite(places).all(1)]
+def _points(points: ArrayLike) -> Points:
+    finite = np.asarray(points, np.float64).reshape(-1, 2)
+    return finite[np.isfinite(finite).all(1)]
 
 
 def _near(
-    first: Places, second: Places, distance: float
+    first: Points, second: Points, distance: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """All pairs closer than distance: their indices and how far apart they are."""
+    """Return all pairs closer than `distance`: two arrays of indices, and their distances, px."""
     pairs = []
     order = np.argsort(second[:, 0], kind="stable")
     x = second[order, 0]

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
 
 def residual_figure(found: CamerasCalibration) -> "Figure":
-    """By camera where the corners lie and how far each misses, enlarged, and the views' RMS.
+    """Draw, by camera, the corners with enlarged residuals, and the RMS of each view.
 
-    found: also says the coverage. Needs matplotlib; raises ConfigError without it.
+    found: the calibration. Needs matplotlib; raises ConfigError without it.
     """
     with extra("plot", "A figure"):
         from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""Pictures of the results."""
+"""Overlays on images, figures, and a log for Rerun."""
 
 import enum
 import math
@@ -37,19 +37,19 @@ STATUS_COLOURS = {  # BGR
     NodeStatus.INTERPOLATED: (255, 80, 255),
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
-JPEG_QUALITY = 80  # of the pictures in a recording
+JPEG_QUALITY = 80  # JPEG quality of the images in a recording
 _OFF_GRID = (150, 150, 190)  # BGR, of corners that no grid holds
-NARROWEST = 1e-5  # width of a surface over its length: narrower ones are lines
+NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
 _FRACTION_BITS = 4
 
 
 def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
-    """The image with a mark on every corner, coloured by how it was refined, and a legend.
+    """Draw a mark on every corner, coloured by how it was refined, and a legend.
 
-    image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR: the image enlarged by a
-    whole factor, pixels as blocks, until a cell is about 32 px and the longer side at least
-    1000 px, but at most 2400 px unless it came larger; the legend stands below it. A circle
-    surrounds each corner and a dot stands on its position. Raises ImageError.
+    image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
+    factor, each pixel to a block, until a cell is about 32 px wide and the longer side at least
+    1000 px; the result is at most 2400 px long unless the image is longer. The legend is below the
+    image. A circle surrounds each corner and a dot marks its position. Raises ImageError.
     """
     check_image(image)
     cell = _spacing(corners.xy)
@@ -66,7 +66,7 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
 
 
 def _spacing(xy: NDArray[np.float32]) -> float:
-    """Median distance to the nearest other corner, px; 16 where there are fewer than two."""
+    """Return the median distance to the nearest other corner, px; 16 with fewer than two."""
     if len(xy) < 2:
         return 16.0
     some = xy[:: max(1, len(xy) // 256)].astype(np.float64)
@@ -107,7 +107,7 @@ def _circle(
 
 
 def _with_legend(canvas: NDArray[np.uint8], corners: Corners) -> NDArray[np.uint8]:
-    """The picture with a strip below: the number of corners, and of each method."""
+    """Add a strip below the picture: the number of corners, and of each method."""
     count = np.bincount(corners.method, minlength=len(Method))
     entries = [(f"{len(corners)} corners", (255, 255, 255))]
     entries += [
@@ -121,7 +121,7 @@ def _with_legend(canvas: NDArray[np.uint8], corners: Corners) -> NDArray[np.uint
 def _with_strip(
     canvas: NDArray[np.uint8], entries: list[tuple[str, tuple[int, int, int]]]
 ) -> NDArray[np.uint8]:
-    """The picture with coloured words below it."""
+    """Add a strip with coloured words below the picture."""
     font, size, gap = cv2.FONT_HERSHEY_SIMPLEX, 0.6, 24
     widths = [cv2.getTextSize(text, font, size, 1)[0][0] for text, _ in entries]
     width = max(canvas.shape[1], sum(widths) + gap * (len(entries) + 1))
@@ -138,12 +138,12 @@ def _with_strip(
 def grid_overlay(
     image: GreyImage, grid: Grid, *, corners: Corners | None = None
 ) -> NDArray[np.uint8]:
-    """The image with the lines of the grid, a dot on every node by status, and a legend.
+    """Draw the lines of the grid, a dot on every node by status, and a legend.
 
-    image: (H, W) uint8 or uint16. corners: those that the grid was built from; the ones off the
-    grid are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like
-    `corner_overlay`. The first row is drawn in red and the first column in blue. Raises
-    ImageError, and FieldError where there are not as many corners as the grid was built from.
+    image: (H, W) uint8 or uint16. corners: those that the grid was built from. Corners off the grid
+    are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like `corner_overlay`. The
+    first row is drawn in red and the first column in blue. Raises ImageError, and FieldError where
+    there are not as many corners as the grid was built from.
     """
     check_image(image)
     if corners is not None and len(corners) != len(grid.index):
@@ -181,7 +181,7 @@ def grid_overlay(
 def _polyline(
     canvas: NDArray[np.uint8], line: NDArray[np.float64], colour: tuple[int, int, int]
 ) -> None:
-    """Segments between successive points, (N, 2) px; none at a NaN."""
+    """Return the segments between successive points, (N, 2) px; none at a NaN."""
     unit = 1 << _FRACTION_BITS
     segments = np.stack([line[:-1], line[1:]], axis=1)
     segments = segments[~np.isnan(segments).any(axis=(1, 2))]
@@ -192,10 +192,10 @@ def _polyline(
 def arrow_figure(
     image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
 ) -> "Figure":
-    """Arrows on the image from where each node was to where it is, to scale, both px.
+    """Draw arrows from where each node was to where it is, to scale, both px.
 
-    image: (H, W), the frame of now. The colour is the arrow's length in px, or, with field,
-    the length of the displacement in space. Needs matplotlib. `save_figure` writes it.
+    image: (H, W), the frame now. The colour is the arrow's length in px, or, with `field`, the
+    length of the displacement in space. Needs matplotlib. `save_figure` writes it.
 
     Raises FieldError where the grids or the field have different shapes, ImageError.
     """
@@ -232,12 +232,12 @@ def arrow_figure(
 
 
 def _top(lengths: NDArray[np.float64]) -> float:
-    """Upper end of a colour scale."""
+    """Return the upper end of a colour scale."""
     return float(lengths.max(initial=0)) or 1.0
 
 
 class Projection(enum.Enum):
-    """How a surface in space is drawn."""
+    """The projection in which a surface is drawn."""
 
     PERSPECTIVE = "persp"
     ORTHOGRAPHIC = "ortho"
@@ -246,11 +246,11 @@ class Projection(enum.Enum):
 def surface_figure(
     field: DisplacementField, *, projection: Projection = Projection.PERSPECTIVE
 ) -> "Figure":
-    """The surface as it is now, coloured by displacement, with arrows from the rest positions.
+    """Draw the surface now, coloured by displacement, with arrows from the rest positions.
 
-    Axes: along the rows, along the columns, and towards the cameras out of the plane that
-    fits the rest positions best; the height is stretched to a fifth of the width, the
-    label says how much. Needs matplotlib.
+    The axes run along the rows, along the columns, and towards the cameras out of the plane that
+    fits the rest positions best. The height is stretched to a fifth of the width; the label gives
+    the factor. Needs matplotlib.
 
     Raises FieldError where fewer than three nodes are valid.
     """
@@ -310,7 +310,7 @@ def surface_figure(
 
 
 def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The plane that fits the rest positions best: (3, 3) axes as rows, (3,) origin.
+    """Fit a plane to the rest positions: (3, 3) axes as rows, (3,) origin.
 
     The first axis runs along the rows, the second along the columns, the third towards the
     cameras (a left-handed frame, as on a picture with y down and height towards the viewer).
@@ -348,10 +348,10 @@ def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) 
 
 
 class RerunLog:
-    """Shows frames in Rerun: in its viewer, or recorded to a .rrd file for it.
+    """Shows frames in Rerun's viewer, or records them to a .rrd file for it.
 
-    path: the file, None to open the viewer. Needs rerun-sdk 0.23 or newer. The file appears
-    when the `with` block ends, also by an exception or Ctrl-C.
+    path: the file; None opens the viewer. Needs rerun-sdk 0.23 or newer. The file appears when the
+    `with` block ends, even by an exception or Ctrl-C.
 
     Raises ImportError without rerun-sdk, RuntimeError where its viewer is not found on the
     PATH, OSError where the file cannot be written.
@@ -391,7 +391,7 @@ class RerunLog:
     ) -> None:
         """Show a frame: its picture, its grid on it, its surface with the displacements.
 
-        image: of 8 bits it is kept as JPEG, of 16 bits as PNG.
+        image: kept as JPEG with 8 bits, as PNG with 16.
         time_ms: NaN leaves it out of the clock's timeline.
 
         Raises OSError where an earlier frame could not be written.
@@ -414,7 +414,7 @@ class RerunLog:
             self._surface(field)
 
     def _surface(self, field: DisplacementField) -> None:
-        """The surface now and arrows from rest, coloured up to the largest so far."""
+        """Log the surface now and arrows from rest, coloured up to the largest so far."""
         columns, quads = mesh(field)
         rest, shift = columns["position"], columns["displacement"]
         length = np.linalg.norm(shift, axis=1)
@@ -447,7 +447,7 @@ class RerunLog:
 
 
 def _encoded(image: GreyImage) -> dict[str, Any]:
-    """The image as JPEG, or, of 16 bits, as PNG: what rerun.EncodedImage takes."""
+    """Encode the image for rerun.EncodedImage: as JPEG, or, with 16 bits, as PNG."""
     if image.dtype == np.uint8:
         contents = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
         return {"contents": contents.tobytes(), "media_type": "image/jpeg"}
@@ -455,7 +455,7 @@ def _encoded(image: GreyImage) -> dict[str, Any]:
 
 
 def _strips(grid: Grid) -> list[NDArray[np.float32]]:
-    """The lines through neighbouring nodes along rows and columns, (n, 2) px each."""
+    """Return the lines through neighbouring nodes along rows and columns, (n, 2) px each."""
     strips = []
     for line in (*grid.xy, *grid.xy.transpose(1, 0, 2)):
         ends = np.flatnonzero(np.diff(np.isnan(line[:, 0]))) + 1

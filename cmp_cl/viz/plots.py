@@ -25,12 +25,12 @@ _SEQUENTIAL, _DIVERGING = "plasma", "RdBu_r"
 
 
 class Quantity(enum.Enum):
-    """What a map shows of each node.
+    """The quantity of a node that a map shows.
 
-    DISPLACEMENT: its length. STRAIN: the larger principal Green-Lagrange strain in the plane
-    or in the surface. HEIGHT: the displacement out of the plane that fits the rest best,
-    towards the cameras; of two views only. SIGMA: the standard deviation of the displacement
-    (of two views) or of the position now (of one).
+    DISPLACEMENT: its length. STRAIN: the larger principal Green-Lagrange strain in the plane or in
+    the surface. HEIGHT: the displacement towards the cameras, out of the plane that fits the rest
+    positions best; two views only. SIGMA: the standard deviation of the displacement (two views) or
+    of the position now (one view).
     """
 
     DISPLACEMENT = "displacement"
@@ -41,7 +41,7 @@ class Quantity(enum.Enum):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recorded:
-    """A recording as `cmp_cl.series.read_series` gives it, checked.
+    """A recording, as `cmp_cl.series.read_series` reads it, after checks.
 
     rest: (R, C, 2) or (R, C, 3) in `unit`. shift: (F, R, C, 2 or 3). sigma: (F, R, C), NaN
     where the recording has none. index, time_ms: (F,).
@@ -56,7 +56,7 @@ class Recorded:
 
     @classmethod
     def of(cls, series: Series) -> "Recorded":
-        """Raises FieldError where it has no frame, no rest, or neither displacement nor xy."""
+        """Take the arrays of a recording; raises FieldError without frames, rest or positions."""
         missing = [name for name in ("index", "time_ms", "rest") if name not in series]
         if missing or not ("displacement" in series or "xy" in series):
             what = missing or ["displacement or xy"]
@@ -81,7 +81,7 @@ class Recorded:
         )
 
     def frame_of(self, index: int | None) -> int:
-        """The place of the frame of that number; None means that of the largest displacement.
+        """Return the index of the frame of that number; None means the one displaced most.
 
         Raises FieldError where there is no such frame.
         """
@@ -97,7 +97,7 @@ class Recorded:
         return int(found[0])
 
     def node_of(self, node: tuple[int, int] | None) -> tuple[int, int]:
-        """The node; None means that of the largest displacement. Raises FieldError."""
+        """Return the node; None means that of the largest displacement. Raises FieldError."""
         shape = self.rest.shape[:2]
         if node is None:
             length = np.nan_to_num(np.linalg.norm(self.shift, axis=3)).max(axis=0)
@@ -108,7 +108,7 @@ class Recorded:
         return node
 
     def plane(self) -> tuple[Array, Array]:
-        """The rest positions (R, C, 2) to draw on, and (3, 3) axes of that plane.
+        """Return the rest positions (R, C, 2) to draw on, and (3, 3) axes of that plane.
 
         Raises FieldError where fewer than three nodes are valid, or all lie on a line.
         """
@@ -133,7 +133,7 @@ class Recorded:
         return ((self.rest - origin) @ basis.T)[..., :2], basis
 
     def values(self, quantity: Quantity, frame: int) -> tuple[Array, str]:
-        """A quantity of each node (R, C) of the frame at that place, and its unit."""
+        """Return a quantity of each node (R, C) of the frame at that index, and its unit."""
         shift = self.shift[frame]
         if quantity is Quantity.DISPLACEMENT:
             return np.linalg.norm(shift, axis=2), self.unit
@@ -164,10 +164,11 @@ class Recorded:
 
 
 def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = None) -> "Figure":
-    """One quantity of every cell on the pattern at rest, with a colour bar in its unit.
+    """Draw one quantity of every cell on the pattern at rest, with a colour bar in its unit.
 
-    index: number of the frame, None for that of the largest displacement. A cell has the mean
-    of its four nodes. Needs matplotlib. Raises FieldError, ConfigError without matplotlib.
+    index: number of the frame; None means the one of the largest displacement. The value of a cell
+    is the mean of its four nodes. Needs matplotlib. Raises FieldError, ConfigError without
+    matplotlib.
     """
     figure = _figure((7.5, 6.0))
     _draw_map(figure, figure.add_subplot(), recorded, quantity, recorded.frame_of(index))
@@ -175,9 +176,9 @@ def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = No
 
 
 def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> "Figure":
-    """The displacement of a node over time, with a band of one standard deviation.
+    """Draw the displacement of a node over time, with a band of one standard deviation.
 
-    node: (row, column), None for that of the largest displacement. Raises FieldError,
+    node: (row, column); None means the one of the largest displacement. Raises FieldError,
     ConfigError without matplotlib.
     """
     figure = _figure((8.0, 4.5))
@@ -188,7 +189,7 @@ def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> 
 def sheet_figure(
     recorded: Recorded, *, index: int | None = None, node: tuple[int, int] | None = None
 ) -> "Figure":
-    """All that the recording shows on one sheet: the maps of a frame and a node's curve."""
+    """Draw the recording on one sheet: the maps of a frame and a node's curve."""
     place = recorded.frame_of(index)
     wanted = [Quantity.DISPLACEMENT, Quantity.STRAIN]
     wanted += [Quantity.HEIGHT] if recorded.rest.shape[2] == 3 else []
@@ -250,7 +251,7 @@ def _draw_map(
 
 
 def _around(values: Array) -> list[Array]:
-    """Values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each."""
+    """Return the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each."""
     return [values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]]
 
 

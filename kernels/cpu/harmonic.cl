@@ -27,8 +27,8 @@
 #define LEVEL_AT(y) ((size_t)((y) & 3) * step + PAD)
 #define HELD(y) SMALLER(LARGER(y, 0), height - 1)
 
-/* Not inlined, where compilers forget that restrict pointers do not overlap. Neighbours in a row are
- * pointers of their own: two loads of one pointer become a chain from pixel to pixel. */
+/* Not inlined, where compilers forget that restrict pointers do not overlap. Neighbours in a row
+ * are pointers of their own: two loads of one pointer become a chain from pixel to pixel. */
 #define ROW_LOOP __attribute__((noinline))
 
 /* Grey levels in sixteenths of 1/255 of full scale: floor((4080 g + F div 2) / F). */
@@ -85,7 +85,8 @@ ROW_LOOP ulong noise_of_row(__global const CURVATURE *restrict left,
                             __global const CURVATURE *restrict right, const int width) {
   ROW_NOISE sum = 0;
   for (int x = 1; x < width - 1; ++x) {
-    const CURVATURE both = (CURVATURE)((CURVATURE)(left[x] + right[x]) - (CURVATURE)(middle[x] << 1));
+    const CURVATURE sides = (CURVATURE)(left[x] + right[x]);
+    const CURVATURE both = (CURVATURE)(sides - (CURVATURE)(middle[x] << 1));
     sum += (ROW_NOISE)(both < 0 ? -both : both);
   }
   return sum;
@@ -130,7 +131,8 @@ ROW_LOOP void fine_response_of_row RESPONSE_OF_ROW((short)(o + e) - QUARTER((sho
 
 /* A bit for each response of a row that is above its neighbours before it and not below those
  * behind it, of the four that touch it. Few pixels are left for the whole window. */
-ROW_LOOP void peaks_of_row(__global const short *restrict above, __global const short *restrict left,
+ROW_LOOP void peaks_of_row(__global const short *restrict above,
+                           __global const short *restrict left,
                            __global const short *restrict response,
                            __global const short *restrict right,
                            __global const short *restrict below, __global short *restrict kept,
@@ -152,17 +154,24 @@ ROW_LOOP void peaks_of_row(__global const short *restrict above, __global const 
   }
 }
 
-/* Whether a response is the largest of its window, the earlier one of equals. row[dy] is a row of
- * the window; those outside the image hold 0. */
+/* Eight responses from any place of a row on. */
+typedef short8 __attribute__((aligned(2))) SHORTS_ANYWHERE;
+#define EIGHT_AT(p) *(__global const SHORTS_ANYWHERE *)(p)
+
+/* Whether a response is the largest of its window, the earlier one of equals: eight columns of the
+ * window at a time. row[dy] is a row of the window; those outside the image hold 0. */
 int is_maximum(__global const short *const *row, const int x, const short r) {
-  __global const short *middle = row[0] + x;
-  for (int line = 1; line <= NMS_RADIUS; ++line) {
-    __global const short *above = row[-line] + x, *below = row[line] + x;
-    if (middle[-line] >= r || middle[line] > r || above[0] >= r || below[0] > r) return 0;
-    for (int d = 1; d <= NMS_RADIUS; ++d)
-      if (above[-d] >= r || above[d] >= r || below[-d] > r || below[d] > r) return 0;
+  const short8 lane = (short8)(0, 1, 2, 3, 4, 5, 6, 7);
+  short8 larger = 0;
+  for (short d = -NMS_RADIUS; d <= NMS_RADIUS; d += 8) {
+    const short8 at = lane + d;
+    short8 some = EIGHT_AT(row[0] + x + d) - (at < (short8)0) > r;
+    for (int line = 1; line <= NMS_RADIUS; ++line)
+      some |= (EIGHT_AT(row[-line] + x + d) >= r) | (EIGHT_AT(row[line] + x + d) > r);
+    larger |= some & (at <= (short8)NMS_RADIUS);
   }
-  return 1;
+  const ulong2 any = as_ulong2(larger);
+  return !(any.x | any.y);
 }
 
 /* The rows that ring (a, d) around row y meets. */
@@ -202,30 +211,26 @@ int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
 /* Append a maximum to a list: x, y, response, and of the responses above 0 of the 5 x 5 around it
  * the sum and the sums times the offsets in x and in y, a column each. `rows_of` are the five rows,
- * of which those outside the image hold 0. */
-#define FROM_TWO_BEFORE(k)                                                          \
-  (int8)(rows_of[k][x - 2], rows_of[k][x - 1], rows_of[k][x], rows_of[k][x + 1],    \
-         rows_of[k][x + 2], rows_of[k][x + 3], rows_of[k][x + 4], rows_of[k][x + 5])
-#define ABOVE_ZERO(v) ((v) & ~((v) >> 31))
+ * of which those outside the image hold 0. A response is at most 11 220: five fit 16 bits. */
+#define ABOVE_ZERO(v) ((v) & ~((v) >> (short)15))
+#define POSITIVE(k) ABOVE_ZERO(EIGHT_AT(rows_of[k] + x - 2))
+#define SUM5(v) ((int)v.s0 + (int)v.s1 + (int)v.s2 + (int)v.s3 + (int)v.s4)
 void append(__global int *restrict list, const uint n, const uint room, const int x, const int y,
             __global const short *const *rows_of) {
-  const int8 above_2 = FROM_TWO_BEFORE(0), above = FROM_TWO_BEFORE(1);
-  const int8 middle = FROM_TWO_BEFORE(2), below = FROM_TWO_BEFORE(3);
-  const int8 below_2 = FROM_TWO_BEFORE(4);
-  const int8 columns = ABOVE_ZERO(above_2) + ABOVE_ZERO(above) + ABOVE_ZERO(middle) +
-                       ABOVE_ZERO(below) + ABOVE_ZERO(below_2);
-  const int8 slopes = 2 * (ABOVE_ZERO(below_2) - ABOVE_ZERO(above_2)) + ABOVE_ZERO(below) -
-                      ABOVE_ZERO(above);
+  const short8 above_2 = POSITIVE(0), above = POSITIVE(1), middle = POSITIVE(2);
+  const short8 below = POSITIVE(3), below_2 = POSITIVE(4);
+  const ushort8 columns = as_ushort8(above_2 + above + middle + below + below_2);
+  const short8 far = below_2 - above_2, near = below - above;
   list[n] = x;
   list[room + n] = y;
   list[2 * room + n] = middle.s2;
-  list[3 * room + n] = columns.s0 + columns.s1 + columns.s2 + columns.s3 + columns.s4;
-  list[4 * room + n] = 2 * (columns.s4 - columns.s0) + columns.s3 - columns.s1;
-  list[5 * room + n] = slopes.s0 + slopes.s1 + slopes.s2 + slopes.s3 + slopes.s4;
+  list[3 * room + n] = SUM5(columns);
+  list[4 * room + n] = 2 * ((int)columns.s4 - (int)columns.s0) + (int)columns.s3 - (int)columns.s1;
+  list[5 * room + n] = 2 * SUM5(far) + SUM5(near);
 }
 
-/* From the image to the lists of the maxima of a band, and the pads of its rows; a count runs past the room of its list.
- * `area` has a bit for every pixel. One work-item a band. */
+/* From the image to the lists of the maxima of a band, and the pads of its rows; a count runs past
+ * the room of its list. `area` has a bit for every pixel. One work-item a band. */
 __kernel void harmonic_band(__global PIXEL *restrict image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
@@ -322,14 +327,16 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
             const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
             if (4 * dot_of(v2, v3) < dot_of(v3, v3)) continue;
           } else {
-            const Harmonics h5 = harmonics_of(&outer, x, 5, 4), h4 = harmonics_of(&between, x, 4, 3);
+            const Harmonics h5 = harmonics_of(&outer, x, 5, 4);
+            const Harmonics h4 = harmonics_of(&between, x, 4, 3);
             const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
             const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
             if (alignment && (long)alignment * along < all) continue;
             const int r = kept[x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
                                         ((h4.centre >> 2) + (h4.centre >> 3));
             if (support && (support * r4 < r || r4 > 2 * r)) continue;
-            if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along)) continue;
+            if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
+              continue;
           }
           if (found[fine] < room) append(list, found[fine], room, x, y, row - 2);
           ++found[fine];

@@ -22,7 +22,7 @@ def test_the_quick_benchmark_checks_its_answers(capsys):
     lines = capsys.readouterr().out.splitlines()
     assert "1936 corners" in lines[1]
     rows = [line.split() for line in lines[3:7]]
-    assert [row[0] for row in rows] == ["default", "EDGE_STEP", "binary", "centroids"]
+    assert [row[0] for row in rows] == ["default", "EDGE_LINES", "binary", "centroids"]
     for row in rows:
         assert row[-3:-1] == ["0", "0"], "something was missed or invented"
         assert float(row[-5]) > 0

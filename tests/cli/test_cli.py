@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 
 import cmp_cl
-from cmp_cl import media, synthetic
+from cmp_cl import Method, NodeStatus, media, synthetic
 from cmp_cl.cli import main as cli
+from cmp_cl.viz import METHOD_COLOURS, STATUS_COLOURS
 
 PROJECT = Path(__file__).parents[2]
 BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
@@ -135,7 +136,7 @@ def test_the_board_is_found_where_opencv_finds_it(run):
     assert np.linalg.norm(peer - xy, axis=2).min(axis=1).max() < 0.5
     overlay = cv2.imread("o.png")
     assert overlay.shape[1] >= 1000
-    assert (overlay == (60, 230, 60)).all(axis=2).sum() > 54 * 20
+    assert (overlay == METHOD_COLOURS[Method.EDGE_STEP]).all(axis=2).sum() > 54 * 20
 
 
 def test_the_table_holds_what_the_library_finds(run):
@@ -515,9 +516,12 @@ def test_the_first_command_of_the_readme_ends_in_corners_and_overlays(run, monke
         status, out, err = run(*command[1:])
         assert (status, err) == (0, "")
         assert "wrote" in out
-    for name in ("board-corners.png", "gel-corners.png"):
-        overlay = cv2.imread(name)
-        assert (overlay == (60, 230, 60)).all(axis=2).sum() > 1000
+    colours = {
+        "board-corners.png": METHOD_COLOURS[Method.EDGE_STEP],
+        "gel-corners.png": STATUS_COLOURS[NodeStatus.DETECTED],
+    }
+    for name, colour in colours.items():
+        assert (cv2.imread(name) == colour).all(axis=2).sum() > 1000
 
 
 def python_of_readme():

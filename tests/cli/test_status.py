@@ -13,6 +13,7 @@ import pytest
 
 from cmp_cl import CalibrationError, KernelBuildError
 from cmp_cl.cli import main as cli
+from cmp_cl.cli import starting
 
 PROJECT = Path(__file__).parents[2]
 (COMMANDS,) = (
@@ -117,3 +118,37 @@ def test_a_signal_from_outside_ends_a_command_with_130(tmp_path):
         assert child.communicate(timeout=60)[1] == "cmp-cl: interrupted\n"
     assert child.returncode == 130
     assert os.listdir(tmp_path) == ["pipe.png"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a signal to one process alone needs POSIX")
+def test_ctrl_c_while_modules_are_imported_is_130_and_one_line(tmp_path):
+    (tmp_path / "cv2.py").write_text(
+        "import sys, time\nsys.stdout.write('importing\\n')\nsys.stdout.flush()\ntime.sleep(60)\n"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-m", "cmp_cl", "devices"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(PROJECT)))},
+        start_new_session=True,
+    )
+    assert child.stdout.readline() == "importing\n"
+    child.send_signal(signal.SIGINT)
+    assert child.communicate(timeout=60) == ("", "cmp-cl: interrupted\n")
+    assert child.returncode == 130
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "ours"),
+    [
+        ("/usr/bin/cmp-cl", ["python", "/usr/bin/cmp-cl", "devices"], True),
+        ("C:\\bin\\cmp-cl.exe" if os.name == "nt" else "cmp-cl.py", ["cmp-cl"], True),
+        ("-m", ["python", "-m", "cmp_cl", "devices"], True),
+        ("-m", ["python", "-m", "pytest"], False),
+        ("program.py", ["python", "program.py", "cmp_cl"], False),
+        ("", ["python"], False),
+    ],
+)
+def test_only_the_command_answers_ctrl_c_in_place_of_python(program, arguments, ours):
+    assert starting.is_command(program, arguments) is ours

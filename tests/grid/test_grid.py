@@ -12,7 +12,7 @@ import pytest
 from configs import rings
 from lattices import board, joined
 
-from cmp_cl import reference
+from cmp_cl import reference, synthetic
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import Grid, NodeStatus, build_grid
@@ -21,7 +21,6 @@ from cmp_cl.grid.lattice import lattice
 from cmp_cl.grid.nodes import Nodes
 from cmp_cl.grid.predict import mean_steps, predict, predict_within
 from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
-from cmp_cl.synthetic import scene as synthetic
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]

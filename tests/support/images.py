@@ -7,7 +7,7 @@ import numpy as np
 from corner_images import board, noise
 from numpy.typing import NDArray
 
-from cmp_cl.synthetic import scene as synthetic
+from cmp_cl import synthetic
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 SHAPE = (61, 83)

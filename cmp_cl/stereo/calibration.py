@@ -1,0 +1,278 @@
+"""One camera, or a rig of two, from views of a flat board."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import CalibrationError, FieldError
+from cmp_cl.grid.grid import Grid
+from cmp_cl.stereo.adjustment import CAMERA, Adjusted, View, adjust
+from cmp_cl.stereo.rig import StereoRig
+
+_MIN_VIEWS = 3
+_MIN_NODES = 8  # of a board in a view
+_MAX_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not determine it
+_MAX_MISFIT = 1.0  # px: the joint reprojection error may reach this, or
+_MAX_MISFIT_RATIO = 3.0  # times the larger error of a camera alone
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class CameraCalibration:
+    """One camera, calibrated on views of a flat board.
+
+    matrix: (3, 3), px.
+    distortion: (5,), k1 k2 p1 p2 k3, with k3 = 0: a few views do not determine it.
+    focal_sigma: standard deviation of the focal length, px.
+    error: root mean square reprojection error, px.
+    view_errors: (V,), the same for each view.
+    """
+
+    matrix: Array
+    distortion: Array
+    focal_sigma: float
+    error: float
+    view_errors: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class StereoCalibration:
+    """Two cameras, calibrated on views of a flat board.
+
+    rig: the two cameras.
+    error: root mean square reprojection error of both cameras, px.
+    view_errors: (V, 2), the same for each view, left and right.
+    left, right: each camera, calibrated alone.
+    """
+
+    rig: StereoRig
+    error: float
+    view_errors: Array
+    left: CameraCalibration
+    right: CameraCalibration
+
+
+def calibrate_camera(
+    grids: Sequence[Grid], *, spacing: float, image_size: tuple[int, int]
+) -> CameraCalibration:
+    """Calibrate a camera on at least three views of a flat board.
+
+    A view may show part of the board, and the views may be numbered differently. Each node has
+    the weight 1 / sigma^2.
+    spacing: side of a square, in any unit. image_size: (width, height), px.
+
+    Raises CalibrationError where there are too few views or nodes, or where the views do not
+    determine the focal length (the board faces the camera in all of them).
+    """
+    _check_spacing(spacing)
+    parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
+    _check_views(len(parts))
+    try:
+        error, matrix, distortion, rotations, translations, _, _, _ = cv2.calibrateCameraExtended(
+            [board for board, _ in parts],
+            [points for _, points in parts],
+            image_size,
+            np.eye(3),
+            np.zeros(5),
+            flags=cv2.CALIB_FIX_K3,
+        )
+    except cv2.error as failure:
+        raise CalibrationError(f"the views do not determine a camera: {failure}") from failure
+    poses = [
+        cv2.projectPoints(board, rotation, translation, matrix, distortion)[1]
+        for (board, _), rotation, translation in zip(parts, rotations, translations, strict=True)
+    ]
+    sigma = _focal_sigma(poses, float(error))
+    if not sigma < _MAX_FOCAL_SIGMA * matrix[0, 0]:
+        raise CalibrationError(
+            f"the views leave the focal length uncertain by {sigma / matrix[0, 0]:.0%}: "
+            "show the board tilted, in different directions"
+        )
+    views = [
+        _view(board, rotation, translation, grid)
+        for (board, _), rotation, translation, grid in zip(
+            parts, rotations, translations, grids, strict=True
+        )
+    ]
+    adjusted = adjust(views, _parameters_of(matrix, distortion))
+    return CameraCalibration(
+        matrix=_matrix_of(adjusted.numbers),
+        distortion=_distortion_of(adjusted.numbers),
+        focal_sigma=sigma,
+        error=_whole_error(adjusted, views),
+        view_errors=adjusted.errors[:, 0],
+    )
+
+
+def calibrate(
+    views: Sequence[tuple[Grid, Grid]],
+    *,
+    spacing: float,
+    image_size: tuple[int, int],
+    unit: str = "mm",
+) -> StereoCalibration:
+    """Calibrate a rig on at least three views (left, right) of a flat board.
+
+    The two grids of a view have the same numbering. First each camera is calibrated alone, then
+    the pose between them, and last all parameters together.
+    spacing: side of a square, in `unit`. image_size: (width, height) of each view, px.
+
+    Raises CalibrationError as `calibrate_camera` does, and where no pose between the cameras
+    fits all views. Raises FieldError where the grids of a view have different shapes.
+    """
+    for view, (left, right) in enumerate(views):
+        if left.shape != right.shape:
+            raise FieldError(
+                f"view {view}: the grids have different shapes: {left.shape} and {right.shape}"
+            )
+    one = calibrate_camera([left for left, _ in views], spacing=spacing, image_size=image_size)
+    two = calibrate_camera([right for _, right in views], spacing=spacing, image_size=image_size)
+    pairs = [
+        (
+            _board(left.xy, left.valid & right.valid, spacing, view),
+            _board(right.xy, left.valid & right.valid, spacing, view),
+        )
+        for view, (left, right) in enumerate(views)
+    ]
+    try:
+        error, K1, D1, K2, D2, R, T, _, _, rotations, translations, _ = cv2.stereoCalibrateExtended(
+            [left[0] for left, _ in pairs],
+            [left[1] for left, _ in pairs],
+            [right[1] for _, right in pairs],
+            one.matrix.copy(),
+            one.distortion.copy(),
+            two.matrix.copy(),
+            two.distortion.copy(),
+            image_size,
+            np.eye(3),
+            np.zeros(3),
+            flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3,
+        )
+    except cv2.error as failure:
+        raise CalibrationError(f"the views do not determine a rig: {failure}") from failure
+    alone = max(one.error, two.error)
+    if not error <= max(_MAX_MISFIT, _MAX_MISFIT_RATIO * alone):
+        raise CalibrationError(
+            f"no pose between the cameras fits the views: both together miss by {error:.1f} px, "
+            f"each alone by {alone:.2f} px; check the shape of the board, and that left and "
+            "right views are pairs"
+        )
+    whole = [
+        _view(left[0], rotation, translation, *grids, both=grids[0].valid & grids[1].valid)
+        for (left, _), rotation, translation, grids in zip(
+            pairs, rotations, translations, views, strict=True
+        )
+    ]
+    pose = np.concatenate([cv2.Rodrigues(R)[0].reshape(-1), _double(T).reshape(-1)])
+    adjusted = adjust(whole, np.concatenate([_parameters_of(K1, D1), _parameters_of(K2, D2), pose]))
+    cameras = [adjusted.numbers[k : k + CAMERA] for k in (0, CAMERA)]
+    rotation, translation = np.split(adjusted.numbers[2 * CAMERA :], 2)
+    return StereoCalibration(
+        rig=StereoRig(
+            _matrix_of(cameras[0]),
+            _distortion_of(cameras[0]),
+            _matrix_of(cameras[1]),
+            _distortion_of(cameras[1]),
+            _double(cv2.Rodrigues(rotation)[0]),
+            translation,
+            unit,
+            adjusted.covariance,
+        ),
+        error=_whole_error(adjusted, whole),
+        view_errors=adjusted.errors,
+        left=one,
+        right=two,
+    )
+
+
+def _view(
+    board: NDArray[np.float32],
+    rotation: ArrayLike,
+    translation: ArrayLike,
+    *grids: Grid,
+    both: NDArray[np.bool_] | None = None,
+) -> View:
+    """Return a view of a board in one or two cameras, at the nodes `both`, or at all."""
+    chosen = [grid.valid if both is None else both for grid in grids]
+    return View(
+        board=board,
+        seen=tuple(g.xy[v].astype(np.float64) for g, v in zip(grids, chosen, strict=True)),
+        sigma=tuple(g.sigma[v].astype(np.float64) for g, v in zip(grids, chosen, strict=True)),
+        pose=np.concatenate([_double(rotation).reshape(-1), _double(translation).reshape(-1)]),
+    )
+
+
+def _parameters_of(matrix: ArrayLike, distortion: ArrayLike) -> Array:
+    """Return the parameters fx fy cx cy k1 k2 p1 p2."""
+    k = _double(matrix)
+    return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *_double(distortion).reshape(-1)[:4]])
+
+
+def _matrix_of(numbers: Array) -> Array:
+    fx, fy, cx, cy = numbers[:4]
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+
+
+def _distortion_of(numbers: Array) -> Array:
+    return np.append(numbers[4:CAMERA], 0.0)
+
+
+def _whole_error(adjusted: Adjusted, views: Sequence[View]) -> float:
+    """Return the root mean square reprojection error over all views and cameras, px."""
+    counts = np.array([len(view.board) for view in views], np.float64)[:, None]
+    mean = (np.square(adjusted.errors) * counts).sum() / (counts.sum() * adjusted.errors.shape[1])
+    return float(math.sqrt(mean))
+
+
+def _focal_sigma(jacobians: Sequence[NDArray[Any]], error: float) -> float:
+    """Return the larger standard deviation of fx and fy, px; infinite where undetermined.
+
+    OpenCV's own estimate drops small singular values: it is 0 where every view faces the camera.
+    jacobians: one a view, as cv2.projectPoints returns them. error: RMS reprojection error, px.
+    """
+    free = []
+    for jacobian in jacobians:
+        pose, camera = jacobian[:, :6], jacobian[:, 6:14]  # fx fy cx cy k1 k2 p1 p2
+        basis = np.linalg.qr(pose)[0]
+        free.append(camera - basis @ (basis.T @ camera))
+    stacked = np.concatenate(free)
+    scale = np.linalg.norm(stacked, axis=0)
+    _, singular, axes = np.linalg.svd(stacked / scale, full_matrices=False)
+    if not singular[-1] > 0:
+        return math.inf
+    deviation = np.linalg.norm(axes[:, :2] / singular[:, None], axis=0) / scale[:2]
+    return float(deviation.max() * error / math.sqrt(2))
+
+
+def _double(value: ArrayLike) -> Array:
+    return np.asarray(value, np.float64)
+
+
+def _check_spacing(spacing: float) -> None:
+    if not 0 < spacing < math.inf:
+        raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")
+
+
+def _check_views(count: int) -> None:
+    if count < _MIN_VIEWS:
+        noun = "view" if count == 1 else "views"
+        raise CalibrationError(f"{count} {noun} of the board, at least {_MIN_VIEWS} are needed")
+
+
+def _board(
+    xy: NDArray[np.float32], valid: NDArray[np.bool_], spacing: float, view: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the nodes of a view on the board (N, 3), in the unit of spacing, and in px (N, 2)."""
+    row, column = np.nonzero(valid)
+    if len(row) < _MIN_NODES or len(set(row)) < 2 or len(set(column)) < 2:
+        raise CalibrationError(
+            f"view {view} shows {len(row)} nodes, at least {_MIN_NODES} in two rows and two "
+            "columns are needed"
+        )
+    board = np.column_stack([column, row, np.zeros(len(row))]) * spacing
+    return board.astype(np.float32), np.ascontiguousarray(xy[valid], np.float32)

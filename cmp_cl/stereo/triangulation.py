@@ -1,0 +1,66 @@
+"""Pixels to rays, and two rays to a point."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import FieldError
+
+_MAX_ROUND_TRIP = 0.01  # px: between a pixel and itself, undistorted and distorted again
+_UNDISTORT = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+Array = NDArray[np.float64]
+
+
+def undistort(
+    points: NDArray[Any], matrix: Array, distortion: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Map pixels to the plane at distance 1 in front of the camera.
+
+    points: (N, 2), px. Returns (N, 2) float64, and a mask (N,): whether distorting the result
+    leads back to the pixel. Where it does not, the lens model cannot be inverted.
+    """
+    measured = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 2)
+    if not len(measured):
+        return np.empty((0, 2)), np.empty(0, bool)
+    straight = cv2.undistortImagePoints(measured, matrix, distortion, None, _UNDISTORT)
+    straight = straight.reshape(-1, 2)
+    ideal = (straight - matrix[:2, 2]) / matrix[[0, 1], [0, 1]]
+    back, _ = cv2.projectPoints(rays_through(ideal), np.zeros(3), np.zeros(3), matrix, distortion)
+    error = np.linalg.norm(back.reshape(-1, 2) - measured.reshape(-1, 2), axis=1)
+    return ideal, error < _MAX_ROUND_TRIP
+
+
+def triangulate_points(
+    left_projection: Array, right_projection: Array, left: Array, right: Array
+) -> Array:
+    """Triangulate by cv2.triangulatePoints, with its arguments checked.
+
+    OpenCV reads an array (2, 2) either way round; this takes one point a row.
+    left_projection, right_projection: (3, 4). left, right: (N, 2) float64, in the units of the
+    projections. Returns (N, 3) float64, NaN where a point is at infinity.
+
+    Raises FieldError on other shapes.
+    """
+    if left.ndim != 2 or left.shape[1] != 2 or left.shape != right.shape:
+        raise FieldError(f"expected two arrays (N, 2), got {left.shape} and {right.shape}")
+    if not len(left):
+        return np.empty((0, 3))
+    homogeneous = cv2.triangulatePoints(
+        np.ascontiguousarray(left_projection, np.float64),
+        np.ascontiguousarray(right_projection, np.float64),
+        np.ascontiguousarray(left.T, np.float64),
+        np.ascontiguousarray(right.T, np.float64),
+    )
+    if homogeneous.shape != (4, len(left)):
+        raise FieldError(f"cv2.triangulatePoints returned {homogeneous.shape}, not (4, N)")
+    scale = homogeneous[3]
+    scale = np.where(np.abs(scale) < 1e-12, np.nan, scale)
+    points: Array = (homogeneous[:3] / scale).T
+    return points
+
+
+def rays_through(points: Array) -> Array:
+    """Return the rays (N, 3), with z = 1, through points (N, 2) of the plane at distance 1."""
+    return np.column_stack([points, np.ones(len(points))])

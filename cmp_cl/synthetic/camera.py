@@ -1,0 +1,146 @@
+"""The cameras that look at the gel, and where the gel stands in front of them."""
+
+import math
+from typing import NamedTuple, Protocol
+
+import cv2
+import numpy as np
+
+from cmp_cl.errors import ConfigError
+from cmp_cl.synthetic.raster import Array
+from cmp_cl.synthetic.scene import Scene
+
+DISTANCE = 45.0  # mm from the camera to the gel, with one camera
+FILL = 0.92  # share of the shorter image side that the pattern covers
+
+
+class Rig(Protocol):
+    """Two cameras in OpenCV's convention: X_right = R X_left + T, lengths in mm."""
+
+    @property
+    def K1(self) -> Array: ...
+    @property
+    def D1(self) -> Array: ...
+    @property
+    def K2(self) -> Array: ...
+    @property
+    def D2(self) -> Array: ...
+    @property
+    def R(self) -> Array: ...
+    @property
+    def T(self) -> Array: ...
+
+
+class Cameras(NamedTuple):
+    """A rig in plain arrays: K (3, 3) px, D (5,) as k1 k2 p1 p2 k3, R (3, 3), T (3,) mm."""
+
+    K1: Array
+    D1: Array
+    K2: Array
+    D2: Array
+    R: Array
+    T: Array
+
+
+def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
+    """Return two cameras 16 mm apart whose axes meet 45 mm away.
+
+    shape: (rows, columns) of each view, px. The pattern of a default scene covers 92 % of the
+        shorter side.
+    """
+    rows, columns = shape
+    focal = FILL * min(shape) / 32.0 * DISTANCE
+    half = math.atan2(8.0, DISTANCE)
+    matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1.0]])
+    rotation = rotation_matrix(0.0, 2 * half, 0.0)
+    centre = np.array([0.0, 0.0, math.hypot(8.0, DISTANCE)])
+    return Cameras(
+        K1=matrix,
+        D1=np.array([-0.06, 0.02, 0.0004, -0.0003, 0.0]),
+        K2=matrix + np.array([[3.0, 0, 2.0], [0, 3.0, -1.5], [0, 0, 0]]),
+        D2=np.array([-0.05, 0.015, -0.0003, 0.0005, 0.0]),
+        R=rotation,
+        T=centre - rotation @ centre,
+    )
+
+
+class PinholeCamera:
+    """A pinhole camera with OpenCV's distortion k1 k2 p1 p2 k3."""
+
+    def __init__(self, matrix: Array, distortion: Array, R: Array, T: Array) -> None:
+        self.matrix = np.asarray(matrix, dtype=np.float64)
+        coefficients = np.asarray(distortion, dtype=np.float64).ravel()
+        if coefficients.size > 5 and np.any(coefficients[5:]):
+            raise ConfigError(
+                f"rendering knows the distortion k1 k2 p1 p2 k3 only, not {coefficients.tolist()}"
+            )
+        self.distortion = np.concatenate([coefficients, np.zeros(5)])[:5]
+        self.R = np.asarray(R, dtype=np.float64)
+        self.T = np.asarray(T, dtype=np.float64)
+
+    def project(self, points: Array) -> Array:
+        """Project points (..., 3), mm, to (..., 2), px."""
+        seen = points @ self.R.T + self.T
+        x, y = seen[..., 0] / seen[..., 2], seen[..., 1] / seen[..., 2]
+        if np.any(self.distortion):
+            k1, k2, p1, p2, k3 = self.distortion
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            x, y = (
+                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+            )
+        matrix = self.matrix
+        return np.stack(
+            [
+                matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2],
+                matrix[1, 1] * y + matrix[1, 2],
+            ],
+            axis=-1,
+        )
+
+
+class Pose(NamedTuple):
+    """The pose of the gel in the frame of the left camera."""
+
+    axes: Array
+    origin: Array
+
+    @classmethod
+    def of(cls, scene: Scene, axes: Array, centre: Array, focal: float) -> "Pose":
+        """Apply the scene's rotation, tilt and position to a gel that faces the camera."""
+        tilt = rotation_matrix(scene.tilt[0], scene.tilt[1], 0.0)
+        rotation = rotation_matrix(0.0, 0.0, scene.rotation)
+        translation = np.array([scene.position[0], scene.position[1], 0.0]) * centre[2] / focal
+        return cls(axes @ tilt @ rotation, centre + axes @ translation)
+
+    def place(self, points: Array) -> Array:
+        """Map points (..., 3) from the gel's frame to the left camera's, mm."""
+        return points @ self.axes.T + self.origin
+
+
+def facing_both(R: Array, T: Array) -> tuple[Array, Array]:
+    """Return the axes (columns) and the origin of a gel that faces both cameras.
+
+    Both are in the frame of the left camera.
+    """
+    eye = -R.T @ T
+    ahead, other = np.array([0.0, 0.0, 1.0]), R[2]
+    normal = ahead + other
+    normal /= np.linalg.norm(normal)
+    cosine = float(ahead @ other)
+    spread = 1 - cosine**2
+    first = float((eye @ ahead) - cosine * (eye @ other)) / max(spread, 1e-9)
+    second = float(cosine * (eye @ ahead) - (eye @ other)) / max(spread, 1e-9)
+    centre = (first * ahead + eye + second * other) / 2
+    if spread < 1e-6 or min(first, second) <= 0:
+        centre = eye / 2 + DISTANCE * normal
+    across = np.array([1.0, 0.0, 0.0])
+    across -= (across @ normal) * normal
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(normal, across), normal], axis=1), centre
+
+
+def rotation_matrix(x: float, y: float, z: float) -> Array:
+    """Return the rotation matrix of a rotation vector, rad."""
+    return np.asarray(cv2.Rodrigues(np.array([x, y, z]))[0], dtype=np.float64)

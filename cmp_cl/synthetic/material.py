@@ -1,0 +1,118 @@
+"""What the gel reflects: the print, how it is worn, and the light on it."""
+
+import math
+
+import cv2
+import numpy as np
+
+from cmp_cl.synthetic.raster import Array, Image, pixel_centres, resized
+from cmp_cl.synthetic.scene import Scene, Surround
+from cmp_cl.synthetic.surface import derivatives, surface
+
+SAMPLES = 2  # samples a pixel, along each axis
+
+_TEXTURE = 1024  # texels a side of the fields over the material
+_BLACK, _WHITE = 0.17, 0.76  # grey levels of the print, of full scale
+_BLACK, _WHITE = 0.17, 0.76  # grey levels of the print, of full scale
+_SURROUND = {Surround.WHITE: 0.80, Surround.BLACK: 0.12, Surround.GREY: 0.45}
+
+
+def reflectance(scene: Scene, points: Image, pixel: float) -> Image:
+    """Return the reflectance of the material at points (H, W, 2), 0 to 1; points, pixel in mm."""
+    warp, growth, smear = _wear(scene, points)
+    x, y = (points[..., k] + warp[..., k] * np.float32(pixel) for k in (0, 1))
+    inside = np.float32(scene.side / 2) - np.maximum(np.abs(x), np.abs(y))
+    x, y = _to_edge(scene, x), _to_edge(scene, y)
+    edge = x * y / np.sqrt(x * x + y * y + np.float32(1e-12))  # mm, > 0 in a white cell
+    white = _covered((edge / np.float32(pixel) + growth) / smear)
+    pattern = _BLACK + (_WHITE - _BLACK) * white
+    surround = np.float32(_SURROUND[scene.surround])
+    return surround + (pattern - surround) * _covered(inside / np.float32(pixel))
+
+
+def _to_edge(scene: Scene, x: Image) -> Image:
+    """Return the signed distance to the nearest cell edge along one axis, mm."""
+    side = scene.side / (scene.markers + 1)
+    turns = x / np.float32(side) + np.float32((scene.markers + 1) / 2 + 0.5)
+    turns -= 2 * np.floor(turns / 2)
+    return np.float32(side) * (np.float32(0.5) - np.abs(turns - 1))
+
+
+def _covered(distance: Image) -> Image:
+    """Return the share of a sample that lies inside an edge at that signed distance, px."""
+    covered: Image = distance * SAMPLES + np.float32(0.5)
+    return covered.clip(0, 1)
+
+
+def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
+    """Return how worn the print is at points: warp (H, W, 2), growth (H, W), smear (H, W), px.
+
+    warp displaces the edges. growth widens the white cells, or the black ones where negative.
+    smear is the width of an edge. All three grow with the local strain.
+    """
+    if scene.corrosion == 0:
+        none = np.zeros((1, 1, 2), dtype=np.float32)
+        return none, none[..., 0], none[..., 0] + 1
+    draw = np.random.default_rng([scene.seed, 3])
+    cell = _TEXTURE / (scene.markers + 1)
+    texel = scene.side / _TEXTURE
+    strain, area = _strain(scene)
+    # Chosen so that the detector of the paper finds every corner in nearly all frames at severity
+    # 0.5, in half of them at 1 and in hardly any at 1.5.
+    worn = scene.corrosion * (0.1 + 2.5 * strain**2 / ((0.15 + strain) * (1 + strain)))
+    ragged = np.stack([_grain(draw, 3.0) for _ in range(2)], axis=-1)
+    torn = np.stack([_grain(draw, 0.5 * cell) for _ in range(2)], axis=-1)
+    warp = worn[..., None] * 0.5 * ragged + (0.2 * scene.corrosion + 0.4 * worn)[..., None] * torn
+    growth = scene.corrosion * area + worn * (
+        1.0 * _grain(draw, 0.45 * cell) + 0.5 * _grain(draw, 3.0)
+    )
+    growth = 2.2 * np.tanh(growth / 2.2)
+    smear = 1 + worn * np.abs(_grain(draw, 0.5 * cell))
+    texels = points / np.float32(texel) + np.float32(_TEXTURE / 2 - 0.5)
+    fields = np.dstack([warp, growth, smear]).astype(np.float32)
+    x, y = cv2.split(texels)
+    sampled = cv2.remap(fields, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return sampled[..., :2], sampled[..., 2], sampled[..., 3]
+
+
+def _grain(draw: np.random.Generator, size: float) -> Image:
+    """Return smooth noise over the material: unit deviation, correlation length `size`, texels."""
+    noise: Image = draw.standard_normal((_TEXTURE, _TEXTURE), dtype=np.float32)
+    smooth: Image = cv2.GaussianBlur(noise, (0, 0), size / 2, borderType=cv2.BORDER_REFLECT_101)
+    unit: Image = smooth / smooth.std()
+    return unit
+
+
+def _strain(scene: Scene) -> tuple[Image, Image]:
+    """Return the magnitude of the strain and the change of area, over the material's texels."""
+    coarse = _TEXTURE // 8
+    texel = 8 * scene.side / _TEXTURE
+    points = (pixel_centres(coarse, coarse) - (coarse - 1) / 2) * texel
+    by_u, by_v = derivatives(lambda at: surface(scene, at), points, 1e-4 * scene.side)
+    stretches = np.linalg.svd(np.stack([by_u, by_v], axis=-1), compute_uv=False)
+    size = np.hypot(stretches[..., 0] - 1, stretches[..., 1] - 1)
+    area = stretches[..., 0] * stretches[..., 1] - 1
+    fields = np.stack([size, area], axis=-1).astype(np.float32)
+    fields = resized(fields, _TEXTURE, _TEXTURE)
+    return fields[..., 0], fields[..., 1]
+
+
+def illumination(scene: Scene, points: Array, pixel: float) -> Image:
+    """Return the light's factor on the grey level at points (H, W, 2); points, pixel in mm."""
+    rows, columns = scene.shape
+    draw = np.random.default_rng([scene.seed, 4])
+    angle = draw.uniform(-math.pi, math.pi)
+    x, y = math.cos(angle), math.sin(angle)
+    few = points[::4, ::4]
+    height: Image = -surface(scene, few)[..., 2]
+    by_y, by_x = np.gradient(height, 4 * pixel)
+    across, down = (
+        np.linspace(-1, 1, few.shape[1])[None, :] * columns / max(rows, columns),
+        np.linspace(-1, 1, few.shape[0])[:, None] * rows / max(rows, columns),
+    )
+    uneven = 1 + scene.light * 0.3 * (x * across + y * down)
+    shading = 1 - scene.light * 0.45 * np.tanh(x * by_x + y * by_y)
+    reach = (across**2 + down**2) / (rows**2 + columns**2) * max(rows, columns) ** 2
+    fall = 1 / (1 + (scene.vignetting - 1) * reach)
+    light = (scene.exposure * uneven * shading * fall).astype(np.float32)
+    return resized(light, rows, columns)

@@ -1,0 +1,68 @@
+"""Memory that the host and a device share."""
+
+import gc
+
+import images
+import numpy as np
+import pyopencl as cl
+import pytest
+from comparison import assert_same_bytes
+
+from cmp_cl import Detector
+from cmp_cl.opencl.shared import shared_buffer, shares_memory
+from cmp_cl.stages import plan as plans
+
+BOARD = images.eight_bits()["board"]
+TEXTURE = images.texture(BOARD.shape)
+
+
+@pytest.fixture
+def handle(device):
+    if not shares_memory(device.handle):
+        pytest.skip(f"{device} does not share memory")
+    return device.handle
+
+
+@pytest.mark.filterwarnings("ignore::pyopencl.CompilerWarning")
+def test_what_the_host_writes_a_kernel_reads_and_the_other_way_round(handle):
+    context = cl.Context([handle])
+    source = "__kernel void next(__global uchar *bytes) { ++bytes[get_global_id(0)]; }"
+    kernel = cl.Kernel(cl.Program(context, source).build(cache_dir=False), "next")
+    with cl.CommandQueue(context) as queue:
+        buffer, here = shared_buffer(context, 1000)
+        kernel.set_args(buffer)
+        for value in (3, 250):
+            here[:] = value
+            cl.enqueue_nd_range_kernel(queue, kernel, (1000,), None).wait()
+            np.testing.assert_array_equal(here, value + 1)
+
+
+def test_a_detector_gives_the_same_corners_with_and_without_it(handle, device, monkeypatch):
+    results = []
+    for shares in (True, False):
+        monkeypatch.setattr(plans, "shares_memory", lambda _, shares=shares: shares)
+        with Detector(shape=BOARD.shape, device=device) as detector:
+            assert bool(detector._plan(None)._here) is shares
+            results.append([detector(BOARD), *detector.batch([TEXTURE, BOARD])])
+    for here, copied in zip(*results, strict=True):
+        assert_same_bytes(here, copied)
+
+
+def test_a_frame_is_not_written_while_kernels_read_the_one_before(handle, device):
+    with Detector(shape=BOARD.shape, device=device) as detector:
+        expected = detector(BOARD)
+        for _ in range(20):
+            dropped = detector.stream([TEXTURE, BOARD, TEXTURE])
+            next(dropped)
+            del dropped  # its second frame is still on its way
+            assert_same_bytes(detector(BOARD), expected)
+
+
+def test_memory_outlives_the_kernels_of_a_detector_that_is_dropped(handle, device):
+    for _ in range(20):
+        detector = Detector(shape=BOARD.shape, device=device)
+        next(detector.stream([BOARD, TEXTURE]))
+        del detector
+        gc.collect()
+    with Detector(shape=BOARD.shape, device=device) as detector:
+        assert len(detector(BOARD)) > 20
