@@ -127,14 +127,16 @@ class PlaneField:
 
 
 def plane_displacement(rest: Grid, now: Grid, scale: PlaneScale | None = None) -> PlaneField:
-    """Return the displacement of each node in the plane, now - rest, by index.
+    """Return the displacement of each node in the plane, now - rest, by its number.
 
-    scale: from the image to the plane; None means px.
+    scale: from the image to the plane; None means px. The field has the rows and columns of
+    the grid at rest: a node beyond them has no displacement.
 
-    Raises FieldError where the shapes of the grids differ.
+    Raises FieldError where now has not all rows and columns of the grid at rest.
     """
-    if rest.shape != now.shape:
-        raise FieldError(f"rest has {rest.shape} nodes, now has {now.shape}")
+    if not now.covers(rest):
+        raise FieldError(f"rest has {rest.extent}, now has {now.extent}")
+    now = now.cut_to(rest)
     scale = PlaneScale.pixels() if scale is None else scale
     both = rest.valid & now.valid
     (before, slope_before), (after, slope_after) = scale(rest.xy), scale(now.xy)
