@@ -99,7 +99,7 @@ class PlaneField:
     position: (R, C, 2) float64, at rest, in `unit`; NaN unless the node is valid.
     displacement: (R, C, 2) float64, in `unit`, NaN unless the node is valid.
     sigma, sigma_position: (R, C) float64, standard deviation per axis of the displacement and of
-        the position, in `unit`; NaN where unknown. Wear of the print counts in that of the position.
+        the position, in `unit`; NaN where unknown. Wear of the print counts in the position.
     status: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     unit: name of the unit of length.
     raw: the field as it was measured, where this one has been through the lattice filter; None
@@ -132,17 +132,19 @@ class PlaneField:
 def plane_displacement(
     rest: Grid, now: Grid, scale: PlaneScale | None = None, *, raw: bool = False
 ) -> PlaneField:
-    """Return the displacement of each node in the plane, now - rest, by index.
+    """Return the displacement of each node in the plane, now - rest, by its number.
 
     The difference goes through the lattice filter, and so does the position at rest: see
     `cmp_cl.grid.filter_grid`. scale: from the image to the plane; None means px. raw: leave the
     filter out. The errors are those that the lattice shows, and those of the corners where it is
-    too small to tell.
+    too small to tell. The field has the rows and columns of the grid at rest: a node beyond them
+    has no displacement.
 
-    Raises FieldError where the shapes of the grids differ.
+    Raises FieldError where now has not all rows and columns of the grid at rest.
     """
-    if rest.shape != now.shape:
-        raise FieldError(f"rest has {rest.shape} nodes, now has {now.shape}")
+    if not now.covers(rest):
+        raise FieldError(f"rest has {rest.extent}, now has {now.extent}")
+    now = now.cut_to(rest)
     scale = PlaneScale.pixels() if scale is None else scale
     both = rest.valid & now.valid
     measured = both & np.isin(rest.status, MEASURED) & np.isin(now.status, MEASURED)
