@@ -19,14 +19,20 @@ from cmp_cl.files import check_target, whole_file, write_text
 from cmp_cl.series.base import Description, Frame, Series
 
 _ROWS = 1 << 17  # of a group in a Parquet file
-_AXES = "xyz"
+_AXES = "x", "y", "z"
+_PARTS = {  # of arrays that are no vectors
+    **dict.fromkeys(("strain", "strain_sigma"), ("xx", "yy", "xy")),
+    **dict.fromkeys(("principal", "principal_sigma"), ("1", "2")),
+}
 
 
 def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, NDArray[Any], str]]:
     """Name, values (N,) and unit ("" for none) of each column of a frame's R x C nodes.
 
-    (R, C) is one column; (R, C, 2) and (R, C, 3) have _x, _y, _z; others numbers. Arrays that
-    are not of the nodes give none. Raises FieldError where no array is of nodes.
+    (R, C) is one column; (R, C, 2) and (R, C, 3) have _x, _y, _z, strains _xx, _yy, _xy; others
+    numbers. Numbers and vectors of the whole frame come last.
+
+    Raises FieldError where no array is of nodes.
     """
     shapes = [value.shape[:2] for value in frame.values() if value.ndim in (2, 3)]
     if not shapes:
@@ -41,9 +47,21 @@ def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, 
         if value.ndim == 2:
             yield name, value.ravel(), unit
             continue
-        for part in range(value.shape[2]):
-            letter = _AXES[part] if value.shape[2] <= 3 else str(part)
-            yield f"{name}_{letter}", value[..., part].ravel(), unit
+        for part, end in enumerate(_ends(name, value.shape[2])):
+            yield f"{name}_{end}", value[..., part].ravel(), unit
+    for name, value in frame.items():
+        unit, ends = units.get(name, ""), _ends(name, value.size)
+        if value.ndim == 0:
+            yield name, np.broadcast_to(value, rows.size), unit
+        elif value.ndim == 1:
+            for part, end in zip(value, ends, strict=True):
+                yield f"{name}_{end}", np.broadcast_to(part, rows.size), unit
+
+
+def _ends(name: str, count: int) -> tuple[str, ...]:
+    """Return what the names of an array's parts end in."""
+    ends = _PARTS.get(name, _AXES)
+    return ends[:count] if count <= len(ends) else tuple(map(str, range(count)))
 
 
 class CsvSeries(Series):

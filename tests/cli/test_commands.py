@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 from disks import full_after
+from plane_images import moved_board
 from stereo_data import bumblebee_rig, grid_of, photographs
 
 from cmp_cl import (
@@ -1063,3 +1064,54 @@ def test_two_cameras_are_paired_as_they_come(run, recording, press, monkeypatch)
     assert "wrote press.npz: 3 frames" in out
     assert out.rstrip().endswith("2 left and 0 right frames without a partner")
     assert max(off_by(np.load("press.npz"), press, (0, 1, 2))) < CLOSE
+
+
+def test_strain_and_contact_are_in_the_series_where_they_are_asked_for(run, recording, press):
+    status, _, err = run(
+        "run", recording, *STEREO, "--strain", "--contact", "0.3", "--rest-frame", "0"
+    )
+    assert (status, err) == (0, "")
+    found = read_series("press.npz")
+    deep = np.nanmax(found["depth"], axis=(1, 2))
+    np.testing.assert_allclose(found["contact_depth"], deep)
+    assert (found["contact_area"] > 0).tolist() == (deep > 0.3).tolist()
+    assert found["contact_area"].any()
+    field = found["displacement"].shape
+    assert found["strain"].shape == found["normal"].shape == field
+    assert np.nanmax(found["strain_sigma"]) < 0.1
+
+
+def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
+    os.mkdir("frames")
+    stretch = np.array([[1.01, 0.0], [0.0, 1.0]])
+    for number, by in enumerate((np.eye(2), stretch)):
+        picture = moved_board(
+            (150, 150), 12, lambda q, by=by: (q - 75) @ (by - np.eye(2)).T, board=(24, 24, 120, 120)
+        )
+        cv2.imwrite(f"frames/{number}.png", picture)
+    flat = ("run", "frames", "--grid", "7x7", "--out", "flat.npz", "--overlay", "flat.mp4")
+    assert run(*flat, "--strain", "--cell", "2.5", "--unit", "cm")[0] == 0
+    found = read_series("flat.npz")
+    assert str(found["unit"]) == "cm"
+    steps = np.linalg.norm(np.diff(found["rest"], axis=1), axis=2)
+    np.testing.assert_allclose(steps, 2.5, atol=0.02)
+    moved = found["displacement"][1, 3, 6] - found["displacement"][1, 3, 0]
+    assert np.abs(moved).max() == pytest.approx(0.01 * 6 * 2.5, rel=0.05)
+    assert found["principal"][1, 3, 3] == pytest.approx([(1.01**2 - 1) / 2, 0], abs=1e-3)
+    assert found["zoom"][1] == pytest.approx(1.005, abs=5e-4)
+    np.testing.assert_array_equal(found["rest_px"][0, 0], found["xy"][0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--cell", "2", "--stereo", "rig.yaml"), "--cell is for one view"),
+        (("--contact", "2"), "--contact needs --stereo"),
+        (("--cell", "0"), "no length"),
+        (("--contact", "nan", "--stereo", "rig.yaml"), "no length"),
+    ],
+)
+def test_lengths_that_a_view_does_not_have_are_refused(run, arguments, message):
+    status, out, err = run("run", "none.avi", "--out", "a.npz", *arguments)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert message in err
