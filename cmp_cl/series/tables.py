@@ -1,7 +1,6 @@
 """Recordings as tables: a row for each node of each frame, or a line for each frame."""
 
 import contextlib
-import itertools
 import json
 import os
 import sys
@@ -17,6 +16,7 @@ from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, whole_file, write_text
 from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.digits import rows_of
 
 _ROWS = 1 << 17  # of a group in a Parquet file
 _AXES = "x", "y", "z"
@@ -81,25 +81,15 @@ class CsvSeries(Series):
         self._target = check_target(path)
         self._files = contextlib.ExitStack()
         self._file = self._files.enter_context(whole_file(path))
-        self._template = ""
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         table = list(node_columns(frame, self.description.units))
         if not self._count:
             names = [f"{name}_{unit}" if unit else name for name, _, unit in table]
             self._file.write((",".join(["frame", "time_ms", *names]) + "\n").encode())
-            # All that a frame's rows share is in one template, which is filled at once.
-            forms = ",".join("%.9g" if values.dtype.kind == "f" else "%d" for _, values, _ in table)
-            forms = forms.split(",", 2)[2]
-            self._template = "".join(
-                f"@,{row},{column},{forms}\n"
-                for row, column in zip(table[0][1].tolist(), table[1][1].tolist(), strict=True)
-            )
-        moment = f"{index},{float(time_ms):.9g}"
-        columns = [values.tolist() for _, values, _ in table[2:]]
-        numbers = tuple(itertools.chain.from_iterable(zip(*columns, strict=True)))
-        text = self._template.replace("@", moment) % numbers
-        self._file.write(text.encode())
+        self._file.write(
+            rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
+        )
 
     def _finish(self) -> None:
         try:

@@ -561,6 +561,7 @@ def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
     assert str(select_device()) in out
     folder = tmp_path / "shown"
     written = sorted(str(path.relative_to(folder)) for path in folder.rglob("*.*"))
+    assert "sheet.png" in written
     assert written == sorted(out.split("wrote to shown: ")[1].splitlines()[0].split(", "))
     for picture in folder.glob("*.png"):
         assert cv2.imread(str(picture)).std() > 20
