@@ -55,7 +55,7 @@ def add_parser(commands: Any) -> None:
     """Add `demo` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "demo",
-        help="a rendered press in two views, measured in space, with pictures and errors",
+        help="render a press in two views, measure it in space, compare it with the truth",
         description="Renders a gel at rest and under a torus that presses and twists, as two "
         "mirrors show it to one camera; finds and numbers the corners, places them in space, "
         "and writes pictures, the deformation field and a table of the errors against the "

@@ -53,7 +53,7 @@ def add_parser(commands: Any) -> None:
     """Add `run` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "run",
-        help="the deformation in every frame of a recording or of a live camera",
+        help="measure the deformation in every frame of a recording or of a live camera",
         description="Numbers the pattern in every frame as in the rest frame and writes the "
         "series. With --stereo each frame shows two views, and the series holds the "
         "displacement of every node in space; without it, the positions in the image. "
@@ -87,7 +87,7 @@ def add_parser(commands: Any) -> None:
         "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="of its frames, px"
     )
     camera.add_argument("--camera-fps", metavar="FPS", type=float, help="frames per second")
-    camera.add_argument("--exposure", type=float, help="in the unit of its driver")
+    camera.add_argument("--exposure", metavar="VALUE", type=float, help="in the unit of its driver")
     camera.add_argument(
         "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
     )
@@ -451,7 +451,7 @@ class _Settings:
             device=device,
             shape=arguments.grid,
             config=config,
-            full_scale=arguments.full_scale or _stated_scale(source, config),
+            full_scale=_full_scale(arguments.full_scale, source, config),
             raw=arguments.raw,
             region=arguments.region,
             rig=rig,
@@ -580,9 +580,11 @@ def run(arguments: argparse.Namespace) -> int:
     return 130 if stop.name and not source.live else 0
 
 
-def _stated_scale(source: _Source, config: DetectorConfig | None) -> int | None:
-    """The source's full scale where the settings say none."""
-    return source.full_scale if config is None or config.full_scale is None else None
+def _full_scale(asked: int | None, source: _Source, config: DetectorConfig | None) -> int | None:
+    """Return the full scale that is asked for, else the source's where the settings say none."""
+    if asked is not None or (config is not None and config.full_scale is not None):
+        return asked
+    return source.full_scale
 
 
 class _Film(contextlib.AbstractContextManager["_Film"]):

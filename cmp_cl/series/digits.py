@@ -29,7 +29,7 @@ def rows_of(begin: str, columns: Sequence[NDArray[np.generic]]) -> bytes:
     text[:, :, 0] = ord(",")
     fixed = _fixed(np.where(missing | ~plain[:, None], 0, values))
     text[:, :, 1 : 2 + _DIGITS] = fixed.transpose(2, 1, 0)
-    for number in np.flatnonzero(~plain):
+    for number in np.flatnonzero(~plain).tolist():
         form = b"%.9g" if columns[number].dtype.kind == "f" else b"%d"
         alone = np.array([form % each for each in columns[number].tolist()], np.bytes_)
         width = alone.dtype.itemsize

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
 
@@ -762,7 +763,7 @@ def test_tune_writes_settings_that_lose_nothing(run, recording, press, monkeypat
 
     monkeypatch.setattr(tune, "changes", some)
     status, out, err = run(
-        "tune", recording, "--markers", "12x12", "--split", "halves", "--out", "my.toml"
+        "tune", recording, "--grid", "12x12", "--split", "halves", "--out", "my.toml"
     )
     assert (status, err) == (0, "")
     assert "6 views of 216 x 240 px" in out
@@ -786,7 +787,7 @@ def test_tune_writes_settings_that_lose_nothing(run, recording, press, monkeypat
 def test_tune_looks_at_the_pattern_in_the_region_alone(run, press, monkeypatch):
     monkeypatch.setattr(tune, "changes", lambda *_: {})
     cv2.imwrite("0.png", np.hstack([press[1].right.image, press[1].left.image]))
-    arguments = "tune", "0.png", "--markers", "12x12"
+    arguments = "tune", "0.png", "--grid", "12x12"
     fails_in_one_line(run(*arguments), "two patterns")
     status, out, err = run(*arguments, "--region", f"{VIEW[1]},0,{VIEW[1]},{VIEW[0]}")
     assert (status, err) == (0, "")
@@ -897,7 +898,7 @@ def test_what_is_lost_is_named():
         (["none.png"], ["none.png"]),
         (["0.png", "--out", "cmp.yaml"], ["toml"]),
         (["0.png", "--mirror", "left"], ["--split"]),
-        (["0.png", "--markers", "many"], ["many"]),
+        (["0.png", "--grid", "many"], ["many"]),
         (["0.png"], ["no frame shows the pattern"]),
         (["0.png", "1.png"], ["one size"]),
         (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["a rectangle for each view", "here 1"]),
@@ -909,7 +910,7 @@ def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
     monkeypatch.setattr("cmp_cl.measure._USUAL_CELLS", ())
     cv2.imwrite("0.png", np.full(VIEW, 90, np.uint8))
     cv2.imwrite("1.png", np.full((100, 90), 90, np.uint8))
-    fails_in_one_line(run("tune", "--markers", "9x9", *arguments), *words)
+    fails_in_one_line(run("tune", "--grid", "9x9", *arguments), *words)
     assert not list(tmp_path.glob("*.toml"))
 
 
@@ -1116,3 +1117,36 @@ def test_lengths_that_a_view_does_not_have_are_refused(run, arguments, message):
     status, out, err = run("run", "none.avi", "--out", "a.npz", *arguments)
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert message in err
+
+
+def test_a_video_of_12_bits_is_measured_without_more_words_and_keeps_its_times(run):
+    av = pytest.importorskip("av", reason="PyAV is not installed")
+    picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
+    with av.open("deep.mkv", "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 150, 150, "gray12le"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for time_ms in (0, 35, 110):
+            frame = av.VideoFrame(150, 150, "gray12le")
+            plane = np.zeros((150, frame.planes[0].line_size // 2), np.uint16)
+            plane[:, :150] = picture.astype(np.uint16) << 3  # in half of the light
+            frame.planes[0].update(plane.tobytes())
+            frame.pts, frame.time_base = time_ms, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    assert run("run", "deep.mkv", "--grid", "7x7", "--out", "deep.npz")[0] == 0
+    assert read_series("deep.npz")["time_ms"] == pytest.approx([0, 35, 110])
+    status, out, _ = run("detect", "deep.mkv", "--grid", "7x7")
+    assert (status, "49 of 49 nodes" in out) == (0, True)
+
+
+def test_frames_that_change_size_are_named_and_left_out(run):
+    pytest.importorskip("av", reason="PyAV is not installed")
+    picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
+    pictures = [picture, picture[:140], picture]
+    Path("a.mjpeg").write_bytes(b"".join(cv2.imencode(".jpg", p)[1].tobytes() for p in pictures))
+    status, out, err = run("run", "a.mjpeg", "--grid", "7x7", "--out", "a.npz")
+    assert status == 0
+    assert "1 left out" in out
+    assert "frame 1 is 150 x 140 px of uint8, the rest frame is 150 x 150" in err
+    assert read_series("a.npz")["index"].tolist() == [0, 2]
