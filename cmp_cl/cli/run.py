@@ -282,6 +282,12 @@ class _Pairs(_Source):
         left, right = self._sides
         if left.live != right.live:
             raise ConfigError("--left and --right must both be files or both be cameras")
+        counts = len(left.paths), len(right.paths)
+        if max(counts) > 1 and counts[0] != counts[1]:
+            raise ConfigError(
+                f"--left has {counts[0]} files and --right {counts[1]}: images have no times by "
+                "which they could be paired; leave out those without a partner"
+            )
         self.name = f"{left.name}, {right.name}"
         self.start_ns = self.full_scale = None
         if not left.live:

@@ -30,6 +30,7 @@ from cmp_cl import (
     RingHarmonic,
     SeriesWriter,
     StereoRig,
+    media,
     select_device,
 )
 from cmp_cl.cli import demo, tune
@@ -1011,6 +1012,20 @@ def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press)
     assert status == 0
     assert "2 frames" in out
     assert "1 left and 0 right frames without a partner" in out
+
+
+def test_folders_of_which_one_has_more_images_are_not_paired_by_guess(run, recording, press):
+    os.mkdir("left")
+    os.mkdir("right")
+    for number, shot in enumerate(press):
+        media.write_image(f"left/{number}.png", shot.left.image)
+        if number != 1:
+            media.write_image(f"right/{number}.png", shot.right.image)
+    sides = "--left", "left", "--right", "right"
+    fails_in_one_line(run("run", *sides, *STEREO), "--left has 3 files and --right 2")
+    assert not Path("press.npz").exists()
+    os.remove("left/1.png")
+    assert run("run", *sides, *STEREO)[0] == 0
 
 
 @pytest.mark.parametrize(
