@@ -24,17 +24,17 @@ from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
 
 
 class Detector:
-    """Finds the corners of frames of one shape and pixel type.
+    """Finds the corners in frames of one shape and pixel type.
 
-    Use it in a with statement, or call `close`. Buffers and kernels are made once; nothing is
-    allocated on the device per frame. One thread may use it at a time: a second one waits.
+    Use it in a with statement, or call `close`. Buffers and kernels are made once, so that a frame
+    allocates nothing on the device. One thread at a time may use it; a second one waits.
 
     shape: (H, W) of every frame. dtype: uint8 or uint16.
-    config: what to do; the defaults of DetectorConfig where None.
+    config: the settings; None means DetectorConfig().
     device: a Device, a text for `select_device`, or None for the default device.
     queue: a pyopencl queue to use instead of one of its own, one that runs its commands in
         order; then `device` must be None.
-    mask: (H, W) bool, where corners may be centred; pixels outside are still looked at.
+    mask: (H, W) bool, where corners may be centred; pixels outside are still sampled.
     profile: keep the times of the stages of the last frame, see `times`.
 
     Raises ImageError (shape, dtype, mask), ConfigError, DeviceError, KernelBuildError and
@@ -81,11 +81,11 @@ class Detector:
         context = queue.context if queue is not None else cl.Context([self.device.handle])
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
-        self._transfers = cl.CommandQueue(context)  # of streams, beside the kernels
+        self._transfers = cl.CommandQueue(context)  # for streams, beside the kernels
         self._lock = threading.RLock()
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
         self._closed = False
-        self.regrown = 0  # times that a list was too short and a frame was done again
+        self.regrown = 0  # how often a list was too short and a frame was redone
         if self.shape[0] and self.shape[1]:
             for factor in self._factors:
                 self._plan(factor)
@@ -103,7 +103,7 @@ class Detector:
 
     def close(self) -> None:
         """Give the device's memory back; the detector cannot be used afterwards."""
-        if is_forked():  # the memory is the parent's
+        if is_forked():  # the memory belongs to the parent process
             return
         with self._lock:
             for plan in self._plans.values():
@@ -146,9 +146,9 @@ class Detector:
     def stream(self, frames: Iterable[Frame]) -> Iterator[Corners]:
         """Yield the corners of each frame, in order.
 
-        The next frame is uploaded while the kernels of this one run. A frame may be
-        overwritten as soon as the next one is asked for. Calls and other streams may come
-        in between. Raises what a call raises, at the frame that it concerns.
+        The next frame is uploaded while the kernels of this one run. A frame may be overwritten as
+        soon as the next one is asked for. Calls and other streams may be interleaved. Raises what a
+        call raises, at the frame that it concerns.
         """
         if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
             yield from map(self, frames)
@@ -180,12 +180,11 @@ class Detector:
     def batch(self, stack: NDArray[Any] | Sequence[Frame] | cl.Buffer) -> list[Corners]:
         """Find the corners of each frame of (B, H, W), with one launch per stage for all of them.
 
-        Frames that are on the device already are given as the pyopencl.Buffer that holds them,
-        without gaps, in the context of this detector's `queue`; they are read after what that
-        queue was given before, and may be overwritten through it at once.
-        The results share one block of memory: copy what is kept of a frame without the others.
-        Raises what a call raises, ImageError where the buffer does not hold whole frames,
-        DeviceError where it is of another context.
+        Frames that are already on the device are passed as one pyopencl.Buffer without gaps, in the
+        context of this detector's `queue`. They are read in the order of that queue, so commands
+        enqueued there later may overwrite them. The results share one block of memory: copy a
+        result to keep it without the others. Raises what a call raises, ImageError where the buffer
+        does not hold whole frames, DeviceError where it is of another context.
         """
         if isinstance(stack, cl.Buffer):
             frames: cl.Buffer | list[GreyImage] = stack
@@ -242,7 +241,7 @@ class Detector:
                 return no_maps(self.shape, self.config)
             plan = self._made(self._factors[0], frames=1, form=Form.PORTABLE)
             try:
-                self._whole(plan, [image])  # makes room
+                self._whole(plan, [image])  # lets the lists grow
                 return read_maps(plan)
             finally:
                 plan.release()
@@ -259,7 +258,7 @@ class Detector:
     ) -> tuple[Corners, Grid]:
         """Find the corners of a frame and number them, see `build_grid`.
 
-        All corners of the frame are in the first; a region holds for the numbering alone.
+        The corners are those of the whole frame; `region` limits the numbering alone.
 
         Raises what a call and `build_grid` raise.
         """
@@ -294,11 +293,11 @@ class Detector:
             for key, plan in self._plans.items()
             if (key[0], key[2]) == (frames, factor) and key[1] > max(slot, 1) and not plan.awaited
         ]
-        for key in dropped:  # of streams that were begun and not ended
+        for key in dropped:  # of abandoned streams
             self._plans.pop(key).release()
         key = (frames, slot, factor)
         if key not in self._plans:
-            if frames > 1:  # room for one size of batch
+            if frames > 1:  # plans of one batch size are kept
                 for old in [old for old in self._plans if old[0] > 1 and old[0] != frames]:
                     self._plans.pop(old).release()
             self._plans[key] = self._made(factor, frames)
@@ -353,11 +352,11 @@ class Detector:
         return self._finish(plan, self._queue)
 
     def _grow(self, plan: Plan, overflow: Overflow) -> None:
-        """Make room and start again on the frames that are on the device."""
+        """Lengthen the lists and restart on the frames that are on the device."""
         self.regrown += 1
         try:
             plan.grow(overflow)
-        except CapacityError:  # half of its buffers are gone; the next frame makes it anew
+        except CapacityError:  # half of its buffers are gone; the next frame rebuilds it
             self._plans = {key: kept for key, kept in self._plans.items() if kept is not plan}
             plan.release()
             raise
@@ -413,8 +412,10 @@ def detect(
 ) -> Corners:
     """Find the corners of one image, (H, W) uint8 or uint16, also of another array library.
 
-    Makes a Detector, runs it and releases it; for many images of one shape make a Detector.
-    config None means DetectorConfig.for_image(image).
+    It makes a Detector, runs it and releases it. For many images of one shape make a Detector
+    yourself.
+    config: the settings; None means DetectorConfig.for_image(image).
+
     Raises what Detector raises.
     """
     frame = as_frame(image)

@@ -127,8 +127,8 @@ def stores(folder: Path) -> Iterator[Path]:
         field: np.zeros((count, *shape), kind)
         for field, shape, kind in (
             *(("xy", (2,), "f4"), ("pixel", (2,), "i4"), ("response", (), "f4")),
-            *(("method", (), "u1"), ("sigma", (), "f4"), ("edges", (4,), "f4")),
-            ("doubtful", (), "?"),
+            *(("method", (), "u1"), ("refusal", (), "u1"), ("sigma", (), "f4")),
+            *(("edges", (4,), "f4"), ("doubtful", (), "?")),
         )
     }
     arrays |= {"lengths": lengths, "device": np.array("none")}

@@ -34,6 +34,7 @@ def corners_at(xy):
         sigma=np.full(count, np.nan, np.float32),
         edges=np.tile(np.float32([0, 1.5, 3, -1.5]), (count, 1)),
         doubtful=np.zeros(count, bool),
+        refusal=np.zeros(count, np.uint8),
         device="none",
     )
 
@@ -315,7 +316,7 @@ def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
         rows = list(csv.DictReader(file))
     assert list(rows[0])[:6] == ["image", "frame", "x_px", "y_px", "pixel_x_px", "pixel_y_px"]
     assert list(rows[0])[6:9] == ["response", "method", "sigma_px"]
-    assert list(rows[0])[9:] == [f"edge{i}_rad" for i in range(4)] + ["doubtful"]
+    assert list(rows[0])[9:] == [f"edge{i}_rad" for i in range(4)] + ["doubtful", "refusal"]
     for row, xy, pixel in zip(rows, corners.xy, corners.pixel, strict=True):
         assert (row["image"], row["frame"], row["method"]) == (name, "3", "EDGE_LINES")
         assert (np.float32(row["x_px"]), np.float32(row["y_px"])) == tuple(xy)

@@ -117,7 +117,8 @@ def add_parser(commands: Any) -> None:
         action="store_true",
         help="continue the numbers of the frame before where the rest frame leaves them "
         "ambiguous, as it does where no border of the pattern is in view; the pattern as a whole "
-        "must move by less than half a cell from frame to frame",
+        "must move by less than half a cell from the rest frame to the first, and from frame to "
+        "frame",
     )
     add_split(
         parser,
@@ -550,6 +551,7 @@ def run(arguments: argparse.Namespace) -> int:
             image = shot.image
             if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
                 tally.broken += 1
+                measure.skip()
                 if tally.broken <= _LINES_OF_BROKEN:
                     progress.say(f"cmp-cl: {_why_broken(shot, rest)}", sys.stderr)
                 continue

@@ -1,4 +1,4 @@
-"""Fields of a whole recording in one file."""
+"""The fields of a whole recording in one file."""
 
 import contextlib
 import io
@@ -22,11 +22,11 @@ class SeriesWriter:
     """Writes a recording, frame by frame, to one .npz; memory does not grow with it.
 
     The file holds `index` (F,) int64, `time_ms` (F,) float64, every array that `append` gets
-    stacked along a first axis of F frames, and the constants (rest positions, unit) as they
-    are; numpy.load reads it. It appears when the `with` block ends, also by an exception or
-    Ctrl-C: then with the frames so far. Until then they lie beside it in the folder NAME.parts,
-    an .npy for each array that numpy.load reads, so there must be room for two copies. Where
-    there is not, or the process is killed, that folder stays; the OSError names it.
+    stacked along a first axis of F frames, and the constants (rest positions, unit) as they are;
+    numpy.load reads it. It appears when the `with` block ends, even by an exception or Ctrl-C: then
+    with the frames so far. Until then the frames are in the folder NAME.parts beside it, one .npy
+    for each array, so the disk must hold two copies. Where it cannot, or the process is killed,
+    that folder stays, and the OSError names it.
 
         with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)
@@ -106,8 +106,8 @@ class SeriesWriter:
                 raise FieldError(f"{name} must be an array of numbers, not of {value.dtype}")
 
     def _add_column(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        # without a buffer, which would keep the bytes that a full disk has refused; anew where
-        # the first frame was interrupted
+        # without a buffer, which would keep the bytes that a full disk has refused; anew where the
+        # first frame was interrupted
         file = open(self._folder / f"{name}.npy", "w+b", buffering=0)  # noqa: SIM115, closed by _files
         self._columns[name] = _Column(self._files.enter_context(file), shape, dtype)
 
@@ -197,5 +197,5 @@ class _Column:
     def _write_at(self, place: int, data: bytes) -> None:
         self.file.seek(place)
         rest = memoryview(data)
-        while rest:  # a nearly full disk takes a part of it
+        while rest:  # a nearly full disk may take only part of it
             rest = rest[self.file.write(rest) :]

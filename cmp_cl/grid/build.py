@@ -128,7 +128,7 @@ def build_grids(
 def _checked(
     corners: Corners, image: GreyImage | None, shape: tuple[int, int] | None, region: Region | None
 ) -> tuple[Index, Seen]:
-    """The numbers of the corners in the region, and what is known of them."""
+    """Number the corners in the region, and return what is known of them."""
     if not isinstance(corners, Corners):
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
@@ -148,7 +148,7 @@ def _checked(
 
 
 def _found(seen: Seen) -> Lattice | None:
-    """The lattice of the corners; None where no closed cell is seen."""
+    """Return the lattice of the corners; None where no closed cell is seen."""
     if len(seen.z) < 4:
         return None
     found = lattice(seen.z.astype(np.complex64), seen.edges)
@@ -165,7 +165,7 @@ def _numbered(
     previous: Grid | None = None,
     alone: bool = False,
 ) -> tuple[Placed | None, Sides]:
-    """The nodes with their numbers and holes filled, None where none is left, and the borders.
+    """Return the nodes, numbered and with holes filled, and the borders; None where none is left.
 
     alone: whether other components are other boards.
     """
@@ -196,12 +196,12 @@ def _numbered(
 
 
 def _framed(placed: Placed) -> Grid:
-    """Rows, columns and numbers of that grid, without a node."""
+    """Return rows, columns and numbers of that grid, without a node."""
     return dataclasses.replace(_empty(0, placed.nodes.at.shape), origin=placed.origin)
 
 
 def _declared(placed: Placed, border: Sides, shape: tuple[int, int] | None) -> Sides:
-    """The borders of a pattern, all four where it is seen whole in a known shape."""
+    """Return the borders of a pattern, all four where it is seen whole in a known shape."""
     there = placed.nodes.there
     if shape is None or placed.seen_shape is not None or not there.any():
         return border

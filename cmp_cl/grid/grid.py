@@ -33,7 +33,7 @@ class Sides(NamedTuple):
     right: bool = False
 
     def turned(self, quarters: int) -> "Sides":
-        """The same sides after the numbers are turned as in `Grid.turned`."""
+        """Return the same sides after the numbers are turned as in `Grid.turned`."""
         sides = self
         for _ in range(quarters % 4):
             sides = Sides(sides.right, sides.left, sides.top, sides.bottom)
@@ -127,7 +127,7 @@ class Grid:
         return found
 
     def turned(self, quarters: int) -> "Grid":
-        """The same nodes with the numbers turned: row 0 is the last column, and so on."""
+        """Return the same nodes with the numbers turned: row 0 is the last column, and so on."""
         quarters %= 4
         if not quarters:
             return self
@@ -155,7 +155,7 @@ class Grid:
         )
 
     def cut_to(self, rest: "Grid") -> "Grid":
-        """The nodes on the rows and columns of another grid with the same numbers.
+        """Return the nodes on the rows and columns of another grid with the same numbers.
 
         Equal places of the two are then equal numbers. Corners beyond belong to no node.
         """
@@ -189,7 +189,7 @@ class Grid:
         )
 
     def to_opencv(self, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The valid nodes as cv2.calibrateCamera takes a view: object and image points.
+        """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
 
         spacing: side of a square, any unit. Returns (N, 1, 3) float32 in that unit and
         (N, 1, 2) float32, px. Raises ConfigError where spacing is not positive.
@@ -199,7 +199,7 @@ class Grid:
         return grid_to_opencv(self, spacing)
 
     def with_virtual_markers(self, count: int) -> "Grid":
-        """The grid with `count` points on every edge between two neighbouring nodes.
+        """Return the grid with `count` points on every edge between two neighbouring nodes.
 
         They lie on cubic curves through the nodes. Node (r, c) is at ((count + 1) r,
         (count + 1) c) of the result, ((R - 1)(count + 1) + 1, (C - 1)(count + 1) + 1), whose
@@ -211,7 +211,7 @@ class Grid:
 
 
 def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """The nodes that hang together by steps along rows and columns, the most first: (R, C).
+    """Label the nodes connected by steps along rows and columns, the largest part first: (R, C).
 
     there: (R, C), where there is a node. -1 where there is none.
     """

@@ -1,6 +1,8 @@
-"""The detector in NumPy, one module per kernel file: slow, plain, and what kernels are held to.
+"""The detector in NumPy, one module per kernel file: slow and plain. Tests compare the kernels with
+it.
 
-It is an oracle, to be called on purpose; the library never falls back to it.
+It is an oracle: call it on purpose. The library never falls back to it. It shares no constant with
+the kernels, so that a wrong one shows.
 """
 
 import dataclasses
@@ -90,6 +92,7 @@ def detect_with_margin(
         pixel=pixel.astype(np.int32),
         response=found.response.astype(np.float32),
         method=refined.method,
+        refusal=refined.refusal,
         sigma=refined.sigma.astype(np.float32),
         edges=refined.edges.astype(np.float32),
         doubtful=refined.doubtful,

@@ -1,4 +1,4 @@
-"""Pictures of the results."""
+"""Overlays on images, figures, and a log for Rerun."""
 
 import enum
 import math
@@ -39,19 +39,19 @@ STATUS_COLOURS = {  # BGR
     NodeStatus.INTERPOLATED: (255, 80, 255),
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
-JPEG_QUALITY = 80  # of the pictures in a recording
+JPEG_QUALITY = 80  # JPEG quality of the images in a recording
 _OFF_GRID = (150, 150, 190)  # BGR, of corners that no grid holds
-NARROWEST = 1e-5  # width of a surface over its length: narrower ones are lines
+NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
 _FRACTION_BITS = 4
 
 
 def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     """Draw a mark on every corner, coloured by how it was refined, and a legend.
 
-    image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR: the image enlarged by a
-    whole factor, pixels as blocks, until a cell is about 32 px and the longer side at least
-    1000 px, but at most 2400 px unless it came larger; the legend stands below it. A circle
-    surrounds each corner and a dot stands on its position. Raises ImageError.
+    image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
+    factor, each pixel to a block, until a cell is about 32 px wide and the longer side at least
+    1000 px; the result is at most 2400 px long unless the image is longer. The legend is below the
+    image. A circle surrounds each corner and a dot marks its position. Raises ImageError.
     """
     check_image(image)
     cell = _spacing(corners.xy)
@@ -142,10 +142,10 @@ def grid_overlay(
 ) -> NDArray[np.uint8]:
     """Draw the lines of the grid, a dot on every node by status, and a legend.
 
-    image: (H, W) uint8 or uint16. corners: those that the grid was built from; the ones off the
-    grid are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like
-    `corner_overlay`. The first row is drawn in red and the first column in blue. Raises
-    ImageError, and FieldError where there are not as many corners as the grid was built from.
+    image: (H, W) uint8 or uint16. corners: those that the grid was built from. Corners off the grid
+    are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like `corner_overlay`. The
+    first row is drawn in red and the first column in blue. Raises ImageError, and FieldError where
+    there are not as many corners as the grid was built from.
     """
     check_image(image)
     if corners is not None and len(corners) != len(grid.index):
@@ -196,8 +196,8 @@ def arrow_figure(
 ) -> "Figure":
     """Draw arrows from where each node was to where it is, to scale, both px.
 
-    image: (H, W), the frame of now. The colour is the arrow's length in px, or, with field,
-    the length of the displacement in space. Needs matplotlib. `save_figure` writes it.
+    image: (H, W), the frame now. The colour is the arrow's length in px, or, with `field`, the
+    length of the displacement in space. Needs matplotlib. `save_figure` writes it.
 
     Raises FieldError where the grids or the field have different shapes, ImageError.
     """
@@ -246,7 +246,7 @@ def _top(lengths: NDArray[np.float64]) -> float:
 
 
 class Projection(enum.Enum):
-    """How a surface in space is drawn."""
+    """The projection in which a surface is drawn."""
 
     PERSPECTIVE = "persp"
     ORTHOGRAPHIC = "ortho"
@@ -257,9 +257,9 @@ def surface_figure(
 ) -> "Figure":
     """Draw the surface now, coloured by displacement, with arrows from the rest positions.
 
-    Axes: along the rows, along the columns, and towards the cameras out of the plane that
-    fits the rest positions best; the height is stretched to a fifth of the width, the
-    label says how much. Needs matplotlib.
+    The axes run along the rows, along the columns, and towards the cameras out of the plane that
+    fits the rest positions best. The height is stretched to a fifth of the width; the label gives
+    the factor. Needs matplotlib.
 
     Raises FieldError where fewer than three nodes are valid.
     """
@@ -366,10 +366,10 @@ def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) 
 
 
 class RerunLog:
-    """Shows frames in Rerun: in its viewer, or recorded to a .rrd file for it.
+    """Shows frames in Rerun's viewer, or records them to a .rrd file for it.
 
-    path: the file, None to open the viewer. Needs rerun-sdk 0.23 or newer. The file appears
-    when the `with` block ends, also by an exception or Ctrl-C.
+    path: the file; None opens the viewer. Needs rerun-sdk 0.23 or newer. The file appears when the
+    `with` block ends, even by an exception or Ctrl-C.
 
     Raises ImportError without rerun-sdk, RuntimeError where its viewer is not found on the
     PATH, OSError where the file cannot be written.
@@ -409,7 +409,7 @@ class RerunLog:
     ) -> None:
         """Show a frame: its picture, its grid on it, its surface with the displacements.
 
-        image: of 8 bits it is kept as JPEG, of 16 bits as PNG.
+        image: kept as JPEG with 8 bits, as PNG with 16.
         time_ms: NaN leaves it out of the clock's timeline.
 
         Raises OSError where an earlier frame could not be written.

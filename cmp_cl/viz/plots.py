@@ -25,12 +25,12 @@ _SEQUENTIAL, _DIVERGING = "plasma", "RdBu_r"
 
 
 class Quantity(enum.Enum):
-    """What a map shows of each node.
+    """The quantity of a node that a map shows.
 
-    DISPLACEMENT: its length. STRAIN: the larger principal Green-Lagrange strain in the plane
-    or in the surface. HEIGHT: the displacement out of the plane that fits the rest best,
-    towards the cameras; of two views only. SIGMA: the standard deviation of the displacement
-    (of two views) or of the position now (of one).
+    DISPLACEMENT: its length. STRAIN: the larger principal Green-Lagrange strain in the plane or in
+    the surface. HEIGHT: the displacement towards the cameras, out of the plane that fits the rest
+    positions best; two views only. SIGMA: the standard deviation of the displacement (two views) or
+    of the position now (one view).
     """
 
     DISPLACEMENT = "displacement"
@@ -41,7 +41,7 @@ class Quantity(enum.Enum):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recorded:
-    """A recording as `cmp_cl.series.read_series` gives it, checked.
+    """A recording, as `cmp_cl.series.read_series` reads it, after checks.
 
     rest: (R, C, 2) or (R, C, 3) in `unit`. shift: (F, R, C, 2 or 3). sigma: (F, R, C), NaN
     where the recording has none. index, time_ms: (F,).
@@ -166,8 +166,9 @@ class Recorded:
 def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = None) -> "Figure":
     """Draw one quantity of every cell on the pattern at rest, with a colour bar in its unit.
 
-    index: number of the frame, None for that of the largest displacement. A cell has the mean
-    of its four nodes. Needs matplotlib. Raises FieldError, ConfigError without matplotlib.
+    index: number of the frame; None means the one of the largest displacement. The value of a cell
+    is the mean of its four nodes. Needs matplotlib. Raises FieldError, ConfigError without
+    matplotlib.
     """
     figure = _figure((7.5, 6.0))
     draw_map(figure, figure.add_subplot(), recorded, quantity, recorded.frame_of(index))
@@ -177,7 +178,7 @@ def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = No
 def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> "Figure":
     """Draw the displacement of a node over time, with a band of one standard deviation.
 
-    node: (row, column), None for that of the largest displacement. Raises FieldError,
+    node: (row, column); None means the one of the largest displacement. Raises FieldError,
     ConfigError without matplotlib.
     """
     figure = _figure((8.0, 4.5))
