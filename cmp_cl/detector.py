@@ -17,6 +17,7 @@ from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
+from cmp_cl.opencl.program import Programs
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan
 from cmp_cl.stages.refine import no_corners, read_corners
@@ -82,6 +83,7 @@ class Detector:
         self._queue = queue or cl.CommandQueue(context, properties=flags)
         self._transfers = cl.CommandQueue(context)  # for streams, beside the kernels
         self._lock = threading.RLock()
+        self._programs = Programs(context)
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was redone
@@ -274,6 +276,7 @@ class Detector:
     def _made(self, factor: float | None, frames: int, form: Form | None = None) -> Plan:
         return Plan(
             self._queue,
+            self._programs,
             self.device,
             self.shape,
             self.dtype,
