@@ -154,6 +154,7 @@ def _with_edges(xy: np.ndarray, image: GreyImage) -> Corners:
         pixel=pixel.astype(np.int32),
         response=np.ones(len(xy), np.float32),
         method=seen.method,
+        refusal=seen.refusal,
         sigma=seen.sigma.astype(np.float32),
         edges=seen.edges.astype(np.float32),
         doubtful=seen.doubtful,

@@ -190,11 +190,29 @@ def sector_based(view: View) -> Found | None:
     )
 
 
+def libcbdetect(view: View) -> Found | None:
+    """Its largest board, with its own settings."""
+    import libCBDetect as peer
+
+    board = peer.Checkerboard()
+    board.show_processing = False
+    board.array_to_image(view.image.astype(np.float64).ravel(), *view.image.shape)
+    board.find_corners()
+    board.refine_corners()
+    board.find_board_from_corners()
+    shape = board.rows, board.cols
+    x, y = np.zeros((2, shape[0] * shape[1]))
+    if len(x):
+        board.get_board_corners(x, y)
+    return Found(np.stack([x, y], axis=1), np.indices(shape).reshape(2, -1).T)
+
+
 METHODS: dict[str, Method] = {
     "cmp_cl": own(sized=False),
     "cmp_cl, size known": own(sized=True),
     "calib-targets": calib_targets,
     "cv2 SB, LARGER": sector_based,
+    "libcbdetect": libcbdetect,
 }
 
 

@@ -19,7 +19,7 @@ from cmp_cl.config import (
     SectorContrast,
     SpectralCriteria,
 )
-from cmp_cl.corners import Corners, Method
+from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.detector import Detector, detect
 from cmp_cl.errors import (
     CalibrationError,
@@ -89,6 +89,7 @@ __all__ = [
     "Points3D",
     "Pyramid",
     "RapidCriteria",
+    "Refusal",
     "RingHarmonic",
     "Rival",
     "SectorContrast",

@@ -42,7 +42,7 @@ _DAMAGE = (  # what reading a damaged zip or .npy raises
     *(OSError, ValueError, KeyError, EOFError, OverflowError, MemoryError),
     *(RuntimeError, struct.error, zipfile.BadZipFile, zlib.error),
 )
-_ARRAYS = ("xy", "pixel", "response", "method", "sigma", "edges", "doubtful")
+_ARRAYS = ("xy", "pixel", "response", "method", "refusal", "sigma", "edges", "doubtful")
 
 
 @dataclasses.dataclass(frozen=True)

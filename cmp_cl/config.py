@@ -150,7 +150,7 @@ class RingHarmonic:
     relative: float = 0.1875
     fine: bool = True
     alignment: int | None = 8
-    support: int | None = 6
+    support: int | None = 32
 
     def __post_init__(self) -> None:
         _check("RingHarmonic", "noise", self.noise, 0, 100, kind=float)

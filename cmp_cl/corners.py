@@ -18,6 +18,17 @@ class Method(enum.IntEnum):
     KEPT = 5  # refinement refused, the centroid was kept
 
 
+class Refusal(enum.IntEnum):
+    """Why the refinement that was asked for was refused; `method` is what stands instead."""
+
+    NONE = 0  # it was not refused
+    RINGS = 1  # fewer than two rings cross four boundaries
+    ANGLE = 2  # the lines enclose less than 10 degrees
+    SHIFT = 3  # the result lies too far from the start, or EDGE_STEP's from EDGE_LINES'
+    RESIDUAL = 4  # the edge points lie off their lines: the corner is torn
+    FLAT = 5  # EDGE_STEP: too little contrast, or edges that are nearly one
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Corners:
     """The corners of one image, rows in (y, x) order of `pixel`.
@@ -26,6 +37,7 @@ class Corners:
     pixel: (N, 2) int32, the maximum each came from, (x, y).
     response: (N,) float32, the response there (Eq. 24 or the spectral response).
     method: (N,) uint8 of `Method`.
+    refusal: (N,) uint8 of `Refusal`.
     sigma: (N,) float32, standard deviation of the position per axis, px; NaN where unknown.
     edges: (N, 4) float32, the angles of the four boundaries in [-pi, pi], rad, clockwise on
         screen, the first from white to black; NaN where unknown.
@@ -38,6 +50,7 @@ class Corners:
     pixel: NDArray[np.int32]
     response: NDArray[np.float32]
     method: NDArray[np.uint8]
+    refusal: NDArray[np.uint8]
     sigma: NDArray[np.float32]
     edges: NDArray[np.float32]
     doubtful: NDArray[np.bool_]

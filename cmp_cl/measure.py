@@ -39,6 +39,8 @@ from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
+BRIDGED = 1  # frames without a grid over which numbers are continued: after more, a motion of
+# half a cell a frame can reach the next place that looks alike
 MAX_SIGMA = 0.2  # px: corners of a board that are less certain are not used
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
@@ -110,6 +112,14 @@ class Measurement:
         """
         raise NotImplementedError
 
+    def skip(self) -> None:
+        """Say that a frame is missing here, for numbers that are continued from frame to frame."""
+        for pattern in self._patterns():
+            pattern.lost()
+
+    def _patterns(self) -> "tuple[_Pattern, ...]":
+        raise NotImplementedError
+
     def close(self) -> None:
         """Release the device's memory."""
         self._detectors.close()
@@ -135,7 +145,9 @@ class OneView(Measurement):
     config: of the detector; None is `exact_config` for the cells seen at rest.
     track: continue the numbers of the frame before where the frame at rest leaves them
         ambiguous. Frames then come in order, and the pattern as a whole moves by less than
-        half a cell from each to the next.
+        half a cell from the frame at rest to the first and from each to the next. After two
+        frames without a grid, or one that is ambiguous, those that follow are ambiguous too,
+        until a border or the errors of the print decide.
     full_scale: the camera's largest grey level; None is that of the settings or of the type.
     device: a Device, a text for `select_device`, or None for the default device.
     raw: leave out the lattice filter, see `cmp_cl.grid.filter_positions`.
@@ -168,6 +180,9 @@ class OneView(Measurement):
         self.constants["filtered"] = np.array(not raw)
         if not raw:
             self.constants["raw_rest"] = rest_grid.xy
+
+    def _patterns(self) -> "tuple[_Pattern, ...]":
+        return (self._pattern,)
 
     @property
     def rest_grid(self) -> Grid:
@@ -258,6 +273,9 @@ class TwoViews(Measurement):
         if not raw:
             self.constants["raw_rest"] = self.rest.xyz
 
+    def _patterns(self) -> "tuple[_Pattern, ...]":
+        return self._left, self._right
+
     @property
     def rest_grids(self) -> tuple[Grid, Grid]:
         """The grids of the frame at rest, left and right."""
@@ -328,6 +346,7 @@ class _Pattern:
         self._region = region
         self._track = search.track
         self._previous: Grid | None = None
+        self._lost = 0  # frames since the last one with a grid
         if config is None:
             cell, _ = find_pattern(
                 view, shape=shape, region=region, full_scale=search.full_scale, device=device
@@ -353,14 +372,20 @@ class _Pattern:
         corners = self.detector(view)
         before = (self._previous or self.rest) if self._track else None
         try:
-            grid = build_grid(
-                corners, view, like=self.rest, region=self._region, previous=before
-            ).cut_to(self.rest)
+            whole = build_grid(corners, view, like=self.rest, region=self._region, previous=before)
         except GridError:
+            whole = None
+        if whole is None or not whole.valid.any():
+            self.lost()
             return corners, _without_nodes(self.rest, len(corners))
-        if grid.valid.any():
-            self._previous = grid
-        return corners, grid
+        self._previous, self._lost = whole, 0
+        return corners, whole.cut_to(self.rest)
+
+    def lost(self) -> None:
+        """A frame is missing here; numbers are continued over BRIDGED of them at most."""
+        self._lost += 1
+        if self._lost > BRIDGED:
+            self._previous = dataclasses.replace(self._previous or self.rest, ambiguous=True)
 
 
 def _without_nodes(rest: Grid, corners: int) -> Grid:

@@ -73,7 +73,7 @@ __kernel void midlines(__global const PIXEL *restrict image, __global const int 
 #endif
                        __global float *restrict result) {
   CORNER_OF_WORK_ITEM
-  STORE_CENTROID(METHOD_KEPT)
+  STORE_CENTROID(METHOD_KEPT + REFUSED_RINGS)
   EDGES_OF_CORNER
   EDGE_ANGLES
   if (valid_rings < 2) return;
@@ -107,14 +107,16 @@ __kernel void midlines(__global const PIXEL *restrict image, __global const int 
   }
 #endif
   int method = METHOD_MIDLINE;
-  if (!(fabs(cross_product(centre[0].direction, centre[1].direction)) > 0.17f &&
-        dot(position, position) <= max_shift * max_shift)) {
+  const int meet = fabs(cross_product(centre[0].direction, centre[1].direction)) > 0.17f;
+  if (!(meet && dot(position, position) <= max_shift * max_shift)) {
+    const int refused = meet ? REFUSED_SHIFT : REFUSED_ANGLE;
+    STORE(RESULT_METHOD, METHOD_KEPT + refused)
     for (int e = 0; e < 4; ++e) side[e] = fit_line(edge[e], valid);
     position = (intersection(&side[0], &side[1]) + intersection(&side[2], &side[3])) / 2;
     const int open = fabs(cross_product(side[0].direction, side[1].direction)) > 0.17f &&
                      fabs(cross_product(side[2].direction, side[3].direction)) > 0.17f;
     if (!(open && dot(position, position) <= max_shift * max_shift)) return;
-    method = METHOD_CUSP;
+    method = METHOD_CUSP + refused;
   }
   position += (float2)((float)from_x, (float)from_y);
   STORE_PAIRS(RESULT_POSITION, position.x, position.y)

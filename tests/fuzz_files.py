@@ -11,6 +11,7 @@ status is 1.
 import argparse
 import contextlib
 import importlib
+import importlib.util
 import itertools
 import json
 import re
@@ -126,8 +127,8 @@ def stores(folder: Path) -> Iterator[Path]:
         field: np.zeros((count, *shape), kind)
         for field, shape, kind in (
             *(("xy", (2,), "f4"), ("pixel", (2,), "i4"), ("response", (), "f4")),
-            *(("method", (), "u1"), ("sigma", (), "f4"), ("edges", (4,), "f4")),
-            ("doubtful", (), "?"),
+            *(("method", (), "u1"), ("refusal", (), "u1"), ("sigma", (), "f4")),
+            *(("edges", (4,), "f4"), ("doubtful", (), "?")),
         )
     }
     arrays |= {"lengths": lengths, "device": np.array("none")}
@@ -226,6 +227,9 @@ KINDS: dict[str, tuple[Callable[[Path], Iterator[Path]], Callable[[Path], Any]]]
     "recordings": (recordings, read_recording),
     "bags": (bags, read_bag),
 }
+for needed, kind in (("h5py", "recordings"), ("mcap_ros2", "bags")):
+    if importlib.util.find_spec(needed) is None:
+        del KINDS[kind]
 
 
 def damaged(data: bytes, rng: Rng) -> bytes:

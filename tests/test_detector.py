@@ -166,6 +166,7 @@ def test_the_result(detector, device):
         "pixel": ((count, 2), np.int32),
         "response": ((count,), np.float32),
         "method": ((count,), np.uint8),
+        "refusal": ((count,), np.uint8),
         "sigma": ((count,), np.float32),
         "edges": ((count, 4), np.float32),
         "doubtful": ((count,), np.bool_),

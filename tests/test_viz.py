@@ -37,6 +37,7 @@ def corners_at(xy, method):
         sigma=np.full(count, np.nan, np.float32),
         edges=np.full((count, 4), np.nan, np.float32),
         doubtful=np.zeros(count, bool),
+        refusal=np.zeros(count, np.uint8),
         device="none",
     )
 

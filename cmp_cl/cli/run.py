@@ -116,7 +116,8 @@ def add_parser(commands: Any) -> None:
         action="store_true",
         help="continue the numbers of the frame before where the rest frame leaves them "
         "ambiguous, as it does where no border of the pattern is in view; the pattern as a whole "
-        "must move by less than half a cell from frame to frame",
+        "must move by less than half a cell from the rest frame to the first, and from frame to "
+        "frame",
     )
     add_split(
         parser,
@@ -186,7 +187,10 @@ class _Shot(NamedTuple):
 
 
 class _Source:
-    """Where the frames come from; rate: frames per second, None where nobody knows."""
+    """Where the frames come from.
+
+    rate: frames per second, full_scale: largest grey level; None where nobody knows.
+    """
 
     def __init__(self, name: str, max_pixels: int, camera: CameraSettings) -> None:
         self._max_pixels = max_pixels
@@ -196,8 +200,9 @@ class _Source:
         self.start_ns: int | None = None  # since 1970, of an MCAP
         self.paths: list[Path] = [] if self.live else media.find_inputs([name])
         self.name = name
-        self.rate = media.frame_rate(self.paths[0]) if len(self.paths) == 1 else None
-        self._period = np.nan if self.rate is None else 1e3 / self.rate
+        single = self.paths[0] if len(self.paths) == 1 else None
+        self.rate = None if single is None else media.frame_rate(single)
+        self.full_scale = None if single is None else media.full_scale(single)
 
     @property
     def total(self) -> int | None:
@@ -227,7 +232,9 @@ class _Source:
                 yield _Shot(taken.index, taken.time_ms - start, taken.image)
             return
         if self.paths[0].suffix.lower() == ".mcap":
-            for number, (stamp, image) in enumerate(mcap_images(self.paths[0])):
+            for number, (stamp, image) in enumerate(
+                mcap_images(self.paths[0], max_pixels=self._max_pixels)
+            ):
                 self.start_ns = self.start_ns or stamp
                 yield _Shot(number, (stamp - self.start_ns) / 1e6, image)
             return
@@ -235,7 +242,8 @@ class _Source:
         for path in self.paths:
             try:
                 for frame in media.read_frames(path, max_pixels=self._max_pixels):
-                    yield _Shot(index, index * self._period, frame.image)
+                    time_ms = frame.time_ms if len(self.paths) == 1 else np.nan
+                    yield _Shot(index, time_ms, frame.image)
                     index += 1
             except ImageError:
                 if len(self.paths) == 1:
@@ -262,12 +270,17 @@ class _Pairs(_Source):
     """Frames of two sources side by side, left and right, paired by their times."""
 
     def __init__(self, arguments: argparse.Namespace, camera: CameraSettings) -> None:
-        self._sides = [cameras.Source(name, camera) for name in (arguments.left, arguments.right)]
+        self._sides = [
+            cameras.Source(name, camera, max_pixels=arguments.max_pixels)
+            for name in (arguments.left, arguments.right)
+        ]
         left, right = self._sides
         if left.live != right.live:
             raise ConfigError("--left and --right must both be files or both be cameras")
         self.name = f"{left.name}, {right.name}"
-        self.start_ns = None
+        self.start_ns = self.full_scale = None
+        if not left.live:
+            self.full_scale = media.full_scale(left.paths[0])
         self.live = left.live
         self.paths = [*left.paths, *right.paths]
         periods = [side.period_ms for side in self._sides if np.isfinite(side.period_ms)]
@@ -431,7 +444,7 @@ class _Settings:
             device=device,
             shape=arguments.grid,
             config=config,
-            full_scale=arguments.full_scale,
+            full_scale=arguments.full_scale or _stated_scale(source, config),
             raw=arguments.raw,
             region=arguments.region,
             rig=rig,
@@ -504,6 +517,7 @@ def run(arguments: argparse.Namespace) -> int:
             image = shot.image
             if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
                 tally.broken += 1
+                measure.skip()
                 if tally.broken <= _LINES_OF_BROKEN:
                     progress.say(f"cmp-cl: {_why_broken(shot, rest)}", sys.stderr)
                 continue
@@ -538,6 +552,11 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2
     return 130 if stop.name and not source.live else 0
+
+
+def _stated_scale(source: _Source, config: DetectorConfig | None) -> int | None:
+    """The source's full scale where the settings say none."""
+    return source.full_scale if config is None or config.full_scale is None else None
 
 
 class _Film(contextlib.AbstractContextManager["_Film"]):

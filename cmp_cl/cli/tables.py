@@ -5,13 +5,13 @@ from typing import BinaryIO
 
 import numpy as np
 
-from cmp_cl.corners import Corners, Method
+from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.media import csv_bytes
 
 CORNER_COLUMNS = (
     *("x_px", "y_px", "pixel_x_px", "pixel_y_px", "response", "method"),
-    *("sigma_px", "edge0_rad", "edge1_rad", "edge2_rad", "edge3_rad", "doubtful"),
+    *("sigma_px", "edge0_rad", "edge1_rad", "edge2_rad", "edge3_rad", "doubtful", "refusal"),
 )
 NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
 
@@ -38,10 +38,11 @@ def corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
     """Return CORNER_COLUMNS of every corner."""
     arrays = (
         *(corners.xy, corners.pixel, corners.response, corners.method),
-        *(corners.sigma, corners.edges, corners.doubtful),
+        *(corners.sigma, corners.edges, corners.doubtful, corners.refusal),
     )
-    for xy, pixel, response, method, sigma, edges, doubtful in zip(*arrays, strict=True):
-        yield (*xy, *pixel, response, Method(method).name, sigma, *edges, int(doubtful))
+    for xy, pixel, response, method, sigma, edges, doubtful, refusal in zip(*arrays, strict=True):
+        how, why = Method(method).name, Refusal(refusal).name
+        yield (*xy, *pixel, response, how, sigma, *edges, int(doubtful), why)
 
 
 def node_rows(grid: Grid) -> Iterator[Sequence[object]]:

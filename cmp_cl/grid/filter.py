@@ -9,6 +9,7 @@ reach and of which degree they are; there is nothing to set.
 import dataclasses
 import functools
 import math
+import threading
 from typing import Any
 
 import cv2
@@ -35,6 +36,8 @@ _LEAST_OF_THREE = 1.35  # noise without shape, over the least of its three varia
 _ROUNDS = 3  # searches for nodes to refuse
 _FILL_REACH = (3, 6)  # nodes around a hole that predict its value
 _ROWS_AT_ONCE = 16  # of a lattice, where every node has a kernel of its own
+_MOST_KEPT = 1 << 20  # numbers of a thread's scratch memory
+_kept = threading.local()
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -238,15 +241,15 @@ def _plane(values: Array, votes: Bools) -> Array:
 class _Axis:
     """The filters along an axis of n nodes, A of them.
 
-    filters: (A, n, n) float32, a row per node. stacked: the same, (A n, n). own: (A, n), the
+    filters: (A, n, n) float32, a row per node; the first one changes nothing. own: (A, n), the
     weight of the node itself. gain: (A, n), the sum of the squares. share: (A, n, n), 1 / window
     where the window is. pilot, pilot_own, pilot_share: of the filter that shows the noise.
-    near_noise, near_risk: (n, n) Gaussians, rows of sum 1. single: number of the filter that
-    changes nothing.
+    near_noise, near_risk: (n, n) Gaussians, rows of sum 1. columns: (A - 1, n, n), the filters
+    after the first one as factors on the right.
     """
 
     filters: Single
-    stacked: Single
+    columns: Single
     own: Single
     gain: Single
     share: Single
@@ -290,7 +293,7 @@ def _axis(n: int) -> _Axis:
 
     return _Axis(
         filters=single(filters),
-        stacked=single(filters.reshape(-1, n)),
+        columns=single(filters[1:].transpose(0, 2, 1)),
         own=single(np.diagonal(filters, axis1=1, axis2=2)),
         gain=single(np.square(filters).sum(axis=2)),
         share=single(share[:-1]),
@@ -306,7 +309,7 @@ def _axis(n: int) -> _Axis:
 class _Pairs:
     """What the pairs of a filter along the columns (A) and one along the rows (B) share.
 
-    own, gain: (A, R, B, C). pilot_own: (R, C).
+    own, gain: (A, B, R, C). pilot_own: (R, C).
     """
 
     own: Single
@@ -318,8 +321,8 @@ class _Pairs:
 def _pairs(rows: int, columns: int) -> _Pairs:
     down, along = _axis(rows), _axis(columns)
     return _Pairs(
-        own=down.own[:, :, None, None] * along.own,
-        gain=down.gain[:, :, None, None] * along.gain,
+        own=down.own[:, None, :, None] * along.own[:, None],
+        gain=down.gain[:, None, :, None] * along.gain[:, None],
         pilot_own=np.outer(down.pilot_own, along.pilot_own),
     )
 
@@ -330,7 +333,7 @@ class _Mixture:
 
     part: (R, C), the nodes of the component. votes: (R, C), those that others rely on.
     data, values: (K, R, C), before, with predictions in the holes, and behind it.
-    residual: (K, R, C), of the pilot. weights: (A, R, B, C), of each pair at each node.
+    residual: (K, R, C), of the pilot. weights: (A, B, R, C), of each pair at each node.
     raw_variance, variance: (R, C), of the data and of the values. gain: (R, C), the least ratio
     of the two that the weights allow.
     """
@@ -375,7 +378,7 @@ class _Mixture:
             block = slice(first, min(first + _ROWS_AT_ONCE, rows))
             low, high = max(first - reach, 0), min(block.stop + reach, rows)
             kernels = np.einsum(
-                "arbc,ard,bce->rcde", self.weights[:, low:high], down[:, low:high], along,
+                "abrc,ard,bce->rcde", self.weights[:, :, low:high], down[:, low:high], along,
                 optimize=True,
             )  # fmt: skip
             around = np.lib.stride_tricks.sliding_window_view(
@@ -532,40 +535,37 @@ def _mixture(
 ) -> _Mixture:
     count, rows, columns = data.shape
     down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
-    filters, others = len(down.filters), len(along.filters)
     known = np.isfinite(noise)
     s2 = np.where(known, np.maximum(chosen_noise, np.float32(_LEAST)), np.float32(1))
-    first = np.matmul(down.stacked, data).reshape(count, filters, rows, columns)
-    smooth = np.matmul(first.reshape(-1, columns), along.stacked.T)
-    smooth = smooth.reshape(count, filters, rows, others, columns)
-    loss = pairs.own * (2 * count * s2[:, None])
+    smooth = _smooth(data)
+    risk = _scratch("risk", pairs.own.shape)
+    apart = np.empty_like(risk)
+    np.multiply(pairs.own, 2 * count * s2, out=risk)  # the loss, until it is averaged
     for coordinate in range(count):
-        apart = smooth[coordinate] - data[coordinate, :, None]
-        loss += np.square(apart, out=apart)
+        np.subtract(smooth[coordinate], data[coordinate], out=apart)
+        risk += np.square(apart, out=apart)
     whole = bool(votes.all())
     if not whole:
-        loss *= votes[:, None]
-    loss = np.matmul(loss.reshape(-1, columns), along.near_risk.T)
-    loss = np.matmul(down.near_risk, loss.reshape(filters, rows, -1))
-    risk: Single = loss.reshape(filters, rows, others, columns)
+        risk *= votes
+    np.matmul(down.near_risk, np.matmul(risk, along.near_risk.T, out=apart), out=risk)
     if whole:
-        risk *= (1 / (count * s2))[:, None]
+        risk *= 1 / (count * s2)
     else:
-        near = down.near_risk @ votes.astype(np.float32) @ along.near_risk.T
-        risk *= (1 / (count * s2 * np.maximum(near, np.float32(1e-6))))[:, None]
-        support = np.matmul(down.share, votes.astype(np.float32))
-        support = np.einsum("arj,bcj->arbc", support, along.share)
-        bad = (support < LEAST_SUPPORT) | ~known[:, None] | (near < 1e-6)[:, None]
-        bad[0, :, 0] = False
-        risk = np.where(bad, np.float32(1e30), risk)
-    least = risk.min(axis=0).min(axis=1)
-    weights = (least[:, None] - risk) * np.float32(_SHARPNESS)
+        there = votes.astype(np.float32)
+        near = down.near_risk @ there @ along.near_risk.T
+        risk *= 1 / (count * s2 * np.maximum(near, np.float32(1e-6)))
+        support = (down.share @ there)[:, None] @ along.share.transpose(0, 2, 1)
+        bad = (support < LEAST_SUPPORT) | ~known | (near < 1e-6)
+        bad[0, 0] = False
+        risk[bad] = 1e30
+    weights = np.subtract(risk.min(axis=(0, 1)), risk, out=apart)
+    weights *= np.float32(_SHARPNESS)
     np.exp(weights, out=weights)
-    weights *= (1 / _over_pairs(weights))[:, None]
-    values = np.stack([_over_pairs(weights * each) for each in smooth])
-    gain = _over_pairs(weights * pairs.gain)
-    own = _over_pairs(weights * pairs.own) if chosen_noise is not noise else np.float32(0)
-    mean_risk = _over_pairs(np.multiply(weights, risk, out=risk))
+    weights *= 1 / weights.sum(axis=(0, 1))
+    values = np.stack([_over_pairs(weights, each) for each in smooth])
+    gain = _over_pairs(weights, pairs.gain)
+    own = _over_pairs(weights, pairs.own) if chosen_noise is not noise else np.float32(0)
+    mean_risk = _over_pairs(weights, risk)
     more = noise - chosen_noise  # the choice takes less noise for granted than the errors do
     expected = chosen_noise * mean_risk + 2 * more * own - noise
     variance = np.maximum(expected, noise * gain)
@@ -583,9 +583,40 @@ def _mixture(
     )
 
 
-def _over_pairs(values: Single) -> Single:
-    """(A, R, B, C) -> (R, C), the sum."""
-    total: Single = values.sum(axis=0).sum(axis=1)
+def _smooth(data: Single) -> Single:
+    """(K, R, C) -> (K, A, B, R, C), behind each pair of filters.
+
+    Every product is of matrices no larger than the lattice: those are too small for BLAS to
+    share out over threads, which costs milliseconds where other work keeps the cores busy.
+    """
+    count, rows, columns = data.shape
+    down, along = _axis(rows), _axis(columns)
+    shape = (count, len(down.filters), len(along.filters), rows, columns)
+    smooth = _scratch("smooth", shape)
+    smooth[:, 0, 0] = data
+    np.matmul(down.filters[1:], data[:, None], out=smooth[:, 1:, 0])
+    np.matmul(smooth[:, :, :1], along.columns, out=smooth[:, :, 1:])
+    return smooth
+
+
+def _scratch(name: str, shape: tuple[int, ...]) -> Single:
+    """Memory of that shape that this thread uses again under that name; its content is random.
+
+    Fresh memory costs a page fault for every 4 kB, a third of the time of the filter.
+    """
+    size = math.prod(shape)
+    if size > _MOST_KEPT:
+        return np.empty(shape, np.float32)
+    kept: Single | None = vars(_kept).get(name)
+    if kept is None or kept.size < size:
+        kept = np.empty(size, np.float32)
+        vars(_kept)[name] = kept
+    return kept[:size].reshape(shape)
+
+
+def _over_pairs(weights: Single, values: Single) -> Single:
+    """(A, B, R, C) each -> (R, C), the weighted sum."""
+    total: Single = np.einsum("abrc,abrc->rc", weights, values)
     return total
 
 

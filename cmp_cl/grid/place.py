@@ -33,6 +33,7 @@ from cmp_cl.grid.nearest import (
     Reference,
     chosen,
     climb,
+    colour,
     quarter_turns,
 )
 from cmp_cl.grid.nodes import NOWHERE, Nodes, Points, check_room
@@ -99,6 +100,11 @@ def _by_border(nodes: Nodes, border: Sides, like: Grid, rest: Reference) -> Deci
     place at rest by other numbers.
     """
     turns = quarter_turns(nodes.at, rest)
+    if len(turns) == 1 and not any(border):
+        turned = nodes.turned(turns[0][0])
+        number = _bounds(turned, border, like).only
+        if number is not None and sum(number) % 2 == colour(turned, rest):
+            return Decision(Choice(0.0, float("nan"), turns[0][0], *number), None, sure=True)
     left = _nearest(nodes, border, like, rest)
     if len(left) == 1 and any(border):
         freely = _nearest(nodes, Sides(), like, rest)
@@ -124,7 +130,7 @@ def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> D
         if shift is None:
             continue
         top, left = shift[0] + like.origin[0], shift[1] + like.origin[1]
-        if (sum(shift) + rest.parity - turned.parity) % 2:
+        if (top + left) % 2 != colour(turned, rest):
             return nearest
         best = chosen(turned, rest, quarters, top, left)
         others = (nearest.best, nearest.second)

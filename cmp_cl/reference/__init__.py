@@ -92,6 +92,7 @@ def detect_with_margin(
         pixel=pixel.astype(np.int32),
         response=found.response.astype(np.float32),
         method=refined.method,
+        refusal=refined.refusal,
         sigma=refined.sigma.astype(np.float32),
         edges=refined.edges.astype(np.float32),
         doubtful=refined.doubtful,

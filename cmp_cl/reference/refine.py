@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
-from cmp_cl.corners import Method
+from cmp_cl.corners import Method, Refusal
 from cmp_cl.image import GreyImage
 from cmp_cl.reference.ring import ring_greys
 
@@ -47,6 +47,7 @@ class Refined:
 
     xy: Floats
     method: NDArray[np.uint8]
+    refusal: NDArray[np.uint8]
     sigma: Floats
     edges: Floats
     doubtful: Bools
@@ -110,6 +111,7 @@ def refine(
         return Refined(
             xy=centroid,
             method=np.full(count, Method.CENTROID, np.uint8),
+            refusal=np.zeros(count, np.uint8),
             sigma=unknown,
             edges=np.full((count, 4), np.nan),
             doubtful=np.zeros(count, np.bool_),
@@ -121,11 +123,12 @@ def refine(
     sigma = unknown
     doubtful = np.zeros(count, np.bool_)
     if isinstance(refinement, Midlines):
-        shift, method, margin = midlines(points, refinement.fit, max_shift / scale)
+        shift, method, refusal, margin = midlines(points, refinement.fit, max_shift / scale)
     else:
-        shift, method, margin = edge_lines(points, max_shift / scale, scale)
+        shift, method, refusal, margin = edge_lines(points, max_shift / scale, scale)
         sigma = np.where(method == Method.EDGE_LINES, lines_sigma(points), np.nan)
     method = np.where(enough, method, Method.KEPT).astype(np.uint8)
+    refusal = np.where(enough, refusal, Refusal.RINGS).astype(np.uint8)
     lines = np.nonzero(method == Method.EDGE_LINES)[0]
     if isinstance(refinement, EdgeStep) and len(lines):
         step = edge_step(
@@ -134,6 +137,7 @@ def refine(
         accepted = lines[step.accepted]
         shift[accepted] = step.position[step.accepted]
         method[accepted] = Method.EDGE_STEP
+        refusal[lines] = step.refusal
         sigma[accepted] = step.sigma[step.accepted]
         doubtful[lines] = step.doubtful
         margin[lines] = np.minimum(margin[lines], step.margin)
@@ -142,6 +146,7 @@ def refine(
     return Refined(
         xy=np.where(kept, centroid, start + shift),
         method=method,
+        refusal=refusal,
         sigma=np.where(method == Method.KEPT, np.nan, sigma),
         edges=np.where(enough[:, None], edges, np.nan),
         doubtful=doubtful,
@@ -340,17 +345,26 @@ def _boundary_points(points: EdgePoints, boundaries: tuple[int, ...]) -> tuple[F
 
 def edge_lines(
     points: EdgePoints, max_shift: float, scale: float
-) -> tuple[Floats, NDArray[np.uint8], Floats]:
-    """EDGE_LINES: the line of e0 and e2 meets that of e1 and e3: shift (N, 2), method, margin.
+) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8], Floats]:
+    """EDGE_LINES: the line of e0 and e2 meets that of e1 and e3.
+
+    Returns shift (N, 2), method, refusal and margin (N,).
 
     Where the edge points are not on two lines, in torn corners and where the rings reach over
     squeezed cells, the centroid is nearer: the mean squared distances of both lines together
     are at most 0.25 px^2.
     """
     first, second = _both_lines(points)
-    meeting = _straight(_within(intersect(first, second), max_shift), first, second, scale)
+    crossing = intersect(first, second)
+    near = _within(crossing, max_shift)
+    meeting = _straight(near, first, second, scale)
     method = np.where(meeting.accepted, Method.EDGE_LINES, Method.KEPT).astype(np.uint8)
-    return meeting.position, method, meeting.margin
+    refusal = np.select(
+        [meeting.accepted, near.accepted, crossing.accepted],
+        [Refusal.NONE, Refusal.RESIDUAL, Refusal.SHIFT],
+        Refusal.ANGLE,
+    ).astype(np.uint8)
+    return meeting.position, method, refusal, meeting.margin
 
 
 def lines_sigma(points: EdgePoints) -> Floats:
@@ -387,14 +401,15 @@ def _both_lines(points: EdgePoints) -> tuple[Lines, Lines]:
 
 def midlines(
     points: EdgePoints, fit: Fit, max_shift: float
-) -> tuple[Floats, NDArray[np.uint8], Floats]:
+) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8], Floats]:
     """MIDLINE: the centrelines of the two black sectors meet; where they do not, CUSP.
 
-    Returns shift (N, 2), method (N,) and margin (N,).
+    Returns shift (N, 2), method (N,), refusal (N,), of MIDLINE, and margin (N,).
     """
     middle = (points.point[:, :, 0::2] + points.point[:, :, 1::2]) / 2
     first, second = (fit_lines(middle[:, :, sector], points.valid) for sector in (0, 1))
     meeting = intersect(first, second)
+    open_ = meeting.accepted
     if fit is Fit.QUADRATIC:
         three = points.valid.all(axis=1) & meeting.accepted
         curved = _intersect_curves(first, second, middle, meeting.position)
@@ -407,9 +422,12 @@ def midlines(
     cusp = _within(cusps(points), max_shift)
     method = np.where(straight.accepted, Method.MIDLINE, Method.CUSP)
     method = np.where(straight.accepted | cusp.accepted, method, Method.KEPT).astype(np.uint8)
+    refusal = np.select(
+        [straight.accepted, open_], [Refusal.NONE, Refusal.SHIFT], Refusal.ANGLE
+    ).astype(np.uint8)
     position = np.where(straight.accepted[:, None], straight.position, cusp.position)
     margin = np.where(straight.accepted, straight.margin, np.minimum(straight.margin, cusp.margin))
-    return position, method, margin
+    return position, method, refusal, margin
 
 
 def cusps(points: EdgePoints) -> Meeting:
@@ -478,10 +496,11 @@ def _on_curve(line: Lines, along: Floats, across: Floats, curve: Floats, u: Floa
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Step:
-    """N steps: position (N, 2) from the start, accepted, sigma, doubtful and margin (N,)."""
+    """N steps: position (N, 2) from the start; the rest (N,), as in `Refined`."""
 
     position: Floats
     accepted: Bools
+    refusal: NDArray[np.uint8]
     sigma: Floats
     doubtful: Bools
     margin: Floats
@@ -531,6 +550,9 @@ def edge_step(
     return Step(
         position=position,
         accepted=accepted,
+        refusal=np.select([accepted, solvable], [Refusal.NONE, Refusal.SHIFT], Refusal.FLAT).astype(
+            np.uint8
+        ),
         sigma=np.where(accepted, sigma, np.nan),
         doubtful=accepted & (excess > DOUBT),
         margin=margin,

@@ -16,6 +16,7 @@ RESULT_HEAD = 16  # numbers before the fields of a frame, like the next of kerne
 RESULT_FIELDS = 12
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
 RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
+METHODS = 8  # the field METHOD holds a method, and this many times why another was refused
 START_FIELDS = 2
 LINE_FIELDS = 6
 SHARES = 32  # for each of a device's units, of the corners
@@ -170,6 +171,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
         padded = multiple(count, LANES)
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
+        decision = fields[METHOD, :count].astype(np.uint8)
         sigma, doubtful = _deviation(fields[:, :count], plan.config)
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
@@ -179,7 +181,8 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
                 xy=fields[POSITION].reshape(-1, 2)[:count],
                 pixel=pixel,
                 response=fields[RESPONSE, :count],
-                method=fields[METHOD, :count].astype(np.uint8),
+                method=decision % METHODS,
+                refusal=decision // METHODS,
                 sigma=sigma,
                 edges=fields[EDGES].reshape(-1, 4)[:count],
                 doubtful=doubtful,
@@ -189,6 +192,13 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     return found
 
 
+def copy_positions(plan: PlanBase, target: cl.Buffer, count: int) -> None:
+    """Copy the positions of the first frame's corners to a buffer of the device, (N, 2) float32."""
+    copy: Any = cl.enqueue_copy  # whose stub does not know offsets
+    place = 4 * RESULT_HEAD  # POSITION is the first field
+    copy(plan.queue, target, plan.buffers["result"], byte_count=8 * count, src_offset=place)
+
+
 def no_corners(device: str) -> Corners:
     """Return the corners of an image without any."""
     return Corners(
@@ -196,6 +206,7 @@ def no_corners(device: str) -> Corners:
         pixel=np.empty((0, 2), np.int32),
         response=np.empty(0, np.float32),
         method=np.empty(0, np.uint8),
+        refusal=np.empty(0, np.uint8),
         sigma=np.empty(0, np.float32),
         edges=np.empty((0, 4), np.float32),
         doubtful=np.empty(0, np.bool_),

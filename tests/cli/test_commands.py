@@ -32,6 +32,7 @@ from cmp_cl import (
 )
 from cmp_cl.cli import demo, tune
 from cmp_cl.cli import main as cli
+from cmp_cl.cli import run as run_module
 from cmp_cl.cli.arguments import region_in, split_of
 from cmp_cl.field.series import _Column
 from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
@@ -329,11 +330,19 @@ def test_a_disk_that_fills_up_ends_a_run_with_what_it_has(run, recording, press,
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
-def test_a_film_that_a_full_disk_cuts_is_not_written_and_the_series_is(run, recording, press):
+def test_a_film_that_a_full_disk_cuts_is_not_written_and_the_series_is(
+    run, recording, press, monkeypatch
+):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     Path("old.rrd").write_text("old")
-    assert run("run", recording, *STEREO)[0] == 0  # compiles, which on a full disk ends PoCL
-    with full_after(60_000):
+    with contextlib.ExitStack() as disk:
+        enter = run_module._Film.__enter__
+
+        def filling(film):
+            disk.enter_context(full_after(60_000))  # once kernels are compiled
+            return enter(film)
+
+        monkeypatch.setattr(run_module._Film, "__enter__", filling)
         status, out, err = run("run", recording, *STEREO, "--rerun", "old.rrd")
     assert status == 2
     assert (err.count("\n"), "old.rrd: File too large" in err) == (1, True)

@@ -260,3 +260,12 @@ def test_what_has_not_moved_stays_where_it_is(bends):
     still = filter_grid(np.zeros((12, 12, 3)), bends=bends)
     assert not still.values.any()
     assert np.isfinite(still.sigma).all()
+
+
+def test_an_answer_does_not_depend_on_what_was_filtered_before():
+    small, large = noisy(surface(20, 20), 0.1), noisy(surface(31, 40), 0.3)
+    first = filter_grid(small, bends=True)
+    filter_grid(large)
+    again = filter_grid(small, bends=True)
+    assert first.values.tobytes() == again.values.tobytes()
+    assert first.sigma.tobytes() == again.sigma.tobytes()

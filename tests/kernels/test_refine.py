@@ -19,6 +19,7 @@ from cmp_cl import (
     Method,
     Midlines,
     RapidCriteria,
+    Refusal,
     SpectralCriteria,
     reference,
 )
@@ -78,6 +79,17 @@ def test_whatever_has_four_sectors(detector_for, refinement):
     if refinement != "centroid":
         assert (corners.method == Method.KEPT).any()
         assert (corners.method != Method.KEPT).any()
+    first = {"edge step": Method.EDGE_STEP, "edge lines": Method.EDGE_LINES}
+    first |= {"midlines": Method.MIDLINE, "quadratic midlines": Method.MIDLINE}
+    refused = corners.method != first.get(refinement, Method.CENTROID)
+    assert np.array_equal(refused, corners.refusal != Refusal.NONE)
+    reasons = {
+        "centroid": {Refusal.NONE},
+        "edge lines": set(Refusal) - {Refusal.FLAT},
+        "midlines": {Refusal.NONE, Refusal.RINGS, Refusal.ANGLE, Refusal.SHIFT},
+    }
+    name = "midlines" if "midlines" in refinement else refinement
+    assert set(corners.refusal) - {Refusal.FLAT} == reasons.get(name, reasons["edge lines"])
 
 
 @refinements

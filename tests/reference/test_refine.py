@@ -9,7 +9,7 @@ from corner_images import board, corner, noise
 
 from cmp_cl import reference
 from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines
-from cmp_cl.corners import Corners, Method
+from cmp_cl.corners import Corners, Method, Refusal
 from cmp_cl.reference import refine, ring
 
 RNG = np.random.default_rng(11)
@@ -174,7 +174,7 @@ def test_refused_corners_keep_their_centroid():
     image = corner(20.3, 20.4, 0.7)
     kept = one(image, EdgeLines(max_shift=0))
     plain = one(image, None)
-    assert kept.method[0] == Method.KEPT
+    assert (kept.method[0], kept.refusal[0]) == (Method.KEPT, Refusal.SHIFT)
     np.testing.assert_array_equal(kept.xy, plain.xy)
     assert np.isfinite(kept.edges).all()
     assert np.isnan(plain.edges).all()
@@ -253,18 +253,20 @@ def rays(angles: list[float]) -> refine.EdgePoints:
 
 def test_the_midpoints_of_rays_meet_where_the_rays_do():
     for fit in Fit:
-        shift, method, _ = refine.midlines(rays([-0.5, 0.9, 1.7, 2.9]), fit, 2.0)
+        shift, method, _, _ = refine.midlines(rays([-0.5, 0.9, 1.7, 2.9]), fit, 2.0)
         assert method[0] == Method.MIDLINE
         np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
-    shift, method, _ = refine.midlines(rays([-0.5, 0.9, 2.64, 4.04]), Fit.LINEAR, 2.0)
-    assert method[0] == Method.CUSP
+    shift, method, why, _ = refine.midlines(rays([-0.5, 0.9, 2.64, 4.04]), Fit.LINEAR, 2.0)
+    assert (method[0], why[0]) == (Method.CUSP, Refusal.ANGLE)
     np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
 
 
 def test_lines_at_a_small_angle_are_refused():
-    for angle, expected in [(0.16, Method.KEPT), (0.18, Method.EDGE_LINES)]:
+    kept, taken = (Method.KEPT, Refusal.ANGLE), (Method.EDGE_LINES, Refusal.NONE)
+    for angle, expected in [(0.16, kept), (0.18, taken)]:
         points = rays([0.0, angle, math.pi, math.pi + angle])
-        assert refine.edge_lines(points, 2.0, 1.0)[1][0] == expected
+        _, method, refusal, _ = refine.edge_lines(points, 2.0, 1.0)
+        assert (method[0], refusal[0]) == expected
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
@@ -276,8 +278,9 @@ def test_edge_points_off_their_lines_are_refused(scale, off, expected):
     sideways = np.array([0.5, -1.0, 0.5]) * np.sqrt(2) * off / scale  # their mean square is off^2
     points.point[0, :, 0, 1] += sideways
     points.point[0, :, 2, 1] += sideways
-    _, method, margin = refine.edge_lines(points, 2.0 / scale, scale)
+    _, method, refusal, margin = refine.edge_lines(points, 2.0 / scale, scale)
     assert method[0] == expected
+    assert (refusal[0] == Refusal.RESIDUAL) == (expected == Method.KEPT)
     assert margin[0] == pytest.approx(abs(off**2 - 0.25) / 0.25, rel=1e-6)
 
 
@@ -434,7 +437,15 @@ def test_a_step_of_more_than_0_3_px_is_refused():
         image = model(20 + t, 20, (0.2, 1.7))
         step = refine.edge_step(image, start, np.zeros((1, 2)), points, EdgeStep(), 1.0)
         assert step.accepted[0] == accepted
+        assert step.refusal[0] == (Refusal.NONE if accepted else Refusal.SHIFT)
         assert np.isnan(step.sigma[0]) != accepted
+
+
+def test_a_step_without_contrast_is_refused():
+    points = rays([0.2, 1.7, 0.2 + math.pi, 1.7 + math.pi])
+    grey = np.full((41, 41), 90, np.uint8)
+    step = refine.edge_step(grey, np.array([[20, 20]]), np.zeros((1, 2)), points, EdgeStep(), 1.0)
+    assert step.refusal[0] == Refusal.FLAT
 
 
 def test_the_margin_tells_how_near_a_guard_is():

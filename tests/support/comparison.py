@@ -53,6 +53,7 @@ def assert_corners_equal(
     decided = margin > tolerances.MARGIN
     assert (~decided).sum() <= 1 + tolerances.UNDECIDED * len(decided)
     np.testing.assert_array_equal(found.method[decided], expected.method[decided])
+    np.testing.assert_array_equal(found.refusal[decided], expected.refusal[decided])
     np.testing.assert_array_equal(found.doubtful[decided], expected.doubtful[decided])
     np.testing.assert_allclose(
         found.xy[decided], expected.xy[decided], rtol=0, atol=tolerances.POSITION

@@ -140,6 +140,7 @@ def _sorted(
         sigma=np.linspace(0.1, 0.2, len(z), dtype=np.float32),
         edges=angles.astype(np.float32),
         doubtful=np.zeros(len(z), np.bool_),
+        refusal=np.zeros(len(z), np.uint8),
         device="none",
     )
     return corners, index[order]
