@@ -266,7 +266,7 @@ class Midlines:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Pyramid:
-    """Several working scales, of which the one with the count nearest to `expected` is used.
+    """Several working scales (section 7); the one whose count is nearest to `expected` is used.
 
     factors: scale factors, each 0.05 to 4, 1 to 32 of them.
     expected: number of corners that the pattern has, at least 1.
