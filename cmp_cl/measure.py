@@ -19,13 +19,13 @@ which `cmp_cl.calibrate` makes the rig.
 
 import contextlib
 import dataclasses
-from types import TracebackType
-from typing import Any, Self, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.cell import estimate_cell
+from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
@@ -87,7 +87,7 @@ class MeasuredInSpace(Measured):
     field: DisplacementField
 
 
-class Measurement:
+class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
     constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
@@ -123,17 +123,6 @@ class Measurement:
     def close(self) -> None:
         """Release the device's memory."""
         self._detectors.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 class OneView(Measurement):
