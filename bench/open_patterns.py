@@ -110,13 +110,17 @@ class Print:
     """A checkerboard without end, with the errors of its print: (u, v) are cells."""
 
     def __init__(self, seed: int, wear: float) -> None:
-        self._error = np.random.default_rng(seed).normal(0, wear, (2, 256, 256))
+        error = np.random.default_rng(seed).normal(0, wear, (2, 256, 256))
+        self._error = error.astype(np.float32)
+        self._perfect = wear == 0
 
     def printed(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the ink is that belongs to (u, v): off by a field that bends within cells."""
+        if self._perfect:
+            return u, v
         at = [np.floor(each).astype(int) for each in (u, v)]
         part = [each - whole for each, whole in zip((u, v), at, strict=True)]
-        off = np.zeros((2, *u.shape))
+        off = np.zeros((2, *u.shape), np.float32)
         for i in (0, 1):
             for j in (0, 1):
                 weight = np.abs(1 - i - part[0]) * np.abs(1 - j - part[1])
@@ -126,21 +130,28 @@ class Print:
 
 def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The place (u, v) on the pattern, cells, that a pixel shows."""
-    z = (x - SIDE / 2) + 1j * (y - SIDE / 2)
-    wave = case.wave * case.cell * np.sin(2 * np.pi * (z.real / 210 + z.imag / 330 + 0.13))
-    z = z - wave * (1 + 0.4j) - complex(*case.shift) * case.cell
-    z = z / (case.zoom * np.exp(1j * np.deg2rad(case.rotation)))
-    return z.real / case.cell + 0.37, z.imag / case.cell + 0.21
+    across, down = (
+        x - SIDE / 2 - case.shift[0] * case.cell,
+        y - SIDE / 2 - case.shift[1] * case.cell,
+    )
+    if case.wave:
+        phase = 2 * np.pi * ((x - SIDE / 2) / 210 + (y - SIDE / 2) / 330 + 0.13)
+        wave = case.wave * case.cell * np.sin(phase)
+        across, down = across - wave, down - 0.4 * wave
+    turned = np.exp(-1j * np.deg2rad(case.rotation)) / (case.zoom * case.cell)
+    back, aside = float(turned.real), float(turned.imag)
+    return back * across - aside * down + 0.37, aside * across + back * down + 0.21
 
 
 def picture(case: Case, seed: int) -> GreyImage:
     """The frame, (SIDE, SIDE) uint8."""
     ink = Print(case.print_seed, case.wear)
-    steps = (np.arange(SIDE * SAMPLES) + 0.5) / SAMPLES - 0.5
+    steps = (np.arange(SIDE * SAMPLES, dtype=np.float32) + 0.5) / SAMPLES - 0.5
     x, y = np.meshgrid(steps, steps)
     u, v = place(case, x, y)
     across, down = ink.printed(u, v)
-    level = np.where((np.floor(across) + np.floor(down)) % 2 == 0, 45.0, 205.0)
+    black = (np.floor(across).astype(np.int32) + np.floor(down).astype(np.int32)) & 1 == 0
+    level = np.where(black, np.float32(45), np.float32(205))
     if case.hole == "print":
         level[np.hypot(u - 6, v + 4) < 3] = 120
     elif case.hole == "front":

@@ -70,7 +70,7 @@ class Store:
         return self._read(frame // self.part)[frame % self.part]
 
     def __iter__(self) -> Iterator[Corners]:
-        """The corners of all frames in order; raises as for one of them."""
+        """Yield the corners of all frames in order; raises as indexing does."""
         for number in range(self.parts):
             yield from self._read(number)
 
@@ -80,11 +80,11 @@ class Store:
         return -(-self.count // self.part)
 
     def missing(self) -> list[int]:
-        """The parts that have not been written, or are damaged: every byte is checked."""
+        """Return the parts that are not written, or are damaged. Every byte is checked."""
         return [number for number in range(self.parts) if not self._is_whole(number)]
 
     def _is_whole(self, number: int) -> bool:
-        """Whether a part is there and has the digest that it was given."""
+        """Return whether a part is present and the checksum of each of its arrays is right."""
         try:
             self._arrays(number)
         except _DAMAGE:
@@ -92,7 +92,7 @@ class Store:
         return True
 
     def _read(self, number: int) -> list[Corners]:
-        """The frames of a part."""
+        """Read the frames of a part."""
         path = self._path(number)
         try:
             arrays = self._arrays(number)
@@ -120,7 +120,7 @@ class Store:
 
 
 def open_store(folder: str | PathLike[str]) -> Store:
-    """The store in a folder; raises ConfigError where there is none."""
+    """Open the store in a folder; raises ConfigError where there is none."""
     try:
         about = json.loads((Path(folder) / _ABOUT).read_text(encoding="utf-8"))
         count, part = about["count"], about["part"]

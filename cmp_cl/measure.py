@@ -1,6 +1,6 @@
-"""Measure frames against a frame at rest, and find the patterns and boards that they show.
+"""Measuring frames against a frame at rest, and finding patterns and boards.
 
-From a film of two views in one frame, as behind a mirror device, to a field for every frame:
+A field for every frame of a film that shows two views side by side, for example through mirrors:
 
     import cmp_cl
 
@@ -13,19 +13,19 @@ From a film of two views in one frame, as behind a mirror device, to a field for
             if frame.image is not None:
                 measure(frame.image).field.save(f"press-{frame.index:04}.vtp")
 
-`OneView` does the same in the image, for a camera that sees the pattern from one side.
-`find_boards` gives the pairs of grids that `cmp_cl.calibrate` takes, to make the rig.
+`OneView` does the same in the image, with one camera. `find_boards` returns the pairs of grids from
+which `cmp_cl.calibrate` makes the rig.
 """
 
 import contextlib
 import dataclasses
-from types import TracebackType
-from typing import Any, Self, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.cell import estimate_cell
+from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
@@ -39,6 +39,8 @@ from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
+BRIDGED = 1  # frames without a grid over which numbers are continued: after more, a motion of
+# half a cell a frame can reach the next place that looks alike
 MAX_SIGMA = 0.2  # px: corners of a board that are less certain are not used
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
@@ -51,14 +53,14 @@ _USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried where the estimate does not find 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
-    """One frame against the frame at rest.
+    """A frame, measured against the frame at rest.
 
-    arrays: what `SeriesWriter.append` takes, by name: xy (R, C, 2) float32, px, sigma (R, C)
-        float32, px, and status (R, C) uint8 of `NodeStatus`; raw_xy and raw_sigma are those
-        before the lattice filter, where that is on.
-    nodes: how many nodes are measured in both frames.
+    arrays: the arrays for `SeriesWriter.append`, by name: xy (R, C, 2) float32, px, sigma (R, C)
+        float32, px, and status (R, C) uint8 of `NodeStatus`; raw_xy and raw_sigma are those before
+        the lattice filter, where that is on.
+    nodes: number of nodes that are measured in both frames.
     largest: the largest displacement, px or the rig's unit, 0 without nodes.
-    ambiguous: whether the numbers of a grid may be those of other nodes, see `Grid.ambiguous`.
+    ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
     views, corners, grids: of the one view, or of the left and of the right one.
     """
 
@@ -73,9 +75,9 @@ class Measured:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredInSpace(Measured):
-    """One frame of two views against the frame at rest, in space.
+    """A frame of two views, measured in space against the frame at rest.
 
-    points: where the nodes are now. field: how far they have moved.
+    points: the positions of the nodes now. field: their displacement.
     arrays: displacement, sigma, status and source of the field, raw_displacement and raw_sigma
         of the raw one where the lattice filter is on, and the positions left and right, as
         they were detected, (R, C, 2) float32, px.
@@ -85,14 +87,14 @@ class MeasuredInSpace(Measured):
     field: DisplacementField
 
 
-class Measurement:
+class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
-    constants: arrays that a series says once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
-        whether the lattice filter is on; raw_rest is then the rest before it), and with two
-        views left_rest and right_rest (R, C, 2), as they were detected.
-    unit: of the displacements, "px" or the rig's.
-    nodes: how many nodes the pattern has.
+    constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
+        whether the lattice filter is on; raw_rest is then the rest before it), and with two views
+        left_rest and right_rest (R, C, 2), as they were detected.
+    unit: unit of the displacements, "px" or the rig's.
+    nodes: number of nodes of the pattern.
     """
 
     constants: dict[str, NDArray[Any]]
@@ -110,20 +112,17 @@ class Measurement:
         """
         raise NotImplementedError
 
+    def skip(self) -> None:
+        """Say that a frame is missing here, for numbers that are continued from frame to frame."""
+        for pattern in self._patterns():
+            pattern.lost()
+
+    def _patterns(self) -> "tuple[_Pattern, ...]":
+        raise NotImplementedError
+
     def close(self) -> None:
         """Release the device's memory."""
         self._detectors.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 class OneView(Measurement):
@@ -135,7 +134,9 @@ class OneView(Measurement):
     config: of the detector; None is `exact_config` for the cells seen at rest.
     track: continue the numbers of the frame before where the frame at rest leaves them
         ambiguous. Frames then come in order, and the pattern as a whole moves by less than
-        half a cell from each to the next.
+        half a cell from the frame at rest to the first and from each to the next. After two
+        frames without a grid, or one that is ambiguous, those that follow are ambiguous too,
+        until a border or the errors of the print decide.
     full_scale: the camera's largest grey level; None is that of the settings or of the type.
     device: a Device, a text for `select_device`, or None for the default device.
     raw: leave out the lattice filter, see `cmp_cl.grid.filter_positions`.
@@ -168,6 +169,9 @@ class OneView(Measurement):
         self.constants["filtered"] = np.array(not raw)
         if not raw:
             self.constants["raw_rest"] = rest_grid.xy
+
+    def _patterns(self) -> "tuple[_Pattern, ...]":
+        return (self._pattern,)
 
     @property
     def rest_grid(self) -> Grid:
@@ -202,9 +206,10 @@ class OneView(Measurement):
 class TwoViews(Measurement):
     """Measures displacements in space from frames that hold two views.
 
-    rest: the frame at rest, (H, W) uint8 or uint16. rig: calibrated on views split alike.
-    split: where the two views are in a frame. regions: of the left and of the right view.
-    The other arguments are those of `OneView`.
+    rest: the frame at rest, (H, W) uint8 or uint16. rig: the cameras, calibrated on views that were
+        split in the same way.
+    split: the rectangles of the two views in a frame. regions: regions of the left and of the right
+    view, see `OneView`. The other arguments are those of `OneView`.
 
     Raises GridError where a view of the frame at rest shows no such pattern, or the rig does
     not fit three quarters of its nodes to 1 px; ImageError where a view extends past the frame; and
@@ -257,6 +262,9 @@ class TwoViews(Measurement):
         if not raw:
             self.constants["raw_rest"] = self.rest.xyz
 
+    def _patterns(self) -> "tuple[_Pattern, ...]":
+        return self._left, self._right
+
     @property
     def rest_grids(self) -> tuple[Grid, Grid]:
         """The grids of the frame at rest, left and right."""
@@ -307,7 +315,7 @@ class TwoViews(Measurement):
 
 @dataclasses.dataclass(frozen=True)
 class _Search:
-    """How a pattern is looked for, see `OneView`."""
+    """The settings of a search for a pattern, see `OneView`."""
 
     device: Device
     shape: tuple[int, int] | None
@@ -327,6 +335,7 @@ class _Pattern:
         self._region = region
         self._track = search.track
         self._previous: Grid | None = None
+        self._lost = 0  # frames since the last one with a grid
         if config is None:
             cell, _ = find_pattern(
                 view, shape=shape, region=region, full_scale=search.full_scale, device=device
@@ -352,14 +361,20 @@ class _Pattern:
         corners = self.detector(view)
         before = (self._previous or self.rest) if self._track else None
         try:
-            grid = build_grid(
-                corners, view, like=self.rest, region=self._region, previous=before
-            ).cut_to(self.rest)
+            whole = build_grid(corners, view, like=self.rest, region=self._region, previous=before)
         except GridError:
+            whole = None
+        if whole is None or not whole.valid.any():
+            self.lost()
             return corners, _without_nodes(self.rest, len(corners))
-        if grid.valid.any():
-            self._previous = grid
-        return corners, grid
+        self._previous, self._lost = whole, 0
+        return corners, whole.cut_to(self.rest)
+
+    def lost(self) -> None:
+        """A frame is missing here; numbers are continued over BRIDGED of them at most."""
+        self._lost += 1
+        if self._lost > BRIDGED:
+            self._previous = dataclasses.replace(self._previous or self.rest, ambiguous=True)
 
 
 def _without_nodes(rest: Grid, corners: int) -> Grid:
@@ -466,8 +481,8 @@ def find_boards(
     the board's inner corners. max_sigma: the largest standard deviation of a corner that is
     used, px. The other arguments are those of `TwoViews`.
 
-    Raises GridError where a view does not show the board up to all four of its sides: then
-    nobody knows which corner is which.
+    Raises GridError where a view does not show all four sides of the board, because its corners
+    cannot be told apart then.
     """
     device = _selected(device)
     grids = []
@@ -491,9 +506,9 @@ def find_board(
 ) -> Grid:
     """Find a rigid board of (rows, columns) inner corners; return its grid.
 
-    A rigid board has sharp corners: at full size the narrow rings see less of their
-    surroundings than at a working scale, and do not reach over narrow outer squares. So its
-    corners are refined at full size where all of them are found there.
+    The corners of a rigid board are sharp. At full size the rings are smaller in terms of the board
+    than at a working scale, and do not extend past narrow outer squares. So corners are refined at
+    full size if all of them are found there.
 
     Raises GridError where the view does not show corners of all four sides of the board.
     """
@@ -545,8 +560,8 @@ def square_sides(points: Points3D) -> NDArray[np.float64]:
 def align_views(left: Grid, right: Grid) -> Grid:
     """Return the right grid numbered as the left one is, see `cmp_cl.align`.
 
-    The two cameras of a rig have nearly the same side up: if the colours say that the rows are
-    turned by more than 60 degrees, a view is numbered wrongly.
+    The two cameras of a rig have nearly the same side up. If the rows of the two views differ by
+    more than 60 degrees, one of the views is numbered wrongly.
 
     Raises GridError where shapes, colours or the directions of the rows do not agree.
     """

@@ -57,19 +57,19 @@ class _Drawing(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Checkerboard:
-    """A checkerboard on a sheet; raises ConfigError for a field outside its range.
+    """A checkerboard on a sheet.
 
-    shape: rows and columns of inner corners, each 1 or more: there is one cell more along each
-        side. The cell at the top left is black.
+    shape: rows and columns of inner corners, each 1 or more; each side has one cell more. The top
+        left cell is black.
     cell: side of a cell, mm, 0.01 to 1000.
     border: width of the white border around the cells, mm, 0 to 1000; None means one cell.
-    ink_spread: how far black grows beyond its drawn edge in print, mm, less than half a cell;
-        cells are drawn smaller by as much on each side. Negative where black shrinks.
+    ink_spread: how far black spreads past its drawn edge in print, mm, less than half a cell. Cells
+        are drawn smaller by that much on each side. It is negative where black shrinks.
     stretch: factors on all lengths along x and y, 0.5 to 2: nominal over measured length of
         the scale bars of a trial print.
     scale_bar: draw a scale bar along x and one along y, with the size of the pattern.
-    paper: width and height of the sheet, mm, on which the pattern is centred; None means a
-        sheet that just holds it.
+    paper: width and height of the sheet, mm; the pattern is centred on it. None means a sheet that
+        just holds the pattern.
     """
 
     shape: tuple[int, int]

@@ -142,3 +142,63 @@ def test_two_views_are_numbered_alike():
         measure.align_views(left, across)
     with pytest.raises(GridError, match="shows no node"):
         measure.align_views(left, grid_of(np.full((3, 4, 2), np.nan)))
+
+
+# films of a pattern without a border in view
+
+
+def moved_by(cells: float) -> np.ndarray:
+    """A checkerboard of cells of 12 px that goes on beyond all edges, (180, 200) uint8."""
+    y, x = (np.indices((180 * 3, 200 * 3)) + 0.5) / 3 + np.array([4, 3]).reshape(2, 1, 1)
+    black = (np.floor(x / 12 - cells) + np.floor(y / 12 - cells / 2)) % 2 == 0
+    level = np.where(black, 40.0, 210.0).reshape(180, 3, 200, 3).mean(axis=(1, 3))
+    return np.rint(level + np.random.default_rng(3).normal(0, 2, level.shape)).astype(np.uint8)
+
+
+def shifts_of_film(frames: list[float | None], *, track: bool) -> tuple[list[float], list[bool]]:
+    """The mean displacement, cells along x, of frames that moved so far, and which are ambiguous.
+
+    None is a frame without a pattern.
+    """
+    shifts, ambiguous = [], []
+    config = cmp_cl.DetectorConfig.for_cell(12)
+    with measure.OneView(moved_by(0), config=config, track=track, raw=True) as film:
+        for cells in frames:
+            seen = np.full((180, 200), 90, np.uint8) if cells is None else moved_by(cells)
+            measured = film(seen)
+            moved = measured.arrays["xy"] - film.constants["rest"]
+            known = ~np.isnan(moved[..., 0])
+            shifts.append(float(moved[known][:, 0].mean() / 12) if known.any() else np.nan)
+            ambiguous.append(measured.ambiguous)
+    return shifts, ambiguous
+
+
+def test_tracking_follows_a_pattern_without_a_border_over_a_missing_frame():
+    frames = [0.4, 0.8, 1.2, None, 1.6, 2.0, 2.4]
+    shifts, ambiguous = shifts_of_film(frames, track=True)
+    known = [cells is not None for cells in frames]
+    np.testing.assert_allclose(
+        np.array(shifts)[known], [cells for cells in frames if cells is not None], atol=0.02
+    )
+    assert not any(ambiguous)
+    shifts, ambiguous = shifts_of_film([0.0, 0.4, 2.0], track=False)
+    assert ambiguous == [True, True, True]
+    assert shifts[2] == pytest.approx(0, abs=1.1)
+
+
+@pytest.mark.parametrize("broken", [[0.4, None, None, 0.4, 0.8], [0.4, 1.3, 1.6]])
+def test_tracking_that_lost_its_way_says_so_from_then_on(broken):
+    _, ambiguous = shifts_of_film(broken, track=True)
+    assert ambiguous[0] is False
+    assert ambiguous[-2:] == [True, True]
+
+
+def test_a_skipped_frame_counts_as_one_that_is_missing():
+    config = cmp_cl.DetectorConfig.for_cell(12)
+    with measure.OneView(moved_by(0), config=config, track=True) as film:
+        assert not film(moved_by(0.3)).ambiguous
+        film.skip()
+        assert not film(moved_by(0.4)).ambiguous
+        film.skip()
+        film.skip()
+        assert film(moved_by(0.4)).ambiguous

@@ -1,5 +1,6 @@
 """Displacement, strain, height and density in the plane, against closed forms."""
 
+import dataclasses
 import functools
 import math
 
@@ -297,6 +298,17 @@ def test_the_height_of_a_pictured_wave_agrees_with_its_form_and_with_openfcd():
     middle = (slice(40, -40), slice(40, -40))  # its Fourier transforms ring at the border
     assert np.std((other - found.value)[middle]) < 0.15 * np.std(wanted[middle])
     assert np.std((found.value - wanted)[middle]) < np.std((other - wanted)[middle])
+
+
+def test_nodes_are_compared_by_number_where_more_is_seen_than_at_rest():
+    row, column = np.indices((4, 5))
+    rest = grid_of(np.stack([10.0 * column, 10.0 * row], axis=2))
+    row, column = np.indices((7, 6)) - np.array([2, 1])[:, None, None]
+    now = grid_of(np.stack([10.0 * column + 3, 10.0 * row - 1], axis=2))
+    field = plane_displacement(rest, dataclasses.replace(now, origin=(-2, -1)))
+    np.testing.assert_allclose(field.displacement, np.broadcast_to([3.0, -1.0], (4, 5, 2)))
+    with pytest.raises(FieldError, match=r"rest has rows 0 to 3 .* now has rows 1 to 7"):
+        plane_displacement(rest, dataclasses.replace(now, origin=(1, 0)))
 
 
 def test_what_does_not_fit_is_refused():

@@ -26,7 +26,8 @@ from cmp_cl.opencl.device import DEVICE_VARIABLE
 
 INSTALL = """\
 What to install for a device:
-  Linux, x86-64      pip install "pyopencl[pocl]": PoCL, runs on every such CPU, needs no rights
+  Linux, x86-64      pip install "pyopencl[pocl]": PoCL, which runs on every such CPU; it links what
+                     it compiles: apt install gcc libc6-dev, or dnf install gcc glibc-devel
   Linux, other CPUs  apt install pocl-opencl-icd (Debian, Ubuntu) or dnf install pocl (Fedora)
   Windows            the graphics driver of NVIDIA, AMD or Intel, or Intel's CPU Runtime for OpenCL
   macOS              conda install -c conda-forge pyopencl pocl; for Apple's own OpenCL
@@ -135,7 +136,7 @@ def _fail(message: str, *, status: int = 2) -> int:
 def _add_devices(commands: Any) -> None:
     parser = commands.add_parser(
         "devices",
-        help="the OpenCL devices there are, and the one used by default",
+        help="list the OpenCL devices, and say which one is used by default",
         description="Lists the OpenCL devices and says which one is used by default, and why.",
     )
     parser.set_defaults(run=_devices)

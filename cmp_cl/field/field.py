@@ -18,24 +18,23 @@ Array = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class DisplacementField:
-    """Where each node was at rest, and how far it has moved.
+    """The position of each node at rest, and its displacement.
 
     position: (R, C, 3) float64, at rest, in `unit`, in the frame of the left camera; NaN
         unless the node is valid.
     displacement: (R, C, 3) float64, in `unit`, NaN unless the node is valid.
     covariance: (R, C, 3, 3) float64, of the displacement, in `unit` squared; NaN where unknown.
     position_covariance: (R, C, 3, 3) float64, the same of `position`.
-    status: (R, C) uint8 of `PointStatus`, of now; of rest where that one is not valid.
-    source: (R, C) uint8 of `NodeStatus`, of the two moments the less direct one.
+    status: (R, C) uint8 of `PointStatus`: that of now, or that at rest where it is not VALID.
+    source: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12 in the tangent plane of
         the rest surface, axis 1 along the rows; NaN where too few neighbours are valid;
         None where it was not asked for (`with_strain`).
-    strain_sigma: (R, C, 3) float64, its standard deviations, None where there is no strain.
+    strain_sigma: (R, C, 3) float64, standard deviations of the strain; None without a strain.
     unit: name of the unit of length.
-    raw: the field as it was measured, where this one has been through the lattice filter; None
-        where this one is raw.
-    filtered: what the filter says of the position and of the displacement; None where this field
-        is raw.
+    raw: the field before the lattice filter; None where this one is not filtered.
+    filtered: the filter's results for the position and the displacement; None where this field is
+        not filtered.
     """
 
     position: Array
@@ -68,7 +67,7 @@ class DisplacementField:
     def with_strain(self, radius: int = 2) -> "DisplacementField":
         """Return the same field with its in-plane strain, fitted over 2 radius + 1 nodes a side.
 
-        The raw field gets its own. See `cmp_cl.field.green_lagrange` and
+        The raw field gets its own strain. See `cmp_cl.field.green_lagrange` and
         `cmp_cl.field.strain_deviation`. Raises ConfigError where radius is not 1 to 50.
         """
         now = self.position + self.displacement
@@ -91,8 +90,7 @@ class DisplacementField:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the field as .npz, .csv, .ply or .vtp, by suffix, whole or not at all.
 
-        A field that has been through the filter is written beside the raw one, whose arrays
-        have names that begin with raw_.
+        The raw field is written beside a filtered one; the names of its arrays begin with raw_.
         Raises ConfigError on another suffix, OSError where the file cannot be written.
         """
         save(self, path)
@@ -117,10 +115,10 @@ def _independent_slopes(weights: tuple[Array, Array], covariance: Array) -> Slop
 def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> DisplacementField:
     """Return the displacement of each node between two moments, now - rest, by index.
 
-    The difference goes through the lattice filter, and so does the position at rest: see
-    `cmp_cl.grid.filter_grid`. raw: leave the filter out. The errors are those that the lattice
-    shows, wear of the print included, and those of the points where the lattice is too small to
-    tell; the standard deviations of both moments are taken as independent then.
+    The displacement and the position at rest are filtered over the lattice, see
+    `cmp_cl.grid.filter_grid`; `raw` leaves the filter out. The standard deviations are estimated
+    from the lattice, wear of the print included. Where the lattice is too small for that, those of
+    the points are taken, and the two moments are assumed independent.
 
     Raises FieldError where the shapes or the units differ.
     """

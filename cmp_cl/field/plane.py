@@ -1,9 +1,9 @@
 """Displacement and strain in the plane, from one view: on the nodes, and on a raster.
 
-A view at rest and a view now give two grids of the same nodes. `plane_displacement` says how
-far each has moved, in px or in a length; `Motion` is what of it is one translation, rotation
-and zoom of everything; `plane_strain` is what changes lengths. Each has its standard
-deviation, to first order in those of the positions.
+A view at rest and a view now give two grids of the same nodes. `plane_displacement` is the
+displacement of each node, in px or in a length. `Motion` is its part that is one translation,
+rotation and zoom of everything. `plane_strain` is the part that changes lengths. Each has its
+standard deviation, to first order in those of the positions.
 """
 
 import dataclasses
@@ -21,21 +21,21 @@ from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 
 Array = NDArray[np.float64]
 
-_UNIFORM = math.pi / math.sqrt(12)  # rad, standard deviation of a direction nobody knows
+_UNIFORM = math.pi / math.sqrt(12)  # rad, standard deviation of an unknown direction
 _DISTINCT = 3.0  # standard deviations: noise alone exceeds them in 1 % (Rayleigh)
 _LEAST_NODES = 6  # of a window that a plane is fitted to
-_BLOCK = 1 << 20  # points of a raster that are placed at a time
+_BLOCK = 1 << 20  # points of a raster that are interpolated at a time
 _STEPS = 20  # Newton steps that find a raster point in its cell
 _CONVERGED = 1e-4  # cells, the last of the steps
-_REACH = 1.0  # cells from a cell's middle: a point that a step leads further is in another one
+_REACH = 1.0  # cells from a cell's middle; a point further away is in another cell
 _OUTSIDE = 1e-6  # cells, rounding at their common sides
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlaneScale:
-    """From the image to the plane that the pattern lies in.
+    """The homography from the image to the plane of the pattern.
 
-    matrix: (3, 3) homography from (x, y, 1) px to the plane. unit: of lengths there.
+    matrix: (3, 3), from (x, y, 1), px, to the plane. unit: name of the unit of length there.
 
     Raises FieldError where the matrix is not finite or has no inverse.
     """
@@ -66,8 +66,8 @@ class PlaneScale:
     def of_cells(cls, rest: Grid, side: float, unit: str = "mm") -> Self:
         """Return the homography that maps the cells of a flat pattern to squares of that side.
 
-        It fits all nodes by least squares. x runs along the rows of the pattern, y along its
-        columns. Raises FieldError where fewer than 4 nodes are there, or all on a line.
+        The homography fits all nodes by least squares. x runs along the rows of the pattern, y
+        along its columns. Raises FieldError where fewer than 4 nodes are there, or all on a line.
         """
         if not 0 < side < math.inf:
             raise FieldError(f"the side of a cell must be positive, not {side!r}")
@@ -94,13 +94,13 @@ class PlaneScale:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class PlaneField:
-    """Where each node was at rest in the plane, and how far it has moved there.
+    """The position of each node at rest in the plane, and its displacement.
 
     position: (R, C, 2) float64, at rest, in `unit`; NaN unless the node is valid.
     displacement: (R, C, 2) float64, in `unit`, NaN unless the node is valid.
     sigma, sigma_position: (R, C) float64, standard deviation per axis of the displacement and of
-        the position, in `unit`; NaN where unknown. Wear of the print is in that of the position.
-    status: (R, C) uint8 of `NodeStatus`, of the two moments the less direct one.
+        the position, in `unit`; NaN where unknown. Wear of the print counts in the position.
+    status: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     unit: name of the unit of length.
     raw: the field as it was measured, where this one has been through the lattice filter; None
         where this one is raw.
@@ -132,17 +132,19 @@ class PlaneField:
 def plane_displacement(
     rest: Grid, now: Grid, scale: PlaneScale | None = None, *, raw: bool = False
 ) -> PlaneField:
-    """Return the displacement of each node in the plane, now - rest, by index.
+    """Return the displacement of each node in the plane, now - rest, by its number.
 
     The difference goes through the lattice filter, and so does the position at rest: see
     `cmp_cl.grid.filter_grid`. scale: from the image to the plane; None means px. raw: leave the
     filter out. The errors are those that the lattice shows, and those of the corners where it is
-    too small to tell.
+    too small to tell. The field has the rows and columns of the grid at rest: a node beyond them
+    has no displacement.
 
-    Raises FieldError where the shapes of the grids differ.
+    Raises FieldError where now has not all rows and columns of the grid at rest.
     """
-    if rest.shape != now.shape:
-        raise FieldError(f"rest has {rest.shape} nodes, now has {now.shape}")
+    if not now.covers(rest):
+        raise FieldError(f"rest has {rest.extent}, now has {now.extent}")
+    now = now.cut_to(rest)
     scale = PlaneScale.pixels() if scale is None else scale
     both = rest.valid & now.valid
     measured = both & np.isin(rest.status, MEASURED) & np.isin(now.status, MEASURED)
@@ -187,11 +189,11 @@ def _either(lattice: Array, corners: Array) -> Array:
 def with_measured_noise(field: PlaneField) -> PlaneField:
     """Return the raw field with one standard deviation for all nodes, from its own roughness.
 
-    It takes the displacement's means over 2 x 2 nodes, in which errors that neighbours share
-    count. The second difference by row of that by column, two nodes apart, is 0 for
-    smooth fields and 6 standard deviations wide for errors (J. Immerkaer, CVIU 64, 1996); half
-    of the variance is given to either moment. Errors that vary little over six nodes, or are
-    alike at rest and now, are not seen; a field that bends within six nodes is taken for noise.
+    The estimate uses means of the displacement over 2 x 2 nodes, so that errors shared by
+    neighbours count. The second difference by row of the second difference by column, two nodes
+    apart, is 0 for a smooth field, and has a deviation of 6 sigma for errors (J. Immerkaer, CVIU
+    64, 1996). Each moment gets half of the variance. Errors that vary slowly over six nodes, or are
+    the same at rest and now, are not seen. A field that bends within six nodes counts as noise.
 
     Raises FieldError where no 6 x 6 nodes are valid.
     """
@@ -212,7 +214,7 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
 class Motion:
     """One motion of the whole pattern: now = centre + translation + zoom R (rest - centre).
 
-    centre: (x, y), mean of the nodes at rest. translation: (x, y) of that point, in `unit`.
+    centre: (x, y), the mean of the nodes at rest. translation: (x, y) of the centre, in `unit`.
     rotation: rad, from x towards y. zoom: factor. sigma_translation, sigma_rotation,
     sigma_zoom: standard deviations by the errors of the positions alone; NaN where unknown.
     """
@@ -228,9 +230,9 @@ class Motion:
 
 
 def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
-    """Return the rigid motion that fits all nodes best by least squares.
+    """Return the translation, rotation and zoom that fit all nodes best by least squares.
 
-    zoom: whether lengths may change; False is a rigid motion, of zoom 1.
+    zoom: whether lengths may change; False fits a rigid motion, with a zoom of 1.
 
     Raises FieldError where fewer than two nodes are valid.
     """
@@ -263,7 +265,7 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
 def without_motion(field: PlaneField, motion: Motion) -> PlaneField:
     """Remove a motion from the field, so that the deformation alone remains.
 
-    The nodes of now are moved back; errors of the motion itself are not in `sigma`.
+    The nodes now are moved back. `sigma` does not include the error of the motion.
     """
     centre, goal = complex(*motion.centre), complex(*motion.centre) + complex(*motion.translation)
     factor = motion.zoom * np.exp(1j * motion.rotation)
@@ -288,8 +290,9 @@ class PlaneStrain:
 
     tensor: (R, C, 3) float64, Exx, Eyy, Exy (half the engineering shear), along the axes of
         the field; NaN where too few neighbours are valid.
-    covariance: (R, C, 3, 3) float64, of these three, by the errors of the positions alone.
-        A strain that varies within the window is smoothed besides. NaN where unknown.
+    covariance: (R, C, 3, 3) float64, of these three, from the errors of the positions alone; NaN
+        where unknown. A strain that varies within the window is also smoothed, which is not
+        included.
     """
 
     tensor: Array
@@ -329,11 +332,11 @@ class PlaneStrain:
 class PrincipalStrain:
     """Principal strains of a plane.
 
-    strain: (R, C, 2) float64, the larger and the smaller one; sigma: (R, C, 2) of them. Where
-        the two differ by less than their sigma, noise alone drives them apart.
+    strain: (R, C, 2) float64, the larger and the smaller one; sigma: (R, C, 2) of them. Where the
+        two differ by less than their sigma, the difference may be noise alone.
     direction: (R, C) float64 in [-pi/2, pi/2], rad, of the larger one, from x towards y.
-    sigma_direction: (R, C), rad; pi / sqrt(12), that of a direction that may be any, where
-        half the difference of the strains is below 3 of its standard deviations.
+    sigma_direction: (R, C), rad; pi / sqrt(12), that of an unknown direction, where half the
+        difference of the strains is below 3 of its standard deviations.
     """
 
     strain: Array
@@ -345,11 +348,11 @@ class PrincipalStrain:
 def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
     """Return the Green-Lagrange strain E = (F'F - 1) / 2 of every node, with its covariance.
 
-    Around each node a plane in (column, row) is fitted to the positions at rest and now by
-    least squares, over the (2 radius + 1)^2 nodes, which gives the gradient F of now by rest.
-    Nodes of unknown sigma take part only where no node's sigma is known. Wear of the print is
-    taken to keep its size; where it stretches with the material, large strains are more certain
-    than their sigma says.
+    Around each node a plane in (column, row) is fitted to the positions at rest and now by least
+    squares, over the (2 radius + 1)^2 nodes, which gives the gradient F of the positions now with
+    respect to those at rest. Nodes without a sigma are used only where no node has one. Wear of the
+    print is taken to keep its size; where it stretches with the material, large strains are more
+    certain than their sigma says.
 
     Returns NaN where the node is missing, or fewer than 6 of its window are there, or all of
     these on a line. Raises ConfigError where radius is not a whole number from 1 to 50.
@@ -455,10 +458,10 @@ def _strain_covariance(gradient: Array, back: Array, errors: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Raster:
-    """Values of the nodes on a regular raster of the plane at rest.
+    """Values of the nodes, interpolated on a regular raster of the plane at rest.
 
-    x: (W,), y: (H,) float64, of the columns and rows, in `unit`. values: (H, W, K) float64,
-    NaN outside of the cells whose four nodes are valid. unit: of x and y.
+    x: (W,), y: (H,) float64, coordinates of columns and rows, in `unit`. values: (H, W, K) float64,
+    NaN outside the cells whose four nodes are valid. unit: unit of x and y.
     """
 
     x: Array
@@ -475,10 +478,10 @@ class Raster:
 def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float = 1.0) -> Raster:
     """Interpolate the nodes' values at the multiples of `step` that the cells at rest cover.
 
-    values: (R, C) or (R, C, K) numbers, NaN where missing; None means the displacement. In px
-    and at step 1 these are the pixels. Between nodes the values, and the positions at rest,
-    follow cubic convolution (R. G. Keys, IEEE Trans. ASSP 29, 1981), continued over the
-    border by quadratic extrapolation.
+    values: (R, C) or (R, C, K) numbers, NaN where missing; None means the displacement. In px and
+    at step 1 the points are the pixels. Values and positions at rest are interpolated between nodes
+    by cubic convolution (R. G. Keys, IEEE Trans. ASSP 29, 1981), and continued past the border by
+    quadratic extrapolation.
 
     Raises FieldError where no cell is valid or covers a point, ConfigError where step is not
     positive or asks for over 1e8 points.
@@ -515,8 +518,8 @@ def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float
 def _continued(values: Array) -> Array:
     """Extend values (R, C, K) by a ring around them, (R + 2, C + 2, K), and fill gaps.
 
-    A missing value takes the mean of the quadratic, else linear, else constant continuations
-    along its row and column; two passes, so that all neighbours of a valid cell have one.
+    A missing value is the mean of the continuations along its row and column: quadratic, else
+    linear, else constant. Two passes give every neighbour of a valid cell a value.
     """
     filled = np.pad(values, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     for _ in range(2):
@@ -548,8 +551,8 @@ def _shifted(values: Array, by: int, axis: int) -> Array:
 def _covered(padded: Array, cells: NDArray[np.int64], step: float, low: NDArray[Any]) -> Any:
     """Yield blocks of raster points in cells: cells (N, 2), points (N, 2), fractions (N, 2).
 
-    padded: (R + 2, C + 2, K) values, the first two the positions. Points are in steps. A point
-    on the side of two cells comes with both. Fractions are (row, column), 0 to 1.
+    padded: (R + 2, C + 2, K) values, the first two the positions. Points are in units of the step.
+    A point on the side between two cells comes with both. Fractions are (row, column), 0 to 1.
     """
     nodes = padded[1:-1, 1:-1, :2]
     row, column = cells.T

@@ -1,4 +1,4 @@
-"""From gradients to heights and densities: waves on a surface, schlieren in a gas.
+"""Heights and densities from gradients: waves on a surface, schlieren in a gas.
 
 A pattern seen through a medium appears displaced by u = -length grad(phi): through a free
 surface phi is its height (F. Moisy, M. Rabaud, K. Salsac, Exp. Fluids 46, 2009), in a gas the
@@ -25,10 +25,10 @@ _MOST_STEPS = 2000
 
 
 class Boundary(enum.Enum):
-    """What is known of phi at the border of the mask.
+    """The condition on phi at the border of the mask.
 
-    FREE: nothing; each connected part of the mask has a mean of 0. ZERO: phi is 0 at the
-    raster points just outside.
+    FREE: none; each connected part of the mask has a mean of 0. ZERO: phi is 0 at the raster points
+    just outside.
     """
 
     FREE = "free"
@@ -39,10 +39,10 @@ class Boundary(enum.Enum):
 class Potential:
     """A function whose gradient was measured.
 
-    value: (H, W) float64, NaN outside of the mask. gradient: (H, W, 2) float64, as measured,
-        by x and by y. misfit: (H, W) float64, length of the gradient of `value` minus the
-        measured one: what no function has as its gradient, by noise or by a wrong model.
-    x: (W,), y: (H,) float64, places of columns and rows. unit: of value, x and y.
+    value: (H, W) float64, NaN outside the mask. gradient: (H, W, 2) float64, as measured, by x and
+        by y. misfit: (H, W) float64, length of the gradient of `value` minus the measured one. It
+        comes from noise or from a wrong model.
+    x: (W,), y: (H,) float64, coordinates of columns and rows. unit: unit of value, x and y.
     """
 
     value: Array
@@ -128,11 +128,11 @@ def integrate(
 ) -> Potential:
     """Return the function whose gradient is nearest, by least squares over neighbouring points.
 
-    raster: gives the places. gradient: (H, W, 2) by x and y, NaN where unknown. mask: (H, W)
-    where phi is wanted; points of unknown gradient are left out; None means all others.
+    raster: gives the coordinates. gradient: (H, W, 2) by x and y, NaN where unknown. mask: (H, W),
+    where phi is wanted; None means everywhere. Points of unknown gradient are left out.
 
-    Solved by conjugate gradients, preconditioned by the solution on the whole rectangle in
-    cosines. Raises FieldError where the shapes differ or nothing is left in the mask.
+    The solver is conjugate gradients, preconditioned by the cosine transform's solution on the
+    whole rectangle. Raises FieldError where the shapes differ or nothing is left in the mask.
     """
     known = np.asarray(np.isfinite(gradient).all(axis=2), np.bool_)
     if gradient.shape != (len(raster.y), len(raster.x), 2):

@@ -1,4 +1,4 @@
-"""Fields of a whole recording in one file."""
+"""The fields of a whole recording in one file."""
 
 import contextlib
 import io
@@ -8,25 +8,25 @@ import zipfile
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, Self
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmp_cl.closing import Closing
 from cmp_cl.errors import FieldError
 from cmp_cl.files import check_target, whole_file
 
 
-class SeriesWriter:
+class SeriesWriter(Closing):
     """Writes a recording, frame by frame, to one .npz; memory does not grow with it.
 
     The file holds `index` (F,) int64, `time_ms` (F,) float64, every array that `append` gets
-    stacked along a first axis of F frames, and the constants (rest positions, unit) as they
-    are; numpy.load reads it. It appears when the `with` block ends, also by an exception or
-    Ctrl-C: then with the frames so far. Until then they lie beside it in the folder NAME.parts,
-    an .npy for each array that numpy.load reads, so there must be room for two copies. Where
-    there is not, or the process is killed, that folder stays; the OSError names it.
+    stacked along a first axis of F frames, and the constants (rest positions, unit) as they are;
+    numpy.load reads it. It appears when the `with` block ends, even by an exception or Ctrl-C: then
+    with the frames so far. Until then the frames are in the folder NAME.parts beside it, one .npy
+    for each array, so the disk must hold two copies. Where it cannot, or the process is killed,
+    that folder stays, and the OSError names it.
 
         with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)
@@ -54,17 +54,6 @@ class SeriesWriter:
     def __len__(self) -> int:
         """Return the number of frames so far."""
         return self._count
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def append(self, *, index: int, time_ms: float, **arrays: ArrayLike) -> None:
         """Add a frame: its number, its time stamp in ms, and its arrays.
@@ -106,8 +95,8 @@ class SeriesWriter:
                 raise FieldError(f"{name} must be an array of numbers, not of {value.dtype}")
 
     def _add_column(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        # without a buffer, which would keep the bytes that a full disk has refused; anew where
-        # the first frame was interrupted
+        # without a buffer, which would keep the bytes that a full disk has refused; anew where the
+        # first frame was interrupted
         file = open(self._folder / f"{name}.npy", "w+b", buffering=0)  # noqa: SIM115, closed by _files
         self._columns[name] = _Column(self._files.enter_context(file), shape, dtype)
 
@@ -168,7 +157,7 @@ class _Column:
         self._write_at(0, self._header(0))
 
     def write(self, frame: int, value: NDArray[np.generic]) -> None:
-        """Write a frame in its place, also over one that was interrupted."""
+        """Write a frame at its offset, even over one that was interrupted."""
         header = self._header(frame + 1)
         self._write_at(len(header) + frame * value.nbytes, value.tobytes())
         self._write_at(0, header)
@@ -197,5 +186,5 @@ class _Column:
     def _write_at(self, place: int, data: bytes) -> None:
         self.file.seek(place)
         rest = memoryview(data)
-        while rest:  # a nearly full disk takes a part of it
+        while rest:  # a nearly full disk may take only part of it
             rest = rest[self.file.write(rest) :]

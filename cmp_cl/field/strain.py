@@ -1,4 +1,4 @@
-"""Strain of a surface from the positions of its nodes, and how far it may be off."""
+"""The strain of a surface from the positions of its nodes, and its standard deviation."""
 
 import dataclasses
 
@@ -14,11 +14,11 @@ Bools = NDArray[np.bool_]
 def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
     """Return the Green-Lagrange strain of a surface in its tangent plane at rest.
 
-    rest, now: (R, C, 3) positions of the same nodes, NaN where missing. Around each node a
-    plane in (column, row) is fitted to both by least squares, over the valid ones of the
-    (2 radius + 1)^2 nodes, to give the tangent vectors A = (a1, a2) at rest and B now. In the
-    orthonormal basis of the rest plane, axis 1 along a1 and axis 2 towards a2, with
-    A = Q U: E = (U^-T B^T B U^-1 - I) / 2. Turning or shifting the surface gives 0.
+    rest, now: (R, C, 3) positions of the same nodes, NaN where missing. Around each node a plane in
+    (column, row) is fitted to both by least squares, over the valid ones of the (2 radius + 1)^2
+    nodes, to give the tangent vectors A = (a1, a2) at rest and B now. In the orthonormal basis of
+    the rest plane, axis 1 along a1 and axis 2 towards a2, with A = Q U: E = (U^-T B^T B U^-1 - I) /
+    2. A rigid motion of the surface gives 0.
 
     Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN where the node is
     missing, or fewer than 6 of the window are there, or all of those on a line.
@@ -71,7 +71,7 @@ def slope_weights(valid: Bools, radius: int) -> tuple[Array, Array]:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Slopes:
-    """The errors of the slopes of positions or displacements over the lattice.
+    """The covariance of the slopes of positions or displacements over the lattice.
 
     by_column, by_row: (R, C), their variances per node step and coordinate. covariance: (R, C, 3,
     3), of the values; how the coordinates vary together is taken from it.
@@ -89,9 +89,9 @@ def strain_deviation(
 
     With Q the orthonormal axes of the rest plane, F the tangents now along them, dG and dA the
     errors of the slopes of the displacement and of the position at rest along the same axes, to
-    first order dE = sym(F^T dG + (F - Q F^T F)^T dA), and what the turn of axis 1 by Q2 . dA1
-    makes of the components. rest, now: (R, C, 3). rest_slopes, slopes: of the position and of
-    the displacement. NaN where the strain is, or the error is unknown.
+    first order dE = sym(F^T dG + (F - Q F^T F)^T dA), and the effect of the rotation of axis 1 by
+    Q2 . dA1 on the components. rest, now: (R, C, 3). rest_slopes, slopes: of the position and of
+    the displacement. NaN where the strain is NaN or the error is unknown.
     """
     both = np.concatenate([rest, now], axis=2)
     valid = ~np.isnan(both).any(axis=2)
@@ -105,7 +105,7 @@ def strain_deviation(
     strain = (along @ along.transpose(0, 2, 1) - np.eye(2)) / 2
     e11, e22, e12 = (strain[:, i, j, None] for i, j in ((0, 0), (1, 1), (0, 1)))
     one, two = along[:, 0], along[:, 1]
-    turned = axes[:, 1]  # by which axis 1 turns with its own error
+    turned = axes[:, 1]  # rotation of axis 1 by its own error
     off_one, off_two = np.moveaxis(along - (2 * strain + np.eye(2)) @ axes, 1, 0)
     none = np.zeros_like(one)
     parts = (

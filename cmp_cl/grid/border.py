@@ -11,6 +11,7 @@ from cmp_cl.grid.nodes import Index, Mask, Nodes, Points
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
+JUST_BEYOND = (0.8, 1.1, 1.2)  # cells: late in the first squares beyond, early in the second
 HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the picture may not be seen
 FLAT = 0.3  # of the contrast of the cells before: below it those beyond are no cells
 SPOTS = np.array([-0.15, 0.0, 0.15])  # cells: where a square's grey level is taken
@@ -28,12 +29,31 @@ class Ends(NamedTuple):
     cut: Sides = NO_SIDES
 
     def turned(self, quarters: int) -> "Ends":
-        """Return the same after the numbers are turned as in `Grid.turned`."""
+        """The same after the numbers are turned as in `Grid.turned`."""
         return Ends(self.border.turned(quarters), self.cut.turned(quarters))
 
 
 def border_of(nodes: Nodes, image: GreyImage) -> Sides:
     """Return the sides on which nodes end in the image, where no cell follows."""
+    return _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
+
+
+def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
+    """Return the sides on which the image ends before the next nodes, and shows cells there."""
+    at, across = nodes.at, nodes.at.T
+    cut = [_cut(way, image) for way in (at, at[::-1], across, across[::-1])]
+    if any(cut):
+        for depth in JUST_BEYOND:
+            ended = _ends_at(nodes, image, depth, depth + 0.05)
+            cut = [hidden and not end for hidden, end in zip(cut, ended, strict=True)]
+    return Sides(*cut)
+
+
+def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Sides:
+    """Return the sides on which there are no cells that many cells from the last nodes.
+
+    shown: how far the image must reach, cells; else the side is none of them.
+    """
     at = nodes.at
     if min(at.shape) < 2:
         return NO_SIDES
@@ -43,33 +63,25 @@ def border_of(nodes: Nodes, image: GreyImage) -> Sides:
     out: Points = np.concatenate([line.out for line in lines])
     along = np.concatenate([line.along for line in lines])
     sign = np.concatenate([line.sign for line in lines])
-    far: Points = middle + (BEYOND + 0.25) * out
-    shown = _inside(far, image)
-    spots = np.stack([middle + BEYOND * out, middle - out / 2])[..., None] + SPOTS * along[:, None]
+    far: Points = middle + shown * out
+    seen = _inside(far, image)
+    spots = np.stack([middle + depth * out, middle - out / 2])[..., None] + SPOTS * along[:, None]
     level = sign * grey(image, spots).sum(axis=2)
-    borders = []
+    ends = []
     for number, line in enumerate(lines):
-        here = shown & (side == number)
+        here = seen & (side == number)
         count = np.count_nonzero(here)
         if 2 * count < len(line.sign) or count < 2 or abs(int(sign[here].sum())) == count:
-            borders.append(False)
+            ends.append(False)
             continue
         bright, dark = here & (sign > 0), here & (sign < 0)
         beyond, inside = level[:, bright].mean(axis=1) + level[:, dark].mean(axis=1)
-        borders.append(bool(abs(beyond) < FLAT * abs(inside)))
-    return Sides(*borders)
-
-
-def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
-    """Return the sides on which the image ends before the next nodes."""
-    at, across = nodes.at, nodes.at.T
-    return Sides(
-        _cut(at, image), _cut(at[::-1], image), _cut(across, image), _cut(across[::-1], image)
-    )
+        ends.append(bool(abs(beyond) < FLAT * abs(inside)))
+    return Sides(*ends)
 
 
 def _cut(at: Points, image: GreyImage) -> bool:
-    """Return whether most columns, (R, C) px, have no space in the image before the first node."""
+    """Whether most columns, (R, C) px, have no room in the picture before their first node."""
     seen = ~np.isnan(at.real)
     column = np.flatnonzero(seen.any(axis=0))
     first = seen.argmax(axis=0)[column]
@@ -81,7 +93,7 @@ def _cut(at: Points, image: GreyImage) -> bool:
 
 
 def _inside(at: Points, image: GreyImage) -> Mask:
-    """Return which of those points the image shows."""
+    """Which of those places the picture shows."""
     rows, columns = image.shape
     inside: Mask = (at.real >= 0) & (at.real < columns) & (at.imag >= 0) & (at.imag < rows)
     return inside
@@ -98,7 +110,7 @@ class _Squares(NamedTuple):
 
 
 def _squares(at: Points, first: int, second: int) -> _Squares:
-    """Sample some squares of a side, none where less than half of the lines end there."""
+    """Some squares of a side, none where less than half of the lines end there."""
     one, two = at[first], at[second]
     seen = ~np.isnan(one.real) & ~np.isnan(two.real)
     column = np.flatnonzero(seen[1:] & seen[:-1])
@@ -114,7 +126,7 @@ def _squares(at: Points, first: int, second: int) -> _Squares:
 
 
 def full_lines(there: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return first and last row, first and last column that hold a fair part of a line's nodes.
+    """First and last row, first and last column that hold a fair part of the nodes of a line.
 
     there: (R, C), where nodes are; at least one.
     """

@@ -48,9 +48,9 @@ def build_grid(
         shows no border are kept, see `Grid.origin`. Without it row 0 is at the top and column
         0 at the left of the image.
     region: (x0, y0, x1, y1), px; corners outside belong to no node.
-    previous: the grid of the frame before, with the numbers of `like`. Its numbers go on where
-        `like` alone leaves them ambiguous, as long as the pattern as a whole moves by less
-        than half a cell from frame to frame.
+    previous: the grid of the frame before, with the numbers of `like`, or `like` itself for the
+        first frame. Its numbers go on where `like` alone leaves them ambiguous, as long as the
+        pattern as a whole moves by less than half a cell from frame to frame.
     strict: raise GridError where the result has doubts, see `Grid.doubts`.
 
     Nodes that are not seen are NaN and MISSING; those that measured nodes bracket, in holes
@@ -58,9 +58,11 @@ def build_grid(
     numbered where their place among the others, or at rest, leaves one number; else they are
     left out.
     A pattern without a border in view that moved as a whole so that its cells come to lie on
-    other cells looks as if it had not moved. `like` then takes the least displacement, and the
-    grid is ambiguous unless the middle of the pattern lies within an eighth of a cell of its
-    place at rest, or a third of the nodes have not moved at all.
+    other cells looks as if it had not moved. What `like` decides by is the border, the errors
+    of the print, which are the same in both frames, and `previous`. Without them the grid is
+    ambiguous, and has the numbers by which the middle of the view has moved least: right as
+    long as it moved by less than half a cell. A pattern that turned by more than 40 degrees
+    needs a border or a print that tell.
     Where no closed cell is found the grid is empty, (0, 0) or of the known shape.
 
     Raises GridError where corners have no finite position or no edge angles, where two
@@ -128,7 +130,7 @@ def build_grids(
 def _checked(
     corners: Corners, image: GreyImage | None, shape: tuple[int, int] | None, region: Region | None
 ) -> tuple[Index, Seen]:
-    """The numbers of the corners in the region, and what is known of them."""
+    """Number the corners in the region, and return what is known of them."""
     if not isinstance(corners, Corners):
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
@@ -148,7 +150,7 @@ def _checked(
 
 
 def _found(seen: Seen) -> Lattice | None:
-    """The lattice of the corners; None where no closed cell is seen."""
+    """Return the lattice of the corners; None where no closed cell is seen."""
     if len(seen.z) < 4:
         return None
     found = lattice(seen.z.astype(np.complex64), seen.edges)
@@ -165,7 +167,7 @@ def _numbered(
     previous: Grid | None = None,
     alone: bool = False,
 ) -> tuple[Placed | None, Sides]:
-    """The nodes with their numbers and holes filled, None where none is left, and the borders.
+    """Return the nodes, numbered and with holes filled, and the borders; None where none is left.
 
     alone: whether other components are other boards.
     """
@@ -196,12 +198,12 @@ def _numbered(
 
 
 def _framed(placed: Placed) -> Grid:
-    """Rows, columns and numbers of that grid, without a node."""
+    """Return rows, columns and numbers of that grid, without a node."""
     return dataclasses.replace(_empty(0, placed.nodes.at.shape), origin=placed.origin)
 
 
 def _declared(placed: Placed, border: Sides, shape: tuple[int, int] | None) -> Sides:
-    """The borders of a pattern, all four where it is seen whole in a known shape."""
+    """Return the borders of a pattern, all four where it is seen whole in a known shape."""
     there = placed.nodes.there
     if shape is None or placed.seen_shape is not None or not there.any():
         return border

@@ -12,6 +12,7 @@ from cmp_cl.image import GreyImage
 
 DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
 WITHIN = np.array([0.2, 0.3])  # of the diagonal of a cell: where its grey level is taken
+HOLE = 6  # places: nodes at the rim of a larger hole are at a rim
 SAMPLE = 64  # inner nodes that say what contrast the pattern has
 
 
@@ -56,16 +57,10 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
 def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
     """Nodes some of whose eight neighbours are neither there nor bracketed; which are in a cell.
 
-    A place is bracketed that has nodes on both sides along its row and along its column.
+    A place is bracketed that lies in a small hole: between nodes of its row and of its column.
     """
     seen = nodes.status != NodeStatus.MISSING
-    there = seen
-    if not seen.all():
-        bracketed = np.ones_like(seen)
-        for axis in (0, 1):
-            bracketed &= np.logical_or.accumulate(seen, axis)
-            bracketed &= np.flip(np.logical_or.accumulate(np.flip(seen, axis), axis), axis)
-        there = seen | bracketed
+    there = seen if seen.all() else seen | (_hole(seen) & _hole(seen.T).T)
     around = np.zeros(np.add(seen.shape, 2), np.bool_)
     around[1:-1, 1:-1] = there
     whole = around[:-2] & around[1:-1] & around[2:]
@@ -76,6 +71,16 @@ def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
     inside = cell[row, column] | cell[row + 1, column]
     inside |= cell[row, column + 1] | cell[row + 1, column + 1]
     return row, column, inside
+
+
+def _hole(seen: Mask) -> Mask:
+    """(R, C), places with nodes before and after them on the row, HOLE places apart at most."""
+    columns = seen.shape[1]
+    place = np.arange(columns)
+    before = np.maximum.accumulate(np.where(seen, place, -columns), axis=1)
+    after = np.minimum.accumulate(np.where(seen, place, 2 * columns)[:, ::-1], axis=1)[:, ::-1]
+    hole: Mask = after - before <= HOLE
+    return hole
 
 
 def _usual_contrast(nodes: Nodes, image: GreyImage) -> float:

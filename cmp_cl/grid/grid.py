@@ -2,11 +2,14 @@
 
 import dataclasses
 import enum
+import math
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from cmp_cl.errors import ConfigError
 
 
 class NodeStatus(enum.IntEnum):
@@ -33,7 +36,7 @@ class Sides(NamedTuple):
     right: bool = False
 
     def turned(self, quarters: int) -> "Sides":
-        """The same sides after the numbers are turned as in `Grid.turned`."""
+        """Return the same sides after the numbers are turned as in `Grid.turned`."""
         sides = self
         for _ in range(quarters % 4):
             sides = Sides(sides.right, sides.left, sides.top, sides.bottom)
@@ -122,12 +125,12 @@ class Grid:
                 other = f" by ({self.rival.rows}, {self.rival.columns}){turn}"
             found.append(
                 f"the numbers are ambiguous: they may be wrong{other}; the view shows too little "
-                "of the pattern's border to decide"
+                "of the pattern's border, and the print is too perfect, to decide"
             )
         return found
 
     def turned(self, quarters: int) -> "Grid":
-        """The same nodes with the numbers turned: row 0 is the last column, and so on."""
+        """Return the same nodes with the numbers turned: row 0 is the last column, and so on."""
         quarters %= 4
         if not quarters:
             return self
@@ -154,8 +157,20 @@ class Grid:
             seen_shape=seen,
         )
 
+    @property
+    def extent(self) -> str:
+        """Its rows and columns by their numbers, in words."""
+        (top, left), (rows, columns) = self.origin, self.shape
+        return f"rows {top} to {top + rows - 1} and columns {left} to {left + columns - 1}"
+
+    def covers(self, rest: "Grid") -> bool:
+        """Whether it has all rows and columns of another grid, by their numbers."""
+        first = np.subtract(rest.origin, self.origin)
+        last = first + rest.shape
+        return bool((first >= 0).all() and (last <= self.shape).all())
+
     def cut_to(self, rest: "Grid") -> "Grid":
-        """The nodes on the rows and columns of another grid with the same numbers.
+        """Return the nodes on the rows and columns of another grid with the same numbers.
 
         Equal places of the two are then equal numbers. Corners beyond belong to no node.
         """
@@ -189,17 +204,20 @@ class Grid:
         )
 
     def to_opencv(self, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The valid nodes as cv2.calibrateCamera takes a view: object and image points.
+        """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
 
-        spacing: side of a square, any unit. Returns (N, 1, 3) float32 in that unit and
-        (N, 1, 2) float32, px. Raises ConfigError where spacing is not positive.
+        spacing: side of a square, any unit. Returns (N, 1, 3) float32, x by column, y by row and
+        z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError where spacing is not
+        positive.
         """
-        from cmp_cl.stereo.exports import grid_to_opencv
-
-        return grid_to_opencv(self, spacing)
+        if not 0 < spacing < math.inf:
+            raise ConfigError(f"spacing must be a positive length, not {spacing!r}")
+        row, column = np.nonzero(self.valid)
+        nodes = np.column_stack([column, row, np.zeros(len(row))]) * float(spacing)
+        return nodes.astype(np.float32)[:, None], self.xy[self.valid].astype(np.float32)[:, None]
 
     def with_virtual_markers(self, count: int) -> "Grid":
-        """The grid with `count` points on every edge between two neighbouring nodes.
+        """Return the grid with `count` points on every edge between two neighbouring nodes.
 
         They lie on cubic curves through the nodes. Node (r, c) is at ((count + 1) r,
         (count + 1) c) of the result, ((R - 1)(count + 1) + 1, (C - 1)(count + 1) + 1), whose
@@ -211,7 +229,7 @@ class Grid:
 
 
 def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """The nodes that hang together by steps along rows and columns, the most first: (R, C).
+    """Label the nodes connected by steps along rows and columns, the largest part first: (R, C).
 
     there: (R, C), where there is a node. -1 where there is none.
     """

@@ -61,7 +61,7 @@ def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
 
 
 def _expected(nodes: Nodes, rest: Grid | None) -> Points:
-    """Where nodes should be by an affine map of their place, or of their place at rest, (R, C)."""
+    """Predict nodes by an affine map of their index, or of their position at rest, (R, C)."""
     place: Points
     if rest is None:
         row, column = np.indices(nodes.at.shape)
@@ -76,7 +76,7 @@ def _expected(nodes: Nodes, rest: Grid | None) -> Points:
 
 
 def _surrounded(nodes: Nodes, row: np.ndarray, column: np.ndarray) -> bool:
-    """Whether there are nodes before and after most of those places, on their row and column."""
+    """Return whether most of those indices lie between nodes, on their row and column."""
     sides = []
     for axis in (0, 1):
         before = np.logical_or.accumulate(nodes.there, axis)[row, column]

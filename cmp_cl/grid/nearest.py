@@ -67,6 +67,12 @@ class Bounds(NamedTuple):
     left: int = -FAR
     last_left: int = FAR
 
+    @property
+    def only(self) -> tuple[int, int] | None:
+        """The number that they leave, None if there are others or none."""
+        one = (self.top, self.left) == (self.last_top, self.last_left)
+        return (self.top, self.left) if one else None
+
     def hold(self, top: Index, left: Index) -> Mask:
         return (
             (top >= self.top)
@@ -117,6 +123,11 @@ def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
     return row, column, nodes.at[row, column]
 
 
+def colour(nodes: Nodes, near: Reference) -> int:
+    """What the sum of the first row's and column's number is modulo 2, by the checker colours."""
+    return (sum(near.origin) + near.parity + nodes.parity) % 2
+
+
 def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[Choice]:
     """The numbers of the right colour around the least mean displacement, the nearest first.
 
@@ -129,8 +140,8 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
     start: Index = first - [row[middle], column[middle]]
     start = np.clip(start, (bounds.top, bounds.left), (bounds.last_top, bounds.last_left))
     start = start + np.array([(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)])
-    sums = start.sum(axis=1) - sum(near.origin) + near.parity - nodes.parity
-    start = start[(sums % 2 == 0) & bounds.hold(start[:, 0], start[:, 1])]
+    top, left = start.T
+    start = start[((top + left) % 2 == colour(nodes, near)) & bounds.hold(top, left)]
     if not len(start):
         return []
     here = start[0]

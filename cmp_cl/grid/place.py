@@ -33,6 +33,7 @@ from cmp_cl.grid.nearest import (
     Reference,
     chosen,
     climb,
+    colour,
     quarter_turns,
 )
 from cmp_cl.grid.nodes import NOWHERE, Nodes, Points, check_room
@@ -70,7 +71,7 @@ class Decision(NamedTuple):
 
 
 def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) -> Placed:
-    """The nodes with the numbers of the rest grid.
+    """Return the nodes with the numbers of the rest grid.
 
     border: the sides on which the pattern ends in the view. previous: the frame before, with
     the numbers of the rest grid, or None.
@@ -99,6 +100,11 @@ def _by_border(nodes: Nodes, border: Sides, like: Grid, rest: Reference) -> Deci
     place at rest by other numbers.
     """
     turns = quarter_turns(nodes.at, rest)
+    if len(turns) == 1 and not any(border):
+        turned = nodes.turned(turns[0][0])
+        number = _bounds(turned, border, like).only
+        if number is not None and sum(number) % 2 == colour(turned, rest):
+            return Decision(Choice(0.0, float("nan"), turns[0][0], *number), None, sure=True)
     left = _nearest(nodes, border, like, rest)
     if len(left) == 1 and any(border):
         freely = _nearest(nodes, Sides(), like, rest)
@@ -124,7 +130,7 @@ def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> D
         if shift is None:
             continue
         top, left = shift[0] + like.origin[0], shift[1] + like.origin[1]
-        if (sum(shift) + rest.parity - turned.parity) % 2:
+        if (top + left) % 2 != colour(turned, rest):
             return nearest
         best = chosen(turned, rest, quarters, top, left)
         others = (nearest.best, nearest.second)
@@ -169,7 +175,7 @@ def _bounds(nodes: Nodes, border: Sides, like: Grid) -> Bounds:
 
 
 def _lines(grid: Grid) -> tuple[int, int, int, int]:
-    """The numbers of the first and last row, first and last column with a fair part of nodes."""
+    """Return the first and last row, first and last column with a fair share of the nodes."""
     top, bottom, left, right = full_lines(grid.valid)
     row, column = grid.origin
     return top + row, bottom + row, left + column, right + column
@@ -181,7 +187,7 @@ def _axis_bounds(
     rest_ends: tuple[bool, ...],
     ends: tuple[bool, ...],
 ) -> tuple[int, int]:
-    """The numbers that line 0 of the nodes can have on one axis.
+    """Return the numbers that line 0 of the nodes can have on one axis.
 
     here, rest: the first and the last line, of the nodes and at rest.
     """
@@ -192,7 +198,7 @@ def _axis_bounds(
 
 
 def _known_ends(like: Grid, at: Points) -> Sides:
-    """Where the rest grid ends within what the nodes show of the picture.
+    """Return where the rest grid ends within what the nodes show of the image.
 
     For rest grids that were built without their image, which do not know their borders.
     """
@@ -213,7 +219,7 @@ def _known_ends(like: Grid, at: Points) -> Sides:
 
 
 def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
-    """The nodes on the rest grid's rows and columns, and on those beyond where it is open."""
+    """Return the nodes on the rest grid's rows and columns, and on those beyond an open side."""
     best, second, sure = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []

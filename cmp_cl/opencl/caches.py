@@ -19,7 +19,7 @@ _LEAST_FREE = 32 << 20  # bytes: a plan's kernels take some 10 MB in PoCL's cach
 
 
 def own_folder() -> Path | None:
-    """The folder of cmp_cl's kernels, made if missing, for this user alone; None if it cannot be.
+    """Return this user's folder of compiled kernels, made if missing; None if that fails.
 
     A folder of another user, or one that others may write to, is not used, and a warning says so.
     """
@@ -46,14 +46,14 @@ def _warn(folder: Path) -> None:
 
 
 def is_ours(status: os.stat_result) -> bool:
-    """Whether a file or folder is this user's, and nobody else may write to it."""
+    """Return whether a file or folder is this user's, and nobody else may write to it."""
     if not hasattr(os, "getuid"):  # Windows has a folder for each user
         return True
     return status.st_uid == os.getuid() and not status.st_mode & _OTHERS_WRITE
 
 
 def read_ours(path: Path) -> bytes:
-    """The bytes of a file that is ours; raises OSError, PermissionError where it is not."""
+    """Read a file that is this user's; raises OSError, PermissionError where it is not."""
     with open(path, "rb") as file:
         if not is_ours(os.fstat(file.fileno())):
             raise PermissionError(f"{str(path)!r} is not ours alone")
@@ -61,7 +61,7 @@ def read_ours(path: Path) -> bytes:
 
 
 def pocl_folder() -> Path:
-    """Where PoCL keeps what it compiles."""
+    """Return the folder where PoCL keeps what it compiles."""
     named = os.environ.get("POCL_CACHE_DIR")
     if named:
         return Path(named)
@@ -84,7 +84,7 @@ def guard_pocl() -> None:
 
 
 def pocl_is_stuck() -> str:
-    """Why PoCL cannot start or compile with its cache as it is, "" where it can.
+    """Return why PoCL cannot start or compile with its cache as it is; "" where it can.
 
     Without a folder to write to it is not even listed; on a full disk it ends the process.
     """

@@ -1,4 +1,4 @@
-"""OpenCL devices: what there is, and which one is meant."""
+"""OpenCL devices: listing them and selecting one."""
 
 import contextlib
 import dataclasses
@@ -17,13 +17,13 @@ _MOST_WORKERS = 4096
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 
 _INSTALL_HINT = (
-    "install an OpenCL implementation: pip install 'pyopencl[pocl]' runs on any CPU, a GPU needs "
+    "install an OpenCL implementation: pip install 'pyopencl[pocl]' (Linux, x86-64), a GPU needs "
     "its vendor's driver; `cmp-cl devices` says more"
 )
 
 
 class DeviceKind(enum.Enum):
-    """What sort of processor a device is."""
+    """The kind of processor that a device is."""
 
     CPU = "cpu"
     GPU = "gpu"
@@ -36,7 +36,7 @@ class Device:
 
     index: "platform:device", as `select_device` takes it.
     name, platform, driver: as the implementation reports them.
-    kind: what sort of processor it is.
+    kind: the kind of processor.
     memory: global memory, bytes.
     handle: the device as pyopencl knows it.
     """
@@ -54,7 +54,7 @@ class Device:
 
 
 class _Started:
-    """The process that started OpenCL here, None before."""
+    """The process that first used OpenCL here; None before that."""
 
     process: int | None = None
 
@@ -62,7 +62,7 @@ class _Started:
 def is_forked() -> bool:
     """Return whether this process was forked after OpenCL had started in its parent.
 
-    Threads do not survive a fork, and an implementation would wait for its own for ever.
+    Threads do not survive a fork, and an OpenCL implementation would wait for its own forever.
     """
     return _Started.process not in (None, os.getpid())
 
@@ -156,9 +156,9 @@ def _check_workers() -> None:
 def _workers_on_own_cores() -> Iterator[None]:
     """Make PoCL, where it starts here, pin each of its workers to a core of its own.
 
-    Left to the system two of them often share a core for as long as the process lives, and a
-    frame takes half as long again. Not where the user has said something about the workers,
-    or where the process may not use every core.
+    Otherwise the system often puts two of them on one core for the life of the process, and a frame
+    takes half as long again. It does nothing where the user has set a variable of the workers, or
+    where the process may not use every core.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
     if cores != os.cpu_count() or any(name in os.environ for name in _POCL_WORKERS):

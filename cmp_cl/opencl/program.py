@@ -1,14 +1,15 @@
-"""The kernels: found, put together, compiled. This is the one place that builds.
+"""The kernels are found, assembled and compiled here, and nowhere else.
 
-`build(context, stages, defines)` compiles some of the files in kernels/, each into a program of
+`Programs.kernels(stages, defines)` compiles some of the files in kernels/, each into a program of
 its own; `Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be
 launched.
 
-Compilers take seconds. So a file is compiled under those macros alone that it names, and what
-was compiled is kept: another configuration compiles only the stages that it changes. PoCL keeps
-it by itself, and compiles everything twice when asked for a binary. From others the binaries
-are kept in the user's cache folder, a file each: whole or not there, checked before use, and
-written anew where they do not fit. Without a folder to write to it takes longer.
+Compilers take seconds. So a file is compiled with only those macros that it names, and the binaries
+are cached: another configuration compiles only the stages that it changes. PoCL has a cache of its
+own, and compiles everything twice when asked for a binary. Binaries of other implementations are
+kept in the user's cache folder, one file each. A file appears whole or not at all, is checked
+before use, and is rewritten where the device refuses it. Without a writable folder every start
+compiles.
 """
 
 import contextlib
@@ -31,7 +32,7 @@ from cmp_cl.opencl.device import check_process, is_pocl
 _OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
 _INCLUDE = re.compile(r'#include "(.+)"')
 _NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
-_WARNINGS = threading.Lock()  # the filters of warnings are those of the whole process
+_WARNINGS = threading.Lock()  # the filters of warnings belong to the whole process
 
 
 def kernel_folder() -> Path:
@@ -49,7 +50,7 @@ def kernel_folder() -> Path:
 def source(stage: str, macros: Mapping[str, str] | None = None) -> str:
     """Return the text of kernels/STAGE.cl; each header that it includes comes once.
 
-    macros: function-like macros, "NAME(ARGUMENTS)" to text; those that the text names are put
+    macros: function-like macros, "NAME(ARGUMENTS)" to text. Those that the source names are put
     before it.
     """
     text = "\n".join(_with_headers(f"{stage}.cl", set()))
@@ -79,7 +80,7 @@ def _with_headers(name: str, seen: set[str]) -> list[str]:
 
 
 class Kernels:
-    """Compiled programs, whose kernels have names of their own."""
+    """Compiled programs; no two of their kernels have the same name."""
 
     def __init__(self, programs: Sequence[cl.Program]) -> None:
         self._programs = {name: each for each in programs for name in each.kernel_names.split(";")}
@@ -96,25 +97,47 @@ class Kernels:
         return kernel
 
 
+class Programs:
+    """The programs of a context; the same stage under the same macros is compiled once."""
+
+    def __init__(self, context: cl.Context) -> None:
+        self._context = context
+        self._compiled: dict[tuple[str, ...], cl.Program] = {}
+
+    def kernels(
+        self,
+        stages: Sequence[str],
+        defines: Mapping[str, str | int],
+        macros: Mapping[str, str] | None = None,
+    ) -> Kernels:
+        """Return the kernels of the stages.
+
+        Raises KernelBuildError with the compiler's log, DeviceError in a forked child.
+        """
+        check_process()
+        return Kernels([self._program(stage, defines, macros or {}) for stage in stages])
+
+    def _program(
+        self, stage: str, defines: Mapping[str, str | int], macros: Mapping[str, str]
+    ) -> cl.Program:
+        key = (stage, *(f"{name}={text}" for name, text in (*defines.items(), *macros.items())))
+        if key not in self._compiled:
+            self._compiled[key] = _compiled(self._context, stage, defines, macros)
+        return self._compiled[key]
+
+
 def build(
     context: cl.Context,
     stages: Sequence[str],
     defines: Mapping[str, str | int],
     macros: Mapping[str, str] | None = None,
 ) -> Kernels:
-    """Compile the stages.
-
-    Raises KernelBuildError with the compiler's log, DeviceError in a forked child.
-    """
-    check_process()
-    return Kernels([_program(context, stage, defines, macros) for stage in stages])
+    """Compile the stages for once, see `Programs.kernels`."""
+    return Programs(context).kernels(stages, defines, macros)
 
 
-def _program(
-    context: cl.Context,
-    stage: str,
-    defines: Mapping[str, str | int],
-    macros: Mapping[str, str] | None,
+def _compiled(
+    context: cl.Context, stage: str, defines: Mapping[str, str | int], macros: Mapping[str, str]
 ) -> cl.Program:
     text = source(stage, macros)
     named = [f"-D{name}={value}" for name, value in defines.items() if _names(text, name)]
@@ -146,7 +169,7 @@ def _built(program: cl.Program, options: list[str]) -> cl.Program:
     """Compile or link; what a compiler says about what it could do is not the user's concern."""
     with _WARNINGS, warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        build: Any = program.build  # whose stub does not know that False means none
+        build: Any = program.build  # its stub does not know that False means no cache
         build(options=options, cache_dir=False)
     return program
 
@@ -180,7 +203,7 @@ def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program |
 def _keep(path: Path, program: cl.Program) -> None:
     with contextlib.suppress(OSError, cl.Error):
         (binary,) = program.binaries
-        path.unlink(missing_ok=True)  # whoever may write to it would keep that right
+        path.unlink(missing_ok=True)  # an old file's mode would let others go on writing to it
         write_bytes(path, hashlib.sha256(binary).digest() + binary)
 
 

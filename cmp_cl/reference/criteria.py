@@ -12,7 +12,7 @@ from cmp_cl.reference import ring
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Rapid:
-    """The quantities of the rapid criteria at every pixel, and what they decide.
+    """The quantities of the rapid criteria at every pixel, and the decision.
 
     Fields are those of `cmp_cl.maps.Maps`; response is before the gate.
     """

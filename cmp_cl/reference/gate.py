@@ -1,4 +1,4 @@
-"""The contrast gate: a candidate's four sectors must differ in grey, not only in sign."""
+"""The contrast gate: a candidate's four sectors must differ in grey level, not only in sign."""
 
 import math
 
@@ -22,8 +22,8 @@ def gate(
     """Return the contrast min(sc1, sc2), (H, W), 0 off candidates, and what is kept, (H, W) bool.
 
     candidate: (H, W) bool, the maxima of the response that are candidates of this binary image.
-    masks: how many the candidates' binary image is one of, 1 or 3.
-    Inner masks of candidates are never constant: both forms of the criteria exclude it.
+    masks: number of threshold layers, 1 or 3. Inner masks of candidates are never constant: both
+    forms of the criteria exclude it.
     """
     y, x = np.nonzero(candidate)
     sc1, sc2, sm = sector_contrast(image, x, y, inner[y, x], outer_radius)
@@ -48,10 +48,10 @@ def sector_contrast(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return sc1, sc2 and sm, each (N,) int64, of N pixels with their inner masks.
 
-    sc1: on the inner ring, the min over white runs of their largest grey minus the max
-    over black runs of their smallest; sc2: the same on the outer ring. sm: with
-    m = floor(8 (sum of a run's inner and outer greys) / its length), the min of m over
-    white runs minus the max over black runs.
+    sc1: on the inner ring, the min over white runs of their largest grey level minus the max over
+    black runs of their smallest; sc2: the same on the outer ring. sm: with m = floor(8 (sum of a
+    run's inner and outer greys) / its length), the min of m over white runs minus the max over
+    black runs.
     """
     inner_greys = ring.ring_greys(image, x, y, ring.INNER)
     outer_greys = ring.ring_greys(image, x, y, ring.OUTER[outer_radius])

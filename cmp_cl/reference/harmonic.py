@@ -1,8 +1,8 @@
 """Corners by the second harmonic of eight grey levels on a ring, in whole numbers.
 
-On a ring around a corner the grey level goes up and down twice: its second harmonic is large.
-What a corner has not is subtracted: differences between opposite samples (the odd harmonics)
-and a centre that is not the mean of its ring.
+On a ring around a corner the grey level goes up and down twice: its second harmonic is large. Two
+quantities that are small at a corner are subtracted: differences between opposite samples (the odd
+harmonics), and the difference of the centre from the mean of its ring.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ FINE_ALIGNMENT = 4
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Harmonics:
-    """What a ring says at some pixels, each int64 of one shape.
+    """The harmonics of a ring at some pixels, each int64 of one shape.
 
     a, b: the second harmonic, a vector. length: about the length of that vector.
     odd: sum of the differences between opposite samples. centre: |sum of the samples - 8 C|.
@@ -45,7 +45,7 @@ class Harmonics:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Corners:
-    """The corners of a frame in raster order, and what led to them.
+    """The corners of a frame in raster order, and how they were found.
 
     x, y: (N,) pixels. fine: (N,) bool, found by the 3 px ring. response: (N,) of the ring that
     found them. bounds: least responses by noise of the 5 px and of the 3 px ring.
@@ -70,7 +70,7 @@ def corners(
 ) -> Corners:
     """Find the corners of an image at working size.
 
-    mask: (H, W) where maxima may be; elsewhere they suppress others all the same.
+    mask: (H, W), where maxima may be kept. Maxima elsewhere still suppress their neighbours.
     """
     once, thrice = smoothed(image, full_scale)
     rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
@@ -140,7 +140,7 @@ def centroids(found: Corners) -> tuple[NDArray[np.float64], Whole]:
 def smoothed(image: GreyImage, full_scale: int) -> tuple[Whole, Whole]:
     """Return S1 and S3: the image smoothed once and three times, 1/16 of a grey level of 255.
 
-    Greys above full scale count as full scale.
+    Grey levels above full scale count as full scale.
     """
     grey = np.minimum(image.astype(np.int64), full_scale)
     if full_scale == 255:
@@ -225,7 +225,7 @@ def noise_bounds(image: GreyImage, rule: RingHarmonic, full_scale: int) -> tuple
 def maxima(response: Whole, bound: int, radius: int) -> NDArray[np.bool_]:
     """Return (H, W): responses above the bound, largest in their (2 radius + 1)^2 window.
 
-    Of equal ones it is the lower raster index.
+    Of equal responses the one with the lower raster index is the maximum.
     """
     size = response.size
     index = np.arange(size).reshape(response.shape)
@@ -239,9 +239,10 @@ def looks_alike(
 ) -> NDArray[np.bool_]:
     """Return (N,): the maxima of the 5 px ring that smaller rings confirm, and that are no stripes.
 
-    Around the middle of a stripe the grey goes up and down twice too. There the centre differs
-    from the mean of its ring, and the small ring, inside the stripe, hardly sees a harmonic:
-    a centre may differ by 11/8 of the length, and by more as the small ring's harmonic grows.
+    Around the middle of a stripe the grey level also goes up and down twice. But there the centre
+    differs from the mean of its ring, and the small ring, inside the stripe, has a weak second
+    harmonic. So the centre may differ by 11/8 of the length, and by more where the small ring's
+    harmonic is strong.
     """
     small, large = harmonics(once, y, x, FINE), harmonics(thrice, y, x, COARSE)
     along, whole = _dot(small, large), _dot(large, large)
@@ -264,7 +265,7 @@ def looks_alike_when_squeezed(once: Whole, y: Whole, x: Whole) -> NDArray[np.boo
 def reference(responses: Whole) -> int:
     """Return W: sorted downwards, the response at which the sum of squares reaches half.
 
-    0 of none. Many weak maxima of a texture hardly lower it.
+    Without responses it is 0. Many weak maxima in texture hardly lower it.
     """
     falling = np.sort(responses)[::-1]
     squares = np.cumsum(falling**2)

@@ -109,7 +109,7 @@ def _components(votes: Bools) -> list[Bools]:
 def _component(
     given: Floats, votes: Bools, *, bends: bool
 ) -> tuple[Bools, Floats, Floats, Floats, float]:
-    """The votes that are kept, s2, the filtered values (R, C, K), their variance, the margin."""
+    """Return the kept votes, s2, the filtered values (R, C, K), their variance, the margin."""
     plane = _plane(given, votes)
     data = np.where(votes[..., None], given - plane, 0)
     if not votes.all():
@@ -131,7 +131,7 @@ def _component(
 
 
 def _plane(values: Floats, votes: Bools) -> Floats:
-    """The best bilinear surface; what it leaves sets the scale of the least variance."""
+    """Return the best bilinear surface; its residual sets the scale of the least variance."""
     rows, columns = votes.shape
     r, c = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
     terms = np.stack([np.ones(votes.shape), r, c, r * c], axis=-1).astype(np.float64)
@@ -141,7 +141,7 @@ def _plane(values: Floats, votes: Bools) -> Floats:
 
 
 def axis_filter(n: int, half: int, degree: int) -> Floats:
-    """(n, n), the weights of the nodes in each node's polynomial."""
+    """Return (n, n), the weights of the nodes in each node's polynomial."""
     weights = np.zeros((n, n))
     for i in range(n):
         low = min(max(i - half, 0), n - 2 * half - 1)
@@ -157,14 +157,14 @@ def _window(n: int, half: int, i: int) -> slice:
 
 
 def _near(shape: tuple[int, int], r: int, c: int, deviation: float) -> Floats:
-    """Gaussian weights of all nodes around one."""
+    """Return Gaussian weights of all nodes around one."""
     down = np.exp(-((np.arange(shape[0]) - r) ** 2) / (2 * deviation**2))
     along = np.exp(-((np.arange(shape[1]) - c) ** 2) / (2 * deviation**2))
     return np.outer(down / down.sum(), along / along.sum())
 
 
 def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
-    """The Gaussian mean around each node of the values that count; NaN where none is near."""
+    """Return the Gaussian mean of the values that count around each node; NaN without any."""
     result = np.full(counted.shape, np.nan)
     for r, c in np.ndindex(*counted.shape):
         weights = np.where(counted, _near(counted.shape, r, c, deviation), 0)
@@ -174,7 +174,7 @@ def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
 
 
 def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
-    """The pilot's residual (R, C, K), s2 and the pilot's own weights (R, C)."""
+    """Return the pilot's residual (R, C, K), s2 and the pilot's own weights (R, C)."""
     rows, columns, _ = data.shape
     shapes = [(3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0) for n in (rows, columns)]
     down, along = (axis_filter(n, *s) for n, s in zip((rows, columns), shapes, strict=True))
@@ -192,7 +192,7 @@ def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
 
 
 def _expected(residual: Floats, root: Floats) -> float:
-    """e; root: (R, C), the root of the root of u, 0 where it does not count."""
+    """Return e, and the root of the root of u, (R, C), 0 where it does not count."""
     count = residual.shape[2]
     common = np.zeros((count, count))
     for node in zip(*np.nonzero(root > 0), strict=True):
@@ -251,7 +251,7 @@ def _mixture(data: Floats, votes: Bools, s2: Floats, chosen: Floats) -> tuple[Fl
 
 
 def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
-    """The variance of the noise that the choice of the pairs takes for granted."""
+    """Return the variance of the noise that the choice of the pairs takes for granted."""
     least = s2
     for axis in (0, 1):
         lines = np.moveaxis(data, axis, 0)
@@ -267,7 +267,7 @@ def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
 
 
 def _filled(data: Floats, votes: Bools) -> Floats:
-    """The data with a value in each hole."""
+    """Return the data with a value in each hole."""
     rows, columns = votes.shape
     result = np.where(votes[..., None], data, 0.0)
     for r, c in zip(*np.nonzero(~votes), strict=True):

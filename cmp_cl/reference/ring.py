@@ -1,4 +1,4 @@
-"""The double-layer sampler (section 3.2) and what can be said of a 16-bit ring mask.
+"""The double-layer sampler (section 3.2), and functions of a 16-bit ring mask.
 
 Offsets are (dx, dy), x right, y down, clockwise from twelve o'clock. Bit i of a ring mask
 is sample i, 1 where black. Samples outside the image repeat the border pixel. Tables have

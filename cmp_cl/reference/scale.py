@@ -47,7 +47,7 @@ def weights(length: int, scale: float) -> tuple[NDArray[np.int64], NDArray[np.in
     s > 1: 1 - f for the pixel floor(x) and 1 for the next, with x = (x' + .5) / s - .5,
         f = x - floor(x), and both pixel numbers clipped to the image.
 
-    All of it in rational numbers of the exact value of s. Unused taps have weight 0.
+    It is computed in rational numbers from the exact value of s. Unused taps have weight 0.
     """
     p, q = Fraction(scale).as_integer_ratio()
     taps: list[list[tuple[int, int]]] = []

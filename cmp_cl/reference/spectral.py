@@ -17,7 +17,7 @@ TIE = 1e-9
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Spectral:
-    """The quantities of the spectral criteria at every pixel, and what they decide.
+    """The quantities of the spectral criteria at every pixel, and the decision.
 
     Fields are those of `cmp_cl.maps.Maps`; response is before the gate.
     """

@@ -1,4 +1,4 @@
-"""Binarization against the mean of a window, with one threshold mask or three."""
+"""Binarization against the mean of a window, with one threshold layer or three."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ from cmp_cl.config import BinaryRings
 from cmp_cl.opencl.program import sum_of_terms
 from cmp_cl.stages.layout import Launch, PlanBase
 
-SLAB = 2  # bytes of sums a pixel: what needs more is worked out slab by slab
+SLAB = 2  # bytes of sums a pixel; larger sums are computed slab by slab
 
 
 def macros(plan: PlanBase, rule: BinaryRings) -> dict[str, str]:
     """Return the sum over the window, and the one of column sums.
 
-    Of these, as many are added in their own type as it can hold.
+    As many of them are added in their own type as it can hold.
     """
     window = rule.threshold.window
     terms = [f"F({k})" for k in range(-(window // 2), window // 2 + 1)]

@@ -1,4 +1,4 @@
-"""The four criteria on the two rings of a binary image: the candidates of each mask."""
+"""The four criteria on the two rings of a binary image: the candidates of each threshold layer."""
 
 from typing import Any, cast
 

@@ -1,7 +1,7 @@
-"""The form of the kernels: portable, one work-item per pixel or corner, or the one for CPUs.
+"""The two forms of the kernels: the portable one, and the one for CPUs.
 
-Both have the same results. A stage that has a form for CPUs keeps it in kernels/cpu, because it
-makes a whole frame at least 1.3 times as fast there.
+The portable form has one work-item per pixel or corner. kernels/cpu holds the form for CPUs of
+those stages where it makes a whole frame at least 1.3 times as fast. The results are the same.
 """
 
 import enum
@@ -10,7 +10,7 @@ from cmp_cl.opencl.device import Device, DeviceKind
 
 
 class Form(enum.Enum):
-    """Which kernels of a stage run."""
+    """The form of a stage's kernels."""
 
     PORTABLE = "portable"
     CPU = "cpu"

@@ -1,4 +1,4 @@
-"""The contrast gate: which maxima have four sectors of clearly different grey."""
+"""The contrast gate, which keeps maxima whose four sectors differ clearly in grey level."""
 
 import math
 

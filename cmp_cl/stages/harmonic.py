@@ -1,4 +1,4 @@
-"""The grey-level rule, from the image at its working scale to the list of its corners."""
+"""The grey-level rule, from the image at working scale to the list of its corners."""
 
 from typing import Any, cast
 
@@ -9,7 +9,7 @@ from cmp_cl.stages import noise
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, GROUP, Launch, PlanBase
 
-BINS = 256  # of responses, in which the reference is looked for
+BINS = 256  # of the histogram of responses that finds the reference
 SPAN = 64  # responses of a bin
 
 

@@ -14,7 +14,7 @@ from cmp_cl.stages.resampling import working_shape
 from cmp_cl.stages.types import types_of
 
 GROUP = 64  # work-items of a group over a list
-LEAST_PAD = 16  # columns on either side of the pixels: what rings, discs and tents need
+LEAST_PAD = 16  # columns on either side of the pixels, for rings, discs and tents
 LANES = 8  # corners of a vector in the form for CPUs
 CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
 
@@ -32,12 +32,12 @@ class Launch(NamedTuple):
 class PlanBase:
     """How frames lie on a device, and how the stages for them are bound.
 
-    shape: (H, W) of a frame; working: the same at the working scale. pad: columns on either
-    side of the pixels; step, full_step: elements of a row at the working and at full scale.
+    shape: (H, W) of a frame; working: the same at the working scale. pad: columns of padding on
+    either side; step, full_step: elements of a row at the working and at full scale.
     frames: how many there are; lists: lists of maxima or candidates of a frame, with `list_room`
-    entries each; corner_room: entries of the list of a frame's corners. bands: bands of rows that
-    share a frame out in the form for CPUs. buffers: the memory; arrays: these and the parts of
-    them, by name. image: what the stages start from.
+    entries each; corner_room: entries of the list of a frame's corners. bands: bands of rows that a
+    frame is divided into in the form for CPUs. buffers: the memory; arrays: the buffers and parts
+    of them, by name. image: the input of the first stage.
     """
 
     kernels: Kernels
@@ -116,7 +116,8 @@ class PlanBase:
     def few(self, name: str, items: int, planes: int, **arguments: Any) -> Launch:
         """Bind a kernel with one work-item per row, or per something else that is few.
 
-        A group of a CPU is one work-item: PoCL compiles a kernel for every size of a group.
+        On a CPU a work-group has one work-item, because PoCL compiles a kernel anew for every size
+        of work-group.
         """
         group = (1, 1) if self.device.kind is DeviceKind.CPU else None
         return self.stage(name, (items, planes), group, **arguments)

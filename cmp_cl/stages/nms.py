@@ -22,7 +22,7 @@ def launches(plan: PlanBase) -> list[Launch]:
 def keeps_keys(plan: PlanBase) -> bool:
     """Return whether there is memory for the keys: else each is worked out where it is needed.
 
-    A key of the rapid criteria takes two bytes a pixel. One of the spectral criteria would take
-    four, and their other work is so long that it does not matter.
+    A key of the rapid criteria takes two bytes a pixel. A key of the spectral criteria would take
+    four, and would save little of the time that those criteria take.
     """
     return plan.types["SCORE"].itemsize == 2

@@ -1,7 +1,7 @@
 """The plan of a detector: buffers and bound kernels for frames of one shape.
 
-A plan is fixed to a shape, a pixel type and a number of frames; it allocates once, and a
-frame costs its upload, its launches and the download of its corners.
+A plan serves one shape, one pixel type and one number of frames. It allocates once. A frame then
+costs its upload, its launches and the download of its corners.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
 from cmp_cl.opencl.device import Device, is_forked
-from cmp_cl.opencl.program import Kernels, build
+from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages import harmonic, noise, refine, rings, scale
 from cmp_cl.stages.form import Form
@@ -31,12 +31,12 @@ from cmp_cl.stages.layout import (
 from cmp_cl.stages.refine import RESULT_FIELDS, RESULT_HEAD
 from cmp_cl.stages.types import defines_of
 
-SHARED = ("image", "result")  # what the host writes and reads
-ALIGNMENT = 128  # bytes that every device accepts as the start of a part of a buffer
+SHARED = ("image", "result")  # buffers that the host writes or reads
+ALIGNMENT = 128  # bytes: an alignment that every device accepts for a sub-buffer
 
 
 class Overflow(Exception):
-    """A list was too short; holds the largest counts that were seen."""
+    """A list was too short. The fields are the largest counts seen."""
 
     def __init__(self, listed: int, corners: int) -> None:
         super().__init__(f"{listed} entries of a list, {corners} corners")
@@ -49,8 +49,7 @@ class Plan(PlanBase):
 
     factor: the working scale, or None for the image as it is.
     mask: (H, W) bool, where candidates may be centred, or None.
-    frames: how many it takes at a time.
-    form: that of the kernels, None for the device's own.
+    frames: number of frames at a time. form: the form of the kernels; None chooses it by device.
     """
 
     _last: cl.Event | None = None  # of the kernels
@@ -58,6 +57,7 @@ class Plan(PlanBase):
     def __init__(
         self,
         queue: cl.CommandQueue,
+        programs: Programs,
         device: Device,
         shape: tuple[int, int],
         dtype: np.dtype[Any],
@@ -70,9 +70,10 @@ class Plan(PlanBase):
         super().__init__(queue, device, shape, dtype, config, factor, frames, form)
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
-        self.uploads: list[cl.Event] = []  # on their way in another queue
+        self.uploads: list[cl.Event] = []  # in flight in another queue
         self._here: dict[str, NDArray[np.uint8]] = {}  # buffers as the host sees them
         self._mask = mask
+        self._programs = programs
         self.detection: ModuleType = rings if isinstance(self.rule, BinaryRings) else harmonic
         self.kernels = self._build()
         self._allocate()
@@ -96,7 +97,7 @@ class Plan(PlanBase):
             **refine.defines(self),
         }
         macros = rings.macros(self) if isinstance(self.rule, BinaryRings) else {}
-        return build(self.queue.context, self.stages, defines, macros)
+        return self._programs.kernels(self.stages, defines, macros)
 
     @property
     def stages(self) -> list[str]:
@@ -142,7 +143,7 @@ class Plan(PlanBase):
                     self._clear(self.buffers[name])
             self.queue.finish()
             self.arrays = {**self.buffers, **self._parts_of_work()}
-        except cl.Error as error:  # of memory, or of a size above the device's largest
+        except cl.Error as error:  # too little memory, or above the device's largest buffer
             raise self.refused(error) from error
         self._upload_area()
 
@@ -308,7 +309,7 @@ class Plan(PlanBase):
         return rows
 
     def grow(self, overflow: Overflow) -> None:
-        """Make room for what did not fit; the frames stay on the device."""
+        """Lengthen the lists that overflowed; the frames stay on the device."""
         if overflow.listed > self.list_room:
             self.list_room = multiple(overflow.listed * 5 // 4, GROUP)
         if overflow.corners > self.corner_room:

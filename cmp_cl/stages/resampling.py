@@ -1,7 +1,7 @@
 """The working scale (section 3.2: the sampler has one size): sizes and weights.
 
-Pixel x of an image maps to (x + 0.5) s - 0.5 of the image scaled by s. Everything is counted
-in whole numbers of the exact ratio s, so that it is the same everywhere.
+Pixel x of an image maps to (x + 0.5) s - 0.5 of the image scaled by s. Sizes and weights are
+computed in integers from the exact ratio s, so that every machine has the same.
 """
 
 from fractions import Fraction
@@ -34,8 +34,8 @@ def resampling_weights(
     """Return the inputs of each output pixel of one axis: the first inputs (working,), and integer
     weights (working, taps) that sum to WEIGHT_SUM.
 
-    Below scale 1 an output pixel is the mean over its area, above it is interpolated linearly
-    with the border repeated. A weight is the difference of the rounded cumulative shares.
+    Below scale 1 an output pixel is the mean over its area. Above scale 1 it is interpolated
+    linearly, with the border repeated. A weight is the difference of the rounded cumulative shares.
     """
     up, down = Fraction(scale).as_integer_ratio()
     first, shares = zip(

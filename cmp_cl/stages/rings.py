@@ -1,6 +1,7 @@
 """The paper's rule, from the image at its working scale to the list of its corners.
 
-The order: binarize, criteria, nms, gate, and the corners' list with the moments of the response.
+The order is binarize, criteria, nms, gate, and the list of the corners with the moments of the
+response.
 """
 
 from typing import cast

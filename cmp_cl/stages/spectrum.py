@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MASKS = 1 << 16
-TIE = 1e-9  # magnitudes that differ by less are equal
+TIE = 1e-9  # magnitudes that differ by less count as equal
 HALF_SAMPLE = math.radians(11.25)
 
 

@@ -1,4 +1,4 @@
-"""The one table of types: of every quantity, by the type of a pixel, in NumPy and in OpenCL C."""
+"""The types of every quantity, by the type of a pixel, in NumPy and in OpenCL C."""
 
 from typing import Any
 

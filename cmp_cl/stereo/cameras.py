@@ -1,7 +1,7 @@
 """Calibration of one, two or more cameras from views of a flat board, with a choice of lens.
 
-`cmp_cl.calibrate` makes the rig of two pinhole cameras that triangulation takes; this one
-takes any number of cameras and wide lenses, for the formats of `cmp_cl.stereo.exports`.
+`cmp_cl.calibrate` makes the rig of two pinhole cameras for triangulation. `calibrate_cameras` takes
+any number of cameras and wide lenses, for the formats of `cmp_cl.stereo.exports`.
 """
 
 import dataclasses
@@ -22,13 +22,13 @@ from cmp_cl.stereo.rig import StereoRig
 Array = NDArray[np.float64]
 
 _MIN_VIEWS = 3
-_MIN_NODES = 8  # of a board in a view
+_MIN_NODES = 8  # of a board that a view must show
 _MOST_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not determine it
-_COVERAGE = 8  # cells a side that coverage is counted in
+_COVERAGE = 8  # cells along a side, in which coverage is counted
 
 
 class Lens(enum.Enum):
-    """How a camera maps directions to the image, in OpenCV's terms.
+    """The lens model of a camera, in OpenCV's terms.
 
     PINHOLE: k1 k2 p1 p2 k3 with k3 = 0. RATIONAL: k1 k2 p1 p2 k3 k4 k5 k6. FISHEYE: the
     equidistant model of cv2.fisheye, k1 k2 k3 k4.
@@ -41,10 +41,10 @@ class Lens(enum.Enum):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Camera:
-    """A calibrated camera, placed in the frame of the first one.
+    """A calibrated camera, and its pose relative to the first one.
 
     lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: 5, 8 or 4
-    coefficients. R: (3, 3), T: (3,): X_here = R X_first + T, T in `unit`.
+    coefficients. R: (3, 3), T: (3,): X = R X_first + T, T in `unit`.
     """
 
     lens: Lens
@@ -66,12 +66,12 @@ class Camera:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class CamerasCalibration:
-    """Cameras from views of a flat board.
+    """Cameras, calibrated on views of a flat board.
 
     cameras: by name, the first at the origin. error: root mean square reprojection error with
     one board pose a view, px. view_errors: by camera (V,), NaN where a camera does not see it.
-    places, residuals: by camera, of each view (R, C, 2) where the corners are, and measured
-        minus projected, px, NaN where missing; None where the camera does not see the board.
+    places, residuals: by camera, for each view (R, C, 2) the measured corners, and measured minus
+        projected ones, px, NaN where missing; None where the camera does not see the board.
     coverage: by camera, share of the image's 8 x 8 cells that hold a corner.
     """
 
@@ -103,15 +103,15 @@ def calibrate_cameras(
 ) -> CamerasCalibration:
     """Calibrate cameras on views of one flat board; all cameras number it alike at one moment.
 
-    views: of each camera the grid in every moment, None where it does not see the board.
+    views: by camera, the grid at every moment, None where it does not see the board.
     spacing: side of a square, in `unit`. sizes: (width, height) of each camera's images, px.
 
-    Each camera is calibrated by itself; its pose against an earlier one comes from the moments
-    that both see, along the chain with the most of them; then all poses of cameras and
-    boards are fitted together, the lenses staying as they are.
+    Each camera is calibrated alone. Its pose relative to an earlier camera comes from the moments
+    that both see; the pairs with the most common moments come first. Then all poses of cameras and
+    boards are fitted together, with the lenses fixed.
 
-    Raises CalibrationError where a camera has too few views or nodes or leaves its focal
-    length uncertain, or shares no moment with the others.
+    Raises CalibrationError where a camera has too few views or nodes, where its views do not
+    determine the focal length, or where it shares no moment with the others.
     """
     if not 0 < spacing < math.inf:
         raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")
@@ -130,7 +130,7 @@ def calibrate_cameras(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Alone:
-    """A camera by itself; poses: by moment the (4, 4) from the board to the camera."""
+    """A camera, calibrated alone; poses: by moment, the (4, 4) from the board to the camera."""
 
     lens: Lens
     matrix: Array

@@ -1,7 +1,7 @@
 """Corners and cameras in the files that other calibration tools read.
 
-Pixels are OpenCV's everywhere here, the centre of the first one at (0, 0); COLMAP's are half a
-pixel further, and its file says so.
+Pixel coordinates are OpenCV's, with (0, 0) at the centre of the first pixel. COLMAP's are larger by
+half a pixel, and its file says so.
 """
 
 import json
@@ -25,16 +25,8 @@ Views = Mapping[str, Grid | None]
 
 
 def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
-
-    spacing: side of a square, any unit. Returns (N, 1, 3) float32, x by column, y by row and
-    z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError.
-    """
-    if not 0 < spacing < math.inf:
-        raise ConfigError(f"spacing must be a positive length, not {spacing!r}")
-    row, column = np.nonzero(grid.valid)
-    nodes = np.column_stack([column, row, np.zeros(len(row))]) * float(spacing)
-    return nodes.astype(np.float32)[:, None], grid.xy[grid.valid].astype(np.float32)[:, None]
+    """Return the valid nodes as cv2.calibrateCamera takes a view, see `Grid.to_opencv`."""
+    return grid.to_opencv(spacing)
 
 
 # corners
@@ -43,7 +35,7 @@ def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDA
 def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = math.nan) -> None:
     """Write the corners of a board in many images, by suffix, whole or not at all.
 
-    views: by file name of the image the grid, None where the board is not seen; all of one
+    views: the grid, by file name of the image; None where the board is not seen. All grids have one
     shape. spacing: side of a square, for the formats that say it.
 
     .vnl: mrcal's corners.vnl, `# filename x y level`, rows first, `- -` where missing and for
@@ -182,9 +174,9 @@ def cameras_of(rig: StereoRig, size: tuple[int, int]) -> dict[str, Camera]:
 def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write cameras as OpenCV's FileStorage YAML, whole or not at all.
 
-    Numbered from 1: K1 D1 K2 D2 ..., `lens1`, `name1`, `size1`, and of each after the first
-    R2 T2 ... from the first one; of two pinhole or rational cameras also R and T, so that
-    `StereoRig.load` reads it. Raises OSError.
+    The keys are numbered from 1: K1 D1 K2 D2 ..., `lens1`, `name1`, `size1`; R2 T2 ... are the
+    poses relative to the first camera. Two pinhole or rational cameras also have R and T, so that
+    `StereoRig.load` reads the file. Raises OSError.
     """
     mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
     storage = cv2.FileStorage(".yml", mode)
@@ -299,8 +291,9 @@ def _metres(camera: Camera) -> float:
 def save_colmap(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write cameras as COLMAP's cameras.txt, numbered from 1, whole or not at all.
 
-    Pinholes are OPENCV, or FULL_OPENCV with k3 or rational, fisheyes OPENCV_FISHEYE. COLMAP's
-    pixel centres are at halves: the principal points are half a pixel further. Raises OSError.
+    Pinholes are OPENCV, or FULL_OPENCV with k3 or a rational lens; fisheyes are OPENCV_FISHEYE.
+    COLMAP's pixel centres are at halves, so the principal points are larger by half a pixel. Raises
+    OSError.
     """
     lines = [
         "# Camera list with one line of data per camera:",

@@ -1,4 +1,4 @@
-"""Pictures of the results."""
+"""Overlays, figures, films and recordings of the results."""
 
 from cmp_cl.viz.figures import (
     METHOD_COLOURS,

@@ -1,15 +1,15 @@
-"""Pictures of the results."""
+"""Overlays on images, figures, and a log for Rerun."""
 
 import enum
 import math
 from os import PathLike
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.closing import Closing
 from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField, mesh
@@ -19,7 +19,9 @@ from cmp_cl.image import GreyImage, check_image
 from cmp_cl.viz.piped import PipedFile
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
 
 METHOD_COLOURS = {  # BGR
     Method.CENTROID: (0, 215, 255),
@@ -37,19 +39,19 @@ STATUS_COLOURS = {  # BGR
     NodeStatus.INTERPOLATED: (255, 80, 255),
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
-JPEG_QUALITY = 80  # of the pictures in a recording
+JPEG_QUALITY = 80  # JPEG quality of the images in a recording
 _OFF_GRID = (150, 150, 190)  # BGR, of corners that no grid holds
-NARROWEST = 1e-5  # width of a surface over its length: narrower ones are lines
+NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
 _FRACTION_BITS = 4
 
 
 def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     """Draw a mark on every corner, coloured by how it was refined, and a legend.
 
-    image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR: the image enlarged by a
-    whole factor, pixels as blocks, until a cell is about 32 px and the longer side at least
-    1000 px, but at most 2400 px unless it came larger; the legend stands below it. A circle
-    surrounds each corner and a dot stands on its position. Raises ImageError.
+    image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
+    factor, each pixel to a block, until a cell is about 32 px wide and the longer side at least
+    1000 px; the result is at most 2400 px long unless the image is longer. The legend is below the
+    image. A circle surrounds each corner and a dot marks its position. Raises ImageError.
     """
     check_image(image)
     cell = _spacing(corners.xy)
@@ -140,10 +142,10 @@ def grid_overlay(
 ) -> NDArray[np.uint8]:
     """Draw the lines of the grid, a dot on every node by status, and a legend.
 
-    image: (H, W) uint8 or uint16. corners: those that the grid was built from; the ones off the
-    grid are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like
-    `corner_overlay`. The first row is drawn in red and the first column in blue. Raises
-    ImageError, and FieldError where there are not as many corners as the grid was built from.
+    image: (H, W) uint8 or uint16. corners: those that the grid was built from. Corners off the grid
+    are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like `corner_overlay`. The
+    first row is drawn in red and the first column in blue. Raises ImageError, and FieldError where
+    there are not as many corners as the grid was built from.
     """
     check_image(image)
     if corners is not None and len(corners) != len(grid.index):
@@ -194,13 +196,23 @@ def arrow_figure(
 ) -> "Figure":
     """Draw arrows from where each node was to where it is, to scale, both px.
 
-    image: (H, W), the frame of now. The colour is the arrow's length in px, or, with field,
-    the length of the displacement in space. Needs matplotlib. `save_figure` writes it.
+    image: (H, W), the frame now. The colour is the arrow's length in px, or, with `field`, the
+    length of the displacement in space. Needs matplotlib. `save_figure` writes it.
 
     Raises FieldError where the grids or the field have different shapes, ImageError.
     """
     from matplotlib.figure import Figure
 
+    rows, columns = image.shape
+    figure = Figure(figsize=(9, max(7.2 * rows / columns, 2) + 0.7), layout="constrained")
+    draw_arrows(figure.add_subplot(), image, rest, now, field=field)
+    return figure
+
+
+def draw_arrows(
+    axes: "Axes", image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
+) -> None:
+    """Draw what `arrow_figure` shows into axes."""
     check_image(image)
     if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
         shapes = [rest.shape, now.shape, *([] if field is None else [field.status.shape])]
@@ -212,8 +224,6 @@ def arrow_figure(
     seen = ~np.isnan(shift).any(axis=2) & ~np.isnan(length)
 
     rows, columns = image.shape
-    figure = Figure(figsize=(9, max(7.2 * rows / columns, 2) + 0.7), layout="constrained")
-    axes = figure.add_subplot()
     axes.imshow(image, cmap="gray", interpolation="nearest", alpha=0.6)
     arrows = axes.quiver(
         *rest.xy[seen].T,
@@ -227,8 +237,7 @@ def arrow_figure(
         clim=(0, _top(length[seen])),
     )
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="x / px", ylabel="y / px")
-    figure.colorbar(arrows, ax=axes, label=f"displacement / {unit}", shrink=0.8)
-    return figure
+    axes.figure.colorbar(arrows, ax=axes, label=f"displacement / {unit}", shrink=0.8)
 
 
 def _top(lengths: NDArray[np.float64]) -> float:
@@ -237,7 +246,7 @@ def _top(lengths: NDArray[np.float64]) -> float:
 
 
 class Projection(enum.Enum):
-    """How a surface in space is drawn."""
+    """The projection in which a surface is drawn."""
 
     PERSPECTIVE = "persp"
     ORTHOGRAPHIC = "ortho"
@@ -248,15 +257,26 @@ def surface_figure(
 ) -> "Figure":
     """Draw the surface now, coloured by displacement, with arrows from the rest positions.
 
-    Axes: along the rows, along the columns, and towards the cameras out of the plane that
-    fits the rest positions best; the height is stretched to a fifth of the width, the
-    label says how much. Needs matplotlib.
+    The axes run along the rows, along the columns, and towards the cameras out of the plane that
+    fits the rest positions best. The height is stretched to a fifth of the width; the label gives
+    the factor. Needs matplotlib.
 
     Raises FieldError where fewer than three nodes are valid.
     """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    axes: Axes3D = figure.add_subplot(  # a surface and its arrows are drawn in that order
+        projection="3d", proj_type=projection.value, computed_zorder=False
+    )
+    draw_surface(axes, field)
+    return figure
+
+
+def draw_surface(axes: "Axes3D", field: DisplacementField) -> None:
+    """Draw what `surface_figure` shows into axes in space."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -270,8 +290,6 @@ def surface_figure(
     cells = np.stack([now[:-1, :-1], now[:-1, 1:], now[1:, 1:], now[1:, :-1]], axis=2)
     corner = [length[:-1, :-1], length[:-1, 1:], length[1:, 1:], length[1:, :-1]]
     whole = ~np.isnan(cells).any(axis=(2, 3))
-    figure = Figure(figsize=(9, 6), layout="constrained")
-    axes = figure.add_subplot(projection="3d", proj_type=projection.value, computed_zorder=False)
     faces = colours.to_rgba(np.mean(corner, axis=0)[whole])
     axes.add_collection3d(
         Poly3DCollection(
@@ -305,8 +323,8 @@ def surface_figure(
     axes.zaxis.set_major_locator(MaxNLocator(4))
     axes.set_box_aspect(span * [1, 1, stretch], zoom=0.95)
     axes.view_init(elev=32, azim=-60)
-    figure.colorbar(colours, ax=axes, label=f"displacement / {field.unit}", shrink=0.6, pad=0.12)
-    return figure
+    label = f"displacement / {field.unit}"
+    axes.figure.colorbar(colours, ax=axes, label=label, shrink=0.6, pad=0.12)
 
 
 def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -347,11 +365,11 @@ def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) 
         figure.savefig(file, format="png", dpi=dpi)
 
 
-class RerunLog:
-    """Shows frames in Rerun: in its viewer, or recorded to a .rrd file for it.
+class RerunLog(Closing):
+    """Shows frames in Rerun's viewer, or records them to a .rrd file for it.
 
-    path: the file, None to open the viewer. Needs rerun-sdk 0.23 or newer. The file appears
-    when the `with` block ends, also by an exception or Ctrl-C.
+    path: the file; None opens the viewer. Needs rerun-sdk 0.23 or newer. The file appears when the
+    `with` block ends, even by an exception or Ctrl-C.
 
     Raises ImportError without rerun-sdk, RuntimeError where its viewer is not found on the
     PATH, OSError where the file cannot be written.
@@ -369,17 +387,6 @@ class RerunLog:
         else:
             self._file = PipedFile(path, self._stream.save)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def frame(
         self,
         *,
@@ -391,7 +398,7 @@ class RerunLog:
     ) -> None:
         """Show a frame: its picture, its grid on it, its surface with the displacements.
 
-        image: of 8 bits it is kept as JPEG, of 16 bits as PNG.
+        image: kept as JPEG with 8 bits, as PNG with 16.
         time_ms: NaN leaves it out of the clock's timeline.
 
         Raises OSError where an earlier frame could not be written.

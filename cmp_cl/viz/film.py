@@ -4,33 +4,33 @@ import os
 import secrets
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.files import check_target
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
 
 FILM_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
-_STRIP = 40  # px below the image, for the text and the colour bar
-_WIDEST = 1920  # px, of a film; wider images are made smaller by a whole factor
+_STRIP = 40  # px below the image for the text and the colour bar
+_WIDEST = 1920  # px, the widest film; wider images are reduced by a whole factor
 _NARROWEST = 480  # px, so that the strip holds its text
 _DISC = [(y, x) for y in range(-2, 3) for x in range(-2, 3) if y * y + x * x <= 5]
 _LINE = (150, 110, 50)  # BGR
 _NO_VALUE = (150, 150, 150)
 
 
-class OverlayFilm:
+class OverlayFilm(Closing):
     """Writes an annotated video, frame by frame; use it in a with statement.
 
-    path: .mp4, .mkv or .avi. fps: frames per second. unit: of the displacement. The colour
-    scale goes up to the largest displacement so far, which the bar says. The file appears
-    under its name when the block ends; what stood there stays until then.
+    path: .mp4, .mkv or .avi. fps: frames per second. unit: of the displacement. The colour scale
+    ends at the largest displacement so far, which the bar shows. The file replaces an older one
+    when the block ends.
 
     Raises ConfigError on another suffix, OSError where the folder is missing, not writable or
     full, or OpenCV cannot write such a video.
@@ -55,24 +55,13 @@ class OverlayFilm:
             np.arange(256, dtype=np.uint8).reshape(-1, 1), cv2.COLORMAP_PLASMA
         )[:, 0]
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def frame(
         self, image: GreyImage, grid: Grid, moved: NDArray[np.floating[Any]], *, text: str = ""
     ) -> None:
         """Add a frame: the image (H, W), its nodes, and how far each has moved, (R, C).
 
-        A node without a displacement is grey. Raises FieldError where the image has another
-        size than the first one, or moved another shape than the grid; OSError.
+        A node without a displacement is grey. Raises FieldError where the image differs in size
+        from the first one, or `moved` in shape from the grid. Raises OSError.
         """
         if moved.shape != grid.shape:
             raise FieldError(f"moved is {moved.shape}, the grid has {grid.shape} nodes")

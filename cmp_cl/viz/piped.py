@@ -1,4 +1,4 @@
-"""A file for a library that writes by name and does not say when the disk is full."""
+"""A file for a library that takes a name and does not report a full disk."""
 
 import contextlib
 import io
@@ -18,8 +18,8 @@ _CHUNK = 1 << 16
 class PipedFile:
     """A named pipe whose bytes go to a file, which appears whole or not at all.
 
-    begin: is called with the name of the pipe and opens it to write before it returns. Where
-    there are no named pipes the name is that of a temporary file, and `check` sees nothing.
+    begin: a function that is called with the name of the pipe and opens it for writing. Where the
+    system has no named pipes, the name is that of a temporary file, and `check` does nothing.
 
     Raises OSError as `whole_file` does, and what `begin` raises.
     """
@@ -59,7 +59,7 @@ class PipedFile:
     def close(self) -> None:
         """Wait until the writer has closed the pipe; the file appears if all was written.
 
-        Raises the OSError of a write that failed; what stood under the name is then kept.
+        Raises the OSError of a write that failed; an older file is then kept.
         """
         with self._stack:
             if self._thread is not None:

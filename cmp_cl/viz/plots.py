@@ -25,12 +25,12 @@ _SEQUENTIAL, _DIVERGING = "plasma", "RdBu_r"
 
 
 class Quantity(enum.Enum):
-    """What a map shows of each node.
+    """The quantity of a node that a map shows.
 
-    DISPLACEMENT: its length. STRAIN: the larger principal Green-Lagrange strain in the plane
-    or in the surface. HEIGHT: the displacement out of the plane that fits the rest best,
-    towards the cameras; of two views only. SIGMA: the standard deviation of the displacement
-    (of two views) or of the position now (of one).
+    DISPLACEMENT: its length. STRAIN: the larger principal Green-Lagrange strain in the plane or in
+    the surface. HEIGHT: the displacement towards the cameras, out of the plane that fits the rest
+    positions best; two views only. SIGMA: the standard deviation of the displacement (two views) or
+    of the position now (one view).
     """
 
     DISPLACEMENT = "displacement"
@@ -41,7 +41,7 @@ class Quantity(enum.Enum):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recorded:
-    """A recording as `cmp_cl.series.read_series` gives it, checked.
+    """A recording, as `cmp_cl.series.read_series` reads it, after checks.
 
     rest: (R, C, 2) or (R, C, 3) in `unit`. shift: (F, R, C, 2 or 3). sigma: (F, R, C), NaN
     where the recording has none. index, time_ms: (F,).
@@ -166,18 +166,19 @@ class Recorded:
 def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = None) -> "Figure":
     """Draw one quantity of every cell on the pattern at rest, with a colour bar in its unit.
 
-    index: number of the frame, None for that of the largest displacement. A cell has the mean
-    of its four nodes. Needs matplotlib. Raises FieldError, ConfigError without matplotlib.
+    index: number of the frame; None means the one of the largest displacement. The value of a cell
+    is the mean of its four nodes. Needs matplotlib. Raises FieldError, ConfigError without
+    matplotlib.
     """
     figure = _figure((7.5, 6.0))
-    _draw_map(figure, figure.add_subplot(), recorded, quantity, recorded.frame_of(index))
+    draw_map(figure, figure.add_subplot(), recorded, quantity, recorded.frame_of(index))
     return figure
 
 
 def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> "Figure":
     """Draw the displacement of a node over time, with a band of one standard deviation.
 
-    node: (row, column), None for that of the largest displacement. Raises FieldError,
+    node: (row, column); None means the one of the largest displacement. Raises FieldError,
     ConfigError without matplotlib.
     """
     figure = _figure((8.0, 4.5))
@@ -199,7 +200,7 @@ def sheet_figure(
     for number, quantity in enumerate(wanted):
         last = number == len(wanted) - 1 and number % 2 == 0
         at = grid[number // 2, :] if last else grid[number // 2, number % 2]
-        _draw_map(figure, figure.add_subplot(at), recorded, quantity, place)
+        draw_map(figure, figure.add_subplot(at), recorded, quantity, place)
     _draw_curve(figure.add_subplot(grid[rows - 1, :]), recorded, recorded.node_of(node))
     return figure
 
@@ -210,9 +211,10 @@ def _figure(size: tuple[float, float]) -> "Figure":
     return Figure(figsize=size, layout="constrained")
 
 
-def _draw_map(
+def draw_map(
     figure: "Figure", axes: "Axes", recorded: Recorded, quantity: Quantity, place: int
 ) -> None:
+    """Draw what `map_figure` shows into axes; place: of the frame in the recording."""
     from matplotlib.collections import PolyCollection
 
     values, unit = recorded.values(quantity, place)

@@ -218,6 +218,16 @@ def test_junctions_with_the_surround_are_no_nodes():
         assert (true(grid, corners - np.array([85, 0]))[1] >= 0).all()
 
 
+def test_what_lies_in_front_of_a_pattern_makes_no_nodes_at_its_rim():
+    picture, corners = drawn(14, 14)
+    y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    picture[np.hypot(x - 191, y - 183) < 70] = 220
+    grid = build_grid(seen_in(picture), picture)
+    number, place = true(grid, corners)
+    np.testing.assert_array_equal(number, place)
+    assert len(place) > 145
+
+
 @pytest.mark.parametrize(
     ("asked", "goes_on"),
     [((5, 9), "rows"), ((6, 8), "columns"), ((4, 7), "both"), ((7, 9), ""), ((6, 10), "")],
@@ -235,6 +245,14 @@ def test_a_wrong_size_is_told(asked, goes_on):
         build_grid(corners, picture, shape=asked, strict=True)
     assert build_grid(corners, picture, shape=(6, 9)).seen_shape is None
     assert build_grid(corners, picture, shape=(9, 6)).seen_shape is None
+
+
+def test_a_board_that_ends_just_before_the_picture_is_not_cut_off():
+    picture, _ = drawn(6, 9)
+    for room in (4, 5, 6, 7):  # px of the surround
+        view = np.ascontiguousarray(picture[:, : 40 + 10 * 20 + room])
+        grid = build_grid(seen_in(view), view, shape=(6, 10))
+        assert grid.doubts or not grid.valid.any()
 
 
 # several views and several boards
