@@ -86,9 +86,7 @@ def run(name: str, library: str, folder: Path) -> dict[str, Any] | str:
 
 
 def largest_distance(one: dict[str, Any], other: dict[str, Any]) -> float | None:
-    """Return the largest distance between positions of the same corner, px; None where corners
-    differ.
-    """
+    """Return the largest distance between equal corners, px; None where the corners differ."""
     largest = 0.0
     for scene, config in DIGESTS:
         a, b = one[f"{scene}/{config}"], other[f"{scene}/{config}"]

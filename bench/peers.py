@@ -55,7 +55,7 @@ class Peer(NamedTuple):
     same_as: str | None = None  # another form of this peer, whose settings it shares
 
     def settings(self, markers: int) -> Settings:
-        """Return what the search found for that density, or the usual values where it found none."""
+        """Return what the search found for that density, or the usual values where it has none."""
         usual = {name: values[0] for name, values in self.search.items()}
         if FOUND_SETTINGS.is_file():
             found = json.loads(FOUND_SETTINGS.read_text())["settings"]
