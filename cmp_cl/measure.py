@@ -532,14 +532,19 @@ def find_board(
 
 
 def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
-    """Return the grid without nodes that were not detected or are less certain than that, px."""
+    """Return the grid of a board behind the lattice filter, of the nodes that calibration may use.
+
+    Left out are nodes that were not detected, or whose own image is less certain than max_sigma,
+    px. The sigma of the others is that of their filtered positions.
+    """
     good = (grid.status == NodeStatus.DETECTED) & (grid.sigma <= max_sigma)
-    return dataclasses.replace(
+    kept = dataclasses.replace(
         grid,
         xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
         status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
         sigma=np.where(good, grid.sigma, np.float32(np.nan)),
     )
+    return filter_positions(kept)[0]
 
 
 def square_sides(points: Points3D) -> NDArray[np.float64]:
