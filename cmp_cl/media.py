@@ -69,7 +69,7 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
 
 
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
-    """The files to read: folders replaced by the images and videos in them, by name.
+    """Return the files to read: folders are replaced by the images and videos in them, by name.
 
     Raises FileNotFoundError for a path that is not there and for a folder without any.
     """
@@ -95,7 +95,7 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
 
 
 def is_video(path: str | PathLike[str]) -> bool:
-    """Whether the name is one of a video."""
+    """Return whether the name is one of a video."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
@@ -142,7 +142,7 @@ def decoded_pages(
 
 
 def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
-    """The bytes of a file as they are asked for, or what comes from a pipe."""
+    """Return the bytes of a file, read on demand, or those that come through a pipe."""
     try:
         kind = os.stat(path).st_mode
         if stat.S_ISREG(kind):
@@ -160,7 +160,7 @@ def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
 
 
 def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, str]:
-    """A page, None where it cannot be decoded, and what the codec has said of it."""
+    """Decode a page, None where that fails; return the codec's messages too."""
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     pages: Sequence[NDArray[Any]] = ()
     with _codec_messages() as said:
@@ -171,7 +171,7 @@ def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, s
 
 
 def _tells_damage(said: str) -> bool:
-    """Whether a codec that gave an image speaks of damage: libjpeg goes on after any."""
+    """Return whether a codec reports damage though it gave an image, as libjpeg does."""
     return "Corrupt JPEG data" in said or "Premature end of JPEG" in said
 
 
@@ -204,7 +204,7 @@ def codec_messages_caught() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _codec_messages() -> Iterator[list[str]]:
-    """The lines that codecs write to stderr in the block, where these are caught."""
+    """Catch the lines that codecs write to stderr within the block, where that is possible."""
     lines: list[str] = []
     if not _catching:
         yield lines
@@ -377,7 +377,7 @@ def full_scale(path: str | PathLike[str]) -> int | None:
 
 
 def count_frames(path: str | PathLike[str]) -> int | None:
-    """The number of frames that a video states, None for an image or where it states none."""
+    """Return how many frames a video states; None for an image, or where it states none."""
     if not is_video(path):
         return None
     if has_pyav():
@@ -389,7 +389,7 @@ def count_frames(path: str | PathLike[str]) -> int | None:
 
 
 def frame_rate(path: str | PathLike[str]) -> float | None:
-    """Frames per second that a video states, None for an image or where it states none."""
+    """Return the frames per second of a video; None for an image, or where it states none."""
     if not is_video(path):
         return None
     if has_pyav():
@@ -402,7 +402,7 @@ def frame_rate(path: str | PathLike[str]) -> float | None:
 
 
 def read_camera(number: int) -> Iterator[Frame]:
-    """The frames of the camera of that number, as they come; colour becomes grey.
+    """Yield the frames of the camera of that number as they come; colour becomes grey.
 
     Ends where `LONGEST_GAP` frames in a row do not come. Raises ImageError where there is no
     such camera.
@@ -454,7 +454,7 @@ def write_csv(
 
 
 def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
-    """Rows as CSV in UTF-8."""
+    """Return rows as CSV in UTF-8."""
     text = StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode("utf-8", "backslashreplace")

@@ -153,7 +153,8 @@ def filter_grid(
 
 
 def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid]:
-    """The grid with filtered positions, and as it is, each with the sigma that the lattice shows.
+    """Return the grid with filtered positions, and the raw one, each with the sigma from the
+    lattice.
 
     rest: the same pattern at rest, numbered alike. Then the displacements are filtered and
     stand on the filtered positions at rest; a node that is missing there keeps its position.
@@ -180,7 +181,7 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
 
 
 def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
-    """The grid with other positions, and that sigma where it is known."""
+    """Return the grid with other positions, and that sigma where it is known."""
     return dataclasses.replace(
         grid,
         xy=values.astype(np.float32),
@@ -210,14 +211,14 @@ def _components(votes: Bools) -> list[Bools]:
 
 
 def _box(votes: Bools) -> Box:
-    """The smallest rectangle with all nodes that have a vote."""
+    """Return the smallest rectangle with all nodes that have a vote."""
     rows, columns = np.nonzero(votes.any(axis=1))[0], np.nonzero(votes.any(axis=0))[0]
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 @functools.lru_cache(maxsize=64)
 def _bilinear(rows: int, columns: int) -> Array:
-    """(R, C, 4): 1, r, c and r c, from -1 to 1; orthogonal over all nodes."""
+    """Return 1, r, c and r c, from -1 to 1, orthogonal over all nodes: (R, C, 4)."""
     r = np.linspace(-1, 1, rows)[:, None] if rows > 1 else np.full((1, 1), 1e-9)
     c = np.linspace(-1, 1, columns)[None, :] if columns > 1 else np.full((1, 1), 1e-9)
     return np.stack(np.broadcast_arrays(1.0, r, c, r * c), axis=-1)
@@ -413,7 +414,7 @@ class _Mixture:
 
 
 def _bands(n: int, side: int) -> Single:
-    """(A, n, 2 side + 1): the rows of the filters around the node."""
+    """Return the rows of the filters around the node, (A, n, 2 side + 1)."""
     filters = _axis(n).filters
     bands = np.zeros((len(filters), n, 2 * side + 1), np.float32)
     for node in range(n):
@@ -512,7 +513,7 @@ def _expected_root(residual: Single, root: Single) -> float:
 
 
 def _suspects(residual: Single, noise: Single, votes: Bools) -> Bools:
-    """Nodes whose residual is too large, and the largest among its eight neighbours'."""
+    """Return the nodes whose residual is too large, and the largest among its eight neighbours'."""
     size = np.where(votes, np.square(residual).mean(axis=0), 0)
     pairs = _pairs(*votes.shape)
     with np.errstate(invalid="ignore"):
@@ -616,7 +617,7 @@ def _scratch(name: str, shape: tuple[int, ...]) -> Single:
 
 
 def _over_pairs(weights: Single, values: Single) -> Single:
-    """(A, B, R, C) each -> (R, C), the weighted sum."""
+    """Sum over pairs: (A, R, B, C) -> (R, C)."""
     total: Single = np.einsum("abrc,abrc->rc", weights, values)
     return total
 

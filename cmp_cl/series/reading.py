@@ -22,7 +22,7 @@ _MOST_UNPACKED = 1100  # bytes of a byte in the file: deflate's best is 1032
 
 
 def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    """The arrays of a recording by name: `index`, `time_ms`, constants, and (F, ...) frames.
+    """Read the arrays of a recording by name: `index`, `time_ms`, constants, and (F, ...) frames.
 
     Of an HDF5 file that still grows, or whose writer was killed, it is what is there so far.
 
