@@ -267,7 +267,7 @@ def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
 
 
 def has_pyav() -> bool:
-    """Whether PyAV is installed."""
+    """Return whether PyAV is installed."""
     return importlib.util.find_spec("av") is not None
 
 
@@ -275,7 +275,7 @@ _Timed = tuple[GreyImage | None, float]  # a frame, None where it is broken, and
 
 
 def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
-    """The frames up to the last that can be read; those between that cannot are None."""
+    """Yield the frames up to the last that can be read; those between that cannot are None."""
     rate = frame_rate(path)
     with _opened(path) as capture:
         width, height = (
@@ -298,7 +298,7 @@ def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
 
 
 def _by_pyav(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
-    """The frames of all packets that can be read; of one that cannot, None."""
+    """Yield the frames of all packets that can be read; of one that cannot, None."""
     import av
 
     with _container(path) as (container, stream):
@@ -330,7 +330,7 @@ def _time_of(frame: Any) -> float:
 
 
 def _luma(frame: Any) -> GreyImage:
-    """The grey levels of a frame of PyAV."""
+    """Return the grey levels of a frame of PyAV."""
     name = frame.format.name
     if _bits(frame.format) <= 8:
         return np.asarray(frame.reformat(format="gray").to_ndarray(), np.uint8, order="C")
@@ -342,13 +342,13 @@ def _luma(frame: Any) -> GreyImage:
 
 
 def _bits(pixels: Any) -> int:
-    """Bits of the deepest component of a pixel format of PyAV."""
+    """Return the bits of the deepest component of a pixel format of PyAV."""
     return max((int(part.bits) for part in pixels.components), default=8)
 
 
 @contextlib.contextmanager
 def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
-    """A video that PyAV has opened, and its stream of pictures."""
+    """Open a video by PyAV, with its video stream."""
     import av
 
     _check_readable(path)
@@ -363,7 +363,7 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
 
 
 def full_scale(path: str | PathLike[str]) -> int | None:
-    """The largest grey level of a video of 9 to 15 bits, 4095 of 12; None of all else.
+    """Return the largest grey level of a video of 9 to 15 bits, 4095 of 12; None of others.
 
     It is known with PyAV alone.
     """

@@ -192,7 +192,7 @@ def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
 def _of_component(
     given: Array, votes: Bools, part: Bools, box: Box, *, bends: bool
 ) -> "tuple[_Mixture, Array]":
-    """The mixture for what is left of the best bilinear surface, and that surface (R, C, K)."""
+    """Return the mixture for the residual of the best bilinear surface, and the surface (R, C, K)."""
     votes = votes & part
     plane = _plane(given, votes)
     data = np.where(votes[..., None], given - plane, 0).transpose(2, 0, 1)
@@ -424,7 +424,7 @@ def _bands(n: int, side: int) -> Single:
 
 
 def _mixed(data: Single, votes: Bools, part: Bools, box: Box, *, bends: bool) -> _Mixture:
-    """The mixture for data (K, R, C), without the nodes that their neighbours refuse."""
+    """Return the mixture for data (K, R, C), without the nodes that their neighbours refuse."""
     whole = bool(votes.all())
     if not whole:
         data = _filled(data, votes)
@@ -442,7 +442,7 @@ def _mixed(data: Single, votes: Bools, part: Bools, box: Box, *, bends: bool) ->
 
 
 def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
-    """The pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
+    """Return the pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
 
     The mean of the square roots of the residual's size hardly sees a few large ones: a sharp
     bend of the surface is no noise.
@@ -471,7 +471,7 @@ def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
 
 
 def _noise_along(data: Single, votes: Bools, noise: Single) -> Single:
-    """The least of the noise's variances that both axes and each alone show, (R, C).
+    """Return the least of the noise's variances that both axes and each alone show, (R, C).
 
     Along an edge the surface is smooth, however sharply it bends across. The least of three is
     too small by a known share where all show the same noise.
@@ -495,7 +495,7 @@ def _noise_along(data: Single, votes: Bools, noise: Single) -> Single:
 
 
 def _expected_root(residual: Single, root: Single) -> float:
-    """The mean of the square root of a residual's size where its variance per coordinate is 1.
+    """Return the mean root of a residual's size where its variance per coordinate is 1.
 
     That size is taken as chi-distributed, with as many degrees of freedom as there are
     directions of like variance: those of the residuals, weighted so that few large ones do not
@@ -586,7 +586,7 @@ def _mixture(
 
 
 def _smooth(data: Single) -> Single:
-    """(K, R, C) -> (K, A, B, R, C), behind each pair of filters.
+    """Apply each pair of filters: (K, R, C) -> (K, A, B, R, C).
 
     Every product is of matrices no larger than the lattice: those are too small for BLAS to
     share out over threads, which costs milliseconds where other work keeps the cores busy.
@@ -602,7 +602,7 @@ def _smooth(data: Single) -> Single:
 
 
 def _scratch(name: str, shape: tuple[int, ...]) -> Single:
-    """Memory of that shape that this thread uses again under that name; its content is random.
+    """Return memory of that shape, reused by this thread under that name; its content is random.
 
     Fresh memory costs a page fault for every 4 kB, a third of the time of the filter.
     """

@@ -66,7 +66,7 @@ def _hdf5(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def _opened(path: str | PathLike[str]) -> Any:
-    """The file as HDF5, beside its writer where that is open or was killed.
+    """Open the file as HDF5, beside its writer where that is open or was killed.
 
     Only then in the mode for that, in which HDF5 waits ever longer for damaged parts to become
     whole.
