@@ -192,7 +192,7 @@ def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
 def _of_component(
     given: Array, votes: Bools, part: Bools, box: Box, *, bends: bool
 ) -> "tuple[_Mixture, Array]":
-    """Return the mixture for the residual of the best bilinear surface, and the surface (R, C, K)."""
+    """Return the mixture for the residual of the best bilinear surface; the surface, (R, C, K)."""
     votes = votes & part
     plane = _plane(given, votes)
     data = np.where(votes[..., None], given - plane, 0).transpose(2, 0, 1)
