@@ -3,14 +3,14 @@
 import operator
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.arrays import Frame, as_frame
+from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig, Pyramid
 from cmp_cl.corners import Corners
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
@@ -24,7 +24,7 @@ from cmp_cl.stages.plan import Overflow, Plan
 from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
 
 
-class Detector:
+class Detector(Closing):
     """Finds the corners in frames of one shape and pixel type.
 
     Use it in a with statement, or call `close`. Buffers and kernels are made once, so that a frame
@@ -91,17 +91,6 @@ class Detector:
         if self.shape[0] and self.shape[1]:
             for factor in self._factors:
                 self._plan(factor)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Give the device's memory back; the detector cannot be used afterwards."""

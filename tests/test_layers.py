@@ -10,7 +10,7 @@ import cmp_cl
 ROOT = Path(cmp_cl.__file__).parent
 # From the bottom up; a name stands for a module, or for a package and all within it.
 LAYERS = [
-    {"errors"},
+    {"errors", "closing"},
     {"files"},
     {"image"},
     {"config"},

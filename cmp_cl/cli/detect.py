@@ -259,7 +259,7 @@ class _Finder:
         Without a configuration it is estimated from each frame until one has corners.
         """
         config = self._config
-        scale = self._full_scale or media.full_scale(path)
+        scale = media.full_scale(path) if self._full_scale is None else self._full_scale
         if config is not None and config.full_scale is None:
             config = config.replace(full_scale=scale)
         for frame in media.read_frames(path, max_pixels=self._max_pixels):

@@ -125,7 +125,7 @@ class Grid:
                 other = f" by ({self.rival.rows}, {self.rival.columns}){turn}"
             found.append(
                 f"the numbers are ambiguous: they may be wrong{other}; the view shows too little "
-                "of the pattern's border to decide"
+                "of the pattern's border, and the print is too perfect, to decide"
             )
         return found
 
@@ -156,6 +156,18 @@ class Grid:
             continues=self.continues.turned(quarters),
             seen_shape=seen,
         )
+
+    @property
+    def extent(self) -> str:
+        """Its rows and columns by their numbers, in words."""
+        (top, left), (rows, columns) = self.origin, self.shape
+        return f"rows {top} to {top + rows - 1} and columns {left} to {left + columns - 1}"
+
+    def covers(self, rest: "Grid") -> bool:
+        """Return whether it has all rows and columns of another grid, by their numbers."""
+        first = np.subtract(rest.origin, self.origin)
+        last = first + rest.shape
+        return bool((first >= 0).all() and (last <= self.shape).all())
 
     def cut_to(self, rest: "Grid") -> "Grid":
         """Return the nodes on the rows and columns of another grid with the same numbers.

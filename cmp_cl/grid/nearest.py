@@ -53,7 +53,7 @@ class Reference(NamedTuple):
 
 
 def _mean_step(at: Points) -> complex:
-    """The mean step from a column to the next; 0 where there is none."""
+    """Return the mean step from a column to the next; 0 where there is none."""
     step = at[:, 1:] - at[:, :-1]
     known = step[~np.isnan(step.real)]
     return complex(known.mean()) if len(known) else 0j
@@ -101,7 +101,7 @@ class Choice(NamedTuple):
 
 
 def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
-    """The quarter turns that leave rows most parallel to the reference's, and the angles, rad.
+    """Return the quarter turns that keep rows most parallel to the reference's, and angles, rad.
 
     The second is there if it is nearly as good as the first.
     """
@@ -116,7 +116,7 @@ def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
 
 
 def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
-    """Rows, columns and positions of some nodes all over the grid."""
+    """Return rows, columns and positions of some nodes all over the grid."""
     places = np.flatnonzero(nodes.there)
     some = np.linspace(0, len(places) - 1, min(VOTERS, len(places))).astype(np.int64)
     row, column = np.divmod(places[some], nodes.at.shape[1])
@@ -124,12 +124,12 @@ def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
 
 
 def colour(nodes: Nodes, near: Reference) -> int:
-    """What the sum of the first row's and column's number is modulo 2, by the checker colours."""
+    """Return the sum of the first row's and column's number modulo 2, by the checker colours."""
     return (sum(near.origin) + near.parity + nodes.parity) % 2
 
 
 def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[Choice]:
-    """The numbers of the right colour around the least mean displacement, the nearest first.
+    """Return the numbers of the right colour around the least mean displacement, the nearest first.
 
     nodes: turned already, by that many quarters. Empty where no number is within the bounds.
     """
@@ -166,7 +166,7 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
 
 
 def chosen(nodes: Nodes, near: Reference, quarters: int, top: int, left: int) -> Choice:
-    """That numbering of nodes that are turned already, with its motion."""
+    """Return that numbering of nodes that are turned already, with its motion."""
     (choice,) = climb(nodes, near, Bounds(top, top, left, left), quarters)
     return choice
 

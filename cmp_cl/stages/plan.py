@@ -156,7 +156,7 @@ class Plan(PlanBase):
         )
 
     def _buffer(self, name: str, size: int) -> cl.Buffer:
-        """A buffer that the host shares where it can and would otherwise copy."""
+        """Return a buffer that the host shares where it can and would otherwise copy."""
         if name in SHARED and shares_memory(self.device.handle):
             buffer, self._here[name] = shared_buffer(self.queue.context, size)
             return buffer
@@ -309,7 +309,7 @@ class Plan(PlanBase):
         return rows
 
     def grow(self, overflow: Overflow) -> None:
-        """Make room for what did not fit; the frames stay on the device."""
+        """Lengthen the lists that overflowed; the frames stay on the device."""
         if overflow.listed > self.list_room:
             self.list_room = multiple(overflow.listed * 5 // 4, GROUP)
         if overflow.corners > self.corner_room:
