@@ -1,6 +1,6 @@
 """Frames from other array libraries: by DLPack, or from the memory of a CUDA device."""
 
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -9,6 +9,27 @@ from cmp_cl.image import GreyImage, check_image
 
 _HOST = (1, 3)  # kDLCPU and kDLCUDAHost of dlpack.h: memory that the host reads
 _TO_HOST = ("get", "cpu", "copy_to_host")  # CuPy and pyopencl.array, PyTorch and JAX, Numba
+
+
+class OnHostOrDevice(Protocol):
+    """What offers DLPack: arrays of PyTorch, JAX, CuPy, NumPy."""
+
+    def __dlpack__(self, *, stream: Any = None) -> Any:
+        """Return the capsule."""
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        """Return the kind of device, and its number."""
+
+
+class OnCuda(Protocol):
+    """What offers the memory of a CUDA device: arrays of CuPy, Numba, PyTorch."""
+
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]:
+        """Shape, type and address."""
+
+
+Frame: TypeAlias = GreyImage | OnHostOrDevice | OnCuda
 
 
 def as_frame(array: Any) -> GreyImage:

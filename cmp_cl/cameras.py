@@ -7,7 +7,6 @@ installed (the extra `video`), else those of its frame rate. Cameras keep the ti
 import collections
 import contextlib
 import dataclasses
-import importlib.util
 import itertools
 import math
 import queue
@@ -75,12 +74,20 @@ class Source:
 
     live: whether it is a camera or a stream, whose frames come whether or not they are taken.
     paths: the files, () of a live one. period_ms: between frames, NaN where nobody knows.
+    max_pixels: of a frame, see `cmp_cl.media.read_frames`.
 
     Raises FileNotFoundError and ImageError as `cmp_cl.media` does.
     """
 
-    def __init__(self, name: str, settings: CameraSettings | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        settings: CameraSettings | None = None,
+        *,
+        max_pixels: int = media.MAX_PIXELS,
+    ) -> None:
         self.name = name
+        self._max_pixels = max_pixels
         self._settings = settings or CameraSettings()
         self.live = is_live(name)
         self._opened_as: int | str = int(name) if self.live and name.isdigit() else name
@@ -103,17 +110,12 @@ class Source:
         numbers = itertools.count()
         for path in self.paths:
             if path.suffix.lower() == ".mcap":
-                for stamp, image in mcap_images(path):
+                for stamp, image in mcap_images(path, max_pixels=self._max_pixels):
                     yield Timed(next(numbers), stamp / 1e6, image)
                 continue
-            if media.is_video(path) and has_pyav():
-                for frame in video_frames(path):
-                    yield dataclasses.replace(frame, index=next(numbers))
-                continue
             try:
-                for each in media.read_frames(path):
-                    index = next(numbers)
-                    yield Timed(index, index * self.period_ms, each.image)
+                for each in media.read_frames(path, max_pixels=self._max_pixels):
+                    yield Timed(next(numbers), each.time_ms, each.image)
             except ImageError:
                 if len(self.paths) == 1:
                     raise
@@ -188,59 +190,6 @@ def _grey(picture: Any) -> GreyImage:
     if picture.ndim == 3 and picture.shape[2] == 3:
         return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
     return np.ascontiguousarray(picture.reshape(picture.shape[:2]))
-
-
-def has_pyav() -> bool:
-    """Whether PyAV is installed."""
-    return importlib.util.find_spec("av") is not None
-
-
-def video_frames(path: str | Path) -> Iterator[Timed]:
-    """Yield the frames of a video with their own times, by PyAV; colour becomes grey.
-
-    Frames of more than 8 bits are uint16 with the levels of the file, 0 to 4095 of 12 bits
-    (those of colour models other than grey and YUV are stretched to 16 bits), others uint8.
-    Raises ImageError where the file cannot be read or has no video.
-    """
-    import av
-
-    try:
-        container = av.open(str(Path(path).resolve()))
-    except (av.FFmpegError, OSError) as error:
-        raise ImageError(f"{str(path)!r} is no video that PyAV can read") from error
-    with container:
-        if not container.streams.video:
-            raise ImageError(f"{str(path)!r} has no video")
-        stream = container.streams.video[0]
-        stream.thread_type = "AUTO"
-        index = 0
-        frames = container.decode(stream)
-        while True:
-            try:
-                frame = next(frames)
-            except StopIteration:
-                return
-            except (av.FFmpegError, OSError):
-                if not index:
-                    raise ImageError(f"{str(path)!r} is no video that PyAV can read") from None
-                yield Timed(index, math.nan, None)
-                return
-            image = _luma(frame)
-            time_ms = math.nan if frame.time is None else frame.time * 1e3
-            yield Timed(index, time_ms, image)
-            index += 1
-
-
-def _luma(frame: Any) -> GreyImage:
-    """Return the grey levels of a frame of PyAV."""
-    name, bits = frame.format.name, max(part.bits for part in frame.format.components)
-    if bits <= 8:
-        return np.asarray(frame.reformat(format="gray").to_ndarray(), np.uint8, order="C")
-    if not (name.startswith(("gray", "yuv")) and name.endswith("le")):
-        return np.asarray(frame.reformat(format="gray16le").to_ndarray(), np.uint16, order="C")
-    plane = frame.planes[0]  # as it is: a conversion would dither
-    rows = np.frombuffer(plane, "<u2").reshape(plane.height, plane.line_size // 2)
-    return rows[:, : plane.width].astype(np.uint16)
 
 
 @dataclasses.dataclass

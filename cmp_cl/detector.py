@@ -3,26 +3,28 @@
 import operator
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
+from cmp_cl.arrays import Frame, as_frame
+from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig, Pyramid
 from cmp_cl.corners import Corners
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
-from cmp_cl.image import GreyImage, check_image
+from cmp_cl.image import GreyImage
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
+from cmp_cl.opencl.program import Programs
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan
-from cmp_cl.stages.refine import no_corners, read_corners
+from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
 
 
-class Detector:
+class Detector(Closing):
     """Finds the corners in frames of one shape and pixel type.
 
     Use it in a with statement, or call `close`. Buffers and kernels are made once, so that a frame
@@ -82,23 +84,13 @@ class Detector:
         self._queue = queue or cl.CommandQueue(context, properties=flags)
         self._transfers = cl.CommandQueue(context)  # for streams, beside the kernels
         self._lock = threading.RLock()
+        self._programs = Programs(context)
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was redone
         if self.shape[0] and self.shape[1]:
             for factor in self._factors:
                 self._plan(factor)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Give the device's memory back; the detector cannot be used afterwards."""
@@ -126,20 +118,23 @@ class Detector:
                 spent[stage] = spent.get(stage, 0.0) + ms
         return spent
 
-    def __call__(self, frame: GreyImage) -> Corners:
+    def __call__(self, frame: Frame) -> Corners:
         """Find the corners of one frame, (H, W).
+
+        Frames of other libraries are taken too, here and in all that follows: see
+        `cmp_cl.arrays.as_frame`, which copies those on a CUDA device to the host.
 
         Raises ImageError where the frame does not fit, CapacityError where the device is full,
         DeviceError where the detector is closed or of another process.
         """
-        self._check(frame)
-        if not frame.size:
+        image = self._checked(frame)
+        if not image.size:
             return no_corners(str(self.device))
         with self._lock:
             self._check_alive()
-            return self._best(self._each_factor([frame], 1))[0]
+            return self._best(self._each_factor([image], 1))[0]
 
-    def stream(self, frames: Iterable[GreyImage]) -> Iterator[Corners]:
+    def stream(self, frames: Iterable[Frame]) -> Iterator[Corners]:
         """Yield the corners of each frame, in order.
 
         The next frame is uploaded while the kernels of this one run. A frame may be overwritten as
@@ -152,11 +147,11 @@ class Detector:
         waiting: Plan | None = None
         try:
             for frame in frames:
-                self._check(frame)
+                image = self._checked(frame)
                 with self._lock:
                     self._check_alive()
                     plan = self._plan(self._factors[0])
-                    self._start(plan, [frame], self._transfers)
+                    self._start(plan, [image], self._transfers)
                     plan.awaited = True
                     ready, waiting = waiting, plan
                     done = [] if ready is None else self._finish(ready, self._transfers)
@@ -173,7 +168,7 @@ class Detector:
             if waiting is not None:
                 waiting.awaited = False
 
-    def batch(self, stack: NDArray[Any] | Sequence[GreyImage] | cl.Buffer) -> list[Corners]:
+    def batch(self, stack: NDArray[Any] | Sequence[Frame] | cl.Buffer) -> list[Corners]:
         """Find the corners of each frame of (B, H, W), with one launch per stage for all of them.
 
         Frames that are already on the device are passed as one pyopencl.Buffer without gaps, in the
@@ -186,38 +181,65 @@ class Detector:
             frames: cl.Buffer | list[GreyImage] = stack
             count = self._frames_in(stack)
         else:
-            frames = list(stack)
+            frames = [self._checked(frame) for frame in stack]
             count = len(frames)
-            for frame in frames:
-                self._check(frame)
         if not count or not (self.shape[0] and self.shape[1]):
             return [no_corners(str(self.device)) for _ in range(count)]
         with self._lock:
             self._check_alive()
             return self._best(self._each_factor(frames, count))
 
-    def maps(self, frame: GreyImage) -> Maps | HarmonicMaps:
+    def on_device(self, frame: Frame | cl.Buffer) -> tuple[Corners, cl.Buffer]:
+        """Find the corners of one frame, and leave their positions on the device too.
+
+        frame: as a call takes it, or the pyopencl.Buffer that holds it, see `batch`.
+
+        Returns the corners, and a buffer of (N, 2) float32, px, of their `xy`, which is the
+        caller's (8 bytes where N is 0). It is written through the detector's queue: other
+        queues wait for that one to finish.
+        Raises what `batch` raises, ConfigError with a Pyramid.
+        """
+        if isinstance(self.config.scale, Pyramid):
+            raise ConfigError("positions stay on the device at one scale alone, not with a Pyramid")
+        frames: cl.Buffer | list[GreyImage] = (
+            frame if isinstance(frame, cl.Buffer) else [self._checked(frame)]
+        )
+        if isinstance(frame, cl.Buffer) and self._frames_in(frame) != 1:
+            raise ImageError(f"the buffer holds {self._frames_in(frame)} frames, expected one")
+        with self._lock:
+            self._check_alive()
+            read_write: Any = cl.mem_flags.READ_WRITE
+            if not (self.shape[0] and self.shape[1]):
+                return no_corners(str(self.device)), cl.Buffer(self._queue.context, read_write, 8)
+            plan = self._plan(self._factors[0])
+            corners = self._whole(plan, frames)[0]
+            positions = cl.Buffer(self._queue.context, read_write, max(corners.xy.nbytes, 8))
+            if len(corners):
+                copy_positions(plan, positions, len(corners))
+            return corners, positions
+
+    def maps(self, frame: Frame) -> Maps | HarmonicMaps:
         """Return every intermediate image of a frame; with a Pyramid those of its first factor.
 
         Raises what a call raises.
         """
         from cmp_cl.stages.maps import no_maps, read_maps
 
-        self._check(frame)
+        image = self._checked(frame)
         with self._lock:
             self._check_alive()
-            if not frame.size:
+            if not image.size:
                 return no_maps(self.shape, self.config)
             plan = self._made(self._factors[0], frames=1, form=Form.PORTABLE)
             try:
-                self._whole(plan, [frame])  # lets the lists grow
+                self._whole(plan, [image])  # lets the lists grow
                 return read_maps(plan)
             finally:
                 plan.release()
 
     def grid(
         self,
-        frame: GreyImage,
+        frame: Frame,
         *,
         shape: tuple[int, int] | None = None,
         like: Grid | None = None,
@@ -233,10 +255,11 @@ class Detector:
         """
         from cmp_cl.grid.build import build_grid
 
-        corners = self(frame)
+        image = self._checked(frame)
+        corners = self(image)
         return corners, build_grid(
             corners,
-            frame,
+            image,
             shape=shape,
             like=like,
             region=region,
@@ -274,6 +297,7 @@ class Detector:
     def _made(self, factor: float | None, frames: int, form: Form | None = None) -> Plan:
         return Plan(
             self._queue,
+            self._programs,
             self.device,
             self.shape,
             self.dtype,
@@ -341,14 +365,16 @@ class Detector:
             for choice in zip(*results, strict=True)
         ]
 
-    def _check(self, frame: Any) -> None:
+    def _checked(self, frame: Frame) -> GreyImage:
+        """Return the frame as an image of this detector."""
         check_process()
-        check_image(frame)
-        if frame.shape != self.shape or frame.dtype != self.dtype:
+        image = as_frame(frame)
+        if image.shape != self.shape or image.dtype != self.dtype:
             raise ImageError(
-                f"this detector takes {self.shape} {self.dtype}, got {frame.shape} {frame.dtype}; "
+                f"this detector takes {self.shape} {self.dtype}, got {image.shape} {image.dtype}; "
                 "make a Detector for that shape and dtype"
             )
+        return image
 
     def _frames_in(self, buffer: cl.Buffer) -> int:
         """Return how many frames a buffer on the device holds."""
@@ -372,11 +398,11 @@ class Detector:
 
 
 def detect(
-    image: GreyImage,
+    image: Frame,
     config: DetectorConfig | None = None,
     device: Device | str | None = None,
 ) -> Corners:
-    """Find the corners of one image, (H, W) uint8 or uint16.
+    """Find the corners of one image, (H, W) uint8 or uint16, also of another array library.
 
     It makes a Detector, runs it and releases it. For many images of one shape make a Detector
     yourself.
@@ -384,11 +410,11 @@ def detect(
 
     Raises what Detector raises.
     """
-    check_image(image)
+    frame = as_frame(image)
     if config is None:
-        config = DetectorConfig.for_image(image)
-    with Detector(shape=image.shape, dtype=image.dtype, config=config, device=device) as detector:
-        return detector(image)
+        config = DetectorConfig.for_image(frame)
+    with Detector(shape=frame.shape, dtype=frame.dtype, config=config, device=device) as detector:
+        return detector(frame)
 
 
 def _checked_shape(shape: Any) -> tuple[int, int]:

@@ -1,8 +1,15 @@
-"""Images, videos and tables: read as grey, written whole or not at all."""
+"""Images, videos and tables: read as grey, written whole or not at all.
+
+Videos are read by PyAV where it is installed (the extra `video`), else by OpenCV. PyAV knows the
+time of each frame and its size, keeps the levels of 10 to 16 bits, and refuses damaged frames.
+OpenCV makes 8 bits of all, and frames of another size it scales to that of the first.
+"""
 
 import contextlib
 import csv
 import dataclasses
+import importlib.util
+import math
 import os
 import stat
 import sys
@@ -34,6 +41,8 @@ VIDEO_SUFFIXES = frozenset(
 MAX_PIXELS = 1 << 28  # of an image, unless a caller says more
 _MAX_PIPED = 1 << 28  # bytes of an image that comes through a pipe
 _MAX_SAID = 1 << 12  # bytes of what a codec says
+
+_PLANAR = ("gray", "yuv")  # pixel formats of PyAV whose first plane is the grey levels
 
 LONGEST_GAP = 250  # frames
 
@@ -101,7 +110,13 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Gr
 
 def read_pages(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[GreyImage]:
     """Read the pages of an image file (a TIFF stack, say) one by one, each as `read_image`."""
-    data = _bytes_of(path)
+    return decoded_pages(_bytes_of(path), path, max_pixels=max_pixels)
+
+
+def decoded_pages(
+    data: NDArray[np.uint8], path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS
+) -> Iterator[GreyImage]:
+    """Decode the pages of an image from its bytes, as `read_pages`; path names it in messages."""
     try:
         sizes = page_sizes(data.data)
     except ValueError as error:
@@ -216,15 +231,19 @@ class Frame:
 
     index: its number in the file, from 0.
     image: (H, W) uint8 or uint16, or None where a frame of a video is broken.
+    time_ms: as a video says it, by its frame rate where PyAV is not installed; NaN if unknown.
     """
 
     index: int
     image: GreyImage | None
+    time_ms: float = math.nan
 
 
 def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[Frame]:
     """Read the frames of a video, or the pages of an image; colour becomes grey.
 
+    Frames of more than 8 bits are uint16 with the levels of the file, 0 to 4095 of 12 bits
+    (those of colour models other than grey and YUV are stretched to 16 bits), with PyAV.
     A video ends before its stated number of frames where `LONGEST_GAP` of them in a row
     cannot be read. Raises ImageError where the file cannot be read, is neither an image nor a
     video, or has more pixels in a frame than that.
@@ -233,28 +252,137 @@ def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
         for index, page in enumerate(read_pages(path, max_pixels=max_pixels)):
             yield Frame(index, page)
         return
+    frames = _by_pyav(path, max_pixels) if has_pyav() else _by_opencv(path, max_pixels)
+    count = count_frames(path) or 0
+    index = gap = 0
+    for image, time_ms in frames:
+        gap = 0 if image is not None else gap + 1
+        yield Frame(index, image, time_ms)
+        index += 1
+        if gap == LONGEST_GAP:
+            return
+    while index < count and gap < LONGEST_GAP:
+        yield Frame(index, None)
+        index, gap = index + 1, gap + 1
+
+
+def has_pyav() -> bool:
+    """Whether PyAV is installed."""
+    return importlib.util.find_spec("av") is not None
+
+
+_Timed = tuple[GreyImage | None, float]  # a frame, None where it is broken, and its time in ms
+
+
+def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
+    """The frames up to the last that can be read; those between that cannot are None."""
+    rate = frame_rate(path)
     with _opened(path) as capture:
         width, height = (
             int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
         )
         _check_size(path, (width, height), max_pixels)
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        index = gap = 0
-        while gap < LONGEST_GAP:
+        index = 0
+        while True:
             with _codec_messages() as said:
                 read, picture = capture.read()
             read = read and not _tells_damage("; ".join(said))
             if not read and index >= count:
                 return
-            gap = 0 if read else gap + 1
-            yield Frame(index, _grey(picture) if read else None)
+            yield (
+                (_grey(picture) if read else None),
+                math.nan if rate is None else 1e3 * index / rate,
+            )
             index += 1
+
+
+def _by_pyav(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
+    """The frames of all packets that can be read; of one that cannot, None."""
+    import av
+
+    with _container(path) as (container, stream):
+        context = stream.codec_context
+        _check_size(path, (context.width, context.height), max_pixels)
+        room = 2 * max_pixels + (1 << 16)  # decoders count whole blocks
+        context.options = {"err_detect": "crccheck+explode", "max_pixels": str(room)}
+        stream.thread_type = "SLICE"  # threads that have a frame each tell its damage late
+        packets = container.demux(stream)
+        while True:
+            try:
+                packet = next(packets, None)
+            except (av.FFmpegError, OSError, ValueError):  # the file ends within a packet
+                return
+            if packet is None:
+                return
+            try:
+                frames = packet.decode()
+            except (av.FFmpegError, OSError, ValueError):
+                yield None, math.nan
+                continue
+            for frame in frames:
+                broken = frame.is_corrupt or frame.width * frame.height > max_pixels
+                yield None if broken else _luma(frame), _time_of(frame)
+
+
+def _time_of(frame: Any) -> float:
+    return math.nan if frame.time is None else float(frame.time) * 1e3
+
+
+def _luma(frame: Any) -> GreyImage:
+    """The grey levels of a frame of PyAV."""
+    name = frame.format.name
+    if _bits(frame.format) <= 8:
+        return np.asarray(frame.reformat(format="gray").to_ndarray(), np.uint8, order="C")
+    if not (name.startswith(_PLANAR) and name.endswith("le")):
+        return np.asarray(frame.reformat(format="gray16le").to_ndarray(), np.uint16, order="C")
+    plane = frame.planes[0]  # as it is: a conversion would dither
+    rows = np.frombuffer(plane, "<u2").reshape(plane.height, plane.line_size // 2)
+    return rows[:, : plane.width].astype(np.uint16)
+
+
+def _bits(pixels: Any) -> int:
+    """Bits of the deepest component of a pixel format of PyAV."""
+    return max((int(part.bits) for part in pixels.components), default=8)
+
+
+@contextlib.contextmanager
+def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
+    """A video that PyAV has opened, and its stream of pictures."""
+    import av
+
+    _check_readable(path)
+    try:
+        container = av.open(os.path.abspath(path))  # never taken for an address
+    except (av.FFmpegError, OSError, ValueError) as error:
+        raise ImageError(f"{str(path)!r} is no video that PyAV can read") from error
+    with container:
+        if not container.streams.video:
+            raise ImageError(f"{str(path)!r} has no video")
+        yield container, container.streams.video[0]
+
+
+def full_scale(path: str | PathLike[str]) -> int | None:
+    """The largest grey level of a video of 9 to 15 bits, 4095 of 12; None of all else.
+
+    It is known with PyAV alone.
+    """
+    if not (is_video(path) and has_pyav()):
+        return None
+    with _container(path) as (_, stream):
+        pixels = stream.codec_context.format
+        name = "" if pixels is None else str(pixels.name)
+        bits = 8 if pixels is None else _bits(pixels)
+    return 2**bits - 1 if 8 < bits < 16 and name.startswith(_PLANAR) else None
 
 
 def count_frames(path: str | PathLike[str]) -> int | None:
     """The number of frames that a video states, None for an image or where it states none."""
     if not is_video(path):
         return None
+    if has_pyav():
+        with _container(path) as (_, stream):
+            return int(stream.frames) or None
     with _opened(path) as capture:
         count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     return int(count) if 0 < count < 2**31 else None
@@ -264,9 +392,13 @@ def frame_rate(path: str | PathLike[str]) -> float | None:
     """Frames per second that a video states, None for an image or where it states none."""
     if not is_video(path):
         return None
-    with _opened(path) as capture:
-        rate = capture.get(cv2.CAP_PROP_FPS)
-    return float(rate) if 0 < rate < 1e6 else None
+    if has_pyav():
+        with _container(path) as (_, stream):
+            rate = float(stream.average_rate or 0)
+    else:
+        with _opened(path) as capture:
+            rate = capture.get(cv2.CAP_PROP_FPS)
+    return rate if 0 < rate < 1e6 else None
 
 
 def read_camera(number: int) -> Iterator[Frame]:

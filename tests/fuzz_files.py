@@ -11,6 +11,7 @@ status is 1.
 import argparse
 import contextlib
 import importlib
+import importlib.util
 import itertools
 import json
 import re
@@ -226,6 +227,9 @@ KINDS: dict[str, tuple[Callable[[Path], Iterator[Path]], Callable[[Path], Any]]]
     "recordings": (recordings, read_recording),
     "bags": (bags, read_bag),
 }
+for needed, kind in (("h5py", "recordings"), ("mcap_ros2", "bags")):
+    if importlib.util.find_spec(needed) is None:
+        del KINDS[kind]
 
 
 def damaged(data: bytes, rng: Rng) -> bytes:

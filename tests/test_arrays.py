@@ -1,11 +1,16 @@
 """Frames of other array libraries."""
 
+import images
 import numpy as np
+import pyopencl as cl
 import pytest
+from comparison import assert_same_bytes
 
+from cmp_cl import Detector, DetectorConfig, Pyramid, detect
 from cmp_cl.arrays import as_frame
-from cmp_cl.errors import ImageError
+from cmp_cl.errors import ConfigError, ImageError
 
+BOARD = images.eight_bits()["board"]
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
 
 
@@ -55,3 +60,59 @@ def test_what_is_no_image_is_refused():
         as_frame(Host(IMAGE.astype(np.float32)))
     with pytest.raises(ImageError, match="list"):
         as_frame([1, 2])
+
+
+@pytest.mark.parametrize("array", [Host(BOARD), Cuda("get", BOARD)])
+def test_a_detector_takes_arrays_of_other_libraries(array, device):
+    expected = detect(BOARD, device=device)
+    assert len(expected) > 3
+    assert_same_bytes(detect(array, device=device), expected)
+    with Detector(
+        shape=BOARD.shape, config=DetectorConfig.for_image(BOARD), device=device
+    ) as detector:
+        for found in (
+            detector(array),
+            *detector.stream([array, BOARD]),
+            *detector.batch([BOARD, array]),
+            detector.on_device(array)[0],
+        ):
+            assert_same_bytes(found, expected)
+        one, other = detector.maps(array), detector.maps(BOARD)
+        np.testing.assert_array_equal(one.maximum, other.maximum)
+        with pytest.raises(ImageError, match="this detector takes"):
+            detector(Host(IMAGE))
+
+
+@pytest.mark.parametrize("name", ["board", "black"])
+@pytest.mark.parametrize("config", [DetectorConfig(), DetectorConfig(max_corners=4, scale=0.9)])
+def test_positions_stay_on_the_device_where_that_is_asked_for(device, name, config):
+    image = images.eight_bits()[name]
+    context = cl.Context([device.handle])
+    queue = cl.CommandQueue(context)
+    held = cl.Buffer(context, cl.mem_flags.COPY_HOST_PTR, hostbuf=image)
+    with Detector(shape=image.shape, config=config, queue=queue) as detector:
+        expected = detector(image)
+        for frame in (image, held):
+            corners, positions = detector.on_device(frame)
+            detector(images.eight_bits()["noise"])  # the buffer is the caller's
+            here = np.empty((len(expected), 2), np.float32)
+            if len(expected):
+                cl.enqueue_copy(queue, here, positions)
+            assert_same_bytes(corners, expected)
+            np.testing.assert_array_equal(here, expected.xy)
+
+
+def test_positions_of_several_scales_or_frames_do_not_stay(device):
+    config = DetectorConfig(scale=Pyramid(factors=(1.0, 0.5), expected=9))
+    with (
+        Detector(shape=BOARD.shape, config=config, device=device) as detector,
+        pytest.raises(ConfigError, match="Pyramid"),
+    ):
+        detector.on_device(BOARD)
+    context = cl.Context([device.handle])
+    two = cl.Buffer(context, cl.mem_flags.READ_ONLY, 2 * BOARD.nbytes)
+    with (
+        Detector(shape=BOARD.shape, queue=cl.CommandQueue(context)) as detector,
+        pytest.raises(ImageError, match="holds 2 frames"),
+    ):
+        detector.on_device(two)

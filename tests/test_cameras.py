@@ -2,13 +2,12 @@
 
 import itertools
 import math
-from fractions import Fraction
 
 import cv2
 import numpy as np
 import pytest
 
-from cmp_cl.cameras import CameraSettings, PairCount, Source, Timed, paired, video_frames
+from cmp_cl.cameras import CameraSettings, PairCount, Source, Timed, paired
 from cmp_cl.errors import ConfigError, ImageError
 
 
@@ -62,29 +61,6 @@ def test_no_frame_is_lost_between_two_recordings_with_jitter():
         _, (pairs, left, right) = pairs_of(*sides)
         assert pairs == np.count_nonzero(kept.all(axis=0))
         assert (pairs + left, pairs + right) == (len(sides[0]), len(sides[1]))
-
-
-def test_pyav_reads_12_bits_and_the_times_that_are_written(tmp_path):
-    av = pytest.importorskip("av", reason="PyAV is not installed")
-    path = tmp_path / "deep.mkv"
-    ramp = np.tile(np.arange(64, dtype=np.uint16) * 64, (48, 1))
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray12le"
-        stream.codec_context.time_base = Fraction(1, 1000)
-        for time in (0, 35, 110):
-            frame = av.VideoFrame(64, 48, "gray12le")
-            frame.planes[0].update(ramp.tobytes())
-            frame.pts, frame.time_base = time, Fraction(1, 1000)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-    frames = list(video_frames(path))
-    assert [frame.time_ms for frame in frames] == pytest.approx([0, 35, 110])
-    assert frames[0].image.dtype == np.uint16
-    np.testing.assert_array_equal(frames[0].image, ramp)
-    (tmp_path / "bad.mp4").write_bytes(b"nothing")
-    with pytest.raises(ImageError, match="no video"):
-        list(video_frames(tmp_path / "bad.mp4"))
 
 
 def test_folders_have_no_times_and_broken_images_are_frames(tmp_path):

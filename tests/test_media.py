@@ -4,8 +4,10 @@ import contextlib
 import csv
 import itertools
 import os
+import re
 import struct
 import threading
+from fractions import Fraction
 
 import cv2
 import numpy as np
@@ -163,7 +165,16 @@ def write_video(path, frames=8, code="FFV1"):
     writer.release()
 
 
-def test_a_video_gives_its_frames_in_order_as_grey(tmp_path):
+@pytest.fixture(params=["PyAV", "OpenCV"])
+def reader(request, monkeypatch):
+    """What reads videos."""
+    if request.param == "PyAV":
+        pytest.importorskip("av", reason="PyAV is not installed")
+    monkeypatch.setattr(media, "has_pyav", lambda: request.param == "PyAV")
+    return request.param
+
+
+def test_a_video_gives_its_frames_in_order_as_grey(tmp_path, reader):
     write_video(tmp_path / "press.avi")
     frames = list(media.read_frames(tmp_path / "press.avi"))
     assert media.count_frames(tmp_path / "press.avi") == len(frames) == 8
@@ -171,9 +182,12 @@ def test_a_video_gives_its_frames_in_order_as_grey(tmp_path):
         assert frame.index == index
         assert frame.image.shape == (48, 64)
         assert abs(int(frame.image[0, 0]) - 6 * index) <= 1
+        assert frame.time_ms == pytest.approx(
+            1e3 * index / media.frame_rate(tmp_path / "press.avi")
+        )
 
 
-def test_a_video_cut_off_gives_what_is_left_and_marks_the_rest(tmp_path):
+def test_a_video_cut_off_gives_what_is_left_and_marks_the_rest(tmp_path, reader):
     write_video(tmp_path / "press.avi", frames=40, code="MJPG")
     whole = (tmp_path / "press.avi").read_bytes()
     (tmp_path / "cut.avi").write_bytes(whole[: len(whole) // 2])
@@ -203,7 +217,68 @@ class Dead:
         pass
 
 
+def test_a_damaged_frame_is_none_and_those_after_it_are_read(tmp_path):
+    pytest.importorskip("av", reason="PyAV is not installed")
+    writer = cv2.VideoWriter(
+        str(tmp_path / "press.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25, (64, 48)
+    )
+    for number in range(10):
+        writer.write(np.dstack([np.roll(NOISE, number)] * 3))
+    writer.release()
+    data = bytearray((tmp_path / "press.avi").read_bytes())
+    starts = [match.start() for match in re.finditer(rb"\xff\xda", data)]
+    data[starts[4] + 100 : starts[4] + 200] = bytes(100)
+    (tmp_path / "press.avi").write_bytes(data)
+    frames = list(media.read_frames(tmp_path / "press.avi"))
+    assert [frame.index for frame in frames if frame.image is None] == [4]
+    assert len(frames) == 10
+
+
+def test_frames_of_another_size_come_as_they_are(tmp_path):
+    pytest.importorskip("av", reason="PyAV is not installed")
+    sizes = [(60, 80), (90, 120), (60, 80)]
+    pictures = [cv2.imencode(".jpg", np.full(size, 90, np.uint8))[1].tobytes() for size in sizes]
+    (tmp_path / "press.mjpeg").write_bytes(b"".join(pictures))
+    frames = list(media.read_frames(tmp_path / "press.mjpeg"))
+    assert [frame.image.shape for frame in frames] == sizes
+    few = list(media.read_frames(tmp_path / "press.mjpeg", max_pixels=5000))
+    assert [frame.image is None for frame in few] == [False, True, False]
+
+
+def write_deep(path):
+    """Three frames of 12 bits at 0, 35 and 110 ms."""
+    av = pytest.importorskip("av", reason="PyAV is not installed")
+    ramp = np.tile(np.arange(64, dtype=np.uint16) * 64, (48, 1))
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray12le"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for time in (0, 35, 110):
+            frame = av.VideoFrame(64, 48, "gray12le")
+            frame.planes[0].update(ramp.tobytes())
+            frame.pts, frame.time_base = time, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return ramp
+
+
+def test_pyav_reads_12_bits_and_the_times_that_are_written(tmp_path):
+    ramp = write_deep(tmp_path / "deep.mkv")
+    frames = list(media.read_frames(tmp_path / "deep.mkv"))
+    assert [frame.time_ms for frame in frames] == pytest.approx([0, 35, 110])
+    assert frames[0].image.dtype == np.uint16
+    np.testing.assert_array_equal(frames[0].image, ramp)
+    assert media.full_scale(tmp_path / "deep.mkv") == 4095
+
+
+def test_8_bits_have_no_full_scale_of_their_own(tmp_path, reader):
+    write_video(tmp_path / "press.avi")
+    assert media.full_scale(tmp_path / "press.avi") is None
+    assert media.full_scale(tmp_path / "press.png") is None
+
+
 def test_frames_that_never_come_are_not_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(media, "has_pyav", lambda: False)
     monkeypatch.setattr(cv2, "VideoCapture", Dead)
     (tmp_path / "dead.avi").write_bytes(b"")
     for frames in (media.read_frames(tmp_path / "dead.avi"), media.read_camera(0)):
@@ -211,7 +286,7 @@ def test_frames_that_never_come_are_not_waited_for(tmp_path, monkeypatch):
         assert [frame.image for frame in some] == [None] * media.LONGEST_GAP
 
 
-def test_a_video_that_is_none_is_an_image_error(tmp_path):
+def test_a_video_that_is_none_is_an_image_error(tmp_path, reader):
     (tmp_path / "text.mp4").write_text("hello")
     for name in ("text.mp4", "missing.mp4"):
         with pytest.raises(ImageError, match=name):

@@ -262,3 +262,23 @@ def test_what_is_no_series_is_refused(tmp_path):
         read_series(tmp_path / "x.txt")
     with pytest.raises(FieldError, match="no file"):
         read_series(tmp_path / "gone.npz")
+
+
+def test_tables_hold_the_numbers_of_a_frame_and_name_the_parts_of_a_strain(tmp_path):
+    about = Description(units={"contact_area": "mm2", "translation": "mm"})
+    with open_series(tmp_path / "press.csv", about) as series:
+        for number in range(2):
+            series.append(
+                index=number,
+                time_ms=np.nan,
+                ambiguous=np.bool_(number),
+                strain=np.full((1, 2, 3), 0.5),
+                principal=np.full((1, 2, 2), 0.25),
+                contact_area=7.5 + number,
+                translation=np.array([1.0, 2.0]),
+            )
+    rows = list(csv.reader((tmp_path / "press.csv").read_text().splitlines()))
+    names = "strain_xx,strain_yy,strain_xy,principal_1,principal_2,ambiguous,contact_area_mm2"
+    assert rows[0][4:] == [*names.split(","), "translation_x_mm", "translation_y_mm"]
+    assert rows[4][:4] == ["1", "nan", "0", "1"]
+    assert rows[4][4:] == [*["0.5"] * 3, *["0.25"] * 2, "1", "8.5", "1", "2"]

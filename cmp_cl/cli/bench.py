@@ -21,11 +21,17 @@ def add_parser(commands: Any) -> None:
     """Add `bench` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "bench",
-        help="times the detector on this machine's device",
+        help="time the detector on this machine's device",
         description="Times the detector on a rendered 640 x 480 frame of 1936 corners, checks the "
         "answer against the truth, and shows where the time goes.",
     )
-    parser.add_argument("--repeats", type=int, default=100, help="frames of each configuration")
+    parser.add_argument(
+        "--repeats",
+        metavar="N",
+        type=int,
+        default=100,
+        help="frames of each configuration; default: 100",
+    )
     add_device(parser)
     parser.set_defaults(run=run)
 

@@ -40,11 +40,12 @@ def add_parser(commands: Any) -> None:
     """Add `calibrate` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "calibrate",
-        help="one, two or more cameras from views of a rigid board",
-        description="Finds the corners of a flat, rigid checkerboard in at least three pairs of "
-        "views, tilted in different directions, calibrates both cameras and the pose between "
-        "them, and prints the reprojection error of every view. Corners that the detector did "
-        "not see itself, or whose own standard deviation is above --max-sigma, are left out.",
+        help="calibrate one, two or more cameras from views of a rigid board",
+        description="Finds the corners of a flat, rigid checkerboard in at least three views or "
+        "pairs of views, tilted in different directions, calibrates the cameras and the poses "
+        "between them, and prints the reprojection error of every view. Corners that the "
+        "detector did not see itself, or whose own standard deviation is above --max-sigma, are "
+        "left out.",
     )
     parser.add_argument(
         "images",
@@ -66,7 +67,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--square", metavar="LENGTH", type=float, required=True, help="side of a square"
     )
-    parser.add_argument("--unit", default="mm", help="of --square and of the result; default: mm")
+    parser.add_argument(
+        "--unit", metavar="UNIT", default="mm", help="of --square and of the result; default: mm"
+    )
     parser.add_argument(
         "--out",
         metavar="FILE",

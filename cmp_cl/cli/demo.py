@@ -37,6 +37,7 @@ from cmp_cl.viz import (
     save_figure,
     surface_figure,
 )
+from cmp_cl.viz.sheet import press_sheet
 
 VIEW = (1200, 800)  # rows and columns of each view, px
 SCENE = Scene(
@@ -54,7 +55,7 @@ def add_parser(commands: Any) -> None:
     """Add `demo` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "demo",
-        help="a rendered press in two views, measured in space, with pictures and errors",
+        help="render a press in two views, measure it in space, compare it with the truth",
         description="Renders a gel at rest and under a torus that presses and twists, as two "
         "mirrors show it to one camera; finds and numbers the corners, places them in space, "
         "and writes pictures, the deformation field and a table of the errors against the "
@@ -110,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
     frames = {"frames/000-rest.png": rest.frame, "frames/001-press.png": now.frame}
     written = [
         *_files(folder, rig, frames, measured.field, table),
-        *_pictures(folder, measured, left_at_rest),
+        *_pictures(folder, measured, left_at_rest, table),
     ]
     tell("wrote the files")
     width = max(len(what) for what, _, _ in table)
@@ -194,20 +195,37 @@ def _around(grid: Grid, view: GreyImage) -> tuple[int, int, int, int]:
     return int(left), int(top), min(int(right), view.shape[1]), min(int(bottom), view.shape[0])
 
 
-def _pictures(folder: Path, measured: MeasuredInSpace, left_at_rest: Grid) -> list[str]:
-    """Draw the left view, and the surface where matplotlib is installed; returns the names."""
+def _pictures(
+    folder: Path,
+    measured: MeasuredInSpace,
+    left_at_rest: Grid,
+    table: Sequence[tuple[str, str, str]],
+) -> list[str]:
+    """Draw the left view; where matplotlib is installed the surface and one sheet of all.
+
+    Returns the names.
+    """
     view, grid, corners = measured.views[0], measured.grids[0], measured.corners[0]
     left, top, right, bottom = _around(grid, view)
     cut, origin = view[top:bottom, left:right], np.array([left, top], np.float32)
     around = dataclasses.replace(corners, xy=corners.xy - origin)
     media.write_image(folder / "corners.png", corner_overlay(cut, around))
     numbered = dataclasses.replace(grid, xy=grid.xy - origin)
+    numbered_at_rest = dataclasses.replace(left_at_rest, xy=left_at_rest.xy - origin)
     media.write_image(folder / "grid.png", grid_overlay(cut, numbered))
     written = ["corners.png", "grid.png"]
     try:
         figures = {
             "arrows.png": arrow_figure(view, left_at_rest, grid, field=measured.field),
             "surface.png": surface_figure(measured.field),
+            "sheet.png": press_sheet(
+                cut,
+                numbered_at_rest,
+                numbered,
+                measured.field,
+                title="cmp_cl: a torus presses on a gel and twists",
+                rows=[(what, f"{value} {unit}".strip()) for what, value, unit in table],
+            ),
         }
     except ImportError:
         print(

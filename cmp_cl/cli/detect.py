@@ -259,11 +259,14 @@ class _Finder:
         Without a configuration it is estimated from each frame until one has corners.
         """
         config = self._config
+        scale = media.full_scale(path) if self._full_scale is None else self._full_scale
+        if config is not None and config.full_scale is None:
+            config = config.replace(full_scale=scale)
         for frame in media.read_frames(path, max_pixels=self._max_pixels):
             if frame.image is None:
                 tally.broken.append(frame.index)
                 continue
-            chosen = config or self._estimated(frame.image)
+            chosen = config or DetectorConfig.for_image(frame.image).replace(full_scale=scale)
             self._fit(frame.image, chosen)
             start = time.perf_counter()
             corners = self._detector(frame.image)
@@ -275,9 +278,6 @@ class _Finder:
             yield frame.index, frame.image, corners
         if not tally.counts:
             raise ImageError(f"{str(path)!r} has no frame that can be read")
-
-    def _estimated(self, image: GreyImage) -> DetectorConfig:
-        return DetectorConfig.for_image(image).replace(full_scale=self._full_scale)
 
     def _fit(self, image: GreyImage, config: DetectorConfig) -> None:
         """Make a detector for such an image, and run it once: some devices compile only then."""

@@ -136,7 +136,7 @@ def _fail(message: str, *, status: int = 2) -> int:
 def _add_devices(commands: Any) -> None:
     parser = commands.add_parser(
         "devices",
-        help="the OpenCL devices there are, and the one used by default",
+        help="list the OpenCL devices, and say which one is used by default",
         description="Lists the OpenCL devices and says which one is used by default, and why.",
     )
     parser.set_defaults(run=_devices)

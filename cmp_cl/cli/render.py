@@ -19,26 +19,38 @@ def add_parser(commands: Any) -> None:
         help="draw a frame of a pressed gel with known corners",
         description="Draws one frame of a pressed gel that carries a checkerboard, and where "
         "its corners are. The same options give the same picture.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     parser.add_argument("--out", metavar="PNG", required=True, help="the picture to write")
     parser.add_argument("--truth", metavar="CSV", help="write the true corners, px")
-    parser.add_argument(
-        "--markers", type=int, default=usual.markers, help="corners along each side"
+    numbers = (
+        ("markers", int, usual.markers, "corners along each side"),
+        (
+            "severity",
+            float,
+            usual.severity,
+            "0 to 2; 1 presses 2 mm, shears 1.2 or twists 20 degrees",
+        ),
+        ("corrosion", float, usual.corrosion, "wear of the print, 0 to 3"),
+        ("noise", float, usual.noise, "standard deviation, 1/255 of white"),
+        ("seed", int, usual.seed, "of noise, tears and light"),
     )
-    parser.add_argument(
-        "--severity",
-        type=float,
-        default=usual.severity,
-        help="0 to 2; 1 presses 2 mm, shears 1.2 mm or twists 20 degrees",
-    )
-    for name, default in (("indenter", usual.indenter), ("mode", usual.mode)):
-        choices = [member.value for member in type(default)]
+    for name, kind, default, what in numbers:
         parser.add_argument(
             f"--{name}",
-            choices=choices,
-            default=default.value,
-            help="what presses" if name == "indenter" else "how it moves",
+            metavar="N" if kind is int else "VALUE",
+            type=kind,
+            default=default,
+            help=f"{what}; default: {default:g}",
+        )
+    for name, member, what in (
+        ("indenter", usual.indenter, "what presses"),
+        ("mode", usual.mode, "how it moves"),
+    ):
+        parser.add_argument(
+            f"--{name}",
+            choices=[each.value for each in type(member)],
+            default=member.value,
+            help=f"{what}; default: {member.value}",
         )
     parser.add_argument(
         "--shape",
@@ -46,18 +58,15 @@ def add_parser(commands: Any) -> None:
         nargs=2,
         metavar=("ROWS", "COLUMNS"),
         default=usual.shape,
-        help="size of the picture, px",
+        help="size of the picture, px; default: {} {}".format(*usual.shape),
     )
     parser.add_argument(
-        "--corrosion", type=float, default=usual.corrosion, help="wear of the print, 0 to 3"
+        "--bits",
+        type=int,
+        choices=(8, 12),
+        default=usual.bits,
+        help=f"grey levels of the camera; default: {usual.bits}",
     )
-    parser.add_argument(
-        "--noise", type=float, default=usual.noise, help="standard deviation, 1/255 of white"
-    )
-    parser.add_argument(
-        "--bits", type=int, choices=(8, 12), default=usual.bits, help="grey levels of the camera"
-    )
-    parser.add_argument("--seed", type=int, default=usual.seed, help="of noise, tears and light")
     parser.set_defaults(run=run)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cmp_cl import cameras, media
 from cmp_cl.cameras import CameraSettings, PairCount, is_live, paired
+from cmp_cl.cli import strain
 from cmp_cl.cli.arguments import (
     Box,
     add_device,
@@ -52,7 +53,7 @@ def add_parser(commands: Any) -> None:
     """Add `run` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "run",
-        help="the deformation in every frame of a recording or of a live camera",
+        help="measure the deformation in every frame of a recording or of a live camera",
         description="Numbers the pattern in every frame as in the rest frame and writes the "
         "series. With --stereo each frame shows two views, and the series holds the "
         "displacement of every node in space; without it, the positions in the image. "
@@ -86,7 +87,7 @@ def add_parser(commands: Any) -> None:
         "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="of its frames, px"
     )
     camera.add_argument("--camera-fps", metavar="FPS", type=float, help="frames per second")
-    camera.add_argument("--exposure", type=float, help="in the unit of its driver")
+    camera.add_argument("--exposure", metavar="VALUE", type=float, help="in the unit of its driver")
     camera.add_argument(
         "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
     )
@@ -130,6 +131,7 @@ def add_parser(commands: Any) -> None:
         "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
         "outside are left out in every frame",
     )
+    strain.add_arguments(parser)
     parser.add_argument(
         "--raw",
         action="store_true",
@@ -166,7 +168,11 @@ def add_parser(commands: Any) -> None:
         "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
         "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px. filtered says "
         "whether the lattice filter is on; then raw_rest, raw_displacement or raw_xy, and "
-        "raw_sigma are what it was given. left and right are never filtered."
+        "raw_sigma are what it was given. left and right are never filtered. --strain adds strain "
+        "(R, C, 3: Exx, Eyy, Exy, in space along rows, along columns, and between), of one view "
+        "also principal (R, C, 2), direction, rad, translation, rotation, rad, and zoom, each with "
+        "_sigma. --contact adds depth, depth_sigma, normal, contact, contact_area and "
+        "contact_depth. --cell adds rest_px, homography and displacement (F, R, C, 2)."
     )
     parser.set_defaults(run=run)
 
@@ -187,7 +193,10 @@ class _Shot(NamedTuple):
 
 
 class _Source:
-    """Where the frames come from; rate: frames per second, None where nobody knows."""
+    """Where the frames come from.
+
+    rate: frames per second, full_scale: largest grey level; None where nobody knows.
+    """
 
     def __init__(self, name: str, max_pixels: int, camera: CameraSettings) -> None:
         self._max_pixels = max_pixels
@@ -197,8 +206,9 @@ class _Source:
         self.start_ns: int | None = None  # since 1970, of an MCAP
         self.paths: list[Path] = [] if self.live else media.find_inputs([name])
         self.name = name
-        self.rate = media.frame_rate(self.paths[0]) if len(self.paths) == 1 else None
-        self._period = np.nan if self.rate is None else 1e3 / self.rate
+        single = self.paths[0] if len(self.paths) == 1 else None
+        self.rate = None if single is None else media.frame_rate(single)
+        self.full_scale = None if single is None else media.full_scale(single)
 
     @property
     def total(self) -> int | None:
@@ -228,7 +238,9 @@ class _Source:
                 yield _Shot(taken.index, taken.time_ms - start, taken.image)
             return
         if self.paths[0].suffix.lower() == ".mcap":
-            for number, (stamp, image) in enumerate(mcap_images(self.paths[0])):
+            for number, (stamp, image) in enumerate(
+                mcap_images(self.paths[0], max_pixels=self._max_pixels)
+            ):
                 self.start_ns = self.start_ns or stamp
                 yield _Shot(number, (stamp - self.start_ns) / 1e6, image)
             return
@@ -236,7 +248,8 @@ class _Source:
         for path in self.paths:
             try:
                 for frame in media.read_frames(path, max_pixels=self._max_pixels):
-                    yield _Shot(index, index * self._period, frame.image)
+                    time_ms = frame.time_ms if len(self.paths) == 1 else np.nan
+                    yield _Shot(index, time_ms, frame.image)
                     index += 1
             except ImageError:
                 if len(self.paths) == 1:
@@ -263,12 +276,23 @@ class _Pairs(_Source):
     """Frames of two sources side by side, left and right, paired by their times."""
 
     def __init__(self, arguments: argparse.Namespace, camera: CameraSettings) -> None:
-        self._sides = [cameras.Source(name, camera) for name in (arguments.left, arguments.right)]
+        self._sides = [
+            cameras.Source(name, camera, max_pixels=arguments.max_pixels)
+            for name in (arguments.left, arguments.right)
+        ]
         left, right = self._sides
         if left.live != right.live:
             raise ConfigError("--left and --right must both be files or both be cameras")
+        counts = len(left.paths), len(right.paths)
+        if max(counts) > 1 and counts[0] != counts[1]:
+            raise ConfigError(
+                f"--left has {counts[0]} files and --right {counts[1]}: images have no times by "
+                "which they could be paired; leave out those without a partner"
+            )
         self.name = f"{left.name}, {right.name}"
-        self.start_ns = None
+        self.start_ns = self.full_scale = None
+        if not left.live:
+            self.full_scale = media.full_scale(left.paths[0])
         self.live = left.live
         self.paths = [*left.paths, *right.paths]
         periods = [side.period_ms for side in self._sides if np.isfinite(side.period_ms)]
@@ -384,12 +408,14 @@ class _Settings:
     split: str
     mirror: str | None
     track: bool
+    added: strain.Added
 
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> Self:
         if arguments.rest_frame < 0:
             raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
         _check_source(arguments)
+        added = strain.Added.of(arguments)
         if arguments.stereo is None and (arguments.split or arguments.mirror):
             raise ConfigError("--split and --mirror need --stereo")
         if arguments.out != "-":
@@ -432,20 +458,30 @@ class _Settings:
             device=device,
             shape=arguments.grid,
             config=config,
-            full_scale=arguments.full_scale,
+            full_scale=_full_scale(arguments.full_scale, source, config),
             raw=arguments.raw,
             region=arguments.region,
             rig=rig,
             split=arguments.split or "halves",
             mirror=arguments.mirror,
             track=arguments.track,
+            added=added,
         )
 
     def description(self, measure: Measurement) -> Description:
         """What the series says of itself."""
-        lengths = ("rest", "displacement", "sigma") if self.rig else ("rest", "xy", "sigma")
-        pixels = ("left", "right", "left_rest", "right_rest") if self.rig else ()
-        units = {**dict.fromkeys(lengths, measure.unit), **dict.fromkeys(pixels, "px")}
+        lengths = ["rest", "displacement", "sigma"]
+        pixels = ["left", "right", "left_rest", "right_rest"] if self.rig else ["xy", "rest_px"]
+        (lengths if self.rig else pixels).extend(
+            ("raw_rest", "raw_displacement", "raw_sigma")
+            if self.rig
+            else ("raw_rest", "raw_xy", "raw_sigma")
+        )
+        units = {
+            **dict.fromkeys(lengths, measure.unit),
+            **dict.fromkeys(pixels, "px"),
+            **strain.units(measure),
+        }
         settings = {
             "source": self.source.name,
             "rest_frame": str(self.rest_frame),
@@ -471,15 +507,24 @@ class _Settings:
             if self.rig is None:
                 hint = "; --region picks one of several patterns; frames of two views need --stereo"
                 (region,) = regions_in(self.region, whole(rest))
-                return OneView(rest, region=region, **search)
+                return self._with_added(OneView(rest, region=region, **search))
             split = split_of(self.split, self.mirror, rest.shape)
             one, two = views_of(split)
             if isinstance(self.source, _Pairs):  # regions are in the two frames
                 two = ((0, 0, *two[0][2:]), two[1])
             left, right = regions_in(self.region, one, two)
-            return TwoViews(rest, self.rig, split, regions=(left, right), **search)
+            return self._with_added(
+                TwoViews(rest, self.rig, split, regions=(left, right), **search)
+            )
         except GridError as error:
             raise GridError(f"the rest frame {self.rest_frame}: {error}{hint}") from error
+
+    def _with_added(self, measure: OneView | TwoViews) -> Measurement:
+        try:
+            return self.added.to(measure)
+        except BaseException:
+            measure.close()
+            raise
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -492,6 +537,7 @@ def run(arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
         measure = stack.enter_context(settings.measurement(rest))
+        at_rest = measure.constants.get("rest_px", measure.constants["rest"])
         stack.enter_context(film)
         series = stack.enter_context(
             open_series(settings.out, settings.description(measure), measure.constants)
@@ -525,7 +571,7 @@ def run(arguments: argparse.Namespace) -> int:
                 full = error
                 break
             tally.add(shot.number, measured, spent)
-            film.frame(shot, measured, measure.constants["rest"])
+            film.frame(shot, measured, at_rest)
     ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
     if isinstance(source, _Pairs):
@@ -540,6 +586,13 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2
     return 130 if stop.name and not source.live else 0
+
+
+def _full_scale(asked: int | None, source: _Source, config: DetectorConfig | None) -> int | None:
+    """Return the full scale that is asked for, else the source's where the settings say none."""
+    if asked is not None or (config is not None and config.full_scale is not None):
+        return asked
+    return source.full_scale
 
 
 class _Film(contextlib.AbstractContextManager["_Film"]):

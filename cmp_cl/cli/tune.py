@@ -61,11 +61,11 @@ def add_parser(commands: Any) -> None:
     """Add `tune` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "tune",
-        help="the cheapest settings that lose nothing on your own frames",
+        help="find the cheapest settings that lose nothing on your own frames",
         description="Measures what each optional stage of the detector costs in time and buys "
         "in corners on the frames given, prints the table, and writes the cheapest settings "
         "that lose nothing against the most complete ones. Missed corners are counted against "
-        "--markers; extra ones are detections where the numbered grid of the most complete "
+        "--grid; extra ones are detections where the numbered grid of the most complete "
         "settings has no corner. Roughness is how far the corners are from where their "
         "neighbours in the grid predict them, RMS: the smaller, the more exact the refinement.",
     )
@@ -73,7 +73,7 @@ def add_parser(commands: Any) -> None:
         "frames", nargs="+", metavar="FRAME", help="images, folders or videos, all of one size"
     )
     parser.add_argument(
-        "--markers",
+        "--grid",
         metavar="ROWSxCOLUMNS",
         type=grid_shape,
         required=True,
@@ -170,9 +170,9 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_to_overwrite(media.find_inputs(arguments.frames), [arguments.out])
     device = select_device(arguments.device)
     views = _views(arguments)
-    full, frames = _reference(views, arguments.markers, device, arguments.full_scale)
+    full, frames = _reference(views, arguments.grid, device, arguments.full_scale)
     rows, columns = frames[0].image.shape
-    total = len(frames) * arguments.markers[0] * arguments.markers[1]
+    total = len(frames) * arguments.grid[0] * arguments.grid[1]
     print(
         f"{counted(len(frames), 'view')} of {columns} x {rows} px, cells of "
         f"{frames[0].cell:.1f} px, {total} corners in all, on {device}"

@@ -1,5 +1,6 @@
 """Displacement and strain of the nodes, and their files."""
 
+from cmp_cl.field.contact import Contact, contact_of, surface_normals
 from cmp_cl.field.field import DisplacementField, displacement
 from cmp_cl.field.plane import (
     Motion,
@@ -28,6 +29,7 @@ from cmp_cl.field.writers import mesh
 
 __all__ = [
     "Boundary",
+    "Contact",
     "DisplacementField",
     "Motion",
     "PlaneField",
@@ -37,6 +39,7 @@ __all__ = [
     "PrincipalStrain",
     "Raster",
     "SeriesWriter",
+    "contact_of",
     "displacement",
     "green_lagrange",
     "integrate",
@@ -47,6 +50,7 @@ __all__ = [
     "projected_density",
     "rasterize",
     "surface_height",
+    "surface_normals",
     "with_measured_noise",
     "without_motion",
 ]

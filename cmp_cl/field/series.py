@@ -8,17 +8,17 @@ import zipfile
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, Self
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmp_cl.closing import Closing
 from cmp_cl.errors import FieldError
 from cmp_cl.files import check_target, whole_file
 
 
-class SeriesWriter:
+class SeriesWriter(Closing):
     """Writes a recording, frame by frame, to one .npz; memory does not grow with it.
 
     The file holds `index` (F,) int64, `time_ms` (F,) float64, every array that `append` gets
@@ -54,17 +54,6 @@ class SeriesWriter:
     def __len__(self) -> int:
         """Return the number of frames so far."""
         return self._count
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def append(self, *, index: int, time_ms: float, **arrays: ArrayLike) -> None:
         """Add a frame: its number, its time stamp in ms, and its arrays.
@@ -168,7 +157,7 @@ class _Column:
         self._write_at(0, self._header(0))
 
     def write(self, frame: int, value: NDArray[np.generic]) -> None:
-        """Write a frame in its place, also over one that was interrupted."""
+        """Write a frame at its offset, even over one that was interrupted."""
         header = self._header(frame + 1)
         self._write_at(len(header) + frame * value.nbytes, value.tobytes())
         self._write_at(0, header)

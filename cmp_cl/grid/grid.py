@@ -2,11 +2,14 @@
 
 import dataclasses
 import enum
+import math
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from cmp_cl.errors import ConfigError
 
 
 class NodeStatus(enum.IntEnum):
@@ -203,12 +206,15 @@ class Grid:
     def to_opencv(self, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
 
-        spacing: side of a square, any unit. Returns (N, 1, 3) float32 in that unit and
-        (N, 1, 2) float32, px. Raises ConfigError where spacing is not positive.
+        spacing: side of a square, any unit. Returns (N, 1, 3) float32, x by column, y by row and
+        z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError where spacing is not
+        positive.
         """
-        from cmp_cl.stereo.exports import grid_to_opencv
-
-        return grid_to_opencv(self, spacing)
+        if not 0 < spacing < math.inf:
+            raise ConfigError(f"spacing must be a positive length, not {spacing!r}")
+        row, column = np.nonzero(self.valid)
+        nodes = np.column_stack([column, row, np.zeros(len(row))]) * float(spacing)
+        return nodes.astype(np.float32)[:, None], self.xy[self.valid].astype(np.float32)[:, None]
 
     def with_virtual_markers(self, count: int) -> "Grid":
         """Return the grid with `count` points on every edge between two neighbouring nodes.

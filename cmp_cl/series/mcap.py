@@ -6,7 +6,6 @@ the files.
 
 import contextlib
 import importlib
-import struct
 from collections.abc import Iterator, Mapping
 from os import PathLike
 from typing import Any
@@ -15,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmp_cl import media
 from cmp_cl.errors import FieldError, ImageError
 from cmp_cl.extras import extra
 from cmp_cl.files import whole_file
@@ -161,13 +161,13 @@ class McapSeries(Series):
 
 
 def mcap_images(
-    path: str | PathLike[str], *, topic: str | None = None
+    path: str | PathLike[str], *, topic: str | None = None, max_pixels: int = media.MAX_PIXELS
 ) -> Iterator[tuple[int, GreyImage | None]]:
     """The images of a recording in turn: stamp in ns since 1970, (H, W) uint8 or uint16.
 
     topic: of sensor_msgs/Image or CompressedImage; None means the only one. Colour becomes
     grey. The stamp is the header's, the log time where that is 0; the image is None where it
-    cannot be decoded.
+    cannot be decoded or has more pixels than that.
 
     Raises ConfigError without the packages, ImageError where the file cannot be read, has no
     such topic, or has several and none is chosen.
@@ -175,17 +175,17 @@ def mcap_images(
     with extra("mcap", "MCAP"):
         reading = importlib.import_module("mcap.reader")
         decoding = importlib.import_module("mcap_ros2.decoder")
-        errors = importlib.import_module("mcap.exceptions")
     try:
         with open(path, "rb") as file:
             reader = reading.make_reader(file, decoder_factories=[decoding.DecoderFactory()])
             chosen = _image_topic(reader, path, topic)
             for _, _, record, message in reader.iter_decoded_messages(topics=[chosen]):
                 stamp = message.header.stamp
-                yield stamp.sec * 10**9 + stamp.nanosec or record.log_time, _grey(message)
+                image = _grey(message, max_pixels)
+                yield stamp.sec * 10**9 + stamp.nanosec or record.log_time, image
     except ImageError:
         raise
-    except (errors.McapError, OSError, EOFError, ValueError, struct.error) as error:
+    except Exception as error:  # damaged bytes lead to any, in the packages and in codecs
         raise ImageError(f"{str(path)!r} is no MCAP that can be read: {error}") from error
 
 
@@ -208,16 +208,12 @@ def _image_topic(reader: Any, path: str | PathLike[str], topic: str | None) -> s
     return str(topic)
 
 
-def _grey(message: Any) -> GreyImage | None:
+def _grey(message: Any, max_pixels: int) -> GreyImage | None:
     """An Image or CompressedImage as grey, None where it cannot be decoded."""
     data = np.frombuffer(bytes(message.data), np.uint8)
     if not hasattr(message, "encoding"):
-        with contextlib.suppress(cv2.error):
-            image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-            if image is not None and image.dtype == np.uint16:
-                return image.astype(np.uint16)
-            if image is not None and image.dtype == np.uint8:
-                return image.astype(np.uint8)
+        with contextlib.suppress(ImageError):
+            return next(media.decoded_pages(data, "a message", max_pixels=max_pixels))
         return None
     encoding, rows, columns = message.encoding, message.height, message.width
     if len(data) < message.step * rows or not rows:

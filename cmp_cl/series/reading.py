@@ -1,6 +1,9 @@
 """Recordings read back: .npz and HDF5."""
 
+import os
+import struct
 import zipfile
+import zlib
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -10,6 +13,12 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.extras import extra
+
+_DAMAGE = (  # what reading a damaged zip, .npy or HDF5 raises
+    *(OSError, ValueError, KeyError, EOFError, OverflowError, MemoryError, RuntimeError),
+    *(AttributeError, TypeError, struct.error, zipfile.BadZipFile, zlib.error),
+)
+_MOST_UNPACKED = 1100  # bytes of a byte in the file: deflate's best is 1032
 
 
 def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
@@ -27,7 +36,7 @@ def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
         raise FieldError(f"there is no file {str(path)!r}")
     try:
         found = _npz(path) if suffix == ".npz" else _hdf5(path)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except _DAMAGE as error:
         raise FieldError(f"{str(path)!r} is no series that can be read: {error}") from error
     if "index" not in found:
         raise FieldError(f"{str(path)!r} holds no series: it has no array `index`")
@@ -40,11 +49,12 @@ def _npz(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def _hdf5(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    with extra("hdf5", "HDF5"):
-        import h5py
-    with h5py.File(path, "r", libver="latest", swmr=True) as file:
+    with _opened(path) as file:
         frames = len(file["index"]) if "index" in file else 0
         found: dict[str, NDArray[Any]] = {}
+        most = _MOST_UNPACKED * os.path.getsize(path)
+        if sum(dataset.nbytes for dataset in file.values()) > most:
+            raise ValueError("it says to hold more than it can")
         for name, dataset in file.items():
             if dataset.dtype.kind == "O":
                 found[name] = np.array(dataset.asstr()[()])
@@ -53,3 +63,19 @@ def _hdf5(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
             else:
                 found[name] = dataset[()]
         return found
+
+
+def _opened(path: str | PathLike[str]) -> Any:
+    """The file as HDF5, beside its writer where that is open or was killed.
+
+    Only then in the mode for that, in which HDF5 waits ever longer for damaged parts to become
+    whole.
+    """
+    with extra("hdf5", "HDF5"):
+        import h5py
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        if "already open for" not in str(error):
+            raise
+    return h5py.File(path, "r", libver="latest", swmr=True)

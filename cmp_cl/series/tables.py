@@ -1,7 +1,6 @@
 """Recordings as tables: a row for each node of each frame, or a line for each frame."""
 
 import contextlib
-import itertools
 import json
 import os
 import sys
@@ -17,16 +16,23 @@ from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, whole_file, write_text
 from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.digits import rows_of
 
 _ROWS = 1 << 17  # of a group in a Parquet file
-_AXES = "xyz"
+_AXES = "x", "y", "z"
+_PARTS = {  # of arrays that are no vectors
+    **dict.fromkeys(("strain", "strain_sigma"), ("xx", "yy", "xy")),
+    **dict.fromkeys(("principal", "principal_sigma"), ("1", "2")),
+}
 
 
 def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, NDArray[Any], str]]:
     """Name, values (N,) and unit ("" for none) of each column of a frame's R x C nodes.
 
-    (R, C) is one column; (R, C, 2) and (R, C, 3) have _x, _y, _z; others numbers. Arrays that
-    are not of the nodes give none. Raises FieldError where no array is of nodes.
+    (R, C) is one column; (R, C, 2) and (R, C, 3) have _x, _y, _z, strains _xx, _yy, _xy; others
+    numbers. Numbers and vectors of the whole frame come last.
+
+    Raises FieldError where no array is of nodes.
     """
     shapes = [value.shape[:2] for value in frame.values() if value.ndim in (2, 3)]
     if not shapes:
@@ -41,9 +47,21 @@ def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, 
         if value.ndim == 2:
             yield name, value.ravel(), unit
             continue
-        for part in range(value.shape[2]):
-            letter = _AXES[part] if value.shape[2] <= 3 else str(part)
-            yield f"{name}_{letter}", value[..., part].ravel(), unit
+        for part, end in enumerate(_ends(name, value.shape[2])):
+            yield f"{name}_{end}", value[..., part].ravel(), unit
+    for name, value in frame.items():
+        unit, ends = units.get(name, ""), _ends(name, value.size)
+        if value.ndim == 0:
+            yield name, np.broadcast_to(value, rows.size), unit
+        elif value.ndim == 1:
+            for part, end in zip(value, ends, strict=True):
+                yield f"{name}_{end}", np.broadcast_to(part, rows.size), unit
+
+
+def _ends(name: str, count: int) -> tuple[str, ...]:
+    """Return what the names of an array's parts end in."""
+    ends = _PARTS.get(name, _AXES)
+    return ends[:count] if count <= len(ends) else tuple(map(str, range(count)))
 
 
 class CsvSeries(Series):
@@ -63,25 +81,15 @@ class CsvSeries(Series):
         self._target = check_target(path)
         self._files = contextlib.ExitStack()
         self._file = self._files.enter_context(whole_file(path))
-        self._template = ""
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         table = list(node_columns(frame, self.description.units))
         if not self._count:
             names = [f"{name}_{unit}" if unit else name for name, _, unit in table]
             self._file.write((",".join(["frame", "time_ms", *names]) + "\n").encode())
-            # All that a frame's rows share is in one template, which is filled at once.
-            forms = ",".join("%.9g" if values.dtype.kind == "f" else "%d" for _, values, _ in table)
-            forms = forms.split(",", 2)[2]
-            self._template = "".join(
-                f"@,{row},{column},{forms}\n"
-                for row, column in zip(table[0][1].tolist(), table[1][1].tolist(), strict=True)
-            )
-        moment = f"{index},{float(time_ms):.9g}"
-        columns = [values.tolist() for _, values, _ in table[2:]]
-        numbers = tuple(itertools.chain.from_iterable(zip(*columns, strict=True)))
-        text = self._template.replace("@", moment) % numbers
-        self._file.write(text.encode())
+        self._file.write(
+            rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
+        )
 
     def _finish(self) -> None:
         try:

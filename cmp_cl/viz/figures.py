@@ -3,13 +3,13 @@
 import enum
 import math
 from os import PathLike
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.closing import Closing
 from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField, mesh
@@ -19,7 +19,9 @@ from cmp_cl.image import GreyImage, check_image
 from cmp_cl.viz.piped import PipedFile
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d import Axes3D
 
 METHOD_COLOURS = {  # BGR
     Method.CENTROID: (0, 215, 255),
@@ -201,6 +203,16 @@ def arrow_figure(
     """
     from matplotlib.figure import Figure
 
+    rows, columns = image.shape
+    figure = Figure(figsize=(9, max(7.2 * rows / columns, 2) + 0.7), layout="constrained")
+    draw_arrows(figure.add_subplot(), image, rest, now, field=field)
+    return figure
+
+
+def draw_arrows(
+    axes: "Axes", image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
+) -> None:
+    """Draw what `arrow_figure` shows into axes."""
     check_image(image)
     if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
         shapes = [rest.shape, now.shape, *([] if field is None else [field.status.shape])]
@@ -212,8 +224,6 @@ def arrow_figure(
     seen = ~np.isnan(shift).any(axis=2) & ~np.isnan(length)
 
     rows, columns = image.shape
-    figure = Figure(figsize=(9, max(7.2 * rows / columns, 2) + 0.7), layout="constrained")
-    axes = figure.add_subplot()
     axes.imshow(image, cmap="gray", interpolation="nearest", alpha=0.6)
     arrows = axes.quiver(
         *rest.xy[seen].T,
@@ -227,8 +237,7 @@ def arrow_figure(
         clim=(0, _top(length[seen])),
     )
     axes.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), xlabel="x / px", ylabel="y / px")
-    figure.colorbar(arrows, ax=axes, label=f"displacement / {unit}", shrink=0.8)
-    return figure
+    axes.figure.colorbar(arrows, ax=axes, label=f"displacement / {unit}", shrink=0.8)
 
 
 def _top(lengths: NDArray[np.float64]) -> float:
@@ -254,9 +263,20 @@ def surface_figure(
 
     Raises FieldError where fewer than three nodes are valid.
     """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    axes: Axes3D = figure.add_subplot(  # a surface and its arrows are drawn in that order
+        projection="3d", proj_type=projection.value, computed_zorder=False
+    )
+    draw_surface(axes, field)
+    return figure
+
+
+def draw_surface(axes: "Axes3D", field: DisplacementField) -> None:
+    """Draw what `surface_figure` shows into axes in space."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -270,8 +290,6 @@ def surface_figure(
     cells = np.stack([now[:-1, :-1], now[:-1, 1:], now[1:, 1:], now[1:, :-1]], axis=2)
     corner = [length[:-1, :-1], length[:-1, 1:], length[1:, 1:], length[1:, :-1]]
     whole = ~np.isnan(cells).any(axis=(2, 3))
-    figure = Figure(figsize=(9, 6), layout="constrained")
-    axes = figure.add_subplot(projection="3d", proj_type=projection.value, computed_zorder=False)
     faces = colours.to_rgba(np.mean(corner, axis=0)[whole])
     axes.add_collection3d(
         Poly3DCollection(
@@ -305,8 +323,8 @@ def surface_figure(
     axes.zaxis.set_major_locator(MaxNLocator(4))
     axes.set_box_aspect(span * [1, 1, stretch], zoom=0.95)
     axes.view_init(elev=32, azim=-60)
-    figure.colorbar(colours, ax=axes, label=f"displacement / {field.unit}", shrink=0.6, pad=0.12)
-    return figure
+    label = f"displacement / {field.unit}"
+    axes.figure.colorbar(colours, ax=axes, label=label, shrink=0.6, pad=0.12)
 
 
 def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -347,7 +365,7 @@ def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) 
         figure.savefig(file, format="png", dpi=dpi)
 
 
-class RerunLog:
+class RerunLog(Closing):
     """Shows frames in Rerun's viewer, or records them to a .rrd file for it.
 
     path: the file; None opens the viewer. Needs rerun-sdk 0.23 or newer. The file appears when the
@@ -368,17 +386,6 @@ class RerunLog:
             self._stream.spawn()
         else:
             self._file = PipedFile(path, self._stream.save)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def frame(
         self,

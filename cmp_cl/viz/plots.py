@@ -151,8 +151,8 @@ class Recorded:
             field = PlaneField(
                 position=np.where(np.isnan(shift), np.nan, self.rest),
                 displacement=shift,
-                sigma_rest=unknown,
-                sigma_now=unknown,
+                sigma=unknown,
+                sigma_position=unknown,
                 status=np.zeros(shift.shape[:2], np.uint8),
                 unit=self.unit,
             )
@@ -171,7 +171,7 @@ def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = No
     matplotlib.
     """
     figure = _figure((7.5, 6.0))
-    _draw_map(figure, figure.add_subplot(), recorded, quantity, recorded.frame_of(index))
+    draw_map(figure, figure.add_subplot(), recorded, quantity, recorded.frame_of(index))
     return figure
 
 
@@ -200,7 +200,7 @@ def sheet_figure(
     for number, quantity in enumerate(wanted):
         last = number == len(wanted) - 1 and number % 2 == 0
         at = grid[number // 2, :] if last else grid[number // 2, number % 2]
-        _draw_map(figure, figure.add_subplot(at), recorded, quantity, place)
+        draw_map(figure, figure.add_subplot(at), recorded, quantity, place)
     _draw_curve(figure.add_subplot(grid[rows - 1, :]), recorded, recorded.node_of(node))
     return figure
 
@@ -211,9 +211,10 @@ def _figure(size: tuple[float, float]) -> "Figure":
     return Figure(figsize=size, layout="constrained")
 
 
-def _draw_map(
+def draw_map(
     figure: "Figure", axes: "Axes", recorded: Recorded, quantity: Quantity, place: int
 ) -> None:
+    """Draw what `map_figure` shows into axes; place: of the frame in the recording."""
     from matplotlib.collections import PolyCollection
 
     values, unit = recorded.values(quantity, place)

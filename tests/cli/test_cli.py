@@ -356,7 +356,7 @@ def test_what_is_no_file_is_not_read(run, name):
         ["run", "a.png", "--config", "e.toml", "--stereo", "rig.npz", "--out", "rig.npz"],
         ["run", "a.png", "--out", "a.npz", "--rerun", "a.rrd", "--config", "a.npz"],
         ["calibrate", "board.yaml", "--board", "3x3", "--square", "1", "--out", "board.yaml"],
-        ["tune", "frame.toml", "--markers", "3x3", "--out", "frame.toml"],
+        ["tune", "frame.toml", "--grid", "3x3", "--out", "frame.toml"],
         ["render", "--out", "a.png", "--truth", "./a.png"],
     ],
     ids=lambda arguments: " ".join(map(str, arguments)).replace(str(BOARD), "board.png"),

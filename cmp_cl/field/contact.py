@@ -1,0 +1,99 @@
+"""Where and how deep something presses on a surface, and which way the surface looks."""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import FieldError
+from cmp_cl.field.field import DisplacementField
+from cmp_cl.field.strain import slope_weights
+
+Array = NDArray[np.float64]
+
+_NORMAL_RADIUS = 2  # nodes: a normal is that of a plane through 5 x 5 nodes, as a strain is
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Contact:
+    """What presses on a surface, as far as its displacement shows it.
+
+    depth: (R, C) float64, the displacement along the normal at rest, towards the cameras, in
+        `unit`; NaN where the normal or the displacement is missing.
+    sigma: (R, C) float64, its standard deviation, NaN where unknown.
+    normal: (R, C, 3) float64, unit normals of the surface now, towards the cameras, or NaN.
+    inside: (R, C) bool, nodes deeper than the depth that was asked for.
+    area: of the surface at rest that they stand for, in `unit` squared.
+    deepest: the largest depth in `unit`, NaN where no depth is known.
+    """
+
+    depth: Array
+    sigma: Array
+    normal: Array
+    inside: NDArray[np.bool_]
+    area: float
+    deepest: float
+    unit: str
+
+
+def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
+    """Return where the surface is pressed in by more than a depth, in the field's unit.
+
+    A gel that is pressed at one place bulges beside it and follows within a soft rim: what is
+    deeper than `deeper_than` is the area of the indentation at that depth, which is the area of
+    contact only as far as the user has chosen the depth for the gel. A node stands for a
+    quarter of each of its whole cells.
+
+    Raises FieldError where the depth is not a finite number.
+    """
+    if not math.isfinite(deeper_than):
+        raise FieldError(f"a depth must be a finite number, not {deeper_than!r}")
+    before = surface_normals(field.position)
+    depth = (field.displacement * before).sum(axis=2)
+    variance = np.einsum("...i,...ij,...j", before, field.covariance, before)
+    inside = np.nan_to_num(depth, nan=-math.inf) > deeper_than
+    cells = _cell_areas(field.position)
+    corners = inside[:-1, :-1], inside[:-1, 1:], inside[1:, 1:], inside[1:, :-1]
+    share = np.sum(corners, axis=0) / 4
+    known = depth[~np.isnan(depth)]
+    return Contact(
+        depth=depth,
+        sigma=np.sqrt(variance),
+        normal=surface_normals(field.position + field.displacement),
+        inside=inside,
+        area=float(np.nansum(share * cells)),
+        deepest=float(known.max()) if len(known) else math.nan,
+        unit=field.unit,
+    )
+
+
+def surface_normals(positions: Array) -> Array:
+    """Return the unit normals of a surface (R, C, 3) in the frame of the left camera.
+
+    They are those of the plane through the 5 x 5 nodes around, and point to the side of the
+    origin; NaN where fewer than 6 of these are there, or all of them on a line.
+    """
+    valid: NDArray[np.bool_] = np.all(np.isfinite(positions), axis=2)
+    filled = np.where(valid[..., None], positions, 0)
+    reach = _NORMAL_RADIUS
+    padded = np.pad(filled, ((reach, reach), (reach, reach), (0, 0)))
+    side = 2 * reach + 1
+    around = np.lib.stride_tricks.sliding_window_view(padded, (side, side), axis=(0, 1))
+    along, down = (
+        np.einsum("rcij,rckij->rck", weights, around) for weights in slope_weights(valid, reach)
+    )
+    normal = np.cross(along, down)
+    length = np.linalg.norm(normal, axis=2)
+    flat = length <= 1e-9 * np.linalg.norm(along, axis=2) * np.linalg.norm(down, axis=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit: Array = normal / np.where(flat, np.nan, length)[..., None]
+    away = (unit * filled).sum(axis=2) > 0
+    return np.where(away[..., None], -unit, unit)
+
+
+def _cell_areas(positions: Array) -> Array:
+    """Return the areas of the cells (R - 1, C - 1), by their diagonals; NaN where one is cut."""
+    one = positions[1:, 1:] - positions[:-1, :-1]
+    other = positions[1:, :-1] - positions[:-1, 1:]
+    return np.asarray(np.linalg.norm(np.cross(one, other), axis=2) / 2, np.float64)
