@@ -716,10 +716,11 @@ def open_patterns(result: Row) -> str:
     """Report numbers against the rest frame without a border in view."""
     parts = ["## Patterns without a border in view", conditions(result)]
     parts.append(
-        "Frames are numbered like the rest frame. Right: every node has its number. In silence: "
-        "some have not, and the frame does not say that its numbers are ambiguous. A print "
-        "without wear that moved by a whole period gives the same picture as one that did not "
-        "move: nothing in the frame can tell.\n"
+        "Frames are numbered like the rest frame. Right: every node has its number, but for one in "
+        "500. In silence: more have not, and the frame does not say that its numbers are "
+        "ambiguous. A perfect print that moved by a whole period gives the same picture as one "
+        "that did not move: nothing in the frame can tell, so that every such frame is ambiguous. "
+        "The errors of a worn print move with it, and tell.\n"
     )
     for form, words in (
         ("alone", "By the rest frame alone"),

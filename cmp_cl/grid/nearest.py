@@ -174,7 +174,7 @@ def chosen(nodes: Nodes, near: Reference, quarters: int, top: int, left: int) ->
 def _displacement(
     near: Reference, first: NDArray[np.int64], row: Index, column: Index, at: Points
 ) -> Points:
-    """From the reference's nodes, (S, M) px, for each number (S, 2) of row 0 and column 0."""
+    """Return displacements, (S, M) px, for each number (S, 2) of row 0 and column 0."""
     rows = row + (first[:, :1] - near.origin[0])
     columns = column + (first[:, 1:] - near.origin[1])
     inside = (rows >= 0) & (rows < near.shape[0]) & (columns >= 0) & (columns < near.shape[1])
@@ -183,7 +183,7 @@ def _displacement(
 
 
 def _motion(at: Points, cell: float, moved: Points) -> complex:
-    """How the middle of the view has moved by the affine map that most nodes follow, cells.
+    """Return the motion of the view's middle by the affine map that most nodes follow, cells.
 
     moved: (M,), cells. Infinite where fewer than four are known.
     """
@@ -204,7 +204,7 @@ def _motion(at: Points, cell: float, moved: Points) -> complex:
 
 
 def _differences(moved: Points) -> Points:
-    """By how much the displacements (S, M) differ from the first, in the mean, (S,), cells."""
+    """Return the mean difference of displacements (S, M) from the first, (S,), cells."""
     step = moved - moved[0]
     known = ~np.isnan(step.real)
     mean: Points = np.where(known, step, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)

@@ -69,7 +69,7 @@ def _straight(nodes: Nodes, bend: NDArray[np.float32]) -> NDArray[np.bool_]:
 def _fullest(
     nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int]
 ) -> tuple[int, int, int]:
-    """Return weight, first row and first column of the fullest window of that shape, or of all.
+    """Return weight, first row and first column of the fullest window of that shape.
 
     A node weighs less the less the corner's boundaries are straight, as they are not where the
     outermost cells meet the surroundings. Of several it is the nearest to the top left.
@@ -93,7 +93,7 @@ def _seen_shape(
     start: tuple[int, int],
     border: Sides,
 ) -> tuple[tuple[int, int] | None, Sides]:
-    """The shape that the pattern seems to have, None where that is the given one; where it goes on.
+    """Return the shape that the pattern seems to have, None for the given one; where it goes on.
 
     start: first row and column of the window of that shape. Lines beyond it count that hold
     half as many straight corners as lines usually do.
