@@ -323,7 +323,7 @@ def boards() -> list[dict[str, Any]]:
                 sure = [
                     (trusted(left, MAX_SIGMA), trusted(right, MAX_SIGMA)) for left, right in views
                 ]
-                name = f"{name}, sigma <= {MAX_SIGMA:g} px"
+                name = f"{name}, filtered, sigma <= {MAX_SIGMA:g} px"
                 rows.append({"set": "opencv", "config": name, "true": 25.0, **left_out(sure)})
     return rows
 

@@ -226,16 +226,20 @@ def scored(view: View, answer: Found) -> dict[str, int]:
     if not len(answer.xy):
         row["refused"] = 1
         return row
+    real = (np.abs(answer.xy) < 1e5).all(axis=1)
+    row["false"] = int(np.count_nonzero(~real))
+    answer = answer._replace(xy=answer.xy[real], number=answer.number[real])
     away = np.linalg.norm(answer.xy[:, None] - view.truth[None, :, :2], axis=2)
     nearest, distance = away.argmin(axis=1), away.min(axis=1)
     x, y = np.rint(answer.xy).astype(int).T
     rows, columns = view.region.shape
     counts = view.region[y.clip(0, rows - 1), x.clip(0, columns - 1)]
     hit = distance < 3
-    row["false"] = int(np.count_nonzero((distance >= max(3, view.cell / 4)) & counts))
+    false = int(np.count_nonzero((distance >= max(3, view.cell / 4)) & counts))
     right, identity = agreeing(answer.number[hit], view.truth[nearest[hit], 2:].astype(int), view)
     row["right"] = right
-    row["other"] = int(np.count_nonzero(hit | counts)) - row["false"] - right
+    row["other"] = int(np.count_nonzero(hit | counts)) - false - right
+    row["false"] += false
     row["doubted"] = int(answer.doubts)
     row["silent"] = int(answer.sized and not identity and not answer.doubts)
     return row

@@ -14,11 +14,11 @@ _BAND = 16  # rows
 def estimate_cell(image: GreyImage) -> float:
     """Estimate the side of the pattern's cells, px; 24 where the image shows none.
 
-    Binarizes against the mean of a 63 px window and takes, over all rows and columns, the
-    runs of 3 px and more that lie between two colour changes: the cell is the smallest
-    length at which half of the pixels of those runs are in runs of it or shorter. Within
-    0.95 to 1.15 of the truth on dense patterns; unreliable above 45 px and in clutter. Of an
-    image of over 2^24 px it takes every so many rows and columns instead of all.
+    The image is binarized against the mean of a 63 px window. Runs of 3 px and more between two
+    transitions are counted over all rows and columns. The cell is the length at which half of the
+    pixels of those runs are in runs of that length or shorter. The estimate is within 0.95 to 1.15
+    of the truth on dense patterns, and unreliable above 45 px and in clutter. In an image of over
+    2^24 px only some rows and columns are counted.
 
     Raises ImageError where the image is not (H, W) uint8 or uint16.
     """

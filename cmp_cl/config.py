@@ -1,7 +1,6 @@
-"""What a detector is told: frozen dataclasses, checked when made, TOML in and out.
+"""The settings of a detector: frozen dataclasses, checked when made, read from and written to TOML.
 
-Section numbers in the docstrings are those of the stages: 1 binarization, 3 criteria,
-4 contrast gate, 5 non-maximum suppression, 6 refinement, 7 scale.
+Section numbers in the docstrings are those of docs/algorithm.md.
 """
 
 import dataclasses
@@ -47,7 +46,7 @@ class AdaptiveMean:
 
     window: side of the square window, px, odd, 3 to 255.
     offset: C, grey levels of the image as given, 0 to 65535; black iff I + C < mean.
-    masks: 1, or 3 for the masks at mean and mean -+ sigma/2 (then offset must be 0).
+    masks: number of threshold layers: 1, or 3 at mean and mean -+ sigma/2 (then offset must be 0).
     """
 
     window: int = 21
@@ -115,8 +114,8 @@ class SectorContrast:
 
     minimum: least contrast of a candidate, in 1/255 of full scale, 0 to 255.
     relative: least contrast as a share of the 90th percentile of the frame, 0 to 1.
-    noise: least difference of the sector means, standard deviations of the noise, 0 to 100;
-        with three masks at least 3 are asked for, whatever it says.
+    noise: least difference of the sector means, standard deviations of the noise, 0 to 100; with
+        three threshold layers at least 3 are required, whatever it says.
     """
 
     minimum: float = 20
@@ -139,7 +138,7 @@ class RingHarmonic:
         squeezed under 6 px need twice that.
     relative: least response of a corner as a share of the reference response of the frame,
         0 to 1; squeezed cells need 5/3 of it.
-    fine: whether cells squeezed under 6 px are looked for with a ring of 3 px.
+    fine: whether a ring of 3 px searches for cells squeezed under 6 px.
     alignment: factor of the check that the harmonics of a small and of a large ring point
         alike, 1 to 64; a smaller one is stricter, None leaves the check out.
     support: factor of the check that a ring of 4 px responds as one of 5 px does, 1 to 64; a
@@ -267,7 +266,7 @@ class Midlines:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Pyramid:
-    """Several working scales, of which the one with the nearest count wins (section 7).
+    """Several working scales (section 7); the one whose count is nearest to `expected` is used.
 
     factors: scale factors, each 0.05 to 4, 1 to 32 of them.
     expected: number of corners that the pattern has, at least 1.
@@ -289,8 +288,8 @@ class Pyramid:
 
 _MOST_FACTORS = 32
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
-_WIDE_CELL = 20  # px; cells as wide are not squeezed under 6 px
-_WIDEST_CELL = 60  # px; wider ones are found at a working scale
+_WIDE_CELL = 20  # px; cells this wide are not squeezed under 6 px
+_WIDEST_CELL = 60  # px; wider cells are found at a working scale
 _WORKING_CELL = 30  # px, at that scale
 _DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
@@ -306,13 +305,13 @@ _REFINEMENTS: dict[str, type] = {
 class DetectorConfig:
     """Everything that decides which corners are found in an image.
 
-    detection: how corners are decided: RingHarmonic or BinaryRings.
+    detection: the detection rule, RingHarmonic or BinaryRings.
     nms_radius: radius of the window of non-maximum suppression, px, 1 to 15.
     refinement: EdgeStep, EdgeLines or Midlines, or None for centroids.
     scale: working scale (0.05 to 4), or Pyramid, or None for the image as it is.
     full_scale: largest grey level of the camera (1 to 65535); None means 255 for
         uint8 and 65535 for uint16.
-    max_corners: room for corners at the start, 1 to 2**26; it grows.
+    max_corners: initial capacity of the list of corners, 1 to 2**26; it grows.
     """
 
     detection: RingHarmonic | BinaryRings = RingHarmonic()
@@ -337,7 +336,7 @@ class DetectorConfig:
     def for_cell(cls, cell: float) -> Self:
         """Choose the configuration for cells of that side, px (4 to 1000).
 
-        Squeezed cells are looked for where cells are under 20 px. Above 60 px the image is
+        Squeezed cells are searched for where cells are under 20 px wide. Above 60 px the image is
         scaled by 30 / cell. Raises ConfigError for another cell.
         """
         _check("DetectorConfig", "for_cell(cell)", cell, 4, 1000, kind=float)

@@ -34,16 +34,16 @@ class Corners:
     """The corners of one image, rows in (y, x) order of `pixel`.
 
     xy: (N, 2) float32, x right, y down, px; (0, 0) is the centre of the top-left pixel.
-    pixel: (N, 2) int32, the maximum each came from, (x, y).
+    pixel: (N, 2) int32, the maximum (x, y) of each corner.
     response: (N,) float32, the response there (Eq. 24 or the spectral response).
     method: (N,) uint8 of `Method`.
     refusal: (N,) uint8 of `Refusal`.
     sigma: (N,) float32, standard deviation of the position per axis, px; NaN where unknown.
     edges: (N, 4) float32, the angles of the four boundaries in [-pi, pi], rad, clockwise on
         screen, the first from white to black; NaN where unknown.
-    doubtful: (N,) bool, corners whose surroundings do not look like the corner model
-        (EdgeStep only, False otherwise).
-    device: what ran, for example "pthread-... (Portable Computing Language)".
+    doubtful: (N,) bool, corners whose surroundings do not fit the corner model (EdgeStep only,
+        False otherwise).
+    device: the device that ran, for example "pthread-... (Portable Computing Language)".
     """
 
     xy: NDArray[np.float32]

@@ -3,14 +3,14 @@
 import operator
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.arrays import Frame, as_frame
+from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig, Pyramid
 from cmp_cl.corners import Corners
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
@@ -18,12 +18,13 @@ from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
+from cmp_cl.opencl.program import Programs
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan
 from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
 
 
-class Detector:
+class Detector(Closing):
     """Finds the corners in frames of one shape and pixel type.
 
     Use it in a with statement, or call `close`. Buffers and kernels are made once, so that a frame
@@ -83,23 +84,13 @@ class Detector:
         self._queue = queue or cl.CommandQueue(context, properties=flags)
         self._transfers = cl.CommandQueue(context)  # for streams, beside the kernels
         self._lock = threading.RLock()
+        self._programs = Programs(context)
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was redone
         if self.shape[0] and self.shape[1]:
             for factor in self._factors:
                 self._plan(factor)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Give the device's memory back; the detector cannot be used afterwards."""
@@ -306,6 +297,7 @@ class Detector:
     def _made(self, factor: float | None, frames: int, form: Form | None = None) -> Plan:
         return Plan(
             self._queue,
+            self._programs,
             self.device,
             self.shape,
             self.dtype,

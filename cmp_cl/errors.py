@@ -1,4 +1,4 @@
-"""The errors of cmp_cl. Each message says what came, what was expected and what to do."""
+"""The errors of cmp_cl. Each message says what was given, what was expected and what to do."""
 
 
 class CmpClError(Exception):
@@ -18,7 +18,7 @@ class CalibrationError(CmpClError, ValueError):
 
 
 class FieldError(CmpClError, ValueError):
-    """Grids, points or fields do not fit together: other shapes, units or names."""
+    """Grids, points or fields do not match in shape, unit or name."""
 
 
 class DeviceError(CmpClError, RuntimeError):
@@ -26,12 +26,12 @@ class DeviceError(CmpClError, RuntimeError):
 
 
 class KernelBuildError(CmpClError, RuntimeError):
-    """The OpenCL compiler refused a kernel; the message holds its log."""
+    """The OpenCL compiler rejected a kernel; the message contains its log."""
 
 
 class CapacityError(CmpClError, RuntimeError):
-    """The device has no room; the message names what is needed and what there is."""
+    """The device has too little memory; the message gives the sizes needed and available."""
 
 
 class GridError(CmpClError, ValueError):
-    """Corners do not make one grid: no edges, two patterns, or hardly a pattern."""
+    """The corners do not form one grid: no closed cell, two patterns, or hardly a pattern."""

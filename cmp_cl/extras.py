@@ -1,4 +1,4 @@
-"""Packages that only some uses need: which extra brings them."""
+"""Optional packages, and the extras that install them."""
 
 import contextlib
 from collections.abc import Iterator

@@ -20,10 +20,10 @@ _WRITABLE = 0o222  # a mode in which somebody may write
 def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[BinaryIO]:
     """Write a file that appears under its name only if the block ends without an error.
 
-    It is a temporary file in the same folder, renamed at the end; what stood under the name
-    stays until then, and its mode and owner afterwards. Devices and pipes are written as they
-    are. durable: write through to the disk before the rename, so that a power cut leaves one
-    of the two. Raises OSError where the folder is missing, not writable or full, or the file is
+    The data go to a temporary file in the same folder, which is renamed at the end. An older file
+    stays until then, and its mode and owner are kept. Devices and pipes are written directly.
+    durable: flush to the disk before the rename, so that a power cut leaves either the old or the
+    new file. Raises OSError where the folder is missing, not writable or full, or the file is
     read-only.
     """
     target = check_target(path)
@@ -78,7 +78,7 @@ def _keep_rights(old: Path, new: Path) -> None:
 
 @contextlib.contextmanager
 def _named(path: str | PathLike[str], temporary: Path | None = None) -> Iterator[None]:
-    """Say the path in errors that name a temporary file, or a full disk and no file."""
+    """Put the path into errors that name a temporary file, or a full disk without a file."""
     full = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     try:
         yield
@@ -103,8 +103,8 @@ def write_text(path: str | PathLike[str], text: str) -> None:
 def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
     """Read settings in TOML; a byte order mark is skipped.
 
-    Raises OSError where the file cannot be read, ValueError where it is no TOML in UTF-8, or
-    over 64 KiB, or nested so deep that parsing takes memory without end.
+    Raises OSError where the file cannot be read, ValueError where it is no TOML in UTF-8, or over
+    64 KiB, or nested too deeply to parse in bounded memory.
     """
     with open(path, "rb") as file:
         data = file.read(_MOST_TOML + 1)

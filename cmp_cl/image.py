@@ -1,4 +1,4 @@
-"""Images: what is accepted as one, and why anything else is not."""
+"""The check of an image, with an error that says how to convert anything else."""
 
 from os import PathLike
 from typing import Any, TypeAlias, cast

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 Size = tuple[int, int]  # width and height, px
 
 _PNM = re.compile(rb"P[1-6](?:\s|#.*\n)+(\d{1,9})(?:\s|#.*\n)+(\d{1,9})\s")
-_TIFF_PAGES = 1 << 20  # more are no stack but a chain that bites its tail
+_TIFF_PAGES = 1 << 20  # more pages than this are a cycle
 
 
 def page_sizes(data: memoryview) -> list[Size] | None:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 class Maps:
     """Every intermediate image of a frame with BinaryRings, each (H, W) unless said otherwise.
 
-    With three masks the maps up to `contrast` have a leading axis of 3, in the order of
-    the thresholds mean, mean - sigma/2, mean + sigma/2. Maps of stages that the
-    configuration leaves out are None. With a working scale they have its size.
+    With three threshold layers the maps up to `contrast` have a leading axis of 3, in the order
+    mean, mean - sigma/2, mean + sigma/2. Maps of stages that the configuration leaves out are None.
+    With a working scale the maps have the size of the scaled image.
 
     binary: bool, True where black.
     inner, outer: uint16 ring masks, bit i is sample i, clockwise from twelve o'clock.
@@ -28,7 +28,7 @@ class Maps:
     contrast: int32, min(sc1, sc2) of the gate at the maxima of `response`, 0 elsewhere.
     response: int32, R before the gate.
     score: int32, S, the response under the 5 x 5 tent.
-    maximum: bool, what suppression and the gate kept.
+    maximum: bool, pixels that suppression and the gate keep.
     """
 
     binary: NDArray[np.bool_]
@@ -54,13 +54,13 @@ class Maps:
 class HarmonicMaps:
     """Every intermediate image of a frame with RingHarmonic, each (H, W).
 
-    With a working scale they have its size.
+    With a working scale the maps have the size of the scaled image.
 
     fine: uint16, the image smoothed once, in 1/16 of a grey level of 255.
     coarse: uint16, the image smoothed three times, likewise.
     coarse_response: int32, the response of the 5 px ring on `coarse`.
-    fine_response: int32, that of the 3 px ring on `fine`; None where squeezed cells are not
-        looked for.
+    fine_response: int32, the response of the 3 px ring on `fine`; None without the search for
+        squeezed cells.
     maximum: bool, the corners that are kept.
     """
 

@@ -19,13 +19,13 @@ which `cmp_cl.calibrate` makes the rig.
 
 import contextlib
 import dataclasses
-from types import TracebackType
-from typing import Any, Self, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.cell import estimate_cell
+from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
@@ -87,7 +87,7 @@ class MeasuredInSpace(Measured):
     field: DisplacementField
 
 
-class Measurement:
+class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
     constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
@@ -123,17 +123,6 @@ class Measurement:
     def close(self) -> None:
         """Release the device's memory."""
         self._detectors.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 class OneView(Measurement):
@@ -543,14 +532,19 @@ def find_board(
 
 
 def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
-    """Return the grid without nodes that were not detected or are less certain than that, px."""
+    """Return the grid of a board behind the lattice filter, of the nodes that calibration may use.
+
+    Left out are nodes that were not detected, or whose own image is less certain than max_sigma,
+    px. The sigma of the others is that of their filtered positions.
+    """
     good = (grid.status == NodeStatus.DETECTED) & (grid.sigma <= max_sigma)
-    return dataclasses.replace(
+    kept = dataclasses.replace(
         grid,
         xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
         status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
         sigma=np.where(good, grid.sigma, np.float32(np.nan)),
     )
+    return filter_positions(kept)[0]
 
 
 def square_sides(points: Points3D) -> NDArray[np.float64]:

@@ -283,12 +283,12 @@ def test_at_most_eight_bytes_a_pixel_beyond_the_image(device_in_form, config, dt
 
 def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[int, int]):
     """Bytes of every buffer of a detector, which takes none of them."""
-    plan = Unbuilt(None, device, shape, np.dtype(dtype), config, config.scale, None, 1)
+    plan = Unbuilt(None, None, device, shape, np.dtype(dtype), config, config.scale, None, 1)
     return plan.sizes
 
 
-def test_the_sizes_are_those_of_the_buffers(detector_in_form, device_in_form):
-    detector = detector_in_form(IMAGE, HARMONIC)
+def test_the_sizes_are_those_of_the_buffers(device_in_form):
     sizes = sizes_of(device_in_form, HARMONIC, np.uint8, IMAGE.shape)
-    assert detector._plan(None).sizes == sizes
-    assert detector.memory == sum(sizes.values())
+    with Detector(shape=IMAGE.shape, config=HARMONIC, device=device_in_form) as detector:
+        assert detector._plan(None).sizes == sizes
+        assert detector.memory == sum(sizes.values())

@@ -1,5 +1,6 @@
 """Displacement, strain, height and density in the plane, against closed forms."""
 
+import dataclasses
 import functools
 import math
 
@@ -54,12 +55,20 @@ def slope(xy):
     return -1.5 * np.sin(xy @ WAVE)[..., None] * WAVE
 
 
+@pytest.mark.parametrize("wear", [0.0, 0.2])
 @pytest.mark.parametrize("strain", [1e-4, 1e-2, 0.3])
-def test_strain_is_right_within_its_sigma(strain):
+def test_strain_is_right_within_its_sigma(strain, wear):
+    """Filtered and raw; wear moves with the nodes and is in no corner's own sigma."""
     gradient, rest = gradient_of(strain), lattice()
-    found = plane_strain(plane_displacement(noisy(rest, 1), noisy(rest @ gradient.T, 2)))
-    off = (found.tensor - green(gradient)) / found.sigma
-    assert 0.9 <= np.mean(np.abs(off) < 1.96) <= 0.98
+    off = np.random.default_rng(7).normal(0, wear, rest.shape)
+    field = plane_displacement(noisy(rest + off, 1), noisy(rest @ gradient.T + off, 2))
+    found = plane_strain(field)
+    errors = []
+    for each in (plane_strain(field.raw), found):
+        off = each.tensor - green(gradient)
+        assert 0.9 <= np.mean(np.abs(off / each.sigma) < 1.96) <= 0.98
+        errors.append(np.sqrt(np.mean(np.square(off))))
+    assert errors[1] < 0.8 * errors[0]
     principal, direction = np.linalg.eigh((gradient.T @ gradient - np.eye(2)) / 2)
     if strain > 1e-3:
         seen = found.principal()
@@ -67,6 +76,13 @@ def test_strain_is_right_within_its_sigma(strain):
         turn = seen.direction - math.atan2(direction[1, 1], direction[0, 1])
         turn = (turn + math.pi / 2) % math.pi - math.pi / 2
         assert 0.9 <= np.mean(np.abs(turn / seen.sigma_direction) < 1.96) <= 0.98
+
+
+def test_wear_that_stretches_with_the_material_makes_sigma_too_large_and_not_too_small():
+    gradient, rest = gradient_of(0.3), lattice()
+    worn = rest + np.random.default_rng(7).normal(0, 0.2, rest.shape)
+    found = plane_strain(plane_displacement(noisy(worn, 1), noisy(worn @ gradient.T, 2)))
+    assert np.mean(np.abs((found.tensor - green(gradient)) / found.sigma) < 1.96) >= 0.95
 
 
 def test_a_direction_that_noise_decides_is_said_to_be_any():
@@ -78,9 +94,16 @@ def test_a_direction_that_noise_decides_is_said_to_be_any():
 def test_turning_and_shifting_strains_nothing():
     rest = lattice(8, 8)
     turn = np.array([[math.cos(1.0), -math.sin(1.0)], [math.sin(1.0), math.cos(1.0)]])
-    found = plane_strain(plane_displacement(grid_of(rest), grid_of(rest @ turn.T + [500, 0])))
-    assert np.nanmax(np.abs(found.tensor)) < 1e-5
-    assert np.isnan(found.covariance).all()  # no sigma is known
+    field = plane_displacement(grid_of(rest), grid_of(rest @ turn.T + [500, 0]))
+    for each in (field, field.raw):
+        assert np.nanmax(np.abs(plane_strain(each).tensor)) < 1e-5
+
+
+def test_without_neighbours_and_without_sigma_errors_are_unknown():
+    rest = lattice(4, 4)
+    field = plane_displacement(grid_of(rest), grid_of(rest * 1.01))
+    assert np.isnan(field.sigma).all()
+    assert np.isnan(plane_strain(field).covariance).all()
 
 
 def test_nodes_without_neighbours_have_no_strain():
@@ -105,9 +128,9 @@ def test_a_motion_is_found_and_taken_away():
     assert abs(motion.zoom - 1.002) < 3 * motion.sigma_zoom < 1e-4
     assert abs(motion.rotation - 0.03) < 3 * motion.sigma_rotation < 1e-4
     still = without_motion(field, motion)
-    assert np.sqrt(np.mean(np.square(still.displacement))) == pytest.approx(
-        SIGMA * math.sqrt(2), rel=0.1
-    )
+    raw, filtered = (np.sqrt(np.mean(np.square(f.displacement))) for f in (still.raw, still))
+    assert raw == pytest.approx(SIGMA * math.sqrt(2), rel=0.1)
+    assert filtered < 0.7 * raw
     rigid = without_motion(field, motion_of(field, zoom=False))
     assert np.mean(plane_strain(rigid).tensor[..., 0]) == pytest.approx(0.002, rel=0.05)
 
@@ -126,8 +149,9 @@ def test_cells_of_known_side_give_millimetres_through_a_homography():
         noisy(seen(flat), 1), noisy(seen(flat + np.array([0.3, -0.1])), 2), scale
     )
     assert field.unit == "mm"
-    off = (field.displacement - [0.3, -0.1]) / field.sigma[..., None]
-    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1, abs=0.15)
+    off = [(f.displacement - [0.3, -0.1]) / f.sigma[..., None] for f in (field.raw, field)]
+    assert np.sqrt(np.mean(np.square(off[0]))) == pytest.approx(1, abs=0.15)
+    assert np.mean(np.abs(off[1]) < 2) > 0.9
     np.testing.assert_allclose(field.position, flat, atol=0.05)
 
 
@@ -187,7 +211,7 @@ def test_a_membrane_held_at_its_rim_has_its_absolute_height():
             axis=-1,
         )
     )
-    raster = rasterize(plane_displacement(grid_of(rest), grid_of(rest)))
+    raster = rasterize(plane_displacement(grid_of(rest), grid_of(rest), raw=True))
     inside = np.zeros((121, 121), bool)
     inside[1:-1, 1:-1] = True
     found = integrate(raster, gradient, mask=inside, boundary=Boundary.ZERO)
@@ -274,6 +298,17 @@ def test_the_height_of_a_pictured_wave_agrees_with_its_form_and_with_openfcd():
     middle = (slice(40, -40), slice(40, -40))  # its Fourier transforms ring at the border
     assert np.std((other - found.value)[middle]) < 0.15 * np.std(wanted[middle])
     assert np.std((found.value - wanted)[middle]) < np.std((other - wanted)[middle])
+
+
+def test_nodes_are_compared_by_number_where_more_is_seen_than_at_rest():
+    row, column = np.indices((4, 5))
+    rest = grid_of(np.stack([10.0 * column, 10.0 * row], axis=2))
+    row, column = np.indices((7, 6)) - np.array([2, 1])[:, None, None]
+    now = grid_of(np.stack([10.0 * column + 3, 10.0 * row - 1], axis=2))
+    field = plane_displacement(rest, dataclasses.replace(now, origin=(-2, -1)))
+    np.testing.assert_allclose(field.displacement, np.broadcast_to([3.0, -1.0], (4, 5, 2)))
+    with pytest.raises(FieldError, match=r"rest has rows 0 to 3 .* now has rows 1 to 7"):
+        plane_displacement(rest, dataclasses.replace(now, origin=(1, 0)))
 
 
 def test_what_does_not_fit_is_refused():

@@ -74,6 +74,24 @@ def test_a_missing_macro_is_an_error(device):
         program.build(context, ["nms"], {"PIXEL": "uchar", "PAD": 16})
 
 
+def test_batches_and_maps_of_a_detector_compile_nothing_anew(device, monkeypatch):
+    config = DetectorConfig(refinement=None)
+    with Detector(shape=IMAGE.shape, config=config, device=device) as detector:
+        compiled = []
+        built = program._built
+        monkeypatch.setattr(
+            program, "_built", lambda *given: compiled.append(given) or built(*given)
+        )
+        detector.batch([IMAGE, IMAGE])
+        detector.batch([IMAGE] * 3)
+        list(detector.stream([IMAGE, IMAGE]))
+        assert not compiled
+        detector.maps(IMAGE)  # in the portable form, which other devices than CPUs have compiled
+        compiled.clear()
+        detector.maps(IMAGE)
+        assert not compiled
+
+
 CONFIGS = {
     "default": DetectorConfig(),
     "wide cells, step, scaled": DetectorConfig(

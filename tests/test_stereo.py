@@ -199,9 +199,13 @@ def test_strong_distortion_is_undone_to_a_thousandth_of_a_pixel():
     np.testing.assert_allclose(ideal * 500, plane * 500, atol=1e-3)
 
 
-def test_grids_of_different_shape_are_refused():
-    with pytest.raises(FieldError, match=r"\(2, 3\) and \(3, 2\)"):
-        toed_in_rig().triangulate(grid_of(np.ones((2, 3, 2))), grid_of(np.ones((3, 2, 2))))
+def test_grids_of_different_rows_or_columns_are_refused():
+    wide, tall = grid_of(np.ones((2, 3, 2))), grid_of(np.ones((3, 2, 2)))
+    with pytest.raises(FieldError, match="rows 0 to 1 and columns 0 to 2, the right one rows 0 to"):
+        toed_in_rig().triangulate(wide, tall)
+    beside = dataclasses.replace(wide, origin=(0, -1))
+    with pytest.raises(FieldError, match=r"columns -1 to 1; cut both .* with Grid.cut_to"):
+        toed_in_rig().triangulate(wide, beside)
 
 
 def test_a_rig_survives_its_file(tmp_path):

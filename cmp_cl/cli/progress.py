@@ -4,8 +4,10 @@ import contextlib
 import sys
 from typing import Any, TextIO
 
+from cmp_cl.closing import Closing
 
-class Progress:
+
+class Progress(Closing):
     """A progress bar, where tqdm is installed and stderr is a terminal; else nothing.
 
     total: how many steps, None where nobody knows. unit: what is counted.
@@ -17,12 +19,6 @@ class Progress:
             from tqdm import tqdm
 
             self._bar = tqdm(total=total, unit=f" {unit}", disable=None, leave=False)
-
-    def __enter__(self) -> "Progress":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def step(self) -> None:
         if self._bar is not None:

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SIDE",
         type=_length,
         help="of one view of a flat pattern: side of its cells at rest; the series then holds "
-        "displacement and rest in that unit too",
+        "displacement, its sigma and rest in that unit",
     )
     group.add_argument(
         "--unit", metavar="UNIT", default="mm", help="of --cell and --contact; default: mm"
@@ -131,7 +131,6 @@ class _InThePlane(Measurement):
         )
         self.unit, self.nodes = self._scale.unit, measure.nodes
         self.constants = dict(measure.constants)
-        self._rest = dataclasses.replace(rest, xy=measure.constants["rest"])
         if added.side is not None:
             self.constants["rest_px"] = self.constants["rest"]
             self.constants["rest"] = self._scale(self.constants["rest"])[0]
@@ -141,17 +140,17 @@ class _InThePlane(Measurement):
     def __call__(self, frame: GreyImage) -> Measured:
         measured = self._measure(frame)
         arrays = dict(measured.arrays)
-        largest = measured.largest
+        rest, largest = self._measure.rest_grid, measured.largest
         if self._added.side is not None:
-            now = dataclasses.replace(measured.grids[0], xy=arrays["xy"], sigma=arrays["sigma"])
-            field = plane_displacement(self._rest, now, self._scale)
+            raw = not self.constants["filtered"]
+            field = plane_displacement(rest, measured.grids[0], self._scale, raw=raw)
             arrays["displacement"] = field.displacement
-            arrays["sigma"] = field.sigma_now.astype(np.float32)
+            arrays["sigma"] = field.sigma.astype(np.float32)
             moved = np.linalg.norm(field.displacement[field.valid], axis=1)
             largest = float(moved.max(initial=0))
         if self._added.strain:
-            raw = plane_displacement(self._measure.rest_grid, measured.grids[0], self._scale)
-            arrays |= _strain_arrays(raw)
+            field = plane_displacement(rest, measured.grids[0], self._scale, raw=True)
+            arrays |= _strain_arrays(field)
         return dataclasses.replace(measured, arrays=arrays, largest=largest)
 
 

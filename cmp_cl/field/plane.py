@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.grid.grid import Grid, NodeStatus
+from cmp_cl.field.strain import slope_weights
+from cmp_cl.grid.filter import Filtered, filter_grid
+from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 
 Array = NDArray[np.float64]
 
@@ -96,28 +98,29 @@ class PlaneField:
 
     position: (R, C, 2) float64, at rest, in `unit`; NaN unless the node is valid.
     displacement: (R, C, 2) float64, in `unit`, NaN unless the node is valid.
-    sigma_rest, sigma_now: (R, C) float64, standard deviation per axis of the position at rest
-        and now, in `unit`; NaN where unknown.
+    sigma, sigma_position: (R, C) float64, standard deviation per axis of the displacement and of
+        the position, in `unit`; NaN where unknown. Wear of the print counts in the position.
     status: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     unit: name of the unit of length.
+    raw: the field as it was measured, where this one has been through the lattice filter; None
+        where this one is raw.
+    filtered: what the filter says of the position and of the displacement; None where this field
+        is raw.
     """
 
     position: Array
     displacement: Array
-    sigma_rest: Array
-    sigma_now: Array
+    sigma: Array
+    sigma_position: Array
     status: NDArray[np.uint8]
     unit: str
+    raw: "PlaneField | None" = None
+    filtered: tuple[Filtered, Filtered] | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:
         """(R, C), where there is a displacement."""
         return ~np.isnan(self.displacement[..., 0])
-
-    @property
-    def sigma(self) -> Array:
-        """(R, C) float64, standard deviation per axis of the displacement, in `unit`."""
-        return np.hypot(self.sigma_rest, self.sigma_now)
 
     @property
     def now(self) -> Array:
@@ -126,17 +129,25 @@ class PlaneField:
         return moved
 
 
-def plane_displacement(rest: Grid, now: Grid, scale: PlaneScale | None = None) -> PlaneField:
-    """Return the displacement of each node in the plane, now - rest, by index.
+def plane_displacement(
+    rest: Grid, now: Grid, scale: PlaneScale | None = None, *, raw: bool = False
+) -> PlaneField:
+    """Return the displacement of each node in the plane, now - rest, by its number.
 
-    scale: from the image to the plane; None means px.
+    The difference goes through the lattice filter, and so does the position at rest: see
+    `cmp_cl.grid.filter_grid`. scale: from the image to the plane; None means px. raw: leave the
+    filter out. The errors are those that the lattice shows, and those of the corners where it is
+    too small to tell. The field has the rows and columns of the grid at rest: a node beyond them
+    has no displacement.
 
-    Raises FieldError where the shapes of the grids differ.
+    Raises FieldError where now has not all rows and columns of the grid at rest.
     """
-    if rest.shape != now.shape:
-        raise FieldError(f"rest has {rest.shape} nodes, now has {now.shape}")
+    if not now.covers(rest):
+        raise FieldError(f"rest has {rest.extent}, now has {now.extent}")
+    now = now.cut_to(rest)
     scale = PlaneScale.pixels() if scale is None else scale
     both = rest.valid & now.valid
+    measured = both & np.isin(rest.status, MEASURED) & np.isin(now.status, MEASURED)
     (before, slope_before), (after, slope_after) = scale(rest.xy), scale(now.xy)
 
     def deviation(grid: Grid, slope: Array) -> Array:
@@ -144,18 +155,39 @@ def plane_displacement(rest: Grid, now: Grid, scale: PlaneScale | None = None) -
         return np.where(both & (grid.sigma > 0), grid.sigma * per_axis, np.nan)
 
     missing = np.uint8(NodeStatus.MISSING)
-    return PlaneField(
-        position=np.where(both[..., None], before, np.nan),
-        displacement=np.where(both[..., None], after - before, np.nan),
-        sigma_rest=deviation(rest, slope_before),
-        sigma_now=deviation(now, slope_after),
+    position = np.where(both[..., None], before, np.nan)
+    moved = np.where(both[..., None], after - before, np.nan)
+    at_rest = filter_grid(position, measured=measured)
+    change = filter_grid(moved, measured=measured, bends=True)
+    own_rest, own_now = deviation(rest, slope_before), deviation(now, slope_after)
+    unfiltered = PlaneField(
+        position=position,
+        displacement=moved,
+        sigma=_either(change.noise, np.hypot(own_rest, own_now)),
+        sigma_position=_either(at_rest.noise, own_rest),
         status=np.where(both, np.maximum(rest.status, now.status), missing).astype(np.uint8),
         unit=scale.unit,
     )
+    if raw:
+        return unfiltered
+    return dataclasses.replace(
+        unfiltered,
+        position=at_rest.values,
+        displacement=change.values,
+        sigma=_either(change.sigma, np.hypot(own_rest, own_now)),
+        sigma_position=_either(at_rest.sigma, own_rest),
+        raw=unfiltered,
+        filtered=(at_rest, change),
+    )
+
+
+def _either(lattice: Array, corners: Array) -> Array:
+    """Return the standard deviation that the lattice shows, or that of the corners."""
+    return np.where(np.isfinite(lattice), lattice, corners)
 
 
 def with_measured_noise(field: PlaneField) -> PlaneField:
-    """Return the field with one standard deviation for all nodes, from its own roughness.
+    """Return the raw field with one standard deviation for all nodes, from its own roughness.
 
     The estimate uses means of the displacement over 2 x 2 nodes, so that errors shared by
     neighbours count. The second difference by row of the second difference by column, two nodes
@@ -165,6 +197,7 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
 
     Raises FieldError where no 6 x 6 nodes are valid.
     """
+    field = field if field.raw is None else field.raw
     whole = field.displacement
     means = (whole[1:, 1:] + whole[1:, :-1] + whole[:-1, 1:] + whole[:-1, :-1]) / 4
     down = means[4:] - 2 * means[2:-2] + means[:-4]
@@ -173,8 +206,8 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
     if not len(known):
         raise FieldError("no 6 x 6 nodes are valid: they show no noise")
     sigma = 2 * math.sqrt(float(np.mean(np.square(known)))) / 6
-    even = np.where(field.valid, sigma / math.sqrt(2), np.nan)
-    return dataclasses.replace(field, sigma_rest=even, sigma_now=even)
+    even = np.where(field.valid, sigma, np.nan)
+    return dataclasses.replace(field, sigma=even, sigma_position=even / math.sqrt(2))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -213,7 +246,9 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
         raise FieldError("all nodes lie in one place: they show no rotation")
     factor = (np.conj(before - centre) * (after - goal)).sum() / spread
     scale = abs(factor) if zoom else 1.0
-    variance = np.square(field.sigma_now[valid]) + np.square(scale * field.sigma_rest[valid])
+    own = field if field.raw is None else field.raw  # whose errors neighbours do not share
+    variance = np.square(own.sigma[valid])
+    variance += np.square(abs(factor - 1) * own.sigma_position[valid])
     turning = math.sqrt((np.square(np.abs(before - centre)) * variance).sum()) / spread
     return Motion(
         centre=(float(centre.real), float(centre.imag)),
@@ -230,14 +265,17 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
 def without_motion(field: PlaneField, motion: Motion) -> PlaneField:
     """Remove a motion from the field, so that the deformation alone remains.
 
-    The nodes now are moved back. `sigma_now` does not include the error of the motion.
+    The nodes now are moved back. `sigma` does not include the error of the motion.
     """
     centre, goal = complex(*motion.centre), complex(*motion.centre) + complex(*motion.translation)
     factor = motion.zoom * np.exp(1j * motion.rotation)
     back = (_complex(field.now) - goal) / factor + centre
     moved = np.stack([back.real, back.imag], axis=-1) - field.position
     return dataclasses.replace(
-        field, displacement=moved, sigma_now=field.sigma_now / abs(motion.zoom)
+        field,
+        displacement=moved,
+        sigma=field.sigma / abs(motion.zoom),
+        raw=None if field.raw is None else without_motion(field.raw, motion),
     )
 
 
@@ -312,7 +350,9 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
 
     Around each node a plane in (column, row) is fitted to the positions at rest and now by least
     squares, over the (2 radius + 1)^2 nodes, which gives the gradient F of the positions now with
-    respect to those at rest. Nodes without a sigma are used only where no node has one.
+    respect to those at rest. Nodes without a sigma are used only where no node has one. Wear of the
+    print is taken to keep its size; where it stretches with the material, large strains are more
+    certain than their sigma says.
 
     Returns NaN where the node is missing, or fewer than 6 of its window are there, or all of
     these on a line. Raises ConfigError where radius is not a whole number from 1 to 50.
@@ -322,12 +362,14 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
     valid = field.valid
     known = valid & np.isfinite(field.sigma)
     used = known if known.any() else valid
-    inverse, slopes, noise = _local_planes(
+    slopes, errors = _local_planes(
         np.concatenate([field.position, field.now], axis=2),
-        np.stack([field.sigma_rest, field.sigma_now], axis=-1),
+        np.stack([field.sigma_position, field.sigma], axis=-1),
         used,
         radius,
     )
+    if field.filtered is not None:
+        errors = _shared_errors(field, used, radius)
     before, after = slopes[..., :2], slopes[..., 2:]
     size = np.square(before).sum(axis=(-2, -1))
     area = before[..., 0, 0] * before[..., 1, 1] - before[..., 0, 1] * before[..., 1, 0]
@@ -337,18 +379,18 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
     gradient = (back @ after[good]).transpose(0, 2, 1)
     green = (gradient.transpose(0, 2, 1) @ gradient - np.eye(2)) / 2
     tensor[good] = np.stack([green[:, 0, 0], green[:, 1, 1], green[:, 0, 1]], axis=-1)
-    covariance[good] = _strain_covariance(gradient, back, inverse[good], noise[good])
+    covariance[good] = _strain_covariance(gradient, back, errors[good])
     return PlaneStrain(tensor=tensor, covariance=covariance)
 
 
 def _local_planes(
     values: Array, sigma: Array, used: NDArray[np.bool_], radius: int
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array]:
     """Fit the plane a + b column + c row to the values around each node.
 
-    values: (R, C, K). sigma: (R, C, L). Returns (R, C, 3, 3) inverses of the sums of w w',
-    with w = (1, column, row) of the window's nodes, (R, C, 2, K) slopes by column and by row,
-    and (R, C, L, 3, 3) sums of w w' sigma^2; NaN where the plane is not determined.
+    values: (R, C, K). sigma: (R, C, L), of values whose nodes share no error. Returns (R, C, 2, K)
+    slopes by column and by row, and (R, C, L, 2, 2) covariances of such slopes; NaN where the
+    plane is not determined.
     """
     rows, columns = used.shape
     pad = ((radius, radius), (radius, radius), (0, 0))
@@ -367,19 +409,36 @@ def _local_planes(
     solvable = (count[..., 0, 0] >= _LEAST_NODES) & (np.linalg.det(count) > 1e-6)
     inverse = np.full(count.shape, np.nan)
     inverse[solvable] = np.linalg.inv(count[solvable])
-    return inverse, (inverse @ sums)[..., 1:, :], moments[:, :, 1:]
+    errors = (inverse[:, :, None] @ moments[:, :, 1:] @ inverse[:, :, None])[..., 1:, 1:]
+    return (inverse @ sums)[..., 1:, :], errors
 
 
-def _strain_covariance(gradient: Array, back: Array, inverse: Array, noise: Array) -> Array:
+def _shared_errors(field: PlaneField, used: NDArray[np.bool_], radius: int) -> Array:
+    """Return the covariances (R, C, 2, 2, 2) of the slopes of filtered values, position and
+    displacement: neighbours share errors there.
+    """
+    errors = np.zeros((*used.shape, 2, 2, 2))
+    stencils = slope_weights(used, radius)
+    pairs = zip(field.filtered or (), (field.sigma_position, field.sigma), strict=True)
+    for number, (filtered, sigma) in enumerate(pairs):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            zoomed = np.square(sigma / filtered.sigma)  # where a motion has been taken away
+        for axis, stencil in enumerate(stencils):
+            variance = np.square(filtered.deviation_of(stencil)) * zoomed
+            errors[:, :, number, axis, axis] = variance
+    return errors
+
+
+def _strain_covariance(gradient: Array, back: Array, errors: Array) -> Array:
     """Return the covariance (N, 3, 3) of Exx, Eyy, Exy.
 
-    gradient: (N, 2, 2) F. back: (N, 2, 2) columns and rows by the axes at rest. inverse:
-    (N, 3, 3) and noise: (N, 2, 3, 3) of the local planes, rest and now.
+    gradient: (N, 2, 2) F. back: (N, 2, 2) columns and rows by the axes at rest. errors: (N, 2, 2,
+    2), covariances of the slopes of the position and of the displacement, by columns and rows.
     """
-    # An error e at rest acts on F as -F e does now.
-    weights = back[:, None] @ (inverse[:, None] @ noise @ inverse[:, None])[..., 1:, 1:]
-    weights = weights @ back.transpose(0, 2, 1)[:, None]
-    turned = gradient @ gradient.transpose(0, 2, 1)
+    # An error e of the position is one of now, too: it acts on F as (1 - F) e does.
+    weights = back[:, None] @ errors @ back.transpose(0, 2, 1)[:, None]
+    moved = gradient - np.eye(2)
+    turned = moved @ moved.transpose(0, 2, 1)
     of_gradient = np.einsum("ik,njl->nijkl", np.eye(2), weights[:, 1])
     of_gradient = of_gradient + np.einsum("nik,njl->nijkl", turned, weights[:, 0])
     eye = np.eye(2)

@@ -48,9 +48,9 @@ def build_grid(
         shows no border are kept, see `Grid.origin`. Without it row 0 is at the top and column
         0 at the left of the image.
     region: (x0, y0, x1, y1), px; corners outside belong to no node.
-    previous: the grid of the frame before, with the numbers of `like`. Its numbers go on where
-        `like` alone leaves them ambiguous, as long as the pattern as a whole moves by less
-        than half a cell from frame to frame.
+    previous: the grid of the frame before, with the numbers of `like`, or `like` itself for the
+        first frame. Its numbers go on where `like` alone leaves them ambiguous, as long as the
+        pattern as a whole moves by less than half a cell from frame to frame.
     strict: raise GridError where the result has doubts, see `Grid.doubts`.
 
     Nodes that are not seen are NaN and MISSING; those that measured nodes bracket, in holes
@@ -58,9 +58,11 @@ def build_grid(
     numbered where their place among the others, or at rest, leaves one number; else they are
     left out.
     A pattern without a border in view that moved as a whole so that its cells come to lie on
-    other cells looks as if it had not moved. `like` then takes the least displacement, and the
-    grid is ambiguous unless the middle of the pattern lies within an eighth of a cell of its
-    place at rest, or a third of the nodes have not moved at all.
+    other cells looks as if it had not moved. What `like` decides by is the border, the errors
+    of the print, which are the same in both frames, and `previous`. Without them the grid is
+    ambiguous, and has the numbers by which the middle of the view has moved least: right as
+    long as it moved by less than half a cell. A pattern that turned by more than 40 degrees
+    needs a border or a print that tell.
     Where no closed cell is found the grid is empty, (0, 0) or of the known shape.
 
     Raises GridError where corners have no finite position or no edge angles, where two

@@ -160,13 +160,14 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
     Nodes that no image has shown, interpolated ones, follow their neighbours. Where the lattice
     is too small to tell, sigma stays what the corners say.
 
-    Raises GridError where the shapes differ.
+    Raises GridError where the grid has not all rows and columns of the one at rest.
     """
     if rest is None:
         found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
         return _with(now, found.values, found.sigma), _with(now, now.xy, found.noise)
-    if rest.shape != now.shape:
-        raise GridError(f"the grid at rest has {rest.shape} nodes, the other {now.shape}")
+    if not now.covers(rest):
+        raise GridError(f"the grid at rest has {rest.extent}, the other {now.extent}")
+    rest = rest.cut_to(now)
     measured = np.isin(rest.status, MEASURED)
     start = filter_grid(rest.xy, measured=measured)
     moved = now.xy.astype(np.float64) - rest.xy

@@ -2,11 +2,14 @@
 
 import dataclasses
 import enum
+import math
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from cmp_cl.errors import ConfigError
 
 
 class NodeStatus(enum.IntEnum):
@@ -122,7 +125,7 @@ class Grid:
                 other = f" by ({self.rival.rows}, {self.rival.columns}){turn}"
             found.append(
                 f"the numbers are ambiguous: they may be wrong{other}; the view shows too little "
-                "of the pattern's border to decide"
+                "of the pattern's border, and the print is too perfect, to decide"
             )
         return found
 
@@ -153,6 +156,18 @@ class Grid:
             continues=self.continues.turned(quarters),
             seen_shape=seen,
         )
+
+    @property
+    def extent(self) -> str:
+        """Its rows and columns by their numbers, in words."""
+        (top, left), (rows, columns) = self.origin, self.shape
+        return f"rows {top} to {top + rows - 1} and columns {left} to {left + columns - 1}"
+
+    def covers(self, rest: "Grid") -> bool:
+        """Whether it has all rows and columns of another grid, by their numbers."""
+        first = np.subtract(rest.origin, self.origin)
+        last = first + rest.shape
+        return bool((first >= 0).all() and (last <= self.shape).all())
 
     def cut_to(self, rest: "Grid") -> "Grid":
         """Return the nodes on the rows and columns of another grid with the same numbers.
@@ -191,12 +206,15 @@ class Grid:
     def to_opencv(self, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
 
-        spacing: side of a square, any unit. Returns (N, 1, 3) float32 in that unit and
-        (N, 1, 2) float32, px. Raises ConfigError where spacing is not positive.
+        spacing: side of a square, any unit. Returns (N, 1, 3) float32, x by column, y by row and
+        z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError where spacing is not
+        positive.
         """
-        from cmp_cl.stereo.exports import grid_to_opencv
-
-        return grid_to_opencv(self, spacing)
+        if not 0 < spacing < math.inf:
+            raise ConfigError(f"spacing must be a positive length, not {spacing!r}")
+        row, column = np.nonzero(self.valid)
+        nodes = np.column_stack([column, row, np.zeros(len(row))]) * float(spacing)
+        return nodes.astype(np.float32)[:, None], self.xy[self.valid].astype(np.float32)[:, None]
 
     def with_virtual_markers(self, count: int) -> "Grid":
         """Return the grid with `count` points on every edge between two neighbouring nodes.

@@ -1,6 +1,6 @@
 """The kernels are found, assembled and compiled here, and nowhere else.
 
-`build(context, stages, defines)` compiles some of the files in kernels/, each into a program of
+`Programs.kernels(stages, defines)` compiles some of the files in kernels/, each into a program of
 its own; `Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be
 launched.
 
@@ -97,25 +97,47 @@ class Kernels:
         return kernel
 
 
+class Programs:
+    """The programs of a context; the same stage under the same macros is compiled once."""
+
+    def __init__(self, context: cl.Context) -> None:
+        self._context = context
+        self._compiled: dict[tuple[str, ...], cl.Program] = {}
+
+    def kernels(
+        self,
+        stages: Sequence[str],
+        defines: Mapping[str, str | int],
+        macros: Mapping[str, str] | None = None,
+    ) -> Kernels:
+        """Return the kernels of the stages.
+
+        Raises KernelBuildError with the compiler's log, DeviceError in a forked child.
+        """
+        check_process()
+        return Kernels([self._program(stage, defines, macros or {}) for stage in stages])
+
+    def _program(
+        self, stage: str, defines: Mapping[str, str | int], macros: Mapping[str, str]
+    ) -> cl.Program:
+        key = (stage, *(f"{name}={text}" for name, text in (*defines.items(), *macros.items())))
+        if key not in self._compiled:
+            self._compiled[key] = _compiled(self._context, stage, defines, macros)
+        return self._compiled[key]
+
+
 def build(
     context: cl.Context,
     stages: Sequence[str],
     defines: Mapping[str, str | int],
     macros: Mapping[str, str] | None = None,
 ) -> Kernels:
-    """Compile the stages.
-
-    Raises KernelBuildError with the compiler's log, DeviceError in a forked child.
-    """
-    check_process()
-    return Kernels([_program(context, stage, defines, macros) for stage in stages])
+    """Compile the stages for once, see `Programs.kernels`."""
+    return Programs(context).kernels(stages, defines, macros)
 
 
-def _program(
-    context: cl.Context,
-    stage: str,
-    defines: Mapping[str, str | int],
-    macros: Mapping[str, str] | None,
+def _compiled(
+    context: cl.Context, stage: str, defines: Mapping[str, str | int], macros: Mapping[str, str]
 ) -> cl.Program:
     text = source(stage, macros)
     named = [f"-D{name}={value}" for name, value in defines.items() if _names(text, name)]

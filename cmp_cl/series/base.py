@@ -3,12 +3,12 @@
 import dataclasses
 import datetime
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmp_cl.closing import Closing
 from cmp_cl.errors import FieldError
 from cmp_cl.version import package_version
 
@@ -32,7 +32,7 @@ class Description:
         return {"cmp_cl": package_version(), "written": now, **self.settings}
 
 
-class Series:
+class Series(Closing):
     """Writes a recording frame by frame; use it in a with statement.
 
         with open_series("press.h5", constants={"rest": rest.xyz}) as series:
@@ -52,17 +52,6 @@ class Series:
     def __len__(self) -> int:
         """Return the number of frames so far."""
         return self._count
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def append(self, *, index: int, time_ms: float, **arrays: ArrayLike) -> None:
         """Add a frame: its number, its time stamp in ms (NaN if unknown), and its arrays.

@@ -137,7 +137,7 @@ class _Column:
         self._write_at(0, self._header(0))
 
     def write(self, frame: int, value: NDArray[np.generic]) -> None:
-        """Write a frame in its place, also over one that was interrupted."""
+        """Write a frame at its offset, even over one that was interrupted."""
         header = self._header(frame + 1)
         self._write_at(len(header) + frame * value.nbytes, value.tobytes())
         self._write_at(0, header)

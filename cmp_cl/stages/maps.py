@@ -136,7 +136,7 @@ def _per_pixel(
 
 
 def _binary(plan: Plan) -> NDArray[np.bool_]:
-    """Return the masks; bit k of a pixel is its colour in mask k."""
+    """Return the threshold layers; bit k of a pixel is its colour in layer k."""
     bits = _plane(plan, plan.arrays["binary"], np.uint8)
     if plan.lists == 1:
         return bits > 0
@@ -144,7 +144,7 @@ def _binary(plan: Plan) -> NDArray[np.bool_]:
 
 
 def _black(plan: Plan, binary: NDArray[np.bool_]) -> cl.Buffer:
-    """Return the masks on the device, as planes of their own with pads."""
+    """Return the threshold layers on the device, as padded planes of their own."""
     rows, columns = plan.working
     after = plan.step - plan.pad - columns
     planes = np.pad(

@@ -16,7 +16,7 @@ from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
 from cmp_cl.opencl.device import Device, is_forked
-from cmp_cl.opencl.program import Kernels, build
+from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages import harmonic, noise, refine, rings, scale
 from cmp_cl.stages.form import Form
@@ -57,6 +57,7 @@ class Plan(PlanBase):
     def __init__(
         self,
         queue: cl.CommandQueue,
+        programs: Programs,
         device: Device,
         shape: tuple[int, int],
         dtype: np.dtype[Any],
@@ -72,6 +73,7 @@ class Plan(PlanBase):
         self.uploads: list[cl.Event] = []  # in flight in another queue
         self._here: dict[str, NDArray[np.uint8]] = {}  # buffers as the host sees them
         self._mask = mask
+        self._programs = programs
         self.detection: ModuleType = rings if isinstance(self.rule, BinaryRings) else harmonic
         self.kernels = self._build()
         self._allocate()
@@ -95,7 +97,7 @@ class Plan(PlanBase):
             **refine.defines(self),
         }
         macros = rings.macros(self) if isinstance(self.rule, BinaryRings) else {}
-        return build(self.queue.context, self.stages, defines, macros)
+        return self._programs.kernels(self.stages, defines, macros)
 
     @property
     def stages(self) -> list[str]:
@@ -307,7 +309,7 @@ class Plan(PlanBase):
         return rows
 
     def grow(self, overflow: Overflow) -> None:
-        """Make room for what did not fit; the frames stay on the device."""
+        """Lengthen the lists that overflowed; the frames stay on the device."""
         if overflow.listed > self.list_room:
             self.list_room = multiple(overflow.listed * 5 // 4, GROUP)
         if overflow.corners > self.corner_room:

@@ -25,16 +25,8 @@ Views = Mapping[str, Grid | None]
 
 
 def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
-
-    spacing: side of a square, any unit. Returns (N, 1, 3) float32, x by column, y by row and
-    z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError.
-    """
-    if not 0 < spacing < math.inf:
-        raise ConfigError(f"spacing must be a positive length, not {spacing!r}")
-    row, column = np.nonzero(grid.valid)
-    nodes = np.column_stack([column, row, np.zeros(len(row))]) * float(spacing)
-    return nodes.astype(np.float32)[:, None], grid.xy[grid.valid].astype(np.float32)[:, None]
+    """Return the valid nodes as cv2.calibrateCamera takes a view, see `Grid.to_opencv`."""
+    return grid.to_opencv(spacing)
 
 
 # corners

@@ -143,10 +143,13 @@ class StereoRig:
         A node without a position is NaN, and `Points3D.status` says why: the rays must enclose
         at least MIN_PARALLAX px, and the point must lie in front of both cameras.
 
-        Raises FieldError where the grids have different shapes.
+        Raises FieldError where the grids have different rows or columns.
         """
-        if left.shape != right.shape:
-            raise FieldError(f"the grids have different shapes: {left.shape} and {right.shape}")
+        if (left.origin, left.shape) != (right.origin, right.shape):
+            raise FieldError(
+                f"the left grid has {left.extent}, the right one {right.extent}; cut both to "
+                "the grid at rest with Grid.cut_to"
+            )
         both = left.valid & right.valid
         seen = np.hstack([left.xy[both], right.xy[both]]).astype(np.float64)
         deviation = np.column_stack([left.sigma[both], right.sigma[both]]).astype(np.float64)

@@ -3,13 +3,13 @@
 import enum
 import math
 from os import PathLike
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.closing import Closing
 from cmp_cl.corners import Corners, Method
 from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField, mesh
@@ -365,7 +365,7 @@ def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) 
         figure.savefig(file, format="png", dpi=dpi)
 
 
-class RerunLog:
+class RerunLog(Closing):
     """Shows frames in Rerun's viewer, or records them to a .rrd file for it.
 
     path: the file; None opens the viewer. Needs rerun-sdk 0.23 or newer. The file appears when the
@@ -386,17 +386,6 @@ class RerunLog:
             self._stream.spawn()
         else:
             self._file = PipedFile(path, self._stream.save)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def frame(
         self,

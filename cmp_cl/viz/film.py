@@ -4,13 +4,13 @@ import os
 import secrets
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.files import check_target
 from cmp_cl.grid.grid import Grid
@@ -25,7 +25,7 @@ _LINE = (150, 110, 50)  # BGR
 _NO_VALUE = (150, 150, 150)
 
 
-class OverlayFilm:
+class OverlayFilm(Closing):
     """Writes an annotated video, frame by frame; use it in a with statement.
 
     path: .mp4, .mkv or .avi. fps: frames per second. unit: of the displacement. The colour scale
@@ -54,17 +54,6 @@ class OverlayFilm:
         self._colours = cv2.applyColorMap(
             np.arange(256, dtype=np.uint8).reshape(-1, 1), cv2.COLORMAP_PLASMA
         )[:, 0]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def frame(
         self, image: GreyImage, grid: Grid, moved: NDArray[np.floating[Any]], *, text: str = ""

@@ -151,8 +151,8 @@ class Recorded:
             field = PlaneField(
                 position=np.where(np.isnan(shift), np.nan, self.rest),
                 displacement=shift,
-                sigma_rest=unknown,
-                sigma_now=unknown,
+                sigma=unknown,
+                sigma_position=unknown,
                 status=np.zeros(shift.shape[:2], np.uint8),
                 unit=self.unit,
             )

@@ -729,10 +729,10 @@ def test_opencvs_five_pairs_calibrate(run):
         *("--out", "rig.yaml"),
     )
     assert status == 0
-    assert float(out.split("all views: ")[1].split()[0]) < 0.175
+    assert float(out.split("all views: ")[1].split()[0]) < 0.155
     mean, deviation = out.split("squares measure ")[1].split(" mm with a standard deviation of ")
     assert float(mean) == pytest.approx(25, abs=0.03)
-    assert float(deviation.split()[0]) < 0.11
+    assert float(deviation.split()[0]) < 0.08
 
 
 def test_our_corners_measure_30_mm_with_the_published_calibration():
@@ -749,7 +749,7 @@ def test_our_corners_measure_30_mm_with_the_published_calibration():
         found.append(square_sides(points))
     sides = np.concatenate(found)
     assert sides.mean() == pytest.approx(30, abs=0.02)
-    assert sides.std() < 0.09
+    assert sides.std() < 0.07
 
 
 # tune

@@ -139,6 +139,8 @@ def test_a_difference_at_the_noise_bound_is_kept(detector_for):
             decided += 1
             contrast = SectorContrast(minimum=0, relative=0, noise=factor / 6.68)
             check(detector_for, image, contrast=contrast)
+        if decided == 6:  # each is a detector of its own
+            break
     assert decided > 3
 
 
