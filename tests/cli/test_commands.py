@@ -1123,6 +1123,7 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
     [
         (("--cell", "2", "--stereo", "rig.yaml"), "--cell is for one view"),
         (("--contact", "2"), "--contact needs --stereo"),
+        (("--unit", "cm"), "--unit needs --cell"),
         (("--cell", "0"), "no length"),
         (("--contact", "nan", "--stereo", "rig.yaml"), "no length"),
     ],
