@@ -63,7 +63,7 @@ class Photograph(NamedTuple):
         )
 
     def judge(self, xy: np.ndarray) -> "Judged":
-        """Missed, false and distances; matched within a quarter of a cell, at most 3 px."""
+        """Return missed, false and distances; matched within a quarter of a cell, at most 3 px."""
         partner = match(xy, self.truth, min(3, self.cell / 4))
         hit = partner >= 0
         missed = np.ones(len(self.truth), np.bool_)
@@ -111,7 +111,7 @@ class Judged(NamedTuple):
 
 
 def summary(parts: Sequence[Judged]) -> dict[str, Any]:
-    """The sums over some photographs."""
+    """Return the sums over some photographs."""
     expected, missed, false, outside = (
         int(sum(column)) for column in list(zip(*parts, strict=True))[:4]
     )
@@ -155,7 +155,7 @@ def own_rows(photograph: Photograph, cell: float) -> dict[str, DetectorConfig]:
 def rows(
     name: str, photographs: Sequence[Photograph], names: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Every method on the photographs, which are of one size, together."""
+    """Run every method on the photographs, which are of one size."""
     first = photographs[0]
     cell = float(np.median([each.cell for each in photographs]))
     count = round(len(first.truth) ** 0.5)
