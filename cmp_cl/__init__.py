@@ -32,7 +32,7 @@ from cmp_cl.errors import (
     ImageError,
     KernelBuildError,
 )
-from cmp_cl.field import DisplacementField, SeriesWriter, displacement
+from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import (
     Grid,
     NodeStatus,
@@ -45,6 +45,7 @@ from cmp_cl.grid import (
 )
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, DeviceKind, list_devices, select_device
+from cmp_cl.series import SeriesWriter
 from cmp_cl.stereo import (
     BinocularSplit,
     Points3D,

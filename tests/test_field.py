@@ -19,10 +19,11 @@ import pytest
 from disks import full_after
 from stereo_data import gel, grid_of, points, project, toed_in_rig
 
+from cmp_cl import SeriesWriter
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.field import SeriesWriter, displacement, green_lagrange
-from cmp_cl.field.series import _Column
+from cmp_cl.field import displacement, green_lagrange
 from cmp_cl.grid import NodeStatus
+from cmp_cl.series.npz import _Column
 from cmp_cl.stereo import PointStatus
 
 
@@ -505,7 +506,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path):
 INTERRUPTED = """
 import signal, sys, time
 import numpy as np
-from cmp_cl.field import SeriesWriter
+from cmp_cl import SeriesWriter
 signal.signal(signal.SIGINT, signal.default_int_handler)  # where it began in the background
 with SeriesWriter(sys.argv[1]) as series:
     for index in range(10**6):

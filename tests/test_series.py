@@ -282,3 +282,14 @@ def test_tables_hold_the_numbers_of_a_frame_and_name_the_parts_of_a_strain(tmp_p
     assert rows[0][4:] == [*names.split(","), "translation_x_mm", "translation_y_mm"]
     assert rows[4][:4] == ["1", "nan", "0", "1"]
     assert rows[4][4:] == [*["0.5"] * 3, *["0.25"] * 2, "1", "8.5", "1", "2"]
+
+
+def test_a_recording_that_was_cut_off_is_refused_and_not_waited_for(tmp_path):
+    needs("h5py")
+    path = write(tmp_path / "press.h5", frames=40)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
+    code = "import sys; from cmp_cl.series import read_series; read_series(sys.argv[1])"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", code, str(path)]
+    found = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert "FieldError" in found.stderr.splitlines()[-1]

@@ -42,9 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of one view of a flat pattern: side of its cells at rest; the series then holds "
         "displacement, its sigma and rest in that unit",
     )
-    group.add_argument(
-        "--unit", metavar="UNIT", default="mm", help="of --cell and --contact; default: mm"
-    )
+    group.add_argument("--unit", metavar="UNIT", help="of --cell; default: mm")
     group.add_argument(
         "--strain",
         action="store_true",
@@ -71,6 +69,8 @@ def check(arguments: argparse.Namespace) -> None:
     """Raise ConfigError where an option is for the other number of views."""
     if arguments.cell is not None and arguments.stereo is not None:
         raise ConfigError("--cell is for one view; with --stereo lengths are the calibration's")
+    if arguments.unit is not None and arguments.cell is None:
+        raise ConfigError("--unit needs --cell: other lengths are px, or the calibration's")
     if arguments.contact is not None and arguments.stereo is None:
         raise ConfigError("--contact needs --stereo: one view shows no depth")
 
@@ -94,7 +94,7 @@ class Added:
         check(arguments)
         return cls(
             side=arguments.cell,
-            unit=arguments.unit,
+            unit=arguments.unit or "mm",
             strain=arguments.strain,
             depth=arguments.contact,
         )

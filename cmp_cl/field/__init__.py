@@ -23,7 +23,6 @@ from cmp_cl.field.poisson import (
     projected_density,
     surface_height,
 )
-from cmp_cl.field.series import SeriesWriter
 from cmp_cl.field.strain import green_lagrange
 from cmp_cl.field.writers import mesh
 
@@ -38,7 +37,6 @@ __all__ = [
     "Potential",
     "PrincipalStrain",
     "Raster",
-    "SeriesWriter",
     "contact_of",
     "displacement",
     "green_lagrange",

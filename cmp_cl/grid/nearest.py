@@ -101,7 +101,7 @@ class Choice(NamedTuple):
 
 
 def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
-    """Return the quarter turns that leave rows most parallel to the reference's, and the angles.
+    """Return the quarter turns that keep rows most parallel to the reference's, and angles, rad.
 
     The second is there if it is nearly as good as the first.
     """
@@ -124,12 +124,12 @@ def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
 
 
 def colour(nodes: Nodes, near: Reference) -> int:
-    """Return the first row's plus the first column's number modulo 2, by the checker colours."""
+    """Return the sum of the first row's and column's number modulo 2, by the checker colours."""
     return (sum(near.origin) + near.parity + nodes.parity) % 2
 
 
 def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[Choice]:
-    """Return the numbers of the right colour around the least displacement, the nearest first.
+    """Return the numbers of the right colour around the least mean displacement, the nearest first.
 
     nodes: turned already, by that many quarters. Empty where no number is within the bounds.
     """

@@ -62,7 +62,7 @@ def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int
 
 
 def _straight(nodes: Nodes, bend: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """(R, C), corners whose boundaries are straight, as at no junction with the surround."""
+    """Return (R, C), corners whose boundaries are straight, as at no junction with the surround."""
     return (nodes.owner >= 0) & ~(bend[nodes.owner] > STRAIGHT)
 
 

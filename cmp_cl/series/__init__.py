@@ -11,7 +11,7 @@ from cmp_cl.errors import ConfigError
 from cmp_cl.series.base import Description, Series
 from cmp_cl.series.hdf5 import Hdf5Series
 from cmp_cl.series.mcap import McapSeries
-from cmp_cl.series.npz import NpzSeries
+from cmp_cl.series.npz import NpzSeries, SeriesWriter
 from cmp_cl.series.paraview import ParaViewSeries
 from cmp_cl.series.reading import read_series
 from cmp_cl.series.tables import CsvSeries, JsonLines, ParquetSeries
@@ -27,6 +27,7 @@ __all__ = [
     "ParaViewSeries",
     "ParquetSeries",
     "Series",
+    "SeriesWriter",
     "open_series",
     "read_series",
 ]

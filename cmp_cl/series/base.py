@@ -68,7 +68,7 @@ class Series(Closing):
             raise FieldError(f"the first frame had {self._layout}, this one has {layout}")
         taken = sorted(layout.keys() & (self.constants.keys() | {"index", "time_ms"}))
         if taken:
-            raise FieldError(f"the series already has arrays of the names {taken}")
+            raise FieldError(f"the series already has constants or columns of the names {taken}")
         for name, value in frame.items():
             if value.dtype.kind not in "biuf":
                 raise FieldError(f"{name} must be an array of numbers, not of {value.dtype}")

@@ -1,6 +1,7 @@
 """demo, run, calibrate and tune as a user has them, on small rendered frames."""
 
 import contextlib
+import csv
 import dataclasses
 import json
 import os
@@ -28,7 +29,6 @@ from cmp_cl import (
     GridError,
     NodeStatus,
     RingHarmonic,
-    SeriesWriter,
     StereoRig,
     media,
     select_device,
@@ -37,10 +37,10 @@ from cmp_cl.cli import demo, tune
 from cmp_cl.cli import main as cli
 from cmp_cl.cli import run as run_module
 from cmp_cl.cli.arguments import region_in, split_of
-from cmp_cl.field.series import _Column
 from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
 from cmp_cl.media import Frame
 from cmp_cl.series import read_series
+from cmp_cl.series.npz import NpzSeries, _Column
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -318,13 +318,13 @@ def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
 
 @pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
 def test_a_disk_that_fills_up_ends_a_run_with_what_it_has(run, recording, press, monkeypatch):
-    append = SeriesWriter.append
+    append = NpzSeries.append
 
     def filling(series, **frame):
         with full_after(5000 if len(series) == 2 else 10**9):
             append(series, **frame)
 
-    monkeypatch.setattr(SeriesWriter, "append", filling)
+    monkeypatch.setattr(NpzSeries, "append", filling)
     status, out, err = run("run", recording, *STEREO)
     assert status == 2
     assert "wrote press.npz: 2 frames" in out
@@ -575,6 +575,11 @@ def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
     assert rms < CLOSE
     assert f"displacement: RMS error,{1e3 * rms:.1f},um" in (folder / "errors.csv").read_text()
     assert "left view: nodes with a wrong number,0," in (folder / "errors.csv").read_text()
+    with open(folder / "errors.csv", newline="", encoding="utf-8") as file:
+        table = {row["what"]: row["value"] for row in csv.DictReader(file)}
+    filtered = float(table["left view: behind the lattice filter, RMS"])
+    assert filtered < 0.8 * float(table["left view: error of a corner, RMS"])
+    assert "nearly all wear" in out
     command = out.splitlines()[-1].partition("cmp-cl ")[2].split()
     assert run(*command)[0] == 0
     np.testing.assert_allclose(
@@ -1124,6 +1129,7 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
     [
         (("--cell", "2", "--stereo", "rig.yaml"), "--cell is for one view"),
         (("--contact", "2"), "--contact needs --stereo"),
+        (("--unit", "cm"), "--unit needs --cell"),
         (("--cell", "0"), "no length"),
         (("--contact", "nan", "--stereo", "rig.yaml"), "no length"),
     ],
