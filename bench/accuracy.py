@@ -42,7 +42,7 @@ GRID_PEERS = (
 
 
 def scenes(markers: int, severities: Sequence[float], repeats: int) -> Iterator[Scene]:
-    """The scenes of one density: every object at every severity, `repeats` of each."""
+    """Yield the scenes of one density: every object at every severity, `repeats` of each."""
     seed = TEST_SEED + 10_000 * markers
     for severity in severities:
         for indenter in INDENTERS:
@@ -58,7 +58,7 @@ def scenes(markers: int, severities: Sequence[float], repeats: int) -> Iterator[
 
 
 def rows_of(markers: int, frame: Frame, names: Sequence[str]) -> list[Method]:
-    """Every method of the tables, for one density."""
+    """Run every method of the tables, for one density."""
     cell = 0.92 * min(frame.image.shape) / (markers + 1)  # at rest
     pattern = Pattern(markers)
     configs = methods.configs(markers, cell)
@@ -128,23 +128,23 @@ class Tables:
 
 
 def _kept(summary: dict[str, Any]) -> dict[str, Any]:
-    """Without what follows from the counts."""
+    """Remove what follows from the counts."""
     return {name: summary[name] for name in summary if name not in ("recall", "precision")}
 
 
 def _short(value: Any) -> Any:
-    """Floats to 5 digits: the tables have thousands of them."""
+    """Round floats to 5 digits: the tables have thousands of them."""
     return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 def unpacked(result: dict[str, Any]) -> dict[str, Any]:
-    """The same result with its rows as dicts."""
+    """Return the same result with its rows as dicts."""
     columns = result["columns"]
     return result | {"rows": [dict(zip(columns, row, strict=True)) for row in result["rows"]]}
 
 
 def groups(scene: Scene) -> list[str]:
-    """The groups that a scene counts in."""
+    """Return the groups that a scene counts in."""
     return [
         "all",
         f"markers {scene.markers}",
@@ -157,7 +157,7 @@ def groups(scene: Scene) -> list[str]:
 
 
 def by_corner(xy: np.ndarray, frame: Frame) -> np.ndarray:
-    """(M,) distance of the detection of each corner, px, NaN where it was missed."""
+    """Return the distance of the detection of each corner, (M,), px, NaN where it was missed."""
     partner = match(xy, frame.truth, reach(frame.cell))
     apart = np.full(len(frame.truth), np.nan)
     hit = partner >= 0

@@ -22,7 +22,7 @@ _UNSEEN = 1e-4  # px: positions that differ by less are alike
 
 
 def rows_of(result: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The rows of a result under names that stay the same between runs."""
+    """Return the rows of a result under names that stay the same between runs."""
     if result["kind"] == "speed":
         for scene in result["scenes"]:
             # Our own times in units of the peers', which the machine slows down alike.
@@ -63,7 +63,7 @@ def rows_of(result: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def worse(old: dict[str, Any], new: dict[str, Any], slower: float) -> list[str]:
-    """What is worse in the new row, in words."""
+    """Return what is worse in the new row, in words."""
     found = []
     for key in _COUNTS:
         if key in old and new[key] > old[key]:
@@ -88,7 +88,7 @@ def worse(old: dict[str, Any], new: dict[str, Any], slower: float) -> list[str]:
 def comparison(
     old: dict[str, Any], new: dict[str, Any], slower: float
 ) -> tuple[list[str], list[str]]:
-    """Lines on what got worse, and names of rows that only one file has."""
+    """Return lines on what got worse, and the names of rows that only one file has."""
     if old["kind"] != new["kind"]:
         raise SystemExit(f"one file is about {old['kind']}, the other about {new['kind']}")
     before, after = dict(rows_of(old)), dict(rows_of(new))

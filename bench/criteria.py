@@ -38,7 +38,7 @@ PER_RING: dict[str, Threshold] = {
 
 
 def corners_per_ring(image: GreyImage, threshold: Threshold) -> np.ndarray:
-    """(N, 2) positions where each ring is compared with its own threshold."""
+    """Return (N, 2) positions where each ring is compared with its own threshold."""
     inner_grey, outer_grey = _greys(image, ring.INNER), _greys(image, ring.OUTER[5])
     inner_threshold = threshold(inner_grey)
     inner = _mask(inner_grey < inner_threshold)
@@ -62,7 +62,7 @@ def corners_per_ring(image: GreyImage, threshold: Threshold) -> np.ndarray:
 
 
 def _greys(image: GreyImage, offsets: Sequence[tuple[int, int]]) -> np.ndarray:
-    """(samples, H, W) float32: the grey of every sample around every pixel."""
+    """Return (samples, H, W) float32: the grey level of every sample around every pixel."""
     reach = ring.REACH
     rows, columns = image.shape
     wide = np.pad(image, reach, mode="edge").astype(np.float32)
@@ -77,7 +77,7 @@ def _mask(black: np.ndarray) -> np.ndarray:
 
 
 def thresholds(frames: Sequence[Frame]) -> list[dict[str, Any]]:
-    """Errors with the window mean and with a threshold for each ring."""
+    """Measure the errors with the window mean and with a threshold for each ring."""
     ways: dict[str, Callable[[GreyImage], np.ndarray]] = {
         "mean of the window": lambda image: reference.detect(image, RAPID).xy
     }
@@ -90,7 +90,7 @@ def thresholds(frames: Sequence[Frame]) -> list[dict[str, Any]]:
 
 
 def decisions(frames: Sequence[Frame]) -> dict[str, Any]:
-    """How often rapid and spectral criteria disagree on pixels near a corner, and elsewhere."""
+    """Count how often rapid and spectral criteria disagree near a corner, and elsewhere."""
     near_pixels = near_differ = far_pixels = far_differ = 0
     for frame in frames:
         one = reference.maps(frame.image, RAPID).candidate
@@ -112,7 +112,7 @@ def decisions(frames: Sequence[Frame]) -> dict[str, Any]:
 
 
 def times(frame: Frame) -> dict[str, Any]:
-    """ms of the kernels from the binary image to the candidates, for both."""
+    """Return the ms of the kernels from the binary image to the candidates, for both."""
     spent = {}
     for name, config in (
         ("rapid", RAPID),

@@ -18,7 +18,7 @@ _PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "chess_corners", "
 
 
 def environment() -> dict[str, Any]:
-    """Everything that a reader needs to judge a figure, as plain values for JSON."""
+    """Return all that a reader needs to judge a figure, as plain values for JSON."""
     device = cmp_cl.select_device()
     packages = {"opencv": cv2.__version__, "python": platform.python_version()}
     for name in _PACKAGES:
@@ -52,13 +52,13 @@ def others(seconds: float = 1.0) -> float | None:
 
 
 def _busy() -> float:
-    """Seconds that all cores together have worked since the system was started."""
+    """Return the seconds that all cores together have worked since the system started."""
     user, nice, system, *_ = Path("/proc/stat").read_text().split()[1:]
     return (int(user) + int(nice) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def _commit() -> str:
-    """The commit of the tree, marked where the tree differs from it; results may."""
+    """Return the commit of the tree, marked where the tree differs from it; results may."""
     here = Path(__file__).parent
     try:
         commit = _git(here, "rev-parse", "--short", "HEAD")

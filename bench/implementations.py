@@ -53,7 +53,7 @@ def libraries() -> Iterator[tuple[str, str]]:
 
 
 def measure(out: Path) -> None:
-    """Every scene on the only device there is, into a file."""
+    """Detect every scene on the only device there is, and write a file."""
     device = cmp_cl.select_device()
     found: dict[str, Any] = {"device": f"{device}, {device.driver}"}
     for scene, config in DIGESTS:
@@ -68,7 +68,7 @@ def measure(out: Path) -> None:
 
 
 def run(name: str, library: str, folder: Path) -> dict[str, Any] | str:
-    """What `measure` found with that implementation alone, or why it did not."""
+    """Return what `measure` found with that implementation alone, or why it did not."""
     vendor, out = folder / f"{name}.icd", folder / f"{name}.npz"
     vendor.write_text(library + "\n")
     around = {**os.environ, "OCL_ICD_VENDORS": str(vendor), "RUSTICL_ENABLE": "llvmpipe"}
@@ -86,7 +86,7 @@ def run(name: str, library: str, folder: Path) -> dict[str, Any] | str:
 
 
 def largest_distance(one: dict[str, Any], other: dict[str, Any]) -> float | None:
-    """Between the positions of the same corner, px; None where the corners are not the same."""
+    """Return the largest distance between equal corners, px; None where the corners differ."""
     largest = 0.0
     for scene, config in DIGESTS:
         a, b = one[f"{scene}/{config}"], other[f"{scene}/{config}"]

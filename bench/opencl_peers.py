@@ -26,7 +26,7 @@ class RingPeer:
         self._shape: tuple[int, ...] = ()
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """(N, 2) float32, px, in the order of (y, x)."""
+        """Return (N, 2) float32, px, in the order of (y, x)."""
         if image.shape != self._shape:
             self._prepare(image.shape)
         queue = self._queue
@@ -117,6 +117,6 @@ def _padded(size: tuple[int, ...], local: tuple[int, int]) -> tuple[int, ...]:
 
 
 def _taps(sigma: float) -> list[np.float32]:
-    """Weights of the centre and of the three neighbours on each side."""
+    """Return the weights of the centre and of the three neighbours on each side."""
     weights = np.exp(-0.5 * (np.arange(4) / sigma) ** 2)
     return [np.float32(weight) for weight in weights / (weights[0] + 2 * weights[1:].sum())]

@@ -55,7 +55,7 @@ class Peer(NamedTuple):
     same_as: str | None = None  # another form of this peer, whose settings it shares
 
     def settings(self, markers: int) -> Settings:
-        """What the search found for that density, or the usual values where there was none."""
+        """Return what the search found for that density, or the usual values where it has none."""
         usual = {name: values[0] for name, values in self.search.items()}
         if FOUND_SETTINGS.is_file():
             found = json.loads(FOUND_SETTINGS.read_text())["settings"]
@@ -147,7 +147,7 @@ _MARGIN = 7  # px at the border that Bennett's code does not fill
 
 
 def ring_samples(image: np.ndarray, sigma: float) -> list[np.ndarray]:
-    """The 16 samples of every pixel, each (H, W) float32, of the smoothed image."""
+    """Return the 16 samples of every pixel, each (H, W) float32, of the smoothed image."""
     rows, columns = image.shape
     grey = image.astype(np.float32)
     if sigma:
@@ -157,7 +157,7 @@ def ring_samples(image: np.ndarray, sigma: float) -> list[np.ndarray]:
 
 
 def chess_response(image: np.ndarray, sigma: float) -> np.ndarray:
-    """Bennett and Lasenby, 2013: sum response, difference response, mean response."""
+    """Return sum, difference and mean response (Bennett and Lasenby, 2013)."""
     ring = ring_samples(image, sigma)
     total = np.zeros(image.shape, np.float32)
     difference = np.zeros(image.shape, np.float32)
@@ -172,7 +172,7 @@ def chess_response(image: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def spectrum_response(image: np.ndarray, sigma: float, weight: float) -> np.ndarray:
-    """Circular sampling and its Fourier transform: the second harmonic against its neighbours.
+    """Compare the second harmonic of circular samples with its neighbours in the spectrum.
 
     |F2| - weight (|F1| + |F3|), after Zhang and Xiong (ICIRA 2017) as the CMP paper uses it.
     """
@@ -189,7 +189,7 @@ def spectrum_response(image: np.ndarray, sigma: float, weight: float) -> np.ndar
 
 
 def peaks(response: np.ndarray, threshold: float, radius: int) -> np.ndarray:
-    """Local maxima above a threshold, at the centre of mass of the 5 x 5 around: (N, 2), px."""
+    """Return local maxima above a threshold, at the centre of mass of 5 x 5: (N, 2), px."""
     size = 2 * radius + 1
     highest = response >= cv2.dilate(response, np.ones((size, size), np.uint8))
     y, x = np.nonzero(highest & (response > threshold))
@@ -531,7 +531,7 @@ NAMES = {peer.label: name for name, peer in PEERS.items()}
 
 
 def keep_freed_memory() -> None:
-    """From now on memory that is freed stays with the process, where malloc is glibc's.
+    """Make freed memory stay with the process from now on, where malloc is glibc's.
 
     OpenCV makes its images anew for every frame. Whether malloc gives them back to the system
     each time hangs on what else lies in memory, and goodFeaturesToTrack at 1600 x 1200 takes
@@ -544,7 +544,7 @@ def keep_freed_memory() -> None:
 
 
 def available() -> tuple[list[str], dict[str, str]]:
-    """The names of the peers that run here, and the reasons of the others."""
+    """Return the names of the peers that run here, and the reasons of the others."""
     reasons: dict[str, str] = {}
     for name, peer in PEERS.items():
         try:

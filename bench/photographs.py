@@ -19,6 +19,7 @@ import methods
 import numpy as np
 from environment import RESULTS, environment
 from peers import PEERS, Pattern, available, keep_freed_memory
+from scipy.spatial import cKDTree
 
 from cmp_cl import AdaptiveMean, BinaryRings, Detector, DetectorConfig, EdgeLines
 from cmp_cl.config import window_for_cell
@@ -62,7 +63,7 @@ class Photograph(NamedTuple):
         )
 
     def judge(self, xy: np.ndarray) -> "Judged":
-        """Missed, false and distances; matched within a quarter of a cell, at most 3 px."""
+        """Return missed, false and distances; matched within a quarter of a cell, at most 3 px."""
         partner = match(xy, self.truth, min(3, self.cell / 4))
         hit = partner >= 0
         missed = np.ones(len(self.truth), np.bool_)
@@ -77,25 +78,45 @@ class Photograph(NamedTuple):
             false=false,
             outside=int(len(xy) - hit.sum()) - false,
             apart=np.hypot(*(xy[hit] - self.truth[partner[hit]]).T),
+            uneven=uneven(xy[hit]),
         )
 
 
+def uneven(xy: np.ndarray) -> np.ndarray:
+    """How far corners lie from the middle of their four neighbours, px; no truth is asked.
+
+    Only corners whose four neighbours lie around them, at distances within a third of each other.
+    Divided by the root of 5/4: errors of the neighbours count too.
+    """
+    if len(xy) < 5:
+        return np.empty(0)
+    distance, near = cKDTree(xy).query(xy, 5)
+    off = xy[near[:, 1:]].mean(axis=1) - xy
+    length = np.hypot(*off.T)
+    inner = (distance[:, 4] < 4 / 3 * distance[:, 1]) & (length < distance[:, 1] / 5)
+    return length[inner] / np.sqrt(1.25)
+
+
 class Judged(NamedTuple):
-    """Counts of a photograph, and the distances of what was found from the truth, px."""
+    """Counts of a photograph, and distances of what was found, px: from the truth, and from the
+    middle of the neighbours.
+    """
 
     expected: int
     missed: int
     false: int
     outside: int
     apart: np.ndarray
+    uneven: np.ndarray
 
 
 def summary(parts: Sequence[Judged]) -> dict[str, Any]:
-    """The sums over some photographs."""
+    """Return the sums over some photographs."""
     expected, missed, false, outside = (
         int(sum(column)) for column in list(zip(*parts, strict=True))[:4]
     )
     apart = np.concatenate([part.apart for part in parts])
+    uneven = np.concatenate([part.uneven for part in parts])
     return {
         "expected": expected,
         "missed": missed,
@@ -105,6 +126,7 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
         "precision": len(apart) / max(len(apart) + false, 1),
         "median": float(np.median(apart)) if len(apart) else None,
         "p95": float(np.percentile(apart, 95)) if len(apart) else None,
+        "scatter": float(np.median(uneven)) if len(uneven) else None,
     }
 
 
@@ -133,7 +155,7 @@ def own_rows(photograph: Photograph, cell: float) -> dict[str, DetectorConfig]:
 def rows(
     name: str, photographs: Sequence[Photograph], names: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Every method on the photographs, which are of one size, together."""
+    """Run every method on the photographs, which are of one size."""
     first = photographs[0]
     cell = float(np.median([each.cell for each in photographs]))
     count = round(len(first.truth) ** 0.5)
@@ -172,13 +194,16 @@ def show(table: list[dict[str, Any]]) -> None:
         f"\n{table[0]['photograph']}: {table[0]['expected']} corners, "
         f"photographs: {table[0]['photographs']}"
     )
-    print(f"{'method':46}{'missed':>8}{'false':>7}{'outside':>9}{'median':>8}{'p95':>7}{'ms':>9}")
+    print(
+        f"{'method':46}{'missed':>8}{'false':>7}{'outside':>9}{'median':>8}{'p95':>7}{'scatter':>9}"
+        f"{'ms':>9}"
+    )
     for row in table:
         median = "-" if row["median"] is None else f"{row['median']:.3f}"
         p95 = "-" if row["p95"] is None else f"{row['p95']:.3f}"
         print(
             f"{row['method']:46}{row['missed']:8}{row['false']:7}{row['outside']:9}"
-            f"{median:>8}{p95:>7}{row['ms']:9.2f}"
+            f"{median:>8}{p95:>7}{row['scatter'] or np.nan:9.3f}{row['ms']:9.2f}"
         )
 
 

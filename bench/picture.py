@@ -27,7 +27,7 @@ GREEN, RED, YELLOW = (60, 200, 60), (40, 40, 255), (0, 220, 255)
 
 
 def panel(frame: Frame, method: Method) -> np.ndarray:
-    """The part of the frame with the method's answer, and the counts of the whole frame."""
+    """Draw the part of the frame with the method's answer, and the counts of the whole frame."""
     xy = np.asarray(method.detect(frame.image), float).reshape(-1, 2)
     answer = frame.score(xy)
     partner = match(xy, frame.truth, reach(frame.cell))

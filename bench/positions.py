@@ -54,7 +54,7 @@ KINDS = ("position", "displacement", "raw position", "raw displacement")
 
 
 def others(quick: bool) -> Iterator[Scene]:
-    """Prints of other wear, and images of other noise, at every severity."""
+    """Yield prints of other wear, and images of other noise, at every severity."""
     seed = TEST_SEED + 700_000
     for corrosion in CORROSIONS:
         for markers in DENSITIES:
@@ -90,7 +90,7 @@ class Node:
 
 
 def turned_truth(grid: Grid, truth: np.ndarray) -> np.ndarray:
-    """The truth numbered as the grid is: the quarter rotation that fits best."""
+    """Return the truth numbered as the grid is: the quarter rotation that fits best."""
     markers = math.isqrt(len(truth))
     square = truth.reshape(markers, markers, 2)
     turns = [np.rot90(square, quarters) for quarters in range(4)]
@@ -98,7 +98,7 @@ def turned_truth(grid: Grid, truth: np.ndarray) -> np.ndarray:
 
 
 def bent(truth: np.ndarray) -> np.ndarray:
-    """Nodes whose truth is off the cubic through its four neighbours in a row or a column."""
+    """Return the nodes whose truth is off the cubic through four neighbours in a row or column."""
     off = np.zeros(truth.shape[:2])
     for axis in (0, 1):
         lines = np.moveaxis(truth, axis, 0)
@@ -109,7 +109,7 @@ def bent(truth: np.ndarray) -> np.ndarray:
 
 
 def measured(scene: Scene, detector: Detector, rivals: dict[str, Detect]) -> Node | None:
-    """One scene against its frame at rest; None where the pattern is not found or misnumbered."""
+    """Measure a scene against its frame at rest; None where the numbering is wrong or missing."""
     shape = (scene.markers, scene.markers)
     rest_frame, frame = rendered(scene.at_rest()), rendered(scene)
     try:
@@ -156,7 +156,7 @@ def measured(scene: Scene, detector: Detector, rivals: dict[str, Detect]) -> Nod
 def against(
     rivals: dict[str, Detect], frame: Frame, filtered: Grid, raw: Grid, good: np.ndarray
 ) -> dict[str, tuple[float, float, float, int]]:
-    """Sums of squared distances on the corners that a rival finds too: its, EDGE_STEP's, ours."""
+    """Sum squared distances on the corners that a rival finds too: its, EDGE_STEP's, ours."""
     mine, ours = (by_corner(grid.xy[good], frame) for grid in (raw, filtered))
     sums = {}
     for name, detect in rivals.items():
@@ -170,7 +170,7 @@ def against(
 
 
 def interval(hits: float, count: float) -> list[float]:
-    """Wilson's interval of 95 % for a share."""
+    """Return Wilson's interval of 95 % for a share."""
     if not count:
         return [0.0, 1.0]
     z, share = 1.96, hits / count
@@ -221,7 +221,7 @@ def group(nodes: Sequence[Node], **keys: Any) -> dict[str, Any]:
 
 
 def groups(nodes: Sequence[Node]) -> list[dict[str, Any]]:
-    """By wear and severity, then what is usual by density and by noise."""
+    """Group by wear and severity, then the usual ones by density and by noise."""
     rows = []
     usual = [node for node in nodes if 2 <= node.scene.noise <= 4.5]
     for corrosion in sorted({node.scene.corrosion for node in usual}):
@@ -246,7 +246,7 @@ def groups(nodes: Sequence[Node]) -> list[dict[str, Any]]:
 
 
 def at_bends(nodes: Sequence[Node]) -> dict[str, Any]:
-    """Where the truth bends: root mean squares of the distance, of scenes with usual wear."""
+    """Return the RMS of the distance where the truth bends, of scenes with usual wear."""
     worn = [node for node in nodes if node.scene.corrosion == 1]
     sums = {kind: np.concatenate([node.bends[kind] for node in worn]) for kind in KINDS}
     return {
@@ -256,7 +256,7 @@ def at_bends(nodes: Sequence[Node]) -> dict[str, Any]:
 
 
 def compared(nodes: Sequence[Node]) -> list[dict[str, Any]]:
-    """Other methods on the corners that they find: root mean squares of the distance, px."""
+    """Return the RMS of the distance of other methods on the corners that they find, px."""
     totals: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(4))
     for node in nodes:
         for name, sums in node.rivals.items():
@@ -278,7 +278,7 @@ def compared(nodes: Sequence[Node]) -> list[dict[str, Any]]:
 
 
 def bound(frames: int) -> dict[str, Any]:
-    """The noise-only Cramer-Rao bound of a disc of .75 cell on perfect prints at rest.
+    """Return the noise-only Cramer-Rao bound of a disc of .75 cell on perfect prints at rest.
 
     The picture without noise is known but for its place: F = sum of grad grad^T / noise^2.
     The noise part of EDGE_STEP is the distance between its answers with and without noise.
@@ -312,7 +312,7 @@ def bound(frames: int) -> dict[str, Any]:
 
 
 def points(xyz: np.ndarray) -> Points3D:
-    """Nodes in space, mm, as a triangulation would give them."""
+    """Return nodes in space, mm, as a triangulation would give them."""
     shape = xyz.shape[:2]
     return Points3D(
         xyz=xyz,
@@ -329,13 +329,13 @@ WEAR, OWN = 10e-3, 2e-3  # mm: wear that travels with the nodes, and noise of ea
 
 
 def lattice(nodes: int = 40) -> np.ndarray:
-    """A flat lattice, (R, C, 3), mm."""
+    """Return a flat lattice, (R, C, 3), mm."""
     r, c = np.mgrid[:nodes, :nodes] * PITCH
     return np.stack([c, r, np.full_like(r, 45.0)], axis=-1)
 
 
 def pressed(now: np.ndarray, seed: int) -> Any:
-    """The field from the flat lattice to `now`, with wear and noise, with its strain."""
+    """Return the field from the flat lattice to `now`, with wear and noise, with its strain."""
     draw = np.random.default_rng(seed)
     flat = lattice()
     wear = draw.normal(0, WEAR, flat.shape)
@@ -344,7 +344,7 @@ def pressed(now: np.ndarray, seed: int) -> Any:
 
 
 def known_strains(repeats: int) -> list[dict[str, Any]]:
-    """Uniform stretches along the rows: mean, error and stated error of E11."""
+    """Measure uniform stretches along the rows: mean, error and stated error of E11."""
     rows = []
     for stretch in STRAINS:
         now = lattice() * [1 + stretch, 1 - 0.4 * stretch, 1]
@@ -421,7 +421,7 @@ def show(result: dict[str, Any]) -> None:
 
 
 def filter_time() -> float:
-    """Milliseconds for positions and sigma of 44 x 44 nodes, the median."""
+    """Return the milliseconds for positions and sigma of 44 x 44 nodes, the median."""
     draw = np.random.default_rng(0)
     values = draw.normal(0, 0.1, (44, 44, 2)) + np.mgrid[:44, :44].transpose(1, 2, 0) * 0.1
     spent = []
@@ -433,7 +433,7 @@ def filter_time() -> float:
 
 
 def chosen_scenes(quick: bool) -> Iterable[tuple[Scene, bool]]:
-    """The scenes, and whether other methods see them too."""
+    """Return the scenes, and whether other methods see them too."""
     for markers in DENSITIES[1:3] if quick else DENSITIES:
         severities = SEVERITIES[1::3] if quick else SEVERITIES
         for number, scene in enumerate(scenes(markers, severities, 1 if quick else 3)):

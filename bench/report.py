@@ -35,7 +35,7 @@ PAPER_TIMES = "4.95 ms (its ChESS 5.04 ms), 1936 corners, integer positions"
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A Markdown table; floats with 3 digits, None as a dash."""
+    """Return a Markdown table; floats with 3 digits, None as a dash."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
     return "\n".join(lines) + "\n"
@@ -50,7 +50,7 @@ def _cell(value: Any) -> str:
 
 
 def conditions(result: Row) -> str:
-    """The line under a heading: what it was measured with."""
+    """Return the line under a heading: what it was measured with."""
     if (result["environment"].get("others") or 0) > BUSY:
         busy = "**Other work ran on this machine at the same time: its times are rough.**"
         return f"{described(result)}\n{busy}\n"
@@ -58,7 +58,7 @@ def conditions(result: Row) -> str:
 
 
 def described(result: Row) -> str:
-    """Device, driver, versions, commit, and how busy the machine was."""
+    """Return device, driver, versions, commit, and how busy the machine was."""
     around = result["environment"]
     packages = ", ".join(f"{name} {version}" for name, version in around["packages"].items())
     others = around.get("others")
@@ -109,7 +109,7 @@ def speed(result: Row) -> str:
 
 
 def _paced(scene: Row) -> str:
-    """What a frame takes when a camera gives them, and not a loop."""
+    """Tabulate what a frame takes when a camera gives them, and not a loop."""
     text = f"One frame every {scene['pace_ms']:g} ms; beside it the same frames in a loop:\n\n"
     head = ("method", "ms", "99 %", "loop, ms", "loop, 99 %", "times the loop's")
     keys = ("method", "ms", "ms_p99", "loop_ms", "loop_ms_p99", "times_loop")
@@ -117,7 +117,7 @@ def _paced(scene: Row) -> str:
 
 
 def _targets(scene: Row) -> str:
-    """The ratios that are asked for, and whether they are met in this run."""
+    """Tabulate the ratios that are goals, and whether they are met in this run."""
     rows = {row["method"]: row for row in scene["rows"]}
     ms = rows[DEFAULT]["ms"]
     lean_goal, features_goal = (10, 4.5) if scene["scene"] == "vga" else (18, 7)
@@ -235,7 +235,7 @@ def accuracy(result: Row, folder: Path) -> str:
 
 
 def _right(rows: dict[tuple[str, str], Row], result: Row) -> str:
-    """The shares of right frames that are asked for, and whether they are met in this run."""
+    """Tabulate the shares of right frames that are goals, and whether they are met in this run."""
 
     def share(name: str, group: str) -> float:
         return 100 * rows[name, group]["success"] / rows[name, group]["frames"]
@@ -287,7 +287,7 @@ def _is_peer(name: str) -> bool:
 
 
 def _shortfalls(rows: dict[tuple[str, str], Row], names: Sequence[str], result: Row) -> str:
-    """Where a peer is ahead: the full configuration of all, the default of those without grid."""
+    """List where a peer is ahead: of all, or of those without a grid."""
     body = []
     for markers in result["densities"]:
         for severity in result["severities"]:
@@ -319,7 +319,7 @@ def _shortfalls(rows: dict[tuple[str, str], Row], names: Sequence[str], result: 
 
 
 def _front(points: Sequence[Row], key: str) -> list[str]:
-    """The methods that no other beats in both time and error."""
+    """Return the methods that no other beats in both time and error."""
     front, best = [], float("inf")
     for point in sorted(points, key=lambda p: (p["ms"], p[key] or 0)):
         value = point[key]
@@ -336,7 +336,7 @@ def _colour(name: str) -> str:
 
 
 def _pareto(points: Sequence[Row], title: str, path: Path) -> None:
-    """Two panels of numbered points, and the names beside them."""
+    """Draw two panels of numbered points, and the names beside them."""
     points = sorted((p for p in points if p["rmse"] is not None), key=lambda p: p["ms"])
     figure, axes = plt.subplots(1, 3, figsize=(15, 7), width_ratios=(5, 5, 2.6))
     for axis, key, label in zip(
@@ -382,7 +382,7 @@ def _pareto(points: Sequence[Row], title: str, path: Path) -> None:
 
 
 def _plain(axis: Any) -> None:
-    """Numbers at a few of 1 to 9 of each decade of a logarithmic axis, the fewer the longer."""
+    """Label a few of 1 to 9 of each decade of a logarithmic axis, the fewer the longer it is."""
     low, high = axis.get_view_interval()
     decades = np.log10(high / low)
     steps = next(
@@ -401,7 +401,7 @@ def _plain(axis: Any) -> None:
 
 
 def _numbers(axis: Any, points: Sequence[tuple[float, float, str]]) -> None:
-    """The number of each point (x, y, colour) beside it, where neither point nor number is."""
+    """Put the number of each point (x, y, colour) beside it, where nothing else is."""
     axis.figure.tight_layout()
     axis.figure.canvas.draw()
     taken = [tuple(axis.transData.transform((x, y))) for x, y, _ in points]
@@ -480,13 +480,13 @@ def _percent(share: float | None) -> float | None:
 
 
 def _between(interval: Sequence[float]) -> str:
-    """An interval of shares; a dash where one frame gives none."""
+    """Return an interval of shares; a dash where one frame gives none."""
     low, high = interval
     return f"{max(low, 0):.0%} to {min(high, 1):.0%}" if low == low else "-"
 
 
 def positions(result: Row) -> str:
-    """The lattice filter: errors before and behind it, and whether the stated ones hold."""
+    """Report the lattice filter: errors before and behind it, and whether the stated ones hold."""
     parts = ["## Positions, and their stated errors", conditions(result), left_out(result)]
     parts.append(
         "Each scene against its frame at rest; nodes that are measured and rightly numbered. RMSE "
@@ -650,8 +650,11 @@ def field(result: Row) -> str:
 def photographs(result: Row) -> str:
     parts = ["## Real photographs", conditions(result), left_out(result)]
     parts.append(
-        "Truth is a saddle fit to the grey image: differences below 0.2 px say nothing. False "
-        "counts only where every corner is listed; `outside` are detections elsewhere.\n"
+        "Truth is a saddle fit to the grey image: it flatters methods that fit one, and "
+        "differences below 0.2 px say nothing. Beside it `scatter` asks no truth: the median "
+        "distance, px, of a corner from the middle of its four neighbours, over the root of 5/4; "
+        "what the surface bends is in it for all methods alike. False counts only where every "
+        "corner is listed; `outside` are detections elsewhere.\n"
     )
     names = list(dict.fromkeys(row["photograph"] for row in result["rows"]))
     for name in names:
@@ -670,14 +673,15 @@ def photographs(result: Row) -> str:
             "precision",
             "median",
             "p95",
+            "scatter",
             "ms",
         )
-        parts.append(table(keys, [[row[key] for key in keys] for row in rows]))
+        parts.append(table(keys, [[row.get(key) for key in keys] for row in rows]))
     return "\n".join(parts)
 
 
 def partial_views(result: Row) -> str:
-    """Boards partly out of view, boards of a wrong size, an island."""
+    """Report boards partly out of view, boards of a wrong size, an island."""
     parts = ["## Boards partly out of view", conditions(result)]
     parts.append(
         "Each picture is cut at its four sides. A node is right if it lies within 3 px of a "
@@ -709,13 +713,14 @@ def partial_views(result: Row) -> str:
 
 
 def open_patterns(result: Row) -> str:
-    """Numbers against the rest frame without a border in view."""
+    """Report numbers against the rest frame without a border in view."""
     parts = ["## Patterns without a border in view", conditions(result)]
     parts.append(
-        "Frames are numbered like the rest frame. Right: every node has its number. In silence: "
-        "some have not, and the frame does not say that its numbers are ambiguous. A print "
-        "without wear that moved by a whole period gives the same picture as one that did not "
-        "move: nothing in the frame can tell.\n"
+        "Frames are numbered like the rest frame. Right: every node has its number, but for one in "
+        "500. In silence: more have not, and the frame does not say that its numbers are "
+        "ambiguous. A perfect print that moved by a whole period gives the same picture as one "
+        "that did not move: nothing in the frame can tell, so that every such frame is ambiguous. "
+        "The errors of a worn print move with it, and tell.\n"
     )
     for form, words in (
         ("alone", "By the rest frame alone"),
@@ -1007,7 +1012,7 @@ def _save(figure: Any, path: Path) -> None:
 
 
 def settings(result: Row) -> str:
-    """What the search for the peers' settings found, and what it was worth."""
+    """Report what the search for the peers' settings found, and what it was worth."""
     parts = ["## The peers' settings", described(result)]
     parts.append(
         f"Searched on {result['scenes_a_density']} scenes a density, seeds "
@@ -1033,7 +1038,7 @@ def settings(result: Row) -> str:
 
 
 def durations(result: Row) -> str:
-    """How long each part took."""
+    """Report how long each part took."""
     form = "short" if result["quick"] else "full"
     failed = ", ".join(result["failed"]) or "none"
     parts = [f"## What the parts took\n\nThe {form} form; parts that failed: {failed}.\n"]
@@ -1048,7 +1053,7 @@ def read(folder: Path, name: str) -> Row | None:
 
 
 def figures(speed: Row, accuracy: Row) -> str:
-    """The README's table: what each method takes, misplaces and gets right."""
+    """Return the README's table: what each method takes, misplaces and gets right."""
     small, large = ({row["method"]: row for row in scene["rows"]} for scene in speed["scenes"])
     whole = {row["method"]: row for row in unpacked(accuracy)["rows"] if row["group"] == "all"}
     body = []
@@ -1076,7 +1081,7 @@ def figures(speed: Row, accuracy: Row) -> str:
 
 
 def exactness(accuracy: Row, field: Row) -> str:
-    """The errors by severity, in the image and in space, for the page on accuracy."""
+    """Return the errors by severity, in the image and in space, for the page on accuracy."""
     rows = unpacked(accuracy)["rows"]
     spaces = grouped(field["frames"], "config", "severity")
     severities = sorted({row["severity"] for row in spaces})

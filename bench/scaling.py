@@ -68,7 +68,7 @@ print(imported - start, time.perf_counter() - start, len(corners))
 
 
 def milliseconds(run: Callable[[], object], repeats: int) -> dict[str, Any]:
-    """Median and 95th percentile of a call, after two calls that are not counted."""
+    """Return median and 95th percentile of a call, after two warm-up calls."""
     spent = []
     for k in range(repeats + 2):
         start = time.perf_counter()
@@ -83,14 +83,14 @@ def milliseconds(run: Callable[[], object], repeats: int) -> dict[str, Any]:
 
 
 def tiled(shape: tuple[int, int]) -> np.ndarray:
-    """An image of that shape, paved with one rendered pattern of 20 x 20 corners."""
+    """Return an image of that shape, tiled with one rendered pattern of 20 x 20 corners."""
     tile = rendered(random_scene(TEST_SEED, **PATCH)).image
     rows, columns = (-(-n // 240) for n in shape)
     return np.ascontiguousarray(np.tile(tile, (rows, columns))[: shape[0], : shape[1]])
 
 
 def sizes(shapes: Sequence[tuple[int, int]], device: str | None) -> list[dict[str, Any]]:
-    """Cost by pixels, at a constant density of corners."""
+    """Measure the cost by pixels, at a constant density of corners."""
     rows = []
     for shape in shapes:
         image = tiled(shape)
@@ -116,7 +116,7 @@ def sizes(shapes: Sequence[tuple[int, int]], device: str | None) -> list[dict[st
 
 
 def stages_sparse(device: str | None) -> list[dict[str, Any]]:
-    """What corners cost: the same VGA frame with none, few and all of them in view."""
+    """Measure what corners cost: the same VGA frame with none, few and all of them in view."""
     frame = vga(TEST_SEED)
     rows = []
     for share in (0.0, 0.25, 0.5, 1.0):
@@ -134,7 +134,7 @@ def stages_sparse(device: str | None) -> list[dict[str, Any]]:
 
 
 def many(batches: Sequence[int], device: str | None) -> list[dict[str, Any]]:
-    """Frames a second: one by one, as a stream, as batches from the host and on the device."""
+    """Measure frames a second: one by one, as a stream, in batches from host and from device."""
     frames = [vga(TEST_SEED + k).image for k in range(4)]
     rows = []
     context = cl.Context([cmp_cl.select_device(device).handle])
@@ -164,7 +164,7 @@ def many(batches: Sequence[int], device: str | None) -> list[dict[str, Any]]:
 
 
 def threads(device: str | None) -> list[dict[str, Any]]:
-    """One and two threads of PoCL, each in a process of its own."""
+    """Measure one and two threads of PoCL, each in a process of its own."""
     rows = []
     for count in (1, 2):
         # The one is read by versions before 5, the other by those since.
@@ -180,7 +180,7 @@ def threads(device: str | None) -> list[dict[str, Any]]:
 
 
 def first_result(device: str | None) -> list[dict[str, Any]]:
-    """Seconds from the start of the imports to the corners of a VGA frame, in new processes."""
+    """Return the seconds from import to the corners of a VGA frame, in new processes."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         path = os.path.join(folder, "frame.npy")
@@ -209,7 +209,7 @@ def first_result(device: str | None) -> list[dict[str, Any]]:
 
 
 def abilities(device: str | None) -> dict[str, float]:
-    """What the device does of what a frame is made of."""
+    """Measure the device's speed at the parts of a frame."""
     size = 64 << 20
     context = cl.Context([cmp_cl.select_device(device).handle])
     queue = cl.CommandQueue(context)
@@ -243,7 +243,7 @@ def abilities(device: str | None) -> dict[str, float]:
 
 
 def floor(frames: Sequence[dict[str, Any]], device: str | None) -> dict[str, float]:
-    """What a VGA frame must cost at least, one alone and among many, and the ratio to it.
+    """Return the least that a VGA frame must cost, alone and among many, and the ratio to it.
 
     Bytes: the image once and the corners once. Operations: binarization and criteria once.
     Alone, a frame is uploaded, launches its kernels, and is asked for one answer: its corners

@@ -39,29 +39,29 @@ class Frame(NamedTuple):
     views: int = 1
 
     def score(self, xy: np.ndarray) -> Score:
-        """How right the detections (N, 2) are."""
+        """Score the detections (N, 2)."""
         return score(xy, self.truth, self.cell, self.junctions)
 
 
 def rendered(scene: Scene) -> Frame:
-    """A frame with one view of the gel; kept in the folder for temporary files."""
+    """Return a frame with one view of the gel; kept in the folder for temporary files."""
     return _kept(f"one {scene}", lambda: _frame(render(scene), scene.markers))
 
 
 def vga(seed: int) -> Frame:
-    """640 x 480 with 44 x 44 corners."""
+    """Return a frame of 640 x 480 with 44 x 44 corners."""
     return rendered(random_scene(seed, markers=44, **MILD))
 
 
 def wide(seed: int) -> Frame:
-    """1600 x 1200 with two views of 40 x 40 corners beside each other."""
+    """Return a frame of 1600 x 1200 with two views of 40 x 40 corners side by side."""
     scene = random_scene(seed, markers=40, shape=(1200, 800), **MILD)
     return _kept(f"two {scene}", lambda: _binocular(scene))
 
 
 @functools.cache
 def _folder() -> Path:
-    """Where rendered scenes are kept; another one for another renderer."""
+    """Return where rendered scenes are kept; another renderer has another folder."""
     version = hashlib.sha256(inspect.getsource(synthetic).encode()).hexdigest()[:12]
     folder = Path(tempfile.gettempdir()) / f"cmp_cl-scenes-{version}"
     folder.mkdir(exist_ok=True)

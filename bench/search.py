@@ -28,7 +28,7 @@ SCENES_EACH = 2
 
 
 def search_frames(markers: int) -> list[Frame]:
-    """The scenes of the search for one density."""
+    """Return the scenes of the search for one density."""
     return [
         rendered(random_scene(SEARCH_SEED + 100 * k + n, markers=markers, severity=severity))
         for k in range(SCENES_EACH)

@@ -103,7 +103,9 @@ class Store:
         return _split(arrays)
 
     def _arrays(self, number: int) -> dict[str, NDArray[Any]]:
-        """The arrays of a part; raises one of _DAMAGE unless they are those it was given."""
+        """Return the arrays of a part; raises one of _DAMAGE unless they are those that were
+        written.
+        """
         with np.load(self._path(number), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         digest = str(arrays.pop("digest"))
@@ -245,7 +247,9 @@ class _Own:
 
 
 def _digest(arrays: Mapping[str, NDArray[Any]], first: int) -> str:
-    """SHA-256 of the arrays with their names, types and shapes, and of the first frame's number."""
+    """Return the SHA-256 of the arrays with names, types and shapes, and of the first frame's
+    number.
+    """
     hashed = hashlib.sha256(f"{first}\n".encode())
     for name, array in sorted(arrays.items()):
         hashed.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
@@ -254,7 +258,7 @@ def _digest(arrays: Mapping[str, NDArray[Any]], first: int) -> str:
 
 
 def _split(arrays: Mapping[str, NDArray[Any]]) -> list[Corners]:
-    """The frames of a part."""
+    """Return the frames of a part."""
     ends = np.cumsum(arrays["lengths"])[:-1]
     device = str(arrays["device"])
     split = {name: np.split(arrays[name], ends) for name in _ARRAYS}

@@ -381,7 +381,7 @@ class DetectorConfig:
         return dataclasses.replace(self, **changes)
 
     def grey_levels(self, dtype: Any) -> int:
-        """The largest grey level of an image of that dtype."""
+        """Return the largest grey level of an image of that dtype."""
         if self.full_scale is not None:
             return self.full_scale
         return 255 if dtype == "uint8" else 65535
@@ -507,7 +507,7 @@ def _chosen(field: str, value: object, kinds: Mapping[str, type[Part]]) -> Part 
 
 
 def to_toml(config: DetectorConfig) -> str:
-    """The configuration as TOML text; None is written as false."""
+    """Return the configuration as TOML text; None is written as false."""
     return "\n".join(_table(config, "")) + "\n"
 
 

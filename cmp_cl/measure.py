@@ -371,7 +371,7 @@ class _Pattern:
         return corners, whole.cut_to(self.rest)
 
     def lost(self) -> None:
-        """A frame is missing here; numbers are continued over BRIDGED of them at most."""
+        """Note that a frame is missing; numbers are continued over BRIDGED of them at most."""
         self._lost += 1
         if self._lost > BRIDGED:
             self._previous = dataclasses.replace(self._previous or self.rest, ambiguous=True)

@@ -69,7 +69,7 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
 
 
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
-    """The files to read: folders replaced by the images and videos in them, by name.
+    """Return the files to read: folders are replaced by the images and videos in them, by name.
 
     Raises FileNotFoundError for a path that is not there and for a folder without any.
     """
@@ -95,7 +95,7 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
 
 
 def is_video(path: str | PathLike[str]) -> bool:
-    """Whether the name is one of a video."""
+    """Return whether the name is one of a video."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
@@ -142,7 +142,7 @@ def decoded_pages(
 
 
 def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
-    """The bytes of a file as they are asked for, or what comes from a pipe."""
+    """Return the bytes of a file, read on demand, or those that come through a pipe."""
     try:
         kind = os.stat(path).st_mode
         if stat.S_ISREG(kind):
@@ -160,7 +160,7 @@ def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
 
 
 def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, str]:
-    """A page, None where it cannot be decoded, and what the codec has said of it."""
+    """Decode a page, None where that fails; return the codec's messages too."""
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     pages: Sequence[NDArray[Any]] = ()
     with _codec_messages() as said:
@@ -171,7 +171,7 @@ def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, s
 
 
 def _tells_damage(said: str) -> bool:
-    """Whether a codec that gave an image speaks of damage: libjpeg goes on after any."""
+    """Return whether a codec reports damage though it gave an image, as libjpeg does."""
     return "Corrupt JPEG data" in said or "Premature end of JPEG" in said
 
 
@@ -204,7 +204,7 @@ def codec_messages_caught() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _codec_messages() -> Iterator[list[str]]:
-    """The lines that codecs write to stderr in the block, where these are caught."""
+    """Catch the lines that codecs write to stderr within the block, where that is possible."""
     lines: list[str] = []
     if not _catching:
         yield lines
@@ -267,7 +267,7 @@ def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
 
 
 def has_pyav() -> bool:
-    """Whether PyAV is installed."""
+    """Return whether PyAV is installed."""
     return importlib.util.find_spec("av") is not None
 
 
@@ -275,7 +275,7 @@ _Timed = tuple[GreyImage | None, float]  # a frame, None where it is broken, and
 
 
 def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
-    """The frames up to the last that can be read; those between that cannot are None."""
+    """Yield the frames up to the last that can be read; those between that cannot are None."""
     rate = frame_rate(path)
     with _opened(path) as capture:
         width, height = (
@@ -298,7 +298,7 @@ def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
 
 
 def _by_pyav(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
-    """The frames of all packets that can be read; of one that cannot, None."""
+    """Yield the frames of all packets that can be read; of one that cannot, None."""
     import av
 
     with _container(path) as (container, stream):
@@ -330,7 +330,7 @@ def _time_of(frame: Any) -> float:
 
 
 def _luma(frame: Any) -> GreyImage:
-    """The grey levels of a frame of PyAV."""
+    """Return the grey levels of a frame of PyAV."""
     name = frame.format.name
     if _bits(frame.format) <= 8:
         return np.asarray(frame.reformat(format="gray").to_ndarray(), np.uint8, order="C")
@@ -342,13 +342,13 @@ def _luma(frame: Any) -> GreyImage:
 
 
 def _bits(pixels: Any) -> int:
-    """Bits of the deepest component of a pixel format of PyAV."""
+    """Return the bits of the deepest component of a pixel format of PyAV."""
     return max((int(part.bits) for part in pixels.components), default=8)
 
 
 @contextlib.contextmanager
 def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
-    """A video that PyAV has opened, and its stream of pictures."""
+    """Open a video by PyAV, with its video stream."""
     import av
 
     _check_readable(path)
@@ -363,7 +363,7 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
 
 
 def full_scale(path: str | PathLike[str]) -> int | None:
-    """The largest grey level of a video of 9 to 15 bits, 4095 of 12; None of all else.
+    """Return the largest grey level of a video of 9 to 15 bits, 4095 of 12; None of others.
 
     It is known with PyAV alone.
     """
@@ -377,7 +377,7 @@ def full_scale(path: str | PathLike[str]) -> int | None:
 
 
 def count_frames(path: str | PathLike[str]) -> int | None:
-    """The number of frames that a video states, None for an image or where it states none."""
+    """Return how many frames a video states; None for an image, or where it states none."""
     if not is_video(path):
         return None
     if has_pyav():
@@ -389,7 +389,7 @@ def count_frames(path: str | PathLike[str]) -> int | None:
 
 
 def frame_rate(path: str | PathLike[str]) -> float | None:
-    """Frames per second that a video states, None for an image or where it states none."""
+    """Return the frames per second of a video; None for an image, or where it states none."""
     if not is_video(path):
         return None
     if has_pyav():
@@ -402,7 +402,7 @@ def frame_rate(path: str | PathLike[str]) -> float | None:
 
 
 def read_camera(number: int) -> Iterator[Frame]:
-    """The frames of the camera of that number, as they come; colour becomes grey.
+    """Yield the frames of the camera of that number as they come; colour becomes grey.
 
     Ends where `LONGEST_GAP` frames in a row do not come. Raises ImageError where there is no
     such camera.
@@ -454,7 +454,7 @@ def write_csv(
 
 
 def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
-    """Rows as CSV in UTF-8."""
+    """Return rows as CSV in UTF-8."""
     text = StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode("utf-8", "backslashreplace")

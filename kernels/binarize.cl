@@ -1,19 +1,20 @@
 #include "plane.clh"
 
-/* Binarization (section 3.1): black iff (I + C) n < S, with S the sum of the n = w w pixels
- * of the window, border repeated. Bit k of a pixel is its colour in mask k, 1 where black.
+/* Binarization (section 3.1): black iff (I + C) n < S, with S the sum of the n = w w pixels of
+ * the window, border repeated. Bit k of a pixel is its colour in threshold layer k, 1 where
+ * black.
  *
  * The sums are those of a slab, `slab` rows of each frame from `first` on, with one spare row
  * before the first slab and after the last.
  *
- * WINDOW_SUM(T, F) adds F(-w/2) .. F(w/2) in type T; WIDE_SUM(T, F) adds as many of them in type
- * COLUMN as it can hold, and these sums in type T. */
+ * WINDOW_SUM(T, F) adds F(-w/2) .. F(w/2) in type T; WIDE_SUM(T, F) adds as many of them in
+ * type COLUMN as it can hold, and these sums in type T. */
 
 #ifndef WINDOW_SUM
 #error "WINDOW_SUM must add over the window"
 #endif
 
-/* Repeat the border of the binary image; the lists and the maxima are then empty. One work-item per
+/* Repeat the border of the binary image, and empty the lists and the maxima. One work-item per
  * row. */
 __kernel void repeat_border_binary(const uint rows, const uint columns, const uint step,
                                    __global uchar *restrict binary,
@@ -50,7 +51,7 @@ __kernel void column_sums(__global const PIXEL *restrict image, const uint rows,
 
 #if MASKS == 1
 
-/* Sum over the window of the columns' sums, and the comparison. */
+/* Sum the column sums over the window, and compare. */
 __kernel void binarize(__global const PIXEL *restrict image,
                        __global const COLUMN *restrict sums, const uint rows,
                        const uint step, const uint first, const uint slab, const LEVEL count,
@@ -76,8 +77,8 @@ __kernel void column_squares(__global const PIXEL *restrict image, const uint ro
 #undef GREY
 }
 
-/* Three masks, black iff I < mean - k sigma for k = 0, -1/2, +1/2: with d = n I - S and
- * v = n Q - S S, the variance times n n, k sigma n is half the root of v. */
+/* Three layers, black iff I < mean - k sigma for k = 0, -1/2, +1/2: with d = n I - S and v = n
+ * Q - S S, the variance times n n, k sigma n is half the root of v. */
 __kernel void binarize_three(__global const PIXEL *restrict image,
                              __global const COLUMN *restrict sums,
                              __global const SQUARE *restrict squares, const uint rows,

@@ -1,11 +1,11 @@
 #include "plane.clh"
 
-/* The corners of a frame as refinement takes them, whatever found the maxima: x, y, response, and
- * of the responses of the 5 x 5 around it the sum and the sums times the offsets in x and in y, a
- * column each of `length` rows; corner n of frame p has row p * room + n. */
+/* The corners of a frame, as refinement reads them. The columns, of `length` rows each, are x,
+ * y, the response, and the sum and the moments in x and y of the responses of the 5 x 5 around
+ * it. Corner n of frame p has row p * room + n. */
 
-/* The list of the maxima, bit k of word i of a row being pixel 32 i + k, in (y, x) order whatever
- * the order of the work-items; its count, at place `place` of the totals, runs past the room. One
+/* List the maxima in (y, x) order, whatever the order of the work-items. Bit k of word i of a
+ * row is pixel 32 i + k. The count, element `place` of the totals, may exceed the capacity. One
  * work-item per row. */
 __kernel void list_maxima(__global const uint *restrict maxima,
                           __global const uint *restrict row_counts, const uint rows,

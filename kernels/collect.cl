@@ -1,6 +1,6 @@
 #include "plane.clh"
 
-/* Eight pixels, and whether any of them is not 0. */
+/* Load eight pixels, and tell whether any of them is not 0. */
 #if RAPID
 typedef uchar8 RESPONSES_8;
 #define ANY_OF_EIGHT(v) (as_ulong(v) != 0)
@@ -9,10 +9,10 @@ typedef ushort8 RESPONSES_8;
 #define ANY_OF_EIGHT(v) ((as_ulong2(v).x | as_ulong2(v).y) != 0)
 #endif
 
-/* The candidates of a mask within the area, in any order: their places from the start of the
- * frame's rows on, and their responses, of which the image keeps none. `area` has a bit for every
- * pixel. The list of plane p has `room` entries; its count runs past the room. One work-item per
- * eight pixels. */
+/* List the candidates of a layer within the area, in any order: their indices from the start of
+ * the frame's rows, and their responses, which are cleared in the image. `area` has a bit for
+ * every pixel. The list of plane p has `room` entries; its count may exceed that. One work-item
+ * per eight pixels. */
 __kernel void list_candidates(__global RESPONSE *restrict response,
                               __global const uchar *restrict area, const uint layer,
                               const uint rows, const uint step, const uint room,

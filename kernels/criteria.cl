@@ -20,8 +20,8 @@
 
 #if RAPID
 
-/* The colour in a mask, whose bit `to_top` brings to the highest place: LLVM packs products of
- * bytes, not shifts by a variable. */
+/* The colour in a layer; multiplying by `to_top` moves its bit to the top. LLVM vectorises
+ * products of bytes, but not shifts by a variable. */
 #if MASKS == 1
 #define COLOUR(v) (v)
 #else
@@ -32,7 +32,7 @@
 #define LOAD_OUTER(i, dx, dy) const uchar b##i = BLACK_AT(dx, dy);
 #define LOAD_REGION(i, dx, dy) const uchar r##i = BLACK_AT(dx, dy);
 
-/* Response R of Eq. 24 where all criteria hold in one of the masks, 0 elsewhere. */
+/* Response R of Eq. 24 where all criteria hold in one of the layers, 0 elsewhere. */
 __kernel void rapid_criteria(__global const uchar *restrict binary, const uchar to_top,
                              const uint rows, const uint step, const uchar sector_threshold,
                              const uchar ring_threshold, const char corrosion_threshold,
@@ -111,7 +111,7 @@ uint run_difference(const uint mask) {
   return max(abs(l0 - l2), abs(l1 - l3));
 }
 
-/* Everything the criteria look at, at every pixel. */
+/* Every quantity of the criteria, at every pixel. */
 __kernel void ring_maps(__global const uchar *restrict binary, const uint rows,
                         const uint step, __global ushort *restrict inner,
                         __global ushort *restrict outer,

@@ -3,19 +3,19 @@
 /* One work-item per corner, eight pixels of a row at a time. */
 #define MOST_EIGHTS 57 /* 19 rows of 24 pixels hold a radius of 9 */
 
-/* Greys of eight pixels from (i, j) of the start on, the border repeated. */
+/* Grey levels of eight pixels from offset (i, j) of the start on, with the border repeated. */
 #define GREY_NEAR(i, j) \
   (float)image[CLAMPED_ROW(from_y + (j)) + (size_t)clamp(from_x + (i), 0, (int)columns - 1)]
 #if SCALED
 #define EIGHT_GREYS(i, j)                                                           \
   (float8)(GREY_NEAR(i, j), GREY_NEAR(i + 1, j), GREY_NEAR(i + 2, j), GREY_NEAR(i + 3, j), \
            GREY_NEAR(i + 4, j), GREY_NEAR(i + 5, j), GREY_NEAR(i + 6, j), GREY_NEAR(i + 7, j))
-#else /* the pads repeat the border */
+#else /* the padding repeats the border */
 #define EIGHT_GREYS(i, j) \
   EIGHT_OF(float8, image + CLAMPED_ROW(from_y + (j)) + (size_t)(from_x + (i)))
 #endif
 
-/* Row j of the disc: from the middle on, as many times eight pixels as hold its chord. */
+/* Row j of the disc: from the middle on, as many groups of eight pixels as its chord needs. */
 #define DISC_ROW(j)                                                                 \
   const float uy = (float)(j) - y, uy_2 = uy * uy;                                  \
   int eights = 1;                                                                   \
@@ -94,7 +94,7 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   SOLVE_STEP
   if (!sound) return;
 
-  /* Autocorrelation of what the model leaves, between each pixel and the next of its row. */
+  /* Autocorrelation of the residual, between each pixel and the next of its row. */
   float8 products = 0, weights = 0;
 #if SCALED
   for (int j = top; j <= bottom; ++j) {

@@ -1,18 +1,18 @@
 #include "plane.clh"
 #include "ring.clh"
 
-/* The contrast gate: does a maximum have four sectors of clearly different grey?
+/* The contrast gate: a maximum passes if its four sectors differ clearly in grey level.
  *
  * The four sectors are the runs of the inner ring; sample i of either ring belongs to the
  * sector of inner sample i. The contrast of a ring is the smallest white maximum minus the
  * largest black minimum. A candidate that is no maximum has none. */
 
-#define FULL ((PIXEL)(-1)) /* the largest grey */
+#define FULL ((PIXEL)(-1)) /* the largest grey level */
 #define NO_CONTRAST (PIXEL_BITS == 8 ? SHRT_MIN : INT_MIN)
 #define BINS 256 /* of the histograms that the percentile is read from */
 #define WORD_OF(bits) (bits + (frame * rows + place / step) * (step / 32) + place % step / 32)
 
-/* No maximum is counted. One work-item per bin of a mask. */
+/* Clear the histograms. One work-item per bin of a layer. */
 __kernel void clear_bins(__global uint *restrict counted, __global uint *restrict bins) {
   const size_t p = get_global_id(1);
   if (get_global_id(0) == 0) counted[p] = 0;
@@ -79,11 +79,11 @@ __kernel void sector_contrast(__global const PIXEL *restrict image,
 }
 
 /* The 90th percentile of the inner contrasts: eight bits of it at a time, the highest first.
- * What a level leaves to the next is (the bits found, the rank within them) and empty bins. */
+ * Each pass stores the prefix found and the rank remaining, and clears the histogram. */
 
 #if PIXEL_BITS == 16
 
-/* How often the lower eight bits occur. One work-item per candidate. */
+/* Histogram of the lower eight bits. One work-item per candidate. */
 __kernel void histogram(__global const CONTRAST *restrict inner_contrast,
                         __global const uint *restrict total,
                         __global const uint2 *restrict found, const uint room,
@@ -129,8 +129,8 @@ __kernel void percentile(__global const uint *restrict counted, __global const u
   bounds[p] = (int2)(limit[value], twice ? (int)min(bound, (ulong)INT_MAX) : INT_MIN);
 }
 
-/* The maxima that pass the gate in one of the masks in which they are candidates. One work-item
- * per candidate. */
+/* Keep the maxima that pass the gate in one of the layers in which they are candidates. One
+ * work-item per candidate. */
 __kernel void pass_gate(__global const uint *restrict list, __global const uint *restrict totals,
                         __global const CONTRAST *restrict contrast,
                         __global const CONTRAST *restrict mean_difference,

@@ -21,7 +21,7 @@
 #define KINDS (1 + FINE)
 #define LIST_COLUMNS 6
 
-/* The column of a work-item that runs over the pads too: there it repeats the border. */
+/* The column of a work-item; in the padding it is the border column. */
 #define HELD_COLUMN (size_t)(PAD + clamp((int)get_global_id(0) - PAD, 0, (int)columns - 1))
 
 #define BINOMIAL(at)                                                                \
@@ -63,7 +63,8 @@ typedef struct {
   int length, odd, centre;
 } Harmonics;
 
-/* Those of ring (a, d) around column x of row y of frame p; the pads repeat the border. */
+/* The harmonics of ring (a, d) around column x of row y of frame p. The padding repeats the
+ * border. */
 Harmonics harmonics_of(__global const ushort *plane, const size_t p, const int x, const int y,
                        const int a, const int d, const uint rows, const uint step) {
   __global const ushort *middle = plane + ROW(p, y) + x;
@@ -112,14 +113,15 @@ bool aligned(const int alignment, const Harmonics inner, const Harmonics outer) 
          (long)alignment * dot_of(inner.second, outer.second) >= dot_of(outer.second, outer.second);
 }
 
-/* Check 3: no stripe. Around the middle of a stripe the grey goes up and down twice too, but there the
- * centre differs from the ring, and the small ring, inside the stripe, has hardly a harmonic. */
+/* Check 3: no stripe. Around the middle of a stripe the grey level also goes up and down twice,
+ * but there the centre differs from its ring, and the small ring, inside the stripe, has a weak
+ * second harmonic. */
 bool no_stripe(const Harmonics inner, const Harmonics outer) {
   const long all = dot_of(outer.second, outer.second), along = dot_of(inner.second, outer.second);
   return 8 * outer.centre * all <= outer.length * (11 * all + 8 * along);
 }
 
-/* Whether a pixel is the largest of its window, the earlier one of equals. */
+/* Whether a pixel is the largest of its window; of equals it is the earlier one. */
 bool is_maximum(__global const short *response, const size_t p, const int x, const int y,
                 const uint rows, const uint step) {
   const short r = response[ROW(p, y) + x];
@@ -136,8 +138,8 @@ bool is_maximum(__global const short *response, const size_t p, const int x, con
   return true;
 }
 
-/* Append a maximum to a list: x, y, response, and of the responses above 0 of the 5 x 5 around it
- * the sum and the sums times the offsets in x and in y, a column each. */
+/* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments
+ * in x and y of the positive responses of the 5 x 5 around it. */
 void append(__global const short *response, const size_t p, const int x, const int y,
             const uint rows, const uint step, const uint room, __global uint *total,
             __global int *list) {
@@ -166,8 +168,8 @@ void append(__global const short *response, const size_t p, const int x, const i
 
 #define IN_AREA(x, y) (area[((y) * step + (x)) / 32] >> (x) % 32 & 1)
 
-/* The maxima of the coarse response that pass the checks. `area` has a bit for every pixel. One
- * work-item per pixel. */
+/* List the maxima of the coarse response that pass the checks. `area` has a bit for every
+ * pixel. One work-item per pixel. */
 __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
                             __global const ushort *restrict coarse_plane,
                             __global const short *restrict response,
@@ -192,7 +194,7 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
 
 #if FINE
 
-/* The maxima of the fine response that pass their check. One work-item per pixel. */
+/* List the maxima of the fine response that pass their check. One work-item per pixel. */
 __kernel void fine_maxima(__global const ushort *restrict fine_plane,
                           __global const short *restrict response,
                           __global const uint *restrict area, const uint rows,
@@ -209,10 +211,10 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
 
 #endif
 
-/* The lists of a frame are empty. One work-item per list. */
+/* Empty the lists of a frame. One work-item per list. */
 __kernel void clear_lists(__global uint *restrict totals) { totals[get_global_id(0)] = 0; }
 
-/* So are the maxima. One work-item per row. */
+/* Clear the maxima. One work-item per row. */
 __kernel void clear_maxima(const uint rows, const uint step, __global uint *restrict row_counts,
                            __global uint *restrict maxima, __global uint *restrict taken) {
   const size_t row = get_global_id(1) * rows + get_global_id(0);
@@ -221,8 +223,8 @@ __kernel void clear_maxima(const uint rows, const uint step, __global uint *rest
     maxima[row * (step / 32) + word] = taken[row * (step / 32) + word] = 0;
 }
 
-/* The reference is found by bins of 64 responses, then within a bin; `found` holds what is decided
- * so far of a frame. */
+/* The search for the reference: first by bins of 64 responses, then within a bin. `found` holds
+ * its state. */
 #define BINS 256
 #define SPAN 64
 typedef struct {
@@ -239,7 +241,7 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
   return (int)max((ulong)LEAST, min(bound, (ulong)INT_MAX));
 }
 
-/* The bounds that the noise sets; of `noise` there are `bands` sums. One work-item per frame. */
+/* Compute the bounds from the noise, of which there are `bands` sums. One work-item per frame. */
 __kernel void bound_noise(__global const ulong *restrict noise, __global const uint *restrict totals,
                           __global const int *restrict lists, const uint rows,
                           const uint columns, const uint bands, const uint room,
@@ -253,7 +255,7 @@ __kernel void bound_noise(__global const ulong *restrict noise, __global const u
   found[p].bound[1] = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
   found[p].all = found[p].above = 0;
   found[p].kind = found[p].base = found[p].reference = 0;
-#if FINE /* of the fine responses where no coarse one is above its bound */
+#if FINE /* the fine responses decide where no coarse one is above its bound */
   const uint count = min(totals[LIST(0)], room);
   __global const int *value = LIST_OF(0) + 2 * room;
   found[p].kind = 1;
@@ -262,7 +264,7 @@ __kernel void bound_noise(__global const ulong *restrict noise, __global const u
 #endif
 }
 
-/* Sums of the squares of the responses of a bin, which is `span` wide. One work-item per bin. */
+/* Sum the squares of the responses of a bin of width `span`. One work-item per bin. */
 __kernel void sum_squares(__global const uint *restrict totals, __global const int *restrict lists,
                           __global const Decision *restrict found, const uint room, const uint span,
                           __global ulong *restrict squares) {
@@ -303,8 +305,8 @@ __kernel void find_reference(__global const ulong *restrict squares, const uint 
   const size_t word = (p * rows + y) * (step / 32) + x / 32;                        \
   const Decision decision = found[p];
 
-/* The coarse corners: a response above the noise and a share of the reference. Each takes the
- * window around it. One work-item per maximum. */
+/* Keep the coarse corners: their response is above the noise bound and the share of the
+ * reference. Each takes the window around it. One work-item per maximum. */
 __kernel void keep_coarse(__global const int *restrict lists, __global const uint *restrict totals,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint room, const int coarse_share,
@@ -325,7 +327,7 @@ __kernel void keep_coarse(__global const int *restrict lists, __global const uin
 
 #if FINE
 
-/* The fine corners, where no coarse one has taken the pixel. One work-item per maximum. */
+/* Keep the fine corners where no coarse corner has taken the pixel. One work-item per maximum. */
 __kernel void keep_fine(__global const int *restrict lists, __global const uint *restrict totals,
                         __global const Decision *restrict found,
                         __global const uint *restrict taken, const uint rows, const uint step,
@@ -340,8 +342,8 @@ __kernel void keep_fine(__global const int *restrict lists, __global const uint 
 
 #endif
 
-/* How many corners the rows before each have, and of the frame, place `place` of its totals. One
- * work-item per row. */
+/* Count the corners in the rows before each row, and in the frame: element `place` of the
+ * totals. One work-item per row. */
 __kernel void start_rows(__global const uint *restrict row_counts, const uint rows,
                          const uint place, __global uint *restrict row_starts,
                          __global uint *restrict totals) {
@@ -352,8 +354,9 @@ __kernel void start_rows(__global const uint *restrict row_counts, const uint ro
   if (y + 1 == rows) totals[place + p] = start + row_counts[p * rows + y];
 }
 
-/* The corners in (y, x) order: each finds its rank among the bits of the maxima. A fine maximum
- * whose pixel a coarse corner has taken has no bit of its own. One work-item per maximum. */
+/* Put the corners in (y, x) order: each finds its rank among the bits of the maxima. A fine
+ * maximum whose pixel a coarse corner has taken has no bit of its own. One work-item per
+ * maximum. */
 __kernel void put_in_order(__global const int *restrict lists, __global const uint *restrict totals,
                            __global const Decision *restrict found,
                            __global const uint *restrict taken,

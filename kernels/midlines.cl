@@ -29,7 +29,7 @@ Line fit_line(const float2 *point, const float *valid) {
 
 float cross_product(const float2 a, const float2 b) { return a.x * b.y - a.y * b.x; }
 
-/* Where a.p = h and b.p = k. */
+/* The point p with a.p = h and b.p = k. */
 float2 solve(const float2 a, const float h, const float2 b, const float k) {
   return (float2)(h * b.y - k * a.y, k * a.x - h * b.x) / cross_product(a, b);
 }

@@ -1,11 +1,11 @@
 #include "plane.clh"
 
-/* Non-maximum suppression (section 3.5): S is the response under the tent [1 2 3 2 1] in x
- * and y; a candidate is kept iff its key 10 S + R is the largest of its window, the earlier
- * pixel in raster order winning a tie. The response is 0 outside the image.
+/* Non-maximum suppression (section 3.5): S is the response under the tent [1 2 3 2 1] in x and
+ * y; a candidate is kept iff its key 10 S + R is the largest of its window, the earlier pixel
+ * in raster order winning a tie. The response is 0 outside the image.
  *
- * Candidates are places from the start of the frame's rows on. Where there is none the response
- * is 0, and a key means nothing. */
+ * A candidate is an index from the start of the frame's rows. Elsewhere the response is 0 and
+ * the key undefined. */
 
 #ifndef NMS_RADIUS
 #error "NMS_RADIUS must be that of suppression"
@@ -22,7 +22,7 @@ int tent(__global const RESPONSE *pixel, const int y, const uint rows, const uin
   return s;
 }
 
-/* S at every pixel, where there is no response too. */
+/* S at every pixel, even where there is no response. */
 __kernel void score_map(__global const RESPONSE *restrict response, const uint rows,
                         const uint step, __global int *restrict scores) {
   const int y = (int)get_global_id(1);
@@ -37,8 +37,8 @@ __kernel void score_map(__global const RESPONSE *restrict response, const uint r
   const size_t i = ROW(frame, 0) + place;                                           \
   const int y = (int)(place / step);
 
-/* The responses of the candidates; of three masks together 2 R(0) + R(-1/2) + R(+1/2), each added
- * within the word that holds it. */
+/* Write the responses of the candidates. With three layers they add up to 2 R(0) + R(-1/2) +
+ * R(+1/2), by atomic additions to the word that holds the pixel. */
 __kernel void spread(__global const uint *restrict list, __global const uint *restrict totals,
                        const uint rows, const uint step, const uint room,
                      __global const RESPONSE *restrict list_of_responses,
@@ -71,8 +71,8 @@ __kernel void score(__global const uint *restrict list, __global const uint *res
 #define KEY_AT(i, y) KEY(response + (i), y)
 #endif
 
-/* A key that is above all earlier ones and not below any later one is kept, once: masks have
- * candidates in common. */
+/* Keep a key that is above all earlier ones and not below any later one. Layers share
+ * candidates, so each is kept once. */
 __kernel void maximum(__global const uint *restrict list, __global const uint *restrict totals,
                       const uint rows, const uint step, const uint room,
                       __global const RESPONSE *restrict response,
@@ -96,7 +96,7 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
   }
   const uint bit = 1u << place % 32;
   __global uint *word = maxima + (frame * rows + y) * (step / 32) + place % step / 32;
-#if GATE /* which counts what passes it */
+#if GATE /* the gate counts what passes */
   atomic_or(word, bit);
 #else
   if (!(atomic_or(word, bit) & bit)) atomic_inc(row_counts + frame * rows + y);

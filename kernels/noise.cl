@@ -35,7 +35,7 @@ __kernel void noise(__global const PIXEL *restrict image, const uint rows, const
            SUM3(NOISE, AT_ROW(6, h5, h6, h7), AT_ROW(7, h6, h7, after), 0));
 }
 
-/* Their sum over the inner columns. One work-item per band. */
+/* Sum them over the inner columns. One work-item per band. */
 __kernel void noise_of_band(__global const NOISE *restrict sums, const uint columns,
                             const uint step, __global ulong *restrict noise) {
   const size_t row = get_global_id(1) * get_global_size(0) + get_global_id(0);

@@ -3,8 +3,9 @@
 
 /* Double-layer sampling and the spectral criteria (section 3.3, Eqs. 13 and 17).
  *
- * The tables hold, by ring mask, the response of an inner mask whose |F2| is above |F1| and
- * |F3|, 0 for the others, and whether an outer mask is such. Masks have bit i for sample i. */
+ * The tables have an entry for each ring mask: the response of an inner mask whose |F2| is
+ * above |F1| and |F3|, 0 for others, and whether an outer mask is one of these. Masks have bit
+ * i for sample i. */
 
 #if MASKS == 1
 #define COLOUR(v) (v)
@@ -15,8 +16,8 @@
   | ((uint)COLOUR(binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)]) << (i))
 #define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
 
-/* The largest correlation of the two masks over all turns, and the smallest |centre| of the runs
- * of turns that reach it, in half samples; 0 where all turns do. */
+/* The largest correlation of the two masks over all rotations, and the smallest |centre| of the
+ * runs of rotations that reach it, in half samples; 0 where all do. */
 uint2 best_turn(const uint g1, const uint g2) {
   uint best = 0, turns = 0;
   for (uint k = 0; k < 16; ++k) {
@@ -36,8 +37,8 @@ uint2 best_turn(const uint g1, const uint g2) {
   return (uint2)(best, smallest);
 }
 
-/* Response of the inner ring where all criteria hold in the mask `layer`, 0 elsewhere. `area` has
- * a bit for every pixel, set where candidates may be: nothing else is worked out. */
+/* Response of the inner ring where all criteria hold in layer `layer`, 0 elsewhere. `area` has
+ * a bit for every pixel, set where candidates may be; other pixels are skipped. */
 __kernel void spectral_criteria(__global const uchar *restrict binary,
                                 __global const uchar *restrict area, const uint layer,
                                 __global const int *restrict inner_response,

@@ -351,7 +351,8 @@ def _chained(first: _Shot, others: Generator[_Shot, None, None]) -> Generator[_S
 class _Tally:
     """What was measured, for the line at the end."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, track: bool) -> None:
+        self._track = track
         self.frames = self.empty = self.broken = self.ambiguous = 0
         self._nodes = 0
         self._fewest: int | None = None
@@ -380,7 +381,8 @@ class _Tally:
         if self.empty:
             parts.append(f"{self.empty} without the pattern")
         if self.ambiguous:
-            parts.append(f"{self.ambiguous} with ambiguous numbers")
+            hint = "" if self._track else " (--track continues those of the frame before)"
+            parts.append(f"{self.ambiguous} with ambiguous numbers{hint}")
         if self.broken:
             parts.append(f"{self.broken} left out")
         if self.frames:
@@ -532,7 +534,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = _Settings.of(arguments)
     source = settings.source
     rest, shots = source.rest(settings.rest_frame)
-    tally, stop, film = _Tally(), Stop(), _Film(settings)
+    tally, stop, film = _Tally(track=settings.track), Stop(), _Film(settings)
     full: OSError | None = None
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))

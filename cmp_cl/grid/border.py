@@ -29,7 +29,7 @@ class Ends(NamedTuple):
     cut: Sides = NO_SIDES
 
     def turned(self, quarters: int) -> "Ends":
-        """The same after the numbers are turned as in `Grid.turned`."""
+        """Return the same after the numbers are turned as in `Grid.turned`."""
         return Ends(self.border.turned(quarters), self.cut.turned(quarters))
 
 
@@ -81,7 +81,7 @@ def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Side
 
 
 def _cut(at: Points, image: GreyImage) -> bool:
-    """Whether most columns, (R, C) px, have no room in the picture before their first node."""
+    """Return whether most columns, (R, C) px, have no space in the image before the first node."""
     seen = ~np.isnan(at.real)
     column = np.flatnonzero(seen.any(axis=0))
     first = seen.argmax(axis=0)[column]
@@ -93,7 +93,7 @@ def _cut(at: Points, image: GreyImage) -> bool:
 
 
 def _inside(at: Points, image: GreyImage) -> Mask:
-    """Which of those places the picture shows."""
+    """Return which of those points the image shows."""
     rows, columns = image.shape
     inside: Mask = (at.real >= 0) & (at.real < columns) & (at.imag >= 0) & (at.imag < rows)
     return inside
@@ -110,7 +110,7 @@ class _Squares(NamedTuple):
 
 
 def _squares(at: Points, first: int, second: int) -> _Squares:
-    """Some squares of a side, none where less than half of the lines end there."""
+    """Sample some squares of a side, none where less than half of the lines end there."""
     one, two = at[first], at[second]
     seen = ~np.isnan(one.real) & ~np.isnan(two.real)
     column = np.flatnonzero(seen[1:] & seen[:-1])
@@ -126,7 +126,7 @@ def _squares(at: Points, first: int, second: int) -> _Squares:
 
 
 def full_lines(there: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """First and last row, first and last column that hold a fair part of the nodes of a line.
+    """Return the first and last row, first and last column with a fair share of the nodes.
 
     there: (R, C), where nodes are; at least one.
     """

@@ -158,7 +158,8 @@ def _convincing(
             & (off <= least.off * cell)
         )
 
-    beside = (inward < 0) | ((inward < EDGE_PIXELS) & (off > EDGE_OFF))
+    guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK  # on rings that reach outside
+    beside = (inward < 0) | ((inward < EDGE_PIXELS) & (guessed | (off > EDGE_OFF)))
     beside |= (inward < EDGE_CELLS * cell) & (off > EDGE_OFF_CELLS * cell)
     kept: Mask = known & np.where(in_cell, fits(USUAL), fits(ALONE)) & ~beside
     return kept

@@ -153,7 +153,8 @@ def filter_grid(
 
 
 def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid]:
-    """The grid with filtered positions, and as it is, each with the sigma that the lattice shows.
+    """Return the grid with filtered positions, and the raw one, each with the sigma from the
+    lattice.
 
     rest: the same pattern at rest, numbered alike. Then the displacements are filtered and
     stand on the filtered positions at rest; a node that is missing there keeps its position.
@@ -180,7 +181,7 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
 
 
 def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
-    """The grid with other positions, and that sigma where it is known."""
+    """Return the grid with other positions, and that sigma where it is known."""
     return dataclasses.replace(
         grid,
         xy=values.astype(np.float32),
@@ -191,7 +192,7 @@ def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
 def _of_component(
     given: Array, votes: Bools, part: Bools, box: Box, *, bends: bool
 ) -> "tuple[_Mixture, Array]":
-    """The mixture for what is left of the best bilinear surface, and that surface (R, C, K)."""
+    """Return the mixture for the residual of the best bilinear surface; the surface, (R, C, K)."""
     votes = votes & part
     plane = _plane(given, votes)
     data = np.where(votes[..., None], given - plane, 0).transpose(2, 0, 1)
@@ -210,14 +211,14 @@ def _components(votes: Bools) -> list[Bools]:
 
 
 def _box(votes: Bools) -> Box:
-    """The smallest rectangle with all nodes that have a vote."""
+    """Return the smallest rectangle with all nodes that have a vote."""
     rows, columns = np.nonzero(votes.any(axis=1))[0], np.nonzero(votes.any(axis=0))[0]
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 @functools.lru_cache(maxsize=64)
 def _bilinear(rows: int, columns: int) -> Array:
-    """(R, C, 4): 1, r, c and r c, from -1 to 1; orthogonal over all nodes."""
+    """Return 1, r, c and r c, from -1 to 1, orthogonal over all nodes: (R, C, 4)."""
     r = np.linspace(-1, 1, rows)[:, None] if rows > 1 else np.full((1, 1), 1e-9)
     c = np.linspace(-1, 1, columns)[None, :] if columns > 1 else np.full((1, 1), 1e-9)
     return np.stack(np.broadcast_arrays(1.0, r, c, r * c), axis=-1)
@@ -413,7 +414,7 @@ class _Mixture:
 
 
 def _bands(n: int, side: int) -> Single:
-    """(A, n, 2 side + 1): the rows of the filters around the node."""
+    """Return the rows of the filters around the node, (A, n, 2 side + 1)."""
     filters = _axis(n).filters
     bands = np.zeros((len(filters), n, 2 * side + 1), np.float32)
     for node in range(n):
@@ -423,7 +424,7 @@ def _bands(n: int, side: int) -> Single:
 
 
 def _mixed(data: Single, votes: Bools, part: Bools, box: Box, *, bends: bool) -> _Mixture:
-    """The mixture for data (K, R, C), without the nodes that their neighbours refuse."""
+    """Return the mixture for data (K, R, C), without the nodes that their neighbours refuse."""
     whole = bool(votes.all())
     if not whole:
         data = _filled(data, votes)
@@ -441,7 +442,7 @@ def _mixed(data: Single, votes: Bools, part: Bools, box: Box, *, bends: bool) ->
 
 
 def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
-    """The pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
+    """Return the pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
 
     The mean of the square roots of the residual's size hardly sees a few large ones: a sharp
     bend of the surface is no noise.
@@ -470,7 +471,7 @@ def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
 
 
 def _noise_along(data: Single, votes: Bools, noise: Single) -> Single:
-    """The least of the noise's variances that both axes and each alone show, (R, C).
+    """Return the least of the noise's variances that both axes and each alone show, (R, C).
 
     Along an edge the surface is smooth, however sharply it bends across. The least of three is
     too small by a known share where all show the same noise.
@@ -494,7 +495,7 @@ def _noise_along(data: Single, votes: Bools, noise: Single) -> Single:
 
 
 def _expected_root(residual: Single, root: Single) -> float:
-    """The mean of the square root of a residual's size where its variance per coordinate is 1.
+    """Return the mean root of a residual's size where its variance per coordinate is 1.
 
     That size is taken as chi-distributed, with as many degrees of freedom as there are
     directions of like variance: those of the residuals, weighted so that few large ones do not
@@ -512,7 +513,7 @@ def _expected_root(residual: Single, root: Single) -> float:
 
 
 def _suspects(residual: Single, noise: Single, votes: Bools) -> Bools:
-    """Nodes whose residual is too large, and the largest among its eight neighbours'."""
+    """Return the nodes whose residual is too large, and the largest among its eight neighbours'."""
     size = np.where(votes, np.square(residual).mean(axis=0), 0)
     pairs = _pairs(*votes.shape)
     with np.errstate(invalid="ignore"):
@@ -585,7 +586,7 @@ def _mixture(
 
 
 def _smooth(data: Single) -> Single:
-    """(K, R, C) -> (K, A, B, R, C), behind each pair of filters.
+    """Apply each pair of filters: (K, R, C) -> (K, A, B, R, C).
 
     Every product is of matrices no larger than the lattice: those are too small for BLAS to
     share out over threads, which costs milliseconds where other work keeps the cores busy.
@@ -601,7 +602,7 @@ def _smooth(data: Single) -> Single:
 
 
 def _scratch(name: str, shape: tuple[int, ...]) -> Single:
-    """Memory of that shape that this thread uses again under that name; its content is random.
+    """Return memory of that shape, reused by this thread under that name; its content is random.
 
     Fresh memory costs a page fault for every 4 kB, a third of the time of the filter.
     """
@@ -616,7 +617,7 @@ def _scratch(name: str, shape: tuple[int, ...]) -> Single:
 
 
 def _over_pairs(weights: Single, values: Single) -> Single:
-    """(A, B, R, C) each -> (R, C), the weighted sum."""
+    """Sum over pairs: (A, R, B, C) -> (R, C)."""
     total: Single = np.einsum("abrc,abrc->rc", weights, values)
     return total
 

@@ -34,7 +34,7 @@ class Fingerprint(NamedTuple):
 
     @classmethod
     def of(cls, at: Points) -> "Fingerprint":
-        """Of measured nodes, (R, C) px, NaN where there is none."""
+        """Take the fingerprint of measured nodes, (R, C) px, NaN where there is none."""
         rough, step = _rough(at)
         known = ~np.isnan(rough.real)
         if not known.any():
@@ -52,7 +52,7 @@ class Fingerprint(NamedTuple):
 
 
 def _rough(at: Points) -> tuple[Points, Points]:
-    """How far nodes are from the cubics through their neighbours, cells, and the steps, px.
+    """Return how far nodes are from the cubics through their neighbours, cells, and the steps, px.
 
     The mean of x - (4 (L + R) - (LL + RR)) / 6 along the row and along the column, over the
     step along the row: an independent error of variance 1 leaves GAIN.
@@ -73,7 +73,7 @@ def _rough(at: Points) -> tuple[Points, Points]:
 
 
 def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
-    """Rows and columns from a node's place now to its place at rest; None if none stands out.
+    """Return the rows and columns from a node's index now to its index at rest; None if unclear.
 
     It stands out if the correlation there is six times the standard deviation of all and twice
     the second best, and if the common errors are larger than those that a camera makes at the
@@ -104,7 +104,7 @@ def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
 def _correlation(
     now: NDArray[np.generic], rest: NDArray[np.generic], size: list[int]
 ) -> NDArray[np.float64]:
-    """The real part of the sum of conj(now[n]) rest[n + k] over n, by k; negative k at the end."""
+    """Return the real part of the sum of conj(now[n]) rest[n + k] over n, by k; k < 0 is last."""
     product = np.conj(np.fft.fft2(now, size)) * np.fft.fft2(rest, size)
     real: NDArray[np.float64] = np.fft.ifft2(product).real
     return real

@@ -164,7 +164,7 @@ class Grid:
         return f"rows {top} to {top + rows - 1} and columns {left} to {left + columns - 1}"
 
     def covers(self, rest: "Grid") -> bool:
-        """Whether it has all rows and columns of another grid, by their numbers."""
+        """Return whether it has all rows and columns of another grid, by their numbers."""
         first = np.subtract(rest.origin, self.origin)
         last = first + rest.shape
         return bool((first >= 0).all() and (last <= self.shape).all())

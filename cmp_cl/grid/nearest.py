@@ -53,7 +53,7 @@ class Reference(NamedTuple):
 
 
 def _mean_step(at: Points) -> complex:
-    """The mean step from a column to the next; 0 where there is none."""
+    """Return the mean step from a column to the next; 0 where there is none."""
     step = at[:, 1:] - at[:, :-1]
     known = step[~np.isnan(step.real)]
     return complex(known.mean()) if len(known) else 0j
@@ -101,7 +101,7 @@ class Choice(NamedTuple):
 
 
 def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
-    """The quarter turns that leave rows most parallel to the reference's, and the angles, rad.
+    """Return the quarter turns that keep rows most parallel to the reference's, and angles, rad.
 
     The second is there if it is nearly as good as the first.
     """
@@ -116,7 +116,7 @@ def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
 
 
 def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
-    """Rows, columns and positions of some nodes all over the grid."""
+    """Return rows, columns and positions of some nodes all over the grid."""
     places = np.flatnonzero(nodes.there)
     some = np.linspace(0, len(places) - 1, min(VOTERS, len(places))).astype(np.int64)
     row, column = np.divmod(places[some], nodes.at.shape[1])
@@ -124,12 +124,12 @@ def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
 
 
 def colour(nodes: Nodes, near: Reference) -> int:
-    """What the sum of the first row's and column's number is modulo 2, by the checker colours."""
+    """Return the sum of the first row's and column's number modulo 2, by the checker colours."""
     return (sum(near.origin) + near.parity + nodes.parity) % 2
 
 
 def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[Choice]:
-    """The numbers of the right colour around the least mean displacement, the nearest first.
+    """Return the numbers of the right colour around the least mean displacement, the nearest first.
 
     nodes: turned already, by that many quarters. Empty where no number is within the bounds.
     """
@@ -166,7 +166,7 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
 
 
 def chosen(nodes: Nodes, near: Reference, quarters: int, top: int, left: int) -> Choice:
-    """That numbering of nodes that are turned already, with its motion."""
+    """Return that numbering of nodes that are turned already, with its motion."""
     (choice,) = climb(nodes, near, Bounds(top, top, left, left), quarters)
     return choice
 
@@ -174,7 +174,7 @@ def chosen(nodes: Nodes, near: Reference, quarters: int, top: int, left: int) ->
 def _displacement(
     near: Reference, first: NDArray[np.int64], row: Index, column: Index, at: Points
 ) -> Points:
-    """From the reference's nodes, (S, M) px, for each number (S, 2) of row 0 and column 0."""
+    """Return displacements, (S, M) px, for each number (S, 2) of row 0 and column 0."""
     rows = row + (first[:, :1] - near.origin[0])
     columns = column + (first[:, 1:] - near.origin[1])
     inside = (rows >= 0) & (rows < near.shape[0]) & (columns >= 0) & (columns < near.shape[1])
@@ -183,7 +183,7 @@ def _displacement(
 
 
 def _motion(at: Points, cell: float, moved: Points) -> complex:
-    """How the middle of the view has moved by the affine map that most nodes follow, cells.
+    """Return the motion of the view's middle by the affine map that most nodes follow, cells.
 
     moved: (M,), cells. Infinite where fewer than four are known.
     """
@@ -204,7 +204,7 @@ def _motion(at: Points, cell: float, moved: Points) -> complex:
 
 
 def _differences(moved: Points) -> Points:
-    """By how much the displacements (S, M) differ from the first, in the mean, (S,), cells."""
+    """Return the mean difference of displacements (S, M) from the first, (S,), cells."""
     step = moved - moved[0]
     known = ~np.isnan(step.real)
     mean: Points = np.where(known, step, 0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)

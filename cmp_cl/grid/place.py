@@ -94,7 +94,7 @@ def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) ->
 
 
 def _by_border(nodes: Nodes, border: Sides, like: Grid, rest: Reference) -> Decision:
-    """The nearest of the numberings that borders leave; sure where they leave one.
+    """Choose the nearest of the numberings that borders allow; sure where they allow one.
 
     Lines that are lost look like a border. So it is not sure where the pattern lies in its
     place at rest by other numbers.
@@ -120,7 +120,7 @@ def _by_border(nodes: Nodes, border: Sides, like: Grid, rest: Reference) -> Deci
 
 
 def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> Decision:
-    """The numbering under which the errors of the print agree, if there is one."""
+    """Choose the numbering under which the errors of the print agree, if there is one."""
     at_rest = Fingerprint.of(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
     order = [turn for turn, _ in quarter_turns(nodes.at, rest)]
     order += [turn for turn in range(4) if turn not in order]
@@ -140,7 +140,7 @@ def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> D
 
 
 def _by_frame_before(nodes: Nodes, border: Sides, like: Grid, previous: Grid) -> Decision:
-    """The numbering nearest to the frame before; sure where it moved by less than half a cell."""
+    """Choose the numbering nearest to the frame before; sure where it moved under half a cell."""
     before = Reference.of(previous)
     turns = quarter_turns(nodes.at, before)
     found = _nearest(nodes, border, like, before) or _nearest(nodes, Sides(), like, before)
@@ -152,7 +152,7 @@ def _by_frame_before(nodes: Nodes, border: Sides, like: Grid, previous: Grid) ->
 
 
 def _nearest(nodes: Nodes, border: Sides, like: Grid, near: Reference) -> list[Choice]:
-    """The numberings that borders leave around the nearest to a reference, the nearest first."""
+    """Return the numberings that borders allow around the nearest to a reference, nearest first."""
     found: list[Choice] = []
     for quarters, _ in quarter_turns(nodes.at, near):
         turned = nodes.turned(quarters)
@@ -162,7 +162,7 @@ def _nearest(nodes: Nodes, border: Sides, like: Grid, near: Reference) -> list[C
 
 
 def _bounds(nodes: Nodes, border: Sides, like: Grid) -> Bounds:
-    """The numbers that borders leave for the first row and column.
+    """Return the numbers that borders allow for the first row and column.
 
     What lies beyond a border of the rest grid is none of its nodes, and nodes that end at a
     border of the pattern end where the rest grid does.

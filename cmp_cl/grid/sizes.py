@@ -13,7 +13,7 @@ STRAIGHT = 0.5  # largest bend of a corner that is no junction with the surround
 
 
 def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], ends: Ends) -> Placed:
-    """The nodes in a grid of that shape.
+    """Return the nodes in a grid of that shape.
 
     A shape that fits better across is taken so, by the quarter turn that leaves the columns
     nearest to the image's x axis. Where less is seen, the borders in view say which part it
@@ -52,7 +52,7 @@ def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], en
 
 
 def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int:
-    """How many lines are seen too many, or are missing between two borders."""
+    """Count the lines that are seen too many, or are missing between two borders."""
     both = border.top and border.bottom, border.left and border.right
     off = 0
     for axis in (0, 1):
@@ -62,14 +62,14 @@ def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int
 
 
 def _straight(nodes: Nodes, bend: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """(R, C), corners whose boundaries are straight, as at no junction with the surround."""
+    """Return (R, C), corners whose boundaries are straight, as at no junction with the surround."""
     return (nodes.owner >= 0) & ~(bend[nodes.owner] > STRAIGHT)
 
 
 def _fullest(
     nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int]
 ) -> tuple[int, int, int]:
-    """Weight, first row and first column of the fullest window of that shape, or all there is.
+    """Return weight, first row and first column of the fullest window of that shape.
 
     A node weighs less the less the corner's boundaries are straight, as they are not where the
     outermost cells meet the surroundings. Of several it is the nearest to the top left.
@@ -93,7 +93,7 @@ def _seen_shape(
     start: tuple[int, int],
     border: Sides,
 ) -> tuple[tuple[int, int] | None, Sides]:
-    """The shape that the pattern seems to have, None where that is the given one; where it goes on.
+    """Return the shape that the pattern seems to have, None for the given one; where it goes on.
 
     start: first row and column of the window of that shape. Lines beyond it count that hold
     half as many straight corners as lines usually do.

@@ -17,7 +17,7 @@ _has_fine_grained: Any = has_fine_grain_buffer_svm  # which has no types
 
 
 def shares_memory(device: cl.Device) -> bool:
-    """Whether the device works in memory of the host, without a copy."""
+    """Return whether the device works in memory of the host, without a copy."""
     fine_grained: bool = _has_fine_grained(device)
     return bool(device.host_unified_memory) and fine_grained
 

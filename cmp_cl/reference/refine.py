@@ -100,7 +100,7 @@ def refine(
     refinement: EdgeLines | EdgeStep | Midlines | None,
     scale: float,
 ) -> Refined:
-    """Refined positions of N corners.
+    """Refine the positions of N corners.
 
     start: (N, 2) (x, y), the rounded centroids; centroid: (N, 2), what is kept where a guard
     refuses; both in the full image, scale being the working scale they come from.
@@ -162,7 +162,7 @@ def _chosen(points: EdgePoints, rows: NDArray[np.int64]) -> EdgePoints:
 
 
 def circle(radius: int) -> tuple[tuple[int, int], ...]:
-    """The refinement ring of a radius, (dx, dy) clockwise from twelve o'clock.
+    """Return the refinement ring of a radius, (dx, dy) clockwise from twelve o'clock.
 
     (x, round(sqrt(r^2 - x^2))) for 0 <= x <= y, reflected: 16, 24 and 28 points for the radii
     3, 4 and 5.
@@ -182,7 +182,7 @@ def circle(radius: int) -> tuple[tuple[int, int], ...]:
 def ring_samples(
     image: GreyImage, start: NDArray[np.int64], radius: int, scale: float
 ) -> tuple[Floats, Floats]:
-    """(samples, 2) offsets and (N, samples) greys of a refinement ring.
+    """Return (samples, 2) offsets and (N, samples) grey levels of a refinement ring.
 
     At scale 1 the integer circle; else 32 samples at radius / scale, interpolated
     bilinearly, sample k at the angle k 2 pi / 32 clockwise from twelve o'clock.
@@ -197,7 +197,7 @@ def ring_samples(
 
 
 def bilinear(image: GreyImage, x: Floats, y: Floats) -> Floats:
-    """Greys at positions, border pixels repeated."""
+    """Interpolate the grey levels at positions, border pixels repeated."""
     height, width = image.shape
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     fx, fy = x - left, y - top
@@ -210,7 +210,7 @@ def bilinear(image: GreyImage, x: Floats, y: Floats) -> Floats:
 
 
 def threshold(grey: Floats) -> Floats:
-    """(N,): halfway between the means of the lowest and the highest quarter of a ring."""
+    """Return (N,): halfway between the means of the lowest and the highest quarter of a ring."""
     ordered = np.sort(grey, axis=1)
     quarter = grey.shape[1] // 4
     low, high = ordered[:, :quarter].mean(axis=1), ordered[:, -quarter:].mean(axis=1)
@@ -219,8 +219,8 @@ def threshold(grey: Floats) -> Floats:
 
 
 def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> EdgePoints:
-    """The edge points of all rings, matched: a ring whose first black sector lies opposite
-    that of the smallest valid ring swaps (e0, e1) with (e2, e3).
+    """Match the edge points of all rings. A ring whose first black sector lies opposite that of the
+    smallest valid ring swaps (e0, e1) with (e2, e3).
     """
     rings = [ring_samples(image, start, radius, scale) for radius in RADII]
     level = threshold(rings[0][1])
@@ -244,7 +244,7 @@ def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> Edg
 
 
 def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
-    """(N, 4, 2) edge points, (N,) whether there are four, (N,) smallest |d| that decided.
+    """Return (N, 4, 2) edge points, (N,) whether there are four, (N,) smallest |d| that decided.
 
     d: (N, samples) grey minus threshold, black where negative. A ring without four
     boundaries gets one majority-of-three pass.
@@ -271,7 +271,7 @@ def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
 
 
 def _changes(black: Bools) -> Bools:
-    """Whether sample k and the next differ in colour."""
+    """Return whether sample k and the next differ in colour."""
     changes: Bools = black != np.roll(black, -1, axis=1)
     return changes
 
@@ -280,7 +280,7 @@ def _changes(black: Bools) -> Bools:
 
 
 def fit_lines(point: Floats, valid: Bools) -> Lines:
-    """Total-least-squares lines through the valid ones of (N, K, 2) points."""
+    """Fit total-least-squares lines through the valid ones of (N, K, 2) points."""
     weight = valid[..., None].astype(np.float64)
     count = np.maximum(weight.sum(axis=1), 1)
     centre = (weight * point).sum(axis=1) / count
@@ -300,7 +300,7 @@ def _along(line: Lines) -> Floats:
 
 
 def intersect(first: Lines, second: Lines) -> Meeting:
-    """The intersections, accepted where |sin| of the angle between the lines is > 0.17."""
+    """Return the intersections, accepted where |sin| of the angle between the lines is > 0.17."""
     sin = np.sin(second.angle - first.angle)
     accepted = np.abs(sin) > LEAST_SIN
     a, b = _along(first), _along(second)
@@ -314,7 +314,7 @@ def intersect(first: Lines, second: Lines) -> Meeting:
 
 
 def _within(meeting: Meeting, max_shift: float) -> Meeting:
-    """The same, accepted only within a distance of the start."""
+    """Return the same, accepted only within a distance of the start."""
     shift = _norm(meeting.position)
     near = np.abs(shift - max_shift) / max(max_shift, 1e-12)
     return Meeting(
@@ -325,7 +325,7 @@ def _within(meeting: Meeting, max_shift: float) -> Meeting:
 
 
 def _straight(meeting: Meeting, first: Lines, second: Lines, scale: float) -> Meeting:
-    """The same, accepted only where the points are near both lines."""
+    """Return the same, accepted only where the points are near both lines."""
     largest = (LARGEST_RESIDUAL / scale) ** 2
     residual = first.residual + second.residual
     near = np.abs(residual - largest) / largest
@@ -337,7 +337,7 @@ def _straight(meeting: Meeting, first: Lines, second: Lines, scale: float) -> Me
 
 
 def _boundary_points(points: EdgePoints, boundaries: tuple[int, ...]) -> tuple[Floats, Bools]:
-    """(N, K, 2) points of some boundaries on all rings, and (N, K) whether they are valid."""
+    """Return (N, K, 2) points of some boundaries on all rings, and (N, K) which are valid."""
     chosen = points.point[:, :, list(boundaries)]
     valid = np.repeat(points.valid, len(boundaries), axis=1)
     return chosen.reshape(len(chosen), -1, 2), valid
@@ -346,7 +346,7 @@ def _boundary_points(points: EdgePoints, boundaries: tuple[int, ...]) -> tuple[F
 def edge_lines(
     points: EdgePoints, max_shift: float, scale: float
 ) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8], Floats]:
-    """EDGE_LINES: the line of e0 and e2 meets that of e1 and e3.
+    """Apply EDGE_LINES: line e0 e2 meets line e1 e3. Return shift (N, 2), method, margin.
 
     Returns shift (N, 2), method, refusal and margin (N,).
 
@@ -368,7 +368,7 @@ def edge_lines(
 
 
 def lines_sigma(points: EdgePoints) -> Floats:
-    """(N,): standard deviation per axis of where the lines of EDGE_LINES meet, px.
+    """Return the standard deviation per axis of the intersection of EDGE_LINES, px: (N,).
 
     A line through n points has the sum of squared distances d from them and n - 2 degrees of
     freedom; its own variance is a share 1 / n of theirs, and crossing at an angle divides it by
@@ -402,7 +402,7 @@ def _both_lines(points: EdgePoints) -> tuple[Lines, Lines]:
 def midlines(
     points: EdgePoints, fit: Fit, max_shift: float
 ) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8], Floats]:
-    """MIDLINE: the centrelines of the two black sectors meet; where they do not, CUSP.
+    """Apply MIDLINE: the centrelines of the two black sectors meet; where they do not, CUSP.
 
     Returns shift (N, 2), method (N,), refusal (N,), of MIDLINE, and margin (N,).
     """
@@ -431,7 +431,7 @@ def midlines(
 
 
 def cusps(points: EdgePoints) -> Meeting:
-    """CUSP: per black sector its two edge lines meet; the midpoint of the two cusps."""
+    """Apply CUSP: the edge lines of each black sector meet in a cusp; take the cusps' midpoint."""
     line = [fit_lines(*_boundary_points(points, (boundary,))) for boundary in range(4)]
     one, other = intersect(line[0], line[1]), intersect(line[2], line[3])
     return Meeting(
@@ -442,7 +442,7 @@ def cusps(points: EdgePoints) -> Meeting:
 
 
 def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats) -> Meeting:
-    """Where the parabolas v = a + b u + c u^2 through three points each meet.
+    """Intersect the parabolas v = a + b u + c u^2 through three points each.
 
     u runs along a line, v across it, both from its centre. Four Newton steps in the two u
     from where the lines meet.
@@ -476,7 +476,7 @@ def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats
 
 
 def _parabola(point: Floats, along: Floats, across: Floats) -> Floats:
-    """(N, 3): a, b, c of the parabola through (N, 3, 2) points, by divided differences."""
+    """Return (N, 3): a, b, c of the parabola through (N, 3, 2) points, by divided differences."""
     u0, u1, u2 = (point * along[:, None]).sum(axis=2).T
     v0, v1, v2 = (point * across[:, None]).sum(axis=2).T
     slope = (v1 - v0) / (u1 - u0)
@@ -514,7 +514,7 @@ def edge_step(
     refinement: EdgeStep,
     scale: float,
 ) -> Step:
-    """EDGE_STEP: one weighted linear least-squares step of a blurred corner from EDGE_LINES.
+    """Apply EDGE_STEP: one weighted linear least-squares step of a blurred corner from EDGE_LINES.
 
     The model of the grey around x is m + c f(n1.u) g(n2.u), f and g smooth steps of 1.2 px.
     Its radius is clamp(0.75 cell s, 4.5, 9) / s with the working scale s.
@@ -560,12 +560,12 @@ def edge_step(
 
 
 def lower_median(values: Floats) -> float:
-    """The value of rank (n - 1) // 2, from 0: one that occurs."""
+    """Return the value of rank (n - 1) // 2, from 0: one that occurs."""
     return float(np.sort(values)[(len(values) - 1) // 2])
 
 
 def _normal(line: Lines) -> Floats:
-    """(N, 2): a unit normal of each line; its sign drops out, with that of c."""
+    """Return (N, 2): a unit normal of each line; its sign drops out, with that of c."""
     return np.stack([-np.sin(line.angle), np.cos(line.angle)], axis=1)
 
 
@@ -577,7 +577,7 @@ def _step_terms(
     n2: Floats,
     radius: float,
 ) -> tuple[Floats, Bools, Floats, Floats, Floats]:
-    """Per corner: step (N, 2), whether the system is sound, tr rho^2, ac, and a margin.
+    """Return per corner: step (N, 2), whether the system is sound, tr rho^2, ac, and a margin.
 
     ac is the mean of r(q) r(q + (1, 0)), weighted by w(q), over the pixels q that are, like
     their right neighbours, within the radius.

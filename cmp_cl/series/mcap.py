@@ -70,7 +70,7 @@ _TO_GREY = {
 def point_cloud(
     rest: NDArray[Any], shift: NDArray[Any], sigma: NDArray[Any], stamp_ns: int, frame_id: str
 ) -> dict[str, Any]:
-    """The nodes as a message sensor_msgs/PointCloud2: x y z now, dx dy dz from rest.
+    """Return the nodes as a message sensor_msgs/PointCloud2: x y z now, dx dy dz from rest.
 
     rest, shift: (R, C, 2 or 3), in the recording's unit, z and dz 0 of a plane. sigma: (R, C).
     All fields are FLOAT32; the cloud is organised, height R and width C, NaN where missing.
@@ -163,7 +163,7 @@ class McapSeries(Series):
 def mcap_images(
     path: str | PathLike[str], *, topic: str | None = None, max_pixels: int = media.MAX_PIXELS
 ) -> Iterator[tuple[int, GreyImage | None]]:
-    """The images of a recording in turn: stamp in ns since 1970, (H, W) uint8 or uint16.
+    """Yield the images of a recording: stamp in ns since 1970, (H, W) uint8 or uint16.
 
     topic: of sensor_msgs/Image or CompressedImage; None means the only one. Colour becomes
     grey. The stamp is the header's, the log time where that is 0; the image is None where it
@@ -209,7 +209,7 @@ def _image_topic(reader: Any, path: str | PathLike[str], topic: str | None) -> s
 
 
 def _grey(message: Any, max_pixels: int) -> GreyImage | None:
-    """An Image or CompressedImage as grey, None where it cannot be decoded."""
+    """Return an Image or CompressedImage as grey, None where it cannot be decoded."""
     data = np.frombuffer(bytes(message.data), np.uint8)
     if not hasattr(message, "encoding"):
         with contextlib.suppress(ImageError):

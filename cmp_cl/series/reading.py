@@ -22,7 +22,7 @@ _MOST_UNPACKED = 1100  # bytes of a byte in the file: deflate's best is 1032
 
 
 def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    """The arrays of a recording by name: `index`, `time_ms`, constants, and (F, ...) frames.
+    """Read the arrays of a recording by name: `index`, `time_ms`, constants, and (F, ...) frames.
 
     Of an HDF5 file that still grows, or whose writer was killed, it is what is there so far.
 
@@ -66,7 +66,7 @@ def _hdf5(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def _opened(path: str | PathLike[str]) -> Any:
-    """The file as HDF5, beside its writer where that is open or was killed.
+    """Open the file as HDF5, beside its writer where that is open or was killed.
 
     Only then in the mode for that, in which HDF5 waits ever longer for damaged parts to become
     whole.

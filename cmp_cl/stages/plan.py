@@ -156,7 +156,7 @@ class Plan(PlanBase):
         )
 
     def _buffer(self, name: str, size: int) -> cl.Buffer:
-        """A buffer that the host shares where it can and would otherwise copy."""
+        """Return a buffer that the host shares where it can and would otherwise copy."""
         if name in SHARED and shares_memory(self.device.handle):
             buffer, self._here[name] = shared_buffer(self.queue.context, size)
             return buffer

@@ -131,7 +131,7 @@ def _lines(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Launc
 
 
 def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
-    """(rings, 32, 8) float32, see RING_32 in kernels/edges.clh."""
+    """Return (rings, 32, 8) float32, see RING_32 in kernels/edges.clh."""
     angle = np.arange(RING_SAMPLES) * (math.tau / RING_SAMPLES)
     circle = np.stack([np.sin(angle), -np.cos(angle)], axis=1)
     offset = np.float32(np.array(RADII)[:, None, None] / scale * circle)
@@ -159,7 +159,7 @@ def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
 
 
 def _largest_shift(plan: PlanBase) -> np.float32:
-    """Of a refined position from its start, px of the image."""
+    """Return the largest distance of a refined position from its start, px of the image."""
     refinement = plan.config.refinement
     shift = refinement.max_shift if isinstance(refinement, EdgeLines | Midlines) else 2.0
     return np.float32(shift / (plan.scale or 1.0))

@@ -44,7 +44,7 @@ class Adjusted:
 
 
 def adjust(views: Sequence[View], start: Array) -> Adjusted:
-    """Gauss-Newton on the weighted reprojection error of all views, from a near solution.
+    """Minimize the weighted reprojection error of all views by Gauss-Newton, from a near solution.
 
     start: as `Adjusted.numbers`. Weights are 1 / sigma^2; nodes of unknown sigma weigh like the
     median one. The covariance is scaled by the residuals: what makes the sigmas too small or too
@@ -79,7 +79,7 @@ def adjust(views: Sequence[View], start: Array) -> Adjusted:
 
 
 def _weights(views: Sequence[View]) -> list[tuple[Array, ...]]:
-    """1 / sigma of each node, relative to the median of all."""
+    """Return 1 / sigma of each node, relative to the median of all."""
     every = np.concatenate([sigma for view in views for sigma in view.sigma])
     known = every[np.isfinite(every) & (every > 0)]
     middle = float(np.median(known)) if len(known) else 1.0
@@ -160,7 +160,7 @@ def _seen(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, A
 
 
 def composed(first: Array, second: Array) -> tuple[Array, tuple[Array, Array]]:
-    """The pose that applies `first`, then `second`, (6,), and its slopes by both, (6, 6)."""
+    """Return the pose that applies `first`, then `second`, (6,), and its slopes by both, (6, 6)."""
     turn, shift, *slopes = cv2.composeRT(first[:3], first[3:], second[:3], second[3:])
     by = [np.asarray(each, np.float64) for each in slopes]
     return np.concatenate([turn.ravel(), shift.ravel()]), (

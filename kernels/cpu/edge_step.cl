@@ -1,16 +1,16 @@
 #include "cpu/vectors.clh"
 #include "corner_model.clh"
 
-/* EDGE_STEP for CPUs. The pixels that the disc may hold, wherever in the middle pixel
- * its centre lies, are listed once for all corners, row by row; then a vector holds the next
- * eight of the list, and every loop has the same length for every corner. The chain from a
- * place to the sums is cut in two, so that several vectors are under way at a time. */
+/* EDGE_STEP for CPUs. The pixels that the disc may contain, wherever in the middle pixel its
+ * centre lies, are listed once for all corners, row by row. A vector holds the next eight of
+ * the list, so every loop has the same length for every corner. The work from a pixel to the
+ * sums is cut into two loops, so that several vectors are in flight at a time. */
 
 #if LANES != 8
 #error "LANES must be 8"
 #endif
 
-/* A disc with more rows or pixels is gone through in parts, each of whole rows. */
+/* A disc with more rows or pixels is processed in parts of whole rows. */
 #if SCALED
 #define MOST_ROWS 64
 #define MOST_PIXELS 2048
@@ -18,7 +18,7 @@
 #define MOST_ROWS 19
 #define MOST_PIXELS 312
 #endif
-#define BEHIND 32 /* places behind the last pixel that are written in passing */
+#define BEHIND 32 /* elements behind the last pixel, which vector stores overwrite */
 
 /* A row of the list: a pixel that is always outside, so that the row before ends there, and
  * columns -most to most of the middle pixel. */
@@ -28,7 +28,7 @@ typedef struct {
   float dx_of[MOST_PIXELS + BEHIND], dy_of[MOST_PIXELS + BEHIND];
 } Part;
 
-/* Of each pixel the weight, the model, its slopes and the grey. */
+/* For each pixel: its weight, the model, the model's slopes and the grey level. */
 typedef struct {
   PIXEL pixel_of[MOST_PIXELS + BEHIND];
   float weight_of[MOST_PIXELS + BEHIND], model_of[MOST_PIXELS + BEHIND];
@@ -39,7 +39,7 @@ typedef struct {
 /* Whether a pixel dx columns away may be in the disc, its row `nearest` from the centre at best. */
 #define MAY_HOLD(dx) (((dx) - 0.5f) * ((dx) - 0.5f) + nearest * nearest < radius_2)
 
-/* As many rows as there is room for, from `first` on. */
+/* As many rows as fit, from `first` on. */
 void list_part(Part *part, const int first, const int reach, const float radius_2) {
   int count = 0, most = 0, row = 0, dy = first;
   for (; dy <= reach && row < MOST_ROWS; ++dy, ++row) {
@@ -70,7 +70,7 @@ void read_part(const Part *part, __global const PIXEL *image, const size_t p, co
     const int left = x + part->left_of[k];
     __global const PIXEL *line = image + CLAMPED_ROW(y + part->first + k);
 #if SCALED
-    if (left < 0 || left + width > (int)columns) { /* the pads repeat no border */
+    if (left < 0 || left + width > (int)columns) { /* the padding does not repeat the border here */
       for (int i = 0; i < width; ++i)
         pixel_of[begin + i] = line[SMALLER(LARGER(left + i, 0), (int)columns - 1)];
       continue;
@@ -109,7 +109,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
     const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
     const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
     const float a_x = n1x / BLUR, a_y = n1y / BLUR, b_x = n2x / BLUR, b_y = n2y / BLUR;
-    /* The middle pixel, and the corner from there. */
+    /* The middle pixel, and the corner relative to it. */
     const int middle_x = (int)floor(x + 0.5f), middle_y = (int)floor(y + 0.5f);
     const float part_x = x - (float)middle_x, part_y = y - (float)middle_y;
     const float centre = (float)image[CLAMPED_ROW(from_y) + from_x];
@@ -154,7 +154,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
     const float spread = s1 * spp - sp * sp;
     const float c = (s1 * spi - sp * si) / spread, m = (si - c * sp) / s1;
 
-    /* What the model leaves: with its slopes, and of each pixel and the next of its row. */
+    /* The residual: its products with the slopes, and with the next pixel's in the row. */
     float8 va = 0, vb = 0, products = 0, weights = 0;
     for (int dy = -reach; dy <= reach; dy = part.end) {
       if (!whole) {

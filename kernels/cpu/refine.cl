@@ -1,8 +1,8 @@
 #include "cpu/vectors.clh"
 #include "edges.clh"
 
-/* EDGE_LINES for CPUs, eight corners at a time: a vector holds one number of each. Lanes past the
- * last corner hold what an earlier frame has left there; nobody reads their rows. */
+/* EDGE_LINES for CPUs, eight corners at a time: a vector holds one number of each. Lanes past
+ * the last corner hold leftovers of an earlier frame; their rows are not read. */
 
 #if LANES != 8
 #error "LANES must be 8"
@@ -51,7 +51,7 @@ float8 pixels_at(__global const PIXEL *frame, const int8 at) {
   return (float8)EACH(PIXEL_AT);
 }
 
-/* The greys of a sample around eight starts. */
+/* The grey levels of a sample around eight starts. */
 float8 greys_of(const float8 sample, __global const PIXEL *frame, const uint rows,
                 const uint columns, const uint step, const int8 from_x, const int8 from_y) {
   const int8 left = from_x + (int)sample.s4, top = from_y + (int)sample.s5;
