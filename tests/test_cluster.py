@@ -5,10 +5,10 @@ import os
 import threading
 import time
 
-import images
 import numpy as np
 import pytest
 from comparison import assert_same_bytes
+from workers import broken_frame, colour_frame, frame, process, slow_frame
 
 from cmp_cl import Detector, DetectorConfig, EdgeStep, cluster
 from cmp_cl.errors import ConfigError, ImageError
@@ -20,30 +20,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
 ]
-
-
-def frame(number):
-    """Frame of a recording: the scene moves by a pixel a frame."""
-    return np.ascontiguousarray(np.roll(images.scene().image, number, axis=1))
-
-
-def slow_frame(number):
-    time.sleep(0.1)
-    return frame(number)
-
-
-def broken_frame(number):
-    if number == 17:
-        raise OSError("frame 17 is broken")
-    return frame(number)
-
-
-def colour_frame(number):
-    return np.dstack([frame(number)] * 3)
-
-
-def worker_process():
-    return os.getpid()
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +63,7 @@ def test_every_frame_is_stored_once_as_one_process_finds_it(client, tmp_path):
 
 
 def test_a_killed_worker_loses_no_frame_and_doubles_none(client, tmp_path):
-    before = set(client.run(worker_process).values())
+    before = set(client.run(process).values())
     done = []
 
     def kill_one():
@@ -104,7 +80,7 @@ def test_a_killed_worker_loses_no_frame_and_doubles_none(client, tmp_path):
     killer.join()
     assert_whole(store)
     client.wait_for_workers(2, timeout=30)
-    assert done[0] not in client.run(worker_process).values()
+    assert done[0] not in client.run(process).values()
 
 
 def test_what_is_there_is_not_done_again(client, tmp_path):

@@ -13,6 +13,7 @@ import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
 from configs import rings
+from workers import corners_of_board
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
 from cmp_cl.errors import CapacityError
@@ -351,15 +352,10 @@ def test_two_detectors_in_two_threads(device):
             assert_same_bytes(corners, alone)
 
 
-def count_in_a_child(index):
-    with Detector(shape=images.SHAPE, device=index) as detector:
-        return len(detector(BOARD))
-
-
 def test_spawned_processes_work(device):
-    here = count_in_a_child(device.index)
+    here = corners_of_board(device.index)
     with multiprocessing.get_context("spawn").Pool(2) as pool:
-        assert pool.map(count_in_a_child, [device.index] * 2) == [here] * 2
+        assert pool.map(corners_of_board, [device.index] * 2) == [here] * 2
 
 
 def test_plans_are_released_with_their_detector(device, monkeypatch):
