@@ -116,7 +116,7 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
             relative=_one(rng, 0.1875, 0, 1, float(rng.random())),
             fine=bool(fine),
             alignment=_one(rng, 8, 1, 64, int(rng.integers(1, 65))) if aligned else None,
-            support=_one(rng, 6, 1, 64, int(rng.integers(1, 65))) if supported else None,
+            support=_one(rng, 32, 1, 64, int(rng.integers(1, 65))) if supported else None,
         ),
         False: BinaryRings(
             threshold=AdaptiveMean(window=window, offset=offset, masks=masks),

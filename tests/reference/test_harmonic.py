@@ -260,6 +260,22 @@ def test_a_looser_check_keeps_more(name, strict, loose):
     assert some < every
 
 
+@pytest.mark.parametrize(
+    ("angle", "x", "y", "grey"), [(0.2, 23, 18, 200), (0.4, 22, 18.5, 200), (0.6, 23, 19, 200)]
+)
+def test_a_corner_is_found_where_a_flake_of_the_print_beside_it_is_gone(angle, x, y, grey):
+    """A flake of 3 px disturbs the ring of 4 px more than that of 5 px."""
+    rows, columns = np.indices((41, 41))
+    image = np.where(np.hypot(columns - x, rows - y) < 3, grey, corner(20, 20, angle))
+
+    def seen(**checks):
+        found = corners_of(image.astype(np.uint8), fine=False, **checks)
+        return (np.hypot(found.x - 20, found.y - 20) < 4).any()
+
+    assert seen()
+    assert not seen(support=6)
+
+
 def test_the_relative_level_takes_the_faint_ones():
     faint = (corner(20, 20, 0.4) // 8 + 100).astype(np.uint8)
     image = np.hstack([corner(20, 20, 0.4)] * 3 + [faint])
