@@ -11,6 +11,7 @@ from comparison import assert_same_bytes
 from cmp_cl import Detector
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages import plan as plans
+from cmp_cl.stages.refine import read_corners
 
 BOARD = images.eight_bits()["board"]
 TEXTURE = images.texture(BOARD.shape)
@@ -48,21 +49,33 @@ def test_a_detector_gives_the_same_corners_with_and_without_it(handle, device, m
         assert_same_bytes(here, copied)
 
 
-def test_a_frame_is_not_written_while_kernels_read_the_one_before(handle, device):
-    with Detector(shape=BOARD.shape, device=device) as detector:
-        expected = detector(BOARD)
-        for _ in range(20):
-            dropped = detector.stream([TEXTURE, BOARD, TEXTURE])
-            next(dropped)
-            del dropped  # its second frame is still on its way
-            assert_same_bytes(detector(BOARD), expected)
+@pytest.fixture
+def large(handle, device):
+    """A detector of frames that take it milliseconds, and two such frames."""
+    board = np.tile(BOARD, (16, 16))
+    with Detector(shape=board.shape, device=device) as detector:
+        yield detector, board, np.roll(board, 7, axis=1)
 
 
-def test_memory_outlives_the_kernels_of_a_detector_that_is_dropped(handle, device):
-    for _ in range(20):
-        detector = Detector(shape=BOARD.shape, device=device)
-        next(detector.stream([BOARD, TEXTURE]))
-        del detector
+def test_a_frame_is_not_written_while_kernels_read_the_one_before(large):
+    detector, board, moved = large
+    expected = detector(board)
+    plan = detector._plan(None)
+    for _ in range(5):
+        plan.upload(plan.queue, [board])
+        plan.launch(plan.launches)
+        plan.upload(plan.queue, [moved])
+        assert_same_bytes(read_corners(plan.read(plan.queue), plan)[0], expected)
+
+
+def test_memory_is_kept_until_the_kernels_of_a_detector_that_is_dropped_are_done(large, device):
+    _, board, _ = large
+    for _ in range(5):
+        detector = Detector(shape=board.shape, device=device)
+        detector(board)  # its lists are long enough now
+        plan = detector._plan(None)
+        plan.launch(plan.launches)
+        event = plan._last
+        del detector, plan
         gc.collect()
-    with Detector(shape=BOARD.shape, device=device) as detector:
-        assert len(detector(BOARD)) > 20
+        assert event.command_execution_status == cl.command_execution_status.COMPLETE
