@@ -410,7 +410,7 @@ def test_a_mask_says_where_candidates_are_centred(detector_for, device):
     with Detector(shape=mask.shape, device=device, mask=mine) as other:
         mine[:] = False
         plan = other._plan(None)
-        plan.corner_room = 64
+        plan.corner_capacity = 64
         other._grow(plan, Overflow(0, 100))
         plan.queue.finish()
         assert_same_bytes(other(image), corners)
@@ -564,13 +564,13 @@ def test_threads_wait_for_one_another(detector):
     assert failures == []
 
 
-# --- room ----------------------------------------------------------------------------------
+# --- capacity ------------------------------------------------------------------------------
 
 
 EVERYTHING = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
 
 
-def test_more_corners_than_room_are_found_all_the_same(device):
+def test_more_corners_than_the_capacity_are_found_all_the_same(device):
     image = images.salt_and_pepper((400, 80), 0.9)
     config = DetectorConfig(
         detection=BinaryRings(contrast=None, criteria=EVERYTHING), nms_radius=1, max_corners=1
@@ -791,7 +791,7 @@ def test_every_field_has_a_change():
     names |= {
         f"{part.__name__}.{field.name}" for part in parts for field in dataclasses.fields(part)
     }
-    assert set(CHANGES) == names - {"max_corners"}  # that is tested with the room
+    assert set(CHANGES) == names - {"max_corners"}  # that is tested with the capacity
 
 
 QUICK_CHANGES = ("detection", "nms_radius", "RingHarmonic.fine", "refinement")
@@ -814,7 +814,7 @@ def test_changing_a_field_changes_the_corners(detector_for, name):
     assert not same
 
 
-def test_max_corners_is_the_room_at_the_start(device):
+def test_max_corners_is_the_capacity_at_the_start(device):
     shape = (300, 80)
     with (
         Detector(shape=shape, config=D(max_corners=1), device=device) as small,

@@ -145,7 +145,7 @@ def _compiled(
     kept = _place(context, text, options)
     program = None if kept is None else _loaded(context, kept, options)
     if program is None:
-        _check_room(context, stage)
+        _check_compiler(context, stage)
         try:
             program = _built(cl.Program(context, text), options)
         except cl.Error as error:
@@ -158,7 +158,7 @@ def _compiled(
     return program
 
 
-def _check_room(context: cl.Context, stage: str) -> None:
+def _check_compiler(context: cl.Context, stage: str) -> None:
     """Raise KernelBuildError where the compiler is known to end the process instead."""
     stuck = caches.pocl_is_stuck() if any(is_pocl(device) for device in context.devices) else ""
     if stuck:

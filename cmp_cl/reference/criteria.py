@@ -1,4 +1,4 @@
-"""The four rapid criteria (section 3.4, Eqs. 18 to 24) on ring masks."""
+"""The four rapid criteria (section 3.4, Eqs. 18 to 24) on ring bits."""
 
 import dataclasses
 import functools
@@ -32,7 +32,7 @@ def rapid(
     outer: NDArray[np.uint16],
     criteria: RapidCriteria,
 ) -> Rapid:
-    """Evaluate the rapid criteria at every pixel of one binary image and its ring masks."""
+    """Evaluate the rapid criteria at every pixel of one binary image and its ring bits."""
     d2 = sector_differences()[inner]
     inner_count = inner_transitions(inner)
     outer_count = outer_transitions(outer)

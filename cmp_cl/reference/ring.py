@@ -1,6 +1,6 @@
-"""The double-layer sampler (section 3.2), and functions of a 16-bit ring mask.
+"""The double-layer sampler (section 3.2), and functions of its 16 ring bits.
 
-Offsets are (dx, dy), x right, y down, clockwise from twelve o'clock. Bit i of a ring mask
+Offsets are (dx, dy), x right, y down, clockwise from twelve o'clock. Bit i of the ring bits
 is sample i, 1 where black. Samples outside the image repeat the border pixel. Tables have
 one entry for each of the 65 536 masks.
 """
@@ -74,7 +74,7 @@ REACH = 5
 def ring_mask(
     binary: NDArray[np.bool_], offsets: tuple[tuple[int, int], ...]
 ) -> NDArray[np.uint16]:
-    """Return (H, W) uint16: the ring mask around every pixel of a binary image."""
+    """Return (H, W) uint16: the ring bits around every pixel of a binary image."""
     padded = np.pad(binary, REACH, mode="edge").astype(np.uint16)
     mask = np.zeros(binary.shape, np.uint16)
     for bit, offset in enumerate(offsets):

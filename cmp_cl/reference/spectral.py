@@ -1,4 +1,4 @@
-"""The spectral criteria (section 3.3, Eqs. 13 and 17) on ring masks."""
+"""The spectral criteria (section 3.3, Eqs. 13 and 17) on ring bits."""
 
 import dataclasses
 import functools
@@ -37,7 +37,7 @@ def spectral(
     outer: NDArray[np.uint16],
     criteria: SpectralCriteria,
 ) -> Spectral:
-    """Evaluate the spectral criteria at every pixel of one binary image and its ring masks."""
+    """Evaluate the spectral criteria at every pixel of one binary image and its ring bits."""
     minus_1, minus_3 = spectrum_differences()
     spectrum_12 = np.minimum(minus_1[inner], minus_1[outer])
     spectrum_23 = np.minimum(minus_3[inner], minus_3[outer])

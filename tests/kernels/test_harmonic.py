@@ -285,27 +285,27 @@ def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
         assert_same_bytes(one, assert_corners_equal(detector, frame))
 
 
-# --- room ----------------------------------------------------------------------------------
+# --- capacity ------------------------------------------------------------------------------
 
 
-def with_room(detector, room):
+def with_capacity(detector, capacity):
     plan = detector._plan(None)
-    plan.list_room = plan.corner_room = room
+    plan.list_capacity = plan.corner_capacity = capacity
     plan._allocate()
     plan._bind()
 
 
-def test_more_maxima_than_room_are_counted_and_found_all_the_same(device_in_form):
-    """Noise has more maxima in windows of 3 x 3 than the plan has room for."""
+def test_more_maxima_than_the_capacity_are_counted_and_found_all_the_same(device_in_form):
+    """Noise has more maxima in windows of 3 x 3 than the list can hold."""
     image = noise((600, 200), seed=3)
     config = DENSE.replace(max_corners=1)
     with Detector(shape=image.shape, config=config, device=device_in_form) as detector:
-        room, memory = detector._plan(None).list_room, detector.memory
+        capacity, memory = detector._plan(None).list_capacity, detector.memory
         corners = assert_corners_equal(detector, image)
         assert detector.regrown > 0
-        assert detector._plan(None).list_room > room
+        assert detector._plan(None).list_capacity > capacity
         assert detector.memory > memory
-        assert len(corners) > room
+        assert len(corners) > capacity
         times = detector.regrown
         assert_same_bytes(detector(image), corners)
         assert_same_bytes(detector.batch([image, image[::-1].copy()])[0], corners)
@@ -315,7 +315,7 @@ def test_more_maxima_than_room_are_counted_and_found_all_the_same(device_in_form
 
 
 @pytest.mark.parametrize(("count", "regrown"), [(63, False), (64, False), (65, True)])
-def test_room_for_64_holds_64(device_in_form, count, regrown):
+def test_a_capacity_of_64_holds_64(device_in_form, count, regrown):
     """A mask leaves exactly that many maxima in the one band."""
     image = images.texture((60, 300), seed=9)
     config = DENSE.replace(detection=RingHarmonic(fine=False, **EVERYTHING))
@@ -323,7 +323,7 @@ def test_room_for_64_holds_64(device_in_form, count, regrown):
     mask = np.zeros(image.shape, np.bool_)
     mask[tuple(maxima[:count].T)] = True
     with Detector(shape=image.shape, config=config, device=device_in_form, mask=mask) as detector:
-        with_room(detector, 64)
+        with_capacity(detector, 64)
         corners = assert_corners_equal(detector, image, mask=mask)
         assert len(corners) == count
         assert (detector.regrown > 0) is regrown
