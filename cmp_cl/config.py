@@ -61,7 +61,7 @@ class AdaptiveMean:
         if self.masks == 3 and self.offset:
             raise ConfigError(
                 f"AdaptiveMean.offset must be 0 with masks=3, not {self.offset!r}: "
-                "the outer masks already move the threshold"
+                "the outer layers already move the threshold"
             )
 
 

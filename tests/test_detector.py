@@ -263,7 +263,7 @@ def test_alone_in_a_stream_and_in_a_batch_alike(detector_for, refinement, scale)
         DetectorConfig(detection=BinaryRings(contrast=None), refinement=Midlines()),
         DetectorConfig(scale=Pyramid(factors=(1.0, 0.63), expected=25)),
     ],
-    ids=["three masks", "spectral", "no gate", "pyramid"],
+    ids=["three thresholds", "spectral", "no gate", "pyramid"],
 )
 def test_a_batch_equals_the_loop(detector_for, config):
     detector = detector_for(BOARD, config)

@@ -90,7 +90,7 @@ def test_refinement(detector_for, form, base):
     )
 
 
-def test_extra_masks(detector_for):
+def test_extra_layers(detector_for):
     left_out(
         detector_for,
         rings(FULL, threshold=AdaptiveMean()),
@@ -206,10 +206,12 @@ DETECTIONS = {
     "rings": BinaryRings(),
     "rings without the gate": BinaryRings(contrast=None),
     "wide window": BinaryRings(threshold=AdaptiveMean(window=255)),
-    "three masks": BinaryRings(threshold=AdaptiveMean(masks=3)),
-    "three masks without the gate": BinaryRings(threshold=AdaptiveMean(masks=3), contrast=None),
+    "three thresholds": BinaryRings(threshold=AdaptiveMean(masks=3)),
+    "three thresholds without the gate": BinaryRings(
+        threshold=AdaptiveMean(masks=3), contrast=None
+    ),
     "spectral": BinaryRings(criteria=SpectralCriteria()),
-    "spectral, three masks": BinaryRings(
+    "spectral, three thresholds": BinaryRings(
         criteria=SpectralCriteria(), threshold=AdaptiveMean(masks=3)
     ),
 }
@@ -232,7 +234,7 @@ CONFIGS = {
     "scaled centroids": DetectorConfig(scale=0.5, refinement=None),
     "suppression in 15 px": DetectorConfig(nms_radius=15),
 }
-QUICK = ("harmonic", "three masks", "midlines", "scaled step")
+QUICK = ("harmonic", "three thresholds", "midlines", "scaled step")
 configurations = pytest.mark.parametrize(
     "config",
     [

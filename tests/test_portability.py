@@ -43,7 +43,7 @@ CONFIGS = {
     "wide windows": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(window=255)), nms_radius=15
     ),
-    "three masks, step": DetectorConfig(
+    "three thresholds, step": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(cell=11)
     ),
     "spectral, midlines": DetectorConfig(
@@ -58,7 +58,7 @@ SIXTEEN_BITS = {
     "offset": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(window=9, offset=3)), full_scale=4095
     ),
-    "spectral, three masks": DetectorConfig(
+    "spectral, three thresholds": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(masks=3), criteria=SpectralCriteria()),
         full_scale=4095,
     ),

@@ -98,7 +98,7 @@ CONFIGS = {
         detection=RingHarmonic(fine=False), refinement=EdgeStep(), scale=0.5
     ),
     "rings": rings(),
-    "three masks, step, scaled": DetectorConfig(
+    "three thresholds, step, scaled": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(), scale=0.5
     ),
     "midlines": DetectorConfig(
@@ -149,7 +149,7 @@ def test_missing_kernels(monkeypatch, tmp_path):
         program.kernel_folder()
 
 
-def test_one_changed_offset_of_a_ring_changes_the_masks(altered, device, detector_for):
+def test_one_changed_offset_of_a_ring_changes_its_bits(altered, device, detector_for):
     expected = detector_for(IMAGE, rings()).maps(IMAGE)
     altered("ring.clh", "F(1, 1, -3)", "F(1, 2, -3)")
     with Detector(shape=IMAGE.shape, config=rings(), device=device) as detector:

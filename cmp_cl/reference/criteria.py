@@ -83,7 +83,7 @@ def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[n
 @functools.cache
 def sector_differences() -> NDArray[np.uint8]:
     """Return d2 = max(|L0 - L2|, |L1 - L3|) of four runs (Eq. 21), else 255: (65536,)."""
-    black = ring.bits(ring.all_masks())
+    black = ring.bits(ring.all_rings())
     starts = black != np.roll(black, 1, axis=1)
     four = starts.sum(axis=1) == 4
     position = np.nonzero(starts[four])[1].reshape(-1, 4)

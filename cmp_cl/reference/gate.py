@@ -46,7 +46,7 @@ def sector_contrast(
     inner: NDArray[np.uint16],
     outer_radius: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return sc1, sc2 and sm, each (N,) int64, of N pixels with their inner masks.
+    """Return sc1, sc2 and sm, each (N,) int64, of N pixels with the bits of their inner rings.
 
     sc1: on the inner ring, the min over white runs of their largest grey level minus the max over
     black runs of their smallest; sc2: the same on the outer ring. sm: with m = floor(8 (sum of a

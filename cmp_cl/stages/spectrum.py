@@ -27,7 +27,7 @@ def margins() -> NDArray[np.float64]:
 
 
 def response_tables() -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-    """Return each inner mask's response, 0 where it fails, and whether each outer mask passes."""
+    """Return each inner ring's response, 0 where it fails, and whether each outer ring passes."""
     f1, f2, f3 = magnitudes().T
     passes: NDArray[np.bool_] = np.min(margins(), axis=1) > 0
     response = np.floor(64 * f2 * (f2 - np.maximum(f1, f3)) + 0.5).astype(np.int32)

@@ -35,13 +35,13 @@ def test_sixteen_bits(detector_for, name, window):
 
 @pytest.mark.parametrize("window", some([21, 255], (21,)))
 @pytest.mark.parametrize("name", some(EIGHT, FEW))
-def test_three_masks(detector_for, name, window):
+def test_three_thresholds(detector_for, name, window):
     check(detector_for, EIGHT[name], masks=3, window=window)
 
 
 @pytest.mark.parametrize("window", some([21, 255], (255,)))
 @pytest.mark.parametrize("name", some(DEEP, ("noise", "bright")))
-def test_three_masks_of_sixteen_bits(detector_for, name, window):
+def test_three_thresholds_of_sixteen_bits(detector_for, name, window):
     check(detector_for, DEEP[name], masks=3, window=window)
 
 

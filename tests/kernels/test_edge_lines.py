@@ -128,7 +128,7 @@ def test_the_forms_agree_to_the_bit_on_a_scaled_image(device, factor):
 
 @LINES
 def test_the_largest_responses(device_in_form, refinement):
-    """Of the spectral criteria, whose responses are integers, and of three masks together."""
+    """Of the spectral criteria, whose responses are integers, and of three thresholds together."""
     image = EIGHT["texture"]
     for changes in (
         {"criteria": SpectralCriteria(correlation=0), "contrast": None},

@@ -42,12 +42,12 @@ def test_sixteen_bits(detector_for, name, full_scale):
 
 
 @pytest.mark.parametrize("name", some(EIGHT, ("worn scene",)))
-def test_three_masks(detector_for, name):
+def test_three_thresholds(detector_for, name):
     check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
 
 
 @pytest.mark.parametrize("name", some(["texture", "12-bit scene", "two levels"], ("texture",)))
-def test_three_masks_of_sixteen_bits(detector_for, name):
+def test_three_thresholds_of_sixteen_bits(detector_for, name):
     check(detector_for, DEEP[name], threshold=AdaptiveMean(masks=3))
 
 
@@ -55,7 +55,7 @@ def test_three_masks_of_sixteen_bits(detector_for, name):
     "name", some(["noise", "two levels", "near levels", "worn scene"], ("noise",))
 )
 def test_any_number_of_sectors(detector_for, name):
-    """The spectral form lets masks with two, six and more runs through."""
+    """The spectral form lets rings with two, six and more runs through."""
     check(detector_for, EIGHT[name], criteria=SpectralCriteria(correlation=0))
 
 
@@ -97,7 +97,7 @@ def test_each_condition_decides(detector_for):
     assert kept(grainy, noise=20) < kept(grainy, noise=0)
 
 
-def test_three_masks_ask_for_three_deviations(detector_for):
+def test_three_thresholds_ask_for_three_deviations(detector_for):
     three = AdaptiveMean(masks=3)
     kept = [
         check(

@@ -50,7 +50,7 @@ def test_a_larger_radius_keeps_fewer(detector_for):
 
 
 @pytest.mark.parametrize("name", ["texture", "worn scene", "board"])
-def test_the_responses_of_three_masks_together(detector_for, name):
+def test_the_responses_of_three_thresholds_together(detector_for, name):
     maps = check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
     assert maps.response.shape == maps.maximum.shape == images.SHAPE
 

@@ -39,7 +39,7 @@ def test_with_the_gate_and_the_smaller_ring(detector_for, name):
 
 
 @pytest.mark.parametrize("name", ["texture", "worn scene"])
-def test_three_masks(detector_for, name):
+def test_three_thresholds(detector_for, name):
     threshold = AdaptiveMean(masks=3)
     check(
         detector_for,

@@ -12,7 +12,7 @@ Y, X = np.mgrid[-10:11, -10:11]
 
 
 def at_centre(binary: np.ndarray, rules: RapidCriteria, radius: int = 5) -> dict[str, int]:
-    inner, outer = (ring.ring_mask(binary, ring.INNER), ring.ring_mask(binary, ring.OUTER[radius]))
+    inner, outer = (ring.ring_bits(binary, ring.INNER), ring.ring_bits(binary, ring.OUTER[radius]))
     found = criteria.rapid(binary, inner, outer, rules)
     return {name: int(values[10, 10]) for name, values in vars(found).items() if values is not None}
 
@@ -71,7 +71,7 @@ def test_corrosion_treats_black_and_white_alike():
     rng = np.random.default_rng(3)
     binary = rng.random((40, 50)) < 0.5
     black, white = (
-        criteria.corrosion(mask, ring.ring_mask(mask, ring.OUTER_5)) for mask in (binary, ~binary)
+        criteria.corrosion(mask, ring.ring_bits(mask, ring.OUTER_5)) for mask in (binary, ~binary)
     )
     np.testing.assert_array_equal(black, white)
     assert len(np.unique(black)) > 5

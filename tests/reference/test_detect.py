@@ -22,7 +22,7 @@ IMAGE, TRUTH = board(110, 120, 12)
 CONFIGS = {
     "rings": rings(),
     "radius 4": DetectorConfig(detection=BinaryRings(outer_radius=4)),
-    "three masks": DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
+    "three thresholds": DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
     "spectral": DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria())),
     "no gate": DetectorConfig(detection=BinaryRings(contrast=None)),
     "paper": DetectorConfig.paper(40),
@@ -163,7 +163,7 @@ def test_a_wrong_mask_is_refused(mask):
         reference.detect(IMAGE, rings(), mask)
 
 
-def test_three_masks_weigh_two_one_one():
+def test_three_thresholds_weigh_two_one_one():
     config = DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3)))
     maps = reference.maps(IMAGE, config)
     assert maps.binary.shape == maps.contrast.shape == (3, *IMAGE.shape)

@@ -124,7 +124,7 @@ def test_the_gate_looks_at_maxima_alone():
     assert not (gated.maximum & ~free.maximum).any()
 
 
-def test_of_three_masks_one_that_passes_is_enough():
+def test_of_three_thresholds_one_that_passes_is_enough():
     image = texture((60, 70))
     contrast = SectorContrast(relative=0.9)
     config = rings(threshold=AdaptiveMean(masks=3), contrast=contrast)

@@ -104,7 +104,7 @@ def test_each_bound_decides():
 
 def test_candidates_by_definition():
     criteria = SpectralCriteria(corrosion_threshold=None)
-    four = ring.all_masks()[ring.popcount(ring.all_masks() ^ ring.rotate(ring.all_masks(), 1)) == 4]
+    four = ring.all_rings()[ring.popcount(ring.all_rings() ^ ring.rotate(ring.all_rings(), 1)) == 4]
     rng = np.random.default_rng(8)
     inner = rng.choice(four, 2000)
     flips = (1 << rng.integers(0, 16, (4, 2000))).astype(np.uint16)
