@@ -104,12 +104,13 @@ class Detector(Closing):
 
     @property
     def memory(self) -> int:
-        """Bytes allocated on the device."""
+        """Return the bytes allocated on the device."""
         return sum(sum(plan.sizes.values()) for plan in self._plans.values())
 
     @property
     def times(self) -> dict[str, float]:
-        """Milliseconds of each stage of the last frame; empty unless made with profile=True."""
+        """Return the milliseconds of each stage of the last frame: none unless made with
+        profile=True."""
         spent: dict[str, float] = {}
         for plan in self._plans.values():
             for stage, event in plan.events:

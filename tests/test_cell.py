@@ -12,7 +12,8 @@ from cmp_cl.errors import ImageError
 
 
 def by_definition(image: np.ndarray) -> float:
-    """Window 63, the runs of 3 px and more between two changes along rows and columns."""
+    """Return the cell by window 63 and the runs of 3 px and more between two changes along rows and
+    columns."""
     padded = np.pad(image.astype(np.int64), 31, mode="edge")
     total = cv2.integral(padded.astype(np.float64))
     total = total[63:, 63:] - total[:-63, 63:] - total[63:, :-63] + total[:-63, :-63]

@@ -45,7 +45,7 @@ FRAMES = [EIGHT[name] for name in ("scene", "board", "texture", "black", "worn s
 
 @pytest.fixture
 def detector(detector_for) -> Detector:
-    """The default detector for images.SHAPE."""
+    """Return the default detector for images.SHAPE."""
     return detector_for(BOARD)
 
 

@@ -88,7 +88,8 @@ def config_for(name: str, image: np.ndarray) -> DetectorConfig:
 
 
 def digest(maps: Maps, corners: Corners) -> str:
-    """Of every whole number in the maps and the corners, byte order and width of ints apart."""
+    """Return a digest of every whole number in the maps and the corners, whatever byte order and
+    width of ints."""
     hashed = hashlib.sha256()
     arrays = {f.name: getattr(maps, f.name) for f in dataclasses.fields(maps)}
     arrays |= {"pixel": corners.pixel, "method": corners.method}

@@ -91,7 +91,7 @@ def test_a_kernel_that_does_not_compile_says_why(device, monkeypatch):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """An empty folder for compiled programs, used on every device."""
+    """Return an empty folder for compiled programs, used on every device."""
     folder = tmp_path / "cache"
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
     monkeypatch.setattr(caches.platformdirs, "user_cache_path", lambda *_, **__: folder)
@@ -100,14 +100,14 @@ def cache(tmp_path, monkeypatch):
 
 
 def build(device, pad=16):
-    """A program of one file: the border of an image is repeated."""
+    """Build a program of one file: the border of an image is repeated."""
     context = cl.Context([device.handle])
     names = program.build(context, ["border"], {"PIXEL": "uchar", "PAD": pad}).names
     assert names == {"repeat_border"}
 
 
 def refuse_to_compile(monkeypatch):
-    """Programs may be loaded and not compiled."""
+    """Let programs be loaded and not compiled."""
     whole = cl.Program
 
     def loaded(context, *parts):

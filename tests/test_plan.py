@@ -55,7 +55,7 @@ def plan_of(detector_for, config):
 
 
 def left_out(detector_for, config, *, files=(), launches=(), buffers=(), than=FULL):
-    """Those files, kernels and buffers are there in the one configuration, not in the other."""
+    """Return those files, kernels and buffers that the one configuration has and the other has not."""
     plan, launched, kernels = plan_of(detector_for, config)
     full, full_launched, full_kernels = plan_of(detector_for, than)
     assert set(files) <= set(full.stages)
@@ -284,7 +284,7 @@ def test_at_most_eight_bytes_a_pixel_beyond_the_image(device_in_form, config, dt
 
 
 def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[int, int]):
-    """Bytes of every buffer of a detector, which takes none of them."""
+    """Return the bytes of every buffer of a detector, which takes none of them."""
     plan = Unbuilt(None, None, device, shape, np.dtype(dtype), config, config.scale, None, 1)
     return plan.sizes
 

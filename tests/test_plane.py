@@ -28,7 +28,7 @@ LENGTH = 60.0  # px, displacement by slope
 
 
 def lattice(rows=40, columns=40, side=12.0):
-    """Nodes of a slightly turned board, px."""
+    """Return the nodes of a slightly turned board, px."""
     row, column = np.mgrid[:rows, :columns]
     x, y = 30 + side * (column + 0.03 * row), 25 + side * (row - 0.03 * column)
     return np.stack([x, y], axis=-1)
@@ -157,7 +157,7 @@ def test_cells_of_known_side_give_millimetres_through_a_homography():
 
 @functools.cache
 def wave():
-    """The displacement by a wave, on the pixels."""
+    """Return the displacement by a wave, on the pixels."""
     rest = lattice()
     return rasterize(plane_displacement(grid_of(rest), grid_of(rest - LENGTH * slope(rest))))
 
@@ -247,7 +247,7 @@ def test_water_and_gas_scale_the_gradient_by_their_optics():
 
 
 def detected(*images, cell):
-    """Grids of images, all numbered like the first."""
+    """Return grids of images, all numbered like the first."""
     config = cmp_cl.DetectorConfig.for_cell(cell).replace(refinement=cmp_cl.EdgeStep(cell=cell))
     with cmp_cl.Detector(shape=images[0].shape, dtype=np.uint8, config=config) as detector:
         rest = cmp_cl.build_grid(detector(images[0]), images[0])

@@ -33,7 +33,7 @@ IMAGE = images.eight_bits()["board"]
 
 @pytest.fixture
 def altered(monkeypatch, tmp_path):
-    """altered(name, old, new): kernels of which one file has been changed."""
+    """Return altered(name, old, new): kernels of which one file has been changed."""
 
     def make(name, old, new):
         shutil.copytree(program.kernel_folder(), tmp_path, dirs_exist_ok=True)
@@ -128,7 +128,7 @@ def test_compilers_have_nothing_to_remark(device_in_form, monkeypatch, capfd, co
     programs = []
 
     def compiled(source, options):
-        """Under a macro of its own, so that no cache answers in the compiler's place."""
+        """Compile under a macro of its own, so that no cache answers in the compiler's place."""
         built = cl.Program.build(source, [*options, f"-DTRY={secrets.randbits(31)}"])
         programs.append(built)
         return built
@@ -172,7 +172,7 @@ def test_a_sum_has_every_term_once(count):
 
 
 def files_of_kernels():
-    """The kernel files by name, "cpu/harmonic.cl" for one in the folder cpu."""
+    """Return the kernel files by name, "cpu/harmonic.cl" for one in the folder cpu."""
     folder = program.kernel_folder()
     return {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.cl")}
 

@@ -18,7 +18,7 @@ CLEAN = {"corrosion": 0.0, "noise": 0.0, "light": 0.0, "vignetting": 1.0, "bits"
 
 
 def saddles(image, points):
-    """The saddle of the grey levels near each point, by quadrics over 5 x 5 samples.
+    """Return the saddle of the grey levels near each point, by quadrics over 5 x 5 samples.
 
     Each is fitted again around the saddle of the last, where a corner's symmetry cancels
     what is not quadratic.

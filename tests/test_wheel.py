@@ -30,7 +30,7 @@ def run(*command, cwd):
 
 
 def built_wheel(folder, *options):
-    """The one wheel that hatchling builds of the project into a folder."""
+    """Return the one wheel that hatchling builds of the project into a folder."""
     run("-m", "hatchling", "build", *options, "-d", folder, cwd=PROJECT)
     (wheel,) = folder.glob("*.whl")
     return wheel

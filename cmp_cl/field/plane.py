@@ -119,12 +119,12 @@ class PlaneField:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(R, C), where there is a displacement."""
+        """Return (R, C) bool, True where there is a displacement."""
         return ~np.isnan(self.displacement[..., 0])
 
     @property
     def now(self) -> Array:
-        """(R, C, 2) float64, where the nodes are now, in `unit`."""
+        """Return (R, C, 2) float64: where the nodes are now, in `unit`."""
         moved: Array = self.position + self.displacement
         return moved
 
@@ -300,7 +300,7 @@ class PlaneStrain:
 
     @property
     def sigma(self) -> Array:
-        """(R, C, 3) float64, standard deviations of the tensor's entries."""
+        """Return (R, C, 3) float64: the standard deviations of the tensor's entries."""
         deviation: Array = np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
         return deviation
 
@@ -471,7 +471,7 @@ class Raster:
 
     @property
     def step(self) -> float:
-        """Distance of neighbouring points, in `unit`."""
+        """Return the distance of neighbouring points, in `unit`."""
         return float(self.x[1] - self.x[0])
 
 

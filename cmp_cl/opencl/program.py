@@ -87,7 +87,7 @@ class Kernels:
 
     @property
     def names(self) -> set[str]:
-        """The names of the kernels."""
+        """Return the names of the kernels."""
         return set(self._programs)
 
     def bind(self, name: str, *arguments: Any) -> cl.Kernel:

@@ -83,7 +83,7 @@ class PlanBase:
 
     @property
     def bands(self) -> int:
-        """Bands of rows: two for each of a CPU's units, of at least 32 rows; else one."""
+        """Return how many bands of rows: two for a unit of a CPU, of at least 32 rows; else one."""
         if self.form is not Form.CPU:
             return 1
         units = self.device.handle.max_compute_units
@@ -91,7 +91,7 @@ class PlanBase:
 
     @property
     def lanes(self) -> int:
-        """Corners that a work-item of refinement takes at a time."""
+        """Return how many corners a work-item of refinement takes at a time."""
         lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
         return LANES if self.form is Form.CPU and lines else 1
 
@@ -141,13 +141,13 @@ class PlanBase:
 
     @property
     def size(self) -> dict[str, Any]:
-        """Rows, columns and step of the image that the stages start from, by argument."""
+        """Return rows, columns and step of the image that the stages start from, by argument."""
         (rows, columns), step = self.working, self.step
         return {"rows": np.uint32(rows), "columns": np.uint32(columns), "step": np.uint32(step)}
 
     @property
     def corner_list(self) -> dict[str, Any]:
-        """Where a frame's corners are in the lists of all, by argument."""
+        """Return where a frame's corners are in the lists of all, by argument."""
         return {
             "capacity": np.uint32(self.corner_capacity),
             "count_offset": np.uint32(self.frames * self.lists),

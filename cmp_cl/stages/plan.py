@@ -101,14 +101,14 @@ class Plan(PlanBase):
 
     @property
     def stages(self) -> list[str]:
-        """The kernel files that the configuration needs, in the order of the stages."""
+        """Return the kernel files that the configuration needs, in the order of the stages."""
         return [*scale.files(self), *self.detection.files(self), *refine.files(self)]
 
     # What is allocated
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Bytes of every buffer."""
+        """Return the bytes of every buffer, by name."""
         pixel = self.dtype.itemsize
         parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in self._layouts]
         sizes = {
@@ -125,8 +125,9 @@ class Plan(PlanBase):
 
     @property
     def _layouts(self) -> list[dict[str, int]]:
-        """Bytes of the arrays that are needed only in passing. Those of a layout lie one after
-        the other in the buffer "scratch", where each layout takes the place of the one before."""
+        """Return the bytes of the arrays that are needed only in passing, layout by layout. The
+        arrays of a layout lie one after the other in the buffer "scratch", which every layout uses
+        from its start."""
         return [*self.detection.scratch(self), refine.scratch(self)]
 
     def _allocate(self) -> None:

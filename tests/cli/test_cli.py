@@ -27,7 +27,7 @@ BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
 
 @pytest.fixture
 def run(capsys, tmp_path, monkeypatch):
-    """Runs cmp-cl in an empty folder: status, stdout, stderr."""
+    """Return a function that runs cmp-cl in an empty folder: status, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
 
     def run_in_folder(*arguments):
@@ -64,7 +64,7 @@ def write_video(path, images):
 
 
 def write_flat_png(path, width, height, *, whole=True):
-    """A PNG of one grey level, in some kB however large it is; or but for its pixels."""
+    """Write a PNG of one grey level, in some kB however large it is; or but for its pixels."""
 
     def chunk(kind, data):
         return (
@@ -289,7 +289,7 @@ def test_broken_frames_are_reported_and_skipped(run):
 
 
 def cut_video(path):
-    """A video of which nothing can be read but that it is one."""
+    """Write a video of which nothing can be read but that it is one."""
     write_video("whole.avi", [media.read_image(BOARD)] * 3)
     Path(path).write_bytes(Path("whole.avi").read_bytes()[:6000])
 
@@ -501,7 +501,7 @@ def test_the_command_is_installed_and_writes_its_help():
 
 
 def command_of_readme(extra):
-    """The line of README.md that installs with those extras."""
+    """Return the line of README.md that installs with those extras."""
     lines = (PROJECT / "README.md").read_text(encoding="utf-8").splitlines()
     (command,) = [line.strip() for line in lines if f'pip install ".[{extra}]" &&' in line]
     return [shlex.split(part) for part in command.split("&&")]
@@ -525,7 +525,7 @@ def test_the_first_command_of_the_readme_ends_in_corners_and_overlays(run, monke
 
 
 def python_of_readme():
-    """The blocks of Python in README.md, in order."""
+    """Return the blocks of Python in README.md, in order."""
     text = (PROJECT / "README.md").read_text(encoding="utf-8")
     return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
 

@@ -59,7 +59,7 @@ GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, se
 
 @pytest.fixture
 def run(capsys, tmp_path, monkeypatch):
-    """Runs cmp-cl in an empty folder: status, stdout, stderr."""
+    """Return a function that runs cmp-cl in an empty folder: status, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
 
     def run_in_folder(*arguments):
@@ -95,7 +95,7 @@ class Shot(NamedTuple):
 
 @pytest.fixture(scope="module")
 def press():
-    """A gel at rest and pressed more and more."""
+    """Return frames of a gel at rest and pressed more and more."""
     return [
         Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), RIG))
         for severity in (0.0, 0.4, 0.9)
@@ -104,7 +104,7 @@ def press():
 
 @pytest.fixture
 def recording(press, tmp_path):
-    """A folder with these frames, and the rig's file beside it."""
+    """Return a folder with these frames, and the rig's file beside it."""
     folder = tmp_path / "frames"
     folder.mkdir()
     for number, shot in enumerate(press):
@@ -115,7 +115,7 @@ def recording(press, tmp_path):
 
 @pytest.fixture
 def one_view(press, tmp_path):
-    """A folder with the left views."""
+    """Return a folder with the left views."""
     folder = tmp_path / "left"
     folder.mkdir()
     for number, shot in enumerate(press):
@@ -127,7 +127,8 @@ STEREO = "--stereo", "rig.yaml", "--grid", "12x12", "--out", "press.npz"
 
 
 def off_by(series, press, order):
-    """Root mean square error of every frame's displacement, mm; order: what each frame is."""
+    """Return the root mean square error of every frame's displacement, mm; order: what each frame
+    is."""
     truth = [press[number].xyz - press[0].xyz for number in order]
     return [
         np.sqrt(np.mean(np.square(found - true).sum(axis=2)))
@@ -234,7 +235,7 @@ def test_a_video_has_a_clock(run, recording, press):
 
 
 def camera_of(images, opened):
-    """A stand-in for cv2.VideoCapture that delivers these images, None for none."""
+    """Return a stand-in for cv2.VideoCapture that delivers these images, None for none."""
 
     class Camera:
         def __init__(self, number):
@@ -443,7 +444,7 @@ def test_a_rectangle_in_each_view_says_which_of_two_patterns_is_meant(
 
 
 def shifted(rig, columns):
-    """The rig whose views begin that much further to the left."""
+    """Return the rig whose views begin that much further to the left."""
     moved = np.array([[0, 0, columns], [0, 0, 0], [0, 0, 0]])
     return rig._replace(K1=rig.K1 + moved, K2=rig.K2 + moved)
 
@@ -613,7 +614,7 @@ def test_demo_does_not_write_into_a_file(run):
 
 @pytest.fixture(scope="module")
 def boards():
-    """Frames that show a tilted board of 7 x 7 corners, 4 mm apart, to both cameras."""
+    """Return frames that show a tilted board of 7 x 7 corners, 4 mm apart, to both cameras."""
     tilts = (0.4, 0.1), (-0.3, 0.3), (0.1, -0.45), (-0.4, -0.2)
     frames = []
     for number, tilt in enumerate(tilts):
@@ -817,7 +818,7 @@ def test_changes_are_kept_while_they_lose_nothing_and_save_time(monkeypatch):
         return spent
 
     def missed(config):
-        """No check at all costs corners, as EdgeLines does alone."""
+        """Count the missed corners without any check, as EdgeLines does alone."""
         rule = config.detection
         both = isinstance(rule, RingHarmonic) and rule.alignment is rule.support is None
         return int(both or isinstance(config.refinement, EdgeLines))
@@ -857,7 +858,7 @@ def test_every_change_of_tune_changes_the_settings_and_they_add_up():
 
 
 def flat_frame():
-    """A flat grid of 6 x 6 nodes, 10 px apart."""
+    """Return a frame with a flat grid of 6 x 6 nodes, 10 px apart."""
     row, column = np.indices((6, 6))
     grid = grid_of(np.stack([20 + 10 * column, 30 + 10 * row], axis=-1))
     return tune.Frame(np.zeros((100, 100), np.uint8), grid, 10.0, tune.around(grid))
@@ -937,7 +938,7 @@ def test_a_split_is_read_as_it_is_written():
 
 @pytest.fixture
 def opencv_views():
-    """The left and the right photographs of OpenCV's stereo pairs."""
+    """Return the left and the right photographs of OpenCV's stereo pairs."""
     folder = photographs("stereo_opencv")
     return [sorted(folder.glob(f"{side}0?.jpg")) for side in ("left", "right")]
 
@@ -992,7 +993,7 @@ def test_single_views_given_as_pairs_say_what_is_expected(run, tmp_path):
 
 
 def film_of(path, images, rate=25):
-    """A lossless video of grey images."""
+    """Write a lossless video of grey images."""
     size = images[0].shape[::-1]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), rate, size, False)
     for image in images:

@@ -27,7 +27,7 @@ MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
 
 
 def right(grid: Grid, index: np.ndarray) -> np.ndarray:
-    """Which true corners in the grid have their own row and column."""
+    """Return which true corners in the grid have their own row and column."""
     there = (grid.index[:, 0] >= 0) & (index[:, 0] >= 0)
     return (grid.index == index).all(1)[there]
 
@@ -360,7 +360,7 @@ def test_all_nodes_at_once_are_predicted_as_one_by_one_where_all_around_are_know
 
 
 def pattern(at):
-    """These nodes, without misfits."""
+    """Return these nodes as a pattern without misfits."""
     nodes = Nodes(at.shape, 0, np.zeros(0, np.bool_))
     row, column = np.nonzero(~np.isnan(at.real))
     nodes.put(row, column, at[row, column], NodeStatus.DETECTED)
@@ -520,7 +520,7 @@ def photograph(name: str) -> tuple[np.ndarray, dict]:
 
 
 def agreeing(grid: Grid, listed: dict) -> tuple[int, int]:
-    """Measured nodes at listed corners, and how many have one lattice's indices for both.
+    """Return measured nodes at listed corners, and how many have one lattice's indices for both.
 
     A node belongs to the nearest corner: squeezed cells are narrower than twice the reach.
     """

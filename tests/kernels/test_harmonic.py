@@ -350,7 +350,7 @@ def test_no_image_takes_more_than_ten_times_a_typical_one(device):
         memory = detector.memory
 
         def least(image):
-            """Seconds, the best of some turns: others use the machine too."""
+            """Return seconds, the best of some runs: others use the machine too."""
             spent = []
             for _ in range(7):
                 start = time.perf_counter()

@@ -21,7 +21,7 @@ def window(image: np.ndarray, row: int, column: int, size: int) -> list[int]:
 
 
 def by_definition(image: np.ndarray, threshold: AdaptiveMean) -> np.ndarray:
-    """The layers with integer arithmetic of any length: mean - k sigma, k = 0, -1/2, 1/2."""
+    """Return the layers in integer arithmetic of any length: mean - k sigma, k = 0, -1/2, 1/2."""
     n = threshold.window**2
     result = np.zeros((threshold.masks, *image.shape), np.bool_)
     for row, column in np.ndindex(image.shape):

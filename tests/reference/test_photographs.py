@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def missed_and_false(name: str, radius: int) -> tuple[int, int, int]:
-    """Missed, false within the scored region, and listed corners of a photograph.
+    """Return missed, false within the scored region, and listed corners of a photograph.
 
     One-to-one, nearest first, within a quarter of a cell and at most 3 px.
     """

@@ -12,7 +12,7 @@ RINGS = {"inner": (ring.INNER, 3), "outer 5": (ring.OUTER_5, 5), "outer 4": (rin
 
 
 def run_lengths(mask: int) -> list[int]:
-    """The lengths of the circular runs of a mask, by walking around it."""
+    """Return the lengths of the circular runs of a ring, by walking around it."""
     samples = [mask >> i & 1 for i in range(16)]
     start = next((i for i in range(16) if samples[i] != samples[i - 1]), 0)
     turned = samples[start:] + samples[:start]

@@ -22,7 +22,7 @@ def correlations(inner: int, outer: int) -> list[int]:
 
 
 def phase(values: list[int]) -> float:
-    """The smallest |centre| of the circular runs of the largest value, samples."""
+    """Return the smallest |centre| of the circular runs of the largest value, samples."""
     best = [value == max(values) for value in values]
     if all(best):
         return 0.0
