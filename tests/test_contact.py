@@ -18,7 +18,7 @@ def surface(tilt):
 
 
 def pressed(tilt=0.0, sigma=0.01):
-    """Return a bell of height TOP towards the camera on a gel that is turned about y, and the gel."""
+    """Return a bell of height TOP towards the camera on a gel turned about y, and the gel."""
     flat, turn = surface(tilt)
     bell = TOP * np.exp(-np.square(flat).sum(axis=2) / (2 * RADIUS**2))
     shift = np.zeros_like(flat)

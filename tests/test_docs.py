@@ -45,7 +45,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def sections(page):
-    """Return the sections of a page of the reference: heading and text of each, the head's first."""
+    """Return the sections of a page of the reference, heading and text, the head's first."""
     parts = re.split(r"^#{2,3} (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return [("", parts[0]), *zip(parts[1::2], parts[2::2], strict=True)]
 

@@ -55,7 +55,7 @@ def plan_of(detector_for, config):
 
 
 def left_out(detector_for, config, *, files=(), launches=(), buffers=(), than=FULL):
-    """Return those files, kernels and buffers that the one configuration has and the other has not."""
+    """Check that a configuration does without these files, kernels and buffers."""
     plan, launched, kernels = plan_of(detector_for, config)
     full, full_launched, full_kernels = plan_of(detector_for, than)
     assert set(files) <= set(full.stages)

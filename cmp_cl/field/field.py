@@ -56,7 +56,7 @@ class DisplacementField:
 
     @property
     def sigma(self) -> Array:
-        """Return (R, C): the standard deviation along the most uncertain axis, in `unit`, or NaN."""
+        """Return (R, C): the standard deviation along the most uncertain axis, `unit`, or NaN."""
         return largest_deviation(self.covariance)
 
     @property

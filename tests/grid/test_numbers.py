@@ -294,7 +294,7 @@ def test_all_boards_of_a_view_are_found():
 
 
 def island(aside: complex) -> tuple[Board, np.ndarray]:
-    """Return a board with a ring of corners missing, what lies inside moved aside; which is inside."""
+    """Return a board with a ring of corners missing, the inner ones moved; which are inner ones."""
     whole = board(30, 30, pull=0, twist=0)
     away = np.abs(whole.index - 14.5).max(axis=1)
     inside = away < 5

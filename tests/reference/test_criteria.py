@@ -18,7 +18,7 @@ def at_centre(binary: np.ndarray, rules: RapidCriteria, radius: int = 5) -> dict
 
 
 def lines(angle: float, opening: float, x: float = 0, y: float = 0) -> np.ndarray:
-    """Return an image, black where both lines through (x, y) have their normals on the same side."""
+    """Return an image, black between two lines through (x, y), whose normals are on one side."""
     sides = [(X - x) * math.cos(a) + (Y - y) * math.sin(a) for a in (angle, angle + opening)]
     return sides[0] * sides[1] > 0
 
