@@ -164,8 +164,8 @@ def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
 
 
 def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarray:
-    """Return (N,): how far the oracle's own positions move, px, where its edge points are rounded to
-    float32: centrelines through points that nearly coincide hang on every digit."""
+    """Return (N,): how far the oracle's own positions move, px, when its edge points are rounded
+    to float32: centrelines through points that nearly coincide hang on every digit."""
     exact, rng = reference.refine.edge_points, np.random.default_rng(0)
 
     def rounded(*arguments: Any) -> Any:
