@@ -17,7 +17,7 @@
 #error "NMS_RADIUS must be that of suppression"
 #endif
 
-#define LEAST 80 /* below every bound of a response: five grey levels */
+#define LEAST 80 /* of the bounds: the response that a step of two grey levels may have */
 #define KINDS (1 + FINE)
 #define LIST_COLUMNS 6
 

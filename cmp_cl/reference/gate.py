@@ -22,7 +22,7 @@ def gate(
     """Return the contrast min(sc1, sc2), (H, W), 0 off candidates, and what is kept, (H, W) bool.
 
     candidate: (H, W) bool, the maxima of the response that are candidates of this binary image.
-    masks: number of threshold layers, 1 or 3. Inner masks of candidates are never constant: both
+    masks: number of threshold layers, 1 or 3. The inner ring of a candidate is never constant: both
     forms of the criteria exclude it.
     """
     y, x = np.nonzero(candidate)
