@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from messages import fails_in_one_line
 
 import cmp_cl
 from cmp_cl import Method, NodeStatus, media, synthetic
@@ -23,31 +24,6 @@ from cmp_cl.viz import METHOD_COLOURS, STATUS_COLOURS
 
 PROJECT = Path(__file__).parents[2]
 BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Return a function that runs cmp-cl in an empty folder: status, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run_in_folder(*arguments):
-        try:
-            status = cli.main([str(argument) for argument in arguments])
-        except SystemExit as stop:
-            status = stop.code
-        return (status, *capsys.readouterr())
-
-    return run_in_folder
-
-
-def fails_in_one_line(result, *words):
-    status, _, err = result
-    assert status == 2
-    assert err.startswith("cmp-cl")
-    assert err.count("\n") == 1
-    assert err.endswith("\n")
-    for word in words:
-        assert word in err
 
 
 def rows_of(path):

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 from disks import full_after
+from messages import fails_in_one_line
 from plane_images import moved_board
 from stereo_data import bumblebee_rig, grid_of, photographs
 
@@ -34,7 +35,6 @@ from cmp_cl import (
     select_device,
 )
 from cmp_cl.cli import demo, tune
-from cmp_cl.cli import main as cli
 from cmp_cl.cli import run as run_module
 from cmp_cl.cli.arguments import region_in, split_of
 from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
@@ -55,30 +55,6 @@ CLOSE = 0.05  # mm, a third of a pixel
 VIEW = (240, 216)
 RIG = default_rig(VIEW)
 GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Return a function that runs cmp-cl in an empty folder: status, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run_in_folder(*arguments):
-        try:
-            status = cli.main([str(argument) for argument in arguments])
-        except SystemExit as stop:
-            status = stop.code
-        return (status, *capsys.readouterr())
-
-    return run_in_folder
-
-
-def fails_in_one_line(result, *words):
-    status, _, err = result
-    assert status == 2
-    assert err.startswith("cmp-cl")
-    assert err.count("\n") == 1
-    for word in words:
-        assert word in err
 
 
 class Shot(NamedTuple):
