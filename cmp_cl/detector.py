@@ -18,7 +18,7 @@ from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
-from cmp_cl.opencl.program import Programs
+from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan
 from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
@@ -79,12 +79,14 @@ class Detector(Closing):
                 f"one image needs {needed} bytes, {self.device} has {self.device.memory}; use "
                 "smaller images"
             )
-        context = queue.context if queue is not None else cl.Context([self.device.handle])
+        self._programs = (
+            programs_of(self.device.handle) if queue is None else Programs(queue.context)
+        )
+        context = self._programs.context
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
         self._transfers = cl.CommandQueue(context)  # for streams, beside the kernels
         self._lock = threading.RLock()
-        self._programs = Programs(context)
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was redone

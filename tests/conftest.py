@@ -13,6 +13,7 @@ from detectors import MakeDetector, detectors_on
 from forms import in_form
 
 from cmp_cl import Device, select_device
+from cmp_cl.opencl import program
 from cmp_cl.opencl.device import DEVICE_VARIABLE
 from cmp_cl.stages.form import Form
 
@@ -51,6 +52,12 @@ def detector_for(device: Device) -> Iterator[MakeDetector]:
     """Yield detector_for(image, config, mask): a detector for images like it, made only once."""
     with detectors_on(device) as make:
         yield make
+
+
+@pytest.fixture
+def own_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let each detector load or compile its programs itself, as the first one of a process does."""
+    monkeypatch.setattr(program, "_shared", program._shared.__wrapped__)
 
 
 @pytest.fixture(scope="session", params=Form, ids=lambda form: form.value)

@@ -90,7 +90,7 @@ def test_a_kernel_that_does_not_compile_says_why(device, monkeypatch):
 
 
 @pytest.fixture
-def cache(tmp_path, monkeypatch):
+def cache(own_programs, tmp_path, monkeypatch):
     """Return an empty folder for compiled programs, used on every device."""
     folder = tmp_path / "cache"
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)

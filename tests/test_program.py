@@ -74,7 +74,17 @@ def test_a_missing_macro_is_an_error(device):
         program.build(context, ["nms"], {"PIXEL": "uchar", "PAD": 16})
 
 
-def test_batches_and_maps_of_a_detector_compile_nothing_anew(device, monkeypatch):
+def test_detectors_of_a_process_share_what_is_compiled(device, monkeypatch):
+    image = images.texture((70, 90))
+    with Detector(shape=IMAGE.shape, device=device) as first:
+        monkeypatch.setattr(program, "_built", lambda *_: pytest.fail("compiled"))
+        with Detector(shape=image.shape, device=device) as second:
+            assert second._programs is first._programs
+            assert len(second(image)) > 0
+        assert len(first(IMAGE)) > 0
+
+
+def test_batches_and_maps_of_a_detector_compile_nothing_anew(own_programs, device, monkeypatch):
     config = DetectorConfig(refinement=None)
     with Detector(shape=IMAGE.shape, config=config, device=device) as detector:
         compiled = []
@@ -124,7 +134,9 @@ CONFIGS = {
         for name, config in CONFIGS.items()
     ],
 )
-def test_compilers_have_nothing_to_remark(device_in_form, monkeypatch, capfd, config, dtype):
+def test_compilers_have_nothing_to_remark(
+    own_programs, device_in_form, monkeypatch, capfd, config, dtype
+):
     programs = []
 
     def compiled(source, options):
