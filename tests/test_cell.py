@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from cases import some
 from corner_images import board, noise
 
 import cmp_cl.cell as cell_module
@@ -38,7 +39,7 @@ def test_by_definition(shape):
 
 
 @pytest.mark.parametrize("cell", [7, 10, 14.5, 20, 31])
-@pytest.mark.parametrize("angle", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("angle", some([0.0, 0.1, 0.5], (0.1,)))
 def test_boards(cell, angle):
     image, _ = board(180, 200, cell, angle=angle)
     assert 0.9 * cell <= estimate_cell(image) <= 1.25 * cell
@@ -69,7 +70,7 @@ def test_for_image_uses_it():
 
 
 def test_of_a_large_image_it_looks_at_a_sample(monkeypatch):
-    image, _ = board(700, 900, 14.5, angle=0.1)
+    image, _ = board(480, 620, 14.5, angle=0.1)
     whole = estimate_cell(image)
     looked_at = []
     black = cell_module._black
@@ -83,6 +84,6 @@ def test_of_a_large_image_it_looks_at_a_sample(monkeypatch):
     assert estimate_cell(image) == pytest.approx(whole, abs=1)
     assert len(looked_at) > 10
     assert max(looked_at) < image.size // 5
-    edges = np.full((700, 900), 90, np.uint8)  # a board in a corner is seen too
+    edges = np.full((480, 620), 90, np.uint8)  # a board in a corner is seen too
     edges[-120:, -150:] = image[:120, :150]
     assert estimate_cell(edges) == pytest.approx(whole, abs=2)

@@ -54,10 +54,10 @@ def missed_and_false(name: str, radius: int) -> tuple[int, int, int]:
 @pytest.mark.parametrize(
     ("name", "radius", "missed", "false"),
     [
-        ("water/reference_df", 5, 0, 0),
-        ("water/reference_df", 4, 0, 0),
-        ("water/ellipse_10", 5, 99, 4),
-        ("water/ellipse_10", 4, 23, 1),
+        pytest.param("water/reference_df", 5, 0, 0, marks=pytest.mark.exhaustive),
+        pytest.param("water/reference_df", 4, 0, 0, marks=pytest.mark.exhaustive),
+        pytest.param("water/ellipse_10", 5, 99, 4, marks=pytest.mark.exhaustive),
+        pytest.param("water/ellipse_10", 4, 23, 1, marks=pytest.mark.exhaustive),
         ("puzzleboard/example1", 5, 0, 0),
         ("curved/curve_4", 5, 0, 0),
     ],
