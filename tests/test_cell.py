@@ -33,14 +33,14 @@ def by_definition(image: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1), (3, 90), (80, 97)])
-def test_by_definition(shape):
+def test_the_cell_follows_the_definition(shape):
     for image in (noise(shape), noise(shape) // 64, noise(shape).astype(np.uint16) * 257):
         assert estimate_cell(image) == by_definition(image)
 
 
 @pytest.mark.parametrize("cell", [7, 10, 14.5, 20, 31])
 @pytest.mark.parametrize("angle", some([0.0, 0.1, 0.5], (0.1,)))
-def test_boards(cell, angle):
+def test_the_cell_of_a_board_is_that_of_its_squares(cell, angle):
     image, _ = board(180, 200, cell, angle=angle)
     assert 0.9 * cell <= estimate_cell(image) <= 1.25 * cell
     assert estimate_cell(image) == by_definition(image)

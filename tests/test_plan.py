@@ -68,7 +68,7 @@ def left_out(detector_for, config, *, files=(), launches=(), buffers=(), than=FU
     assert sum(plan.sizes.values()) <= sum(full.sizes.values())
 
 
-def test_the_gate(detector_for):
+def test_without_the_gate_its_kernels_and_buffers_are_left_out(detector_for):
     left_out(
         detector_for,
         rings(FULL, contrast=None),
@@ -79,7 +79,7 @@ def test_the_gate(detector_for):
 
 
 @pytest.mark.parametrize("base", [FULL, HARMONIC], ids=["rings", "harmonic"])
-def test_refinement(detector_for, form, base):
+def test_without_refinement_its_kernels_and_buffers_are_left_out(detector_for, form, base):
     lines, step = ("refine_eight", "edge_step_eight"), ("edge_lines", "edge_step")
     left_out(
         detector_for,
@@ -90,7 +90,7 @@ def test_refinement(detector_for, form, base):
     )
 
 
-def test_extra_layers(detector_for):
+def test_without_extra_layers_their_kernels_are_left_out(detector_for):
     left_out(
         detector_for,
         rings(FULL, threshold=AdaptiveMean()),
@@ -99,7 +99,7 @@ def test_extra_layers(detector_for):
     )
 
 
-def test_the_working_scale(detector_for):
+def test_without_a_working_scale_nothing_is_resampled(detector_for):
     left_out(
         detector_for,
         rings(FULL, scale=None, threshold=AdaptiveMean()),
@@ -110,7 +110,7 @@ def test_the_working_scale(detector_for):
     )
 
 
-def test_the_other_rule(detector_for):
+def test_the_kernels_of_the_other_rule_are_left_out(detector_for):
     harmonic, _, harmonic_kernels = plan_of(detector_for, HARMONIC)
     binary, _, binary_kernels = plan_of(detector_for, rings(refinement=EdgeStep()))
     shared = {"border", "noise", "edge_lines", "edge_step", "cpu/refine", "cpu/edge_step"}
@@ -123,7 +123,7 @@ def test_the_other_rule(detector_for):
     assert not {"fine", "coarse", "lists", "taken"} & set(binary.arrays)
 
 
-def test_squeezed_cells(detector_for, form):
+def test_without_squeezed_cells_their_kernels_are_left_out(detector_for, form):
     """Without them there is one list, and one response."""
     wide = HARMONIC.replace(detection=RingHarmonic(fine=False))
     plan, launched, kernels = plan_of(detector_for, wide)
@@ -139,7 +139,7 @@ def test_squeezed_cells(detector_for, form):
         )
 
 
-def test_the_other_form_of_the_criteria(detector_for):
+def test_the_other_form_of_the_criteria_is_left_out(detector_for):
     rapid, _, rapid_kernels = plan_of(detector_for, rings())
     spectral, _, spectral_kernels = plan_of(
         detector_for, DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()))
@@ -150,7 +150,7 @@ def test_the_other_form_of_the_criteria(detector_for):
     assert not any("rapid" in name for name in spectral_kernels)
 
 
-def test_the_other_refinements(detector_for):
+def test_the_kernels_of_the_other_refinements_are_left_out(detector_for):
     kernels = {
         kind: plan_of(detector_for, DetectorConfig(refinement=kind()))[2]
         for kind in (EdgeLines, EdgeStep, Midlines)
@@ -164,7 +164,7 @@ def test_the_other_refinements(detector_for):
 
 
 @pytest.mark.parametrize("criteria", [RapidCriteria, SpectralCriteria])
-def test_the_corrosion_criterion(detector_for, criteria):
+def test_without_the_corrosion_criterion_it_is_not_worked_out(detector_for, criteria):
     """Its region of 21 pixels is not looked at: the macro that reads it is not compiled."""
     options = []
     for threshold in (6, None):

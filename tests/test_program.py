@@ -155,7 +155,7 @@ def test_compilers_have_nothing_to_remark(
     assert "warning" not in ("".join(logs) + capfd.readouterr().err).lower()
 
 
-def test_missing_kernels(monkeypatch, tmp_path):
+def test_missing_kernels_say_install_again(monkeypatch, tmp_path):
     monkeypatch.setattr(program, "__file__", str(tmp_path / "package" / "opencl" / "program.py"))
     with pytest.raises(KernelBuildError, match="install cmp-cl again"):
         program.kernel_folder()

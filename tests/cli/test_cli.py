@@ -451,7 +451,7 @@ def test_a_wrong_argument_is_one_line_and_status_2(run, arguments, words):
     assert sorted(os.listdir()) == before
 
 
-def test_settings_are_used(run):
+def test_detect_uses_the_settings_of_a_file(run):
     cmp_cl.DetectorConfig(refinement=None).save("cmp.toml")
     run("detect", BOARD, "--config", "cmp.toml", "--out", "c.csv")
     assert {row["method"] for row in rows_of("c.csv")} == {"CENTROID"}

@@ -189,7 +189,7 @@ def test_one_view_gives_positions_in_the_image(run, recording, press):
     assert np.isfinite(series["sigma"]).mean() > 0.98
 
 
-def test_settings_are_used(run, recording):
+def test_run_uses_the_settings_of_a_file(run, recording):
     DetectorConfig.for_cell(15).replace(refinement=EdgeLines()).save("cmp.toml")
     run("run", recording, *STEREO)
     default = np.load("press.npz")["displacement"]

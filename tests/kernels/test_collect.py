@@ -48,7 +48,7 @@ def test_maxima_in_the_corners_of_the_image(detector_for):
 
 
 @pytest.mark.parametrize("shape", some([(1, 31), (31, 1), (2, 3), (23, 29)], ((1, 31),)))
-def test_small_shapes(detector_for, shape):
+def test_images_of_few_pixels_have_the_oracles_corners(detector_for, shape):
     image = noise(shape, seed=8)
     assert_corners_equal(detector_for(image, DENSE), image)
 

@@ -22,7 +22,7 @@ def check(detector_for, image, mask=None, **changes):
 
 @pytest.mark.parametrize("outer_radius", [4, 5])
 @pytest.mark.parametrize("name", some(EIGHT, ("texture", "worn scene", "two levels")))
-def test_every_map(detector_for, name, outer_radius):
+def test_every_map_is_the_oracles(detector_for, name, outer_radius):
     check(detector_for, EIGHT[name], outer_radius=outer_radius)
 
 
@@ -60,7 +60,7 @@ def test_without_the_corrosion_criterion(detector_for, name):
     ),
     ids=str,
 )
-def test_each_threshold_decides(detector_for, criteria):
+def test_each_threshold_decides_as_in_the_oracle(detector_for, criteria):
     image = EIGHT["texture"]
     usual = check(detector_for, image)
     other = check(detector_for, image, criteria=RapidCriteria(**criteria))

@@ -71,7 +71,7 @@ def test_there_are_nine_vectors():
 
 
 @pytest.mark.parametrize("name", some(EIGHT, FEW))
-def test_eight_bits(detector_in_form, name):
+def test_corners_of_eight_bits_are_the_oracles(detector_in_form, name):
     """With the checks, without any, and as starts of refinement."""
     image = EIGHT[name]
     for config in (DetectorConfig(), DENSE, LINES):
@@ -79,7 +79,7 @@ def test_eight_bits(detector_in_form, name):
 
 
 @pytest.mark.parametrize("name", some(EIGHT, FEW))
-def test_maps_of_eight_bits(detector_for, name):
+def test_maps_of_eight_bits_are_the_oracles(detector_for, name):
     for config in (configured(), DENSE):
         assert_maps_equal(detector_for(EIGHT[name], config), EIGHT[name])
 
@@ -146,7 +146,7 @@ def test_widths_around_words_and_vectors(detector_in_form, width):
 
 
 @pytest.mark.parametrize("rows", some([31, 32, 63, 64, 65, 96, 127, 128], (65,)))
-def test_heights_around_bands(detector_in_form, rows):
+def test_images_of_any_height_are_divided_into_bands(detector_in_form, rows):
     image = images.texture((rows, 64), seed=6)
     corners = assert_corners_equal(detector_in_form(image, DENSE), image)
     y = corners.pixel[:, 1]
@@ -176,7 +176,7 @@ def test_bands_of_any_number_give_the_same(device, monkeypatch, bands):
 @pytest.mark.parametrize(
     "name", some(["texture", "fine board", "pixels", "stripes 4"], ("texture",))
 )
-def test_every_radius(detector_in_form, name, nms_radius):
+def test_corners_are_the_oracles_for_every_radius(detector_in_form, name, nms_radius):
     config = configured(nms_radius=nms_radius, **EVERYTHING)
     assert_corners_equal(detector_in_form(EIGHT[name], config), EIGHT[name])
 
@@ -218,7 +218,7 @@ def test_the_largest_harmonics_with_the_largest_factors(detector_in_form):
 
 
 @pytest.mark.parametrize("pixel", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
-def test_the_largest_noise(detector_in_form, pixel):
+def test_the_largest_noise_does_not_overflow(detector_in_form, pixel):
     """The bound of such noise is beyond every response, and its product near 64 bits."""
     most = np.iinfo(pixel).max
     image = (np.indices((200, 220)).sum(0) % 2 * most).astype(pixel)

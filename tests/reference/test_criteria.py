@@ -100,7 +100,7 @@ WIDE = lines(0, math.radians(110))
         ("corrosion_threshold", SLANTED, 1),
     ],
 )
-def test_thresholds_are_strict(field, binary, value):
+def test_a_value_at_its_threshold_fails(field, binary, value):
     assert at_centre(binary, RapidCriteria(**{field: value + 1}))["candidate"] == 1
     assert at_centre(binary, RapidCriteria(**{field: value}))["candidate"] == 0
 

@@ -98,7 +98,7 @@ def test_flat_images_have_no_corner(config, level):
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 @pytest.mark.parametrize("shape", [(0, 0), (0, 7), (7, 0)])
-def test_images_without_pixels(config, shape):
+def test_an_image_without_pixels_has_no_corners(config, shape):
     image = np.zeros(shape, np.uint8)
     corners = reference.detect(image, config)
     assert corners.xy.shape == corners.pixel.shape == (0, 2)

@@ -29,7 +29,7 @@ def one(image: np.ndarray, refinement: object, **changes: object) -> Corners:
 
 
 @pytest.mark.parametrize(("radius", "points"), [(3, 16), (4, 24), (5, 28)])
-def test_circles(radius, points):
+def test_the_circles_are_round_and_begin_at_twelve_oclock(radius, points):
     circle = refine.circle(radius)
     assert len(circle) == len(set(circle)) == points
     assert circle[0] == (0, -radius)
@@ -470,7 +470,7 @@ def test_radii_follow_the_working_scale():
     assert greys[0, 8] == image[20, 26]
 
 
-def test_bilinear_by_hand():
+def test_grey_levels_between_pixels_are_those_worked_out_by_hand():
     image = np.array([[0, 100], [50, 250]], np.uint8)
     x, y = np.array([0.25, 0.5, -3.0, 1.0]), np.array([0.0, 0.5, 0.0, 9.0])
     np.testing.assert_allclose(refine.bilinear(image, x, y), [25, 100, 0, 250])

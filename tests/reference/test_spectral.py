@@ -88,7 +88,7 @@ def test_a_perfect_corner_passes_and_its_response_is_the_formula():
     assert found.corrosion is None
 
 
-def test_each_bound_decides():
+def test_each_bound_of_the_spectrum_decides():
     free = SpectralCriteria(correlation=0, phase=math.pi, corrosion_threshold=None)
     turned = int(ring.rotate(np.array([0x0F0F], np.uint16), 1)[0])
     assert around(0x0F0F, free, turned).candidate[0, 0]
@@ -102,7 +102,7 @@ def test_each_bound_decides():
     assert around(0x0F0F, SpectralCriteria(corrosion_threshold=9)).candidate[0, 0]
 
 
-def test_candidates_by_definition():
+def test_candidates_follow_the_definition():
     criteria = SpectralCriteria(corrosion_threshold=None)
     four = ring.all_rings()[ring.popcount(ring.all_rings() ^ ring.rotate(ring.all_rings(), 1)) == 4]
     rng = np.random.default_rng(8)
