@@ -1,5 +1,5 @@
-"""The rows of the tables: our configurations, the ladder of optional stages, the peers, and
-both with the grid step behind them."""
+"""The rows of the tables: our configurations, each optional stage, the peers, and both followed by
+the grid step."""
 
 import contextlib
 import dataclasses

@@ -5,10 +5,10 @@
 
 Rendered checkerboards that go on beyond all four edges of the picture: zoomed, turned, shifted,
 waved, with a hole in the print or something in front of it. Half of the prints are perfect; the
-others have errors, as real ones do, which tell where the pattern has moved. Each frame is
-numbered like the rest frame, alone and after the frame before. A frame counts as wrong if more
-than one in 500 measured nodes has not its number, and as wrong in silence if it says nothing.
-No peer takes a rest frame: what they are asked is in partial_views.py.
+others have errors, as real ones do, which show where the pattern has moved. Each frame is
+numbered like the rest frame, alone and after the frame before. A frame is wrong if more than one
+measured node in 500 has a wrong number, and wrong in silence if the grid does not say that it may
+be. No peer takes a rest frame; partial_views.py compares the peers.
 """
 
 import argparse

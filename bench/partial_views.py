@@ -2,11 +2,11 @@
 
     python bench/partial_views.py           writes results/partial_views.json
 
-Photographs are cut at each of their four sides so that a part of the board is gone; what is
-left is given to each method. A node is right if it lies within 3 px of a corner and has the
-numbers of one lattice with the others, false if no corner lies within a quarter of a cell.
-"In silence" counts views whose numbers are not those of the whole board though nothing says
-so; only methods that are told the board's size have such numbers.
+Photographs are cut at each of their four sides, so that a part of the board is missing, and given
+to each method. A node is right if it lies within 3 px of a corner and its number fits the
+lattice of the others, false if no corner lies within a quarter of a cell. "In silence" counts views
+whose numbers are not those of the whole board, without a warning; only methods that are told the
+size of the board give such numbers.
 The photographs lie in ../shared/data beside the repository and are not part of it.
 """
 
