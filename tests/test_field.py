@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cases import some
 from disks import full_after
 from stereo_data import gel, grid_of, points, project, toed_in_rig
 
@@ -90,7 +91,7 @@ def test_wear_that_travels_with_the_gel_cancels_and_the_rest_is_known():
     assert np.median(field.position_sigma) < 0.6 * np.median(field.raw.position_sigma)
 
 
-@pytest.mark.parametrize("stretch", [0.05, 0.4])
+@pytest.mark.parametrize("stretch", some([0.05, 0.4], (0.4,)))
 @pytest.mark.parametrize("raw", [True, False], ids=["raw", "filtered"])
 def test_the_sigma_of_a_strain_is_that_of_its_error(raw, stretch):
     """Wear that both moments share counts where the strain is large."""

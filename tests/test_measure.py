@@ -20,7 +20,7 @@ RIG = default_rig(VIEW)
 GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def shots():
     """Return two frames, at rest and pressed: both views in one image; the nodes in space, mm."""
     found = []

@@ -161,7 +161,7 @@ def test_junctions_lie_on_the_rim_around_the_nodes():
     assert len(np.unique(rendered.junctions.round(3), axis=0)) == 84
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def pair():
     scene = synthetic.random_scene(
         5, markers=20, indenter=Indenter.TORUS, mode=Mode.TWIST, shape=(600, 400)
@@ -265,7 +265,7 @@ CHANGES = {
 }
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def cube():
     """Return a scene and its picture."""
     scene = Scene(markers=20, shape=(120, 160), indenter=Indenter.CUBE)

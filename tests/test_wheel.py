@@ -49,7 +49,7 @@ def corners_found(folder, origin, cwd):
     return int(run("-c", DETECT, folder, origin, photograph, cwd=cwd))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def wheel(tmp_path_factory):
     return built_wheel(tmp_path_factory.mktemp("dist"), "-t", "wheel")
 

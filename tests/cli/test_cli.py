@@ -15,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cases import some
 from messages import fails_in_one_line
 
 import cmp_cl
@@ -169,23 +170,34 @@ def test_render_writes_a_picture_and_its_truth_and_detect_finds_them(run):
     assert Path("again.png").read_bytes() == Path("gel.png").read_bytes()
 
 
-def test_each_option_of_render_changes_the_picture(run):
-    usual = ("render", "--shape", 120, 160, "--markers", 10, "--out")
-    run(*usual, "usual.png")
-    for option, value in [
-        ("--markers", 12),
-        ("--severity", 0.5),
-        ("--indenter", "wedge"),
-        ("--mode", "twist"),
-        ("--shape", (100, 160)),
-        ("--corrosion", 0),
-        ("--noise", 9),
-        ("--bits", 12),
-        ("--seed", 7),
-    ]:
-        values = value if isinstance(value, tuple) else (value,)
-        assert run(*usual, "other.png", option, *values)[0] == 0
-        assert Path("other.png").read_bytes() != Path("usual.png").read_bytes(), option
+RENDER = ("render", "--shape", 120, 160, "--markers", 10, "--out")
+
+
+@pytest.fixture(scope="session")
+def usual(tmp_path_factory):
+    """Return the picture of the options RENDER."""
+    path = tmp_path_factory.mktemp("render") / "usual.png"
+    cli.main([str(argument) for argument in (*RENDER, path)])
+    return path.read_bytes()
+
+
+OPTIONS = {
+    "--markers": (12,),
+    "--severity": (0.5,),
+    "--indenter": ("wedge",),
+    "--mode": ("twist",),
+    "--shape": (100, 160),
+    "--corrosion": (0,),
+    "--noise": (9,),
+    "--bits": (12,),
+    "--seed": (7,),
+}
+
+
+@pytest.mark.parametrize("option", some(OPTIONS, ("--mode", "--bits")))
+def test_each_option_of_render_changes_the_picture(run, usual, option):
+    assert run(*RENDER, "other.png", option, *OPTIONS[option])[0] == 0
+    assert Path("other.png").read_bytes() != usual
 
 
 def test_a_12_bit_camera_is_told_about_full_scale(run):

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import pytest
+from cases import some
 from disks import full_after
 from messages import fails_in_one_line
 from plane_images import moved_board
@@ -69,7 +70,7 @@ class Shot(NamedTuple):
         return binocular_frame(self.left, self.right)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def press():
     """Return frames of a gel at rest and pressed more and more."""
     return [
@@ -261,8 +262,20 @@ def test_a_camera_that_is_not_there_is_an_error(run, recording, monkeypatch):
 STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
+@pytest.fixture
+def without_nohup():
+    """Let SIGHUP be heard in a process that nohup has started, too."""
+    if not hasattr(signal, "SIGHUP"):
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("without_nohup")
 @pytest.mark.parametrize("times", [1, 2])
-@pytest.mark.parametrize("name", STOPS)
+@pytest.mark.parametrize("name", some(STOPS, ("SIGINT", "SIGTERM")))
 def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
     def frames_of(path, **_):
         if path.name == "1.png":
@@ -435,7 +448,7 @@ def test_a_region_follows_its_rectangle_into_the_view(mirror):
     assert (x.min() - x0, y.min() - y0, x1 - x.max(), y1 - y.max()) == (0.5,) * 4
 
 
-@pytest.mark.parametrize("option", [["--rerun", "a.rrd"], ["--show"]])
+@pytest.mark.parametrize("option", some([["--rerun", "a.rrd"], ["--show"]], (["--show"],)))
 def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch, option):
     monkeypatch.setitem(sys.modules, "rerun", None)
     monkeypatch.setenv("DISPLAY", ":0")
@@ -588,7 +601,7 @@ def test_demo_does_not_write_into_a_file(run):
 # calibrate
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def boards():
     """Return frames that show a tilted board of 7 x 7 corners, 4 mm apart, to both cameras."""
     tilts = (0.4, 0.1), (-0.3, 0.3), (0.1, -0.45), (-0.4, -0.2)

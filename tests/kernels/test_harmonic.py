@@ -120,7 +120,7 @@ def test_levels_of_every_full_scale(detector_in_form):
 SHAPES = [(1, 1), (1, 40), (40, 1), (2, 2), (2, 31), (3, 3), (5, 4), (9, 11), (11, 64), (34, 7)]
 
 
-@pytest.mark.parametrize("shape", some(SHAPES, ((1, 1), (1, 40), (40, 1), (9, 11))), ids=str)
+@pytest.mark.parametrize("shape", some(SHAPES, ((1, 1), (9, 11))), ids=str)
 def test_images_smaller_than_the_ring(detector_in_form, shape):
     for image in (noise(shape, seed=3), np.full(shape, 255, np.uint8)):
         for config in (DetectorConfig(), DENSE, configured(nms_radius=15, **EVERYTHING)):
