@@ -286,7 +286,7 @@ def test_nothing_found_is_an_empty_grid_or_one_of_the_known_shape():
         assert grid.shape == (0, 0)
         assert grid.index.shape == (few.sum(), 2)
         assert (grid.index == -1).all()
-        known = build_grid(keep(corners, some), shape=(9, 9))
+        known = build_grid(keep(corners, few), shape=(9, 9))
         assert known.shape == (9, 9)
         assert not known.valid.any()
 
