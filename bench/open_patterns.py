@@ -5,10 +5,10 @@
 
 Rendered checkerboards that go on beyond all four edges of the picture: zoomed, turned, shifted,
 waved, with a hole in the print or something in front of it. Half of the prints are perfect; the
-others have errors, as real ones do, which show where the pattern has moved. Each frame is
-numbered like the rest frame, alone and after the frame before. A frame is wrong if more than one
-measured node in 500 has a wrong number, and wrong in silence if the grid does not say that it may
-be. No peer takes a rest frame; partial_views.py compares the peers.
+others have errors, as real ones do, which tell where the pattern has moved. Each frame is
+numbered like the rest frame, alone and after the frame before. A frame counts as wrong if more
+than one in 500 measured nodes has not its number, and as wrong in silence if it says nothing.
+No peer takes a rest frame: what they are asked is in partial_views.py.
 """
 
 import argparse
@@ -62,7 +62,7 @@ class Case(NamedTuple):
 
 
 def cases(*, quick: bool = False) -> Iterator[Case]:
-    """Yield the frames of the report."""
+    """The frames of the report."""
     for wear in (0.0, WEAR):
         for cell in (10.0,) if quick else (9.0, 10.0, 13.0):
             yield Case(cell, wear=wear)
@@ -85,8 +85,7 @@ def cases(*, quick: bool = False) -> Iterator[Case]:
 
 
 def drawn(count: int, seed: int) -> Iterator[Case]:
-    """Return other frames, drawn by chance: cells, zooms, rotations, shifts, waves, holes and
-    prints."""
+    """Other frames: cells, zooms, rotations, shifts, waves, holes and prints drawn by chance."""
     draw = np.random.default_rng(seed)
     for number in range(count):
         kind = draw.integers(4)  # a shift by a period, a small one, a large one, none
@@ -116,7 +115,7 @@ class Print:
         self._perfect = wear == 0
 
     def printed(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the ink of (u, v) is: off by a field that bends within cells."""
+        """Where the ink is that belongs to (u, v): off by a field that bends within cells."""
         if self._perfect:
             return u, v
         at = [np.floor(each).astype(int) for each in (u, v)]
@@ -130,7 +129,7 @@ class Print:
 
 
 def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the point (u, v) of the pattern, cells, that a pixel shows."""
+    """The place (u, v) on the pattern, cells, that a pixel shows."""
     across, down = (
         x - SIDE / 2 - case.shift[0] * case.cell,
         y - SIDE / 2 - case.shift[1] * case.cell,
@@ -145,7 +144,7 @@ def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def picture(case: Case, seed: int) -> GreyImage:
-    """Return the frame, (SIDE, SIDE) uint8."""
+    """The frame, (SIDE, SIDE) uint8."""
     ink = Print(case.print_seed, case.wear)
     steps = (np.arange(SIDE * SAMPLES, dtype=np.float32) + 0.5) / SAMPLES - 0.5
     x, y = np.meshgrid(steps, steps)
@@ -173,7 +172,7 @@ def rest_of(case: Case) -> Case:
 
 
 def true_numbers(grid: Grid, case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers (M, 2) of the measured nodes and of the nearest corners of the pattern."""
+    """Numbers (M, 2) of the measured nodes, and the nearest corners (M, 2) of the pattern there."""
     row, column = np.nonzero(np.isin(grid.status, MEASURED))
     u, v = place(case, *grid.xy[row, column].astype(np.float64).T)
     number = np.stack([row + grid.origin[0], column + grid.origin[1]], axis=1)
@@ -181,7 +180,7 @@ def true_numbers(grid: Grid, case: Case) -> tuple[np.ndarray, np.ndarray]:
 
 
 def verdict(rest: Grid, rest_case: Case, grid: Grid | None, case: Case) -> str:
-    """Return right or wrong, and whether it says that it may be wrong; refused without a grid."""
+    """Right or wrong, and whether it says that it may be wrong; refused without a grid."""
     if grid is None or not grid.valid.any():
         return "refused"
     number, corner = true_numbers(rest, rest_case)
@@ -200,7 +199,7 @@ def attempt(**given: Any) -> Grid | None:
 
 
 def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
-    """Return each frame's verdict: by the rest frame alone, and after frames that lead up to it."""
+    """Each frame's verdict: by the rest frame alone, and after frames that lead up to it."""
     rows = []
     rests: dict[Case, Grid] = {}
     for number, case in enumerate(every):
@@ -233,8 +232,7 @@ def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
 
 
 def followed(detector: Detector, rest: Grid, case: Case, seed: int) -> str:
-    """Return the verdict on the last of frames between which the pattern moves by 0.3 cells at
-    most."""
+    """The verdict on the last of frames between which the pattern moves by 0.3 cells at most."""
     steps = max(1, int(np.ceil(np.hypot(*case.shift) / 0.3)))
     before = rest
     grid: Grid | None = None
@@ -258,7 +256,7 @@ VERDICTS = ("right", "right, ambiguous", "wrong, ambiguous", "refused", "wrong")
 
 
 def counted(rows: Sequence[dict[str, Any]], form: str) -> dict[str, dict[str, int]]:
-    """Return how many frames of each group have each verdict."""
+    """How many frames of each group have each verdict."""
     found: dict[str, dict[str, int]] = {}
     for row in rows:
         group = found.setdefault(row["group"], dict.fromkeys(VERDICTS, 0))

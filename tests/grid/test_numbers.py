@@ -18,12 +18,12 @@ PERIODS = ((1, 1), (2, 0), (-1, 3))
 
 
 def numbers(grid: Grid) -> np.ndarray:
-    """Return the number (row, column) of each corner; far from all others where it has none."""
+    """The number (row, column) of each corner; far from all others where it has none."""
     return np.where(grid.index < 0, -999, grid.index + np.array(grid.origin))
 
 
 def offset(grid: Grid, seen: Board) -> np.ndarray:
-    """Return what has to be added to a grid's numbers to give the true ones; one value for all."""
+    """What has to be added to a grid's numbers to give the true ones; one value for all."""
     known = grid.index[:, 0] >= 0
     off = np.unique((seen.index - numbers(grid))[known], axis=0)
     assert len(off) == 1
@@ -31,7 +31,7 @@ def offset(grid: Grid, seen: Board) -> np.ndarray:
 
 
 def like_rest(*, worn: float = 0.0, **moved) -> tuple[Grid, bool]:
-    """Return the grid of an endless pattern that moved, and whether its numbers are right."""
+    """The grid of an endless pattern that moved, and whether its numbers are right."""
     rest = endless(worn=worn, seed=1)
     at_rest = build_grid(rest.corners)
     now = endless(worn=worn, **moved)
@@ -116,7 +116,7 @@ def test_where_the_rest_frame_and_the_frame_before_disagree_the_frame_says_so():
 
 
 def shifted(grid: Grid, rows: int, columns: int) -> Grid:
-    """Return the grid with the nodes numbered as if the pattern had moved by whole cells."""
+    """The grid with the nodes numbered as if the pattern had moved by whole cells."""
     return dataclasses.replace(grid, origin=(grid.origin[0] - rows, grid.origin[1] - columns))
 
 
@@ -164,8 +164,7 @@ def seen_in(picture: np.ndarray) -> Corners:
 
 
 def true(grid: Grid, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the measured nodes and those of the true corners there, (-1, -1) for
-    none."""
+    """Numbers of the measured nodes and those of the true corners there, (-1, -1) for none."""
     row, column = np.nonzero(np.isin(grid.status, MEASURED))
     away = np.linalg.norm(grid.xy[row, column][:, None] - corners.reshape(-1, 2), axis=2)
     place = np.stack(np.divmod(away.argmin(axis=1), corners.shape[1]), axis=1)
@@ -294,7 +293,7 @@ def test_all_boards_of_a_view_are_found():
 
 
 def island(aside: complex) -> tuple[Board, np.ndarray]:
-    """Return a board with a ring of corners missing, the inner ones moved; which are inner ones."""
+    """A board with a ring of corners missing, what lies inside moved aside; which is inside."""
     whole = board(30, 30, pull=0, twist=0)
     away = np.abs(whole.index - 14.5).max(axis=1)
     inside = away < 5
