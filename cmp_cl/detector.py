@@ -29,6 +29,7 @@ class Detector(Closing):
 
     Use it in a with statement, or call `close`. Buffers and kernels are made once, so that a frame
     allocates nothing on the device. One thread at a time may use it; a second one waits.
+    Detectors of one process and device share a context and what is compiled in it.
 
     shape: (H, W) of every frame. dtype: uint8 or uint16.
     config: the settings; None means DetectorConfig().
