@@ -90,7 +90,7 @@ class Shot(NamedTuple):
 
 
 def scene_of(seed: int, indenter: Indenter, mode: Mode, severity: float) -> Scene:
-    """Return the press of that seed; what a seed draws besides is the same for all of its presses."""
+    """Return the press of that seed; what else a seed draws is the same for all its presses."""
     return random_scene(
         seed, markers=MARKERS, shape=VIEW, indenter=indenter, mode=mode, severity=severity
     )

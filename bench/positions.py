@@ -180,8 +180,8 @@ def interval(hits: float, count: float) -> list[float]:
 
 
 def group(nodes: Sequence[Node], **keys: Any) -> dict[str, Any]:
-    """Return the figures of some frames. Shares are of coordinates; their intervals count frames,
-    whose nodes are not independent of each other.
+    """The figures of some frames. Shares are of coordinates; their intervals count frames, whose
+    nodes are not independent of each other.
     """
     row: dict[str, Any] = {**keys, "frames": len(nodes)}
     for kind in (*KINDS, "corner"):
@@ -371,8 +371,8 @@ def known_strains(repeats: int) -> list[dict[str, Any]]:
 
 
 def resolution(repeats: int) -> list[dict[str, Any]]:
-    """Return, by wavelength, the share of a strain's amplitude that is left, of a displacement
-    along the rows that is a sine over them.
+    """Of a displacement along the rows that is a sine over them: the share of the strain's
+    amplitude that is left, by wavelength.
     """
     rows = []
     amplitude = 0.05  # mm

@@ -374,7 +374,7 @@ class _Tally:
             self._largest, self._where = measured.largest, number
 
     def line(self, nodes: int, unit: str, device: str) -> str:
-        """Return the line that reports the frame. nodes: of the pattern; unit: of the displacement."""
+        """Return the line for the frame; nodes: of the pattern, unit: of the displacement."""
         parts = [counted(self.frames, "frame")]
         if self._fewest is not None:
             mean = self._nodes / (self.frames - self.empty)

@@ -368,7 +368,7 @@ class _Mixture:
             return np.where(mean > 0, sums / mean, alike)
 
     def deviation_of(self, stencil: Array, sigma: Array) -> Array:
-        """Return (R, C) float64: the standard deviation of a linear combination around each node."""
+        """Return (R, C) float64, see `Filtered.deviation_of`."""
         rows, columns = self.votes.shape
         reach, side = stencil.shape[2] // 2, 2 * max(half for half, _ in AXIS_FILTERS)
         down, along = _bands(rows, side), _bands(columns, side)
