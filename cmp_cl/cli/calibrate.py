@@ -68,7 +68,10 @@ def add_parser(commands: Any) -> None:
         "--square", metavar="LENGTH", type=float, required=True, help="side of a square"
     )
     parser.add_argument(
-        "--unit", metavar="UNIT", default="mm", help="of --square and of the result; default: mm"
+        "--unit",
+        metavar="UNIT",
+        default="mm",
+        help="unit of --square and of the result; default: mm",
     )
     parser.add_argument(
         "--out",

@@ -82,12 +82,14 @@ def add_parser(commands: Any) -> None:
         help="largest difference between the times of a pair, ms; default: half of the time "
         f"between frames, {_PAIR_WITHIN:g} where that is unknown",
     )
-    camera = parser.add_argument_group("a camera, a device or an address")
+    camera = parser.add_argument_group("settings of a camera, a device or an address")
     camera.add_argument(
-        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="of its frames, px"
+        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of its frames, px"
     )
     camera.add_argument("--camera-fps", metavar="FPS", type=float, help="frames per second")
-    camera.add_argument("--exposure", metavar="VALUE", type=float, help="in the unit of its driver")
+    camera.add_argument(
+        "--exposure", metavar="VALUE", type=float, help="exposure time, as the driver counts it"
+    )
     camera.add_argument(
         "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
     )
@@ -168,7 +170,7 @@ def add_parser(commands: Any) -> None:
         "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
         "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px. filtered says "
         "whether the lattice filter is on; then raw_rest, raw_displacement or raw_xy, and "
-        "raw_sigma are what it was given. left and right are never filtered. --strain adds strain "
+        "raw_sigma are its input. left and right are never filtered. --strain adds strain "
         "(R, C, 3: Exx, Eyy, Exy, in space along rows, along columns, and between), of one view "
         "also principal (R, C, 2), direction, rad, translation, rotation, rad, and zoom, each with "
         "_sigma. --contact adds depth, depth_sigma, normal, contact, contact_area and "
