@@ -61,7 +61,7 @@ class AdaptiveMean:
         if self.masks == 3 and self.offset:
             raise ConfigError(
                 f"AdaptiveMean.offset must be 0 with masks=3, not {self.offset!r}: "
-                "the outer masks already move the threshold"
+                "the outer layers already move the threshold"
             )
 
 
@@ -163,7 +163,7 @@ class RingHarmonic:
 
     @property
     def coarse_noise(self) -> int:
-        """The noise bound of the 5 px ring, in hundredths of the mean noise amplitude.
+        """Return the noise bound of the 5 px ring, in hundredths of the mean noise amplitude.
 
         334 of them are one standard deviation of the response.
         """
@@ -171,17 +171,17 @@ class RingHarmonic:
 
     @property
     def fine_noise(self) -> int:
-        """The noise bound of the 3 px ring, in hundredths of the mean noise amplitude."""
+        """Return the noise bound of the 3 px ring, in hundredths of the mean noise amplitude."""
         return 2 * self.coarse_noise
 
     @property
     def coarse_share(self) -> int:
-        """The least response of the 5 px ring, in 1/128 of the reference."""
+        """Return the least response of the 5 px ring, in 1/128 of the reference."""
         return math.floor(128 * self.relative + 0.5)
 
     @property
     def fine_share(self) -> int:
-        """The least response of the 3 px ring, in 1/128 of the reference."""
+        """Return the least response of the 3 px ring, in 1/128 of the reference."""
         return (5 * self.coarse_share + 1) // 3
 
 

@@ -175,7 +175,7 @@ class OneView(Measurement):
 
     @property
     def rest_grid(self) -> Grid:
-        """The grid of the frame at rest."""
+        """Return the grid of the frame at rest."""
         return self._pattern.rest
 
     def __call__(self, frame: GreyImage) -> Measured:
@@ -267,7 +267,7 @@ class TwoViews(Measurement):
 
     @property
     def rest_grids(self) -> tuple[Grid, Grid]:
-        """The grids of the frame at rest, left and right."""
+        """Return the grids of the frame at rest, left and right."""
         return self._left.rest, self._right.rest
 
     def _placed(self, left: Grid, right: Grid) -> Points3D:
