@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from environment import RESULTS, environment
 
@@ -28,6 +29,7 @@ from cmp_cl.image import GreyImage
 SIDE = 400  # px, of the pictures
 SAMPLES = 3  # of a pixel, along each axis
 NOISE = 2.0  # grey levels
+PERIOD = 256  # cells, after which the errors of a print come again
 WEAR = 0.03  # cells: standard deviation of the errors of a worn print
 MEASURED = (1, 2, 3)  # statuses of nodes that are no interpolation
 
@@ -110,22 +112,18 @@ class Print:
     """A checkerboard without end, with the errors of its print: (u, v) are cells."""
 
     def __init__(self, seed: int, wear: float) -> None:
-        error = np.random.default_rng(seed).normal(0, wear, (2, 256, 256))
-        self._error = error.astype(np.float32)
+        error = np.random.default_rng(seed).normal(0, wear, (2, PERIOD, PERIOD))
+        across, down = (np.pad(each, ((0, 1), (0, 1)), mode="wrap") for each in error)
+        self._error = np.dstack([across, down]).astype(np.float32)
         self._perfect = wear == 0
 
     def printed(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the ink is that belongs to (u, v): off by a field that bends within cells."""
+        """Where the ink is that belongs to (u, v): off by a field that is linear within cells."""
         if self._perfect:
             return u, v
-        at = [np.floor(each).astype(int) for each in (u, v)]
-        part = [each - whole for each, whole in zip((u, v), at, strict=True)]
-        off = np.zeros((2, *u.shape), np.float32)
-        for i in (0, 1):
-            for j in (0, 1):
-                weight = np.abs(1 - i - part[0]) * np.abs(1 - j - part[1])
-                off += weight * self._error[:, (at[1] + j) % 256, (at[0] + i) % 256]
-        return u + off[0], v + off[1]
+        around = u - PERIOD * np.floor(u / PERIOD), v - PERIOD * np.floor(v / PERIOD)
+        off = cv2.remap(self._error, *around, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return u + off[..., 0], v + off[..., 1]
 
 
 def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -143,22 +141,32 @@ def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndar
     return back * across - aside * down + 0.37, aside * across + back * down + 0.21
 
 
-def picture(case: Case, seed: int) -> GreyImage:
-    """The frame, (SIDE, SIDE) uint8."""
-    ink = Print(case.print_seed, case.wear)
-    steps = (np.arange(SIDE * SAMPLES, dtype=np.float32) + 0.5) / SAMPLES - 0.5
-    x, y = np.meshgrid(steps, steps)
-    u, v = place(case, x, y)
-    across, down = ink.printed(u, v)
+def clean_picture(case: Case) -> np.ndarray:
+    """The grey levels of a frame without noise, (SIDE, SIDE) float32."""
+    steps = (np.arange(SIDE * SAMPLES, dtype=np.float32) + np.float32(0.5)) / SAMPLES - 0.5
+    x, y = steps[None].astype(np.float32), steps[:, None].astype(np.float32)
+    if case.wave:  # else rows and columns broadcast
+        x, y = np.broadcast_arrays(x, y)
+    u, v = (each.astype(np.float32) for each in place(case, x, y))
+    across, down = Print(case.print_seed, case.wear).printed(u, v)
     black = (np.floor(across).astype(np.int32) + np.floor(down).astype(np.int32)) & 1 == 0
     level = np.where(black, np.float32(45), np.float32(205))
     if case.hole == "print":
-        level[np.hypot(u - 6, v + 4) < 3] = 120
+        level[np.square(u - 6) + np.square(v + 4) < 9] = 120
     elif case.hole == "front":
-        level[np.hypot(x - 240, y - 160) < 3 * case.cell] = 30
-    level = level.reshape(SIDE, SAMPLES, SIDE, SAMPLES).mean(axis=(1, 3))
-    level += np.random.default_rng(seed).normal(0, case.noise, level.shape)
-    return np.clip(np.rint(level), 0, 255).astype(np.uint8)
+        level[np.square(x - 240) + np.square(y - 160) < (3 * case.cell) ** 2] = 30
+    return cv2.resize(level, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+
+
+def noisy(level: np.ndarray, case: Case, seed: int) -> GreyImage:
+    """The frame, (SIDE, SIDE) uint8."""
+    noise = np.random.default_rng(seed).standard_normal(level.shape, dtype=np.float32)
+    return np.clip(np.rint(level + np.float32(case.noise) * noise), 0, 255).astype(np.uint8)
+
+
+def picture(case: Case, seed: int) -> GreyImage:
+    """The frame, (SIDE, SIDE) uint8."""
+    return noisy(clean_picture(case), case, seed)
 
 
 def rest_of(case: Case) -> Case:

@@ -16,6 +16,9 @@ HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the picture may not
 FLAT = 0.3  # of the contrast of the cells before: below it those beyond are no cells
 SPOTS = np.array([-0.15, 0.0, 0.15])  # cells: where a square's grey level is taken
 MOST = 23  # squares of a side that are looked at; odd, so that of equal steps both colours come
+DEPTHS = np.arange(0.55, 1.5, 0.1)  # cells from the last nodes: where the last squares may end
+WHOLE, WHOLE_EACH = 0.1, 0.16  # cells: how far from one cell they end, in the middle, and most
+PAIRS = 16  # neighbouring squares of a side that are looked at for where they end
 
 
 class Ends(NamedTuple):
@@ -34,8 +37,44 @@ class Ends(NamedTuple):
 
 
 def border_of(nodes: Nodes, image: GreyImage) -> Sides:
-    """Return the sides on which nodes end in the image, where no cell follows."""
-    return _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
+    """Return the sides on which nodes end in the image, where no cell follows a whole one.
+
+    The edge of what lies in front of a pattern, or of a band beside the picture, cuts squares
+    anywhere; a pattern ends one cell after its last nodes.
+    """
+    ended = _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
+    at, across = nodes.at, nodes.at.T
+    ways = (at, at[::-1], across, across[::-1])
+    return Sides(*(end and _whole(way, image) for end, way in zip(ended, ways, strict=True)))
+
+
+def _whole(at: Points, image: GreyImage) -> bool:
+    """Return whether the squares before the first row of nodes, (R, C) px, are whole.
+
+    A square ends where its contrast to the one beside it does: the mean of that contrast over
+    depths, as a share of that between the first two rows, is how far it reaches.
+    """
+    one, two = at[0], at[1]
+    seen = ~np.isnan(one.real) & ~np.isnan(two.real)
+    column = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:])
+    if len(column) > PAIRS:
+        column = column[np.arange(PAIRS) * len(column) // PAIRS]
+    beside = np.stack([column, column + 1], axis=1)
+    middle = (one[beside] + one[beside + 1]) / 2
+    out = middle - (two[beside] + two[beside + 1]) / 2
+    along = one[beside + 1] - one[beside]
+    shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
+    if not shown.any():
+        return False
+    middle, out, along = middle[shown, :, None], out[shown, :, None], along[shown, :, None]
+    depths = np.concatenate([[-0.5], DEPTHS])
+    level = grey(image, (middle + depths * out)[..., None] + SPOTS * along[..., None]).sum(axis=3)
+    contrast = level[:, 0] - level[:, 1]
+    inside = contrast[:, :1]  # of the other sign
+    share = np.clip(-contrast[:, 1:] / np.where(inside == 0, np.inf, inside), 0, 1)
+    off = DEPTHS[0] - 0.05 + 0.1 * share.sum(axis=1) - 1
+    most = np.quantile(np.abs(off), 0.75)
+    return bool(abs(np.median(off)) <= WHOLE and most <= WHOLE_EACH)
 
 
 def cut_of(nodes: Nodes, image: GreyImage) -> Sides:

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cmp_cl.grid.border import full_lines
-from cmp_cl.grid.fingerprint import Fingerprint, shift_to
+from cmp_cl.grid.fingerprint import Fingerprint, shift_to, turn_to
 from cmp_cl.grid.grid import MEASURED, Grid, Rival, Sides
 from cmp_cl.grid.nearest import (
     FAR,
@@ -41,6 +41,7 @@ from cmp_cl.grid.nodes import NOWHERE, Nodes, Points, check_room
 STILL = 0.125  # cells: a pattern that moved less as a whole is where it was
 FOLLOWED = 0.5  # cells: how far the pattern as a whole may move from one frame to the next
 UNSURE = np.deg2rad(40)  # a pattern that turned so far may have turned the other way
+UNDECIDED = np.deg2rad(10)  # a rotation that is larger by less than that is as likely
 
 
 class Placed(NamedTuple):
@@ -60,11 +61,15 @@ class Placed(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The best numbering, the second best, and whether the best is sure."""
+    """The best numbering, the second best, and whether the best is sure.
+
+    usual: whether it is sure only because a pattern usually turns by less than half a quarter.
+    """
 
     best: Choice
     second: Choice | None
     sure: bool
+    usual: bool = False
 
     def agrees(self, other: "Decision") -> bool:
         return self.best.number == other.best.number
@@ -77,20 +82,49 @@ def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) ->
     the numbers of the rest grid, or None.
     """
     rest = Reference.of(like)
-    same = (nodes.at.shape, nodes.parity) == (like.shape, like.parity)
-    whole = same and all(border) and all(like.border)
-    if whole and quarter_turns(nodes.at, rest)[0][0] == 0:
-        return Placed(nodes, origin=like.origin)
-    decided = _by_border(nodes, border, like, rest)
-    if not decided.sure:
-        decided = _by_print(nodes, like, rest, decided)
+    if all(border) and all(like.border) and nodes.at.shape in (like.shape, like.shape[::-1]):
+        decided = _by_turn(nodes, like, rest)
+    else:
+        decided = _by_border(nodes, border, like, rest)
+        if not decided.sure:
+            decided = _by_print(nodes, like, rest, decided)
+        elif any(border):
+            decided = _checked(nodes, like, rest, decided)
     if previous is not None:
         followed = _by_frame_before(nodes, border, like, previous)
-        if not decided.sure:
+        if not decided.sure or (decided.usual and followed.sure):
             decided = followed
         elif followed.sure and not decided.agrees(followed):
             decided = Decision(decided.best, followed.best, sure=False)
     return _placed(nodes, like, decided)
+
+
+def _by_turn(nodes: Nodes, like: Grid, rest: Reference) -> Decision:
+    """Choose the rotation of a pattern that is seen whole, now and at rest.
+
+    Colours and shape leave one, two or four. Of several the print tells one, if it has errors;
+    else it is the least, as long as the next is clearly larger: up to 40 degrees where a
+    quarter turn leaves the pattern as it was.
+    """
+    top, left = like.origin
+    ordered = quarter_turns(nodes.at, rest, every=True)
+    fitting = []
+    for quarters, angle in ordered:
+        turned = nodes.turned(quarters)
+        if turned.at.shape == like.shape and (top + left) % 2 == colour(turned, rest):
+            fitting.append((quarters, angle))
+    if not fitting:
+        return _by_border(nodes, Sides(), like, rest)
+    turns = [quarters for quarters, _ in fitting]
+    choices = {quarters: Choice(0.0, 0.0, quarters, top, left) for quarters in turns}
+    if len(turns) == 1:
+        return Decision(choices[turns[0]], None, sure=True)
+    printed = turn_to(_printed(like, rest), Fingerprint.of(nodes.at), turns)
+    if printed is not None:
+        return Decision(choices[printed], None, sure=True)
+    usual = fitting[1][1] - fitting[0][1] > UNDECIDED
+    second = None if usual else choices[turns[1]]
+    return Decision(choices[turns[0]], second, sure=usual, usual=usual)
 
 
 def _by_border(nodes: Nodes, border: Sides, like: Grid, rest: Reference) -> Decision:
@@ -121,10 +155,8 @@ def _by_border(nodes: Nodes, border: Sides, like: Grid, rest: Reference) -> Deci
 
 def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> Decision:
     """Choose the numbering under which the errors of the print agree, if there is one."""
-    at_rest = Fingerprint.of(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
-    order = [turn for turn, _ in quarter_turns(nodes.at, rest)]
-    order += [turn for turn in range(4) if turn not in order]
-    for quarters in order:
+    at_rest = _printed(like, rest)
+    for quarters, _ in quarter_turns(nodes.at, rest, every=True):
         turned = nodes.turned(quarters)
         shift = shift_to(at_rest, Fingerprint.of(turned.at))
         if shift is None:
@@ -137,6 +169,28 @@ def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> D
         second = [each for each in others if each is not None and each.number != best.number]
         return Decision(best, second[0] if second else None, sure=True)
     return nearest
+
+
+def _printed(like: Grid, rest: Reference) -> Fingerprint:
+    """Return the errors of the print at rest."""
+    return Fingerprint.of(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
+
+
+def _checked(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) -> Decision:
+    """Return what the border decides, unless the errors of the print tell another place.
+
+    What hides a part of the pattern along a row may look like its border; then it is not sure,
+    and the print's place is the best.
+    """
+    quarters, top, left = decided.best.number
+    turned = nodes.turned(quarters)
+    shift = shift_to(_printed(like, rest), Fingerprint.of(turned.at))
+    if shift is None:
+        return decided
+    number = shift[0] + like.origin[0], shift[1] + like.origin[1]
+    if number == (top, left) or sum(number) % 2 != colour(turned, rest):
+        return decided
+    return Decision(chosen(turned, rest, quarters, *number), decided.best, sure=False)
 
 
 def _by_frame_before(nodes: Nodes, border: Sides, like: Grid, previous: Grid) -> Decision:
@@ -220,7 +274,7 @@ def _known_ends(like: Grid, at: Points) -> Sides:
 
 def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
     """Return the nodes on the rest grid's rows and columns, and on those beyond an open side."""
-    best, second, sure = decided
+    best, second, sure, _ = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []
     ends = (like.border[:2], like.border[2:])
