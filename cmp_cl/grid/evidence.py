@@ -26,8 +26,9 @@ class Least(NamedTuple):
     off: float
 
 
-USUAL = Least(0.4, 0.3, 0.85, np.inf)
+USUAL = Least(0.5, 0.2, 0.85, 0.12)
 ALONE = Least(0.8, 0.7, 0.95, 0.12)  # of a node that is in no whole cell
+NEAR = 1.5  # px: a node in a whole cell may be so far from its prediction however small cells are
 EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the picture's edge, and from the prediction there
 EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
 
@@ -143,25 +144,22 @@ def _convincing(
     inward = np.minimum(
         np.minimum(at.real, far[0] - at.real), np.minimum(at.imag, far[1] - at.imag)
     )
-    off = np.zeros(len(row))
-    asked = np.flatnonzero(~in_cell | (inward < np.maximum(EDGE_PIXELS, EDGE_CELLS * cell)))
-    if len(asked):
-        expected, _ = predict(nodes.at, row[asked], column[asked])
-        off[asked] = np.abs(expected - at[asked])
-        off[asked[np.isnan(off[asked])]] = np.inf
+    expected, _ = predict(nodes.at, row, column)
+    off = np.abs(expected - at)
+    off[np.isnan(off)] = np.inf
 
-    def fits(least: Least) -> Mask:
+    def fits(least: Least, near: float) -> Mask:
         return (
             (contrast >= least.span * span)
             & (contrast >= least.contrast * usual)
             & ~(cosine < least.cosine)
-            & (off <= least.off * cell)
+            & (off <= np.maximum(least.off * cell, near))
         )
 
     guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK  # on rings that reach outside
     beside = (inward < 0) | ((inward < EDGE_PIXELS) & (guessed | (off > EDGE_OFF)))
     beside |= (inward < EDGE_CELLS * cell) & (off > EDGE_OFF_CELLS * cell)
-    kept: Mask = known & np.where(in_cell, fits(USUAL), fits(ALONE)) & ~beside
+    kept: Mask = known & np.where(in_cell, fits(USUAL, NEAR), fits(ALONE, 0)) & ~beside
     return kept
 
 

@@ -80,16 +80,17 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
     stands out as in `shift_to`. Errors that a camera makes at the same place of every picture
     speak for the pattern that has not turned, or for all turns alike.
     """
-    scores = []
+    scores: list[float] = []
     for quarters in turns:
         error = np.rot90(now.error, quarters) * (-1j) ** quarters
         both = np.rot90(now.known, quarters) & rest.known
         agreed = float((error.conj() * rest.error).real.sum())
-        power = float((np.abs(error[both]) ** 2).sum() * (np.abs(rest.error[both]) ** 2).sum())
-        scores.append(agreed / np.sqrt(max(power, 1e-30) / 2 / max(np.count_nonzero(both), 1)))
+        power = (np.abs(error[both]) ** 2).sum() * (np.abs(rest.error[both]) ** 2).sum()
+        chance = np.sqrt(max(float(power), 1e-30) / 2 / max(int(np.count_nonzero(both)), 1))
+        scores.append(agreed / float(chance))
     best = int(np.argmax(scores))
-    others = (ABOVE_SECOND * score for place, score in enumerate(scores) if place != best)
-    return turns[best] if scores[best] >= max([ABOVE_CHANCE, *others]) else None
+    second = max(score for place, score in enumerate(scores) if place != best)
+    return turns[best] if scores[best] >= max(ABOVE_CHANCE, ABOVE_SECOND * second) else None
 
 
 def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
