@@ -12,7 +12,8 @@ from cmp_cl.grid.predict import REACHED, mean_steps, predict, predict_within
 from cmp_cl.grid.second_look import second_look
 from cmp_cl.image import GreyImage
 
-NEAR = 0.3  # cells: how far from its prediction a node may be
+NEAR = 0.3  # cells: how far from its prediction a corner is looked for
+MISFIT = 0.25  # cells: farther from a well supported prediction is a node's no place
 APART = 0.4  # cells: nearer than that a second look has found a corner twice
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
 FEW = 400  # nodes that are quicker predicted one by one
@@ -88,7 +89,7 @@ def drop_misfits(nodes: Nodes) -> None:
     while nodes.changed.any():
         row, column = _near_changes(nodes)
         off = _misfits(nodes.at, row, column)
-        bad = off > NEAR
+        bad = off > MISFIT
         nodes.changed[:] = False
         if not bad.any():
             return
