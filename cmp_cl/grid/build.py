@@ -70,7 +70,10 @@ def build_grid(
     of the print, which are the same in both frames, and `previous`. Without them the grid is
     ambiguous, and has the numbers by which the middle of the view has moved least: right as
     long as it moved by less than half a cell. A pattern that turned by more than 40 degrees
-    needs a border or a print that tell.
+    needs a border or a print that tell; one that is seen whole and looks the same after a
+    quarter turn has turned by the least angle, and is ambiguous from 40 to 50 degrees.
+    The edge of something that hides the pattern along a row passes for its border only where
+    it leaves as much of the last squares as at rest.
     Where no closed cell is found the grid is empty, (0, 0) or of the known shape.
 
     Raises GridError where corners have no finite position or no edge angles, where two

@@ -12,8 +12,7 @@ from cmp_cl.grid.predict import REACHED, mean_steps, predict, predict_within
 from cmp_cl.grid.second_look import second_look
 from cmp_cl.image import GreyImage
 
-NEAR = 0.3  # cells: how far from its prediction a corner is looked for
-MISFIT = 0.25  # cells: farther from a well supported prediction is a node's no place
+NEAR = 0.3  # cells: how far from its prediction a node may be
 APART = 0.4  # cells: nearer than that a second look has found a corner twice
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
 FEW = 400  # nodes that are quicker predicted one by one
@@ -89,7 +88,7 @@ def drop_misfits(nodes: Nodes) -> None:
     while nodes.changed.any():
         row, column = _near_changes(nodes)
         off = _misfits(nodes.at, row, column)
-        bad = off > MISFIT
+        bad = off > NEAR
         nodes.changed[:] = False
         if not bad.any():
             return
