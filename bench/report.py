@@ -731,6 +731,14 @@ def open_patterns(result: Row) -> str:
         shown = ["in silence" if verdict == "wrong" else verdict for verdict in head]
         rows = [[group, *(count[verdict] for verdict in head)] for group, count in counts.items()]
         parts.append(f"{words}:\n\n" + table(("frames", *shown), rows))
+    peers = result["lattices"]
+    parts.append(
+        "No peer takes a rest frame. One frame in fourteen, given to each method alone: a frame is "
+        "right if all its nodes have the numbers of one lattice, but for one in 500, however few "
+        "they are; a node is false that is a quarter of a cell from every corner.\n"
+    )
+    parts.append(table(list(peers[0]), [list(row.values()) for row in peers]))
+    parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]
     return "\n".join(parts)
 
 

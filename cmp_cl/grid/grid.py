@@ -3,7 +3,7 @@
 import dataclasses
 import enum
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -23,6 +23,8 @@ class NodeStatus(enum.IntEnum):
     VIRTUAL = 5  # a marker on the edge between two neighbours
 
 
+T = TypeVar("T")
+
 # what an image shows, and no neighbour has told
 MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
@@ -37,13 +39,19 @@ class Sides(NamedTuple):
 
     def turned(self, quarters: int) -> "Sides":
         """Return the same sides after the numbers are turned as in `Grid.turned`."""
-        sides = self
-        for _ in range(quarters % 4):
-            sides = Sides(sides.right, sides.left, sides.top, sides.bottom)
-        return sides
+        return Sides(*turned_sides(self, quarters))
+
+
+def turned_sides(sides: tuple[T, T, T, T], quarters: int) -> tuple[T, T, T, T]:
+    """Return what (top, bottom, left, right) have after the numbers are turned."""
+    for _ in range(quarters % 4):
+        top, bottom, left, right = sides
+        sides = right, left, top, bottom
+    return sides
 
 
 NO_SIDES = Sides()
+UNSEEN = (math.nan, math.nan, math.nan, math.nan)
 
 
 class Rival(NamedTuple):
@@ -73,6 +81,8 @@ class Grid:
     component: (R, C) int32, 0 for the nodes that hang together with the most others by steps
         from neighbour to neighbour, then 1, 2, ...; -1 where missing. Left out, it is computed.
     border: sides on which the pattern ends in the view.
+    reach: how far its last squares reach beyond the last nodes there, cells: 1 where they are
+        whole; top, bottom, left, right, NaN where it is not seen.
     continues: sides on which the pattern goes on beyond a known shape: the shape is wrong.
     seen_shape: rows and columns of what is seen where that contradicts a known shape.
     ambiguous: whether another numbering explains the frame too. The numbers are then those of
@@ -90,6 +100,7 @@ class Grid:
     origin: tuple[int, int] = (0, 0)
     component: NDArray[np.int32] = dataclasses.field(default_factory=lambda: np.zeros((0, 0), "i4"))
     border: Sides = NO_SIDES
+    reach: tuple[float, float, float, float] = UNSEEN
     continues: Sides = NO_SIDES
     seen_shape: tuple[int, int] | None = None
     ambiguous: bool = False
@@ -153,6 +164,7 @@ class Grid:
             parity=(self.parity + (0, columns, rows + columns, rows)[quarters]) % 2,
             origin=(0, 0),
             border=self.border.turned(quarters),
+            reach=turned_sides(self.reach, quarters),
             continues=self.continues.turned(quarters),
             seen_shape=seen,
         )
