@@ -62,7 +62,8 @@ class Filtered:
     _mixtures: "tuple[_Mixture, ...]"
 
     def covariance(self) -> Array:
-        """(R, C, K, K) float64, of the coordinates of each filtered node, NaN where sigma is.
+        """Return (R, C, K, K) float64: the covariance of the coordinates of each filtered node, NaN
+        where sigma is.
 
         The residuals around the node say how its coordinates vary together; the mean of the
         diagonal is sigma squared.
@@ -70,7 +71,7 @@ class Filtered:
         return self._covariance(self.sigma)
 
     def noise_covariance(self) -> Array:
-        """(R, C, K, K) float64, the same of the values before the filter."""
+        """Return (R, C, K, K) float64: the same of the values before the filter."""
         return self._covariance(self.noise)
 
     def _covariance(self, sigma: Array) -> Array:
@@ -83,7 +84,7 @@ class Filtered:
         return whole
 
     def deviation_of(self, stencil: ArrayLike) -> Array:
-        """(R, C) float64, the standard deviation of a linear combination around each node.
+        """Return (R, C) float64: the standard deviation of a linear combination around each node.
 
         stencil: (R, C, S, S), S odd, the weights of the filtered neighbours, the node itself in
         the middle; weights of what lies beyond the lattice or is NaN must be 0. Neighbours
@@ -203,7 +204,7 @@ def _of_component(
 
 
 def _components(votes: Bools) -> list[Bools]:
-    """The parts of the lattice with votes, with up to a node around each; gaps of one or two
+    """Return the parts of the lattice with votes, with up to a node around each; gaps of one or two
     nodes part nothing.
     """
     if votes.all():
@@ -228,8 +229,8 @@ def _bilinear(rows: int, columns: int) -> Array:
 
 
 def _plane(values: Array, votes: Bools) -> Array:
-    """(R, C, K): the bilinear surface that fits best. The filters leave such surfaces as they
-    are; without it float32 is exact enough for what is left.
+    """Return (R, C, K): the bilinear surface that fits best. The filters leave such surfaces as
+    they are; without it float32 is exact enough for what is left.
     """
     rows, columns = votes.shape
     terms = _bilinear(rows, columns)
@@ -266,7 +267,7 @@ class _Axis:
 
 
 def _polynomial(n: int, half: int, degree: int) -> Array:
-    """(n, n): the value at each node of the polynomial fitted to its window, which is moved
+    """Return (n, n): the value at each node of the polynomial fitted to its window, which is moved
     inwards at the ends.
     """
     whole = np.zeros((n, n))
@@ -358,7 +359,8 @@ class _Mixture:
     gain: Single
 
     def common(self) -> Array:
-        """(R, C, K, K): how the coordinates vary together around each node, of mean diagonal 1."""
+        """Return (R, C, K, K): how the coordinates vary together around each node, of mean diagonal
+        1."""
         rows, columns = self.votes.shape
         down, along = _axis(rows), _axis(columns)
         residual = np.where(self.votes, self.residual, 0).astype(np.float64)
@@ -372,7 +374,7 @@ class _Mixture:
             return np.where(mean > 0, sums / mean, alike)
 
     def deviation_of(self, stencil: Array, sigma: Array) -> Array:
-        """(R, C), see `Filtered.deviation_of`."""
+        """Return (R, C) float64, see `Filtered.deviation_of`."""
         rows, columns = self.votes.shape
         reach, side = stencil.shape[2] // 2, 2 * max(half for half, _ in AXIS_FILTERS)
         down, along = (_bands(n, side, bends=self.bends) for n in (rows, columns))
@@ -658,8 +660,8 @@ def _over_pairs(weights: Single, values: Single) -> Single:
 
 
 def _filled(data: Single, votes: Bools) -> Single:
-    """The data with predictions where there is no vote: a quadratic surface through the votes
-    around, 0 where those are too few.
+    """Return the data with predictions where there is no vote: a quadratic surface through the
+    votes around, 0 where those are too few.
     """
     result = np.where(votes, data, np.float32(0))
     holes = np.argwhere(~votes)
@@ -676,7 +678,8 @@ def _filled(data: Single, votes: Bools) -> Single:
 def _predicted(
     data: Single, votes: Bools, holes: NDArray[np.int64], reach: int
 ) -> tuple[Array, Bools]:
-    """(H, K) predictions for H nodes from what lies within `reach`, and whether they are sure."""
+    """Return (H, K) predictions for H nodes from what lies within `reach`, and whether they are
+    sure."""
     offset = np.arange(-reach, reach + 1)
     r, c = (
         each.reshape(-1).astype(np.float64) for each in np.meshgrid(offset, offset, indexing="ij")

@@ -85,7 +85,7 @@ def filter_grid(values: Floats, measured: Bools | None = None, *, bends: bool = 
 
 
 def _components(votes: Bools) -> list[Bools]:
-    """Flood fill over the votes grown by a node."""
+    """Label the parts of the votes by flood fill, after each vote has grown by a node."""
     rows, columns = votes.shape
     grown = np.zeros_like(votes)
     for r, c in zip(*np.nonzero(votes), strict=True):

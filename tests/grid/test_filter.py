@@ -10,7 +10,7 @@ from cmp_cl.reference import lattice_filter
 
 
 def surface(rows, columns, bend=2.0):
-    """A smooth deformation of a lattice, (R, C, 2), px."""
+    """Return a smooth deformation of a lattice, (R, C, 2), px."""
     r, c = np.mgrid[:rows, :columns] / max(rows, columns, 2)
     return np.stack([bend * np.sin(3 * c + r), bend * np.cos(2 * r - c)], axis=-1)
 
@@ -218,7 +218,7 @@ def test_interpolated_nodes_follow_their_neighbours():
 
 
 def assert_as_the_oracle(values, measured=None, *, bends=False):
-    """The fast form in float32 is the oracle's in float64, to 5e-3 of the noise."""
+    """Assert that the fast form in float32 is the oracle's in float64, to 5e-3 of the noise."""
     found = filter_grid(values, measured=measured, bends=bends)
     expected = lattice_filter.filter_grid(values, measured, bends=bends)
     assert expected.margin.min() > 1e-4
