@@ -364,6 +364,13 @@ def test_calibration_finds_the_rig_again():
         assert points.error.mean() < 0.1
 
 
+def test_the_same_views_give_the_same_bytes():
+    views = boards(toed_in_rig(), np.random.default_rng(3))
+    rigs = [calibrate(views, spacing=3, image_size=(800, 1200)).rig for _ in range(4)]
+    for name in ("K1", "D1", "K2", "D2", "R", "T"):
+        assert len({getattr(rig, name).tobytes() for rig in rigs}) == 1, name
+
+
 def test_calibration_takes_partial_views():
     rig, rng = toed_in_rig(), np.random.default_rng(4)
     views = boards(rig, rng)

@@ -42,6 +42,19 @@ def test_a_sharp_bend_is_kept():
     assert rms((filtered.values - truth)[~bend]) < 0.7 * rms((values - truth)[~bend])
 
 
+@pytest.mark.parametrize("direction", ["along a row", "along one diagonal", "along the other"])
+def test_a_sharp_ridge_of_a_deformation_is_kept_in_every_direction(direction):
+    r, c = np.mgrid[:20, :20]
+    off = {"along a row": r - 9.5, "along one diagonal": r - c, "along the other": r + c - 19}
+    ridge = np.exp(-np.square(off[direction]) / 2)
+    truth = np.stack([ridge, -ridge], axis=-1)
+    values = noisy(truth, 0.02)
+    filtered = filter_grid(values, bends=True)
+    near = np.abs(off[direction]) <= 3
+    assert rms((filtered.values - truth)[near]) < 1.1 * rms((values - truth)[near])
+    assert rms((filtered.values - truth)[~near]) < 0.9 * rms((values - truth)[~near])
+
+
 def test_a_gross_error_does_not_spread():
     values = noisy(surface(30, 30), 0.05)
     clean = filter_grid(values)
