@@ -16,7 +16,7 @@ from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, whole_file, write_text
 from cmp_cl.series.base import Description, Frame, Series
-from cmp_cl.series.digits import rows_of
+from cmp_cl.series.digits import nested, plain, rows_of
 
 _ROWS = 1 << 17  # of a group in a Parquet file
 _AXES = "x", "y", "z"
@@ -50,11 +50,11 @@ def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, 
         for part, end in enumerate(_ends(name, value.shape[2])):
             yield f"{name}_{end}", value[..., part].ravel(), unit
     for name, value in frame.items():
-        unit, ends = units.get(name, ""), _ends(name, value.size)
+        unit = units.get(name, "")
         if value.ndim == 0:
             yield name, np.broadcast_to(value, rows.size), unit
         elif value.ndim == 1:
-            for part, end in zip(value, ends, strict=True):
+            for part, end in zip(value, _ends(name, value.size), strict=True):
                 yield f"{name}_{end}", np.broadcast_to(part, rows.size), unit
 
 
@@ -94,23 +94,13 @@ class CsvSeries(Series):
     def _finish(self) -> None:
         try:
             about = {"units": dict(self.description.units), **self.description.entries()}
-            about_constants = {name: _plain(value) for name, value in self.constants.items()}
+            about_constants = {name: plain(value) for name, value in self.constants.items()}
             self._files.close()
         except BaseException:
             self._files.__exit__(*sys.exc_info())
             raise
         beside = self._target.with_name(f"{self._target.name}-metadata.json")
         write_text(beside, json.dumps({**about, "constants": about_constants}, indent=1))
-
-
-def _plain(value: NDArray[Any]) -> Any:
-    """Return an array as lists of numbers that JSON has, null for NaN."""
-    finite = np.isfinite(value) if value.dtype.kind == "f" else np.True_
-    if np.all(finite):
-        return value.tolist()
-    numbers = value.astype(object)
-    numbers[~finite] = None
-    return numbers.tolist()
 
 
 class JsonLines(Series):
@@ -131,26 +121,31 @@ class JsonLines(Series):
         self._file: Any = (
             sys.stdout.buffer if self._piped else self._files.enter_context(whole_file(path))
         )
-        self._line(
-            {
-                "units": dict(description.units),
-                **description.entries(),
-                "constants": {name: _plain(value) for name, value in self.constants.items()},
-            }
-        )
+        about = {"units": dict(description.units), **description.entries()}
+        parts = {name: json.dumps(text).encode() for name, text in about.items()}
+        self._line({**parts, "constants": _members(_nested(self.constants))})
 
-    def _line(self, content: Mapping[str, Any]) -> None:
-        self._file.write((json.dumps(content, allow_nan=False) + "\n").encode())
+    def _line(self, members: Mapping[str, bytes]) -> None:
+        self._file.write(_members(members) + b"\n")
         if self._piped:
             self._file.flush()
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
-        time = float(time_ms) if np.isfinite(time_ms) else None
-        arrays = {name: _plain(value) for name, value in frame.items()}
-        self._line({"frame": int(index), "time_ms": time, **arrays})
+        time = repr(float(time_ms)) if np.isfinite(time_ms) else "null"
+        self._line({"frame": b"%d" % index, "time_ms": time.encode(), **_nested(frame)})
 
     def _finish(self) -> None:
         self._files.close()
+
+
+def _nested(arrays: Mapping[str, NDArray[Any]]) -> dict[str, bytes]:
+    return {name: nested(value) for name, value in arrays.items()}
+
+
+def _members(values: Mapping[str, bytes]) -> bytes:
+    """Return an object of JSON from its values in JSON."""
+    texts = (json.dumps(name).encode() + b": " + value for name, value in values.items())
+    return b"{" + b", ".join(texts) + b"}"
 
 
 class ParquetSeries(Series):
@@ -191,7 +186,7 @@ class ParquetSeries(Series):
         if self._writer is None:
             about = {**self.description.entries()}
             about["constants"] = json.dumps(
-                {name: _plain(value) for name, value in self.constants.items()}
+                {name: plain(value) for name, value in self.constants.items()}
             )
             schema = arrow.schema(
                 [
@@ -202,9 +197,12 @@ class ParquetSeries(Series):
                 ],
                 metadata=about,
             )
-            self._writer = arrow.parquet.ParquetWriter(self._file, schema)
+            repeated = [name for name, value, _ in full if value.dtype.kind != "f"]
+            self._writer = arrow.parquet.ParquetWriter(
+                self._file, schema, use_dictionary=["time_ms", *repeated]
+            )
         self._waiting.append(
-            arrow.record_batch([arrow.array(v) for _, v, _ in full], schema=self._writer.schema)
+            arrow.record_batch([_arrow_array(v) for _, v, _ in full], schema=self._writer.schema)
         )
         self._rows += count
         if self._rows >= _ROWS:
@@ -221,3 +219,13 @@ class ParquetSeries(Series):
                 raise FieldError("no frame was measured: there is no table to write")
             self._flush()
             self._writer.close()
+
+
+def _arrow_array(values: NDArray[Any]) -> Any:
+    """Return an array (N,) of numbers as one of Arrow; `pyarrow.array` would import pandas."""
+    import pyarrow
+
+    flat = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else values
+    buffer = pyarrow.py_buffer(np.ascontiguousarray(flat))
+    kind = pyarrow.from_numpy_dtype(values.dtype)
+    return pyarrow.Array.from_buffers(kind, len(values), [None, buffer])
