@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.series import SERIES_SUFFIXES, Description, open_series, read_series
+from cmp_cl.series import SERIES_SUFFIXES, Description, open_series, read_series, reading
 from cmp_cl.series.tables import CsvSeries
 
 ABOUT = Description(
@@ -293,3 +293,24 @@ def test_a_recording_that_was_cut_off_is_refused_and_not_waited_for(tmp_path):
     command = [sys.executable, "-c", code, str(path)]
     found = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert "FieldError" in found.stderr.splitlines()[-1]
+
+
+def test_a_growing_recording_that_is_damaged_is_refused_in_bounded_time(tmp_path, monkeypatch):
+    needs("h5py")
+    path = tmp_path / "press.h5"
+    code = f"""import os, sys; sys.path[:] = {sys.path!r}
+from cmp_cl.series import open_series
+series = open_series({str(path)!r})
+for number in range(5):
+    series.append(index=number, time_ms=number, xy=[[[1.0, 2.0]]])
+os._exit(0)"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    assert read_series(path)["xy"].shape == (5, 1, 1, 2)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"OHDR") + 6] ^= 0x5A
+    path.write_bytes(data)
+    monkeypatch.setattr(reading, "_LONGEST_READ", 5.0)
+    begin = time.monotonic()
+    with pytest.raises(FieldError, match="damaged"):
+        read_series(path)
+    assert time.monotonic() - begin < 30
