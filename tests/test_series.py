@@ -327,7 +327,7 @@ path = sys.argv[1]
 with open(path, "w") as file:
     file.write("old")
 try:
-    if path.endswith(".h5"):
+    if path.endswith((".h5", ".csv", ".jsonl")):
         with open_series(path) as series:
             for number in range(10_000):
                 series.append(index=number, time_ms=number, xy=np.random.rand(20, 20, 2))
@@ -347,10 +347,15 @@ if path.endswith(".h5"):
     from cmp_cl.series import read_series
     found = read_series(path)
     print(len(found["index"]) > 100, bool(np.isfinite(found["xy"]).all()))
+if path.endswith(("csv", "jsonl")):
+    with open(path) as file:
+        *lines, last = file.read().split("\\n")
+    whole = len(lines) % 400 == 1 if path.endswith("csv") else lines[-1].endswith("}")
+    print(len(lines) > 40, whole and not last)
 """
 
 
-@pytest.mark.parametrize("suffix", ["h5", "mp4", "mkv", "avi"])
+@pytest.mark.parametrize("suffix", ["h5", "csv", "jsonl", "mp4", "mkv", "avi"])
 def test_a_full_disk_is_told_and_keeps_what_is_whole(tmp_path, suffix):
     """HDF5 crashed, and OpenCV said nothing of a film that was cut off."""
     if suffix == "h5":
@@ -367,4 +372,4 @@ def test_a_full_disk_is_told_and_keeps_what_is_whole(tmp_path, suffix):
     error, *said = done.stdout.splitlines()
     assert error.startswith("OSError")
     assert "disk full" in error or "No space left" in error
-    assert said == (["False", "True True"] if suffix == "h5" else ["True"])
+    assert said == (["True"] if suffix in ("mp4", "mkv", "avi") else ["False", "True True"])

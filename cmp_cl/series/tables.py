@@ -64,6 +64,40 @@ def _ends(name: str, count: int) -> tuple[str, ...]:
     return ends[:count] if count <= len(ends) else tuple(map(str, range(count)))
 
 
+class _Appended:
+    """A file that appears when it is closed, with the parts that were written whole.
+
+    On a full disk these are kept; without any, an older file stays.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self._files = contextlib.ExitStack()
+        buffered: Any = self._files.enter_context(whole_file(path))
+        self._file = buffered.raw  # a buffer would keep the bytes that a full disk has refused
+        self._end = 0
+        self._error: OSError | None = None
+
+    def append(self, part: bytes) -> None:
+        """Write a part, or nothing of it; raises OSError."""
+        rest = memoryview(part)
+        try:
+            while rest:  # a nearly full disk may take only some of it
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            self._error = error
+            with contextlib.suppress(OSError):  # of a device or a pipe
+                self._file.truncate(self._end)
+                self._file.seek(self._end)
+            raise
+        self._end += len(part)
+
+    def close(self) -> None:
+        """Let the file appear; raises OSError."""
+        with self._files:
+            if self._error is not None and not self._end:
+                raise self._error
+
+
 class CsvSeries(Series):
     """CSV with a header that says the units; what else is known is in NAME.csv-metadata.json.
 
@@ -79,26 +113,21 @@ class CsvSeries(Series):
     ) -> None:
         super().__init__(description, constants)
         self._target = check_target(path)
-        self._files = contextlib.ExitStack()
-        self._file = self._files.enter_context(whole_file(path))
+        self._file = _Appended(path)
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         table = list(node_columns(frame, self.description.units))
+        header = b""
         if not self._count:
             names = [f"{name}_{unit}" if unit else name for name, _, unit in table]
-            self._file.write((",".join(["frame", "time_ms", *names]) + "\n").encode())
-        self._file.write(
-            rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
-        )
+            header = (",".join(["frame", "time_ms", *names]) + "\n").encode()
+        rows = rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
+        self._file.append(header + rows)
 
     def _finish(self) -> None:
-        try:
-            about = {"units": dict(self.description.units), **self.description.entries()}
-            about_constants = {name: plain(value) for name, value in self.constants.items()}
-            self._files.close()
-        except BaseException:
-            self._files.__exit__(*sys.exc_info())
-            raise
+        self._file.close()
+        about = {"units": dict(self.description.units), **self.description.entries()}
+        about_constants = {name: plain(value) for name, value in self.constants.items()}
         beside = self._target.with_name(f"{self._target.name}-metadata.json")
         write_text(beside, json.dumps({**about, "constants": about_constants}, indent=1))
 
@@ -116,26 +145,26 @@ class JsonLines(Series):
         constants: Mapping[str, ArrayLike],
     ) -> None:
         super().__init__(description, constants)
-        self._files = contextlib.ExitStack()
-        self._piped = os.fspath(path) == "-"
-        self._file: Any = (
-            sys.stdout.buffer if self._piped else self._files.enter_context(whole_file(path))
-        )
+        self._file = None if os.fspath(path) == "-" else _Appended(path)
         about = {"units": dict(description.units), **description.entries()}
         parts = {name: json.dumps(text).encode() for name, text in about.items()}
         self._line({**parts, "constants": _members(_nested(self.constants))})
 
     def _line(self, members: Mapping[str, bytes]) -> None:
-        self._file.write(_members(members) + b"\n")
-        if self._piped:
-            self._file.flush()
+        line = _members(members) + b"\n"
+        if self._file is not None:
+            self._file.append(line)
+        else:
+            sys.stdout.buffer.write(line)
+            sys.stdout.buffer.flush()
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         time = repr(float(time_ms)) if np.isfinite(time_ms) else "null"
         self._line({"frame": b"%d" % index, "time_ms": time.encode(), **_nested(frame)})
 
     def _finish(self) -> None:
-        self._files.close()
+        if self._file is not None:
+            self._file.close()
 
 
 def _nested(arrays: Mapping[str, NDArray[Any]]) -> dict[str, bytes]:
