@@ -117,6 +117,35 @@ def refuse_to_compile(monkeypatch):
     monkeypatch.setattr(cl, "Program", loaded)
 
 
+DETECT = """
+import numpy as np
+import cmp_cl
+with cmp_cl.Detector(shape=(64, 64)) as detector:
+    print(len(detector(np.zeros((64, 64), np.uint8))))
+"""
+
+
+def test_functions_that_call_kernels_are_never_loaded_from_a_file(tmp_path):
+    """pyopencl keeps them as pickles; a damaged file ended with an error of SQLite."""
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    folder = tmp_path / "pytools"
+    folder.mkdir()
+    subprocess.run(
+        [sys.executable, "-c", "import pyopencl.invoker"], env=environment, check=True, timeout=60
+    )
+    (kept,) = folder.glob("*.sqlite")
+    kept.write_bytes(b"damaged")
+    done = subprocess.run(
+        [sys.executable, "-c", DETECT],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert (done.stdout, done.returncode) == ("0\n", 0), done.stderr
+    assert kept.read_bytes() == b"damaged"
+
+
 def test_a_program_is_compiled_once(device, cache, monkeypatch):
     build(device)
     (kept,) = cache.iterdir()

@@ -17,7 +17,7 @@ import cv2
 import cmp_cl
 from cmp_cl.cli import bench as benchmark
 from cmp_cl.cli import calibrate, demo, detect, pattern, plot, render, run, tune
-from cmp_cl.cli.messages import one_line
+from cmp_cl.cli.messages import one_line, shortened
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 from cmp_cl.media import codec_messages_caught
@@ -92,7 +92,7 @@ def _silence(stream: TextIO) -> None:
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; {self.prog} --help says more\n")
+        self.exit(2, f"{self.prog}: {shortened(message)}; {self.prog} --help says more\n")
 
 
 def _parser() -> argparse.ArgumentParser:

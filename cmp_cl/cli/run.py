@@ -426,6 +426,8 @@ class _Settings:
             raise ConfigError("--split and --mirror need --stereo")
         if arguments.out != "-":
             _check_suffix("--out", arguments.out, *SERIES_SUFFIXES)
+        elif sys.__stdout__ is None:
+            raise ConfigError("--out - needs standard output, which is closed")
         _check_suffix("--overlay", arguments.overlay, *FILM_SUFFIXES)
         _check_suffix("--rerun", arguments.rerun, ".rrd")
         if arguments.show:

@@ -115,8 +115,8 @@ class Added:
 class _InThePlane(Measurement):
     """Frames of one view, with what was asked for.
 
-    Strain is that of the raw positions, whose errors neighbours do not share, with the noise that
-    the field itself shows.
+    Strain is that of the raw positions, with the noise that the field itself shows and what
+    neighbours share of it.
     """
 
     def __init__(self, measure: OneView, added: Added) -> None:

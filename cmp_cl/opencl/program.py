@@ -89,6 +89,7 @@ class Kernels:
     """Compiled programs; no two of their kernels have the same name."""
 
     def __init__(self, programs: Sequence[cl.Program]) -> None:
+        caches.guard_invokers()
         self._programs = {name: each for each in programs for name in each.kernel_names.split(";")}
 
     @property
