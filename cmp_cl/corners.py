@@ -59,6 +59,9 @@ class Corners:
     def __len__(self) -> int:
         return len(self.xy)
 
+    def __repr__(self) -> str:
+        return f"<Corners: {len(self)}, found on {self.device}>"
+
     def to_opencv(self) -> NDArray[np.float32]:
         """Return the positions as OpenCV's functions take them: (N, 1, 2) float32, px."""
         return self.xy.reshape(-1, 1, 2).copy()

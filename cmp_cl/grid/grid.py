@@ -111,6 +111,12 @@ class Grid:
         if self.component.shape != self.xy.shape[:2]:
             object.__setattr__(self, "component", components(self.valid))
 
+    def __repr__(self) -> str:
+        number = np.bincount(self.status.ravel(), minlength=len(NodeStatus))
+        nodes = [f"{number[kind]} {kind.name.lower()}" for kind in NodeStatus if number[kind]]
+        said = ", ".join(nodes).replace("_", " ")
+        return f"<Grid of {self.shape[0]} x {self.shape[1]} nodes: {said or 'none'}>"
+
     @property
     def shape(self) -> tuple[int, int]:
         """Return the numbers of rows and columns."""

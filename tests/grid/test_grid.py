@@ -45,6 +45,12 @@ def test_a_warped_board_is_numbered(shape):
     np.testing.assert_array_equal(grid.sigma[tuple(index.T)], corners.sigma)
 
 
+def test_a_grid_prints_what_it_holds_in_a_line():
+    corners, _, _ = board(8, 11)
+    assert repr(build_grid(corners)) == "<Grid of 8 x 11 nodes: 88 detected>"
+    assert repr(corners) == f"<Corners: 88, found on {corners.device}>"
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_lost_and_false_corners_do_not_shift_the_numbers(seed):
     corners, index, _ = board(44, 44, lost=0.03, false=0.1, seed=seed)
