@@ -5,11 +5,11 @@
 
 Rendered checkerboards that go on beyond all four edges of the picture: zoomed, turned, shifted,
 waved, with a hole in the print or something in front of it. Half of the prints are perfect; the
-others have errors, as real ones do, which tell where the pattern has moved. Each frame is
-numbered like the rest frame, alone and after the frame before. A frame counts as wrong if more
-than one in 500 measured nodes has not its number, and as wrong in silence if it says nothing.
-No peer takes a rest frame. Of some frames peers are asked what they can be asked: whether their
-nodes are corners, and have the numbers of one lattice, whichever.
+others have errors, as real ones do, which show where the pattern has moved. Each frame is
+numbered like the rest frame, alone and after the frame before. A frame is wrong if more than one
+measured node in 500 has a wrong number, and wrong in silence if the grid does not say that it may
+be. No peer takes a rest frame. On some frames the peers are compared in what they do give: whether
+their nodes are corners, and whether the numbers of these fit one lattice.
 """
 
 import argparse
@@ -68,7 +68,7 @@ class Case(NamedTuple):
 
 
 def cases(*, quick: bool = False) -> Iterator[Case]:
-    """The frames of the report."""
+    """Yield the frames of the report."""
     for wear in (0.0, WEAR):
         for cell in (10.0,) if quick else (9.0, 10.0, 13.0):
             yield Case(cell, wear=wear)
@@ -91,7 +91,8 @@ def cases(*, quick: bool = False) -> Iterator[Case]:
 
 
 def drawn(count: int, seed: int) -> Iterator[Case]:
-    """Other frames: cells, zooms, rotations, shifts, waves, holes and prints drawn by chance."""
+    """Return other frames, drawn by chance: cells, zooms, rotations, shifts, waves, holes and
+    prints."""
     draw = np.random.default_rng(seed)
     for number in range(count):
         kind = draw.integers(4)  # a shift by a period, a small one, a large one, none
@@ -122,7 +123,7 @@ class Print:
         self._perfect = wear == 0
 
     def printed(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the ink is that belongs to (u, v): off by a field that is linear within cells."""
+        """Return where the ink of (u, v) is: off by a field that is linear within cells."""
         if self._perfect:
             return u, v
         around = u - PERIOD * np.floor(u / PERIOD), v - PERIOD * np.floor(v / PERIOD)
@@ -131,7 +132,7 @@ class Print:
 
 
 def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The place (u, v) on the pattern, cells, that a pixel shows."""
+    """Return the point (u, v) of the pattern, cells, that a pixel shows."""
     across, down = (
         x - SIDE / 2 - case.shift[0] * case.cell,
         y - SIDE / 2 - case.shift[1] * case.cell,
@@ -146,7 +147,7 @@ def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def clean_picture(case: Case) -> np.ndarray:
-    """The grey levels of a frame without noise, (SIDE, SIDE) float32."""
+    """Return the grey levels of a frame without noise, (SIDE, SIDE) float32."""
     steps = (np.arange(SIDE * SAMPLES, dtype=np.float32) + np.float32(0.5)) / SAMPLES - 0.5
     x, y = steps[None].astype(np.float32), steps[:, None].astype(np.float32)
     if case.wave:  # else rows and columns broadcast
@@ -163,13 +164,13 @@ def clean_picture(case: Case) -> np.ndarray:
 
 
 def noisy(level: np.ndarray, case: Case, seed: int) -> GreyImage:
-    """The frame, (SIDE, SIDE) uint8."""
+    """Return the frame, (SIDE, SIDE) uint8."""
     noise = np.random.default_rng(seed).standard_normal(level.shape, dtype=np.float32)
     return np.clip(np.rint(level + np.float32(case.noise) * noise), 0, 255).astype(np.uint8)
 
 
 def picture(case: Case, seed: int) -> GreyImage:
-    """The frame, (SIDE, SIDE) uint8."""
+    """Return the frame, (SIDE, SIDE) uint8."""
     return noisy(clean_picture(case), case, seed)
 
 
@@ -184,7 +185,8 @@ def rest_of(case: Case) -> Case:
 
 
 def true_numbers(grid: Grid, case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers (M, 2) of the measured nodes, and the nearest corners (M, 2) of the pattern there."""
+    """Return numbers (M, 2) of the measured nodes, and the nearest corners (M, 2) of the pattern
+    there."""
     row, column = np.nonzero(np.isin(grid.status, MEASURED))
     u, v = place(case, *grid.xy[row, column].astype(np.float64).T)
     number = np.stack([row + grid.origin[0], column + grid.origin[1]], axis=1)
@@ -192,7 +194,7 @@ def true_numbers(grid: Grid, case: Case) -> tuple[np.ndarray, np.ndarray]:
 
 
 def verdict(rest: Grid, rest_case: Case, grid: Grid | None, case: Case) -> str:
-    """Right or wrong, and whether it says that it may be wrong; refused without a grid."""
+    """Return right or wrong, and whether it says that it may be wrong; refused without a grid."""
     if grid is None or not grid.valid.any():
         return "refused"
     number, corner = true_numbers(rest, rest_case)
@@ -211,7 +213,7 @@ def attempt(**given: Any) -> Grid | None:
 
 
 def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
-    """Each frame's verdict: by the rest frame alone, and after frames that lead up to it."""
+    """Return each frame's verdict: by the rest frame alone, and after frames that lead up to it."""
     rows = []
     rests: dict[Case, Grid] = {}
     for number, case in enumerate(every):
@@ -245,7 +247,8 @@ def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
 
 
 def followed(detector: Detector, rest: Grid, case: Case, level: np.ndarray, seed: int) -> str:
-    """The verdict on the last of frames between which the pattern moves by 0.3 cells at most.
+    """Return the verdict on the last of frames between which the pattern moves by 0.3 cells at
+    most.
 
     level: grey levels of the last one, without noise.
     """
@@ -281,7 +284,8 @@ def visible(case: Case) -> int:
 
 
 def lattices(every: Sequence[Case]) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """What each method makes of single frames, without a rest frame, and why some did not run."""
+    """Return what each method makes of single frames, without a rest frame, and why some did not
+    run."""
     totals: dict[str, dict[str, int]] = {}
     reasons: dict[str, str] = {}
     for number, case in enumerate(every):
@@ -309,7 +313,8 @@ def lattices(every: Sequence[Case]) -> tuple[list[dict[str, Any]], dict[str, str
 
 
 def scored(case: Case, answer: Found) -> dict[str, int]:
-    """Frames right, refused and wrong; corners in view, nodes right and false."""
+    """Return the frames right, refused and wrong, the corners in view, and the nodes right and
+    false."""
     row = {"frames": 1, "corners": visible(case)}
     row |= dict.fromkeys(("right", "false", "frames right", "refused", "in silence"), 0)
     real = (np.abs(answer.xy) < 1e5).all(axis=1)
@@ -331,7 +336,7 @@ VERDICTS = ("right", "right, ambiguous", "wrong, ambiguous", "refused", "wrong")
 
 
 def counted(rows: Sequence[dict[str, Any]], form: str) -> dict[str, dict[str, int]]:
-    """How many frames of each group have each verdict."""
+    """Return how many frames of each group have each verdict."""
     found: dict[str, dict[str, int]] = {}
     for row in rows:
         group = found.setdefault(row["group"], dict.fromkeys(VERDICTS, 0))

@@ -199,8 +199,8 @@ def rms_interval(squares: Sequence[float]) -> list[float]:
 
 
 def group(nodes: Sequence[Node], **keys: Any) -> dict[str, Any]:
-    """The figures of some frames. Shares are of coordinates; intervals are those of 95 % over
-    frames, whose nodes are not independent of each other.
+    """Return the figures of some frames. Shares are of coordinates; intervals are those of 95 %
+    over frames, whose nodes are not independent of each other.
     """
     row: dict[str, Any] = {**keys, "frames": len(nodes)}
     for kind in (*KINDS, "corner"):
@@ -430,8 +430,8 @@ def known_strains(repeats: int) -> list[dict[str, Any]]:
 
 
 def resolution(repeats: int) -> list[dict[str, Any]]:
-    """Of a displacement along the rows that is a sine over them: the share of the strain's
-    amplitude that is left, by wavelength, and the displacement's error.
+    """Return, by wavelength, the share of a strain's amplitude that is left and the displacement's
+    error, for a displacement that is a sine over the rows.
     """
     rows = []
     column = np.arange(40) * PITCH

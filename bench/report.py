@@ -74,7 +74,7 @@ def _within(value: float, bounds: Sequence[float]) -> str:
 
 
 def _apart(one: Sequence[float], other: Sequence[float]) -> bool:
-    """Whether the first interval lies wholly below the second."""
+    """Return whether the first interval lies wholly below the second."""
     return one[1] < other[0]
 
 

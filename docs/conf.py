@@ -64,7 +64,7 @@ SPECIAL = re.compile(r"\|(?=\w)|(?<=\w)_(?!\w)")  # |F2| is no substitution, raw
 
 
 def marked(line):
-    """A line of a docstring as reStructuredText: code in literals, no accidental markup."""
+    """Return a line of a docstring as reStructuredText: code in literals, no accidental markup."""
     parts = CODE.sub(r"``\1``", line).split("``")
     parts[::2] = [SPECIAL.sub(r"\\\g<0>", part) for part in parts[::2]]
     return "``".join(parts)
@@ -98,7 +98,7 @@ def as_restructured_text(app, what, name, obj, options, lines):
 
 
 def with_short_arrays(app, what, name, obj, options, signature, returns):
-    """Arrays in a signature without their empty shapes."""
+    """Return the arrays in a signature without their empty shapes."""
     return tuple(text and ARRAY.sub(r"ndarray[\1]", text) for text in (signature, returns))
 
 

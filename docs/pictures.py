@@ -27,13 +27,13 @@ COLOURS = ("tab:red", "tab:green", "tab:purple", "tab:blue")
 
 
 def gel(**changes: object) -> Rendered:
-    """A pressed gel of 20 x 20 corners; the same one on every call."""
+    """Return a pressed gel of 20 x 20 corners; the same one on every call."""
     settings = {"markers": 20, "severity": 0.8, "indenter": Indenter.TORUS, "seed": SEED}
     return render(Scene(**(settings | changes)))
 
 
 def shown(axes: plt.Axes, image: np.ndarray, title: str, **style: object) -> None:
-    """An image without ticks, under a title."""
+    """Show an image without ticks, under a title."""
     axes.imshow(image, **({"cmap": "gray", "interpolation": "nearest"} | style))
     axes.set_title(title, fontsize=9)
     axes.set_xticks([])
@@ -41,13 +41,13 @@ def shown(axes: plt.Axes, image: np.ndarray, title: str, **style: object) -> Non
 
 
 def ring(radius: int, diagonal: int) -> np.ndarray:
-    """(8, 2): the samples of a ring, clockwise from twelve o'clock."""
+    """Return (8, 2): the samples of a ring, clockwise from twelve o'clock."""
     a, d = radius, diagonal
     return np.array([(0, -a), (d, -d), (a, 0), (d, d), (0, a), (-d, d), (-a, 0), (-d, -d)])
 
 
 def rings() -> Figure:
-    """A corner with two rings, and the grey levels along them."""
+    """Draw a corner with two rings, and the grey levels along them."""
     scene = gel(severity=0.3, corrosion=0.5)
     x, y = np.rint(scene.truth[9, 9]).astype(int)
     image = scene.image.astype(float)
@@ -69,7 +69,7 @@ def rings() -> Figure:
 
 
 def response() -> Figure:
-    """S3, R5 and the maxima of a part of a gel."""
+    """Draw S3, R5 and the maxima of a part of a gel."""
     scene = gel()
     found = maps(scene.image, cmp_cl.DetectorConfig(detection=cmp_cl.RingHarmonic()))
     part = slice(170, 310), slice(250, 390)
@@ -85,7 +85,7 @@ def response() -> Figure:
 
 
 def edges() -> Figure:
-    """Edge points of one corner, the lines through them, and where they meet."""
+    """Draw the edge points of one corner, the lines through them, and where they meet."""
     scene = gel(severity=0.5, corrosion=0.6)
     start = np.rint(scene.truth[12, 7]).astype(np.int64)[None]
     points = refine.edge_points(scene.image, start, 1.0)
@@ -109,7 +109,7 @@ def edges() -> Figure:
 
 
 def grid() -> Figure:
-    """The grid of a strongly deformed gel: where each node comes from."""
+    """Draw the grid of a strongly deformed gel: where each node comes from."""
     scene = gel(markers=30, severity=1.3, seed=SEED + 3)
     found = cmp_cl.build_grid(detect(scene.image), scene.image, shape=(30, 30))
     figure, axes = plt.subplots(figsize=(4.6, 4.6), layout="constrained")
@@ -134,7 +134,7 @@ def grid() -> Figure:
 
 
 def gallery(folder: Path) -> None:
-    """Corners, grid, arrows and surface of gels, by indenter."""
+    """Draw corners, grid, arrows and surface of gels, by indenter."""
     folder.mkdir(parents=True, exist_ok=True)
     for indenter in (Indenter.BALL, Indenter.TORUS, Indenter.CUBE, Indenter.WEDGE):
         scene = gel(indenter=indenter, severity=1.0)
@@ -145,7 +145,7 @@ def gallery(folder: Path) -> None:
 
 
 def gallery_of_two_views(folder: Path, mode: Mode) -> None:
-    """Arrows and surface of a gel that two cameras see."""
+    """Draw arrows and surface of a gel that two cameras see."""
     rig = cmp_cl.StereoRig(*default_rig((480, 480)))
     scene = Scene(markers=20, shape=(480, 480), mode=mode, severity=0.7, seed=SEED)
     grids = []

@@ -281,7 +281,8 @@ def test_the_strain_of_pictures_is_right_within_the_noise_that_they_show():
 
 
 def edge_noise(seed, part, turn):
-    """Errors (20, 20, 2) of unit variance; neighbours share this part of those across their edge.
+    """Return errors (20, 20, 2) of unit variance; neighbours share this part of those across their
+    edge.
 
     turn: (2, 2), from the lattice's axes to the plane's.
     """

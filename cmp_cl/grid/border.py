@@ -40,7 +40,7 @@ class Border(NamedTuple):
 
     @property
     def sides(self) -> Sides:
-        """The sides on which the pattern ends in the view."""
+        """Return the sides on which the pattern ends in the view."""
         return Sides(*(not math.isnan(reach) for reach in self))
 
     def turned(self, quarters: int) -> "Border":

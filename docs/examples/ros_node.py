@@ -77,7 +77,7 @@ class Deformation(Node):
 
 
 def grey(message: Image) -> np.ndarray | None:
-    """The pixels (H, W) of an image, uint8 or uint16; None for other encodings."""
+    """Return the pixels (H, W) of an image, uint8 or uint16; None for other encodings."""
     if message.encoding not in ("mono8", "8UC1", "mono16", "16UC1"):
         return None
     deep = message.encoding in ("mono16", "16UC1")
@@ -89,7 +89,7 @@ def grey(message: Image) -> np.ndarray | None:
 
 
 def cloud(header: object, fields: dict) -> PointCloud2:
-    """The message of ROS from what `point_cloud` gives, with the image's header."""
+    """Return the message of ROS from what `point_cloud` gives, with the image's header."""
     message = PointCloud2()
     message.header = header
     message.fields = [PointField(**field) for field in fields["fields"]]

@@ -21,12 +21,12 @@ PERIODS = ((1, 1), (2, 0), (-1, 3))
 
 
 def numbers(grid: Grid) -> np.ndarray:
-    """The number (row, column) of each corner; far from all others where it has none."""
+    """Return the number (row, column) of each corner; far from all others where it has none."""
     return np.where(grid.index < 0, -999, grid.index + np.array(grid.origin))
 
 
 def offset(grid: Grid, seen: Board) -> np.ndarray:
-    """What has to be added to a grid's numbers to give the true ones; one value for all."""
+    """Return what has to be added to a grid's numbers to give the true ones; one value for all."""
     known = grid.index[:, 0] >= 0
     off = np.unique((seen.index - numbers(grid))[known], axis=0)
     assert len(off) == 1
@@ -34,7 +34,7 @@ def offset(grid: Grid, seen: Board) -> np.ndarray:
 
 
 def like_rest(*, worn: float = 0.0, **moved) -> tuple[Grid, bool]:
-    """The grid of an endless pattern that moved, and whether its numbers are right."""
+    """Return the grid of an endless pattern that moved, and whether its numbers are right."""
     rest = endless(worn=worn, seed=1)
     at_rest = build_grid(rest.corners)
     now = endless(worn=worn, **moved)
@@ -119,7 +119,7 @@ def test_where_the_rest_frame_and_the_frame_before_disagree_the_frame_says_so():
 
 
 def shifted(grid: Grid, rows: int, columns: int) -> Grid:
-    """The grid with the nodes numbered as if the pattern had moved by whole cells."""
+    """Return the grid with the nodes numbered as if the pattern had moved by whole cells."""
     return dataclasses.replace(grid, origin=(grid.origin[0] - rows, grid.origin[1] - columns))
 
 
@@ -167,7 +167,8 @@ def seen_in(picture: np.ndarray) -> Corners:
 
 
 def true(grid: Grid, corners: np.ndarray, within: float = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the measured nodes and those of the true corners there, (-1, -1) for none."""
+    """Return the numbers of the measured nodes and those of the true corners there, (-1, -1) for
+    none."""
     row, column = np.nonzero(np.isin(grid.status, MEASURED))
     away = np.linalg.norm(grid.xy[row, column][:, None] - corners.reshape(-1, 2), axis=2)
     place = np.stack(np.divmod(away.argmin(axis=1), corners.shape[1]), axis=1)
@@ -236,7 +237,7 @@ def test_the_errors_of_a_print_tell_how_a_square_pattern_has_turned(quarters):
 
 
 def behind(picture: np.ndarray, x: int, slope: float = 0.0) -> np.ndarray:
-    """The picture with something dark in front of all that is right of a line."""
+    """Return the picture with something dark in front of all that is right of a line."""
     row, column = np.indices(picture.shape)
     return np.where(column > x + slope * row, 16, picture).astype(np.uint8)
 
@@ -377,7 +378,7 @@ def test_all_boards_of_a_view_are_found():
 
 
 def island(aside: complex) -> tuple[Board, np.ndarray]:
-    """A board with a ring of corners missing, what lies inside moved aside; which is inside."""
+    """Return a board with a ring of corners missing, the inner ones moved; which are inner ones."""
     whole = board(30, 30, pull=0, twist=0)
     away = np.abs(whole.index - 14.5).max(axis=1)
     inside = away < 5
