@@ -1,9 +1,11 @@
 """Numbers in a CSV, written many at a time, are those that were given."""
 
+import json
+
 import numpy as np
 import pytest
 
-from cmp_cl.series.digits import rows_of
+from cmp_cl.series.digits import nested, rows_of
 
 RNG = np.random.default_rng(900000)
 COLUMNS = {
@@ -47,5 +49,33 @@ def test_zeros_that_say_nothing_are_left_out(value, text):
 
 
 def test_a_column_of_small_or_large_numbers_keeps_nine_digits():
-    assert rows_of("0", [np.array([1.23456789e-5, 0])]) == b"0,1.23456789e-05\n0,0\n"
+    assert rows_of("0", [np.array([-1.23456789e-5, 0])]) == b"0,-12.3456789e-6\n0,0e-6\n"
+    assert rows_of("0", [np.array([1.23456789e-95])]) == b"0,1.23456789e-95\n"
     assert rows_of("0", [np.array([1.23456789e20, 0.5])]) == b"0,1.23456789e+20\n0,0.5\n"
+
+
+@pytest.mark.parametrize("shape", [(500,), (20, 25), (4, 25, 5), (2, 1, 25, 10), (500, 1)])
+@pytest.mark.parametrize("name", COLUMNS)
+def test_an_array_as_json_is_the_array(name, shape):
+    given = COLUMNS[name].reshape(shape)
+    found = np.array(json.loads(nested(given)), float)
+    finite = np.where(np.isfinite(given), given, np.nan).astype(float)
+    largest = np.nanmax(np.abs(finite), initial=0)
+    np.testing.assert_allclose(found, finite, rtol=5.1e-9, atol=min(5.1e-10, 1e-9 * largest))
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        (np.array([[1, -2], [3, 0]]), b"[[1,-2],[3,0]]"),
+        (np.array([[np.nan, np.inf], [-np.inf, 0.5]]), b"[[null,null],[null,0.5]]"),
+        (np.array([1500.0, -0.25, 1e-12]), b"[1500,-0.25,0]"),
+        (np.array([True, False]), b"[true, false]"),
+        (np.float64(0.1), b"0.1"),
+        (np.float64(np.nan), b"null"),
+        (np.empty((0, 2)), b"[]"),
+        (np.array("mm"), b'"mm"'),
+    ],
+)
+def test_json_has_no_letters_more_than_it_needs(given, text):
+    assert nested(np.asarray(given)) == text

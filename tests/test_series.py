@@ -4,6 +4,8 @@ import csv
 import importlib
 import json
 import os
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +17,7 @@ import numpy as np
 import pytest
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.series import SERIES_SUFFIXES, Description, open_series, read_series
+from cmp_cl.series import SERIES_SUFFIXES, Description, open_series, read_series, reading
 from cmp_cl.series.tables import CsvSeries
 
 ABOUT = Description(
@@ -24,7 +26,7 @@ ABOUT = Description(
 
 
 def needs(module):
-    """The module, else the test is skipped."""
+    """Return the module, or skip the test."""
     pytest.importorskip(module, reason=f"{module} is not installed")
     return importlib.import_module(module)
 
@@ -35,7 +37,7 @@ def rest():
 
 
 def frame(number):
-    """What a frame holds; node (0, 0) is missing."""
+    """Return what a frame holds; node (0, 0) is missing."""
     shift = np.full((4, 5, 3), 0.25 * number) + rest() / 100
     shift[0, 0] = np.nan
     return {
@@ -293,3 +295,81 @@ def test_a_recording_that_was_cut_off_is_refused_and_not_waited_for(tmp_path):
     command = [sys.executable, "-c", code, str(path)]
     found = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert "FieldError" in found.stderr.splitlines()[-1]
+
+
+def test_a_growing_recording_that_is_damaged_is_refused_in_bounded_time(tmp_path, monkeypatch):
+    needs("h5py")
+    path = tmp_path / "press.h5"
+    code = f"""import os, sys; sys.path[:] = {sys.path!r}
+from cmp_cl.series import open_series
+series = open_series({str(path)!r})
+for number in range(5):
+    series.append(index=number, time_ms=number, xy=[[[1.0, 2.0]]])
+os._exit(0)"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    assert read_series(path)["xy"].shape == (5, 1, 1, 2)
+    data = bytearray(path.read_bytes())
+    data[data.index(b"OHDR") + 6] ^= 0x5A
+    path.write_bytes(data)
+    monkeypatch.setattr(reading, "_LONGEST_READ", 5.0)
+    begin = time.monotonic()
+    with pytest.raises(FieldError, match="damaged"):
+        read_series(path)
+    assert time.monotonic() - begin < 30
+
+
+FULL = """
+import sys
+import numpy as np
+from cmp_cl.series import open_series
+from cmp_cl.viz.film import OverlayFilm
+path = sys.argv[1]
+with open(path, "w") as file:
+    file.write("old")
+try:
+    if path.endswith((".h5", ".csv", ".jsonl")):
+        with open_series(path) as series:
+            for number in range(10_000):
+                series.append(index=number, time_ms=number, xy=np.random.rand(20, 20, 2))
+    else:
+        from stereo_data import grid_of
+        rng = np.random.default_rng(0)
+        grid = grid_of(np.full((2, 2, 2), 100.0))
+        with OverlayFilm(path) as film:
+            for number in range(60):
+                image = rng.integers(0, 255, (480, 640)).astype(np.uint8)
+                film.frame(image, grid, np.ones((2, 2)))
+except OSError as error:
+    print("OSError", error)
+with open(path, "rb") as file:
+    print(file.read(3) == b"old")
+if path.endswith(".h5"):
+    from cmp_cl.series import read_series
+    found = read_series(path)
+    print(len(found["index"]) > 100, bool(np.isfinite(found["xy"]).all()))
+if path.endswith(("csv", "jsonl")):
+    with open(path) as file:
+        *lines, last = file.read().split("\\n")
+    whole = len(lines) % 400 == 1 if path.endswith("csv") else lines[-1].endswith("}")
+    print(len(lines) > 40, whole and not last)
+"""
+
+
+@pytest.mark.parametrize("suffix", ["h5", "csv", "jsonl", "mp4", "mkv", "avi"])
+def test_a_full_disk_is_told_and_keeps_what_is_whole(tmp_path, suffix):
+    """HDF5 crashed, and OpenCV said nothing of a film that was cut off."""
+    if suffix == "h5":
+        needs("h5py")
+    inside = f"mount -t tmpfs -o size=4m tmpfs {tmp_path} && exec"
+    namespace = ["unshare", "-rm", "sh", "-c"]
+    if not shutil.which("unshare") or subprocess.run([*namespace, f"{inside} true"]).returncode:
+        pytest.skip("no file system of its own can be made here")
+    code = f"import sys; sys.path[:] = {sys.path!r}{FULL}"
+    words = [sys.executable, "-c", code, str(tmp_path / f"film.{suffix}")]
+    command = f"{inside} {shlex.join(words)}"
+    done = subprocess.run([*namespace, command], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    error, *said = done.stdout.splitlines()
+    assert error.startswith("OSError")
+    assert "disk full" in error or "No space left" in error
+    assert said == (["True"] if suffix in ("mp4", "mkv", "avi") else ["False", "True True"])

@@ -17,7 +17,7 @@ import cv2
 import cmp_cl
 from cmp_cl.cli import bench as benchmark
 from cmp_cl.cli import calibrate, demo, detect, pattern, plot, render, run, tune
-from cmp_cl.cli.messages import one_line
+from cmp_cl.cli.messages import one_line, shortened
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 from cmp_cl.media import codec_messages_caught
@@ -31,7 +31,7 @@ What to install for a device:
   Linux, other CPUs  apt install pocl-opencl-icd (Debian, Ubuntu) or dnf install pocl (Fedora)
   Windows            the graphics driver of NVIDIA, AMD or Intel, or Intel's CPU Runtime for OpenCL
   macOS              conda install -c conda-forge pyopencl pocl; for Apple's own OpenCL
-                     ocl_icd_wrapper_apple in the place of pocl
+                     ocl_icd_wrapper_apple instead of pocl
   Jetson             NVIDIA ships no OpenCL there: apt install pocl-opencl-icd, for its CPU
   NVIDIA             the driver; on Debian also nvidia-opencl-icd; in a container
                      NVIDIA_DRIVER_CAPABILITIES=compute,utility and a file
@@ -92,7 +92,7 @@ def _silence(stream: TextIO) -> None:
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; {self.prog} --help says more\n")
+        self.exit(2, f"{self.prog}: {shortened(message)}; {self.prog} --help says more\n")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -16,8 +16,12 @@ def one_line(error: Exception) -> str:
     """Return the message of an error on one line."""
     if isinstance(error, OSError) and error.strerror is not None:
         name = "" if error.filename is None else f"{shown(error.filename)}: "
-        return f"{name}{error.strerror}"
-    line = " ".join(str(error).splitlines())
+        return shortened(f"{name}{error.strerror}")
+    return shortened(" ".join(str(error).splitlines()))
+
+
+def shortened(line: str) -> str:
+    """Return a line without its middle where it is longer than anyone reads."""
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 100]} ... {line[-90:]}"
 
 

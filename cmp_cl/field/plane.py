@@ -106,6 +106,9 @@ class PlaneField:
         where this one is raw.
     filtered: what the filter says of the position and of the displacement; None where this field
         is raw.
+    shared: (2, 2, 2, 2) float64, covariances of x and y, in `unit` squared, of the errors at rest
+        and now: of a node with the next one of its row, and of its column. The displacement has
+        their sum. None where nothing is known of it.
     """
 
     position: Array
@@ -116,15 +119,16 @@ class PlaneField:
     unit: str
     raw: "PlaneField | None" = None
     filtered: tuple[Filtered, Filtered] | None = None
+    shared: Array | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(R, C), where there is a displacement."""
+        """Return (R, C) bool, True where there is a displacement."""
         return ~np.isnan(self.displacement[..., 0])
 
     @property
     def now(self) -> Array:
-        """(R, C, 2) float64, where the nodes are now, in `unit`."""
+        """Return (R, C, 2) float64: where the nodes are now, in `unit`."""
         moved: Array = self.position + self.displacement
         return moved
 
@@ -189,25 +193,52 @@ def _either(lattice: Array, corners: Array) -> Array:
 def with_measured_noise(field: PlaneField) -> PlaneField:
     """Return the raw field with one standard deviation for all nodes, from its own roughness.
 
-    The estimate uses means of the displacement over 2 x 2 nodes, so that errors shared by
-    neighbours count. The second difference by row of the second difference by column, two nodes
-    apart, is 0 for a smooth field, and has a deviation of 6 sigma for errors (J. Immerkaer, CVIU
-    64, 1996). Each moment gets half of the variance. Errors that vary slowly over six nodes, or are
-    the same at rest and now, are not seen. A field that bends within six nodes counts as noise.
+    Neighbours share the edge between them, and so part of their errors across it: how much is
+    estimated too, and `plane_strain` counts it. For errors of variance v, of which neighbours share
+    a part p, second differences by row of second differences by column have the variance (36 - 48
+    p) v, and the covariance (42 p - 24) v with those across the edge to the next node (after J.
+    Immerkaer, CVIU 64, 1996, for p = 0). Each moment gets half of v. Errors that vary slowly over
+    four nodes, or are the same at rest and now, are not seen. A field that bends within four nodes
+    counts as noise.
 
-    Raises FieldError where no 6 x 6 nodes are valid.
+    Raises FieldError where no 4 x 4 nodes are valid.
     """
     field = field if field.raw is None else field.raw
-    whole = field.displacement
-    means = (whole[1:, 1:] + whole[1:, :-1] + whole[:-1, 1:] + whole[:-1, :-1]) / 4
-    down = means[4:] - 2 * means[2:-2] + means[:-4]
-    rough = down[:, 4:] - 2 * down[:, 2:-2] + down[:, :-4]
-    known = rough[~np.isnan(rough)]
-    if not len(known):
-        raise FieldError("no 6 x 6 nodes are valid: they show no noise")
-    sigma = 2 * math.sqrt(float(np.mean(np.square(known)))) / 6
-    even = np.where(field.valid, sigma, np.nan)
-    return dataclasses.replace(field, sigma=even, sigma_position=even / math.sqrt(2))
+    rough = np.diff(np.diff(field.displacement, 2, axis=0), 2, axis=1)
+    by_moment = np.stack([_across(moment) for moment in (field.position, field.now)]) / 2
+    across = by_moment.sum(axis=0)
+    products = np.concatenate(
+        [
+            np.einsum("rci,ij,rcj->rc", one, normal, two).ravel()
+            for normal, one, two in (
+                (across[0], rough[:, 1:], rough[:, :-1]),
+                (across[1], rough[1:], rough[:-1]),
+            )
+        ]
+    )
+    products = products[~np.isnan(products)]
+    if not len(products):
+        raise FieldError("no 4 x 4 nodes are valid: they show no noise")
+    size = float(np.nanmean(np.square(rough)))
+    own, other = np.square(across).sum() / 2, (across[0] * across[1]).sum()
+    gain = float(42 * own + 32 * other)  # 42 where rows and columns are square to each other
+    ratio = products.mean() / size if size > 0 else -1.0
+    part = np.clip((24 + 36 * ratio) / max(gain + 48 * ratio, 1.0), 0, 0.5)
+    variance = size / (36 - 48 * part)
+    even = np.where(field.valid, math.sqrt(variance), np.nan)
+    return dataclasses.replace(
+        field,
+        sigma=even,
+        sigma_position=even / math.sqrt(2),
+        shared=part * variance * by_moment,
+    )
+
+
+def _across(points: Array) -> Array:
+    """Return the projections (2, 2, 2) on the directions across the rows and across the columns."""
+    steps = [np.nanmean(np.diff(points, axis=axis).reshape(-1, 2), axis=0) for axis in (1, 0)]
+    normals = [np.array([-y, x]) / math.hypot(x, y) for x, y in steps]
+    return np.stack([np.outer(normal, normal) for normal in normals])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -243,7 +274,7 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
     centre, goal = before.mean(), after.mean()
     spread = np.square(np.abs(before - centre)).sum()
     if not spread > 0:
-        raise FieldError("all nodes lie in one place: they show no rotation")
+        raise FieldError("all nodes lie at one point: they show no rotation")
     factor = (np.conj(before - centre) * (after - goal)).sum() / spread
     scale = abs(factor) if zoom else 1.0
     own = field if field.raw is None else field.raw  # whose errors neighbours do not share
@@ -275,8 +306,15 @@ def without_motion(field: PlaneField, motion: Motion) -> PlaneField:
         field,
         displacement=moved,
         sigma=field.sigma / abs(motion.zoom),
+        shared=None if field.shared is None else _moved_back(field.shared, motion),
         raw=None if field.raw is None else without_motion(field.raw, motion),
     )
+
+
+def _moved_back(shared: Array, motion: Motion) -> Array:
+    cosine, sine = math.cos(motion.rotation), math.sin(motion.rotation)
+    back = np.array([[cosine, sine], [-sine, cosine]]) / motion.zoom
+    return np.stack([shared[0], back @ shared[1] @ back.T])
 
 
 def _complex(points: Array) -> NDArray[np.complex128]:
@@ -300,7 +338,7 @@ class PlaneStrain:
 
     @property
     def sigma(self) -> Array:
-        """(R, C, 3) float64, standard deviations of the tensor's entries."""
+        """Return (R, C, 3) float64: the standard deviations of the tensor's entries."""
         deviation: Array = np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
         return deviation
 
@@ -370,6 +408,10 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
     )
     if field.filtered is not None:
         errors = _shared_errors(field, used, radius)
+    errors = np.eye(2)[:, :, None, None] * errors[:, :, :, None, None]
+    if field.shared is not None:
+        at_rest, now = field.shared
+        errors += _of_neighbours(np.stack([at_rest, at_rest + now]), used, radius)
     before, after = slopes[..., :2], slopes[..., 2:]
     size = np.square(before).sum(axis=(-2, -1))
     area = before[..., 0, 0] * before[..., 1, 1] - before[..., 0, 1] * before[..., 1, 0]
@@ -429,18 +471,35 @@ def _shared_errors(field: PlaneField, used: NDArray[np.bool_], radius: int) -> A
     return errors
 
 
+def _of_neighbours(shared: Array, used: NDArray[np.bool_], radius: int) -> Array:
+    """Return what errors that neighbours share add to the covariances of the slopes: (R, C, M, 2,
+    2, 2, 2), by value, two coordinates, and two axes. shared: (M, 2, 2, 2), of M values.
+    """
+    stencils = np.stack(slope_weights(used, radius), axis=2)
+    added = np.zeros((*used.shape, len(shared), 2, 2, 2, 2))
+    for covariance, one, two in (
+        (shared[:, 0], stencils[..., 1:], stencils[..., :-1]),
+        (shared[:, 1], stencils[..., 1:, :], stencils[..., :-1, :]),
+    ):
+        along = np.einsum("rcjde,rclde->rcjl", one, two, optimize=True)
+        along += along.swapaxes(2, 3)
+        added += covariance[:, :, :, None, None] * along[:, :, None, None, None]
+    return added
+
+
 def _strain_covariance(gradient: Array, back: Array, errors: Array) -> Array:
     """Return the covariance (N, 3, 3) of Exx, Eyy, Exy.
 
     gradient: (N, 2, 2) F. back: (N, 2, 2) columns and rows by the axes at rest. errors: (N, 2, 2,
-    2), covariances of the slopes of the position and of the displacement, by columns and rows.
+    2, 2, 2), covariances of the slopes of the position and of the displacement, by two
+    coordinates, and two of columns and rows.
     """
     # An error e of the position is one of now, too: it acts on F as (1 - F) e does.
-    weights = back[:, None] @ errors @ back.transpose(0, 2, 1)[:, None]
+    weights = np.einsum("nja,nmikab,nlb->nmijkl", back, errors, back, optimize=True)
     moved = gradient - np.eye(2)
-    turned = moved @ moved.transpose(0, 2, 1)
-    of_gradient = np.einsum("ik,njl->nijkl", np.eye(2), weights[:, 1])
-    of_gradient = of_gradient + np.einsum("nik,njl->nijkl", turned, weights[:, 0])
+    of_gradient = weights[:, 1] + np.einsum(
+        "nia,najbl,nkb->nijkl", moved, weights[:, 0], moved, optimize=True
+    )
     eye = np.eye(2)
     by_gradient = np.stack(
         [
@@ -471,7 +530,7 @@ class Raster:
 
     @property
     def step(self) -> float:
-        """Distance of neighbouring points, in `unit`."""
+        """Return the distance of neighbouring points, in `unit`."""
         return float(self.x[1] - self.x[0])
 
 
@@ -508,9 +567,9 @@ def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float
         np.where(valid[..., None], np.concatenate([field.position, numbers], axis=2), np.nan)
     )
     drawn = np.full((height, width, numbers.shape[2]), np.nan)
-    for place, index, fraction in _covered(padded, cells, step, low):
+    for cell, index, fraction in _covered(padded, cells, step, low):
         column, row = (index - low).T
-        drawn[row, column] = _cubic(padded, place, fraction)[:, 2:]
+        drawn[row, column] = _cubic(padded, cell, fraction)[:, 2:]
     x, y = np.arange(low[0], high[0] + 1) * step, np.arange(low[1], high[1] + 1) * step
     return Raster(x=x, y=y, values=drawn, unit=field.unit)
 
@@ -576,16 +635,16 @@ def _covered(padded: Array, cells: NDArray[np.int64], step: float, low: NDArray[
         span = size[block].max(axis=0)
         offsets = np.stack(np.meshgrid(*map(np.arange, span)), axis=-1).reshape(-1, 2)
         within = (offsets[None] < size[block][:, None]).all(axis=2)
-        cell, which = np.nonzero(within)
-        index, place = first[block][cell] + offsets[which], cells[block][cell]
-        fraction = _inverse(padded, place, index * step)
+        number, which = np.nonzero(within)
+        index, cell = first[block][number] + offsets[which], cells[block][number]
+        fraction = _inverse(padded, cell, index * step)
         inside = ((fraction >= -_OUTSIDE) & (fraction <= 1 + _OUTSIDE)).all(axis=1)
-        yield place[inside], index[inside], fraction[inside]
+        yield cell[inside], index[inside], fraction[inside]
 
 
-def _inverse(padded: Array, place: NDArray[np.int64], goal: Array) -> Array:
+def _inverse(padded: Array, cell: NDArray[np.int64], goal: Array) -> Array:
     """Return the fractions (row, column) of points within their cells, (N, 2); Newton's method."""
-    row, column = place.T + 1
+    row, column = cell.T + 1
     position = padded[..., :2]
     corner = position[row, column]
     down = position[row + 1, column] - corner
@@ -594,10 +653,10 @@ def _inverse(padded: Array, place: NDArray[np.int64], goal: Array) -> Array:
     good = np.abs(np.linalg.det(slope)) > 1e-12 * np.square(slope).sum(axis=(1, 2))
     inverse = np.full(slope.shape, np.nan)
     inverse[good] = np.linalg.inv(slope[good])
-    fraction = np.full((len(place), 2), 0.5)
-    active = np.arange(len(place))
+    fraction = np.full((len(cell), 2), 0.5)
+    active = np.arange(len(cell))
     for _ in range(_STEPS):
-        seen = _cubic(position, place[active], fraction[active])
+        seen = _cubic(position, cell[active], fraction[active])
         step = (inverse[active] @ (goal[active] - seen)[..., None])[..., 0]
         moved = fraction[active] + step
         near: NDArray[np.bool_] = np.all(np.abs(moved - 0.5) <= _REACH, axis=1)
@@ -609,12 +668,12 @@ def _inverse(padded: Array, place: NDArray[np.int64], goal: Array) -> Array:
     return fraction
 
 
-def _cubic(padded: Array, place: NDArray[np.int64], fraction: Array) -> Array:
+def _cubic(padded: Array, cell: NDArray[np.int64], fraction: Array) -> Array:
     """Interpolate (R + 2, C + 2, K) at fractions (N, 2) of cells by cubic convolution: (N, K)."""
     by_row, by_column = np.stack(_keys(fraction[:, 0])), np.stack(_keys(fraction[:, 1]))
     flat = padded.reshape(-1, padded.shape[2])
-    first = place[:, 0] * padded.shape[1] + place[:, 1]
-    result = np.zeros((len(place), padded.shape[2]))
+    first = cell[:, 0] * padded.shape[1] + cell[:, 1]
+    result = np.zeros((len(cell), padded.shape[2]))
     for down in range(4):
         line = np.zeros_like(result)
         for right in range(4):

@@ -62,7 +62,8 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
 
 
 def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
-    """Nodes some of whose eight neighbours are neither there nor bracketed; which are in a cell.
+    """Return the nodes some of whose eight neighbours are neither there nor bracketed, and which
+    are in a cell.
 
     A place is bracketed that lies in a small hole: between nodes of its row and of its column.
     """
@@ -81,7 +82,7 @@ def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
 
 
 def _hole(seen: Mask) -> Mask:
-    """(R, C), places with nodes before and after them on the row, HOLE places apart at most."""
+    """Return (R, C): between nodes before and after on the row, at most HOLE nodes apart."""
     columns = seen.shape[1]
     place = np.arange(columns)
     before = np.maximum.accumulate(np.where(seen, place, -columns), axis=1)

@@ -47,7 +47,7 @@ class Fingerprint(NamedTuple):
 
     @property
     def pixels(self) -> float:
-        """Root mean square of the errors per axis, px."""
+        """Return the root mean square of the errors per axis, px."""
         squares = (np.abs(self.error) ** 2).sum() / max(np.count_nonzero(self.known), 1)
         return self.cell * float(np.sqrt(squares / GAIN / 2))
 

@@ -113,17 +113,17 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Return the numbers of rows and columns."""
         return self.xy.shape[0], self.xy.shape[1]
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(R, C), where there is a position."""
+        """Return (R, C) bool, True where there is a position."""
         return ~np.isnan(self.xy[..., 0])
 
     @property
     def doubts(self) -> list[str]:
-        """What speaks against the numbers, a sentence each; empty where nothing does."""
+        """Return what speaks against the numbers, a sentence each; empty where nothing does."""
         rows, columns = self.shape
         found = []
         if self.seen_shape is not None:
@@ -171,7 +171,7 @@ class Grid:
 
     @property
     def extent(self) -> str:
-        """Its rows and columns by their numbers, in words."""
+        """Return its rows and columns by their numbers, in words."""
         (top, left), (rows, columns) = self.origin, self.shape
         return f"rows {top} to {top + rows - 1} and columns {left} to {left + columns - 1}"
 

@@ -39,7 +39,7 @@ class Reference(NamedTuple):
 
     @classmethod
     def at_places(cls, at: Points, parity: int, origin: tuple[int, int]) -> "Reference":
-        """Of positions by row and column."""
+        """Take the nodes from positions by row and column."""
         along, down = _mean_step(at), _mean_step(at.T)
         known = [abs(step) for step in (along, down) if step]
         return cls(
@@ -69,7 +69,7 @@ class Bounds(NamedTuple):
 
     @property
     def only(self) -> tuple[int, int] | None:
-        """The number that they leave, None if there are others or none."""
+        """Return the only number that they leave, None if there are others or none."""
         one = (self.top, self.left) == (self.last_top, self.last_left)
         return (self.top, self.left) if one else None
 

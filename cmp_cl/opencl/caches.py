@@ -1,18 +1,23 @@
 """The folders in which compiled kernels are kept: PoCL's, and cmp_cl's for others.
 
-What lies in them is run, so a folder that others may write to is not used.
+What lies in them is run, so a folder that others may write to is not used. pyopencl's own is not
+used at all.
 """
 
 import atexit
 import contextlib
+import importlib
 import os
 import shutil
 import stat
+import sys
 import tempfile
 import warnings
 from pathlib import Path
+from typing import Any
 
 import platformdirs
+import pyopencl as cl
 
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _LEAST_FREE = 32 << 20  # bytes: a plan's kernels take some 10 MB in PoCL's cache
@@ -81,6 +86,34 @@ def guard_pocl() -> None:
             temporary = tempfile.mkdtemp(prefix="cmp_cl-")
             atexit.register(shutil.rmtree, temporary, ignore_errors=True)
             os.environ["POCL_CACHE_DIR"] = temporary
+
+
+class _Nothing:
+    """A cache of pyopencl that is always empty."""
+
+    def __getitem__(self, key: object) -> object:
+        raise KeyError(key)
+
+    def store_if_not_present(self, key: object, value: object) -> None:
+        """Keep nothing."""
+
+
+def guard_invokers() -> None:
+    """Let pyopencl make the functions that call kernels anew in place of loading them.
+
+    In the user's cache they are pickles, which are code; pyopencl asks nobody whose they are, and
+    ends with an error of SQLite where the file is damaged or the disk full.
+    """
+    name, switch = "pyopencl.invoker", "_PYOPENCL_NO_CACHE"
+    if name not in sys.modules:
+        before = getattr(cl, switch, None)
+        setattr(cl, switch, True)  # while it is imported, or it would open the cache
+        try:
+            importlib.import_module(name)
+        finally:
+            setattr(cl, switch, before)
+    invoker: Any = sys.modules[name]
+    invoker.invoker_cache = _Nothing()
 
 
 def pocl_is_stuck() -> str:

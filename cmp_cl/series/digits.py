@@ -1,72 +1,177 @@
-"""Tables of numbers as text, many numbers at a time."""
+"""Numbers as text, many at a time.
 
-from collections.abc import Sequence
+A text is made of words of four letters, looked up by three digits of a number each. A letter that
+is not needed is 0, and all of those are deleted at the end.
+"""
+
+import functools
+import json
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-_DECIMALS = 9
-_LEAST, _MOST = 1e-2, 999_999.0  # of a column's largest number: it then has 7 to 15 digits
-_DIGITS = 16  # of a number: 6 before the point, the point, 9 after it
-_WIDEST = 24  # letters of a number that is written alone, %.9g
-_THREE = np.array([[n // 100, n // 10 % 10, n % 10] for n in range(1000)], np.uint8).T + ord("0")
+Words = NDArray[np.uint32]  # four letters each
+Array = NDArray[np.float64]
+
+_WORD = np.dtype("<u4")
+_SIGN = np.uint32(ord("-") << 24)  # as the last letter of a word
+_LEAST, _MOST = 1e-2, 999_999.0  # of the largest number: all then have 7 to 15 digits
+_TINY = 1e-90  # of the largest number: below it, and from _MOST on, each is written alone
+_ALONE = 6  # words of a number that is written alone
 
 
 def rows_of(begin: str, columns: Sequence[NDArray[np.generic]]) -> bytes:
     """Return the lines `begin,number,...` of a table in CSV.
 
-    columns: (N,) each. Numbers have 9 decimals without the zeros at their end; in columns whose
-    largest number is below .01 or not below 999 999 they have 9 digits, %.9g. Whole
-    numbers are as they are.
+    columns: (N,) each. Numbers have 9 decimals without the zeros at their end. In columns whose
+    largest number is below .01 they end in a power of a thousand, 12.5e-6; where it is not
+    below 999 999 they have 9 digits, %.9g. Whole numbers are as they are.
     """
-    values = np.stack([column.astype(np.float64) for column in columns])
-    missing = np.isnan(values)
-    largest = np.where(missing, 0, np.abs(values)).max(axis=1)
-    plain = (largest == 0) | ((largest >= _LEAST) & (largest < _MOST))
-    count = values.shape[1]
-    # A comma, a sign and the number; 0 where there is no letter.
-    text = np.zeros((count, len(columns), 2 + (_DIGITS if plain.all() else _WIDEST)), np.uint8)
-    text[:, :, 0] = ord(",")
-    fixed = _fixed(np.where(missing | ~plain[:, None], 0, values))
-    text[:, :, 1 : 2 + _DIGITS] = fixed.transpose(2, 1, 0)
-    for number in np.flatnonzero(~plain).tolist():
-        form = b"%.9g" if columns[number].dtype.kind == "f" else b"%d"
-        alone = np.array([form % each for each in columns[number].tolist()], np.bytes_)
-        width = alone.dtype.itemsize
-        text[:, number, 1:] = 0
-        text[:, number, 1 : 1 + width] = alone.view(np.uint8).reshape(count, width)
-    if missing.any():
-        column, row = np.nonzero(missing)
-        text[row, column, 1:] = 0
-        text[row, column, 1:4] = np.frombuffer(b"nan", np.uint8)
-    first = np.broadcast_to(np.frombuffer(begin.encode(), np.uint8), (count, len(begin)))
-    last = np.full((count, 1), ord("\n"), np.uint8)
-    whole = np.concatenate([first, text.reshape(count, -1), last], axis=1)
-    return whole.tobytes().translate(None, b"\0")
+    count = len(columns[0])
+    first = _words(f"\n{begin}")
+    parts = [np.broadcast_to(first, (count, len(first)))] * (1 + len(columns))
+    exact = [column.dtype.kind != "f" for column in columns]
+    for whole in (True, False):
+        if places := [place for place, same in enumerate(exact) if same == whole]:
+            values = np.stack([columns[place] for place in places]).astype(np.float64)
+            numbers = _numbers(values, whole, _words(","), ("nan", "inf", "-inf"))
+            for place, number in zip(places, numbers, strict=True):
+                parts[1 + place] = number
+    return _joined(np.concatenate(parts, axis=1))[1:] + b"\n"
 
 
-def _fixed(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Return the letters of numbers (K, N) below a million: (17, K, N), sign, digits, decimals."""
-    size = np.abs(values)
-    units = size.astype(np.uint32)
-    decimals = np.rint((size - units) * 10**_DECIMALS).astype(np.uint32)
-    full = decimals == 10**_DECIMALS
-    units[full] += 1
-    decimals[full] = 0
-    text = np.empty((1 + _DIGITS, *values.shape), np.uint8)
-    chunks = (units // 1000, units % 1000, decimals // 10**6, decimals // 1000 % 1000)
-    for place, chunk in zip((1, 4, 8, 11, 14), (*chunks, decimals % 1000), strict=True):
-        for digit in range(3):
-            np.take(_THREE[digit], chunk, out=text[place + digit])
-    zero = ord("0")
-    seen = np.zeros(values.shape, np.bool_)
-    for place in range(1, 6):  # zeros before the first digit, but for that of the units
-        seen |= text[place] != zero
-        text[place] *= seen
-    seen[:] = False
-    for place in range(16, 7, -1):  # zeros after the last digit
-        seen |= text[place] != zero
-        text[place] *= seen
-    text[7] = ord(".") * seen
-    text[0] = ord("-") * ((values < 0) & ((units > 0) | (decimals > 0)))
+def nested(values: NDArray[np.generic]) -> bytes:
+    """Return an array of numbers as JSON, lists within lists, null where a number is not finite.
+
+    The numbers are written as those of one column of `rows_of` are.
+    """
+    if values.dtype.kind not in "iuf" or not values.ndim or not values.size:
+        return json.dumps(plain(values)).encode()
+    flat = values.reshape(1, -1).astype(np.float64)
+    numbers = _numbers(flat, values.dtype.kind != "f", _brackets(values.shape), ("null",) * 3)
+    return _joined(numbers) + b"]" * values.ndim
+
+
+def plain(value: NDArray[np.generic]) -> Any:
+    """Return an array as lists of numbers that JSON has, null for NaN."""
+    finite = np.isfinite(value) if value.dtype.kind == "f" else np.True_
+    if np.all(finite):
+        return value.tolist()
+    numbers = value.astype(object)
+    numbers[~finite] = None
+    return numbers.tolist()
+
+
+def _joined(text: Words) -> bytes:
+    return text.tobytes().translate(None, b"\0")
+
+
+def _words(text: str, count: int = 0) -> Words:
+    """Return a text as words; the last letter of the last one is free."""
+    letters = text.encode()
+    return np.frombuffer(letters.ljust(4 * max(count, len(letters) // 4 + 1), b"\0"), _WORD)
+
+
+@functools.lru_cache(maxsize=16)
+def _brackets(shape: tuple[int, ...]) -> Words:
+    """Return what stands before each number of an array as nested lists, (1, N, W)."""
+    size, depth = math.prod(shape), len(shape)
+    words = np.empty((1, size, (2 * depth - 1) // 4 + 1), _WORD)
+    for closed in range(depth):  # lists that end before a number
+        step = math.prod(shape[depth - closed :])
+        words[:, ::step] = _words("]" * closed + "," + "[" * closed, words.shape[2])
+    words[:, 0] = _words("[" * depth, words.shape[2])
+    return words
+
+
+def _numbers(values: Array, exact: bool, before: Words, unknown: tuple[str, str, str]) -> Words:
+    """Return the letters of numbers (K, N), those of a row written alike: (K, N, W) words.
+
+    exact: whether they are whole numbers. before: what stands before each, the last letter
+    free, (K, N, B) or what broadcasts to it. unknown: what stands for NaN, inf and -inf.
+    """
+    finite = np.isfinite(values)
+    size = np.where(finite, np.abs(values), 0)
+    largest = size.max(axis=1)
+    alone = (largest >= _MOST) | ((largest < _TINY) & (largest > 0))
+    size[alone] = 0
+    small = np.flatnonzero((largest > 0) & (largest < _LEAST) & ~alone)
+    thousands = np.ceil(-np.log10(largest[small]) / 3).astype(np.int64)
+    size[small] *= 1000.0 ** thousands[:, None]
+    digits, zero = _digits(size)
+    first = before.shape[-1]
+    words = max(len(digits) + (len(small) > 0), _ALONE if alone.any() else 0)
+    text = np.zeros((*values.shape, first + words), _WORD)
+    text[..., :first] = before
+    text[..., first - 1] += np.where((values < 0) & ~zero, _SIGN, np.uint32(0))
+    for number, part in enumerate(digits):
+        text[..., first + number] = part
+    for row, power in zip(small.tolist(), thousands.tolist(), strict=True):
+        text[row, :, first + len(digits)] = _words(f"e-{3 * power}")[0]
+    for row in np.flatnonzero(alone).tolist():
+        form = "%d" if exact else "%.9g"
+        for place in np.flatnonzero(finite[row]).tolist():
+            text[row, place, first:] = _words(form % values[row, place], words)
+    if not finite.all():
+        odd = np.isnan(values), values == np.inf, values == -np.inf
+        for which, name in zip(odd, unknown, strict=True):
+            text[which, first:] = _words(name, words)[:words]
     return text
+
+
+def _digits(size: Array) -> tuple[list[Words], NDArray[np.bool_]]:
+    """Return the words of numbers from 0 to a million, and where all their digits are 0."""
+    tables = _tables()
+    units = size.astype(np.int64)
+    decimals = np.rint((size - units) * 10.0**9).astype(np.int64)
+    full = decimals == 10**9
+    units += full
+    decimals -= 10**9 * full
+    zero = (units == 0) & (decimals == 0)
+    words = []
+    head = units // 1000
+    if head.any():
+        words.append(tables.opening[np.where(head, head, 1000)])
+        units += 1000 * (head > 0) - 1000 * head
+    words.append(tables.units[units])
+    if decimals.any():
+        first = decimals // 10**6
+        decimals -= 10**6 * first
+        second = decimals // 1000
+        third = decimals - 1000 * second
+        words.append(tables.point[first + 1000 * (decimals > 0)])
+        words.append(tables.middle[second + 1000 * (third > 0)])
+        words.append(tables.middle[third])
+    return words, zero
+
+
+class _Tables(NamedTuple):
+    """Words of three digits: (1000,), and then (1000,) where digits that are not 0 lie beyond.
+
+    opening: without zeros before it; a last one is empty. units: the same, with the 0 of zero, and
+    with all zeros behind an opening. point: with the point before it. point, middle: without
+    zeros after it, and with all of them before another.
+    """
+
+    opening: Words
+    units: Words
+    point: Words
+    middle: Words
+
+
+@functools.cache
+def _tables() -> _Tables:
+    def table(texts: Iterable[str]) -> Words:
+        return np.array([text.encode() for text in texts], "S4").view(_WORD)
+
+    all_three = [f"{number:03}" for number in range(1000)]
+    trimmed = [text.rstrip("0") for text in all_three]
+    return _Tables(
+        opening=table([*map(str, range(1000)), ""]),
+        units=table([*map(str, range(1000)), *all_three]),
+        point=table(["." * bool(text) + text for text in trimmed] + [f".{t}" for t in all_three]),
+        middle=table([*trimmed, *all_three]),
+    )

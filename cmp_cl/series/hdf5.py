@@ -1,19 +1,24 @@
 """A recording as HDF5, readable while it grows."""
 
+import contextlib
+import errno
 import os
+import re
 import secrets
+import tempfile
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target
 from cmp_cl.series.base import Description, Frame, Series
 
 _CHUNK = 1 << 16  # bytes of several small frames
+_RESERVE = 1 << 21  # bytes, and two chunks of every dataset
 
 
 class Hdf5Series(Series):
@@ -23,6 +28,9 @@ class Hdf5Series(Series):
     `unit`. Every frame is flushed, so a killed program loses none. The file appears under its
     name with the first frame, and can be read from then on by h5py.File(path, swmr=True); that
     is also how a file is opened whose writer was killed.
+
+    HDF5 crashes where it cannot write what it must at the end. So some disk space is held back
+    until the file is closed or the disk is full.
 
     Raises ConfigError without h5py, OSError.
     """
@@ -39,6 +47,9 @@ class Hdf5Series(Series):
         self._target = check_target(path)
         self._temporary = self._target.with_name(f".{secrets.token_hex(8)}.tmp")
         self._file: Any = h5py.File(self._temporary, "x", libver="latest")
+        self._datasets: dict[str, Any] = {}
+        self._reserve = contextlib.ExitStack()
+        self._full = False
         for name, value in description.entries().items():
             self._file.attrs[name] = value
         for name, array in self.constants.items():
@@ -59,19 +70,32 @@ class Hdf5Series(Series):
             if not self._count:
                 self._begin(full)
             for name, value in full.items():
-                dataset = self._file[name]
-                dataset.resize(self._count + 1, axis=0)
-                dataset[self._count] = value
-                dataset.flush()
-        except RuntimeError as error:  # a full disk, too
-            raise OSError(f"{self._target}: {error}") from error
+                _add_frame(self._datasets[name], self._count, value)
+        except (RuntimeError, OSError) as error:
+            self._reserve.close()
+            self._full = True
+            raise self._failed(error) from error
         if not self._count:
             os.replace(self._temporary, self._target)
 
+    def _failed(self, error: Exception) -> OSError:
+        """Return HDF5's error as that of the file."""
+        if isinstance(error, OSError) and error.errno is not None:
+            return OSError(error.errno, error.strerror, str(self._target))
+        said = re.search(r"errno = (\d+)", str(error))
+        if said is None:
+            return OSError(f"{self._target}: {error}")
+        return OSError(int(said[1]), os.strerror(int(said[1])), str(self._target))
+
     def _begin(self, frame: Frame) -> None:
         """Make the datasets; none can be added once others read the file."""
+        size = _RESERVE + 2 * sum(max(value.nbytes, _CHUNK) for value in frame.values())
+        held = tempfile.TemporaryFile(dir=self._target.parent, buffering=0)  # noqa: SIM115
+        self._reserve.enter_context(held)
+        if held.write(bytes(size)) < size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._target))
         for name, value in frame.items():
-            if name in self._file:
+            if name in self._datasets:
                 continue
             frames = max(1, min(1024, _CHUNK // max(value.nbytes, 1)))
             dataset = self._file.create_dataset(
@@ -83,10 +107,34 @@ class Hdf5Series(Series):
                 fillvalue=np.nan if value.dtype.kind == "f" else None,
             )
             self._set_unit(name, dataset)
-        self._file["time_ms"].attrs["unit"] = "ms"
+            self._datasets[name] = dataset
+        self._datasets["time_ms"].attrs["unit"] = "ms"
         self._file.swmr_mode = True
 
     def _finish(self) -> None:
-        self._file.close()
-        if self._temporary.exists():  # no frame came
+        self._datasets.clear()
+        self._reserve.close()
+        try:
+            self._file.close()
+        except RuntimeError as error:
+            raise self._failed(error) from error
+        if self._full:
+            self._temporary.unlink(missing_ok=True)
+        elif self._temporary.exists():  # no frame came
             os.replace(self._temporary, self._target)
+
+
+def _add_frame(dataset: Any, number: int, value: NDArray[Any]) -> None:
+    """Append a frame to a dataset and flush it, as resize, an assignment and flush would.
+
+    h5py's functions for these take three times as long as HDF5's own.
+    """
+    import h5py
+
+    found = dataset.id
+    found.set_extent((number + 1, *value.shape))
+    place = found.get_space()
+    place.select_hyperslab((number, *(0,) * value.ndim), (1, *value.shape))
+    within = h5py.h5s.create_simple((1, *value.shape))
+    found.write(within, place, np.ascontiguousarray(value))
+    found.flush()

@@ -2,6 +2,8 @@
 
 import os
 import struct
+import subprocess
+import sys
 import zipfile
 import zlib
 from os import PathLike
@@ -18,6 +20,8 @@ _DAMAGE = (  # what reading a damaged zip, .npy or HDF5 raises
     *(OSError, ValueError, KeyError, EOFError, OverflowError, MemoryError, RuntimeError),
     *(AttributeError, TypeError, struct.error, zipfile.BadZipFile, zlib.error),
 )
+_LONGEST_READ = 30.0  # s, of a file that grows, and as long as it takes at
+_LEAST_RATE = 10e6  # bytes a second
 _MOST_UNPACKED = 1100  # bytes of a byte in the file: deflate's best is 1032
 
 
@@ -49,33 +53,61 @@ def _npz(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def _hdf5(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    with _opened(path) as file:
-        frames = len(file["index"]) if "index" in file else 0
-        found: dict[str, NDArray[Any]] = {}
-        most = _MOST_UNPACKED * os.path.getsize(path)
-        if sum(dataset.nbytes for dataset in file.values()) > most:
-            raise ValueError("it says to hold more than it can")
-        for name, dataset in file.items():
-            if dataset.dtype.kind == "O":
-                found[name] = np.array(dataset.asstr()[()])
-            elif dataset.maxshape[:1] == (None,):
-                found[name] = dataset[:frames]
-            else:
-                found[name] = dataset[()]
-        return found
-
-
-def _opened(path: str | PathLike[str]) -> Any:
-    """Open the file as HDF5, beside its writer where that is open or was killed.
-
-    Only then in the mode for that, in which HDF5 waits ever longer for damaged parts to become
-    whole.
-    """
     with extra("hdf5", "HDF5"):
         import h5py
     try:
-        return h5py.File(path, "r")
+        with h5py.File(path, "r") as file:
+            return _datasets(file, path)
     except OSError as error:
         if "already open for" not in str(error):
             raise
-    return h5py.File(path, "r", libver="latest", swmr=True)
+    _try_beside_writer(path)
+    return _beside_writer(path)
+
+
+def _beside_writer(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
+    """Read HDF5 whose writer has it open or was killed."""
+    import h5py
+
+    with h5py.File(path, "r", libver="latest", swmr=True) as file:
+        return _datasets(file, path)
+
+
+def _try_beside_writer(path: str | PathLike[str]) -> None:
+    """Raise ValueError where the file cannot be read beside its writer within a time.
+
+    HDF5 waits there for damaged parts to become whole, without end and where no signal reaches
+    it. So another process tries first.
+    """
+    code = (
+        f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import _beside_writer as read; "
+    )
+    limit = _LONGEST_READ + os.path.getsize(path) / _LEAST_RATE
+    try:
+        subprocess.run(
+            [sys.executable, "-c", f"{code}read(sys.argv[1])", os.fspath(path)],
+            check=True,
+            capture_output=True,
+            timeout=limit,
+        )
+    except subprocess.TimeoutExpired:
+        raise ValueError(f"it is damaged: not read within {limit:.0f} s") from None
+    except subprocess.CalledProcessError as error:
+        said = error.stderr.decode(errors="replace").strip().splitlines() or ["no reason given"]
+        raise ValueError(f"it is damaged: {said[-1]}") from None
+
+
+def _datasets(file: Any, path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
+    frames = len(file["index"]) if "index" in file else 0
+    found: dict[str, NDArray[Any]] = {}
+    most = _MOST_UNPACKED * os.path.getsize(path)
+    if sum(dataset.nbytes for dataset in file.values()) > most:
+        raise ValueError("it says to hold more than it can")
+    for name, dataset in file.items():
+        if dataset.dtype.kind == "O":
+            found[name] = np.array(dataset.asstr()[()])
+        elif dataset.maxshape[:1] == (None,):
+            found[name] = dataset[:frames]
+        else:
+            found[name] = dataset[()]
+    return found

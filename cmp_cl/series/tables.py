@@ -16,7 +16,7 @@ from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, whole_file, write_text
 from cmp_cl.series.base import Description, Frame, Series
-from cmp_cl.series.digits import rows_of
+from cmp_cl.series.digits import nested, plain, rows_of
 
 _ROWS = 1 << 17  # of a group in a Parquet file
 _AXES = "x", "y", "z"
@@ -50,11 +50,11 @@ def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, 
         for part, end in enumerate(_ends(name, value.shape[2])):
             yield f"{name}_{end}", value[..., part].ravel(), unit
     for name, value in frame.items():
-        unit, ends = units.get(name, ""), _ends(name, value.size)
+        unit = units.get(name, "")
         if value.ndim == 0:
             yield name, np.broadcast_to(value, rows.size), unit
         elif value.ndim == 1:
-            for part, end in zip(value, ends, strict=True):
+            for part, end in zip(value, _ends(name, value.size), strict=True):
                 yield f"{name}_{end}", np.broadcast_to(part, rows.size), unit
 
 
@@ -62,6 +62,40 @@ def _ends(name: str, count: int) -> tuple[str, ...]:
     """Return what the names of an array's parts end in."""
     ends = _PARTS.get(name, _AXES)
     return ends[:count] if count <= len(ends) else tuple(map(str, range(count)))
+
+
+class _Appended:
+    """A file that appears when it is closed, with the parts that were written whole.
+
+    On a full disk these are kept; without any, an older file stays.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self._files = contextlib.ExitStack()
+        buffered: Any = self._files.enter_context(whole_file(path))
+        self._file = buffered.raw  # a buffer would keep the bytes that a full disk has refused
+        self._end = 0
+        self._error: OSError | None = None
+
+    def append(self, part: bytes) -> None:
+        """Write a part, or nothing of it; raises OSError."""
+        rest = memoryview(part)
+        try:
+            while rest:  # a nearly full disk may take only some of it
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            self._error = error
+            with contextlib.suppress(OSError):  # of a device or a pipe
+                self._file.truncate(self._end)
+                self._file.seek(self._end)
+            raise
+        self._end += len(part)
+
+    def close(self) -> None:
+        """Let the file appear; raises OSError."""
+        with self._files:
+            if self._error is not None and not self._end:
+                raise self._error
 
 
 class CsvSeries(Series):
@@ -79,38 +113,23 @@ class CsvSeries(Series):
     ) -> None:
         super().__init__(description, constants)
         self._target = check_target(path)
-        self._files = contextlib.ExitStack()
-        self._file = self._files.enter_context(whole_file(path))
+        self._file = _Appended(path)
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         table = list(node_columns(frame, self.description.units))
+        header = b""
         if not self._count:
             names = [f"{name}_{unit}" if unit else name for name, _, unit in table]
-            self._file.write((",".join(["frame", "time_ms", *names]) + "\n").encode())
-        self._file.write(
-            rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
-        )
+            header = (",".join(["frame", "time_ms", *names]) + "\n").encode()
+        rows = rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
+        self._file.append(header + rows)
 
     def _finish(self) -> None:
-        try:
-            about = {"units": dict(self.description.units), **self.description.entries()}
-            about_constants = {name: _plain(value) for name, value in self.constants.items()}
-            self._files.close()
-        except BaseException:
-            self._files.__exit__(*sys.exc_info())
-            raise
+        self._file.close()
+        about = {"units": dict(self.description.units), **self.description.entries()}
+        about_constants = {name: plain(value) for name, value in self.constants.items()}
         beside = self._target.with_name(f"{self._target.name}-metadata.json")
         write_text(beside, json.dumps({**about, "constants": about_constants}, indent=1))
-
-
-def _plain(value: NDArray[Any]) -> Any:
-    """Return an array as lists of numbers that JSON has, null for NaN."""
-    finite = np.isfinite(value) if value.dtype.kind == "f" else np.True_
-    if np.all(finite):
-        return value.tolist()
-    numbers = value.astype(object)
-    numbers[~finite] = None
-    return numbers.tolist()
 
 
 class JsonLines(Series):
@@ -126,31 +145,36 @@ class JsonLines(Series):
         constants: Mapping[str, ArrayLike],
     ) -> None:
         super().__init__(description, constants)
-        self._files = contextlib.ExitStack()
-        self._piped = os.fspath(path) == "-"
-        self._file: Any = (
-            sys.stdout.buffer if self._piped else self._files.enter_context(whole_file(path))
-        )
-        self._line(
-            {
-                "units": dict(description.units),
-                **description.entries(),
-                "constants": {name: _plain(value) for name, value in self.constants.items()},
-            }
-        )
+        self._file = None if os.fspath(path) == "-" else _Appended(path)
+        about = {"units": dict(description.units), **description.entries()}
+        parts = {name: json.dumps(text).encode() for name, text in about.items()}
+        self._line({**parts, "constants": _members(_nested(self.constants))})
 
-    def _line(self, content: Mapping[str, Any]) -> None:
-        self._file.write((json.dumps(content, allow_nan=False) + "\n").encode())
-        if self._piped:
-            self._file.flush()
+    def _line(self, members: Mapping[str, bytes]) -> None:
+        line = _members(members) + b"\n"
+        if self._file is not None:
+            self._file.append(line)
+        else:
+            sys.stdout.buffer.write(line)
+            sys.stdout.buffer.flush()
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
-        time = float(time_ms) if np.isfinite(time_ms) else None
-        arrays = {name: _plain(value) for name, value in frame.items()}
-        self._line({"frame": int(index), "time_ms": time, **arrays})
+        time = repr(float(time_ms)) if np.isfinite(time_ms) else "null"
+        self._line({"frame": b"%d" % index, "time_ms": time.encode(), **_nested(frame)})
 
     def _finish(self) -> None:
-        self._files.close()
+        if self._file is not None:
+            self._file.close()
+
+
+def _nested(arrays: Mapping[str, NDArray[Any]]) -> dict[str, bytes]:
+    return {name: nested(value) for name, value in arrays.items()}
+
+
+def _members(values: Mapping[str, bytes]) -> bytes:
+    """Return an object of JSON from its values in JSON."""
+    texts = (json.dumps(name).encode() + b": " + value for name, value in values.items())
+    return b"{" + b", ".join(texts) + b"}"
 
 
 class ParquetSeries(Series):
@@ -191,7 +215,7 @@ class ParquetSeries(Series):
         if self._writer is None:
             about = {**self.description.entries()}
             about["constants"] = json.dumps(
-                {name: _plain(value) for name, value in self.constants.items()}
+                {name: plain(value) for name, value in self.constants.items()}
             )
             schema = arrow.schema(
                 [
@@ -202,9 +226,12 @@ class ParquetSeries(Series):
                 ],
                 metadata=about,
             )
-            self._writer = arrow.parquet.ParquetWriter(self._file, schema)
+            repeated = [name for name, value, _ in full if value.dtype.kind != "f"]
+            self._writer = arrow.parquet.ParquetWriter(
+                self._file, schema, use_dictionary=["time_ms", *repeated]
+            )
         self._waiting.append(
-            arrow.record_batch([arrow.array(v) for _, v, _ in full], schema=self._writer.schema)
+            arrow.record_batch([_arrow_array(v) for _, v, _ in full], schema=self._writer.schema)
         )
         self._rows += count
         if self._rows >= _ROWS:
@@ -221,3 +248,13 @@ class ParquetSeries(Series):
                 raise FieldError("no frame was measured: there is no table to write")
             self._flush()
             self._writer.close()
+
+
+def _arrow_array(values: NDArray[Any]) -> Any:
+    """Return an array (N,) of numbers as one of Arrow; `pyarrow.array` would import pandas."""
+    import pyarrow
+
+    flat = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else values
+    buffer = pyarrow.py_buffer(np.ascontiguousarray(flat))
+    kind = pyarrow.from_numpy_dtype(values.dtype)
+    return pyarrow.Array.from_buffers(kind, len(values), [None, buffer])

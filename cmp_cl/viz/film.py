@@ -47,6 +47,7 @@ class OverlayFilm(Closing):
         self._fourcc = cv2.VideoWriter.fourcc(*FILM_SUFFIXES[suffix])
         self._fps, self._unit = fps, unit
         self._writer: Any = None
+        self._frames = 0
         self._size = (0, 0)
         self._shape: tuple[int, ...] = ()
         self._factor = 1.0
@@ -81,6 +82,7 @@ class OverlayFilm(Closing):
         self._nodes(canvas[:high, :wide], (grid.xy + 0.5) * np.float32(factor) - 0.5, moved)
         self._legend(canvas[high:], text)
         self._writer.write(canvas)
+        self._frames += 1
 
     def _begin(self, shape: tuple[int, ...]) -> None:
         self._shape = shape
@@ -146,10 +148,19 @@ class OverlayFilm(Closing):
             return
         self._writer.release()
         self._writer = None
-        if not self._temporary.exists() or not self._temporary.stat().st_size:
+        if not self._is_whole():
             self._temporary.unlink(missing_ok=True)
             raise OSError(f"{str(self._target)!r}: the film was not written; is the disk full?")
         os.replace(self._temporary, self._target)
+
+    def _is_whole(self) -> bool:
+        """Return whether the file holds all frames: OpenCV does not report a full disk."""
+        written = cv2.VideoCapture(str(self._temporary))
+        try:
+            counted = round(written.get(cv2.CAP_PROP_FRAME_COUNT))
+            return abs(counted - self._frames) <= 1  # Matroska says how long it is
+        finally:
+            written.release()
 
 
 def _eight_bits(image: GreyImage) -> NDArray[np.uint8]:
