@@ -209,6 +209,8 @@ def full_lines(there: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     ends: list[int] = []
     for axis in (1, 0):
         count = there.sum(axis=axis)
-        full = np.flatnonzero(count >= max(np.median(count) / 4, 1))
+        ordered = np.sort(count)
+        median = (int(ordered[(len(count) - 1) // 2]) + int(ordered[len(count) // 2])) / 2
+        full = np.flatnonzero(count >= max(median / 4, 1))
         ends += [int(full[0]), int(full[-1])]
     return ends[0], ends[1], ends[2], ends[3]

@@ -84,7 +84,9 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
     the numbers of the rest grid, or None.
     """
     rest = Reference.of(like)
-    if all(border.sides) and all(like.border) and nodes.at.shape in (like.shape, like.shape[::-1]):
+    at_rest = Border(*like.reach).turned(-quarter_turns(nodes.at, rest)[0][0])
+    whole = all(border.sides) and all(like.border) and not any(border.contradicts(at_rest))
+    if whole and nodes.at.shape in (like.shape, like.shape[::-1]):
         decided = _by_turn(nodes, like, rest)
     else:
         decided = _by_border(nodes, border, like, rest)
