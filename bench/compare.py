@@ -2,11 +2,11 @@
 
     python bench/compare.py old/speed.json results/speed.json
 
-Rows are matched by what they say about themselves. Worse means: more time than `--slower`
-allows (of the ratio to the median of the peers in the same run, where there are peers, since
-machines differ), or any more missed, false, wrongly numbered or failed, or an error larger by
-over 5 %, or positions on two implementations that are no longer alike.
-The exit status is 1 where something got worse.
+Rows are matched by their names and settings. A row got worse if it takes longer than `--slower`
+allows, if it misses, invents, misnumbers or fails more, if an error grew by over 5 %, or if two
+implementations no longer give the same positions. Machines differ: where there are peers, a time is
+compared as its ratio to the median of the peers in the same run. The exit status is 1 if anything
+got worse.
 """
 
 import argparse

@@ -37,18 +37,18 @@ GROWTH = 16.0  # MB that the process may grow: allocators keep some pieces
 
 
 def resident() -> float:
-    """Memory of this process, MB."""
+    """Return the memory of this process, MB."""
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def open_files() -> int:
-    """File descriptors of this process."""
+    """Return the number of open files of this process."""
     return len(os.listdir("/proc/self/fd"))
 
 
 def digest(results: list[Corners]) -> str:
-    """Of every byte of the results."""
+    """Return a digest of every byte of the results."""
     hashed = hashlib.sha256()
     for corners in results:
         for name in (field.name for field in dataclasses.fields(Corners) if field.name != "device"):
@@ -57,7 +57,8 @@ def digest(results: list[Corners]) -> str:
 
 
 def recordings() -> list[tuple[DetectorConfig, list[np.ndarray]]]:
-    """Small to VGA, 8 and 16 bits, pressed, blank and noisy frames, each size its settings."""
+    """Return frames small to VGA, of 8 and 16 bits, pressed, blank and noisy, with settings for
+    each size."""
     rng = np.random.default_rng(0)
     made = []
     for shape, markers, bits, config in (
@@ -145,7 +146,7 @@ def endure(seconds: float, device: str | None = None, openings: int = 1000) -> d
 
 
 def failures(found: dict[str, Any]) -> list[str]:
-    """What is wrong, in words."""
+    """Return what is wrong, in words."""
     wrong = []
     if found["changed"]:
         wrong.append(f"{found['changed']} rounds gave other results than the first")

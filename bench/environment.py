@@ -41,8 +41,8 @@ def environment() -> dict[str, Any]:
 
 
 def others(seconds: float = 1.0) -> float | None:
-    """Cores that were busy while this program slept, with other programs' work; None where the
-    system does not say."""
+    """Return the cores that other programs kept busy while this one slept; None where the system
+    does not say."""
     try:
         before = _busy()
         time.sleep(seconds)

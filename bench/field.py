@@ -90,7 +90,7 @@ class Shot(NamedTuple):
 
 
 def scene_of(seed: int, indenter: Indenter, mode: Mode, severity: float) -> Scene:
-    """The press of that seed; what a seed draws besides is the same for all of its presses."""
+    """Return the press of that seed; what else a seed draws is the same for all its presses."""
     return random_scene(
         seed, markers=MARKERS, shape=VIEW, indenter=indenter, mode=mode, severity=severity
     )
@@ -99,7 +99,7 @@ def scene_of(seed: int, indenter: Indenter, mode: Mode, severity: float) -> Scen
 def of_seed(
     seed: int, scenes: Sequence[Scene], device: Device, progress: Progress
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Every press of a seed with every configuration, and whether their order matters."""
+    """Measure every press of a seed with every configuration, and whether their order matters."""
     rig = StereoRig(*default_rig(VIEW))
     split = BinocularSplit.halves(2 * VIEW[1], VIEW[0])
     rest = Shot(*render_stereo(scenes[0].at_rest(), rig))
@@ -128,7 +128,7 @@ def of_seed(
 
 
 def digest(arrays: dict[str, np.ndarray]) -> str:
-    """Of everything that goes into a series for one frame."""
+    """Return a digest of everything that goes into a series for one frame."""
     whole = hashlib.sha256()
     for array in arrays.values():
         whole.update(array.tobytes())
@@ -136,7 +136,7 @@ def digest(arrays: dict[str, np.ndarray]) -> str:
 
 
 def answer(measure: TwoViews, scene: Scene, rest: Shot, now: Shot) -> dict[str, Any]:
-    """How right one frame is: numbering, and squared errors in um2 for later means."""
+    """Return how right one frame is: numbering, and squared errors in um2 for later means."""
     frame = now.frame
     start = time.perf_counter()
     found = measure(frame)
@@ -174,7 +174,7 @@ def answer(measure: TwoViews, scene: Scene, rest: Shot, now: Shot) -> dict[str, 
 
 
 def within(field: DisplacementField, truth: np.ndarray) -> float:
-    """The share of errors within two standard deviations, along each node's own axes."""
+    """Return the share of errors within two standard deviations, along each node's own axes."""
     known = np.isfinite(field.covariance).all(axis=(2, 3)) & field.valid
     values, axes = np.linalg.eigh(field.covariance[known])
     off = np.einsum("nij,ni->nj", axes, (field.displacement - truth)[known])
@@ -182,7 +182,7 @@ def within(field: DisplacementField, truth: np.ndarray) -> float:
 
 
 def grouped(rows: Sequence[dict[str, Any]], *keys: str) -> list[dict[str, Any]]:
-    """Root mean squares, and shares of frames, over the rows that agree in those keys."""
+    """Return root mean squares, and shares of frames, over the rows that agree in those keys."""
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
@@ -218,7 +218,8 @@ STREAMS = {"whole": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5), "torn": (0.6, 0.75, 0.9, 1.0
 
 
 def numbering(device: Device, rounds: int) -> list[dict[str, Any]]:
-    """What `detector.grid` takes after the detection, in both forms, one frame after another.
+    """Measure what `detector.grid` takes after the detection, in both forms, one frame after
+    another.
 
     The frames of a press come in another order in every round. Those of the first stream show
     every corner to the detector, those of the second leave some to the second look.
@@ -266,7 +267,7 @@ def numbering(device: Device, rounds: int) -> list[dict[str, Any]]:
 
 
 def full_size(cell: float) -> DetectorConfig:
-    """The library's settings for a cell without a working scale."""
+    """Return the library's settings for a cell without a working scale."""
     return exact_config(cell).replace(scale=None)
 
 
@@ -301,7 +302,7 @@ def pairs(folder: Path, count: int, shape: tuple[int, int], config: Any) -> list
 
 
 def boards() -> list[dict[str, Any]]:
-    """Squares of the published rig, and of boards that the calibration has not seen."""
+    """Measure squares of the published rig, and of boards that the calibration has not seen."""
     rows: list[dict[str, Any]] = []
     published = DATA / "stereo_bumblebee2"
     own = DATA / "stereo_opencv"
@@ -334,7 +335,7 @@ def lattice_filtered(pair: tuple[Grid, Grid]) -> tuple[Grid, Grid]:
 
 
 def left_out(views: Sequence[tuple[Grid, Grid]]) -> dict[str, Any]:
-    """Each pair measured with the calibration of the others."""
+    """Measure each pair with the calibration of the others."""
     size = (640, 480)
     sides = []
     for out, pair in enumerate(views):

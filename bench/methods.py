@@ -1,5 +1,5 @@
-"""The rows of the tables: our configurations, the ladder of optional stages, the peers, and
-both with the grid step behind them."""
+"""The rows of the tables: our configurations, each optional stage, the peers, and both followed by
+the grid step."""
 
 import contextlib
 import dataclasses
@@ -51,7 +51,7 @@ class Method(NamedTuple):
 
 
 def configs(markers: int, cell: float) -> dict[str, DetectorConfig]:
-    """Our configurations by the name of their row: presets, then each option alone.
+    """Return our configurations by the name of their row: presets, then each option alone.
 
     cell: side of a cell at rest, px.
     """
@@ -90,13 +90,13 @@ def configs(markers: int, cell: float) -> dict[str, DetectorConfig]:
 
 
 def own(name: str, config: DetectorConfig, shape: tuple[int, int]) -> Method:
-    """One of our configurations as a row."""
+    """Return one of our configurations as a row."""
     detector = Detector(shape=shape, config=config)
     return Method(name, repr(config), lambda image: detector(image).xy)
 
 
 def own_with_grid(name: str, config: DetectorConfig, frame: Any) -> Method:
-    """One of our configurations and the grid step; only nodes that were measured count."""
+    """Return one of our configurations with the grid step as a row; only measured nodes count."""
     detector = Detector(shape=frame.image.shape, config=config)
     size = (frame.markers, frame.markers)
 
@@ -107,8 +107,8 @@ def own_with_grid(name: str, config: DetectorConfig, frame: Any) -> Method:
 
 
 def own_with_filter(name: str, config: DetectorConfig, frame: Any) -> Method:
-    """One of our configurations, the grid step and the lattice filter: each measured node is
-    where it and its neighbours say."""
+    """Return one of our configurations with the grid step and the lattice filter as a row: a node
+    is where it and its neighbours say."""
     detector = Detector(shape=frame.image.shape, config=config)
     size = (frame.markers, frame.markers)
 
@@ -124,7 +124,7 @@ def own_with_filter(name: str, config: DetectorConfig, frame: Any) -> Method:
 
 
 def peer(name: str, pattern: Pattern) -> Method:
-    """A peer as a row, at the settings that the search found for that density."""
+    """Return a peer as a row, at the settings that the search found for that density."""
     entry = PEERS[name]
     settings = entry.settings(pattern.markers)
     detect = entry.make(settings, pattern)
@@ -132,8 +132,8 @@ def peer(name: str, pattern: Pattern) -> Method:
 
 
 def peer_with_grid(name: str, pattern: Pattern) -> Method:
-    """A peer and our grid step. The edge angles that the step needs are taken at the peer's
-    positions, in NumPy: right, but no fair time."""
+    """Return a peer with our grid step as a row. NumPy takes the edge angles that the step needs at
+    the peer's positions: right, but no fair time."""
     plain = peer(name, pattern)
     size = (pattern.markers, pattern.markers)
 

@@ -8,7 +8,8 @@ waved, with a hole in the print or something in front of it. Half of the prints 
 others have errors, as real ones do, which tell where the pattern has moved. Each frame is
 numbered like the rest frame, alone and after the frame before. A frame counts as wrong if more
 than one in 500 measured nodes has not its number, and as wrong in silence if it says nothing.
-No peer takes a rest frame: what they are asked is in partial_views.py.
+No peer takes a rest frame. Of some frames peers are asked what they can be asked: whether their
+nodes are corners, and have the numbers of one lattice, whichever.
 """
 
 import argparse
@@ -17,8 +18,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from environment import RESULTS, environment
+from partial_views import METHODS, Found, View, agreeing
 
 from cmp_cl import Detector, DetectorConfig, build_grid
 from cmp_cl.errors import GridError
@@ -28,7 +31,10 @@ from cmp_cl.image import GreyImage
 SIDE = 400  # px, of the pictures
 SAMPLES = 3  # of a pixel, along each axis
 NOISE = 2.0  # grey levels
+PERIOD = 256  # cells, after which the errors of a print come again
 WEAR = 0.03  # cells: standard deviation of the errors of a worn print
+EACH = 14  # one frame in so many is given to the peers
+NEAR = 0.25  # cells: a node farther from all corners is false
 MEASURED = (1, 2, 3)  # statuses of nodes that are no interpolation
 
 
@@ -110,22 +116,18 @@ class Print:
     """A checkerboard without end, with the errors of its print: (u, v) are cells."""
 
     def __init__(self, seed: int, wear: float) -> None:
-        error = np.random.default_rng(seed).normal(0, wear, (2, 256, 256))
-        self._error = error.astype(np.float32)
+        error = np.random.default_rng(seed).normal(0, wear, (2, PERIOD, PERIOD))
+        across, down = (np.pad(each, ((0, 1), (0, 1)), mode="wrap") for each in error)
+        self._error = np.dstack([across, down]).astype(np.float32)
         self._perfect = wear == 0
 
     def printed(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the ink is that belongs to (u, v): off by a field that bends within cells."""
+        """Where the ink is that belongs to (u, v): off by a field that is linear within cells."""
         if self._perfect:
             return u, v
-        at = [np.floor(each).astype(int) for each in (u, v)]
-        part = [each - whole for each, whole in zip((u, v), at, strict=True)]
-        off = np.zeros((2, *u.shape), np.float32)
-        for i in (0, 1):
-            for j in (0, 1):
-                weight = np.abs(1 - i - part[0]) * np.abs(1 - j - part[1])
-                off += weight * self._error[:, (at[1] + j) % 256, (at[0] + i) % 256]
-        return u + off[0], v + off[1]
+        around = u - PERIOD * np.floor(u / PERIOD), v - PERIOD * np.floor(v / PERIOD)
+        off = cv2.remap(self._error, *around, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return u + off[..., 0], v + off[..., 1]
 
 
 def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -143,22 +145,32 @@ def place(case: Case, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndar
     return back * across - aside * down + 0.37, aside * across + back * down + 0.21
 
 
-def picture(case: Case, seed: int) -> GreyImage:
-    """The frame, (SIDE, SIDE) uint8."""
-    ink = Print(case.print_seed, case.wear)
-    steps = (np.arange(SIDE * SAMPLES, dtype=np.float32) + 0.5) / SAMPLES - 0.5
-    x, y = np.meshgrid(steps, steps)
-    u, v = place(case, x, y)
-    across, down = ink.printed(u, v)
+def clean_picture(case: Case) -> np.ndarray:
+    """The grey levels of a frame without noise, (SIDE, SIDE) float32."""
+    steps = (np.arange(SIDE * SAMPLES, dtype=np.float32) + np.float32(0.5)) / SAMPLES - 0.5
+    x, y = steps[None].astype(np.float32), steps[:, None].astype(np.float32)
+    if case.wave:  # else rows and columns broadcast
+        x, y = np.broadcast_arrays(x, y)
+    u, v = (each.astype(np.float32) for each in place(case, x, y))
+    across, down = Print(case.print_seed, case.wear).printed(u, v)
     black = (np.floor(across).astype(np.int32) + np.floor(down).astype(np.int32)) & 1 == 0
     level = np.where(black, np.float32(45), np.float32(205))
     if case.hole == "print":
-        level[np.hypot(u - 6, v + 4) < 3] = 120
+        level[np.square(u - 6) + np.square(v + 4) < 9] = 120
     elif case.hole == "front":
-        level[np.hypot(x - 240, y - 160) < 3 * case.cell] = 30
-    level = level.reshape(SIDE, SAMPLES, SIDE, SAMPLES).mean(axis=(1, 3))
-    level += np.random.default_rng(seed).normal(0, case.noise, level.shape)
-    return np.clip(np.rint(level), 0, 255).astype(np.uint8)
+        level[np.square(x - 240) + np.square(y - 160) < (3 * case.cell) ** 2] = 30
+    return cv2.resize(level, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+
+
+def noisy(level: np.ndarray, case: Case, seed: int) -> GreyImage:
+    """The frame, (SIDE, SIDE) uint8."""
+    noise = np.random.default_rng(seed).standard_normal(level.shape, dtype=np.float32)
+    return np.clip(np.rint(level + np.float32(case.noise) * noise), 0, 255).astype(np.uint8)
+
+
+def picture(case: Case, seed: int) -> GreyImage:
+    """The frame, (SIDE, SIDE) uint8."""
+    return noisy(clean_picture(case), case, seed)
 
 
 def rest_of(case: Case) -> Case:
@@ -214,7 +226,8 @@ def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
                     continue
                 rests[at_rest] = grid
             rest = rests[at_rest]
-            image = picture(case, 6000 + number)
+            level = clean_picture(case)
+            image = noisy(level, case, 6000 + number)
             corners = detector(image)
             alone = attempt(corners=corners, image=image, like=rest)
             rows.append(
@@ -225,14 +238,17 @@ def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
                     "nodes": 0 if alone is None else int(alone.valid.sum()),
                     "alone": verdict(rest, at_rest, alone, case),
                     "margin": None if alone is None else alone.margin,
-                    "followed": followed(detector, rest, case, 7000 + number),
+                    "followed": followed(detector, rest, case, level, 7000 + number),
                 }
             )
     return rows
 
 
-def followed(detector: Detector, rest: Grid, case: Case, seed: int) -> str:
-    """The verdict on the last of frames between which the pattern moves by 0.3 cells at most."""
+def followed(detector: Detector, rest: Grid, case: Case, level: np.ndarray, seed: int) -> str:
+    """The verdict on the last of frames between which the pattern moves by 0.3 cells at most.
+
+    level: grey levels of the last one, without noise.
+    """
     steps = max(1, int(np.ceil(np.hypot(*case.shift) / 0.3)))
     before = rest
     grid: Grid | None = None
@@ -244,13 +260,72 @@ def followed(detector: Detector, rest: Grid, case: Case, seed: int) -> str:
             shift=(case.shift[0] * part, case.shift[1] * part),
             wave=case.wave * part,
         )
-        image = picture(now, seed + 1000 * step)
+        clean = level if step == steps else clean_picture(now)
+        image = noisy(clean, now, seed + 1000 * step)
         grid = attempt(corners=detector(image), image=image, like=rest, previous=before)
         if grid is not None and grid.valid.any():
             before = grid
     return verdict(rest, rest_of(case), grid, case)
 
 
+def visible(case: Case) -> int:
+    """Count the corners of the pattern that a frame shows."""
+    y, x = np.indices((SIDE, SIDE), np.float32)
+    u, v = place(case, x, y)
+    seen = np.hypot(u - np.rint(u), v - np.rint(v)) * case.cell * case.zoom < 0.75
+    if case.hole == "print":
+        seen &= np.hypot(u - 6, v + 4) >= 3
+    elif case.hole == "front":
+        seen &= np.hypot(x - 240, y - 160) >= 3 * case.cell
+    return len(np.unique(np.rint([u[seen], v[seen]]), axis=1).T)
+
+
+def lattices(every: Sequence[Case]) -> tuple[list[dict[str, Any]], dict[str, str]]:
+    """What each method makes of single frames, without a rest frame, and why some did not run."""
+    totals: dict[str, dict[str, int]] = {}
+    reasons: dict[str, str] = {}
+    for number, case in enumerate(every):
+        view = View(
+            str(number),
+            picture(case, 6000 + EACH * number),
+            np.zeros((0, 4)),
+            np.ones((SIDE, SIDE), np.bool_),
+            case.cell * case.zoom,
+            None,
+        )
+        for name, method in METHODS.items():
+            if name in reasons:
+                continue
+            try:
+                answer = method(view)
+            except (ImportError, AttributeError) as error:
+                reasons[name] = str(error)
+                continue
+            if answer is not None:
+                total = totals.setdefault(name, {})
+                for key, value in scored(case, answer).items():
+                    total[key] = total.get(key, 0) + value
+    return [{"method": name, **total} for name, total in totals.items()], reasons
+
+
+def scored(case: Case, answer: Found) -> dict[str, int]:
+    """Frames right, refused and wrong; corners in view, nodes right and false."""
+    row = {"frames": 1, "corners": visible(case)}
+    row |= dict.fromkeys(("right", "false", "frames right", "refused", "in silence"), 0)
+    real = (np.abs(answer.xy) < 1e5).all(axis=1)
+    if not real.any():
+        return row | {"refused": 1}
+    at = np.stack(place(case, *answer.xy[real].T), axis=1)[:, ::-1]
+    corner = np.rint(at).astype(int)
+    near = np.linalg.norm(at - corner, axis=1) < NEAR
+    row["false"] = int(np.count_nonzero(~near) + np.count_nonzero(~real))
+    number = np.asarray(answer.number)[real][near]
+    row["right"], _ = agreeing(number, corner[near], NO_VIEW)
+    kind = "frames right" if row["right"] >= 0.998 * len(answer.xy) else "in silence"
+    return row | {kind: 1}
+
+
+NO_VIEW = View("", np.zeros((0, 0), np.uint8), np.zeros((0, 4)), np.zeros((0, 0), bool), 0.0, None)
 NO_REST = {"alone": "refused", "followed": "refused"}
 VERDICTS = ("right", "right, ambiguous", "wrong, ambiguous", "refused", "wrong")
 
@@ -272,6 +347,13 @@ def show(rows: Sequence[dict[str, Any]]) -> None:
             print(f"{group:34}" + "".join(f"{count[word]:19}" for word in VERDICTS))
 
 
+def show_peers(rows: Sequence[dict[str, Any]]) -> None:
+    keys = [key for key in rows[0] if key != "method"]
+    print(f"\n{'one lattice, single frames':34}" + "".join(f"{key:>14}" for key in keys))
+    for row in rows:
+        print(f"{row['method']:34}" + "".join(f"{row[key]:14}" for key in keys))
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a third of the frames")
@@ -282,16 +364,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked = cases(quick=arguments.quick)
     if arguments.drawn is not None:
         asked = drawn(arguments.drawn, arguments.seed)
-    rows = answers(list(asked))
+    asked = list(asked)
+    rows = answers(asked)
     show(rows)
     if arguments.drawn is not None:
         return 0
+    peers, reasons = lattices(asked[::EACH])
+    show_peers(peers)
     result = {
         "kind": "open_patterns",
         "environment": environment(),
         "noise": NOISE,
         "wear": WEAR,
         "counts": {form: counted(rows, form) for form in ("alone", "followed")},
+        "lattices": peers,
+        "unavailable": reasons,
         "rows": rows,
     }
     arguments.out.write_text(json.dumps(result, indent=1) + "\n")

@@ -2,11 +2,11 @@
 
     python bench/partial_views.py           writes results/partial_views.json
 
-Photographs are cut at each of their four sides so that a part of the board is gone; what is
-left is given to each method. A node is right if it lies within 3 px of a corner and has the
-numbers of one lattice with the others, false if no corner lies within a quarter of a cell.
-"In silence" counts views whose numbers are not those of the whole board though nothing says
-so; only methods that are told the board's size have such numbers.
+Photographs are cut at each of their four sides, so that a part of the board is missing, and given
+to each method. A node is right if it lies within 3 px of a corner and its number fits the
+lattice of the others, false if no corner lies within a quarter of a cell. "In silence" counts views
+whose numbers are not those of the whole board, without a warning; only methods that are told the
+size of the board give such numbers.
 The photographs lie in ../shared/data beside the repository and are not part of it.
 """
 
@@ -71,7 +71,7 @@ Method = Callable[[View], Found | None]
 
 
 def views(folder: str) -> Iterator[View]:
-    """The cut photographs of a folder."""
+    """Yield the cut photographs of a folder."""
     names, shares, whole = SETS[folder]
     for name in names:
         listed = json.loads((DATA / folder / f"{name}.json").read_text())
@@ -90,7 +90,7 @@ def views(folder: str) -> Iterator[View]:
 
 
 def gels() -> Iterator[View]:
-    """Pressed gels cut at four sides, by a quarter."""
+    """Yield pressed gels cut at four sides, by a quarter."""
     for severity in (0.5, 1.0, 1.5):
         for seed in range(1700, 1700 + GELS):
             scene = random_scene(seed, markers=40, severity=severity)
@@ -135,7 +135,7 @@ def _cuts(
 
 
 def own(*, sized: bool) -> Method:
-    """Our default for the cell, with the board's size or without."""
+    """Return our default for the cell, with the board's size or without."""
 
     def find(view: View) -> Found | None:
         if sized and view.whole is None:
@@ -171,7 +171,7 @@ def calib_targets(view: View) -> Found | None:
 
 
 def _pair(value: Any) -> tuple[float, float]:
-    """Two numbers, of a tuple or of an object with x and y, or i and j."""
+    """Return two numbers from a tuple or from an object with x and y, or i and j."""
     for names in (("x", "y"), ("i", "j"), ("u", "v")):
         if hasattr(value, names[0]):
             return getattr(value, names[0]), getattr(value, names[1])
@@ -179,7 +179,7 @@ def _pair(value: Any) -> tuple[float, float]:
 
 
 def sector_based(view: View) -> Found | None:
-    """cv2.findChessboardCornersSB with LARGER from the smallest board on."""
+    """Run cv2.findChessboardCornersSB with LARGER from the smallest board on."""
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     hit, xy, meta = cv2.findChessboardCornersSBWithMeta(view.image, (3, 3), flags)
     if not hit:
@@ -191,7 +191,7 @@ def sector_based(view: View) -> Found | None:
 
 
 def libcbdetect(view: View) -> Found | None:
-    """Its largest board, with its own settings."""
+    """Return libcbdetect's largest board, with its own settings."""
     import libCBDetect as peer
 
     board = peer.Checkerboard()
@@ -220,7 +220,8 @@ METHODS: dict[str, Method] = {
 
 
 def scored(view: View, answer: Found) -> dict[str, int]:
-    """Corners in view, nodes that are right, false, neither, and numbers wrong in silence."""
+    """Return the corners in view, the nodes that are right, false and neither, and the numbers that
+    are wrong in silence."""
     row = dict.fromkeys(("right", "false", "other", "refused", "doubted", "silent"), 0)
     row["visible"] = len(view.truth)
     if not len(answer.xy):
@@ -246,7 +247,8 @@ def scored(view: View, answer: Found) -> dict[str, int]:
 
 
 def agreeing(number: np.ndarray, truth: np.ndarray, view: View) -> tuple[int, bool]:
-    """How many numbers differ from the true ones by one motion, and whether by one of the board."""
+    """Return how many numbers differ from the true ones by one motion, and whether by one of the
+    board."""
     if not len(number):
         return 0, False
     here, there = number[:, 1] + 1j * number[:, 0], truth[:, 1] + 1j * truth[:, 0]
@@ -265,7 +267,7 @@ def agreeing(number: np.ndarray, truth: np.ndarray, view: View) -> tuple[int, bo
 def _onto_itself(
     moved: np.ndarray, here: np.ndarray, mirrored: np.ndarray, quarter: int, whole: tuple[int, int]
 ) -> bool:
-    """Whether that motion takes the numbers of a whole board to those of a whole board."""
+    """Return whether that motion takes the numbers of a whole board to those of a whole board."""
     rows, columns = whole
     shape = (columns - 1) + 1j * (rows - 1)
     flipped = not np.array_equal(mirrored, here)
@@ -281,7 +283,7 @@ def _onto_itself(
 
 
 def partial(reasons: dict[str, str]) -> list[dict[str, Any]]:
-    """Every method on every cut photograph, summed by folder."""
+    """Run every method on every cut photograph, and sum by folder."""
     totals: dict[tuple[str, str], dict[str, int]] = {}
     for folder in SETS:
         for view in views(folder):
@@ -303,7 +305,7 @@ def partial(reasons: dict[str, str]) -> list[dict[str, Any]]:
 
 
 def wrong_sizes() -> list[dict[str, Any]]:
-    """Whole boards asked for in a size that is wrong by one or two lines."""
+    """Ask for whole boards in a size that is wrong by one or two lines."""
     rows = []
     for name in SETS["stereo_opencv"][0]:
         listed = json.loads((DATA / "stereo_opencv" / f"{name}.json").read_text())
@@ -325,7 +327,7 @@ def wrong_sizes() -> list[dict[str, Any]]:
 
 
 def island() -> dict[str, Any]:
-    """The corners of ellipse_10 that have a node, alone and like the frame at rest."""
+    """Return the corners of ellipse_10 that have a node, alone and like the frame at rest."""
     answers: dict[str, Any] = {}
     grids: dict[str, Grid] = {}
     for name in ("reference_df", "ellipse_10"):

@@ -83,7 +83,7 @@ class Photograph(NamedTuple):
 
 
 def uneven(xy: np.ndarray) -> np.ndarray:
-    """How far corners lie from the middle of their four neighbours, px; no truth is asked.
+    """Return how far corners lie from the middle of their four neighbours, px; no truth is asked.
 
     Only corners whose four neighbours lie around them, at distances within a third of each other.
     Divided by the root of 5/4: errors of the neighbours count too.
@@ -131,8 +131,8 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
 
 
 def own_rows(photograph: Photograph, cell: float) -> dict[str, DetectorConfig]:
-    """Our configurations: the default, what the library chooses itself, and the binary rings,
-    as they come, with three masks, and with a window for the cell and both outer radii."""
+    """Return our configurations: the default, what the library chooses itself, and the binary
+    rings, as they come, with three masks, and with a window for the cell and both outer radii."""
     window = AdaptiveMean(window=window_for_cell(cell))
     return {
         methods.DEFAULT: DetectorConfig(),

@@ -32,7 +32,7 @@ from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
 
 from cmp_cl import Detector, Grid, GridError, NodeStatus
-from cmp_cl.field import displacement
+from cmp_cl.field import PlaneScale, displacement, plane_displacement, plane_strain
 from cmp_cl.grid import filter_grid, filter_positions
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.measure import exact_config
@@ -179,9 +179,28 @@ def interval(hits: float, count: float) -> list[float]:
     return [middle - half, middle + half]
 
 
+def student(count: int) -> float:
+    """Return the 97.5 % point of Student's t for that many values, to 4 % from four on."""
+    z, free = 1.96, max(count - 1, 1)
+    return z + (z**3 + z) / (4 * free) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * free**2)
+
+
+def mean_interval(values: Sequence[float]) -> list[float]:
+    """Return the interval of 95 % for the mean of some frames' figures, NaN of a single one."""
+    if len(values) < 2:
+        return [math.nan, math.nan]
+    half = student(len(values)) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    return [float(np.mean(values)) - half, float(np.mean(values)) + half]
+
+
+def rms_interval(squares: Sequence[float]) -> list[float]:
+    """Return the interval of 95 % for the root of the mean of some frames' mean squares."""
+    return [math.sqrt(max(bound, 0)) for bound in mean_interval(squares)]
+
+
 def group(nodes: Sequence[Node], **keys: Any) -> dict[str, Any]:
-    """The figures of some frames. Shares are of coordinates; their intervals count frames, whose
-    nodes are not independent of each other.
+    """The figures of some frames. Shares are of coordinates; intervals are those of 95 % over
+    frames, whose nodes are not independent of each other.
     """
     row: dict[str, Any] = {**keys, "frames": len(nodes)}
     for kind in (*KINDS, "corner"):
@@ -193,14 +212,13 @@ def group(nodes: Sequence[Node], **keys: Any) -> dict[str, Any]:
                 z2 = np.square(ratio).mean()
                 shares.append([np.mean(ratio <= 1), np.mean(ratio <= 2), z2])
         one, two, z2 = np.mean(shares, axis=0) if shares else (np.nan,) * 3
-        spread = np.std(shares, axis=0)[1] if len(shares) > 1 else np.nan
-        half = 1.96 * spread / math.sqrt(max(len(shares), 1))
-        square = np.mean([np.square(node.errors[kind]).sum(axis=1).mean() for node in nodes])
+        squares = [float(np.square(node.errors[kind]).sum(axis=1).mean()) for node in nodes]
         row[kind] = {
-            "rms": math.sqrt(square),
+            "rms": math.sqrt(np.mean(squares)),
+            "rms_interval": rms_interval(squares),
             "within_1": float(one),
             "within_2": float(two),
-            "within_2_interval": [float(two - half), float(two + half)],
+            "within_2_interval": mean_interval([share[1] for share in shares]),
             "z": math.sqrt(z2),
         }
     ratios = [
@@ -256,22 +274,29 @@ def at_bends(nodes: Sequence[Node]) -> dict[str, Any]:
 
 
 def compared(nodes: Sequence[Node]) -> list[dict[str, Any]]:
-    """Return the RMS of the distance of other methods on the corners that they find, px."""
-    totals: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(4))
+    """Return the RMS of the distance of other methods on the corners that they find, px, with
+    intervals of 95 % over frames; without wear and with it.
+    """
+    frames: dict[tuple[float, str], list[tuple[float, float, float, int]]] = defaultdict(list)
     for node in nodes:
         for name, sums in node.rivals.items():
-            totals[name] += sums
-    return [
-        {
-            "method": name,
-            "corners": int(count),
-            "rms": math.sqrt(theirs / count),
-            "edge_step": math.sqrt(mine / count),
-            "filtered": math.sqrt(ours / count),
-        }
-        for name, (theirs, mine, ours, count) in totals.items()
-        if count
-    ]
+            frames[node.scene.corrosion, name].append(sums)
+    rows = []
+    for (corrosion, name), sums in sorted(frames.items(), key=lambda item: item[0][0]):
+        *squares, counts = np.array(sums).T
+        if not counts.sum():
+            continue
+        row: dict[str, Any] = {"corrosion": corrosion, "method": name}
+        row |= {"corners": int(counts.sum()), "frames": len(sums)}
+        for kind, square in zip(("rms", "edge_step", "filtered"), squares, strict=True):
+            mean = square.sum() / counts.sum()
+            apart = np.sqrt(np.square(square - mean * counts).sum()) / counts.sum()
+            half = student(len(sums)) * math.sqrt(len(sums) / max(len(sums) - 1, 1)) * apart
+            row[kind] = math.sqrt(mean)
+            bounds = (mean - half, mean + half)
+            row[f"{kind}_interval"] = [math.sqrt(max(bound, 0)) for bound in bounds]
+        rows.append(row)
+    return rows
 
 
 # the bound on a perfect print
@@ -308,7 +333,19 @@ def bound(frames: int) -> dict[str, Any]:
     }
 
 
-# known strain
+# known deformations
+
+
+PITCH = 0.78  # mm, of 40 nodes on 32 mm
+PIXEL = PITCH / 15  # mm, in the plane
+WEAR, OWN = 10e-3, 2e-3  # mm: wear that travels with the nodes, and noise of each moment
+AMPLITUDE = 0.05  # mm, of the sines
+
+
+def lattice(nodes: int = 40) -> np.ndarray:
+    """Return a flat lattice, (R, C, 3), mm."""
+    r, c = np.mgrid[:nodes, :nodes] * PITCH
+    return np.stack([c, r, np.full_like(r, 45.0)], axis=-1)
 
 
 def points(xyz: np.ndarray) -> Points3D:
@@ -324,47 +361,69 @@ def points(xyz: np.ndarray) -> Points3D:
     )
 
 
-PITCH = 0.78  # mm, of 40 nodes on 32 mm
-WEAR, OWN = 10e-3, 2e-3  # mm: wear that travels with the nodes, and noise of each moment
+def grid(xyz: np.ndarray) -> Grid:
+    """Return the nodes as one view sees them from the front."""
+    shape = xyz.shape[:2]
+    return Grid(
+        xy=(xyz[..., :2] / PIXEL).astype(np.float32),
+        status=np.full(shape, NodeStatus.DETECTED, np.uint8),
+        sigma=np.full(shape, np.nan, np.float32),
+        index=np.empty((0, 2), np.int32),
+    )
 
 
-def lattice(nodes: int = 40) -> np.ndarray:
-    """Return a flat lattice, (R, C, 3), mm."""
-    r, c = np.mgrid[:nodes, :nodes] * PITCH
-    return np.stack([c, r, np.full_like(r, 45.0)], axis=-1)
-
-
-def pressed(now: np.ndarray, seed: int) -> Any:
-    """Return the field from the flat lattice to `now`, with wear and noise, with its strain."""
+def pressed(now: np.ndarray, seed: int) -> dict[tuple[str, str], tuple[np.ndarray, ...]]:
+    """Measure the way from the flat lattice to `now`, with wear and noise, in space and in the
+    plane, raw and filtered: displacement, E11 and the sigma of E11.
+    """
     draw = np.random.default_rng(seed)
     flat = lattice()
     wear = draw.normal(0, WEAR, flat.shape)
     moments = [xyz + wear + draw.normal(0, OWN, flat.shape) for xyz in (flat, now)]
-    return displacement(points(moments[0]), points(moments[1])).with_strain()
+    space = displacement(*(points(moment) for moment in moments)).with_strain()
+    plane = plane_displacement(
+        *(grid(moment) for moment in moments), PlaneScale.of_pixel(PIXEL, "mm")
+    )
+    found = {}
+    for name, field in (("raw", space.raw), ("filtered", space)):
+        strain, sigma = field.strain[..., 0], field.strain_sigma[..., 0]
+        found["space", name] = (field.displacement, strain, sigma)
+    for name, field in (("raw", plane.raw), ("filtered", plane)):
+        strain = plane_strain(field)
+        found["plane", name] = (field.displacement, strain.tensor[..., 0], strain.sigma[..., 0])
+    return found
 
 
 def known_strains(repeats: int) -> list[dict[str, Any]]:
-    """Measure uniform stretches along the rows: mean, error and stated error of E11."""
+    """Measure uniform stretches along the rows: E11 and displacement, with intervals over the
+    prints.
+    """
     rows = []
     for stretch in STRAINS:
         now = lattice() * [1 + stretch, 1 - 0.4 * stretch, 1]
+        moved = now - lattice()
         true = stretch + stretch**2 / 2
-        for name in ("raw", "filtered"):
-            errors, sigmas = [], []
-            for seed in range(repeats):
-                field = pressed(now, TEST_SEED + seed)
-                field = field if name == "filtered" else field.raw
-                errors.append(field.strain[..., 0].ravel() - true)
-                sigmas.append(field.strain_sigma[..., 0].ravel())
-            error, sigma = np.concatenate(errors), np.concatenate(sigmas)
+        found = [pressed(now, TEST_SEED + seed) for seed in range(repeats)]
+        for view, name in found[0]:
+            each = [one[view, name] for one in found]
+            errors = np.stack([strain - true for _, strain, _ in each])
+            sigmas = np.stack([sigma for *_, sigma in each])
+            off = [np.square(far - moved[..., : far.shape[2]]).sum(axis=2) for far, *_ in each]
+            within = np.nanmean(np.abs(errors) <= 2 * sigmas, axis=(1, 2))
             rows.append(
                 {
-                    "stretch": stretch,
-                    "strain": true,
+                    "view": view,
                     "field": name,
-                    "mean": float(np.nanmean(error)) + true,
-                    "rms": float(np.sqrt(np.nanmean(error**2))),
-                    "within_2": float(np.nanmean(np.abs(error) <= 2 * sigma)),
+                    "strain": true,
+                    "mean": float(np.nanmean(errors)) + true,
+                    "rms": float(np.sqrt(np.nanmean(errors**2))),
+                    "rms_interval": rms_interval(np.nanmean(errors**2, axis=(1, 2)).tolist()),
+                    "within_2": float(np.mean(within)),
+                    "within_2_interval": mean_interval(within.tolist()),
+                    "displacement_um": 1e3 * math.sqrt(np.nanmean(off)),
+                    "displacement_um_interval": [
+                        1e3 * bound for bound in rms_interval([float(np.nanmean(o)) for o in off])
+                    ],
                 }
             )
     return rows
@@ -372,28 +431,35 @@ def known_strains(repeats: int) -> list[dict[str, Any]]:
 
 def resolution(repeats: int) -> list[dict[str, Any]]:
     """Of a displacement along the rows that is a sine over them: the share of the strain's
-    amplitude that is left, by wavelength.
+    amplitude that is left, by wavelength, and the displacement's error.
     """
     rows = []
-    amplitude = 0.05  # mm
     column = np.arange(40) * PITCH
     for nodes in WAVES:
         wave = 2 * np.pi / (nodes * PITCH)
-        flat = lattice()
-        now = flat + amplitude * np.sin(wave * column)[None, :, None] * np.array([1.0, 0, 0])
-        slope = amplitude * wave * np.cos(wave * column)
+        moved = AMPLITUDE * np.sin(wave * column)[None, :, None] * np.array([1.0, 0, 0])
+        moved = np.broadcast_to(moved, (40, 40, 3))
+        slope = AMPLITUDE * wave * np.cos(wave * column)
         true = np.broadcast_to(slope + slope**2 / 2, (40, 40))[4:-4, 4:-4]
-        row: dict[str, Any] = {"wavelength": nodes}
-        for name in ("raw", "filtered"):
-            shares = []
-            for seed in range(repeats):
-                field = pressed(now, TEST_SEED + seed)
-                field = field if name == "filtered" else field.raw
-                seen = field.strain[4:-4, 4:-4, 0]
-                centred = true - true.mean()
-                shares.append(float((seen * centred).sum() / (centred * centred).sum()))
-            row[name] = float(np.mean(shares))
-        rows.append(row)
+        centred = true - true.mean()
+        found = [pressed(lattice() + moved, TEST_SEED + seed) for seed in range(repeats)]
+        for view, name in found[0]:
+            each = [one[view, name] for one in found]
+            shares = [
+                float((strain[4:-4, 4:-4] * centred).sum() / np.square(centred).sum())
+                for _, strain, _ in each
+            ]
+            off = [np.square(far - moved[..., : far.shape[2]]).sum(axis=2) for far, *_ in each]
+            rows.append(
+                {
+                    "view": view,
+                    "field": name,
+                    "wavelength": nodes,
+                    "left": float(np.mean(shares)),
+                    "left_interval": mean_interval(shares),
+                    "displacement_um": 1e3 * math.sqrt(np.nanmean(off)),
+                }
+            )
     return rows
 
 
@@ -417,17 +483,20 @@ def show(result: dict[str, Any]) -> None:
     print("perfect print:", result["bound"])
     for row in (*result["strains"], *result["resolution"]):
         print(row)
-    print(f"not numbered: {result['left_out']}; filter of 1936 nodes {result['ms']:.2f} ms")
+    print(
+        f"not numbered: {result['left_out']}; filter of 1936 nodes {result['ms']:.2f} ms, of their "
+        f"displacements {result['ms_bends']:.2f} ms"
+    )
 
 
-def filter_time() -> float:
-    """Return the milliseconds for positions and sigma of 44 x 44 nodes, the median."""
+def filter_time(*, bends: bool) -> float:
+    """Return the milliseconds for values and sigma of 44 x 44 nodes, the median."""
     draw = np.random.default_rng(0)
     values = draw.normal(0, 0.1, (44, 44, 2)) + np.mgrid[:44, :44].transpose(1, 2, 0) * 0.1
     spent = []
     for _ in range(200):
         start = time.perf_counter()
-        filter_grid(values)
+        filter_grid(values, bends=bends)
         spent.append((time.perf_counter() - start) * 1e3)
     return float(np.median(spent[10:]))
 
@@ -439,7 +508,7 @@ def chosen_scenes(quick: bool) -> Iterable[tuple[Scene, bool]]:
         for number, scene in enumerate(scenes(markers, severities, 1 if quick else 3)):
             yield scene, number % 3 == 0
     for scene in others(quick):
-        yield scene, False
+        yield scene, scene.corrosion == 0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -476,7 +545,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         "strains": known_strains(repeats),
         "resolution": resolution(repeats),
         "left_out": lost,
-        "ms": filter_time(),
+        "ms": filter_time(bends=False),
+        "ms_bends": filter_time(bends=True),
     }
     show(result)
     out = arguments.out or (None if arguments.quick else RESULTS / "positions.json")

@@ -1,12 +1,13 @@
-"""How cmp_cl's cost goes with pixels, frames, threads and the age of the process.
+"""How cost grows with pixels and frames, what threads gain, and how long a start takes.
 
     python bench/scaling.py --quick         small sizes, half a minute
     python bench/scaling.py                 160 x 120 to 8192 x 8192, batches up to 256 frames;
                                             writes results/scaling.json
     python bench/scaling.py --device gpu    the same on a graphics card: results/scaling-gpu.json
 
-Every row's corners are compared with those of the single frame it is made of. What a frame
-needs at least, in bytes, operations and launches, is set against what this device does of each.
+The corners of every row are compared with those of the single frame that it repeats. The last
+table compares the time of a frame with the least it could take: the bytes, operations and launches
+that it needs, at the speed that this device has for each.
 """
 
 import argparse

@@ -37,13 +37,13 @@ def search_frames(markers: int) -> list[Frame]:
 
 
 def rank(score: Score) -> tuple[int, int, float]:
-    """What is compared: the smaller the better."""
+    """Return what is compared: the smaller the better."""
     rmse = score.rmse if score.found else float("inf")
     return score.frames - score.success, score.missed + score.false, rmse
 
 
 def search(name: str, frames: Sequence[Frame], progress: tqdm) -> tuple[Settings, Score, Score]:
-    """The best settings, their score, and that of the usual settings."""
+    """Return the best settings, their score, and that of the usual settings."""
     peer = PEERS[name]
     pattern = Pattern(frames[0].markers)
     known: dict[str, Score] = {}

@@ -117,7 +117,8 @@ def paced(
 
 
 def stages(config: DetectorConfig, frame: Frame, repeats: int = 40) -> dict[str, Any]:
-    """Median ms of each kernel, of all of them, and of the host and transfers around them."""
+    """Return the median ms of each kernel, of all of them, and of the host and transfers around
+    them."""
     with Detector(shape=frame.image.shape, config=config, profile=True) as detector:
         walls, kernels = [], []
         for _ in range(repeats):
@@ -144,7 +145,7 @@ def stages(config: DetectorConfig, frame: Frame, repeats: int = 40) -> dict[str,
 def compare(
     scene: str, names: Sequence[str], own: Sequence[str] | None, count: int, rounds: int
 ) -> dict[str, Any]:
-    """One scene class: our rows and the peers' in turns, ratios to our default."""
+    """Time one class of scenes: our rows and the peers' in turns, ratios to our default."""
     frames = [SCENES[scene](TEST_SEED + k) for k in range(count)]
     first = frames[0]
     cell = 0.92 * 480 / 45 if scene == "vga" else 0.92 * 800 / 41  # at rest

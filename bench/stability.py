@@ -47,7 +47,7 @@ PEERS_SHOWN = (
 
 
 def against_oracle(scenes: Sequence[Scene]) -> dict[str, Any]:
-    """Difference of kernels and oracle per corner, by refinement and conditioning."""
+    """Return the difference of kernels and oracle per corner, by refinement and conditioning."""
     whole: dict[str, Any] = {}
     for name, refinement in REFINEMENTS.items():
         config = DetectorConfig(refinement=refinement)
@@ -86,14 +86,14 @@ def against_oracle(scenes: Sequence[Scene]) -> dict[str, Any]:
 
 
 def _sine(corners: Corners) -> np.ndarray:
-    """|sin| of the angle between the two lines through opposite boundaries."""
+    """Return the |sin| of the angle between the two lines through opposite boundaries."""
     unit = np.exp(1j * corners.edges.astype(float))
     first, second = unit[:, 0] - unit[:, 2], unit[:, 1] - unit[:, 3]
     return np.abs(np.imag(np.conj(first) * second)) / np.abs(first * second)
 
 
 def _contrast(image: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Largest minus smallest grey level of the radius-3 ring."""
+    """Return the largest minus the smallest grey level of the radius-3 ring."""
     ring = at[:, None, :] + np.array(reference.ring.INNER)
     rows, columns = image.shape
     grey = image[ring[..., 1].clip(0, rows - 1), ring[..., 0].clip(0, columns - 1)].astype(int)
@@ -119,8 +119,8 @@ def _binned(values: dict[str, np.ndarray], key: str, ends: Sequence[float]) -> l
 
 
 def along_position(offsets: Sequence[int]) -> list[dict[str, Any]]:
-    """The same picture farther and farther to the right: how far corners are from where they
-    were, plus the offset."""
+    """Measure the same picture farther and farther to the right: how far corners are from where
+    they were, plus the offset."""
     frame = rendered(dataclasses.replace(random_scene(SEED, markers=MARKERS), severity=0.5))
     image = frame.image
     rows = []
@@ -154,7 +154,7 @@ def along_position(offsets: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def sweeps(quick: bool) -> dict[str, tuple[list[float], Callable[[float, int], Scene]]]:
-    """What is made worse, at which levels, and the scene at a level for a seed."""
+    """Return what is made worse, at which levels, and the scene at a level for a seed."""
     mild = {"severity": 0.25, "corrosion": 0.3}
 
     def base(seed: int, **changes: Any) -> Scene:
@@ -194,7 +194,7 @@ def sweeps(quick: bool) -> dict[str, tuple[list[float], Callable[[float, int], S
 
 
 def breaking(names: Sequence[str], quick: bool, repeats: int, progress: tqdm) -> dict[str, Any]:
-    """Missed and false per thousand corners, and RMSE, of every method at every level."""
+    """Return missed and false per thousand corners, and RMSE, of every method at every level."""
     whole: dict[str, Any] = {}
     for what, (values, make) in sweeps(quick).items():
         curves: dict[str, list[dict[str, Any]]] = {}
@@ -216,7 +216,7 @@ def breaking(names: Sequence[str], quick: bool, repeats: int, progress: tqdm) ->
 
 
 def rows_for(frame: Frame, names: Sequence[str]) -> list[Method]:
-    """The methods of the curves, for the pattern of that frame."""
+    """Return the methods of the curves, for the pattern of that frame."""
     cell = 0.92 * 480 / (frame.markers + 1)
     configs = methods.configs(_nearest(frame.markers), cell)
     kept = (DEFAULT, LINES, FOR_CELL)
@@ -235,7 +235,8 @@ def _nearest(markers: int) -> int:
 
 
 def breaking_points(curves: dict[str, Any], limit: float = 10) -> list[dict[str, Any]]:
-    """For each sweep and method, the levels at which at most `limit` per thousand are wrong."""
+    """Return, for each sweep and method, the levels at which at most `limit` per thousand are
+    wrong."""
     rows = []
     for what, methods_ in curves.items():
         for name, points in methods_.items():
@@ -249,7 +250,7 @@ def breaking_points(curves: dict[str, Any], limit: float = 10) -> list[dict[str,
 
 
 def depth(repeats: int) -> list[dict[str, Any]]:
-    """8 bits against 12 in a 16-bit image, at exposures down to where 8 bits run out."""
+    """Compare 8 bits with 12 in a 16-bit image, at exposures down to where 8 bits run out."""
     rows = []
     for exposure in (1.0, 0.4, 0.15, 0.06):
         for bits, full_scale in ((8, None), (12, 4095)):
@@ -274,8 +275,8 @@ def depth(repeats: int) -> list[dict[str, Any]]:
 
 
 def calibration(scenes: dict[str, list[Scene]]) -> list[dict[str, Any]]:
-    """EDGE_STEP's sigma against the real error: the root mean square of error / sigma per
-    axis is 1 where sigma is right; the flag `doubtful` against errors above 1 px."""
+    """Compare EDGE_STEP's sigma with the real error: the root mean square of error / sigma per axis
+    is 1 where sigma is right. Compare the flag `doubtful` with errors above 1 px."""
     rows = []
     for kind, those in scenes.items():
         errors, sigmas, doubts = [], [], []
@@ -327,7 +328,7 @@ def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def cases() -> list[dict[str, Any]]:
-    """Inputs that must not upset anything, each with what came out."""
+    """Run inputs that must not upset anything, and return each with what came out."""
     draw = np.random.default_rng(SEED)
     frame = rendered(random_scene(SEED, markers=MARKERS, severity=0.5))
     image = frame.image

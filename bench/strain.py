@@ -3,10 +3,9 @@
     python bench/strain.py [--seeds 6] [--first 1000] [--json results/strain.json]
 
 Each pair of pictures shows a printed checkerboard from the front, turned, and then strained by
-a known gradient, with noise. `cmp-cl run --strain --cell` measures it. Of each strain the table
-has the root mean square error, the median sigma that was said, and the share of numbers that
-are within 1.96 of their sigma: 95 % where the sigma is right. It ends with 1 where one is
-outside 90 to 98 %.
+a known gradient, with noise. `cmp-cl run --strain --cell` measures it. For each strain the table
+gives the root mean square error, the median of the stated sigma, and the share of errors within
+1.96 sigma, which is 95 % if sigma is right. The exit status is 1 if a share is outside 90 to 98 %.
 """
 
 import argparse

@@ -29,7 +29,7 @@ TOLERANCE = {"sector": math.pi / 3, "azimuth": math.pi / 4, "shift": math.pi / 9
 
 
 def samples(name: str, width: float, azimuth: float, shift: tuple[float, float]) -> np.ndarray:
-    """The 16 samples, 1 where black, around a point `shift` (px) away from an ideal corner.
+    """Return the 16 samples, 1 where black, around a point `shift` (px) away from an ideal corner.
 
     The lines of the corner run at azimuth and azimuth + width; black is between them.
     """
@@ -46,7 +46,7 @@ def _black(x: np.ndarray, y: np.ndarray, width: float, azimuth: float) -> np.nda
 def continuous(
     name: str, width: float, azimuth: float, shift: tuple[float, float], orders: Sequence[int]
 ) -> list[float]:
-    """16 |F_k| in closed form on a circle of the ring's radius."""
+    """Return 16 |F_k| in closed form on a circle of the ring's radius."""
     radius = RADIUS[name]
     ends = []
     for line in (azimuth, azimuth + width):
@@ -65,12 +65,12 @@ def continuous(
 
 
 def spectrum(name: str, width: float, azimuth: float, shift: tuple[float, float]) -> list[float]:
-    """|F1|, |F2|, |F3| of the 16 samples."""
+    """Return |F1|, |F2|, |F3| of the 16 samples."""
     return [float(size) for size in np.abs(np.fft.fft(samples(name, width, azimuth, shift)))[1:4]]
 
 
 def correlation(width: float, other: float, azimuth: float) -> tuple[np.ndarray, np.ndarray]:
-    """R(k) sampled, and its closed form at the same turns, normalised by sqrt(n1 n2).
+    """Return R(k) sampled, and its closed form at the same rotations, normalised by sqrt(n1 n2).
 
     The outer ring sees sectors of `width`, the inner one of `other`, turned by `azimuth`.
     """
@@ -86,7 +86,7 @@ def correlation(width: float, other: float, azimuth: float) -> tuple[np.ndarray,
 
 
 def _overlap(width: float, other: float, turn: float) -> float:
-    """Length that [0, width] and [turn, turn + other] share on a circle of length pi."""
+    """Return the length that [0, width] and [turn, turn + other] share on a circle of length pi."""
     shared = 0.0
     for lap in (-2, -1, 0, 1, 2):
         begin = turn % math.pi + lap * math.pi
@@ -95,7 +95,7 @@ def _overlap(width: float, other: float, turn: float) -> float:
 
 
 def curves() -> dict[str, Any]:
-    """Both, sampled and closed, along sector width, azimuth and shift."""
+    """Return both, sampled and closed, along sector width, azimuth and shift."""
     whole: dict[str, Any] = {}
     sweeps = {
         "width": [(w, 0.3, (0.0, 0.0)) for w in np.linspace(0.05, math.pi - 0.05, 121)],
@@ -120,7 +120,8 @@ def curves() -> dict[str, Any]:
 
 
 def agreement(whole: dict[str, Any]) -> dict[str, float]:
-    """How far 16 samples are from the closed form: root mean square of |F2|, of 16, and of R."""
+    """Return how far 16 samples are from the closed form: root mean square of |F2|, of 16, and of
+    R."""
     figures = {}
     for along in ("width", "azimuth", "shift"):
         for name in RADIUS:
@@ -133,7 +134,7 @@ def agreement(whole: dict[str, Any]) -> dict[str, float]:
 
 
 def _rounded(value: Any) -> Any:
-    """Floats to 4 digits: curves for a plot."""
+    """Round floats to 4 digits: curves for a plot."""
     if isinstance(value, float):
         return round(value, 4)
     if isinstance(value, dict):

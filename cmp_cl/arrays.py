@@ -26,7 +26,7 @@ class OnCuda(Protocol):
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
-        """Shape, type and address."""
+        """Return the shape, type and address."""
 
 
 Frame: TypeAlias = GreyImage | OnHostOrDevice | OnCuda

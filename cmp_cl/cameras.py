@@ -220,13 +220,13 @@ def paired(
     ahead = collections.deque(), collections.deque()
     sources = left, right
 
-    def peek(side: int, place: int) -> Timed | None:
-        while len(ahead[side]) <= place:
+    def peek(side: int, index: int) -> Timed | None:
+        while len(ahead[side]) <= index:
             frame = next(sources[side], None)
             if frame is None:
                 return None
             ahead[side].append(frame)
-        return ahead[side][place]
+        return ahead[side][index]
 
     while True:
         one, two = peek(0, 0), peek(1, 0)

@@ -61,7 +61,7 @@ class AdaptiveMean:
         if self.masks == 3 and self.offset:
             raise ConfigError(
                 f"AdaptiveMean.offset must be 0 with masks=3, not {self.offset!r}: "
-                "the outer masks already move the threshold"
+                "the outer layers already move the threshold"
             )
 
 
@@ -163,7 +163,7 @@ class RingHarmonic:
 
     @property
     def coarse_noise(self) -> int:
-        """The noise bound of the 5 px ring, in hundredths of the mean noise amplitude.
+        """Return the noise bound of the 5 px ring, in hundredths of the mean noise amplitude.
 
         334 of them are one standard deviation of the response.
         """
@@ -171,17 +171,17 @@ class RingHarmonic:
 
     @property
     def fine_noise(self) -> int:
-        """The noise bound of the 3 px ring, in hundredths of the mean noise amplitude."""
+        """Return the noise bound of the 3 px ring, in hundredths of the mean noise amplitude."""
         return 2 * self.coarse_noise
 
     @property
     def coarse_share(self) -> int:
-        """The least response of the 5 px ring, in 1/128 of the reference."""
+        """Return the least response of the 5 px ring, in 1/128 of the reference."""
         return math.floor(128 * self.relative + 0.5)
 
     @property
     def fine_share(self) -> int:
-        """The least response of the 3 px ring, in 1/128 of the reference."""
+        """Return the least response of the 3 px ring, in 1/128 of the reference."""
         return (5 * self.coarse_share + 1) // 3
 
 
@@ -289,8 +289,13 @@ class Pyramid:
 _MOST_FACTORS = 32
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
 _WIDE_CELL = 20  # px; cells this wide are not squeezed under 6 px
-_WIDEST_CELL = 60  # px; wider cells are found at a working scale
-_WORKING_CELL = 30  # px, at that scale
+# px, of what is found at a working scale: chosen on rendered boards and gels with cells of 8 to
+# 280 px, sharp and blurred
+_LEAST_CELL = 30
+_LEAST_WORKING_CELL = 24
+_MOST_BLUR, _WORKING_BLUR = 0.7, 0.6
+_WIDEST_CELL, _WIDE_SCALE = 60, 0.45  # where the blur is not known
+_MOST_WORKING_CELL = 100
 _DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
 _MOVED = ("threshold", "criteria", "contrast", "outer_radius")
@@ -333,29 +338,44 @@ class DetectorConfig:
         _check(part, "max_corners", self.max_corners, 1, 2**26, kind=int)
 
     @classmethod
-    def for_cell(cls, cell: float) -> Self:
+    def for_cell(cls, cell: float, *, blur: float | None = None) -> Self:
         """Choose the configuration for cells of that side, px (4 to 1000).
 
-        Squeezed cells are searched for where cells are under 20 px wide. Above 60 px the image is
-        scaled by 30 / cell. Raises ConfigError for another cell.
+        blur: standard deviation of the blur of their edges, px (0 to 1000), where it is known.
+
+        Squeezed cells are searched for where cells are under 20 px wide. Cells above 30 px with a
+        blur above 0.7 px are found at a working scale: there they have a blur of 0.6 px, and at
+        least 24 px. Where the blur is not known, cells above 60 px are found at 45 % of their size.
+        At the working scale they have at most 100 px. Raises ConfigError for another cell or blur.
         """
         _check("DetectorConfig", "for_cell(cell)", cell, 4, 1000, kind=float)
-        scale = max(_WORKING_CELL / cell, 0.05) if cell > _WIDEST_CELL else None
+        scale = 1.0
+        if blur is None:
+            scale = _WIDE_SCALE if cell > _WIDEST_CELL else scale
+        else:
+            _check("DetectorConfig", "for_cell(blur)", blur, 0, 1000, kind=float)
+            if cell > _LEAST_CELL and blur > _MOST_BLUR:
+                scale = max(_WORKING_BLUR / blur, _LEAST_WORKING_CELL / cell)
+        scale = min(scale, _MOST_WORKING_CELL / cell)
         return cls(
             detection=RingHarmonic(fine=bool(cell < _WIDE_CELL)),
             refinement=EdgeStep(cell=cell),
-            scale=scale,
+            scale=None if scale == 1 else scale,
         )
 
     @classmethod
     def for_image(cls, image: "GreyImage") -> Self:
-        """Choose the configuration for the cell that `estimate_cell` finds in the image.
+        """Choose the configuration for the cells of an image, and for their blur.
 
-        Raises ImageError where the image is not (H, W) uint8 or uint16.
+        `estimate_cell` says how the cells are found. Raises ImageError where the image is not
+        (H, W) uint8 or uint16.
         """
-        from cmp_cl.cell import estimate_cell
+        from cmp_cl.cell import estimate_blur, estimate_cells
 
-        return cls.for_cell(max(estimate_cell(image), 4))
+        cells = estimate_cells(image)
+        side = min(max(cells.side, 4), 1000)
+        blur = estimate_blur(image, cells) if side > _LEAST_CELL else 0
+        return cls.for_cell(side, blur=min(blur, 1000))
 
     @classmethod
     def paper(cls, markers: int) -> Self:

@@ -18,7 +18,7 @@ from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
-from cmp_cl.opencl.program import Programs
+from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Overflow, Plan
 from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
@@ -29,6 +29,7 @@ class Detector(Closing):
 
     Use it in a with statement, or call `close`. Buffers and kernels are made once, so that a frame
     allocates nothing on the device. One thread at a time may use it; a second one waits.
+    Detectors of one process and device share a context and what is compiled in it.
 
     shape: (H, W) of every frame. dtype: uint8 or uint16.
     config: the settings; None means DetectorConfig().
@@ -79,12 +80,14 @@ class Detector(Closing):
                 f"one image needs {needed} bytes, {self.device} has {self.device.memory}; use "
                 "smaller images"
             )
-        context = queue.context if queue is not None else cl.Context([self.device.handle])
+        self._programs = (
+            programs_of(self.device.handle) if queue is None else Programs(queue.context)
+        )
+        context = self._programs.context
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
         self._transfers = cl.CommandQueue(context)  # for streams, beside the kernels
         self._lock = threading.RLock()
-        self._programs = Programs(context)
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was redone
@@ -104,12 +107,13 @@ class Detector(Closing):
 
     @property
     def memory(self) -> int:
-        """Bytes allocated on the device."""
+        """Return the bytes allocated on the device."""
         return sum(sum(plan.sizes.values()) for plan in self._plans.values())
 
     @property
     def times(self) -> dict[str, float]:
-        """Milliseconds of each stage of the last frame; empty unless made with profile=True."""
+        """Return the milliseconds of each stage of the last frame: none unless made with
+        profile=True."""
         spent: dict[str, float] = {}
         for plan in self._plans.values():
             for stage, event in plan.events:

@@ -32,19 +32,19 @@ def _png(data: memoryview) -> Size:
 
 
 def _jpeg(data: memoryview) -> Size:
-    place = 2
+    offset = 2
     while True:
-        while data[place] == 0xFF:
-            place += 1
-        marker = data[place]
+        while data[offset] == 0xFF:
+            offset += 1
+        marker = data[offset]
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            return _pair(">HH", data, place + 4)[::-1]
+            return _pair(">HH", data, offset + 4)[::-1]
         if 0xD0 <= marker <= 0xD8 or marker == 1:  # without a length
-            place += 1
+            offset += 1
         else:
-            place += 1 + int(struct.unpack_from(">H", data, place + 1)[0])
-        while data[place] != 0xFF:
-            place += 1
+            offset += 1 + int(struct.unpack_from(">H", data, offset + 1)[0])
+        while data[offset] != 0xFF:
+            offset += 1
 
 
 def _bmp(data: memoryview) -> Size:
@@ -76,32 +76,32 @@ def _webp(data: memoryview) -> Size:
 
 
 def _jp2(data: memoryview) -> Size:
-    place = bytes(data[:4096]).index(b"ihdr")
-    return _pair(">II", data, place + 4)[::-1]
+    offset = bytes(data[:4096]).index(b"ihdr")
+    return _pair(">II", data, offset + 4)[::-1]
 
 
 def _tiff(data: memoryview) -> Iterator[Size]:
     order = "<" if data[0] == ord("I") else ">"
-    (place,) = struct.unpack_from(f"{order}I", data, 4)
+    (offset,) = struct.unpack_from(f"{order}I", data, 4)
     pages = 0
-    while place:
+    while offset:
         pages += 1
         if pages > _TIFF_PAGES:
             raise ValueError("the pages of the file lead to one another")
-        (count,) = struct.unpack_from(f"{order}H", data, place)
+        (count,) = struct.unpack_from(f"{order}H", data, offset)
         tags = {}
-        for entry in range(place + 2, place + 2 + 12 * count, 12):
+        for entry in range(offset + 2, offset + 2 + 12 * count, 12):
             tag, kind = struct.unpack_from(f"{order}HH", data, entry)
             if tag in (256, 257):
                 (tags[tag],) = struct.unpack_from(
                     f"{order}{'H' if kind == 3 else 'I'}", data, entry + 8
                 )
         yield tags.get(256, 0), tags.get(257, 0)
-        (place,) = struct.unpack_from(f"{order}I", data, place + 2 + 12 * count)
+        (offset,) = struct.unpack_from(f"{order}I", data, offset + 2 + 12 * count)
 
 
-def _pair(kind: str, data: memoryview, place: int) -> Size:
-    one, other = struct.unpack_from(kind, data, place)
+def _pair(kind: str, data: memoryview, offset: int) -> Size:
+    one, other = struct.unpack_from(kind, data, offset)
     return int(one), int(other)
 
 

@@ -15,7 +15,7 @@ class Maps:
     With a working scale the maps have the size of the scaled image.
 
     binary: bool, True where black.
-    inner, outer: uint16 ring masks, bit i is sample i, clockwise from twelve o'clock.
+    inner, outer: uint16 ring bits, bit i is sample i, clockwise from twelve o'clock.
     inner_transitions, outer_transitions: uint8 (Eqs. 19 and 20).
     sector_difference: uint8, d2 of Eq. 21; 255 where the inner ring has not four runs.
     ring_difference: uint8, popcount(inner ^ outer) (Eq. 22).

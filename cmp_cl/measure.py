@@ -24,7 +24,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.cell import estimate_cell
+from cmp_cl.cell import estimate_blur, estimate_cells
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
@@ -175,7 +175,7 @@ class OneView(Measurement):
 
     @property
     def rest_grid(self) -> Grid:
-        """The grid of the frame at rest."""
+        """Return the grid of the frame at rest."""
         return self._pattern.rest
 
     def __call__(self, frame: GreyImage) -> Measured:
@@ -267,7 +267,7 @@ class TwoViews(Measurement):
 
     @property
     def rest_grids(self) -> tuple[Grid, Grid]:
-        """The grids of the frame at rest, left and right."""
+        """Return the grids of the frame at rest, left and right."""
         return self._left.rest, self._right.rest
 
     def _placed(self, left: Grid, right: Grid) -> Points3D:
@@ -414,9 +414,9 @@ def find_pattern(
     device = _selected(device)
     best: Grid | None = None
     why = "no closed cell is seen"
-    estimate = float(np.clip(estimate_cell(view), 4, 1000))
-    for cell in (estimate, *_USUAL_CELLS):
-        config = DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
+    configs = (DetectorConfig.for_image(view), *map(DetectorConfig.for_cell, _USUAL_CELLS))
+    for config in configs:
+        config = config.replace(full_scale=full_scale)
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
             try:
                 corners, grid = detector.grid(view, shape=shape, region=region)
@@ -506,17 +506,18 @@ def find_board(
 ) -> Grid:
     """Find a rigid board of (rows, columns) inner corners; return its grid.
 
-    The corners of a rigid board are sharp. At full size the rings are smaller in terms of the board
-    than at a working scale, and do not extend past narrow outer squares. So corners are refined at
-    full size if all of them are found there.
+    Corners are refined at the scale that `DetectorConfig.for_image` chooses, if all of them are
+    found there. Else they are refined at full size too: there the rings are smaller in terms of
+    the board, and do not extend past narrow outer squares. The scale with more corners counts.
 
     Raises GridError where the view does not show corners of all four sides of the board.
     """
     device = _selected(device)
     cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
-    scaled = exact_config(cell, full_scale)
+    blur = estimate_blur(view, estimate_cells(view))
+    scaled = DetectorConfig.for_cell(cell, blur=blur).replace(full_scale=full_scale)
     grids = []
-    for config in dict.fromkeys((scaled.replace(scale=None), scaled)):
+    for config in dict.fromkeys((scaled, scaled.replace(scale=None))):
         with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
             grids.append(detector.grid(view, shape=shape, region=region)[1])
         if _detected(grids[-1]) == shape[0] * shape[1]:

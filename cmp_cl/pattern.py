@@ -110,12 +110,12 @@ class Checkerboard:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height of the sheet, mm."""
+        """Return the width and height of the sheet, mm."""
         return self._extent() if self.paper is None else self.paper
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """(R, C, 2): where the inner corners are drawn on the sheet, (x, y), mm."""
+        """Return (R, C, 2): where the inner corners are drawn on the sheet, (x, y), mm."""
         rows, columns = self.shape
         left, top = self._origin()
         x = left + np.arange(1, columns + 1) * self.cell * self.stretch[0]

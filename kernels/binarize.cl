@@ -18,7 +18,7 @@
  * row. */
 __kernel void repeat_border_binary(const uint rows, const uint columns, const uint step,
                                    __global uchar *restrict binary,
-                                   __global uint *restrict totals,
+                                   __global uint *restrict counts,
                                    __global uint *restrict row_counts,
 #if GATE
                                    __global uint *restrict passed,
@@ -27,7 +27,7 @@ __kernel void repeat_border_binary(const uint rows, const uint columns, const ui
   const size_t row = get_global_id(0);
   REPEAT_BORDER(uchar, binary + ROW(0, row) + PAD)
   if (row % rows == 0)
-    for (uint mask = 0; mask < MASKS; ++mask) totals[row / rows * MASKS + mask] = 0;
+    for (uint layer = 0; layer < LAYERS; ++layer) counts[row / rows * LAYERS + layer] = 0;
   row_counts[row] = 0;
   for (uint word = 0; word < step / 32; ++word) {
     maxima[row * (step / 32) + word] = 0;
@@ -49,7 +49,7 @@ __kernel void column_sums(__global const PIXEL *restrict image, const uint rows,
 #undef TERM
 }
 
-#if MASKS == 1
+#if LAYERS == 1
 
 /* Sum the column sums over the window, and compare. */
 __kernel void binarize(__global const PIXEL *restrict image,

@@ -11,25 +11,26 @@ typedef ushort8 RESPONSES_8;
 
 /* List the candidates of a layer within the area, in any order: their indices from the start of
  * the frame's rows, and their responses, which are cleared in the image. `area` has a bit for
- * every pixel. The list of plane p has `room` entries; its count may exceed that. One work-item
+ * every pixel. The list of plane p has `capacity` entries; its count may exceed that. One work-item
  * per eight pixels. */
 __kernel void list_candidates(__global RESPONSE *restrict response,
                               __global const uchar *restrict area, const uint layer,
-                              const uint rows, const uint step, const uint room,
+                              const uint rows, const uint step, const uint capacity,
                               __global uint *restrict list,
                               __global RESPONSE *restrict list_of_responses,
-                              __global uint *restrict totals) {
-  const uint place = get_global_id(1) * step + 8 * get_global_id(0);
-  const size_t frame = get_global_id(2), p = frame * MASKS + layer;
-  __global RESPONSE *eight = response + ROW(frame, 0) + place;
+                              __global uint *restrict counts) {
+  const uint index = get_global_id(1) * step + 8 * get_global_id(0);
+  const size_t frame = get_global_id(2), p = frame * LAYERS + layer;
+  __global RESPONSE *eight = response + ROW(frame, 0) + index;
   if (!ANY_OF_EIGHT(*(__global RESPONSES_8 *)eight)) return;
   uint left = 0;
   for (uint k = 0; k < 8; ++k) left |= (uint)(eight[k] != 0) << k;
-  left &= area[place / 8];
-  for (uint n = atomic_add(totals + p, popcount(left)); left && n < room; ++n, left &= left - 1) {
+  left &= area[index / 8];
+  uint n = atomic_add(counts + p, popcount(left));
+  for (; left && n < capacity; ++n, left &= left - 1) {
     const uint k = 31 - clz(left & (0u - left));
-    list[p * room + n] = place + k;
-    list_of_responses[p * room + n] = eight[k];
+    list[p * capacity + n] = index + k;
+    list_of_responses[p * capacity + n] = eight[k];
   }
   *(__global RESPONSES_8 *)eight = 0;
 }

@@ -22,7 +22,7 @@
 
 /* The colour in a layer; multiplying by `to_top` moves its bit to the top. LLVM vectorises
  * products of bytes, but not shifts by a variable. */
-#if MASKS == 1
+#if LAYERS == 1
 #define COLOUR(v) (v)
 #else
 #define COLOUR(v) (uchar)((uchar)((v) * to_top) >> 7)
@@ -92,7 +92,7 @@ __kernel void rapid_criteria(__global const uchar *restrict binary, const uchar 
 
 #endif
 
-/* Ring masks of a pixel: bit i is sample i. */
+/* The ring bits of a pixel: bit i is sample i. */
 #define RING_BIT(i, dx, dy) \
   | ((uint)binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] << (i))
 #define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)

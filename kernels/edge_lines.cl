@@ -3,9 +3,9 @@
 /* EDGE_LINES (section 3.5, Fig. 9): the corner is where the edges between its sectors meet. One
  * work-item per corner. */
 __kernel void edge_lines(__global const PIXEL *restrict image, __global const int *restrict corners,
-                         __global const uint *restrict totals, const uint rows,
-                         const uint columns, const uint step, const uint room,
-                         const uint place, const uint length, const float max_shift,
+                         __global const uint *restrict counts, const uint rows,
+                         const uint columns, const uint step, const uint capacity,
+                         const uint count_offset, const uint length, const float max_shift,
 #if SCALED
                          const float scale, __global const float8 *restrict ring_samples,
 #endif

@@ -25,14 +25,14 @@
 __kernel void edge_step(__global const PIXEL *restrict image,
                         __global const float *restrict start,
                         __global const float *restrict lines,
-                        __global const uint *restrict totals, const uint rows,
-                        const uint columns, const uint step, const uint room,
-                        const uint place, const uint length, const float radius,
+                        __global const uint *restrict counts, const uint rows,
+                        const uint columns, const uint step, const uint capacity,
+                        const uint count_offset, const uint length, const float radius,
                         const float scale, __global float *restrict result) {
   const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= totals[place + p]) return;
-  const size_t row = p * room + n;
-  RESULT_OF_FRAME(totals[place + p])
+  if (n >= counts[count_offset + p]) return;
+  const size_t row = p * capacity + n;
+  RESULT_OF_FRAME(counts[count_offset + p])
   if (*RESULT_METHOD != METHOD_EDGE_LINES) return;
   const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
   const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
@@ -103,7 +103,7 @@ __kernel void edge_step(__global const PIXEL *restrict image,
     for (int i = left; i < right; i += 8) {
       const float8 ux = (float)i - x + EIGHT;
       CORNER_MODEL(uy_2)
-      const float8 r = REST((EIGHT_GREYS(i, j) - centre), P);
+      const float8 r = RESIDUAL((EIGHT_GREYS(i, j) - centre), P);
       const float8 before = (float8)(last, r.s0123, r.s456);
       const float8 weight = (float8)(last_weight, w.s0123, w.s456);
       const float8 both = r2 < radius_2 ? weight : (float8)(0.0f);
@@ -117,8 +117,8 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   weight_of[k] = model_of[k] = grey_of[k] = 0;
   for (int n = 0; n < k; n += 8) {
     const float8 w = LOAD_8(weight_of, n);
-    const float8 r = REST(LOAD_8(grey_of, n), LOAD_8(model_of, n));
-    const float8 next = REST(LOAD_8(grey_of, n + 1), LOAD_8(model_of, n + 1));
+    const float8 r = RESIDUAL(LOAD_8(grey_of, n), LOAD_8(model_of, n));
+    const float8 next = RESIDUAL(LOAD_8(grey_of, n + 1), LOAD_8(model_of, n + 1));
     products += w * r * next;
     weights += w;
   }

@@ -10,7 +10,7 @@
 #define FULL ((PIXEL)(-1)) /* the largest grey level */
 #define NO_CONTRAST (PIXEL_BITS == 8 ? SHRT_MIN : INT_MIN)
 #define BINS 256 /* of the histograms that the percentile is read from */
-#define WORD_OF(bits) (bits + (frame * rows + place / step) * (step / 32) + place % step / 32)
+#define WORD_OF(bits) (bits + (frame * rows + index / step) * (step / 32) + index % step / 32)
 
 /* Clear the histograms. One work-item per bin of a layer. */
 __kernel void clear_bins(__global uint *restrict counted, __global uint *restrict bins) {
@@ -25,19 +25,19 @@ __kernel void clear_bins(__global uint *restrict counted, __global uint *restric
 __kernel void sector_contrast(__global const PIXEL *restrict image,
                               __global const uchar *restrict binary,
                               __global const uint *restrict list,
-                              __global const uint *restrict totals, const uint rows,
-                              const uint step, const uint room,
+                              __global const uint *restrict counts, const uint rows,
+                              const uint step, const uint capacity,
                               __global const uint *restrict maxima,
                               __global CONTRAST *restrict inner_contrast,
                               __global CONTRAST *restrict contrast,
                               __global CONTRAST *restrict mean_difference,
                               __global uint *restrict counted, __global uint *restrict bins) {
-  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / MASKS;
-  if (n >= min(totals[p], room)) return;
-  const uint place = list[p * room + n], layer = p % MASKS;
-  const int x = place % step, y = place / step;
-  contrast[p * room + n] = inner_contrast[p * room + n] = (CONTRAST)NO_CONTRAST;
-  if (!(*WORD_OF(maxima) >> place % 32 & 1)) return;
+  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / LAYERS;
+  if (n >= min(counts[p], capacity)) return;
+  const uint index = list[p * capacity + n], layer = p % LAYERS;
+  const int x = index % step, y = index / step;
+  contrast[p * capacity + n] = inner_contrast[p * capacity + n] = (CONTRAST)NO_CONTRAST;
+  if (!(*WORD_OF(maxima) >> index % 32 & 1)) return;
   atomic_inc(counted + p);
 #define GREY_AT(i, dx, dy) image[NEAR_ROW(frame, y + (dy)) + x + (dx)],
 #define COLOUR_AT(i, dx, dy) binary[NEAR_ROW(frame, y + (dy)) + x + (dx)] >> layer & 1,
@@ -71,7 +71,7 @@ __kernel void sector_contrast(__global const PIXEL *restrict image,
       white_mean = min(white_mean, 8 * sum / length);
     }
   }
-  const size_t i = p * room + n;
+  const size_t i = p * capacity + n;
   atomic_inc(bins + p * BINS + (max(white_inner - black_inner, 0) >> (PIXEL_BITS - 8)));
   inner_contrast[i] = (CONTRAST)(white_inner - black_inner);
   contrast[i] = (CONTRAST)min(white_inner - black_inner, white_outer - black_outer);
@@ -85,13 +85,13 @@ __kernel void sector_contrast(__global const PIXEL *restrict image,
 
 /* Histogram of the lower eight bits. One work-item per candidate. */
 __kernel void histogram(__global const CONTRAST *restrict inner_contrast,
-                        __global const uint *restrict total,
-                        __global const uint2 *restrict found, const uint room,
+                        __global const uint *restrict counts,
+                        __global const uint2 *restrict found, const uint capacity,
                         __global uint *restrict bins) {
   const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= min(total[p], room)) return;
-  if (inner_contrast[p * room + n] == NO_CONTRAST) return;
-  const uint value = (uint)max((int)inner_contrast[p * room + n], 0);
+  if (n >= min(counts[p], capacity)) return;
+  if (inner_contrast[p * capacity + n] == NO_CONTRAST) return;
+  const uint value = (uint)max((int)inner_contrast[p * capacity + n], 0);
   if (value >> 8 == found[p].x) atomic_inc(bins + p * BINS + (value & 255));
 }
 
@@ -99,10 +99,11 @@ __kernel void histogram(__global const CONTRAST *restrict inner_contrast,
 
 /* Find the next eight bits; at the last level, the bounds of the gate:
  * contrast >= limit[P90] and 2 N sm >= F A. One work-item per plane. */
-__kernel void percentile(__global const uint *restrict counted, __global const ulong *restrict noise_totals,
-                         __global const int *restrict limit, const uint rows,
-                         const uint columns, const uint bands, const uint shift,
-                         const uint noise_factor, __global uint *restrict bins, __global uint2 *restrict found,
+__kernel void percentile(__global const uint *restrict counted,
+                         __global const ulong *restrict noise_sums,
+                         __global const int *restrict limit, const uint rows, const uint columns,
+                         const uint bands, const uint shift, const uint noise_factor,
+                         __global uint *restrict bins, __global uint2 *restrict found,
                          __global int2 *restrict bounds) {
   const size_t p = get_global_id(0);
   const uint n = counted[p];
@@ -123,7 +124,7 @@ __kernel void percentile(__global const uint *restrict counted, __global const u
     return;
   }
   ulong noise = 0;
-  for (uint band = 0; band < bands; ++band) noise += noise_totals[p / MASKS * bands + band];
+  for (uint band = 0; band < bands; ++band) noise += noise_sums[p / LAYERS * bands + band];
   const ulong twice = 2 * (ulong)(rows > 2 ? rows - 2 : 0) * (columns > 2 ? columns - 2 : 0);
   const ulong bound = twice ? (noise_factor * noise + twice - 1) / twice : 0;
   bounds[p] = (int2)(limit[value], twice ? (int)min(bound, (ulong)INT_MAX) : INT_MIN);
@@ -131,15 +132,16 @@ __kernel void percentile(__global const uint *restrict counted, __global const u
 
 /* Keep the maxima that pass the gate in one of the layers in which they are candidates. One
  * work-item per candidate. */
-__kernel void pass_gate(__global const uint *restrict list, __global const uint *restrict totals,
+__kernel void pass_gate(__global const uint *restrict list, __global const uint *restrict counts,
                         __global const CONTRAST *restrict contrast,
                         __global const CONTRAST *restrict mean_difference,
                         __global const int2 *restrict bounds, const uint rows, const uint step,
-                        const uint room, __global uint *restrict passed,
+                        const uint capacity, __global uint *restrict passed,
                         __global uint *restrict row_counts) {
-  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / MASKS;
-  if (n >= min(totals[p], room) || contrast[p * room + n] == NO_CONTRAST) return;
-  if (contrast[p * room + n] < bounds[p].x || mean_difference[p * room + n] < bounds[p].y) return;
-  const uint place = list[p * room + n], bit = 1u << place % 32;
-  if (!(atomic_or(WORD_OF(passed), bit) & bit)) atomic_inc(row_counts + frame * rows + place / step);
+  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / LAYERS;
+  if (n >= min(counts[p], capacity) || contrast[p * capacity + n] == NO_CONTRAST) return;
+  const size_t i = p * capacity + n;
+  if (contrast[i] < bounds[p].x || mean_difference[i] < bounds[p].y) return;
+  const uint index = list[i], bit = 1u << index % 32, row = index / step;
+  if (!(atomic_or(WORD_OF(passed), bit) & bit)) atomic_inc(row_counts + frame * rows + row);
 }

@@ -17,7 +17,7 @@
 #error "NMS_RADIUS must be that of suppression"
 #endif
 
-#define LEAST 80 /* below every bound of a response: five grey levels */
+#define LEAST 80 /* of the bounds: the response that a step of two grey levels may have */
 #define KINDS (1 + FINE)
 #define LIST_COLUMNS 6
 
@@ -141,10 +141,10 @@ bool is_maximum(__global const short *response, const size_t p, const int x, con
 /* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments
  * in x and y of the positive responses of the 5 x 5 around it. */
 void append(__global const short *response, const size_t p, const int x, const int y,
-            const uint rows, const uint step, const uint room, __global uint *total,
+            const uint rows, const uint step, const uint capacity, __global uint *total,
             __global int *list) {
   const uint n = atomic_inc(total);
-  if (n >= room) return;
+  if (n >= capacity) return;
   int sum = 0, sum_x = 0, sum_y = 0;
   for (int dy = -2; dy <= 2; ++dy) {
     if (y + dy < 0 || y + dy >= (int)rows) continue;
@@ -156,15 +156,15 @@ void append(__global const short *response, const size_t p, const int x, const i
     }
   }
   list[n] = x - PAD;
-  list[room + n] = y;
-  list[2 * room + n] = response[ROW(p, y) + x];
-  list[3 * room + n] = sum;
-  list[4 * room + n] = sum_x;
-  list[5 * room + n] = sum_y;
+  list[capacity + n] = y;
+  list[2 * capacity + n] = response[ROW(p, y) + x];
+  list[3 * capacity + n] = sum;
+  list[4 * capacity + n] = sum_x;
+  list[5 * capacity + n] = sum_y;
 }
 
 #define LIST(kind) (p * KINDS + (kind))
-#define LIST_OF(kind) lists + LIST(kind) * LIST_COLUMNS * room
+#define LIST_OF(kind) lists + LIST(kind) * LIST_COLUMNS * capacity
 
 #define IN_AREA(x, y) (area[((y) * step + (x)) / 32] >> (x) % 32 & 1)
 
@@ -174,9 +174,9 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
                             __global const ushort *restrict coarse_plane,
                             __global const short *restrict response,
                             __global const uint *restrict area, const uint rows,
-                            const uint columns, const uint step, const uint room,
+                            const uint columns, const uint step, const uint capacity,
                             const int alignment, const int support,
-                            __global uint *restrict totals, __global int *restrict lists) {
+                            __global uint *restrict counts, __global int *restrict lists) {
   const int x = (int)get_global_id(0), y = (int)get_global_id(1);
   const size_t p = get_global_id(2);
   if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y)) return;
@@ -189,7 +189,7 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
     const int middle = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 4, 3, rows, step));
     if (support * middle < r || middle > 2 * r) return;
   }
-  append(response, p, x, y, rows, step, room, totals + LIST(0), LIST_OF(0));
+  append(response, p, x, y, rows, step, capacity, counts + LIST(0), LIST_OF(0));
 }
 
 #if FINE
@@ -198,21 +198,21 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
 __kernel void fine_maxima(__global const ushort *restrict fine_plane,
                           __global const short *restrict response,
                           __global const uint *restrict area, const uint rows,
-                          const uint columns, const uint step, const uint room,
-                          __global uint *restrict totals, __global int *restrict lists) {
+                          const uint columns, const uint step, const uint capacity,
+                          __global uint *restrict counts, __global int *restrict lists) {
   const int x = (int)get_global_id(0), y = (int)get_global_id(1);
   const size_t p = get_global_id(2);
   if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y)) return;
   if (!is_maximum(response, p, x, y, rows, step)) return;
   const Harmonics inner = harmonics_of(fine_plane, p, x, y, 2, 1, rows, step);
   if (!aligned(4, inner, harmonics_of(fine_plane, p, x, y, 3, 2, rows, step))) return;
-  append(response, p, x, y, rows, step, room, totals + LIST(1), LIST_OF(1));
+  append(response, p, x, y, rows, step, capacity, counts + LIST(1), LIST_OF(1));
 }
 
 #endif
 
 /* Empty the lists of a frame. One work-item per list. */
-__kernel void clear_lists(__global uint *restrict totals) { totals[get_global_id(0)] = 0; }
+__kernel void clear_lists(__global uint *restrict counts) { counts[get_global_id(0)] = 0; }
 
 /* Clear the maxima. One work-item per row. */
 __kernel void clear_maxima(const uint rows, const uint step, __global uint *restrict row_counts,
@@ -242,9 +242,9 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
 }
 
 /* Compute the bounds from the noise, of which there are `bands` sums. One work-item per frame. */
-__kernel void bound_noise(__global const ulong *restrict noise, __global const uint *restrict totals,
+__kernel void bound_noise(__global const ulong *restrict noise, __global const uint *restrict counts,
                           __global const int *restrict lists, const uint rows,
-                          const uint columns, const uint bands, const uint room,
+                          const uint columns, const uint bands, const uint capacity,
                           const uint full_scale, const uint coarse_noise,
                           __global Decision *restrict found) {
   const size_t p = get_global_id(0);
@@ -256,8 +256,8 @@ __kernel void bound_noise(__global const ulong *restrict noise, __global const u
   found[p].all = found[p].above = 0;
   found[p].kind = found[p].base = found[p].reference = 0;
 #if FINE /* the fine responses decide where no coarse one is above its bound */
-  const uint count = min(totals[LIST(0)], room);
-  __global const int *value = LIST_OF(0) + 2 * room;
+  const uint count = min(counts[LIST(0)], capacity);
+  __global const int *value = LIST_OF(0) + 2 * capacity;
   found[p].kind = 1;
   for (uint n = 0; n < count; ++n)
     if (value[n] > found[p].bound[0]) found[p].kind = 0;
@@ -265,14 +265,14 @@ __kernel void bound_noise(__global const ulong *restrict noise, __global const u
 }
 
 /* Sum the squares of the responses of a bin of width `span`. One work-item per bin. */
-__kernel void sum_squares(__global const uint *restrict totals, __global const int *restrict lists,
-                          __global const Decision *restrict found, const uint room, const uint span,
+__kernel void sum_squares(__global const uint *restrict counts, __global const int *restrict lists,
+                          __global const Decision *restrict found, const uint capacity, const uint span,
                           __global ulong *restrict squares) {
   const size_t bin = get_global_id(0), p = get_global_id(1);
   const Decision decision = found[p];
   const int low = decision.base + (int)(bin * span), high = low + (int)span;
-  __global const int *value = LIST_OF(decision.kind) + 2 * room;
-  const uint count = min(totals[LIST(decision.kind)], room);
+  __global const int *value = LIST_OF(decision.kind) + 2 * capacity;
+  const uint count = min(counts[LIST(decision.kind)], capacity);
   ulong sum = 0;
   for (uint n = 0; n < count; ++n)
     if (value[n] >= low && value[n] < high && value[n] > decision.bound[decision.kind])
@@ -299,17 +299,17 @@ __kernel void find_reference(__global const ulong *restrict squares, const uint 
 
 #define ENTRY(kind)                                                                 \
   const size_t n = get_global_id(0), p = get_global_id(1);                          \
-  if (n >= min(totals[LIST(kind)], room)) return;                                   \
+  if (n >= min(counts[LIST(kind)], capacity)) return;                                   \
   __global const int *entry = LIST_OF(kind) + n;                                    \
-  const int x = PAD + entry[0], y = entry[room], r = entry[2 * room];               \
+  const int x = PAD + entry[0], y = entry[capacity], r = entry[2 * capacity];               \
   const size_t word = (p * rows + y) * (step / 32) + x / 32;                        \
   const Decision decision = found[p];
 
 /* Keep the coarse corners: their response is above the noise bound and the share of the
  * reference. Each takes the window around it. One work-item per maximum. */
-__kernel void keep_coarse(__global const int *restrict lists, __global const uint *restrict totals,
+__kernel void keep_coarse(__global const int *restrict lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
-                          const uint step, const uint room, const int coarse_share,
+                          const uint step, const uint capacity, const int coarse_share,
                           __global uint *restrict row_counts, __global uint *restrict maxima,
                           __global uint *restrict taken) {
   ENTRY(0)
@@ -328,10 +328,10 @@ __kernel void keep_coarse(__global const int *restrict lists, __global const uin
 #if FINE
 
 /* Keep the fine corners where no coarse corner has taken the pixel. One work-item per maximum. */
-__kernel void keep_fine(__global const int *restrict lists, __global const uint *restrict totals,
+__kernel void keep_fine(__global const int *restrict lists, __global const uint *restrict counts,
                         __global const Decision *restrict found,
                         __global const uint *restrict taken, const uint rows, const uint step,
-                        const uint room, const int fine_share, __global uint *restrict row_counts,
+                        const uint capacity, const int fine_share, __global uint *restrict row_counts,
                         __global uint *restrict maxima) {
   ENTRY(1)
   if (r <= decision.bound[1] || 128 * r < fine_share * decision.reference) return;
@@ -342,34 +342,34 @@ __kernel void keep_fine(__global const int *restrict lists, __global const uint 
 
 #endif
 
-/* Count the corners in the rows before each row, and in the frame: element `place` of the
- * totals. One work-item per row. */
+/* Count the corners in the rows before each row, and in the frame: counts[count_offset + p]. One
+ * work-item per row. */
 __kernel void start_rows(__global const uint *restrict row_counts, const uint rows,
-                         const uint place, __global uint *restrict row_starts,
-                         __global uint *restrict totals) {
+                         const uint count_offset, __global uint *restrict row_starts,
+                         __global uint *restrict counts) {
   const size_t y = get_global_id(0), p = get_global_id(1);
   uint start = 0;
   for (uint row = 0; row < y; ++row) start += row_counts[p * rows + row];
   row_starts[p * rows + y] = start;
-  if (y + 1 == rows) totals[place + p] = start + row_counts[p * rows + y];
+  if (y + 1 == rows) counts[count_offset + p] = start + row_counts[p * rows + y];
 }
 
 /* Put the corners in (y, x) order: each finds its rank among the bits of the maxima. A fine
  * maximum whose pixel a coarse corner has taken has no bit of its own. One work-item per
  * maximum. */
-__kernel void put_in_order(__global const int *restrict lists, __global const uint *restrict totals,
+__kernel void put_in_order(__global const int *restrict lists, __global const uint *restrict counts,
                            __global const Decision *restrict found,
                            __global const uint *restrict taken,
                            __global const uint *restrict maxima,
                            __global const uint *restrict row_starts, const uint rows,
-                           const uint step, const uint room, const uint kind,
-                           const uint corner_room, const uint length,
+                           const uint step, const uint capacity, const uint kind,
+                           const uint corner_capacity, const uint length,
                            __global int *restrict corners) {
   ENTRY(kind)
   if (!(maxima[word] >> x % 32 & 1) || (kind && taken[word] >> x % 32 & 1)) return;
   uint rank = row_starts[p * rows + y] + popcount(maxima[word] & ((1u << x % 32) - 1));
   for (size_t before = word - x / 32; before < word; ++before) rank += popcount(maxima[before]);
-  if (rank >= corner_room) return;
+  if (rank >= corner_capacity) return;
   for (uint k = 0; k < LIST_COLUMNS; ++k)
-    corners[(size_t)k * length + p * corner_room + rank] = entry[k * room];
+    corners[(size_t)k * length + p * corner_capacity + rank] = entry[k * capacity];
 }

@@ -65,9 +65,9 @@ float2 on_parabola(const float3 fit, const Line *line, const float u, float2 *ta
  * are nearly one line or meet too far away, CUSP: per black sector the intersection of its own
  * two edge lines, and the midpoint of the two cusps. */
 __kernel void midlines(__global const PIXEL *restrict image, __global const int *restrict corners,
-                       __global const uint *restrict totals, const uint rows,
-                       const uint columns, const uint step, const uint room,
-                       const uint place, const uint length, const float max_shift,
+                       __global const uint *restrict counts, const uint rows,
+                       const uint columns, const uint step, const uint capacity,
+                       const uint count_offset, const uint length, const float max_shift,
 #if SCALED
                        const float scale, __global const float8 *restrict ring_samples,
 #endif

@@ -31,24 +31,24 @@ __kernel void score_map(__global const RESPONSE *restrict response, const uint r
 }
 
 #define CANDIDATE                                                                   \
-  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / MASKS;       \
-  if (n >= min(totals[p], room)) return;                                            \
-  const uint place = list[p * room + n];                                            \
-  const size_t i = ROW(frame, 0) + place;                                           \
-  const int y = (int)(place / step);
+  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / LAYERS;      \
+  if (n >= min(counts[p], capacity)) return;                                        \
+  const uint index = list[p * capacity + n];                                        \
+  const size_t i = ROW(frame, 0) + index;                                           \
+  const int y = (int)(index / step);
 
 /* Write the responses of the candidates. With three layers they add up to 2 R(0) + R(-1/2) +
  * R(+1/2), by atomic additions to the word that holds the pixel. */
-__kernel void spread(__global const uint *restrict list, __global const uint *restrict totals,
-                       const uint rows, const uint step, const uint room,
-                     __global const RESPONSE *restrict list_of_responses,
-                     __global RESPONSE *restrict response) {
+__kernel void scatter(__global const uint *restrict list, __global const uint *restrict counts,
+                      const uint rows, const uint step, const uint capacity,
+                      __global const RESPONSE *restrict list_of_responses,
+                      __global RESPONSE *restrict response) {
   CANDIDATE
-  const RESPONSE r = list_of_responses[p * room + n];
-#if MASKS == 1
+  const RESPONSE r = list_of_responses[p * capacity + n];
+#if LAYERS == 1
   response[i] = r;
 #else
-  const uint pixels = sizeof(uint) / sizeof(RESPONSE), weight = p % MASKS == 0 ? 2 : 1;
+  const uint pixels = sizeof(uint) / sizeof(RESPONSE), weight = p % LAYERS == 0 ? 2 : 1;
   __global uint *word = (__global uint *)response + i / pixels;
   atomic_add(word, (weight * r) << (32 / pixels * (i % pixels)));
 #endif
@@ -59,8 +59,8 @@ __kernel void spread(__global const uint *restrict list, __global const uint *re
 #if KEYS
 
 /* The keys. */
-__kernel void score(__global const uint *restrict list, __global const uint *restrict totals,
-                    const uint rows, const uint step, const uint room,
+__kernel void score(__global const uint *restrict list, __global const uint *restrict counts,
+                    const uint rows, const uint step, const uint capacity,
                     __global const RESPONSE *restrict response, __global SCORE *restrict key) {
   CANDIDATE
   if (response[i] != 0) key[i] = KEY(response + i, y);
@@ -73,8 +73,8 @@ __kernel void score(__global const uint *restrict list, __global const uint *res
 
 /* Keep a key that is above all earlier ones and not below any later one. Layers share
  * candidates, so each is kept once. */
-__kernel void maximum(__global const uint *restrict list, __global const uint *restrict totals,
-                      const uint rows, const uint step, const uint room,
+__kernel void maximum(__global const uint *restrict list, __global const uint *restrict counts,
+                      const uint rows, const uint step, const uint capacity,
                       __global const RESPONSE *restrict response,
 #if KEYS
                       __global const SCORE *restrict key,
@@ -94,8 +94,8 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
       if (others > k || (earlier && others == k)) return;
     }
   }
-  const uint bit = 1u << place % 32;
-  __global uint *word = maxima + (frame * rows + y) * (step / 32) + place % step / 32;
+  const uint bit = 1u << index % 32;
+  __global uint *word = maxima + (frame * rows + y) * (step / 32) + index % step / 32;
 #if GATE /* the gate counts what passes */
   atomic_or(word, bit);
 #else

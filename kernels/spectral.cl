@@ -3,11 +3,11 @@
 
 /* Double-layer sampling and the spectral criteria (section 3.3, Eqs. 13 and 17).
  *
- * The tables have an entry for each ring mask: the response of an inner mask whose |F2| is
- * above |F1| and |F3|, 0 for others, and whether an outer mask is one of these. Masks have bit
- * i for sample i. */
+ * The tables have an entry for all bits of a ring: the response of an inner ring whose |F2| is
+ * above |F1| and |F3|, 0 for others, and whether an outer ring is one of these. Bit i is sample
+ * i. */
 
-#if MASKS == 1
+#if LAYERS == 1
 #define COLOUR(v) (v)
 #else
 #define COLOUR(v) ((v) >> layer & 1)
@@ -16,21 +16,21 @@
   | ((uint)COLOUR(binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)]) << (i))
 #define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
 
-/* The largest correlation of the two masks over all rotations, and the smallest |centre| of the
+/* The largest correlation of the two rings over all rotations, and the smallest |centre| of the
  * runs of rotations that reach it, in half samples; 0 where all do. */
-uint2 best_turn(const uint g1, const uint g2) {
-  uint best = 0, turns = 0;
+uint2 best_rotation(const uint g1, const uint g2) {
+  uint best = 0, rotations = 0;
   for (uint k = 0; k < 16; ++k) {
     const uint r = popcount(g1 & ROTATE(g2, k));
-    turns = r > best ? 1u << k : r == best ? turns | 1u << k : turns;
+    rotations = r > best ? 1u << k : r == best ? rotations | 1u << k : rotations;
     best = max(best, r);
   }
-  if (turns == 0xffffu) return (uint2)(best, 0);
+  if (rotations == 0xffffu) return (uint2)(best, 0);
   uint smallest = 16;
-  for (uint left = turns & ~((turns << 1 | turns >> 15) & 0xffffu); left; left &= left - 1) {
+  for (uint left = rotations & ~((rotations << 1 | rotations >> 15) & 0xffffu); left; left &= left - 1) {
     const uint first = 31 - clz(left & (0u - left));
     uint length = 1;
-    while (turns >> ((first + length) & 15) & 1) ++length;
+    while (rotations >> ((first + length) & 15) & 1) ++length;
     const uint twice = (2 * first + length - 1) & 31;
     smallest = min(smallest, twice > 16 ? 32 - twice : twice);
   }
@@ -60,13 +60,13 @@ __kernel void spectral_criteria(__global const uchar *restrict binary,
   const int n1 = (int)popcount(g1), nr = (int)popcount(0u REGION(RING_BIT));
   if (max(n1 - nr, nr - n1 - 5) >= corrosion_threshold) return;
 #endif
-  const uint2 turn = best_turn(g1, g2);
-  if (turn.x < least_correlation[popcount(g1) * popcount(g2)]) return;
-  if ((int)turn.y >= phase_bound) return;
+  const uint2 best = best_rotation(g1, g2);
+  if (best.x < least_correlation[popcount(g1) * popcount(g2)]) return;
+  if ((int)best.y >= phase_bound) return;
   response[i] = (RESPONSE)r;
 }
 
-/* Ring masks, corrosion, best correlation and phase in half samples, at every pixel of a plane. */
+/* Ring bits, corrosion, best correlation and phase in half samples, at every pixel of a plane. */
 __kernel void spectral_maps(__global const uchar *restrict binary, const uint rows,
                             const uint step, __global ushort *restrict inner,
                             __global ushort *restrict outer, __global char *restrict corrosion,
@@ -78,10 +78,10 @@ __kernel void spectral_maps(__global const uchar *restrict binary, const uint ro
   const uint g2 = 0 INNER_RING(RING_BIT);
   const uint g1 = 0 OUTER_RING(RING_BIT);
   const int n1 = (int)popcount(g1), nr = (int)popcount(0u REGION(RING_BIT));
-  const uint2 turn = best_turn(g1, g2);
+  const uint2 best = best_rotation(g1, g2);
   inner[i] = (ushort)g2;
   outer[i] = (ushort)g1;
   corrosion[i] = (char)max(n1 - nr, nr - n1 - 5);
-  correlation[i] = (uchar)turn.x;
-  phase[i] = (uchar)turn.y;
+  correlation[i] = (uchar)best.x;
+  phase[i] = (uchar)best.y;
 }

@@ -13,6 +13,7 @@ from detectors import MakeDetector, detectors_on
 from forms import in_form
 
 from cmp_cl import Device, select_device
+from cmp_cl.opencl import program
 from cmp_cl.opencl.device import DEVICE_VARIABLE
 from cmp_cl.stages.form import Form
 
@@ -42,31 +43,37 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="session")
 def device(request: pytest.FixtureRequest) -> Device:
-    """The device under test."""
+    """Return the device under test."""
     return select_device(request.param)
 
 
 @pytest.fixture(scope="session")
 def detector_for(device: Device) -> Iterator[MakeDetector]:
-    """detector_for(image, config, mask): a detector for images like it, made only once."""
+    """Yield detector_for(image, config, mask): a detector for images like it, made only once."""
     with detectors_on(device) as make:
         yield make
 
 
+@pytest.fixture
+def own_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let each detector load or compile its programs itself, as the first one of a process does."""
+    monkeypatch.setattr(program, "_shared", program._shared.__wrapped__)
+
+
 @pytest.fixture(scope="session", params=Form, ids=lambda form: form.value)
 def form(request: pytest.FixtureRequest) -> Form:
-    """Each form of the kernels in turn."""
+    """Return each form of the kernels in turn."""
     return request.param
 
 
 @pytest.fixture(scope="session")
 def device_in_form(device: Device, form: Form) -> Device:
-    """The device under test, on which the kernels have that form."""
+    """Return the device under test, on which the kernels have that form."""
     return in_form(device, form)
 
 
 @pytest.fixture(scope="session")
 def detector_in_form(device_in_form: Device) -> Iterator[MakeDetector]:
-    """detector_in_form(image, config, mask): as `detector_for`, in each form in turn."""
+    """Yield detector_in_form(image, config, mask): as `detector_for`, in each form in turn."""
     with detectors_on(device_in_form) as make:
         yield make

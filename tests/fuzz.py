@@ -62,7 +62,7 @@ def _one(rng: Rng, *choices: Any) -> Any:
 
 
 def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
-    """A valid configuration: each setting its default, a bound or anything between.
+    """Return a valid configuration: each setting its default, a bound or anything between.
 
     What goes into the text of the kernels is drawn from `compiled`, all else from `rng`.
     """
@@ -136,7 +136,7 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
 
 
 def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
-    """A small image: noise, texture, board, ramp, levels, stripes, or parts of several."""
+    """Return a small image: noise, texture, board, ramp, levels, stripes, or parts of several."""
     kind = int(rng.integers(9))
     high = 256 if dtype == np.uint8 else _one(rng, 256, 4096, 65536)
     if kind == 0:
@@ -164,8 +164,8 @@ def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
 
 
 def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarray:
-    """(N,) how far the oracle's own positions move, px, where its edge points are rounded as
-    float32 rounds them: centrelines through points that nearly coincide hang on every digit."""
+    """Return (N,): how far the oracle's own positions move, px, when its edge points are rounded
+    to float32: centrelines through points that nearly coincide hang on every digit."""
     exact, rng = reference.refine.edge_points, np.random.default_rng(0)
 
     def rounded(*arguments: Any) -> Any:
@@ -183,7 +183,7 @@ def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarra
 def assert_as_expected(
     found: Corners, image: np.ndarray, config: DetectorConfig, counts: Counter[str]
 ) -> None:
-    """The corners are the oracle's; what float32 may decide otherwise is counted."""
+    """Assert that the corners are the oracle's; count what float32 may decide otherwise."""
     expected, margin = reference.detect_with_margin(image, config)
     np.testing.assert_array_equal(found.pixel, expected.pixel)
     np.testing.assert_array_equal(found.response, expected.response)
@@ -208,7 +208,7 @@ def assert_as_expected(
 def valid_case(
     seed: int, number: int, images: int, device: str | None, counts: Counter[str]
 ) -> None:
-    """One configuration and its images."""
+    """Check one configuration and its images."""
     compiled = np.random.default_rng([seed, number // SHARING, 2])
     rng = np.random.default_rng([seed, number])
     dtype = _one(compiled, np.uint8, np.uint8, np.uint16)
@@ -245,8 +245,8 @@ FIELDS = [(part, field.name) for part in PARTS for field in dataclasses.fields(p
 
 
 def invalid_case(seed: int, number: int, device: str | None) -> bool:
-    """A value that no field takes, an image that no detector takes: an error of ours, or a
-    valid thing after all. Returns whether it was refused."""
+    """Try a value that no field takes, or an image that no detector takes: an error of ours, or a
+    valid thing after all. Return whether it was refused."""
     rng = np.random.default_rng([seed, number, 1])
     values: list[Any] = [None, -1, 0, 2, 1e9, -1e9, float("nan"), float("inf"), "3", b"", [], {}]
     values += [True, object(), 2**70, (1.0,), np.float32(0.5), np.int64(7), 1.5, 256, ()]
@@ -278,7 +278,7 @@ def invalid_case(seed: int, number: int, device: str | None) -> bool:
 
 
 def _megabytes() -> int:
-    """Resident memory now, where the system says; otherwise its peak."""
+    """Return the resident memory now, where the system says; otherwise its peak."""
     try:
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * resource.getpagesize() // 2**20
@@ -300,7 +300,7 @@ def digest(text: str) -> str:
 
 
 def one_case(number: int, seed: int, images: int, device: str | None) -> Case:
-    """A valid configuration with its images, and twenty invalid ones; says what failed."""
+    """Check a valid configuration with its images, and twenty invalid ones; say what failed."""
     counts: Counter[str] = Counter()
     again = f"--seed {seed} --first {number} --configs 1 --images {images}"
 
@@ -322,7 +322,7 @@ def one_case(number: int, seed: int, images: int, device: str | None) -> Case:
 
 
 def cases(numbers: Iterable[int], work: Callable[[int], Case], processes: int) -> Iterator[Case]:
-    """What came of each case, in order. Those that compile the same go to the same process."""
+    """Yield what came of each case, in order; what compiles the same goes to the same process."""
     if processes == 1:
         yield from map(work, numbers)
         return

@@ -69,7 +69,7 @@ Rng = np.random.Generator
 
 
 def settings(folder: Path) -> Iterator[Path]:
-    """Settings with every table."""
+    """Write settings with every table."""
     for number, config in enumerate(
         (
             DetectorConfig(refinement=EdgeStep(cell=17.5)),
@@ -81,7 +81,7 @@ def settings(folder: Path) -> Iterator[Path]:
 
 
 def rigs(folder: Path) -> Iterator[Path]:
-    """A rig as OpenCV writes it in its three formats."""
+    """Write a rig as OpenCV does in its three formats."""
     rig = StereoRig(*default_rig((300, 300)))
     rig.save(folder / "rig.yaml")
     yield folder / "rig.yaml"
@@ -100,7 +100,7 @@ def picture() -> np.ndarray:
 
 
 def images(folder: Path) -> Iterator[Path]:
-    """Every format, and a stack."""
+    """Write every format, and a stack."""
     for suffix in ("png", "jpg", "bmp", "pgm", "tif", "webp", "jp2", "gif"):
         image = np.dstack([picture()] * 3) if suffix == "gif" else picture()
         media.write_image(folder / f"a.{suffix}", image)
@@ -110,7 +110,7 @@ def images(folder: Path) -> Iterator[Path]:
 
 
 def videos(folder: Path) -> Iterator[Path]:
-    """Containers and codecs that OpenCV brings."""
+    """Write the containers and codecs that OpenCV brings."""
     for name, codec in (("a.avi", "FFV1"), ("b.avi", "MJPG"), ("c.mp4", "mp4v"), ("d.mkv", "FFV1")):
         writer = cv2.VideoWriter(str(folder / name), cv2.VideoWriter_fourcc(*codec), 25, (80, 60))
         for _ in range(4):
@@ -120,7 +120,7 @@ def videos(folder: Path) -> Iterator[Path]:
 
 
 def stores(folder: Path) -> Iterator[Path]:
-    """A part of a store, and what the store says of itself."""
+    """Write a part of a store, and what the store says of itself."""
     count = 5
     lengths = np.array([3, 2])
     arrays: dict[str, Any] = {
@@ -140,7 +140,7 @@ def stores(folder: Path) -> Iterator[Path]:
 
 
 def recordings(folder: Path) -> Iterator[Path]:
-    """Of one view and of two, as `cmp-cl run` writes them."""
+    """Write recordings of one view and of two, as `cmp-cl run` does."""
     rows, columns = np.indices((4, 5)) * 10.0
     rest = np.stack([columns, rows, np.full((4, 5), 80.0)], axis=2)
     for suffix, size in itertools.product(("npz", "h5"), (2, 3)):
@@ -155,7 +155,7 @@ def recordings(folder: Path) -> Iterator[Path]:
 
 
 def bags(folder: Path) -> Iterator[Path]:
-    """Images in an MCAP: as they are, compressed, and of 16 bits."""
+    """Write images in an MCAP: as they are, compressed, and of 16 bits."""
     writing = importlib.import_module("mcap_ros2.writer")
     path = folder / "a.mcap"
     with open(path, "wb") as file:
@@ -191,7 +191,7 @@ def read_video(path: Path) -> None:
 
 
 def read_store(path: Path) -> None:
-    """Beside the other file of the store, which is whole."""
+    """Read a part beside the other file of the store, which is whole."""
     store = cluster.open_store(path.parent)
     if store.count > 100:
         return
@@ -203,7 +203,7 @@ def read_store(path: Path) -> None:
 
 
 def read_recording(path: Path) -> None:
-    """Its arrays, and all that is drawn of them."""
+    """Read its arrays, and draw all that is drawn of them."""
     recorded = Recorded.of(read_series(path))
     recorded.node_of(None)
     frame = recorded.frame_of(None)
@@ -233,7 +233,7 @@ for needed, kind in (("h5py", "recordings"), ("mcap_ros2", "bags")):
 
 
 def damaged(data: bytes, rng: Rng) -> bytes:
-    """One to four changes."""
+    """Return the bytes with one to four changes."""
     for _ in range(int(rng.choice([1, 1, 1, 2, 4]))):
         data = _changed(data, rng)
     return data

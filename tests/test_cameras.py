@@ -12,7 +12,7 @@ from cmp_cl.errors import ConfigError, ImageError
 
 
 def pairs_of(left, right, tolerance=10.0):
-    """Indices of the pairs of frames at these times, ms, and the count."""
+    """Return indices of the pairs of frames at these times, ms, and the count."""
     count = PairCount()
     sides = (iter([Timed(i, t, None) for i, t in enumerate(times)]) for times in (left, right))
     found = [(a.index, b.index) for a, b in paired(*sides, tolerance_ms=tolerance, count=count)]

@@ -67,7 +67,7 @@ def test_a_killed_worker_loses_no_frame_and_doubles_none(client, tmp_path):
     done = []
 
     def kill_one():
-        """When the first parts are there, in the middle of others."""
+        """Kill a worker when the first parts are there, in the middle of others."""
         while len(list(tmp_path.glob("store/part-*.npz"))) < 2:
             time.sleep(0.02)
         victim = min(before)

@@ -119,6 +119,7 @@ def test_a_fraction_is_refused_where_an_integer_is_needed(part, field):
         (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),
         (lambda: DetectorConfig.paper([20]), "20, 30 or 40 markers a side, not [20]"),
         (lambda: DetectorConfig.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),
+        (lambda: DetectorConfig.for_cell(40, blur=-1), "for_cell(blur) must be a number in [0, "),
         (lambda: BinaryRings.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),
     ],
 )
@@ -271,13 +272,32 @@ def test_small_cells_get_the_small_ring():
     assert large == BinaryRings(threshold=AdaptiveMean(window=window_for_cell(12)))
 
 
-def test_squeezed_cells_are_looked_for_where_cells_are_small_and_large_ones_get_a_scale():
-    small, wide, huge = (DetectorConfig.for_cell(cell) for cell in (19.9, 20, 120))
+def test_squeezed_cells_are_looked_for_where_cells_are_small():
+    small, wide = (DetectorConfig.for_cell(cell) for cell in (19.9, 20))
     assert small == DetectorConfig(refinement=EdgeStep(cell=19.9))
     rule = RingHarmonic(fine=False)
     assert wide == DetectorConfig(detection=rule, refinement=EdgeStep(cell=20))
-    assert huge == DetectorConfig(detection=rule, refinement=EdgeStep(cell=120), scale=0.25)
-    assert DetectorConfig.for_cell(60).scale is None
+
+
+@pytest.mark.parametrize(
+    ("cell", "blur", "scale"),
+    [
+        (60, None, None),
+        (61, None, 0.45),
+        (400, None, 0.25),
+        (30, 3, None),
+        (90, 0.7, None),
+        (125, 0.7, 0.8),
+        (90, 1.2, 0.5),
+        (90, 4, 24 / 90),
+        (1000, 0, 0.1),
+    ],
+)
+def test_wide_cells_get_a_scale_where_they_are_blurred_or_nobody_knows(cell, blur, scale):
+    config = DetectorConfig.for_cell(cell, blur=blur)
+    assert config.scale == (None if scale is None else pytest.approx(scale))
+    rest = DetectorConfig(detection=RingHarmonic(fine=False), refinement=EdgeStep(cell=cell))
+    assert config.replace(scale=None) == rest
 
 
 def test_the_bounds_of_the_rule_in_whole_numbers():

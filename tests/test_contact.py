@@ -10,7 +10,7 @@ DEPTH, RADIUS, TOP = 30.0, 4.0, 0.8  # mm: distance of the gel, width and depth 
 
 
 def surface(tilt):
-    """The nodes of a gel of 20 mm, and the rotation about y that turns it."""
+    """Return the nodes of a gel of 20 mm, and the rotation about y that turns it."""
     row, column = np.indices((81, 81))
     flat = np.stack([(column - 40) * 0.25, (row - 40) * 0.25, np.zeros((81, 81))], axis=2)
     turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
@@ -18,7 +18,7 @@ def surface(tilt):
 
 
 def pressed(tilt=0.0, sigma=0.01):
-    """A bell of height TOP towards the camera on a gel that is turned about y, and the gel."""
+    """Return a bell of height TOP towards the camera on a gel turned about y, and the gel."""
     flat, turn = surface(tilt)
     bell = TOP * np.exp(-np.square(flat).sum(axis=2) / (2 * RADIUS**2))
     shift = np.zeros_like(flat)

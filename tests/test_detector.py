@@ -45,7 +45,7 @@ FRAMES = [EIGHT[name] for name in ("scene", "board", "texture", "black", "worn s
 
 @pytest.fixture
 def detector(detector_for) -> Detector:
-    """The default detector for images.SHAPE."""
+    """Return the default detector for images.SHAPE."""
     return detector_for(BOARD)
 
 
@@ -62,7 +62,7 @@ SHAPES = [(1, 1), (1, 7), (7, 1), (2, 2), (5, 3), (11, 13), (31, 29), (97, 131),
     ],
     ids=str,
 )
-def test_every_shape(detector_for, shape):
+def test_maps_and_corners_of_every_shape_are_the_oracles(detector_for, shape):
     for image in (noise(shape, seed=1), images.texture(shape) if min(shape) > 1 else noise(shape)):
         detector = detector_for(image)
         assert_maps_equal(detector, image)
@@ -157,7 +157,7 @@ def test_an_enormous_image_on_tiles(device):
 # --- the result ----------------------------------------------------------------------------
 
 
-def test_the_result(detector, device):
+def test_the_result_has_the_stated_shapes_and_types(detector, device):
     corners = detector(BOARD)
     count = len(corners)
     assert count > 20
@@ -202,7 +202,7 @@ def test_nothing_is_a_result(detector):
     assert corners.to_opencv().shape == (0, 1, 2)
 
 
-def test_detect(device):
+def test_detect_takes_a_configuration_and_a_device_or_chooses_them(device):
     config = DetectorConfig()
     corners = cmp_cl.detect(BOARD, config, device)
     assert_same_bytes(corners, cmp_cl.detect(BOARD, config=config, device=device.index))
@@ -212,7 +212,7 @@ def test_detect(device):
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 7), (7, 0)])
-def test_images_without_pixels(device, shape):
+def test_an_image_without_pixels_has_no_corners(device, shape):
     image = np.zeros(shape, np.uint8)
     assert len(cmp_cl.detect(image, device=device)) == 0
     with Detector(shape=shape, device=device) as detector:
@@ -263,7 +263,7 @@ def test_alone_in_a_stream_and_in_a_batch_alike(detector_for, refinement, scale)
         DetectorConfig(detection=BinaryRings(contrast=None), refinement=Midlines()),
         DetectorConfig(scale=Pyramid(factors=(1.0, 0.63), expected=25)),
     ],
-    ids=["three masks", "spectral", "no gate", "pyramid"],
+    ids=["three thresholds", "spectral", "no gate", "pyramid"],
 )
 def test_a_batch_equals_the_loop(detector_for, config):
     detector = detector_for(BOARD, config)
@@ -410,7 +410,7 @@ def test_a_mask_says_where_candidates_are_centred(detector_for, device):
     with Detector(shape=mask.shape, device=device, mask=mine) as other:
         mine[:] = False
         plan = other._plan(None)
-        plan.corner_room = 64
+        plan.corner_capacity = 64
         other._grow(plan, Overflow(0, 100))
         plan.queue.finish()
         assert_same_bytes(other(image), corners)
@@ -419,7 +419,7 @@ def test_a_mask_says_where_candidates_are_centred(detector_for, device):
 @pytest.mark.parametrize(
     "mask", [np.ones((2, 2), np.bool_), np.ones(images.SHAPE), np.ones(3, np.bool_), "all"]
 )
-def test_a_wrong_mask(device, mask):
+def test_a_wrong_mask_is_refused(device, mask):
     with pytest.raises(ImageError, match=r"mask must be \(61, 83\) of bool"):
         Detector(shape=images.SHAPE, device=device, mask=mask)
 
@@ -427,7 +427,7 @@ def test_a_wrong_mask(device, mask):
 # --- queues, profiles, closing -------------------------------------------------------------
 
 
-def test_your_own_queue(device, detector):
+def test_a_detector_runs_in_the_callers_queue(device, detector):
     context = cl.Context([device.handle])
     with cl.CommandQueue(context) as queue:
         with Detector(shape=images.SHAPE, queue=queue) as own:
@@ -461,7 +461,7 @@ def test_times_of_the_stages(device, detector):
         assert len(profiled._plan(None).events) == launches  # of the last frame alone
 
 
-def test_a_closed_detector(device):
+def test_a_closed_detector_says_so(device):
     detector = Detector(shape=images.SHAPE, device=device)
     stream = detector.stream([BOARD] * 3)
     next(stream)
@@ -564,13 +564,13 @@ def test_threads_wait_for_one_another(detector):
     assert failures == []
 
 
-# --- room ----------------------------------------------------------------------------------
+# --- capacity ------------------------------------------------------------------------------
 
 
 EVERYTHING = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
 
 
-def test_more_corners_than_room_are_found_all_the_same(device):
+def test_more_corners_than_the_capacity_are_found_all_the_same(device):
     image = images.salt_and_pepper((400, 80), 0.9)
     config = DetectorConfig(
         detection=BinaryRings(contrast=None, criteria=EVERYTHING), nms_radius=1, max_corners=1
@@ -678,18 +678,18 @@ def test_an_image_of_another_plan(detector, image):
 
 
 @pytest.mark.parametrize("shape", [(3,), (3, 4, 5), "ab", None, (-1, 4), (4.5, "x")])
-def test_a_wrong_shape(device, shape):
+def test_a_wrong_shape_is_refused(device, shape):
     with pytest.raises(ImageError, match="shape must be"):
         Detector(shape=shape, device=device)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.int16, bool, ">u2"])
-def test_a_wrong_dtype(device, dtype):
+def test_a_wrong_dtype_is_refused(device, dtype):
     with pytest.raises(ImageError, match="uint8 or uint16"):
         Detector(shape=images.SHAPE, dtype=dtype, device=device)
 
 
-def test_a_wrong_configuration(device):
+def test_a_wrong_configuration_is_refused(device):
     with pytest.raises(ConfigError, match="DetectorConfig"):
         Detector(shape=images.SHAPE, config="paper", device=device)
 
@@ -791,7 +791,7 @@ def test_every_field_has_a_change():
     names |= {
         f"{part.__name__}.{field.name}" for part in parts for field in dataclasses.fields(part)
     }
-    assert set(CHANGES) == names - {"max_corners"}  # that is tested with the room
+    assert set(CHANGES) == names - {"max_corners"}  # that is tested with the capacity
 
 
 QUICK_CHANGES = ("detection", "nms_radius", "RingHarmonic.fine", "refinement")
@@ -814,7 +814,7 @@ def test_changing_a_field_changes_the_corners(detector_for, name):
     assert not same
 
 
-def test_max_corners_is_the_room_at_the_start(device):
+def test_max_corners_is_the_capacity_at_the_start(device):
     shape = (300, 80)
     with (
         Detector(shape=shape, config=D(max_corners=1), device=device) as small,
@@ -823,7 +823,7 @@ def test_max_corners_is_the_room_at_the_start(device):
         assert small.memory < large.memory
 
 
-def test_the_papers_configuration(detector_for):
+def test_the_papers_configuration_finds_midlines_and_cusps(detector_for):
     config = DetectorConfig.paper(40)
     corners = assert_corners_equal(detector_for(BOARD, config), BOARD)
     assert len(corners) > 20

@@ -42,7 +42,7 @@ CONFIGS = {
         detection=BinaryRings(threshold=AdaptiveMean(window=11), outer_radius=4),
         refinement=EdgeStep(cell=9),
     ),
-    "three masks": DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
+    "three thresholds": DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
     "spectral": DetectorConfig(
         detection=BinaryRings(criteria=SpectralCriteria()), refinement=Midlines(fit=Fit.QUADRATIC)
     ),
@@ -60,7 +60,7 @@ DIGESTS = {
     ("deep", "default"): "82ae75654c8eafd0",
     ("deep", "paper"): "6c4b2e7e23089b5c",
     ("deep", "small cells"): "b66317f6580c8404",
-    ("deep", "three masks"): "cd16cb6b24d3293c",
+    ("deep", "three thresholds"): "cd16cb6b24d3293c",
     ("deep", "spectral"): "4d9033fc4b7aa6f0",
     ("deep", "dense, scaled"): "d24b6bcf53066cb2",
     ("noise", "default"): "6c62b792e7ce9729",
@@ -69,7 +69,7 @@ DIGESTS = {
     ("scene", "paper"): "a3c04001cbe7a2dd",
     ("scene", "rings"): "337d3ccbe501713b",
     ("scene", "small cells"): "a713b63e641a09f0",
-    ("scene", "three masks"): "0c61c645ee8a90f2",
+    ("scene", "three thresholds"): "0c61c645ee8a90f2",
     ("scene", "spectral"): "d93a7ca9b7a3681e",
     ("scene", "dense, scaled"): "de1a09096aa4f6b0",
     ("ties", "default"): "751379dbf95e0ea6",
@@ -88,7 +88,8 @@ def config_for(name: str, image: np.ndarray) -> DetectorConfig:
 
 
 def digest(maps: Maps, corners: Corners) -> str:
-    """Of every whole number in the maps and the corners, byte order and width of ints apart."""
+    """Return a digest of every whole number in the maps and the corners, whatever byte order and
+    width of ints."""
     hashed = hashlib.sha256()
     arrays = {f.name: getattr(maps, f.name) for f in dataclasses.fields(maps)}
     arrays |= {"pixel": corners.pixel, "method": corners.method}

@@ -25,7 +25,7 @@ OTHER = made_up("2:0", "FPGA board", "Boards", DeviceKind.ACCELERATOR)
 
 @pytest.fixture
 def lab(monkeypatch):
-    """Four devices on three platforms, and no variable."""
+    """Pretend four devices on three platforms, and no variable."""
     monkeypatch.setattr(module, "list_devices", lambda: [POCL, CARD, SECOND, OTHER])
     monkeypatch.delenv("CMP_CL_DEVICE", raising=False)
     return monkeypatch
@@ -164,7 +164,7 @@ def test_devices_are_values(device):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """POCL_AFFINITY as PoCL sees it where the platforms are asked for, on all of four cores."""
+    """Return POCL_AFFINITY as PoCL sees it when the platforms are asked for, on four cores."""
     for name in ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: 4)

@@ -28,7 +28,7 @@ FOUND = re.compile(r"\.\. auto\w+:: (?:cmp_cl\.)([\w.]+)")
 
 
 def blocks(path):
-    """The fenced blocks of a page, (language, text) each."""
+    """Return the fenced blocks of a page, (language, text) each."""
     return FENCE.findall(path.read_text(encoding="utf-8"))
 
 
@@ -38,20 +38,20 @@ def name_of(path):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty folder to run in, without a display."""
+    """Return an empty folder to run in, without a display."""
     matplotlib.use("agg")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def sections(page):
-    """The sections of a page of the reference: heading and text of each, the head's first."""
+    """Return the sections of a page of the reference, heading and text, the head's first."""
     parts = re.split(r"^#{2,3} (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return [("", parts[0]), *zip(parts[1::2], parts[2::2], strict=True)]
 
 
 def can_run(text):
-    """Whether the extra that a section asks for is installed."""
+    """Return whether the extra that a section asks for is installed."""
     named = re.search(r"^With the extra `(\w+)`", text, flags=re.MULTILINE)
     return named is None or importlib.util.find_spec(EXTRAS[named[1]]) is not None
 
@@ -114,7 +114,7 @@ def command(line):
 
 
 def runnable(path):
-    """Whether a page has blocks to run that the site does not run."""
+    """Return whether a page has blocks to run that the site does not run."""
     kinds = {language for language, _ in blocks(path)}
     return path.parent.name not in EXECUTED and not kinds.isdisjoint({"python", "console"})
 

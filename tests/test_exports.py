@@ -38,7 +38,7 @@ def camera(lens, turn=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0)):
 
 
 def views(cameras, count=12, noise=0.03):
-    """Grids of a 7 x 9 board of 20 mm squares in random poses; partly outside is missing."""
+    """Return grids of a 7 x 9 board of 20 mm squares in random poses; partly outside is missing."""
     rng = np.random.default_rng(900001)
     row, column = np.mgrid[:7, :9]
     board = np.stack([column, row, 0 * row], axis=-1) * 20.0 - [80, 60, 0]

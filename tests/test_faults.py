@@ -38,7 +38,9 @@ def test_an_enormous_shape_is_refused_before_anything_is_taken(device):
 
 def test_memory_that_is_refused_is_a_capacity_error(device, monkeypatch):
     monkeypatch.setattr(cl, "Buffer", refuse)
-    with pytest.raises(CapacityError, match=r"no room for a plan of \d+ bytes, though it has \d+"):
+    with pytest.raises(
+        CapacityError, match=r"not enough memory for a plan of \d+ bytes, though it has \d+"
+    ):
         Detector(shape=images.SHAPE, device=device)
 
 
@@ -56,19 +58,19 @@ def test_memory_that_runs_out_in_a_frame_is_a_capacity_error(device, monkeypatch
                 lambda: list(detector.stream([BOARD])),
                 lambda: detector.batch([BOARD]),
             ):
-                with pytest.raises(CapacityError, match="no room for a plan"):
+                with pytest.raises(CapacityError, match="not enough memory for a plan"):
                     use()
         assert_same_bytes(detector(BOARD), expected)
 
 
-def test_room_that_cannot_grow_leaves_a_detector_that_works(device, monkeypatch):
+def test_a_capacity_that_cannot_grow_leaves_a_detector_that_works(device, monkeypatch):
     config = DetectorConfig(detection=BinaryRings(contrast=None), nms_radius=1, max_corners=1)
     dense = images.texture((300, 80))
     calm = np.full_like(dense, 128)
     calm[:61, :80] = BOARD[:, :80]
     with Detector(shape=dense.shape, config=config, device=device) as detector:
         few = detector(calm)
-        detector._plan(None).corner_room = 64
+        detector._plan(None).corner_capacity = 64
         detector._plan(None)._allocate()
         with monkeypatch.context() as patch:
             patch.setattr(cl, "Buffer", refuse)
@@ -88,8 +90,8 @@ def test_a_kernel_that_does_not_compile_says_why(device, monkeypatch):
 
 
 @pytest.fixture
-def cache(tmp_path, monkeypatch):
-    """An empty folder for compiled programs, used on every device."""
+def cache(own_programs, tmp_path, monkeypatch):
+    """Return an empty folder for compiled programs, used on every device."""
     folder = tmp_path / "cache"
     monkeypatch.delenv("PYOPENCL_NO_CACHE", raising=False)
     monkeypatch.setattr(caches.platformdirs, "user_cache_path", lambda *_, **__: folder)
@@ -98,14 +100,14 @@ def cache(tmp_path, monkeypatch):
 
 
 def build(device, pad=16):
-    """A program of one file: the border of an image is repeated."""
+    """Build a program of one file: the border of an image is repeated."""
     context = cl.Context([device.handle])
     names = program.build(context, ["border"], {"PIXEL": "uchar", "PAD": pad}).names
     assert names == {"repeat_border"}
 
 
 def refuse_to_compile(monkeypatch):
-    """Programs may be loaded and not compiled."""
+    """Let programs be loaded and not compiled."""
     whole = cl.Program
 
     def loaded(context, *parts):

@@ -36,7 +36,7 @@ def modules():
 
 
 def imported(path, *, everywhere):
-    """Modules of cmp_cl that a file imports, when it is imported or in functions too."""
+    """Return the modules of cmp_cl that a file imports, when it is imported or in functions too."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     waiting, names = list(tree.body), set()
     while waiting:

@@ -39,7 +39,7 @@ COMPRESSED = HEADER.format(fields="string format\nuint8[] data")
 
 @pytest.fixture
 def ros():
-    """The writer of the package mcap-ros2-support."""
+    """Return the writer of the package mcap-ros2-support."""
     pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
     return importlib.import_module("mcap_ros2.writer")
 
@@ -66,7 +66,7 @@ def image_message(number, image, encoding, *, padding=0, big=False):
 
 
 def write(ros, path, messages):
-    """messages: topic, definition, message."""
+    """Write messages: topic, definition, message of each."""
     with open(path, "wb") as file:
         writer = ros.Writer(file)
         schemas = {}
@@ -201,7 +201,7 @@ class Message:
 
 @pytest.fixture
 def node(monkeypatch):
-    """The example's module, with a stand-in for rclpy that keeps what is published."""
+    """Return the example's module, with a stand-in for rclpy that keeps what is published."""
 
     class Node:
         def __init__(self, name):

@@ -20,9 +20,9 @@ RIG = default_rig(VIEW)
 GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def shots():
-    """Two frames, at rest and pressed: both views in one image, and the nodes in space, mm."""
+    """Return two frames, at rest and pressed: both views in one image; the nodes in space, mm."""
     found = []
     for severity in (0.0, 0.4):
         left, right, xyz = render_stereo(dataclasses.replace(GEL, severity=severity), RIG)
@@ -31,7 +31,7 @@ def shots():
 
 
 def example():
-    """The code in the module's docstring."""
+    """Return the code in the module's docstring."""
     _, code, _ = re.split(r"\n\n(?=    import)|\n\n(?=`)", measure.__doc__, maxsplit=2)
     return textwrap.dedent(code)
 
@@ -148,7 +148,7 @@ def test_two_views_are_numbered_alike():
 
 
 def moved_by(cells: float) -> np.ndarray:
-    """A checkerboard of cells of 12 px that goes on beyond all edges, (180, 200) uint8."""
+    """Return a checkerboard of cells of 12 px that goes on beyond all edges, (180, 200) uint8."""
     y, x = (np.indices((180 * 3, 200 * 3)) + 0.5) / 3 + np.array([4, 3]).reshape(2, 1, 1)
     black = (np.floor(x / 12 - cells) + np.floor(y / 12 - cells / 2)) % 2 == 0
     level = np.where(black, 40.0, 210.0).reshape(180, 3, 200, 3).mean(axis=(1, 3))
@@ -156,7 +156,8 @@ def moved_by(cells: float) -> np.ndarray:
 
 
 def shifts_of_film(frames: list[float | None], *, track: bool) -> tuple[list[float], list[bool]]:
-    """The mean displacement, cells along x, of frames that moved so far, and which are ambiguous.
+    """Return the mean displacement, cells along x, of frames that moved so far, and which are
+    ambiguous.
 
     None is a frame without a pattern.
     """

@@ -167,7 +167,7 @@ def write_video(path, frames=8, code="FFV1"):
 
 @pytest.fixture(params=["PyAV", "OpenCV"])
 def reader(request, monkeypatch):
-    """What reads videos."""
+    """Return the reader of videos."""
     if request.param == "PyAV":
         pytest.importorskip("av", reason="PyAV is not installed")
     monkeypatch.setattr(media, "has_pyav", lambda: request.param == "PyAV")
@@ -246,7 +246,7 @@ def test_frames_of_another_size_come_as_they_are(tmp_path):
 
 
 def write_deep(path):
-    """Three frames of 12 bits at 0, 35 and 110 ms."""
+    """Write three frames of 12 bits at 0, 35 and 110 ms."""
     av = pytest.importorskip("av", reason="PyAV is not installed")
     ramp = np.tile(np.arange(64, dtype=np.uint16) * 64, (48, 1))
     with av.open(str(path), "w") as container:

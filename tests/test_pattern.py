@@ -36,12 +36,12 @@ def pdf_pixels(path):
 
 
 def outline(polyline):
-    """(N, 2) mm."""
+    """Return (N, 2) mm."""
     return np.array([tuple(point)[:2] for point in polyline.points()])
 
 
 def dxf_pixels(path):
-    """The filled polylines of a drawing, 10 px a mm, y turned down."""
+    """Return the filled polylines of a drawing, 10 px a mm, y turned down."""
     drawing = ezdxf.readfile(path)
     assert not drawing.audit().errors
     assert drawing.units == ezdxf.units.MM

@@ -55,7 +55,7 @@ def plan_of(detector_for, config):
 
 
 def left_out(detector_for, config, *, files=(), launches=(), buffers=(), than=FULL):
-    """Those files, kernels and buffers are there in the one configuration, not in the other."""
+    """Check that a configuration does without these files, kernels and buffers."""
     plan, launched, kernels = plan_of(detector_for, config)
     full, full_launched, full_kernels = plan_of(detector_for, than)
     assert set(files) <= set(full.stages)
@@ -68,7 +68,7 @@ def left_out(detector_for, config, *, files=(), launches=(), buffers=(), than=FU
     assert sum(plan.sizes.values()) <= sum(full.sizes.values())
 
 
-def test_the_gate(detector_for):
+def test_without_the_gate_its_kernels_and_buffers_are_left_out(detector_for):
     left_out(
         detector_for,
         rings(FULL, contrast=None),
@@ -79,7 +79,7 @@ def test_the_gate(detector_for):
 
 
 @pytest.mark.parametrize("base", [FULL, HARMONIC], ids=["rings", "harmonic"])
-def test_refinement(detector_for, form, base):
+def test_without_refinement_its_kernels_and_buffers_are_left_out(detector_for, form, base):
     lines, step = ("refine_eight", "edge_step_eight"), ("edge_lines", "edge_step")
     left_out(
         detector_for,
@@ -90,7 +90,7 @@ def test_refinement(detector_for, form, base):
     )
 
 
-def test_extra_masks(detector_for):
+def test_without_extra_layers_their_kernels_are_left_out(detector_for):
     left_out(
         detector_for,
         rings(FULL, threshold=AdaptiveMean()),
@@ -99,7 +99,7 @@ def test_extra_masks(detector_for):
     )
 
 
-def test_the_working_scale(detector_for):
+def test_without_a_working_scale_nothing_is_resampled(detector_for):
     left_out(
         detector_for,
         rings(FULL, scale=None, threshold=AdaptiveMean()),
@@ -110,7 +110,7 @@ def test_the_working_scale(detector_for):
     )
 
 
-def test_the_other_rule(detector_for):
+def test_the_kernels_of_the_other_rule_are_left_out(detector_for):
     harmonic, _, harmonic_kernels = plan_of(detector_for, HARMONIC)
     binary, _, binary_kernels = plan_of(detector_for, rings(refinement=EdgeStep()))
     shared = {"border", "noise", "edge_lines", "edge_step", "cpu/refine", "cpu/edge_step"}
@@ -123,7 +123,7 @@ def test_the_other_rule(detector_for):
     assert not {"fine", "coarse", "lists", "taken"} & set(binary.arrays)
 
 
-def test_squeezed_cells(detector_for, form):
+def test_without_squeezed_cells_their_kernels_are_left_out(detector_for, form):
     """Without them there is one list, and one response."""
     wide = HARMONIC.replace(detection=RingHarmonic(fine=False))
     plan, launched, kernels = plan_of(detector_for, wide)
@@ -139,7 +139,7 @@ def test_squeezed_cells(detector_for, form):
         )
 
 
-def test_the_other_form_of_the_criteria(detector_for):
+def test_the_other_form_of_the_criteria_is_left_out(detector_for):
     rapid, _, rapid_kernels = plan_of(detector_for, rings())
     spectral, _, spectral_kernels = plan_of(
         detector_for, DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria()))
@@ -150,7 +150,7 @@ def test_the_other_form_of_the_criteria(detector_for):
     assert not any("rapid" in name for name in spectral_kernels)
 
 
-def test_the_other_refinements(detector_for):
+def test_the_kernels_of_the_other_refinements_are_left_out(detector_for):
     kernels = {
         kind: plan_of(detector_for, DetectorConfig(refinement=kind()))[2]
         for kind in (EdgeLines, EdgeStep, Midlines)
@@ -164,7 +164,7 @@ def test_the_other_refinements(detector_for):
 
 
 @pytest.mark.parametrize("criteria", [RapidCriteria, SpectralCriteria])
-def test_the_corrosion_criterion(detector_for, criteria):
+def test_without_the_corrosion_criterion_it_is_not_worked_out(detector_for, criteria):
     """Its region of 21 pixels is not looked at: the macro that reads it is not compiled."""
     options = []
     for threshold in (6, None):
@@ -206,10 +206,12 @@ DETECTIONS = {
     "rings": BinaryRings(),
     "rings without the gate": BinaryRings(contrast=None),
     "wide window": BinaryRings(threshold=AdaptiveMean(window=255)),
-    "three masks": BinaryRings(threshold=AdaptiveMean(masks=3)),
-    "three masks without the gate": BinaryRings(threshold=AdaptiveMean(masks=3), contrast=None),
+    "three thresholds": BinaryRings(threshold=AdaptiveMean(masks=3)),
+    "three thresholds without the gate": BinaryRings(
+        threshold=AdaptiveMean(masks=3), contrast=None
+    ),
     "spectral": BinaryRings(criteria=SpectralCriteria()),
-    "spectral, three masks": BinaryRings(
+    "spectral, three thresholds": BinaryRings(
         criteria=SpectralCriteria(), threshold=AdaptiveMean(masks=3)
     ),
 }
@@ -232,7 +234,7 @@ CONFIGS = {
     "scaled centroids": DetectorConfig(scale=0.5, refinement=None),
     "suppression in 15 px": DetectorConfig(nms_radius=15),
 }
-QUICK = ("harmonic", "three masks", "midlines", "scaled step")
+QUICK = ("harmonic", "three thresholds", "midlines", "scaled step")
 configurations = pytest.mark.parametrize(
     "config",
     [
@@ -282,7 +284,7 @@ def test_at_most_eight_bytes_a_pixel_beyond_the_image(device_in_form, config, dt
 
 
 def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[int, int]):
-    """Bytes of every buffer of a detector, which takes none of them."""
+    """Return the bytes of every buffer of a detector, which takes none of them."""
     plan = Unbuilt(None, None, device, shape, np.dtype(dtype), config, config.scale, None, 1)
     return plan.sizes
 

@@ -43,7 +43,7 @@ CONFIGS = {
     "wide windows": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(window=255)), nms_radius=15
     ),
-    "three masks, step": DetectorConfig(
+    "three thresholds, step": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(cell=11)
     ),
     "spectral, midlines": DetectorConfig(
@@ -58,7 +58,7 @@ SIXTEEN_BITS = {
     "offset": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(window=9, offset=3)), full_scale=4095
     ),
-    "spectral, three masks": DetectorConfig(
+    "spectral, three thresholds": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(masks=3), criteria=SpectralCriteria()),
         full_scale=4095,
     ),
@@ -67,14 +67,15 @@ SIXTEEN_BITS = {
 
 @pytest.fixture
 def other_form(device, form):
-    """The device under test in the form that is not its own, which all other tests run."""
+    """Return the device under test in the form that is not its own, which all other tests run."""
     if form is form_for(device) and "Oclgrind" not in device.platform:
         pytest.skip("all other tests run this form here")
     return in_form(device, form)
 
 
 def check(device, config, frames):
-    """Alone, in a batch and in a stream; the counts of corners differ from frame to frame."""
+    """Check frames alone, in a batch and in a stream; the counts of corners differ from frame to
+    frame."""
     with Detector(
         shape=frames[0].shape, dtype=frames[0].dtype, config=config, device=device
     ) as detector:

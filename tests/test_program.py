@@ -33,7 +33,7 @@ IMAGE = images.eight_bits()["board"]
 
 @pytest.fixture
 def altered(monkeypatch, tmp_path):
-    """altered(name, old, new): kernels of which one file has been changed."""
+    """Return altered(name, old, new): kernels of which one file has been changed."""
 
     def make(name, old, new):
         shutil.copytree(program.kernel_folder(), tmp_path, dirs_exist_ok=True)
@@ -74,7 +74,17 @@ def test_a_missing_macro_is_an_error(device):
         program.build(context, ["nms"], {"PIXEL": "uchar", "PAD": 16})
 
 
-def test_batches_and_maps_of_a_detector_compile_nothing_anew(device, monkeypatch):
+def test_detectors_of_a_process_share_what_is_compiled(device, monkeypatch):
+    image = images.texture((70, 90))
+    with Detector(shape=IMAGE.shape, device=device) as first:
+        monkeypatch.setattr(program, "_built", lambda *_: pytest.fail("compiled"))
+        with Detector(shape=image.shape, device=device) as second:
+            assert second._programs is first._programs
+            assert len(second(image)) > 0
+        assert len(first(IMAGE)) > 0
+
+
+def test_batches_and_maps_of_a_detector_compile_nothing_anew(own_programs, device, monkeypatch):
     config = DetectorConfig(refinement=None)
     with Detector(shape=IMAGE.shape, config=config, device=device) as detector:
         compiled = []
@@ -98,7 +108,7 @@ CONFIGS = {
         detection=RingHarmonic(fine=False), refinement=EdgeStep(), scale=0.5
     ),
     "rings": rings(),
-    "three masks, step, scaled": DetectorConfig(
+    "three thresholds, step, scaled": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(), scale=0.5
     ),
     "midlines": DetectorConfig(
@@ -124,11 +134,13 @@ CONFIGS = {
         for name, config in CONFIGS.items()
     ],
 )
-def test_compilers_have_nothing_to_remark(device_in_form, monkeypatch, capfd, config, dtype):
+def test_compilers_have_nothing_to_remark(
+    own_programs, device_in_form, monkeypatch, capfd, config, dtype
+):
     programs = []
 
     def compiled(source, options):
-        """Under a macro of its own, so that no cache answers in the compiler's place."""
+        """Compile under a macro of its own, so that no cache answers in the compiler's place."""
         built = cl.Program.build(source, [*options, f"-DTRY={secrets.randbits(31)}"])
         programs.append(built)
         return built
@@ -143,13 +155,13 @@ def test_compilers_have_nothing_to_remark(device_in_form, monkeypatch, capfd, co
     assert "warning" not in ("".join(logs) + capfd.readouterr().err).lower()
 
 
-def test_missing_kernels(monkeypatch, tmp_path):
+def test_missing_kernels_say_install_again(monkeypatch, tmp_path):
     monkeypatch.setattr(program, "__file__", str(tmp_path / "package" / "opencl" / "program.py"))
     with pytest.raises(KernelBuildError, match="install cmp-cl again"):
         program.kernel_folder()
 
 
-def test_one_changed_offset_of_a_ring_changes_the_masks(altered, device, detector_for):
+def test_one_changed_offset_of_a_ring_changes_its_bits(altered, device, detector_for):
     expected = detector_for(IMAGE, rings()).maps(IMAGE)
     altered("ring.clh", "F(1, 1, -3)", "F(1, 2, -3)")
     with Detector(shape=IMAGE.shape, config=rings(), device=device) as detector:
@@ -172,7 +184,7 @@ def test_a_sum_has_every_term_once(count):
 
 
 def files_of_kernels():
-    """The kernel files by name, "cpu/harmonic.cl" for one in the folder cpu."""
+    """Return the kernel files by name, "cpu/harmonic.cl" for one in the folder cpu."""
     folder = program.kernel_folder()
     return {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.cl")}
 

@@ -87,7 +87,7 @@ def test_turning_an_image_turns_its_maps(detector_for, seed, config, turn):
 
 
 def assert_same_places(found, expected, *, tolerance):
-    """Every place has its partner within the tolerance, px."""
+    """Assert that every position has its partner within the tolerance, px."""
     assert len(found) == len(expected) > 4
     distance = np.linalg.norm(found[:, None] - expected, axis=2)
     assert distance.min(axis=0).max() < tolerance

@@ -26,7 +26,7 @@ ABOUT = Description(
 
 
 def needs(module):
-    """The module, else the test is skipped."""
+    """Return the module, or skip the test."""
     pytest.importorskip(module, reason=f"{module} is not installed")
     return importlib.import_module(module)
 
@@ -37,7 +37,7 @@ def rest():
 
 
 def frame(number):
-    """What a frame holds; node (0, 0) is missing."""
+    """Return what a frame holds; node (0, 0) is missing."""
     shift = np.full((4, 5, 3), 0.25 * number) + rest() / 100
     shift[0, 0] = np.nan
     return {

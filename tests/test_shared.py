@@ -51,7 +51,7 @@ def test_a_detector_gives_the_same_corners_with_and_without_it(handle, device, m
 
 @pytest.fixture
 def large(handle, device):
-    """A detector of frames that take it milliseconds, and two such frames."""
+    """Yield a detector of frames that take it milliseconds, and two such frames."""
     board = np.tile(BOARD, (16, 16))
     with Detector(shape=board.shape, device=device) as detector:
         yield detector, board, np.roll(board, 7, axis=1)

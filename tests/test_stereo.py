@@ -46,7 +46,7 @@ def noisy(xy, sigma, rng):
 
 
 def sides(points):
-    """Lengths of the edges between neighbouring nodes."""
+    """Return the lengths of the edges between neighbouring nodes."""
     return np.concatenate(
         [np.linalg.norm(np.diff(points.xyz, axis=axis), axis=2).ravel() for axis in (0, 1)]
     )
@@ -339,7 +339,7 @@ def test_a_rectangle_that_is_none_is_refused(box):
 
 
 def boards(rig, rng, count=12, sigma=0.05, tilt=0.5):
-    """Views of a flat board of 7 x 9 nodes, 3 mm apart, in the pose of the gel."""
+    """Return views of a flat board of 7 x 9 nodes, 3 mm apart, in the pose of the gel."""
     row, column = np.indices((7, 9))
     flat = np.stack([(column - 4) * 3.0, (row - 3) * 3.0, np.zeros((7, 9))], axis=-1)
     views = []
@@ -362,6 +362,13 @@ def test_calibration_finds_the_rig_again():
         points = found.rig.triangulate(left, right)
         assert sides(points).mean() == pytest.approx(3, abs=0.005)
         assert points.error.mean() < 0.1
+
+
+def test_the_same_views_give_the_same_bytes():
+    views = boards(toed_in_rig(), np.random.default_rng(3))
+    rigs = [calibrate(views, spacing=3, image_size=(800, 1200)).rig for _ in range(4)]
+    for name in ("K1", "D1", "K2", "D2", "R", "T"):
+        assert len({getattr(rig, name).tobytes() for rig in rigs}) == 1, name
 
 
 def test_calibration_takes_partial_views():

@@ -30,7 +30,7 @@ def run(*command, cwd):
 
 
 def built_wheel(folder, *options):
-    """The one wheel that hatchling builds of the project into a folder."""
+    """Return the one wheel that hatchling builds of the project into a folder."""
     run("-m", "hatchling", "build", *options, "-d", folder, cwd=PROJECT)
     (wheel,) = folder.glob("*.whl")
     return wheel
@@ -49,7 +49,7 @@ def corners_found(folder, origin, cwd):
     return int(run("-c", DETECT, folder, origin, photograph, cwd=cwd))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def wheel(tmp_path_factory):
     return built_wheel(tmp_path_factory.mktemp("dist"), "-t", "wheel")
 

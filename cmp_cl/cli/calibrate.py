@@ -43,8 +43,8 @@ def add_parser(commands: Any) -> None:
         help="calibrate one, two or more cameras from views of a rigid board",
         description="Finds the corners of a flat, rigid checkerboard in at least three views or "
         "pairs of views, tilted in different directions, calibrates the cameras and the poses "
-        "between them, and prints the reprojection error of every view. Corners that the "
-        "detector did not see itself, or whose own standard deviation is above --max-sigma, are "
+        "between them, and prints the reprojection error of every view. Corners that were "
+        "not detected directly, or whose standard deviation is above --max-sigma, are "
         "left out.",
     )
     parser.add_argument(
@@ -68,7 +68,10 @@ def add_parser(commands: Any) -> None:
         "--square", metavar="LENGTH", type=float, required=True, help="side of a square"
     )
     parser.add_argument(
-        "--unit", metavar="UNIT", default="mm", help="of --square and of the result; default: mm"
+        "--unit",
+        metavar="UNIT",
+        default="mm",
+        help="unit of --square and of the result; default: mm",
     )
     parser.add_argument(
         "--out",

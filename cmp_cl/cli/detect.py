@@ -68,8 +68,8 @@ def add_parser(commands: Any) -> None:
         "--grid",
         metavar="ROWSxCOLUMNS",
         type=grid_shape,
-        help="number the corners of a pattern of that many, and look a second time for those "
-        "that are missing; table and picture then show its nodes, and how each was found",
+        help="number the corners of a pattern of this size, and search again for those that are "
+        "missing; table and picture then show the nodes, and how each was found",
     )
     add_full_scale(parser)
     add_max_pixels(parser)

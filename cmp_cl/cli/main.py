@@ -31,7 +31,7 @@ What to install for a device:
   Linux, other CPUs  apt install pocl-opencl-icd (Debian, Ubuntu) or dnf install pocl (Fedora)
   Windows            the graphics driver of NVIDIA, AMD or Intel, or Intel's CPU Runtime for OpenCL
   macOS              conda install -c conda-forge pyopencl pocl; for Apple's own OpenCL
-                     ocl_icd_wrapper_apple in the place of pocl
+                     ocl_icd_wrapper_apple instead of pocl
   Jetson             NVIDIA ships no OpenCL there: apt install pocl-opencl-icd, for its CPU
   NVIDIA             the driver; on Debian also nvidia-opencl-icd; in a container
                      NVIDIA_DRIVER_CAPABILITIES=compute,utility and a file

@@ -60,7 +60,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--no-scale-bar", action="store_true", help="leave out the scale bars")
     parser.add_argument(
-        "--dpi", type=float, default=600, help="pixels an inch of a .png; default: 600"
+        "--dpi", type=float, default=600, help="pixels per inch of a .png; default: 600"
     )
     parser.set_defaults(run=run)
 

@@ -39,7 +39,7 @@ def add_parser(commands: Any) -> None:
         "--node",
         metavar="ROW,COLUMN",
         type=_node,
-        help="of the curve, from 0,0; default: see above",
+        help="node of the curve, counted from 0,0; default: see above",
     )
     parser.set_defaults(run=run)
 

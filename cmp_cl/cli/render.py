@@ -31,8 +31,8 @@ def add_parser(commands: Any) -> None:
             "0 to 2; 1 presses 2 mm, shears 1.2 or twists 20 degrees",
         ),
         ("corrosion", float, usual.corrosion, "wear of the print, 0 to 3"),
-        ("noise", float, usual.noise, "standard deviation, 1/255 of white"),
-        ("seed", int, usual.seed, "of noise, tears and light"),
+        ("noise", float, usual.noise, "standard deviation of the noise, 1/255 of white"),
+        ("seed", int, usual.seed, "seed of noise, tears and light"),
     )
     for name, kind, default, what in numbers:
         parser.add_argument(
@@ -65,7 +65,7 @@ def add_parser(commands: Any) -> None:
         type=int,
         choices=(8, 12),
         default=usual.bits,
-        help=f"grey levels of the camera; default: {usual.bits}",
+        help=f"bits of a grey level; default: {usual.bits}",
     )
     parser.set_defaults(run=run)
 

@@ -82,12 +82,14 @@ def add_parser(commands: Any) -> None:
         help="largest difference between the times of a pair, ms; default: half of the time "
         f"between frames, {_PAIR_WITHIN:g} where that is unknown",
     )
-    camera = parser.add_argument_group("a camera, a device or an address")
+    camera = parser.add_argument_group("settings of a camera, a device or an address")
     camera.add_argument(
-        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="of its frames, px"
+        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of its frames, px"
     )
     camera.add_argument("--camera-fps", metavar="FPS", type=float, help="frames per second")
-    camera.add_argument("--exposure", metavar="VALUE", type=float, help="in the unit of its driver")
+    camera.add_argument(
+        "--exposure", metavar="VALUE", type=float, help="exposure time, as the driver counts it"
+    )
     camera.add_argument(
         "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
     )
@@ -168,7 +170,7 @@ def add_parser(commands: Any) -> None:
         "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
         "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px. filtered says "
         "whether the lattice filter is on; then raw_rest, raw_displacement or raw_xy, and "
-        "raw_sigma are what it was given. left and right are never filtered. --strain adds strain "
+        "raw_sigma are its input. left and right are never filtered. --strain adds strain "
         "(R, C, 3: Exx, Eyy, Exy, in space along rows, along columns, and between), of one view "
         "also principal (R, C, 2), direction, rad, translation, rotation, rad, and zoom, each with "
         "_sigma. --contact adds depth, depth_sigma, normal, contact, contact_area and "
@@ -212,7 +214,7 @@ class _Source:
 
     @property
     def total(self) -> int | None:
-        """How many frames there are, None for a camera."""
+        """Return how many frames or pairs there are, None where nobody knows."""
         if self.live:
             return None
         if len(self.paths) == 1:
@@ -224,7 +226,8 @@ class _Source:
         return total
 
     def shots(self) -> Generator[_Shot, None, None]:
-        """All frames, from the first; files that cannot be read are one broken frame each."""
+        """Yield all frames or pairs, from the first; what cannot be read is one broken frame
+        without an image."""
         start: float | None = None
         if self.live and self._number is not None:
             for frame in media.read_camera(self._number):
@@ -258,7 +261,7 @@ class _Source:
                 index += 1
 
     def rest(self, number: int) -> tuple[GreyImage, Generator[_Shot, None, None]]:
-        """The rest frame, and the frames to measure: of a camera from it on, else all."""
+        """Return the frame at rest, and the frames to measure: of a camera from it on, else all."""
         shots = self.shots()
         for shot in shots:
             if shot.number < number:
@@ -304,11 +307,12 @@ class _Pairs(_Source):
 
     @property
     def total(self) -> int | None:
-        """Nobody knows how many pairs there will be."""
+        """Return how many frames or pairs there are, None where nobody knows."""
         return None
 
     def shots(self) -> Generator[_Shot, None, None]:
-        """All pairs; a pair with a broken frame has no image."""
+        """Yield all frames or pairs, from the first; what cannot be read is one broken frame
+        without an image."""
         self.count = PairCount()
         start = None
         with contextlib.ExitStack() as stack:
@@ -372,7 +376,7 @@ class _Tally:
             self._largest, self._where = measured.largest, number
 
     def line(self, nodes: int, unit: str, device: str) -> str:
-        """nodes: of the pattern. unit: of the displacement."""
+        """Return the line for the frame; nodes: of the pattern, unit: of the displacement."""
         parts = [counted(self.frames, "frame")]
         if self._fewest is not None:
             mean = self._nodes / (self.frames - self.empty)
@@ -473,7 +477,7 @@ class _Settings:
         )
 
     def description(self, measure: Measurement) -> Description:
-        """What the series says of itself."""
+        """Return what the series says of itself."""
         lengths = ["rest", "displacement", "sigma"]
         pixels = ["left", "right", "left_rest", "right_rest"] if self.rig else ["xy", "rest_px"]
         (lengths if self.rig else pixels).extend(
@@ -497,7 +501,8 @@ class _Settings:
         return Description(units=units, settings=settings)
 
     def measurement(self, rest: GreyImage) -> Measurement:
-        """Frames against this one at rest; raises GridError where it has no pattern."""
+        """Return the measurement of frames against this one at rest; raises GridError where it has
+        no pattern."""
         search: Any = {
             "shape": self.shape,
             "config": self.config,

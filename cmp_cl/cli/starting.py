@@ -13,7 +13,7 @@ _COMMAND = "cmp-cl"
 
 
 def is_command(program: str, arguments: list[str]) -> bool:
-    """Whether a process is `cmp-cl` or `python -m cmp_cl`.
+    """Return whether a process is `cmp-cl` or `python -m cmp_cl`.
 
     program: its sys.argv[0]. arguments: its sys.orig_argv.
     """

@@ -34,15 +34,15 @@ _NODE_ARRAYS = {  # of one view, with what follows the nodes' axes
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    group = parser.add_argument_group("what is worked out from the positions")
+    group = parser.add_argument_group("results computed from the positions")
     group.add_argument(
         "--cell",
         metavar="SIDE",
         type=_length,
-        help="of one view of a flat pattern: side of its cells at rest; the series then holds "
-        "displacement, its sigma and rest in that unit",
+        help="for one view of a flat pattern: side of its cells at rest, in --unit; the series "
+        "then holds displacement, its sigma and rest in that unit",
     )
-    group.add_argument("--unit", metavar="UNIT", help="of --cell; default: mm")
+    group.add_argument("--unit", metavar="UNIT", help="unit of --cell; default: mm")
     group.add_argument(
         "--strain",
         action="store_true",

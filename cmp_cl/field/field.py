@@ -51,17 +51,17 @@ class DisplacementField:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(R, C), where there is a displacement."""
+        """Return (R, C) bool, True where there is a displacement."""
         return np.equal(self.status, PointStatus.VALID)
 
     @property
     def sigma(self) -> Array:
-        """The standard deviation along the most uncertain axis, (R, C), in `unit`, or NaN."""
+        """Return (R, C): the standard deviation along the most uncertain axis, `unit`, or NaN."""
         return largest_deviation(self.covariance)
 
     @property
     def position_sigma(self) -> Array:
-        """(R, C) float64, the same of the position at rest."""
+        """Return (R, C) float64: the same of the position at rest."""
         return largest_deviation(self.position_covariance)
 
     def with_strain(self, radius: int = 2) -> "DisplacementField":

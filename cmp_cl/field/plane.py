@@ -123,12 +123,12 @@ class PlaneField:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(R, C), where there is a displacement."""
+        """Return (R, C) bool, True where there is a displacement."""
         return ~np.isnan(self.displacement[..., 0])
 
     @property
     def now(self) -> Array:
-        """(R, C, 2) float64, where the nodes are now, in `unit`."""
+        """Return (R, C, 2) float64: where the nodes are now, in `unit`."""
         moved: Array = self.position + self.displacement
         return moved
 
@@ -274,7 +274,7 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
     centre, goal = before.mean(), after.mean()
     spread = np.square(np.abs(before - centre)).sum()
     if not spread > 0:
-        raise FieldError("all nodes lie in one place: they show no rotation")
+        raise FieldError("all nodes lie at one point: they show no rotation")
     factor = (np.conj(before - centre) * (after - goal)).sum() / spread
     scale = abs(factor) if zoom else 1.0
     own = field if field.raw is None else field.raw  # whose errors neighbours do not share
@@ -338,7 +338,7 @@ class PlaneStrain:
 
     @property
     def sigma(self) -> Array:
-        """(R, C, 3) float64, standard deviations of the tensor's entries."""
+        """Return (R, C, 3) float64: the standard deviations of the tensor's entries."""
         deviation: Array = np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
         return deviation
 
@@ -530,7 +530,7 @@ class Raster:
 
     @property
     def step(self) -> float:
-        """Distance of neighbouring points, in `unit`."""
+        """Return the distance of neighbouring points, in `unit`."""
         return float(self.x[1] - self.x[0])
 
 
@@ -567,9 +567,9 @@ def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float
         np.where(valid[..., None], np.concatenate([field.position, numbers], axis=2), np.nan)
     )
     drawn = np.full((height, width, numbers.shape[2]), np.nan)
-    for place, index, fraction in _covered(padded, cells, step, low):
+    for cell, index, fraction in _covered(padded, cells, step, low):
         column, row = (index - low).T
-        drawn[row, column] = _cubic(padded, place, fraction)[:, 2:]
+        drawn[row, column] = _cubic(padded, cell, fraction)[:, 2:]
     x, y = np.arange(low[0], high[0] + 1) * step, np.arange(low[1], high[1] + 1) * step
     return Raster(x=x, y=y, values=drawn, unit=field.unit)
 
@@ -635,16 +635,16 @@ def _covered(padded: Array, cells: NDArray[np.int64], step: float, low: NDArray[
         span = size[block].max(axis=0)
         offsets = np.stack(np.meshgrid(*map(np.arange, span)), axis=-1).reshape(-1, 2)
         within = (offsets[None] < size[block][:, None]).all(axis=2)
-        cell, which = np.nonzero(within)
-        index, place = first[block][cell] + offsets[which], cells[block][cell]
-        fraction = _inverse(padded, place, index * step)
+        number, which = np.nonzero(within)
+        index, cell = first[block][number] + offsets[which], cells[block][number]
+        fraction = _inverse(padded, cell, index * step)
         inside = ((fraction >= -_OUTSIDE) & (fraction <= 1 + _OUTSIDE)).all(axis=1)
-        yield place[inside], index[inside], fraction[inside]
+        yield cell[inside], index[inside], fraction[inside]
 
 
-def _inverse(padded: Array, place: NDArray[np.int64], goal: Array) -> Array:
+def _inverse(padded: Array, cell: NDArray[np.int64], goal: Array) -> Array:
     """Return the fractions (row, column) of points within their cells, (N, 2); Newton's method."""
-    row, column = place.T + 1
+    row, column = cell.T + 1
     position = padded[..., :2]
     corner = position[row, column]
     down = position[row + 1, column] - corner
@@ -653,10 +653,10 @@ def _inverse(padded: Array, place: NDArray[np.int64], goal: Array) -> Array:
     good = np.abs(np.linalg.det(slope)) > 1e-12 * np.square(slope).sum(axis=(1, 2))
     inverse = np.full(slope.shape, np.nan)
     inverse[good] = np.linalg.inv(slope[good])
-    fraction = np.full((len(place), 2), 0.5)
-    active = np.arange(len(place))
+    fraction = np.full((len(cell), 2), 0.5)
+    active = np.arange(len(cell))
     for _ in range(_STEPS):
-        seen = _cubic(position, place[active], fraction[active])
+        seen = _cubic(position, cell[active], fraction[active])
         step = (inverse[active] @ (goal[active] - seen)[..., None])[..., 0]
         moved = fraction[active] + step
         near: NDArray[np.bool_] = np.all(np.abs(moved - 0.5) <= _REACH, axis=1)
@@ -668,12 +668,12 @@ def _inverse(padded: Array, place: NDArray[np.int64], goal: Array) -> Array:
     return fraction
 
 
-def _cubic(padded: Array, place: NDArray[np.int64], fraction: Array) -> Array:
+def _cubic(padded: Array, cell: NDArray[np.int64], fraction: Array) -> Array:
     """Interpolate (R + 2, C + 2, K) at fractions (N, 2) of cells by cubic convolution: (N, K)."""
     by_row, by_column = np.stack(_keys(fraction[:, 0])), np.stack(_keys(fraction[:, 1]))
     flat = padded.reshape(-1, padded.shape[2])
-    first = place[:, 0] * padded.shape[1] + place[:, 1]
-    result = np.zeros((len(place), padded.shape[2]))
+    first = cell[:, 0] * padded.shape[1] + cell[:, 1]
+    result = np.zeros((len(cell), padded.shape[2]))
     for down in range(4):
         line = np.zeros_like(result)
         for right in range(4):

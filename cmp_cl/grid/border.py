@@ -1,12 +1,13 @@
 """Where a pattern ends in the view."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.evidence import grey
-from cmp_cl.grid.grid import NO_SIDES, Sides
+from cmp_cl.grid.grid import NO_SIDES, Sides, turned_sides
 from cmp_cl.grid.nodes import Index, Mask, Nodes, Points
 from cmp_cl.image import GreyImage
 
@@ -16,6 +17,42 @@ HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the picture may not
 FLAT = 0.3  # of the contrast of the cells before: below it those beyond are no cells
 SPOTS = np.array([-0.15, 0.0, 0.15])  # cells: where a square's grey level is taken
 MOST = 23  # squares of a side that are looked at; odd, so that of equal steps both colours come
+STEP = 0.1  # cells
+DEPTHS = np.arange(0.3, 1.45, STEP)  # cells from the last nodes: where the last squares may end
+PARALLEL = 0.16  # cells: so near to one reach are three of four
+ALIKE = 0.12  # cells: between the reach of a side of a pattern and that in another picture
+PAIRS = 16  # neighbouring squares of a side that are looked at for where they end
+
+
+NONE = float("nan")
+
+
+class Border(NamedTuple):
+    """How far the last squares of a pattern reach beyond its last nodes, cells, by side.
+
+    NaN where the pattern does not end in the view.
+    """
+
+    top: float = NONE
+    bottom: float = NONE
+    left: float = NONE
+    right: float = NONE
+
+    @property
+    def sides(self) -> Sides:
+        """The sides on which the pattern ends in the view."""
+        return Sides(*(not math.isnan(reach) for reach in self))
+
+    def turned(self, quarters: int) -> "Border":
+        """Return the same after the numbers are turned as in `Grid.turned`."""
+        return Border(*turned_sides(self, quarters))
+
+    def contradicts(self, other: "Border") -> Sides:
+        """Return the sides on which both end, and the squares do not reach as far.
+
+        On such a side one of them is the edge of what hides the pattern.
+        """
+        return Sides(*(abs(a - b) > ALIKE for a, b in zip(self, other, strict=True)))
 
 
 class Ends(NamedTuple):
@@ -33,9 +70,48 @@ class Ends(NamedTuple):
         return Ends(self.border.turned(quarters), self.cut.turned(quarters))
 
 
-def border_of(nodes: Nodes, image: GreyImage) -> Sides:
-    """Return the sides on which nodes end in the image, where no cell follows."""
-    return _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
+def border_of(nodes: Nodes, image: GreyImage) -> Border:
+    """Return where nodes end in the image, and no cell follows, and how far the last squares reach.
+
+    They must reach as far along all of the side: the edge of what lies in front of a pattern
+    cuts them anywhere.
+    """
+    ended = _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
+    at, across = nodes.at, nodes.at.T
+    ways = (at, at[::-1], across, across[::-1])
+    return Border(
+        *(_reach(way, image) if end else NONE for end, way in zip(ended, ways, strict=True))
+    )
+
+
+def _reach(at: Points, image: GreyImage) -> float:
+    """Return how far the squares before the first row of nodes, (R, C) px, reach, cells.
+
+    A square ends where its contrast to the one beside it does: the mean of that contrast over
+    depths, as a share of that between the first two rows, is how far it reaches. NaN where they
+    do not reach equally far.
+    """
+    one, two = at[0], at[1]
+    seen = ~np.isnan(one.real) & ~np.isnan(two.real)
+    column = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:])
+    if len(column) > PAIRS:
+        column = column[np.arange(PAIRS) * len(column) // PAIRS]
+    beside = np.stack([column, column + 1], axis=1)
+    middle = (one[beside] + one[beside + 1]) / 2
+    out = middle - (two[beside] + two[beside + 1]) / 2
+    along = one[beside + 1] - one[beside]
+    shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
+    if not shown.any():
+        return NONE
+    middle, out, along = middle[shown, :, None], out[shown, :, None], along[shown, :, None]
+    depths = np.concatenate([[-0.5], DEPTHS])
+    level = grey(image, (middle + depths * out)[..., None] + SPOTS * along[..., None]).sum(axis=3)
+    contrast = level[:, 0] - level[:, 1]
+    inside = contrast[:, :1]  # of the other sign
+    share = np.clip(-contrast[:, 1:] / np.where(inside == 0, np.inf, inside), 0, 1)
+    reach = DEPTHS[0] - STEP / 2 + STEP * share.sum(axis=1)
+    middling = float(np.median(reach))
+    return middling if np.quantile(np.abs(reach - middling), 0.75) <= PARALLEL else NONE
 
 
 def cut_of(nodes: Nodes, image: GreyImage) -> Sides:

@@ -1,12 +1,13 @@
 """Corners to rows and columns: numbering, orientation, holes, second look."""
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError, ImageError
-from cmp_cl.grid.border import Ends, border_of, cut_of, full_lines
+from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.grid import NO_SIDES, Grid, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
@@ -23,6 +24,13 @@ RIVAL_AREA = 1 / 16  # of the first pattern's: cells a quarter as wide are textu
 LEAST_BOARD = 9  # corners of a board among several
 
 Region = tuple[float, float, float, float]
+
+
+class Ended(NamedTuple):
+    """The sides on which a pattern ends, and how far its last squares reach where that is seen."""
+
+    sides: Sides = NO_SIDES
+    border: Border = Border()
 
 
 def build_grid(
@@ -62,7 +70,10 @@ def build_grid(
     of the print, which are the same in both frames, and `previous`. Without them the grid is
     ambiguous, and has the numbers by which the middle of the view has moved least: right as
     long as it moved by less than half a cell. A pattern that turned by more than 40 degrees
-    needs a border or a print that tell.
+    needs a border or a print that tell; one that is seen whole and looks the same after a
+    quarter turn has turned by the least angle, and is ambiguous from 40 to 50 degrees.
+    The edge of something that hides the pattern along a row passes for its border only where
+    it leaves as much of the last squares as at rest.
     Where no closed cell is found the grid is empty, (0, 0) or of the known shape.
 
     Raises GridError where corners have no finite position or no edge angles, where two
@@ -166,23 +177,23 @@ def _numbered(
     like: Grid | None = None,
     previous: Grid | None = None,
     alone: bool = False,
-) -> tuple[Placed | None, Sides]:
+) -> tuple[Placed | None, Ended]:
     """Return the nodes, numbered and with holes filled, and the borders; None where none is left.
 
     alone: whether other components are other boards.
     """
     if not nodes.there.any():
-        return None, Sides()
+        return None, Ended()
     if shape is not None and seen.image is not None and np.less(nodes.at.shape, shape).any():
         extend(nodes, seen)
-    border = NO_SIDES if seen.image is None else border_of(nodes, seen.image)
+    border = Border() if seen.image is None else border_of(nodes, seen.image)
     if like is not None:
         placed = like_rest(nodes, border, like, previous)
     elif shape is not None:
         cut = NO_SIDES
         if seen.image is not None and np.less(nodes.at.shape, shape).any():
             cut = cut_of(nodes, seen.image)
-        placed = in_shape(nodes, found.bend, shape, Ends(border, cut))
+        placed = in_shape(nodes, found.bend, shape, Ends(border.sides, cut))
     else:
         placed = Placed(nodes)
     if not alone and np.count_nonzero(found.size >= LEAST_BOARD) > 1:
@@ -194,7 +205,8 @@ def _numbered(
         border = border_of(placed.nodes, seen.image)
     else:
         border = border.turned(placed.quarters)
-    return placed, _declared(placed, border, shape if like is None else None)
+    declared = _declared(placed, border.sides, shape if like is None else None)
+    return placed, Ended(declared, border)
 
 
 def _framed(placed: Placed) -> Grid:
@@ -305,7 +317,7 @@ def _refuse_rival(found: Lattice, nodes: Nodes, seen: Seen) -> None:
     )
 
 
-def _result(corners: Corners, inside: Index, placed: Placed, ends: Sides) -> Grid:
+def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Grid:
     nodes = placed.nodes
     owned = nodes.owner >= 0
     index = np.full((len(corners), 2), -1, np.int32)
@@ -320,7 +332,8 @@ def _result(corners: Corners, inside: Index, placed: Placed, ends: Sides) -> Gri
         index=index,
         parity=nodes.parity,
         origin=placed.origin,
-        border=ends,
+        border=ends.sides,
+        reach=ends.border,
         continues=placed.continues,
         seen_shape=placed.seen_shape,
         ambiguous=placed.ambiguous,

@@ -26,8 +26,15 @@ class Least(NamedTuple):
     off: float
 
 
-USUAL = Least(0.4, 0.3, 0.85, np.inf)
+USUAL = Least(0.4, 0.2, 0.85, 0.12)
 ALONE = Least(0.8, 0.7, 0.95, 0.12)  # of a node that is in no whole cell
+NEAR = 1.5  # px: a node in a whole cell may be so far from its prediction however small cells are
+BESIDE, SHARE, ALIKE = (
+    2,
+    0.25,
+    4.0,
+)  # that quantile of the nodes so near at the rim, and units of it
+BENT = 0.25  # cells: farther no node is off because the surface bends
 EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the picture's edge, and from the prediction there
 EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
 
@@ -55,7 +62,8 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
 
 
 def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
-    """Nodes some of whose eight neighbours are neither there nor bracketed; which are in a cell.
+    """Return the nodes some of whose eight neighbours are neither there nor bracketed, and which
+    are in a cell.
 
     A place is bracketed that lies in a small hole: between nodes of its row and of its column.
     """
@@ -74,7 +82,7 @@ def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
 
 
 def _hole(seen: Mask) -> Mask:
-    """(R, C), places with nodes before and after them on the row, HOLE places apart at most."""
+    """Return (R, C): between nodes before and after on the row, at most HOLE nodes apart."""
     columns = seen.shape[1]
     place = np.arange(columns)
     before = np.maximum.accumulate(np.where(seen, place, -columns), axis=1)
@@ -143,26 +151,45 @@ def _convincing(
     inward = np.minimum(
         np.minimum(at.real, far[0] - at.real), np.minimum(at.imag, far[1] - at.imag)
     )
-    off = np.zeros(len(row))
-    asked = np.flatnonzero(~in_cell | (inward < np.maximum(EDGE_PIXELS, EDGE_CELLS * cell)))
-    if len(asked):
-        expected, _ = predict(nodes.at, row[asked], column[asked])
-        off[asked] = np.abs(expected - at[asked])
-        off[asked[np.isnan(off[asked])]] = np.inf
+    expected, _ = predict(nodes.at, row, column)
+    off = np.abs(expected - at)
+    off[np.isnan(off)] = np.inf
+    typical = _typical(off, cell, row, column, nodes.at.shape)
+    near = np.maximum(NEAR, np.minimum(ALIKE * typical, BENT * cell))
 
-    def fits(least: Least) -> Mask:
+    def fits(least: Least, near: Float) -> Mask:
         return (
             (contrast >= least.span * span)
             & (contrast >= least.contrast * usual)
             & ~(cosine < least.cosine)
-            & (off <= least.off * cell)
+            & (off <= np.maximum(least.off * cell, near))
         )
 
     guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK  # on rings that reach outside
     beside = (inward < 0) | ((inward < EDGE_PIXELS) & (guessed | (off > EDGE_OFF)))
     beside |= (inward < EDGE_CELLS * cell) & (off > EDGE_OFF_CELLS * cell)
-    kept: Mask = known & np.where(in_cell, fits(USUAL), fits(ALONE)) & ~beside
+    kept: Mask = known & np.where(in_cell, fits(USUAL, near), fits(ALONE, np.zeros(1))) & ~beside
     return kept
+
+
+def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[int, ...]) -> Float:
+    """Return how far most nodes around are from their predictions, px.
+
+    Where a surface bends away all nodes of a rim are off. Only nodes that are off by USUAL.off
+    get one; 0 for the others.
+    """
+    typical = np.zeros(len(off))
+    asked = np.flatnonzero((off > USUAL.off * cell) & np.isfinite(off))
+    if not len(asked):
+        return typical
+    every = np.full(np.add(shape, 2 * BESIDE), np.nan)
+    every[row + BESIDE, column + BESIDE] = off
+    reach = np.arange(2 * BESIDE + 1)
+    rows = row[asked, None, None] + reach[:, None]
+    columns = column[asked, None, None] + reach
+    around = every[rows, columns].reshape(len(asked), -1)
+    typical[asked] = np.nanquantile(around, SHARE, axis=1)
+    return typical
 
 
 def _cosine(

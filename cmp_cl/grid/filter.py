@@ -25,6 +25,7 @@ Bools = NDArray[np.bool_]
 Box = tuple[slice, slice]
 
 AXIS_FILTERS = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))  # half width in nodes, degree
+BENDING_FILTERS = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # of what may bend sharply
 NOISE_REACH = 2.0  # nodes, standard deviation of the Gaussian that averages the noise
 RISK_REACH = 1.5  # nodes, of the one that averages the risk
 LEAST_SUPPORT = 0.75  # share of a window's nodes that must be measured
@@ -32,7 +33,8 @@ REFUSED = 6.0  # standard deviations from what the neighbours predict
 _SHARPNESS = 2 * math.pi * RISK_REACH**2 / 3  # of the weights, per unit of risk
 _FLOOR = 1e-10  # of the variance of the noise, relative to the mean square of the values
 _LEAST = 1e-30  # of the variance of the noise
-_LEAST_OF_THREE = 1.35  # noise without shape, over the least of its three variances
+_LEAST_OF_FIVE = 1.29  # white noise: its variance over the mean of the least of the five below
+_SEVEN = np.array([5, -30, 75, 131, 75, -30, 5]) / 231  # the pilot's weights, inside
 _ROUNDS = 3  # searches for nodes to refuse
 _FILL_REACH = (3, 6)  # nodes around a hole that predict its value
 _ROWS_AT_ONCE = 16  # of a lattice, where every node has a kernel of its own
@@ -60,7 +62,8 @@ class Filtered:
     _mixtures: "tuple[_Mixture, ...]"
 
     def covariance(self) -> Array:
-        """(R, C, K, K) float64, of the coordinates of each filtered node, NaN where sigma is.
+        """Return (R, C, K, K) float64: the covariance of the coordinates of each filtered node, NaN
+        where sigma is.
 
         The residuals around the node say how its coordinates vary together; the mean of the
         diagonal is sigma squared.
@@ -68,7 +71,7 @@ class Filtered:
         return self._covariance(self.sigma)
 
     def noise_covariance(self) -> Array:
-        """(R, C, K, K) float64, the same of the values before the filter."""
+        """Return (R, C, K, K) float64: the same of the values before the filter."""
         return self._covariance(self.noise)
 
     def _covariance(self, sigma: Array) -> Array:
@@ -81,7 +84,7 @@ class Filtered:
         return whole
 
     def deviation_of(self, stencil: ArrayLike) -> Array:
-        """(R, C) float64, the standard deviation of a linear combination around each node.
+        """Return (R, C) float64: the standard deviation of a linear combination around each node.
 
         stencil: (R, C, S, S), S odd, the weights of the filtered neighbours, the node itself in
         the middle; weights of what lies beyond the lattice or is NaN must be 0. Neighbours
@@ -112,8 +115,9 @@ def filter_grid(
     neighbours predict. None means all. A deformation is filtered as one array of displacements,
     not as two of positions: wear that travels with the material cancels in their difference.
     bends: the values may bend sharply along an axis, as a deformation does at the edge of what
-    presses. What bends is then told from noise by looking along each axis alone, too. Leave it
-    out for positions: wear that neighbours share would be taken for the shape.
+    presses. What bends is then told from noise by looking along one direction alone, too: an
+    axis or a diagonal. Leave it out for positions: wear that neighbours share would be taken
+    for the shape.
 
     Raises GridError where the arrays have other shapes.
     """
@@ -200,7 +204,7 @@ def _of_component(
 
 
 def _components(votes: Bools) -> list[Bools]:
-    """The parts of the lattice with votes, with up to a node around each; gaps of one or two
+    """Return the parts of the lattice with votes, with up to a node around each; gaps of one or two
     nodes part nothing.
     """
     if votes.all():
@@ -225,8 +229,8 @@ def _bilinear(rows: int, columns: int) -> Array:
 
 
 def _plane(values: Array, votes: Bools) -> Array:
-    """(R, C, K): the bilinear surface that fits best. The filters leave such surfaces as they
-    are; without it float32 is exact enough for what is left.
+    """Return (R, C, K): the bilinear surface that fits best. The filters leave such surfaces as
+    they are; without it float32 is exact enough for what is left.
     """
     rows, columns = votes.shape
     terms = _bilinear(rows, columns)
@@ -263,7 +267,7 @@ class _Axis:
 
 
 def _polynomial(n: int, half: int, degree: int) -> Array:
-    """(n, n): the value at each node of the polynomial fitted to its window, which is moved
+    """Return (n, n): the value at each node of the polynomial fitted to its window, which is moved
     inwards at the ends.
     """
     whole = np.zeros((n, n))
@@ -283,8 +287,9 @@ def _gaussian(n: int, deviation: float) -> Single:
 
 
 @functools.lru_cache(maxsize=64)
-def _axis(n: int) -> _Axis:
-    fitting = [(half, degree) for half, degree in AXIS_FILTERS if n >= 2 * half + 1]
+def _axis(n: int, *, bends: bool = False) -> _Axis:
+    usual = BENDING_FILTERS if bends else AXIS_FILTERS
+    fitting = [(half, degree) for half, degree in usual if n >= 2 * half + 1]
     filters = np.stack([_polynomial(n, *each) for each in fitting])
     pilot = _polynomial(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
     windows = [np.not_equal(each, 0) | np.eye(n, dtype=np.bool_) for each in [*filters, pilot]]
@@ -320,8 +325,8 @@ class _Pairs:
 
 
 @functools.lru_cache(maxsize=64)
-def _pairs(rows: int, columns: int) -> _Pairs:
-    down, along = _axis(rows), _axis(columns)
+def _pairs(rows: int, columns: int, *, bends: bool = False) -> _Pairs:
+    down, along = _axis(rows, bends=bends), _axis(columns, bends=bends)
     return _Pairs(
         own=down.own[:, None, :, None] * along.own[:, None],
         gain=down.gain[:, None, :, None] * along.gain[:, None],
@@ -334,6 +339,7 @@ class _Mixture:
     """The filter at work on a component, in its rectangle of nodes; all float32.
 
     part: (R, C), the nodes of the component. votes: (R, C), those that others rely on.
+    bends: see `filter_grid`.
     data, values: (K, R, C), before, with predictions in the holes, and behind it.
     residual: (K, R, C), of the pilot. weights: (A, B, R, C), of each pair at each node.
     raw_variance, variance: (R, C), of the data and of the values. gain: (R, C), the least ratio
@@ -342,6 +348,7 @@ class _Mixture:
 
     box: Box
     part: Bools
+    bends: bool
     data: Single
     votes: Bools
     residual: Single
@@ -352,7 +359,8 @@ class _Mixture:
     gain: Single
 
     def common(self) -> Array:
-        """(R, C, K, K): how the coordinates vary together around each node, of mean diagonal 1."""
+        """Return (R, C, K, K): how the coordinates vary together around each node, of mean diagonal
+        1."""
         rows, columns = self.votes.shape
         down, along = _axis(rows), _axis(columns)
         residual = np.where(self.votes, self.residual, 0).astype(np.float64)
@@ -366,10 +374,10 @@ class _Mixture:
             return np.where(mean > 0, sums / mean, alike)
 
     def deviation_of(self, stencil: Array, sigma: Array) -> Array:
-        """(R, C), see `Filtered.deviation_of`."""
+        """Return (R, C) float64, see `Filtered.deviation_of`."""
         rows, columns = self.votes.shape
         reach, side = stencil.shape[2] // 2, 2 * max(half for half, _ in AXIS_FILTERS)
-        down, along = _bands(rows, side), _bands(columns, side)
+        down, along = (_bands(n, side, bends=self.bends) for n in (rows, columns))
         noise = np.sqrt(self.raw_variance)
         with np.errstate(invalid="ignore", divide="ignore"):
             excess = sigma / (noise * np.sqrt(self.gain))  # what the noise does not explain
@@ -413,9 +421,9 @@ class _Mixture:
         return result
 
 
-def _bands(n: int, side: int) -> Single:
+def _bands(n: int, side: int, *, bends: bool) -> Single:
     """Return the rows of the filters around the node, (A, n, 2 side + 1)."""
-    filters = _axis(n).filters
+    filters = _axis(n, bends=bends).filters
     bands = np.zeros((len(filters), n, 2 * side + 1), np.float32)
     for node in range(n):
         first, last = max(node - side, 0), min(node + side + 1, n)
@@ -438,78 +446,103 @@ def _mixed(data: Single, votes: Bools, part: Bools, box: Box, *, bends: bool) ->
         data = _filled(np.where(votes, data, 0), allowed)
         residual, noise = _noise(data, allowed, whole=False)
     shape_noise = _noise_along(data, allowed, noise) if bends else noise
-    return _mixture(data, allowed, residual, noise, shape_noise, part, box)
+    return _mixture(data, allowed, residual, noise, shape_noise, part, box, bends=bends)
 
 
 def _noise(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     """Return the pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
 
-    The mean of the square roots of the residual's size hardly sees a few large ones: a sharp
-    bend of the surface is no noise.
+    The mean size of the residual sees a few large ones less than the mean of its square: a
+    sharp bend of the surface is no noise.
     """
     rows, columns = votes.shape
     down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
     residual = np.asarray(data - down.pilot @ data @ along.pilot.T, np.float32)
     left = 1 - pairs.pilot_own
     square = np.square(residual).mean(axis=0) / np.maximum(left, 1e-3)
-    root = np.asarray(np.sqrt(np.sqrt(square)), np.float32)
+    size = np.asarray(np.sqrt(square), np.float32)
     usable = left > 0.05
     if not whole:
         support = down.pilot_share @ votes.astype(np.float32) @ along.pilot_share.T
         usable &= votes & (support >= LEAST_SUPPORT)
     if usable.all():
-        mean = down.near_noise @ root @ along.near_noise.T
+        mean = down.near_noise @ size @ along.near_noise.T
     else:
-        root = np.where(usable, root, np.float32(0))
+        size = np.where(usable, size, np.float32(0))
         near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
-        mean = down.near_noise @ root @ along.near_noise.T
+        mean = down.near_noise @ size @ along.near_noise.T
         mean = np.where(near > 1e-6, mean / np.maximum(near, 1e-6), np.float32(np.nan))
-    expected = _expected_root(residual, root)
+    expected = _expected_size(residual, size)
     floor = max(_FLOOR * float(np.square(data).mean()), _LEAST)
-    noise = np.square(np.square(mean / np.float32(expected))) + np.float32(floor)
+    noise = np.square(mean / np.float32(expected)) + np.float32(floor)
     return residual, np.asarray(noise, np.float32)
 
 
 def _noise_along(data: Single, votes: Bools, noise: Single) -> Single:
-    """Return the least of the noise's variances that both axes and each alone show, (R, C).
+    """Return the least of the noise's variances that both axes together, each alone and each
+    diagonal alone show, (R, C).
 
-    Along an edge the surface is smooth, however sharply it bends across. The least of three is
+    Along an edge the surface is smooth, however sharply it bends across. The least of five is
     too small by a known share where all show the same noise.
     """
     down, along = _axis(votes.shape[0]), _axis(votes.shape[1])
     least = noise
-    for off, own in (
+    for residual, own in (
         (data - down.pilot @ data, down.pilot_own[:, None]),
         (data - data @ along.pilot.T, along.pilot_own[None]),
+        *_along_diagonals(data),
     ):
         usable = votes & (own < 0.95)
         near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
-        residual = np.asarray(off, np.float32)
         square = np.square(residual).mean(axis=0) / np.maximum(1 - own, 0.05)
-        root = np.where(usable, np.asarray(np.sqrt(np.sqrt(square)), np.float32), np.float32(0))
-        mean = down.near_noise @ root @ along.near_noise.T / np.maximum(near, np.float32(1e-6))
-        alone = np.square(np.square(mean / np.float32(_expected_root(residual, root))))
+        size = np.where(usable, np.asarray(np.sqrt(square), np.float32), np.float32(0))
+        mean = down.near_noise @ size @ along.near_noise.T / np.maximum(near, np.float32(1e-6))
+        alone = np.square(mean / np.float32(_expected_size(residual, size)))
         least = np.where(near > 1e-6, np.minimum(least, alone), least)
-    chosen: Single = np.minimum(noise, least * np.float32(_LEAST_OF_THREE))
+    chosen: Single = np.minimum(noise, least * np.float32(_LEAST_OF_FIVE))
     return chosen
 
 
-def _expected_root(residual: Single, root: Single) -> float:
-    """Return the mean root of a residual's size where its variance per coordinate is 1.
+def _along_diagonals(data: Single) -> list[tuple[Single, Single]]:
+    """Return what the pilot along each diagonal leaves, (K, R, C), and each node's own weight in
+    it, (R, C); the weight is 1 within three nodes of the border. A lattice of fewer than 7 rows
+    or columns has none.
+    """
+    _, rows, columns = data.shape
+    if min(rows, columns) < len(_SEVEN):
+        return []
+    inside = np.s_[3 : rows - 3, 3 : columns - 3]
+    own = np.ones((rows, columns), np.float32)
+    own[inside] = _SEVEN[3]
+    found = []
+    for sense in (1, -1):
+        residual = np.zeros_like(data)
+        middle = residual[:, *inside]
+        middle += data[:, *inside]
+        for step, weight in enumerate(_SEVEN, -3):
+            left = 3 + sense * step
+            around = data[:, 3 + step : rows - 3 + step, left : left + columns - 6]
+            middle -= np.float32(weight) * around
+        found.append((residual, own))
+    return found
+
+
+def _expected_size(residual: Single, size: Single) -> float:
+    """Return the mean of a residual's size where its variance per coordinate is 1.
 
     That size is taken as chi-distributed, with as many degrees of freedom as there are
     directions of like variance: those of the residuals, weighted so that few large ones do not
-    decide. residual: (K, R, C). root: (R, C), the square root of its size, 0 where it is unknown.
+    decide. residual: (K, R, C). size: (R, C), 0 where it is unknown.
     """
     count = len(residual)
-    relative = root / max(float(root.max()), 1e-30)
-    weights = np.where(root > 0, np.maximum(relative, 1e-4) ** -3, 0)
+    relative = size / max(float(size.max()), 1e-30)
+    weights = np.where(size > 0, 1 / np.maximum(relative, 1e-8), 0)
     flat = residual.reshape(count, -1)
     common = (flat * weights.reshape(-1)) @ flat.T
     square = float(np.square(common).sum())
     freedom = float(np.trace(common)) ** 2 / square if square > 0 else float(count)
-    share: float = (2 / freedom) ** 0.25
-    return share * math.gamma(freedom / 2 + 0.25) / math.gamma(freedom / 2)
+    share: float = math.sqrt(2 / freedom)
+    return share * math.gamma(freedom / 2 + 0.5) / math.gamma(freedom / 2)
 
 
 def _suspects(residual: Single, noise: Single, votes: Bools) -> Bools:
@@ -534,12 +567,15 @@ def _mixture(
     chosen_noise: Single,
     part: Bools,
     box: Box,
+    *,
+    bends: bool,
 ) -> _Mixture:
     count, rows, columns = data.shape
-    down, along, pairs = _axis(rows), _axis(columns), _pairs(rows, columns)
+    down, along = (_axis(n, bends=bends) for n in (rows, columns))
+    pairs = _pairs(rows, columns, bends=bends)
     known = np.isfinite(noise)
     s2 = np.where(known, np.maximum(chosen_noise, np.float32(_LEAST)), np.float32(1))
-    smooth = _smooth(data)
+    smooth = _smooth(data, bends=bends)
     risk = _scratch("risk", pairs.own.shape)
     apart = np.empty_like(risk)
     np.multiply(pairs.own, 2 * count * s2, out=risk)  # the loss, until it is averaged
@@ -574,6 +610,7 @@ def _mixture(
     return _Mixture(
         box=box,
         part=part,
+        bends=bends,
         data=data,
         votes=votes,
         residual=residual,
@@ -585,14 +622,14 @@ def _mixture(
     )
 
 
-def _smooth(data: Single) -> Single:
+def _smooth(data: Single, *, bends: bool) -> Single:
     """Apply each pair of filters: (K, R, C) -> (K, A, B, R, C).
 
     Every product is of matrices no larger than the lattice: those are too small for BLAS to
     share out over threads, which costs milliseconds where other work keeps the cores busy.
     """
     count, rows, columns = data.shape
-    down, along = _axis(rows), _axis(columns)
+    down, along = (_axis(n, bends=bends) for n in (rows, columns))
     shape = (count, len(down.filters), len(along.filters), rows, columns)
     smooth = _scratch("smooth", shape)
     smooth[:, 0, 0] = data
@@ -623,8 +660,8 @@ def _over_pairs(weights: Single, values: Single) -> Single:
 
 
 def _filled(data: Single, votes: Bools) -> Single:
-    """The data with predictions where there is no vote: a quadratic surface through the votes
-    around, 0 where those are too few.
+    """Return the data with predictions where there is no vote: a quadratic surface through the
+    votes around, 0 where those are too few.
     """
     result = np.where(votes, data, np.float32(0))
     holes = np.argwhere(~votes)
@@ -641,7 +678,8 @@ def _filled(data: Single, votes: Bools) -> Single:
 def _predicted(
     data: Single, votes: Bools, holes: NDArray[np.int64], reach: int
 ) -> tuple[Array, Bools]:
-    """(H, K) predictions for H nodes from what lies within `reach`, and whether they are sure."""
+    """Return (H, K) predictions for H nodes from what lies within `reach`, and whether they are
+    sure."""
     offset = np.arange(-reach, reach + 1)
     r, c = (
         each.reshape(-1).astype(np.float64) for each in np.meshgrid(offset, offset, indexing="ij")

@@ -3,7 +3,7 @@
 import dataclasses
 import enum
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -23,6 +23,8 @@ class NodeStatus(enum.IntEnum):
     VIRTUAL = 5  # a marker on the edge between two neighbours
 
 
+T = TypeVar("T")
+
 # what an image shows, and no neighbour has told
 MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
@@ -37,13 +39,19 @@ class Sides(NamedTuple):
 
     def turned(self, quarters: int) -> "Sides":
         """Return the same sides after the numbers are turned as in `Grid.turned`."""
-        sides = self
-        for _ in range(quarters % 4):
-            sides = Sides(sides.right, sides.left, sides.top, sides.bottom)
-        return sides
+        return Sides(*turned_sides(self, quarters))
+
+
+def turned_sides(sides: tuple[T, T, T, T], quarters: int) -> tuple[T, T, T, T]:
+    """Return what (top, bottom, left, right) have after the numbers are turned."""
+    for _ in range(quarters % 4):
+        top, bottom, left, right = sides
+        sides = right, left, top, bottom
+    return sides
 
 
 NO_SIDES = Sides()
+UNSEEN = (math.nan, math.nan, math.nan, math.nan)
 
 
 class Rival(NamedTuple):
@@ -73,6 +81,8 @@ class Grid:
     component: (R, C) int32, 0 for the nodes that hang together with the most others by steps
         from neighbour to neighbour, then 1, 2, ...; -1 where missing. Left out, it is computed.
     border: sides on which the pattern ends in the view.
+    reach: how far its last squares reach beyond the last nodes there, cells: 1 where they are
+        whole; top, bottom, left, right, NaN where it is not seen.
     continues: sides on which the pattern goes on beyond a known shape: the shape is wrong.
     seen_shape: rows and columns of what is seen where that contradicts a known shape.
     ambiguous: whether another numbering explains the frame too. The numbers are then those of
@@ -90,6 +100,7 @@ class Grid:
     origin: tuple[int, int] = (0, 0)
     component: NDArray[np.int32] = dataclasses.field(default_factory=lambda: np.zeros((0, 0), "i4"))
     border: Sides = NO_SIDES
+    reach: tuple[float, float, float, float] = UNSEEN
     continues: Sides = NO_SIDES
     seen_shape: tuple[int, int] | None = None
     ambiguous: bool = False
@@ -102,17 +113,17 @@ class Grid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Return the numbers of rows and columns."""
         return self.xy.shape[0], self.xy.shape[1]
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(R, C), where there is a position."""
+        """Return (R, C) bool, True where there is a position."""
         return ~np.isnan(self.xy[..., 0])
 
     @property
     def doubts(self) -> list[str]:
-        """What speaks against the numbers, a sentence each; empty where nothing does."""
+        """Return what speaks against the numbers, a sentence each; empty where nothing does."""
         rows, columns = self.shape
         found = []
         if self.seen_shape is not None:
@@ -153,13 +164,14 @@ class Grid:
             parity=(self.parity + (0, columns, rows + columns, rows)[quarters]) % 2,
             origin=(0, 0),
             border=self.border.turned(quarters),
+            reach=turned_sides(self.reach, quarters),
             continues=self.continues.turned(quarters),
             seen_shape=seen,
         )
 
     @property
     def extent(self) -> str:
-        """Its rows and columns by their numbers, in words."""
+        """Return its rows and columns by their numbers, in words."""
         (top, left), (rows, columns) = self.origin, self.shape
         return f"rows {top} to {top + rows - 1} and columns {left} to {left + columns - 1}"
 

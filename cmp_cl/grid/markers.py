@@ -11,8 +11,8 @@ from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.grid.limits import check_size
 from cmp_cl.image import GreyImage, check_image
-from cmp_cl.opencl import program
 from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.program import programs_of
 
 Float = NDArray[np.float64]
 
@@ -166,9 +166,10 @@ def _check_count(dense: Grid, count: int) -> None:
 
 def _shifts(image: GreyImage, at: Profiles, device: Device, contrast: float) -> NDArray[np.float32]:
     """Return (M,) px along the normals, NaN where no edge is found, from kernels/markers.cl."""
-    context = cl.Context([device.handle])
+    programs = programs_of(device.handle)
+    context = programs.context
     pixel = "uchar" if image.dtype == np.uint8 else "ushort"
-    kernels = program.build(context, ["markers"], {"PIXEL": pixel, "PAD": 0, "OUTER_RADIUS": 5})
+    kernels = programs.kernels(["markers"], {"PIXEL": pixel, "PAD": 0, "OUTER_RADIUS": 5})
     read = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
     inputs = [
         cl.Buffer(context, read, hostbuf=np.ascontiguousarray(values))

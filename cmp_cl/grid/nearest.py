@@ -39,7 +39,7 @@ class Reference(NamedTuple):
 
     @classmethod
     def at_places(cls, at: Points, parity: int, origin: tuple[int, int]) -> "Reference":
-        """Of positions by row and column."""
+        """Take the nodes from positions by row and column."""
         along, down = _mean_step(at), _mean_step(at.T)
         known = [abs(step) for step in (along, down) if step]
         return cls(
@@ -69,7 +69,7 @@ class Bounds(NamedTuple):
 
     @property
     def only(self) -> tuple[int, int] | None:
-        """The number that they leave, None if there are others or none."""
+        """Return the only number that they leave, None if there are others or none."""
         one = (self.top, self.left) == (self.last_top, self.last_left)
         return (self.top, self.left) if one else None
 
@@ -100,10 +100,12 @@ class Choice(NamedTuple):
         return self.quarters, self.top, self.left
 
 
-def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
+def quarter_turns(
+    at: Points, reference: Reference, *, every: bool = False
+) -> list[tuple[int, float]]:
     """Return the quarter turns that keep rows most parallel to the reference's, and angles, rad.
 
-    The second is there if it is nearly as good as the first.
+    The second is there if it is nearly as good as the first. every: return all four.
     """
     along, down = _mean_step(at), _mean_step(at.T)
     along = along or -1j * down
@@ -111,7 +113,7 @@ def quarter_turns(at: Points, reference: Reference) -> list[tuple[int, float]]:
     ways = (along, down, -along, -down)
     angles = [abs(float(np.angle(way / reference.along))) for way in ways]
     order = np.argsort(angles, kind="stable")
-    kept = order[: 2 if angles[order[0]] > TURNED else 1]
+    kept = order[: 4 if every else 2 if angles[order[0]] > TURNED else 1]
     return [(int(turn), angles[turn]) for turn in kept]
 
 

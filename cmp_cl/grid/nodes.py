@@ -38,7 +38,7 @@ class Nodes:
 
     @property
     def there(self) -> Mask:
-        """(R, C), where there is a node."""
+        """Return (R, C) bool, True where there is a node."""
         return np.not_equal(self.status, NodeStatus.MISSING)
 
     def put(self, row: Index, column: Index, at: Points, status: Any) -> None:

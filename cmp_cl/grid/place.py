@@ -19,12 +19,13 @@ if one of the first three decides; else, and where the frame before contradicts 
 grid says for sure, it is ambiguous.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.grid.border import full_lines
-from cmp_cl.grid.fingerprint import Fingerprint, shift_to
+from cmp_cl.grid.border import Border, full_lines
+from cmp_cl.grid.fingerprint import Fingerprint, shift_to, turn_to
 from cmp_cl.grid.grid import MEASURED, Grid, Rival, Sides
 from cmp_cl.grid.nearest import (
     FAR,
@@ -40,7 +41,9 @@ from cmp_cl.grid.nodes import NOWHERE, Nodes, Points, check_room
 
 STILL = 0.125  # cells: a pattern that moved less as a whole is where it was
 FOLLOWED = 0.5  # cells: how far the pattern as a whole may move from one frame to the next
+NO_BORDER = Border()
 UNSURE = np.deg2rad(40)  # a pattern that turned so far may have turned the other way
+UNDECIDED = np.deg2rad(10)  # a rotation that is larger by less than that is as likely
 
 
 class Placed(NamedTuple):
@@ -60,71 +63,102 @@ class Placed(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """The best numbering, the second best, and whether the best is sure."""
+    """The best numbering, the second best, and whether the best is sure.
+
+    usual: whether it is sure only because a pattern usually turns by less than half a quarter.
+    """
 
     best: Choice
     second: Choice | None
     sure: bool
+    usual: bool = False
 
     def agrees(self, other: "Decision") -> bool:
         return self.best.number == other.best.number
 
 
-def like_rest(nodes: Nodes, border: Sides, like: Grid, previous: Grid | None) -> Placed:
+def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -> Placed:
     """Return the nodes with the numbers of the rest grid.
 
     border: the sides on which the pattern ends in the view. previous: the frame before, with
     the numbers of the rest grid, or None.
     """
     rest = Reference.of(like)
-    same = (nodes.at.shape, nodes.parity) == (like.shape, like.parity)
-    whole = same and all(border) and all(like.border)
-    if whole and quarter_turns(nodes.at, rest)[0][0] == 0:
-        return Placed(nodes, origin=like.origin)
-    decided = _by_border(nodes, border, like, rest)
-    if not decided.sure:
-        decided = _by_print(nodes, like, rest, decided)
+    if all(border.sides) and all(like.border) and nodes.at.shape in (like.shape, like.shape[::-1]):
+        decided = _by_turn(nodes, like, rest)
+    else:
+        decided = _by_border(nodes, border, like, rest)
+        if not decided.sure:
+            decided = _by_print(nodes, like, rest, decided)
+        elif any(border.sides):
+            decided = _checked(nodes, like, rest, decided)
     if previous is not None:
         followed = _by_frame_before(nodes, border, like, previous)
-        if not decided.sure:
+        if not decided.sure or (decided.usual and followed.sure):
             decided = followed
         elif followed.sure and not decided.agrees(followed):
             decided = Decision(decided.best, followed.best, sure=False)
     return _placed(nodes, like, decided)
 
 
-def _by_border(nodes: Nodes, border: Sides, like: Grid, rest: Reference) -> Decision:
+def _by_turn(nodes: Nodes, like: Grid, rest: Reference) -> Decision:
+    """Choose the rotation of a pattern that is seen whole, now and at rest.
+
+    Colours and shape leave one, two or four. Of several the print tells one, if it has errors;
+    else it is the least, as long as the next is clearly larger: up to 40 degrees where a
+    quarter turn leaves the pattern as it was.
+    """
+    top, left = like.origin
+    ordered = quarter_turns(nodes.at, rest, every=True)
+    fitting = []
+    for quarters, angle in ordered:
+        turned = nodes.turned(quarters)
+        if turned.at.shape == like.shape and (top + left) % 2 == colour(turned, rest):
+            fitting.append((quarters, angle))
+    if not fitting:
+        return _by_border(nodes, NO_BORDER, like, rest)
+    turns = [quarters for quarters, _ in fitting]
+    choices = {quarters: Choice(0.0, 0.0, quarters, top, left) for quarters in turns}
+    if len(turns) == 1:
+        return Decision(choices[turns[0]], None, sure=True)
+    printed = turn_to(_printed(like, rest), Fingerprint.of(nodes.at), turns)
+    if printed is not None:
+        return Decision(choices[printed], None, sure=True)
+    usual = fitting[1][1] - fitting[0][1] > UNDECIDED
+    second = None if usual else choices[turns[1]]
+    return Decision(choices[turns[0]], second, sure=usual, usual=usual)
+
+
+def _by_border(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Decision:
     """Choose the nearest of the numberings that borders allow; sure where they allow one.
 
     Lines that are lost look like a border. So it is not sure where the pattern lies in its
     place at rest by other numbers.
     """
     turns = quarter_turns(nodes.at, rest)
-    if len(turns) == 1 and not any(border):
+    if len(turns) == 1 and not any(border.sides):
         turned = nodes.turned(turns[0][0])
         number = _bounds(turned, border, like).only
         if number is not None and sum(number) % 2 == colour(turned, rest):
             return Decision(Choice(0.0, float("nan"), turns[0][0], *number), None, sure=True)
     left = _nearest(nodes, border, like, rest)
-    if len(left) == 1 and any(border):
-        freely = _nearest(nodes, Sides(), like, rest)
+    if len(left) == 1 and any(border.sides):
+        freely = _nearest(nodes, NO_BORDER, like, rest)
         other = freely[0] if freely else left[0]
         if other.number != left[0].number and other.motion <= STILL:
             return Decision(left[0], other, sure=False)
     if left:
         return Decision(left[0], left[1] if len(left) > 1 else None, sure=len(left) == 1)
     # lines are lost, or there are false ones
-    freely = _nearest(nodes, Sides(), like, rest)
+    freely = _nearest(nodes, NO_BORDER, like, rest)
     freely = freely or climb(nodes.turned(turns[0][0]), rest, Bounds(), turns[0][0])
     return Decision(freely[0], freely[1] if len(freely) > 1 else None, sure=False)
 
 
 def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> Decision:
     """Choose the numbering under which the errors of the print agree, if there is one."""
-    at_rest = Fingerprint.of(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
-    order = [turn for turn, _ in quarter_turns(nodes.at, rest)]
-    order += [turn for turn in range(4) if turn not in order]
-    for quarters in order:
+    at_rest = _printed(like, rest)
+    for quarters, _ in quarter_turns(nodes.at, rest, every=True):
         turned = nodes.turned(quarters)
         shift = shift_to(at_rest, Fingerprint.of(turned.at))
         if shift is None:
@@ -139,11 +173,33 @@ def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> D
     return nearest
 
 
-def _by_frame_before(nodes: Nodes, border: Sides, like: Grid, previous: Grid) -> Decision:
+def _printed(like: Grid, rest: Reference) -> Fingerprint:
+    """Return the errors of the print at rest."""
+    return Fingerprint.of(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
+
+
+def _checked(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) -> Decision:
+    """Return what the border decides, unless the errors of the print tell another place.
+
+    What hides a part of the pattern along a row may look like its border; then it is not sure,
+    and the print's place is the best.
+    """
+    quarters, top, left = decided.best.number
+    turned = nodes.turned(quarters)
+    shift = shift_to(_printed(like, rest), Fingerprint.of(turned.at))
+    if shift is None:
+        return decided
+    number = shift[0] + like.origin[0], shift[1] + like.origin[1]
+    if number == (top, left) or sum(number) % 2 != colour(turned, rest):
+        return decided
+    return Decision(chosen(turned, rest, quarters, *number), decided.best, sure=False)
+
+
+def _by_frame_before(nodes: Nodes, border: Border, like: Grid, previous: Grid) -> Decision:
     """Choose the numbering nearest to the frame before; sure where it moved under half a cell."""
     before = Reference.of(previous)
     turns = quarter_turns(nodes.at, before)
-    found = _nearest(nodes, border, like, before) or _nearest(nodes, Sides(), like, before)
+    found = _nearest(nodes, border, like, before) or _nearest(nodes, NO_BORDER, like, before)
     found = found or climb(nodes.turned(turns[0][0]), before, Bounds(), turns[0][0])
     best, *others = found
     known = previous is like or not previous.ambiguous
@@ -151,7 +207,7 @@ def _by_frame_before(nodes: Nodes, border: Sides, like: Grid, previous: Grid) ->
     return Decision(best, others[0] if others else None, sure=known and near)
 
 
-def _nearest(nodes: Nodes, border: Sides, like: Grid, near: Reference) -> list[Choice]:
+def _nearest(nodes: Nodes, border: Border, like: Grid, near: Reference) -> list[Choice]:
     """Return the numberings that borders allow around the nearest to a reference, nearest first."""
     found: list[Choice] = []
     for quarters, _ in quarter_turns(nodes.at, near):
@@ -161,16 +217,20 @@ def _nearest(nodes: Nodes, border: Sides, like: Grid, near: Reference) -> list[C
     return sorted(found)
 
 
-def _bounds(nodes: Nodes, border: Sides, like: Grid) -> Bounds:
+def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
     """Return the numbers that borders allow for the first row and column.
 
     What lies beyond a border of the rest grid is none of its nodes, and nodes that end at a
-    border of the pattern end where the rest grid does.
+    border of the pattern end where the rest grid does. Where the last squares do not reach as
+    far as at rest, the pattern does not end on that side.
     """
     here, rest = full_lines(nodes.there), _lines(like)
-    ends = like.border if any(like.border) else _known_ends(like, nodes.at)
-    rows = _axis_bounds(here[:2], rest[:2], ends[:2], border[:2])
-    columns = _axis_bounds(here[2:], rest[2:], ends[2:], border[2:])
+    at_rest = like.border if any(like.border) else _known_ends(like, nodes.at)
+    hidden = border.contradicts(Border(*like.reach))
+    ends = [end and not other for end, other in zip(at_rest, hidden, strict=True)]
+    now = [end and not other for end, other in zip(border.sides, hidden, strict=True)]
+    rows = _axis_bounds(here[:2], rest[:2], ends[:2], now[:2])
+    columns = _axis_bounds(here[2:], rest[2:], ends[2:], now[2:])
     return Bounds(*rows, *columns)
 
 
@@ -184,8 +244,8 @@ def _lines(grid: Grid) -> tuple[int, int, int, int]:
 def _axis_bounds(
     here: tuple[int, ...],
     rest: tuple[int, ...],
-    rest_ends: tuple[bool, ...],
-    ends: tuple[bool, ...],
+    rest_ends: Sequence[bool],
+    ends: Sequence[bool],
 ) -> tuple[int, int]:
     """Return the numbers that line 0 of the nodes can have on one axis.
 
@@ -220,7 +280,7 @@ def _known_ends(like: Grid, at: Points) -> Sides:
 
 def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
     """Return the nodes on the rest grid's rows and columns, and on those beyond an open side."""
-    best, second, sure = decided
+    best, second, sure, _ = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []
     ends = (like.border[:2], like.border[2:])

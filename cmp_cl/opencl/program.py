@@ -2,7 +2,7 @@
 
 `Programs.kernels(stages, defines)` compiles some of the files in kernels/, each into a program of
 its own; `Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be
-launched.
+launched. `programs_of(device)` are the programs that all detectors of a process share.
 
 Compilers take seconds. So a file is compiled with only those macros that it names, and the binaries
 are cached: another configuration compiles only the stages that it changes. PoCL has a cache of its
@@ -13,6 +13,7 @@ compiles.
 """
 
 import contextlib
+import functools
 import hashlib
 import os
 import re
@@ -60,7 +61,12 @@ def source(stage: str, macros: Mapping[str, str] | None = None) -> str:
 
 def _names(text: str, macro: str) -> bool:
     """Return whether a text uses a macro, in code, in a condition or in another macro."""
-    return re.search(rf"\b{macro.partition('(')[0]}\b", text) is not None
+    return macro.partition("(")[0] in _words(text)
+
+
+@functools.lru_cache(maxsize=64)
+def _words(text: str) -> frozenset[str]:
+    return frozenset(re.findall(r"\w+", text))
 
 
 def _with_headers(name: str, seen: set[str]) -> list[str]:
@@ -88,7 +94,7 @@ class Kernels:
 
     @property
     def names(self) -> set[str]:
-        """The names of the kernels."""
+        """Return the names of the kernels."""
         return set(self._programs)
 
     def bind(self, name: str, *arguments: Any) -> cl.Kernel:
@@ -99,10 +105,10 @@ class Kernels:
 
 
 class Programs:
-    """The programs of a context; the same stage under the same macros is compiled once."""
+    """The programs of a context; the same text under the same options is compiled once."""
 
     def __init__(self, context: cl.Context) -> None:
-        self._context = context
+        self.context = context
         self._compiled: dict[tuple[str, ...], cl.Program] = {}
 
     def kernels(
@@ -121,10 +127,27 @@ class Programs:
     def _program(
         self, stage: str, defines: Mapping[str, str | int], macros: Mapping[str, str]
     ) -> cl.Program:
-        key = (stage, *(f"{name}={text}" for name, text in (*defines.items(), *macros.items())))
+        text = source(stage, macros)
+        named = [f"-D{name}={value}" for name, value in defines.items() if _names(text, name)]
+        key = (text, *named)
         if key not in self._compiled:
-            self._compiled[key] = _compiled(self._context, stage, defines, macros)
+            self._compiled[key] = _compiled(self.context, stage, text, [*_OPTIONS, *named])
         return self._compiled[key]
+
+
+def programs_of(device: cl.Device) -> Programs:
+    """Return the programs of a device, in a context of their own.
+
+    They are kept as long as the process: to load a program that is compiled already takes tens of
+    milliseconds, and a detector has six. Raises DeviceError in a forked child.
+    """
+    check_process()
+    return _shared(device)
+
+
+@functools.cache
+def _shared(device: cl.Device) -> Programs:
+    return Programs(cl.Context([device]))
 
 
 def build(
@@ -137,16 +160,11 @@ def build(
     return Programs(context).kernels(stages, defines, macros)
 
 
-def _compiled(
-    context: cl.Context, stage: str, defines: Mapping[str, str | int], macros: Mapping[str, str]
-) -> cl.Program:
-    text = source(stage, macros)
-    named = [f"-D{name}={value}" for name, value in defines.items() if _names(text, name)]
-    options = [*_OPTIONS, *named]
+def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) -> cl.Program:
     kept = _place(context, text, options)
     program = None if kept is None else _loaded(context, kept, options)
     if program is None:
-        _check_room(context, stage)
+        _check_compiler(context, stage)
         try:
             program = _built(cl.Program(context, text), options)
         except cl.Error as error:
@@ -159,7 +177,7 @@ def _compiled(
     return program
 
 
-def _check_room(context: cl.Context, stage: str) -> None:
+def _check_compiler(context: cl.Context, stage: str) -> None:
     """Raise KernelBuildError where the compiler is known to end the process instead."""
     stuck = caches.pocl_is_stuck() if any(is_pocl(device) for device in context.devices) else ""
     if stuck:

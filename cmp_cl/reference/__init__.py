@@ -207,8 +207,8 @@ def _layer(
     binary: NDArray[np.bool_], mask: NDArray[np.bool_], rings: BinaryRings
 ) -> dict[str, Any]:
     """Return the maps of one binary image by their names, without those of the gate."""
-    inner = ring.ring_mask(binary, ring.INNER)
-    outer = ring.ring_mask(binary, ring.OUTER[rings.outer_radius])
+    inner = ring.ring_bits(binary, ring.INNER)
+    outer = ring.ring_bits(binary, ring.OUTER[rings.outer_radius])
     layer: dict[str, Any] = dict.fromkeys((*_CRITERIA_MAPS, "contrast"))
     if isinstance(rings.criteria, RapidCriteria):
         layer |= vars(criteria.rapid(binary, inner, outer, rings.criteria))

@@ -1,4 +1,4 @@
-"""The four rapid criteria (section 3.4, Eqs. 18 to 24) on ring masks."""
+"""The four rapid criteria (section 3.4, Eqs. 18 to 24) on ring bits."""
 
 import dataclasses
 import functools
@@ -32,7 +32,7 @@ def rapid(
     outer: NDArray[np.uint16],
     criteria: RapidCriteria,
 ) -> Rapid:
-    """Evaluate the rapid criteria at every pixel of one binary image and its ring masks."""
+    """Evaluate the rapid criteria at every pixel of one binary image and its ring bits."""
     d2 = sector_differences()[inner]
     inner_count = inner_transitions(inner)
     outer_count = outer_transitions(outer)
@@ -83,7 +83,7 @@ def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[n
 @functools.cache
 def sector_differences() -> NDArray[np.uint8]:
     """Return d2 = max(|L0 - L2|, |L1 - L3|) of four runs (Eq. 21), else 255: (65536,)."""
-    black = ring.bits(ring.all_masks())
+    black = ring.bits(ring.all_rings())
     starts = black != np.roll(black, 1, axis=1)
     four = starts.sum(axis=1) == 4
     position = np.nonzero(starts[four])[1].reshape(-1, 4)

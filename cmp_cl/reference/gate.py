@@ -22,7 +22,7 @@ def gate(
     """Return the contrast min(sc1, sc2), (H, W), 0 off candidates, and what is kept, (H, W) bool.
 
     candidate: (H, W) bool, the maxima of the response that are candidates of this binary image.
-    masks: number of threshold layers, 1 or 3. Inner masks of candidates are never constant: both
+    masks: number of threshold layers, 1 or 3. The inner ring of a candidate is never constant: both
     forms of the criteria exclude it.
     """
     y, x = np.nonzero(candidate)
@@ -46,7 +46,7 @@ def sector_contrast(
     inner: NDArray[np.uint16],
     outer_radius: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return sc1, sc2 and sm, each (N,) int64, of N pixels with their inner masks.
+    """Return sc1, sc2 and sm, each (N,) int64, of N pixels with the bits of their inner rings.
 
     sc1: on the inner ring, the min over white runs of their largest grey level minus the max over
     black runs of their smallest; sc2: the same on the outer ring. sm: with m = floor(8 (sum of a

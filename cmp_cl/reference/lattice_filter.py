@@ -11,19 +11,20 @@
    column and one along the row.
 4. The pilot, (3, 5) ((2, 3) under 8 nodes, none under 5), leaves r; k is the node's own weight
    in it. With u = |r|^2 / (K (1 - k)) the variance of the noise is
-   s2 = (G2(u^(1/4)) / e)^4 + 1e-10 mean |X|^2 / K, over the votes with 1 - k > .05 and at least
+   s2 = (G2(root(u)) / e)^2 + 1e-10 mean |X|^2 / K, over the votes with 1 - k > .05 and at least
    three quarters of the window measured. G is a Gaussian of that standard deviation, in nodes,
-   of weights that sum to 1; e is the mean of the root of a chi variable over root(root(f)), f
-   degrees of freedom: those of sum r r^T / |r|^(3/2), trace^2 / sum of squares.
+   of weights that sum to 1; e is the mean of a chi variable over root(f), f degrees of freedom:
+   those of sum r r^T / root(u), trace^2 / sum of squares.
 5. A node is refused where |r|^2 / K > 36 s2 (1 - k) and no neighbour's |r| is larger; three rounds.
 6. Pair by pair: E, Q = |X - E|^2 / K + 2 s2 H with H the node's own weight in the pair, and the
    risk G1.5(Q) / s2 over the votes. Windows under three quarters measured take no part, except
    that of the node alone. The result is the mean of the E with weights
    exp(-(risk - least risk) 2 pi 1.5^2 / 3).
 7. Its variance is s2 max(sum w risk - 1, sum w V), V the sum of the squares of the pair's weights.
-8. Where the values may bend sharply, the pairs are chosen with s1 in place of s2: the least of
-   s2 and of its like from the pilot along one axis alone, times 1.35, and at most s2. Then the
-   variance is max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s2 sum w V).
+8. Where the values may bend sharply, (3, 3) is among the filters, and the pairs are chosen with
+   s1 in place of s2: the least of s2 and of its like from the pilot along one axis alone or
+   along one diagonal alone (there (3, 5), only where its window fits), times 1.29, and at most
+   s2. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s2 sum w V).
 """
 
 import dataclasses
@@ -35,8 +36,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LEAST_OF_THREE = 1.35
+LEAST_OF_FIVE = 1.29
 PAIRED = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))
+PAIRED_BENDING = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,7 +85,7 @@ def filter_grid(values: Floats, measured: Bools | None = None, *, bends: bool = 
 
 
 def _components(votes: Bools) -> list[Bools]:
-    """Flood fill over the votes grown by a node."""
+    """Label the parts of the votes by flood fill, after each vote has grown by a node."""
     rows, columns = votes.shape
     grown = np.zeros_like(votes)
     for r, c in zip(*np.nonzero(votes), strict=True):
@@ -126,7 +128,7 @@ def _component(
         data = _filled(np.where(kept[..., None], data, 0), kept)
         residual, s2, own = _noise(data, kept)
     chosen = _least_noise(data, kept, s2) if bends else s2
-    values, variance = _mixture(data, kept, s2, chosen)
+    values, variance = _mixture(data, kept, s2, chosen, PAIRED_BENDING if bends else PAIRED)
     return kept, s2, values + plane, variance, margin
 
 
@@ -185,22 +187,22 @@ def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
         window = votes[_window(rows, shapes[0][0], r), _window(columns, shapes[1][0], c)]
         usable[r, c] &= window.mean() >= 0.75 - 1e-6
     u = (residual**2).mean(axis=2) / np.maximum(1 - own, 1e-3)
-    root = np.sqrt(np.sqrt(u))
-    expected = _expected(residual, np.where(usable, root, 0))
-    s2 = (_average(root, usable, 2.0) / expected) ** 4 + max(1e-10 * (data**2).mean(), 1e-30)
+    size = np.sqrt(u)
+    expected = _expected(residual, np.where(usable, size, 0))
+    s2 = (_average(size, usable, 2.0) / expected) ** 2 + max(1e-10 * (data**2).mean(), 1e-30)
     return residual, s2, own
 
 
-def _expected(residual: Floats, root: Floats) -> float:
-    """Return e, and the root of the root of u, (R, C), 0 where it does not count."""
+def _expected(residual: Floats, size: Floats) -> float:
+    """Return e. size: (R, C), the root of u, 0 where it does not count."""
     count = residual.shape[2]
     common = np.zeros((count, count))
-    for node in zip(*np.nonzero(root > 0), strict=True):
-        common += np.outer(residual[node], residual[node]) / root[node] ** 3
+    for node in zip(*np.nonzero(size > 0), strict=True):
+        common += np.outer(residual[node], residual[node]) / size[node]
     square = (common**2).sum()
     f = float(np.trace(common) ** 2 / square) if square > 0 else float(count)
-    share: float = (2 / f) ** 0.25
-    return share * math.gamma(f / 2 + 0.25) / math.gamma(f / 2)
+    share: float = math.sqrt(2 / f)
+    return share * math.gamma(f / 2 + 0.5) / math.gamma(f / 2)
 
 
 def _refused(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[Bools, float]:
@@ -216,11 +218,17 @@ def _refused(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[B
     return gone, margin
 
 
-def _mixture(data: Floats, votes: Bools, s2: Floats, chosen: Floats) -> tuple[Floats, Floats]:
+def _mixture(
+    data: Floats,
+    votes: Bools,
+    s2: Floats,
+    chosen: Floats,
+    paired: tuple[tuple[int, int], ...],
+) -> tuple[Floats, Floats]:
     rows, columns, _ = data.shape
     estimates, risks, gains, owns = [], [], [], []
-    for h_row, p_row in PAIRED:
-        for h_column, p_column in PAIRED:
+    for h_row, p_row in paired:
+        for h_column, p_column in paired:
             if rows < 2 * h_row + 1 or columns < 2 * h_column + 1:
                 continue
             a, b = axis_filter(rows, h_row, p_row), axis_filter(columns, h_column, p_column)
@@ -252,6 +260,7 @@ def _mixture(data: Floats, votes: Bools, s2: Floats, chosen: Floats) -> tuple[Fl
 
 def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
     """Return the variance of the noise that the choice of the pairs takes for granted."""
+    rows, columns, _ = data.shape
     least = s2
     for axis in (0, 1):
         lines = np.moveaxis(data, axis, 0)
@@ -259,11 +268,25 @@ def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
         filters = axis_filter(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
         residual = np.moveaxis(lines - np.tensordot(filters, lines, 1), 0, axis)
         own = np.expand_dims(np.diag(filters), 1 - axis) * np.ones(votes.shape)
-        usable = votes & (own < 0.95)
-        root = ((residual**2).mean(axis=2) / np.maximum(1 - own, 0.05)) ** 0.25
-        mean = _average(root, usable, 2.0) / _expected(residual, np.where(usable, root, 0))
-        least = np.fmin(least, mean**4)
-    return np.minimum(s2, LEAST_OF_THREE * least)
+        least = np.fmin(least, _alone(residual, own, votes))
+    pilot = axis_filter(7, 3, 5)[3]
+    for sense in (1, -1):
+        residual, own = np.zeros_like(data), np.ones(votes.shape)
+        for r in range(3, rows - 3):
+            for c in range(3, columns - 3):
+                line = np.array([data[r + t, c + sense * t] for t in range(-3, 4)])
+                residual[r, c], own[r, c] = data[r, c] - pilot @ line, pilot[3]
+        least = np.fmin(least, _alone(residual, own, votes))
+    return np.minimum(s2, LEAST_OF_FIVE * least)
+
+
+def _alone(residual: Floats, own: Floats, votes: Bools) -> Floats:
+    """Return s2 of a residual (R, C, K) along one direction, NaN where it is unknown."""
+    usable = votes & (own < 0.95)
+    size = np.sqrt((residual**2).mean(axis=2) / np.maximum(1 - own, 0.05))
+    mean = _average(size, usable, 2.0) / _expected(residual, np.where(usable, size, 0))
+    alone: Floats = mean**2
+    return alone
 
 
 def _filled(data: Floats, votes: Bools) -> Floats:

@@ -1,8 +1,8 @@
-"""The double-layer sampler (section 3.2), and functions of a 16-bit ring mask.
+"""The double-layer sampler (section 3.2), and functions of its 16 ring bits.
 
-Offsets are (dx, dy), x right, y down, clockwise from twelve o'clock. Bit i of a ring mask
+Offsets are (dx, dy), x right, y down, clockwise from twelve o'clock. Bit i of the ring bits
 is sample i, 1 where black. Samples outside the image repeat the border pixel. Tables have
-one entry for each of the 65 536 masks.
+one entry for each of the 65 536 rings.
 """
 
 import functools
@@ -71,10 +71,10 @@ REGION = tuple((dx, dy) for dy in range(-2, 3) for dx in range(-2, 3) if abs(dx)
 REACH = 5
 
 
-def ring_mask(
+def ring_bits(
     binary: NDArray[np.bool_], offsets: tuple[tuple[int, int], ...]
 ) -> NDArray[np.uint16]:
-    """Return (H, W) uint16: the ring mask around every pixel of a binary image."""
+    """Return (H, W) uint16: the ring bits around every pixel of a binary image."""
     padded = np.pad(binary, REACH, mode="edge").astype(np.uint16)
     mask = np.zeros(binary.shape, np.uint16)
     for bit, offset in enumerate(offsets):
@@ -122,31 +122,31 @@ def rotate(mask: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
 
 
 def popcount(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
-    """Number of ones."""
+    """Return the number of ones."""
     return _popcounts()[mask]
 
 
 def bits(mask: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Return (..., 16): the samples of each mask, True where black."""
+    """Return (..., 16): the samples of each ring, True where black."""
     return (mask[..., None] >> np.arange(16, dtype=np.uint16) & np.uint16(1)).astype(np.bool_)
 
 
-def all_masks() -> NDArray[np.uint16]:
-    """Return the 65 536 ring masks in order."""
+def all_rings() -> NDArray[np.uint16]:
+    """Return the bits of all 65 536 rings in order."""
     return np.arange(1 << 16).astype(np.uint16)
 
 
 @functools.cache
 def _popcounts() -> NDArray[np.uint8]:
-    counts: NDArray[np.uint8] = bits(all_masks()).sum(axis=1).astype(np.uint8)
+    counts: NDArray[np.uint8] = bits(all_rings()).sum(axis=1).astype(np.uint8)
     return counts
 
 
 def runs(mask: NDArray[np.uint16]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the circular runs of N masks: (N, 16) run number of each sample, (N, 16) its colour.
+    """Return the circular runs of N rings: (N, 16) run number of each sample, (N, 16) its colour.
 
     Runs are numbered from 0 clockwise from the first sample that differs from the one
-    before it; in a constant mask every sample is in run 0.
+    before it; in a constant ring every sample is in run 0.
     """
     black = bits(mask)
     starts = black != np.roll(black, 1, axis=1)

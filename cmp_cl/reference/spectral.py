@@ -1,4 +1,4 @@
-"""The spectral criteria (section 3.3, Eqs. 13 and 17) on ring masks."""
+"""The spectral criteria (section 3.3, Eqs. 13 and 17) on ring bits."""
 
 import dataclasses
 import functools
@@ -37,7 +37,7 @@ def spectral(
     outer: NDArray[np.uint16],
     criteria: SpectralCriteria,
 ) -> Spectral:
-    """Evaluate the spectral criteria at every pixel of one binary image and its ring masks."""
+    """Evaluate the spectral criteria at every pixel of one binary image and its ring bits."""
     minus_1, minus_3 = spectrum_differences()
     spectrum_12 = np.minimum(minus_1[inner], minus_1[outer])
     spectrum_23 = np.minimum(minus_3[inner], minus_3[outer])
@@ -68,8 +68,8 @@ def spectral(
 
 @functools.cache
 def magnitudes() -> NDArray[np.float64]:
-    """Return |F1|, |F2| and |F3| of the discrete Fourier transform of each mask: (65536, 3)."""
-    return np.abs(np.fft.fft(ring.bits(ring.all_masks()).astype(np.float64), axis=1)[:, 1:4])
+    """Return |F1|, |F2| and |F3| of the discrete Fourier transform of each ring: (65536, 3)."""
+    return np.abs(np.fft.fft(ring.bits(ring.all_rings()).astype(np.float64), axis=1)[:, 1:4])
 
 
 @functools.cache
@@ -94,7 +94,7 @@ def responses() -> NDArray[np.int32]:
 def cross_correlation(
     inner: NDArray[np.uint16], outer: NDArray[np.uint16]
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-    """Return the largest R(k) = sum of g1(i) g2(i + k) (Eq. 17), and a mask of its k."""
+    """Return the largest R(k) = sum of g1(i) g2(i + k) (Eq. 17), and a bit for each of its k."""
     largest = np.zeros(inner.shape, np.uint8)
     best = np.zeros(inner.shape, np.uint16)
     for k in range(16):
@@ -122,11 +122,11 @@ def least_correlations(bound: float) -> NDArray[np.int64]:
 
 @functools.cache
 def smallest_shifts() -> NDArray[np.uint8]:
-    """Return, per mask of the best k, twice the smallest |centre| of its circular runs: (65536,).
+    """Return twice the smallest |centre| of the circular runs of best k, by their bits: (65536,).
 
-    A run of L from s has centre s + (L - 1) / 2, wrapped to (-8, 8]; 0 for a constant mask.
+    A run of L from s has centre s + (L - 1) / 2, wrapped to (-8, 8]; 0 where all or none are set.
     """
-    best = ring.bits(ring.all_masks())
+    best = ring.bits(ring.all_rings())
     table = np.full(1 << 16, 255, np.uint8)
     for start in range(16):
         starts = best[:, start] & ~best[:, start - 1]

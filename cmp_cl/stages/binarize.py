@@ -42,7 +42,7 @@ def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
     stages = [plan.few("repeat_border", frame_rows, 1, **plan.size, image=plan.image)]
     for first in range(0, plan.working[0], _slab_rows(plan, rule)):
         stages += _slab(plan, rule, first)
-    emptied = {"totals": b["totals"], "row_counts": b["row_counts"]}
+    emptied = {"counts": b["counts"], "row_counts": b["row_counts"]}
     if rule.contrast is not None:
         emptied["passed"] = b["passed"]
     border = plan.few(

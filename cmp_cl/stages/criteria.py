@@ -66,16 +66,16 @@ def _collect(plan: PlanBase, layer: int) -> Launch:
         layer=np.uint32(layer),
         rows=plan.size["rows"],
         step=plan.size["step"],
-        room=np.uint32(plan.list_room),
+        capacity=np.uint32(plan.list_capacity),
         list=b["candidates"],
         list_of_responses=b["responses"],
-        totals=b["totals"],
+        counts=b["counts"],
     )
 
 
 def of_candidates(plan: PlanBase, name: str, **arguments: Any) -> Launch:
     """Bind a kernel with one work-item per entry of the lists of candidates."""
-    items = (plan.list_room, plan.frames * plan.lists)
+    items = (plan.list_capacity, plan.frames * plan.lists)
     return plan.stage(name, items, (GROUP, 1), **arguments)
 
 
@@ -83,8 +83,8 @@ def listed(plan: PlanBase) -> dict[str, Any]:
     """Return what a kernel over the candidates is given, by argument."""
     return {
         "list": plan.arrays["candidates"],
-        "totals": plan.arrays["totals"],
+        "counts": plan.arrays["counts"],
         "rows": plan.size["rows"],
         "step": plan.size["step"],
-        "room": np.uint32(plan.list_room),
+        "capacity": np.uint32(plan.list_capacity),
     }

@@ -12,7 +12,7 @@ from cmp_cl.stages.layout import GROUP, Launch, PlanBase
 BINS = 256  # of the histograms of contrasts
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference")
 NOISE_FACTOR = 6.68  # Immerkaer's estimate sums 6 sqrt(pi / 2) standard deviations; less 11 %
-LEAST_NOISE_OF_THREE = 3  # standard deviations, with three masks
+LEAST_NOISE_OF_THREE = 3  # standard deviations, with three thresholds
 
 
 def sizes(plan: PlanBase) -> dict[str, int]:
@@ -30,8 +30,8 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 def scratch(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the arrays that are needed only in passing."""
-    room = plan.frames * plan.lists * plan.list_room
-    contrasts = dict.fromkeys(CONTRASTS, plan.types["CONTRAST"].itemsize * room)
+    capacity = plan.frames * plan.lists * plan.list_capacity
+    contrasts = dict.fromkeys(CONTRASTS, plan.types["CONTRAST"].itemsize * capacity)
     return {**noise.scratch(plan), **contrasts}
 
 
@@ -41,7 +41,7 @@ def launches(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     contrasts = {name: b[name] for name in CONTRASTS}
     counted = {"counted": b["counted"]}
     given = listed(plan)
-    limits = {"rows": given.pop("rows"), "step": given.pop("step"), "room": given.pop("room")}
+    limits = {name: given.pop(name) for name in ("rows", "step", "capacity")}
     return [
         *noise.launches(plan),
         plan.stage("clear_bins", (BINS, planes), (GROUP, 1), **counted, bins=b["bins"]),
@@ -81,7 +81,7 @@ def _percentile(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     least_noise = gate.noise if plan.lists == 1 else max(gate.noise, LEAST_NOISE_OF_THREE)
     given = {
         "counted": b["counted"],
-        "noise_totals": b["noise"],
+        "noise_sums": b["noise"],
         "limit": plan.constant(limit),
         "rows": plan.size["rows"],
         "columns": plan.size["columns"],
@@ -104,9 +104,9 @@ def _percentile(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
         plan,
         "histogram",
         inner_contrast=b["inner_contrast"],
-        total=b["totals"],
+        counts=b["counts"],
         found=b["found"],
-        room=np.uint32(plan.list_room),
+        capacity=np.uint32(plan.list_capacity),
         bins=b["bins"],
     )
     return [percentile(8), lower, percentile(0)]

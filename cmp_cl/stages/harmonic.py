@@ -27,7 +27,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers."""
     frames, plane = plan.frames, plan.working[0] * plan.step
-    lists = frames * plan.bands * plan.lists * CORNER_COLUMNS * plan.list_room
+    lists = frames * plan.bands * plan.lists * CORNER_COLUMNS * plan.list_capacity
     sizes = {"area": plane // 8, "lists": 4 * lists}
     if plan.form is Form.CPU:
         return {
@@ -35,7 +35,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
             "maxima": _bits(plan),
             "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step,
             "noise": 8 * frames * plan.bands,
-            "counts": 4 * frames * plan.bands * plan.lists,
+            "band_counts": 4 * frames * plan.bands * plan.lists,
         }
     return {**sizes, "noise": 8 * frames * noise.bands(plan)}
 
@@ -96,12 +96,12 @@ def _by_pixels(plan: PlanBase) -> list[Launch]:
     )
     stages = [
         plan.few("repeat_border", frame_rows, 1, **size, image=plan.image),
-        plan.few("clear_lists", plan.frames * plan.lists, 1, totals=b["totals"]),
+        plan.few("clear_lists", plan.frames * plan.lists, 1, counts=b["counts"]),
         *noise.launches(plan),
         smooth_image,
     ]
-    found = {"totals": b["totals"], "lists": b["lists"]}
-    limits = {**size, "room": np.uint32(plan.list_room)}
+    found = {"counts": b["counts"], "lists": b["lists"]}
+    limits = {**size, "capacity": np.uint32(plan.list_capacity)}
     if _rule(plan).fine:
         stages += [
             plan.dense("fine_response", plane=b["fine"], **size, response=b["response"]),
@@ -136,11 +136,11 @@ def _by_pixels(plan: PlanBase) -> list[Launch]:
 def _decide(plan: PlanBase) -> list[Launch]:
     """Return the launches from the lists of maxima to the corners in (y, x) order."""
     b, rule, size = plan.arrays, _rule(plan), plan.size
-    room, rows, step = np.uint32(plan.list_room), size["rows"], size["step"]
-    lists = {"lists": b["lists"], "totals": b["totals"]}
-    totals = {"totals": b["totals"], "lists": b["lists"]}
-    counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
-    kept = {"row_counts": counts, "maxima": maxima}
+    capacity, rows, step = np.uint32(plan.list_capacity), size["rows"], size["step"]
+    lists = {"lists": b["lists"], "counts": b["counts"]}
+    listed = {"counts": b["counts"], "lists": b["lists"]}
+    row_counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
+    kept = {"row_counts": row_counts, "maxima": maxima}
     stages = [
         plan.few(
             "clear_maxima",
@@ -156,11 +156,11 @@ def _decide(plan: PlanBase) -> list[Launch]:
             plan.frames,
             1,
             noise=b["noise"],
-            **totals,
+            **listed,
             rows=rows,
             columns=size["columns"],
             bands=np.uint32(noise.bands(plan)),
-            room=room,
+            capacity=capacity,
             full_scale=np.uint32(_full_scale(plan)),
             coarse_noise=np.uint32(rule.coarse_noise),
             found=b["decision"],
@@ -172,9 +172,9 @@ def _decide(plan: PlanBase) -> list[Launch]:
                 "sum_squares",
                 (bins, plan.frames),
                 (GROUP, 1),
-                **totals,
+                **listed,
                 found=b["decision"],
-                room=room,
+                capacity=capacity,
                 span=np.uint32(span),
                 squares=b["squares"],
             ),
@@ -190,10 +190,10 @@ def _decide(plan: PlanBase) -> list[Launch]:
         ]
 
     def of_maxima(name: str, **arguments: Any) -> Launch:
-        items = (plan.list_room, plan.frames)
+        items = (plan.list_capacity, plan.frames)
         return plan.stage(name, items, (GROUP, 1), **lists, found=b["decision"], **arguments)
 
-    limits = {"rows": rows, "step": step, "room": room}
+    limits = {"rows": rows, "step": step, "capacity": capacity}
     share = np.int32(rule.coarse_share)
     stages.append(of_maxima("keep_coarse", **limits, coarse_share=share, **kept, taken=taken))
     if rule.fine:
@@ -205,11 +205,11 @@ def _decide(plan: PlanBase) -> list[Launch]:
             "start_rows",
             plan.working[0],
             plan.frames,
-            row_counts=counts,
+            row_counts=row_counts,
             rows=rows,
-            place=corners["place"],
+            count_offset=corners["count_offset"],
             row_starts=b["row_starts"],
-            totals=b["totals"],
+            counts=b["counts"],
         )
     )
     for kind in range(plan.lists):
@@ -221,7 +221,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
                 row_starts=b["row_starts"],
                 **limits,
                 kind=np.uint32(kind),
-                corner_room=corners["room"],
+                corner_capacity=corners["capacity"],
                 length=corners["length"],
                 corners=b["corners"],
             )
@@ -243,7 +243,7 @@ def _work_rows(plan: PlanBase) -> int:
 def _by_bands(plan: PlanBase) -> list[Launch]:
     b, rule, size = plan.arrays, _rule(plan), plan.size
     band_rows = -(-plan.working[0] // plan.bands)
-    room, full_scale = np.uint32(plan.list_room), np.uint32(_full_scale(plan))
+    capacity, full_scale = np.uint32(plan.list_capacity), np.uint32(_full_scale(plan))
     band = plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
@@ -252,14 +252,14 @@ def _by_bands(plan: PlanBase) -> list[Launch]:
         area=b["area"],
         **size,
         band_rows=np.uint32(band_rows),
-        room=room,
+        capacity=capacity,
         full_scale=full_scale,
         inverse=np.float32(1 / _full_scale(plan)),
         **_checks(plan),
         work=b["work"],
         work_size=np.uint32(_work_rows(plan) * plan.step),
         noise=b["noise"],
-        counts=b["counts"],
+        band_counts=b["band_counts"],
         lists=b["lists"],
     )
     corners = plan.corner_list
@@ -268,20 +268,20 @@ def _by_bands(plan: PlanBase) -> list[Launch]:
         plan.frames,
         1,
         noise=b["noise"],
-        counts=b["counts"],
+        band_counts=b["band_counts"],
         lists=b["lists"],
         **size,
         bands=np.uint32(plan.bands),
-        room=room,
+        capacity=capacity,
         full_scale=full_scale,
         coarse_noise=np.uint32(rule.coarse_noise),
         coarse_share=np.int32(rule.coarse_share),
         fine_share=np.int32(rule.fine_share),
-        corner_room=corners["room"],
-        place=corners["place"],
+        corner_capacity=corners["capacity"],
+        count_offset=corners["count_offset"],
         length=corners["length"],
         maxima=b["maxima"],
         corners=b["corners"],
-        totals=b["totals"],
+        counts=b["counts"],
     )
     return [band, decide]

@@ -34,10 +34,10 @@ class PlanBase:
 
     shape: (H, W) of a frame; working: the same at the working scale. pad: columns of padding on
     either side; step, full_step: elements of a row at the working and at full scale.
-    frames: how many there are; lists: lists of maxima or candidates of a frame, with `list_room`
-    entries each; corner_room: entries of the list of a frame's corners. bands: bands of rows that a
-    frame is divided into in the form for CPUs. buffers: the memory; arrays: the buffers and parts
-    of them, by name. image: the input of the first stage.
+    frames: how many there are; lists: lists of maxima or candidates of a frame, with
+    `list_capacity` entries each; corner_capacity: entries of the list of a frame's corners. bands:
+    bands of rows that a frame is divided into in the form for CPUs. buffers: the memory; arrays:
+    the buffers and parts of them, by name. image: the input of the first stage.
     """
 
     kernels: Kernels
@@ -70,20 +70,20 @@ class PlanBase:
         if isinstance(self.rule, BinaryRings):
             self.lists = self.rule.threshold.masks
             self.pad = multiple(max(LEAST_PAD, self.rule.threshold.window // 2), LEAST_PAD)
-            self.list_room = multiple(pixels // 20 + 1, GROUP)  # the lists grow
+            self.list_capacity = multiple(pixels // 20 + 1, GROUP)  # the lists grow
         else:
             self.lists = 2 if self.rule.fine else 1
             self.pad = LEAST_PAD
             # One maximum in 128 pixels is one in a cell of 11 px; the lists grow.
-            self.list_room = multiple(pixels // 128 // self.bands + 64, GROUP)
+            self.list_capacity = multiple(pixels // 128 // self.bands + 64, GROUP)
         self.step = multiple(self.working[1] + 2 * self.pad, GROUP)
         self.full_step = multiple(shape[1] + 2 * self.pad, GROUP)
-        self.corner_room = multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
+        self.corner_capacity = multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
         self.buffers: dict[str, cl.Buffer] = {}
 
     @property
     def bands(self) -> int:
-        """Bands of rows: two for each of a CPU's units, of at least 32 rows; else one."""
+        """Return how many bands of rows: two for a unit of a CPU, of at least 32 rows; else one."""
         if self.form is not Form.CPU:
             return 1
         units = self.device.handle.max_compute_units
@@ -91,7 +91,7 @@ class PlanBase:
 
     @property
     def lanes(self) -> int:
-        """Corners that a work-item of refinement takes at a time."""
+        """Return how many corners a work-item of refinement takes at a time."""
         lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
         return LANES if self.form is Form.CPU and lines else 1
 
@@ -108,7 +108,7 @@ class PlanBase:
         return Launch(name, kernel, items, group, arguments)
 
     def dense(self, name: str, *heights: int, **arguments: Any) -> Launch:
-        """Bind a kernel with one work-item per pixel, pads included; of a slab of that height."""
+        """Bind a kernel with one work-item per element of a row, of a slab of that height."""
         height = heights[0] if heights else self.working[0]
         items = (self.step, height, self.frames)
         return self.stage(name, items, (self.width, 1, 1), **arguments)
@@ -124,11 +124,11 @@ class PlanBase:
 
     def of_corners(self, name: str, **arguments: Any) -> Launch:
         """Bind a kernel with one work-item per entry of the list of corners."""
-        return self.stage(name, (self.corner_room, self.frames), (GROUP, 1), **arguments)
+        return self.stage(name, (self.corner_capacity, self.frames), (GROUP, 1), **arguments)
 
     @property
     def width(self) -> int:
-        """Work-items of a group of a dense kernel: a share of the row, pads included."""
+        """Work-items of a group of a dense kernel: a share of the row, padding included."""
         most = min(self.device.handle.max_work_group_size, 1024)
         if self.form is not Form.CPU:
             most = min(most, 128)
@@ -141,17 +141,17 @@ class PlanBase:
 
     @property
     def size(self) -> dict[str, Any]:
-        """Rows, columns and step of the image that the stages start from, by argument."""
+        """Return rows, columns and step of the image that the stages start from, by argument."""
         (rows, columns), step = self.working, self.step
         return {"rows": np.uint32(rows), "columns": np.uint32(columns), "step": np.uint32(step)}
 
     @property
     def corner_list(self) -> dict[str, Any]:
-        """Where a frame's corners are in the lists of all, by argument."""
+        """Return where a frame's corners are in the lists of all, by argument."""
         return {
-            "room": np.uint32(self.corner_room),
-            "place": np.uint32(self.frames * self.lists),
-            "length": np.uint32(self.frames * self.corner_room),
+            "capacity": np.uint32(self.corner_capacity),
+            "count_offset": np.uint32(self.frames * self.lists),
+            "length": np.uint32(self.frames * self.corner_capacity),
         }
 
 

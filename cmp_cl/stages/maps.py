@@ -63,7 +63,7 @@ def no_maps(shape: tuple[int, int], config: DetectorConfig) -> Maps | HarmonicMa
 
 
 def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any, planes: int = 1) -> NDArray[Any]:
-    """Return the planes of a buffer without their pads: (H, W), or (3, H, W)."""
+    """Return the planes of a buffer without their padding: (H, W), or (3, H, W)."""
     rows, columns = plan.working
     padded = np.empty((planes * rows + 2, plan.step), dtype)
     cl.enqueue_copy(plan.queue, padded, buffer)
@@ -185,17 +185,17 @@ def _spectral_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[A
 
 def _at_candidates(plan: Plan, dtype: Any, name: str | None) -> NDArray[Any]:
     """Return a list of the candidates' numbers as an image, 0 elsewhere; 1 where none is named."""
-    rows, planes, room = plan.working[0], plan.lists, plan.list_room
-    totals = np.empty(plan.frames * (planes + 1), np.uint32)
-    index = np.empty((planes, room), np.uint32)
-    numbers = np.ones((planes, room), plan.types["CONTRAST"])
-    cl.enqueue_copy(plan.queue, totals, plan.arrays["totals"])
+    rows, planes, capacity = plan.working[0], plan.lists, plan.list_capacity
+    counts = np.empty(plan.frames * (planes + 1), np.uint32)
+    index = np.empty((planes, capacity), np.uint32)
+    numbers = np.ones((planes, capacity), plan.types["CONTRAST"])
+    cl.enqueue_copy(plan.queue, counts, plan.arrays["counts"])
     cl.enqueue_copy(plan.queue, index, plan.arrays["candidates"])
     if name is not None:
         cl.enqueue_copy(plan.queue, numbers, plan.arrays[name])
     image = np.zeros((planes, rows * plan.step), dtype)
     for plane in range(planes):
-        count = totals[plane]
+        count = counts[plane]
         image[plane, index[plane, :count]] = numbers[plane, :count]
     inside = image.reshape(planes, rows, plan.step)[..., plan.pad :][..., : plan.working[1]]
     return cast(NDArray[Any], inside[0] if planes == 1 else inside)

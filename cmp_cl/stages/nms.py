@@ -10,10 +10,10 @@ def launches(plan: PlanBase) -> list[Launch]:
     response = {"response": b["response"]}
     key = {"key": b["key"]} if keeps_keys(plan) else {}
     found = {"row_counts": b["row_counts"], "maxima": b["maxima"]}
-    spread = {"list_of_responses": b["responses"], **response}
+    scattered = {"list_of_responses": b["responses"], **response}
     score = [of_candidates(plan, "score", **given, **response, **key)] if key else []
     return [
-        of_candidates(plan, "spread", **given, **spread),
+        of_candidates(plan, "scatter", **given, **scattered),
         *score,
         of_candidates(plan, "maximum", **given, **response, **key, **found),
     ]

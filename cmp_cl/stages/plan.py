@@ -101,23 +101,23 @@ class Plan(PlanBase):
 
     @property
     def stages(self) -> list[str]:
-        """The kernel files that the configuration needs, in the order of the stages."""
+        """Return the kernel files that the configuration needs, in the order of the stages."""
         return [*scale.files(self), *self.detection.files(self), *refine.files(self)]
 
     # What is allocated
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Bytes of every buffer."""
+        """Return the bytes of every buffer, by name."""
         pixel = self.dtype.itemsize
         parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in self._layouts]
         sizes = {
             "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
             **self.detection.sizes(self),
             "scratch": max((sum(sizes) for sizes in parts), default=0),
-            "corners": 4 * CORNER_COLUMNS * self.frames * self.corner_room,
+            "corners": 4 * CORNER_COLUMNS * self.frames * self.corner_capacity,
             "result": self.frames * refine.result_size(self),
-            "totals": 4 * self.frames * (self.lists + 1),  # entries of the lists, corners
+            "counts": 4 * self.frames * (self.lists + 1),  # entries of the lists, corners
         }
         if self.scale is not None:
             sizes["working"] = (self.frames * self.working[0] + 2) * self.step * pixel
@@ -125,8 +125,9 @@ class Plan(PlanBase):
 
     @property
     def _layouts(self) -> list[dict[str, int]]:
-        """Bytes of the arrays that are needed only in passing. Those of a layout lie one after
-        the other in the buffer "scratch", where each layout takes the place of the one before."""
+        """Return the bytes of the arrays that are needed only in passing, layout by layout. The
+        arrays of a layout lie one after the other in the buffer "scratch", which every layout uses
+        from its start."""
         return [*self.detection.scratch(self), refine.scratch(self)]
 
     def _allocate(self) -> None:
@@ -150,8 +151,8 @@ class Plan(PlanBase):
     def refused(self, error: cl.Error) -> CapacityError:
         """Return the error for a device that has too little memory left."""
         return CapacityError(
-            f"{self.device} has no room for a plan of {sum(self.sizes.values())} bytes, though "
-            f"it has {self.device.memory}: {error}; close what else uses it, or use smaller "
+            f"{self.device} has not enough memory for a plan of {sum(self.sizes.values())} bytes, "
+            f"though it has {self.device.memory}: {error}; close what else uses it, or use smaller "
             "images or fewer frames at a time"
         )
 
@@ -203,7 +204,7 @@ class Plan(PlanBase):
         self.image = self.arrays["image" if self.scale is None else "working"]
         detection = [*scale.launches(self), *self.detection.launches(self)]
         self.launches = [*detection, *refine.launches(self)]
-        self._likely = self.corner_room  # corners of a frame, at most
+        self._likely = self.corner_capacity  # corners of a frame, at most
 
     # What happens in a frame
 
@@ -235,8 +236,8 @@ class Plan(PlanBase):
     def _write(self, frames: Sequence[GreyImage]) -> None:
         """Copy the frames into the memory that the device shares."""
         self._wait()  # for a frame that nobody has waited for
-        (rows, columns), place = self.shape, self._here["image"].view(self.dtype)
-        lines = place.reshape(-1, self.full_step)[1:, self.pad : self.pad + columns]
+        (rows, columns), image = self.shape, self._here["image"].view(self.dtype)
+        lines = image.reshape(-1, self.full_step)[1:, self.pad : self.pad + columns]
         for n, frame in enumerate(frames):
             lines[n * rows : (n + 1) * rows] = frame
 
@@ -280,11 +281,11 @@ class Plan(PlanBase):
         self.uploads.clear()
         head = rows[:, : 1 + self.lists].view(np.uint32)
         most, listed = int(head[:, 0].max()), int(head[:, 1:].max())
-        if listed > self.list_room or most > self.corner_room:
+        if listed > self.list_capacity or most > self.corner_capacity:
             raise Overflow(listed, most)
         if most > self._likely:
             rows = self._fetch(queue, most)
-        self._likely = min(most * 9 // 8, self.corner_room)
+        self._likely = min(most * 9 // 8, self.corner_capacity)
         return rows
 
     def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
@@ -310,10 +311,10 @@ class Plan(PlanBase):
 
     def grow(self, overflow: Overflow) -> None:
         """Lengthen the lists that overflowed; the frames stay on the device."""
-        if overflow.listed > self.list_room:
-            self.list_room = multiple(overflow.listed * 5 // 4, GROUP)
-        if overflow.corners > self.corner_room:
-            self.corner_room = multiple(overflow.corners * 5 // 4, GROUP)
+        if overflow.listed > self.list_capacity:
+            self.list_capacity = multiple(overflow.listed * 5 // 4, GROUP)
+        if overflow.corners > self.corner_capacity:
+            self.corner_capacity = multiple(overflow.corners * 5 // 4, GROUP)
         self.release("image")
         self._allocate()
         self._bind()

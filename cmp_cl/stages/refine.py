@@ -57,12 +57,12 @@ def scratch(plan: PlanBase) -> dict[str, int]:
     fields = {"start": START_FIELDS, "lines": LINE_FIELDS}
     if not isinstance(plan.config.refinement, EdgeStep):
         fields = {}
-    return {name: 4 * n * plan.frames * plan.corner_room for name, n in fields.items()}
+    return {name: 4 * n * plan.frames * plan.corner_capacity for name, n in fields.items()}
 
 
 def result_size(plan: PlanBase) -> int:
     """Return the bytes of the result of a frame."""
-    return 4 * (RESULT_HEAD + RESULT_FIELDS * plan.corner_room)
+    return 4 * (RESULT_HEAD + RESULT_FIELDS * plan.corner_capacity)
 
 
 def launches(plan: PlanBase) -> list[Launch]:
@@ -80,7 +80,7 @@ def _of_corners(plan: PlanBase, name: str, **arguments: Any) -> Launch:
     """Bind a kernel over the corners: one each, or work-items that share them out."""
     if plan.lanes == 1:
         return plan.of_corners(name, **arguments)
-    shares = min(SHARES * plan.device.handle.max_compute_units, plan.corner_room // LANES)
+    shares = min(SHARES * plan.device.handle.max_compute_units, plan.corner_capacity // LANES)
     return plan.stage(name, (shares, plan.frames), (1, 1), **arguments)
 
 
@@ -94,7 +94,7 @@ def _centroids(plan: PlanBase) -> Launch:
     return plan.of_corners(
         "centroids",
         corners=plan.arrays["corners"],
-        totals=plan.arrays["totals"],
+        counts=plan.arrays["counts"],
         rows=size["rows"],
         columns=size["columns"],
         **plan.corner_list,
@@ -120,7 +120,7 @@ def _lines(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Launc
         "midlines" if isinstance(refinement, Midlines) else name,
         image=b["image"],
         corners=b["corners"],
-        totals=b["totals"],
+        counts=b["counts"],
         **_full_size(plan),
         **plan.corner_list,
         max_shift=_largest_shift(plan),
@@ -149,7 +149,7 @@ def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
         image=b["image"],
         start=b["start"],
         lines=b["lines"],
-        totals=b["totals"],
+        counts=b["counts"],
         **_full_size(plan),
         **plan.corner_list,
         radius=np.float32(min(max(share * refinement.cell * factor, least), most) / factor),
@@ -195,8 +195,8 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
 def copy_positions(plan: PlanBase, target: cl.Buffer, count: int) -> None:
     """Copy the positions of the first frame's corners to a buffer of the device, (N, 2) float32."""
     copy: Any = cl.enqueue_copy  # whose stub does not know offsets
-    place = 4 * RESULT_HEAD  # POSITION is the first field
-    copy(plan.queue, target, plan.buffers["result"], byte_count=8 * count, src_offset=place)
+    start = 4 * RESULT_HEAD  # POSITION is the first field
+    copy(plan.queue, target, plan.buffers["result"], byte_count=8 * count, src_offset=start)
 
 
 def no_corners(device: str) -> Corners:

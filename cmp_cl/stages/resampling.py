@@ -63,6 +63,6 @@ def _area(n: int, size: int, up: int, down: int) -> tuple[int, list[tuple[int, i
 def _between(n: int, size: int, up: int, down: int) -> tuple[int, list[tuple[int, int]]]:
     """Return the same for the two inputs around the centre of output n."""
     whole = 2 * up
-    place = min(max((2 * n + 1) * down - up, 0), (size - 1) * whole)
-    first = min(place // whole, max(size - 2, 0))
-    return first, [(whole - (place - first * whole), whole), (whole, whole)]
+    position = min(max((2 * n + 1) * down - up, 0), (size - 1) * whole)
+    first = min(position // whole, max(size - 2, 0))
+    return first, [(whole - (position - first * whole), whole), (whole, whole)]

@@ -24,7 +24,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     """Return the macros that only these kernels need."""
     rule = _rule(plan)
     return {
-        "MASKS": rule.threshold.masks,
+        "LAYERS": rule.threshold.masks,
         "OUTER_RADIUS": rule.outer_radius,
         "RAPID": int(isinstance(rule.criteria, RapidCriteria)),
         "GATE": int(rule.contrast is not None),
@@ -47,7 +47,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
         "area": plane // 8,
         "binary": image,
         "response": plan.types["RESPONSE"].itemsize * image,
-        "candidates": 4 * plan.frames * plan.lists * plan.list_room,
+        "candidates": 4 * plan.frames * plan.lists * plan.list_capacity,
         "maxima": plan.frames * plane // 8,
         "row_counts": 4 * plan.frames * plan.working[0],
         **(gate.sizes(plan) if rule.contrast is not None else {}),
@@ -57,8 +57,8 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
     """Return the bytes of the arrays that are needed only in passing, see `Plan`."""
     rule = _rule(plan)
-    room = plan.frames * plan.lists * plan.list_room
-    lists = {"responses": plan.types["RESPONSE"].itemsize * room}
+    capacity = plan.frames * plan.lists * plan.list_capacity
+    lists = {"responses": plan.types["RESPONSE"].itemsize * capacity}
     if nms.keeps_keys(plan):
         rows = plan.frames * plan.working[0] + 2
         lists["key"] = plan.types["SCORE"].itemsize * rows * plan.step
@@ -98,12 +98,12 @@ def _corners(plan: PlanBase, kept: str) -> list[Launch]:
             step=step,
             **plan.corner_list,
             **corners,
-            totals=b["totals"],
+            counts=b["counts"],
         ),
         plan.of_corners(
             "centroid",
             response=b["response"],
-            totals=b["totals"],
+            counts=b["counts"],
             rows=rows,
             step=step,
             **plan.corner_list,

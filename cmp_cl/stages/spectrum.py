@@ -1,4 +1,4 @@
-"""Tables of the spectral criteria (section 3.3), by ring mask."""
+"""Tables of the spectral criteria (section 3.3), by ring bits."""
 
 import math
 from fractions import Fraction
@@ -6,14 +6,14 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-MASKS = 1 << 16
+RINGS = 1 << 16
 TIE = 1e-9  # magnitudes that differ by less count as equal
 HALF_SAMPLE = math.radians(11.25)
 
 
 def magnitudes() -> NDArray[np.float64]:
-    """Return the magnitudes |F1|, |F2|, |F3| of the DFT of every ring mask (Eq. 13): (65536, 3)."""
-    samples = (np.arange(MASKS)[:, None] >> np.arange(16)) & 1
+    """Return the magnitudes |F1|, |F2|, |F3| of the DFT of all ring bits (Eq. 13): (65536, 3)."""
+    samples = (np.arange(RINGS)[:, None] >> np.arange(16)) & 1
     turns = np.exp(-2j * np.pi * np.outer(np.arange(16), [1, 2, 3]) / 16)
     result: NDArray[np.float64] = np.abs(samples @ turns)
     return result
@@ -27,7 +27,7 @@ def margins() -> NDArray[np.float64]:
 
 
 def response_tables() -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
-    """Return each inner mask's response, 0 where it fails, and whether each outer mask passes."""
+    """Return each inner ring's response, 0 where it fails, and whether each outer ring passes."""
     f1, f2, f3 = magnitudes().T
     passes: NDArray[np.bool_] = np.min(margins(), axis=1) > 0
     response = np.floor(64 * f2 * (f2 - np.maximum(f1, f3)) + 0.5).astype(np.int32)

@@ -97,8 +97,8 @@ def _weights(views: Sequence[View]) -> list[tuple[Array, ...]]:
 def _system(
     views: Sequence[View], weights: Sequence[tuple[Array, ...]], numbers: Array, poses: list[Array]
 ) -> tuple[float, Any]:
-    """The cost, and a function that gives the step of the numbers, of each pose, and the normal
-    matrix of the numbers alone.
+    """Return the cost, and a function that gives the step of the numbers, of each pose, and the
+    normal matrix of the numbers alone.
     """
     cost = 0.0
     parts = []
@@ -134,8 +134,8 @@ def _system(
 
 
 def _seen(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, Array]]:
-    """For each camera: seen minus projected (N, 2), and the slopes of the projection (2 N, ...)
-    by the numbers and by the pose.
+    """Return, for each camera, seen minus projected (N, 2), and the slopes of the projection (2
+    N, ...) by the numbers and by the pose.
     """
     found: list[tuple[Array, Array, Array]] = []
     for camera, seen in enumerate(view.seen):

@@ -13,6 +13,7 @@ from cmp_cl.errors import CalibrationError, FieldError
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import CAMERA, Adjusted, View, adjust
 from cmp_cl.stereo.rig import StereoRig
+from cmp_cl.stereo.threads import one_thread
 
 _MIN_VIEWS = 3
 _MIN_NODES = 8  # of a board in a view
@@ -73,14 +74,17 @@ def calibrate_camera(
     parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
     _check_views(len(parts))
     try:
-        error, matrix, distortion, rotations, translations, _, _, _ = cv2.calibrateCameraExtended(
-            [board for board, _ in parts],
-            [points for _, points in parts],
-            image_size,
-            np.eye(3),
-            np.zeros(5),
-            flags=cv2.CALIB_FIX_K3,
-        )
+        with one_thread():
+            error, matrix, distortion, rotations, translations, _, _, _ = (
+                cv2.calibrateCameraExtended(
+                    [board for board, _ in parts],
+                    [points for _, points in parts],
+                    image_size,
+                    np.eye(3),
+                    np.zeros(5),
+                    flags=cv2.CALIB_FIX_K3,
+                )
+            )
     except cv2.error as failure:
         raise CalibrationError(f"the views do not determine a camera: {failure}") from failure
     poses = [
@@ -140,19 +144,22 @@ def calibrate(
         for view, (left, right) in enumerate(views)
     ]
     try:
-        error, K1, D1, K2, D2, R, T, _, _, rotations, translations, _ = cv2.stereoCalibrateExtended(
-            [left[0] for left, _ in pairs],
-            [left[1] for left, _ in pairs],
-            [right[1] for _, right in pairs],
-            one.matrix.copy(),
-            one.distortion.copy(),
-            two.matrix.copy(),
-            two.distortion.copy(),
-            image_size,
-            np.eye(3),
-            np.zeros(3),
-            flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3,
-        )
+        with one_thread():
+            error, K1, D1, K2, D2, R, T, _, _, rotations, translations, _ = (
+                cv2.stereoCalibrateExtended(
+                    [left[0] for left, _ in pairs],
+                    [left[1] for left, _ in pairs],
+                    [right[1] for _, right in pairs],
+                    one.matrix.copy(),
+                    one.distortion.copy(),
+                    two.matrix.copy(),
+                    two.distortion.copy(),
+                    image_size,
+                    np.eye(3),
+                    np.zeros(3),
+                    flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3,
+                )
+            )
     except cv2.error as failure:
         raise CalibrationError(f"the views do not determine a rig: {failure}") from failure
     alone = max(one.error, two.error)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import CalibrationError
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.rig import StereoRig
+from cmp_cl.stereo.threads import one_thread
 
 Array = NDArray[np.float64]
 
@@ -166,14 +167,15 @@ def _one(
     boards = [board.reshape(-1, 1, 3).astype(np.float32) for board, _ in seen.values()]
     points = [xy.reshape(-1, 1, 2).astype(np.float32) for _, xy in seen.values()]
     try:
-        if lens is Lens.FISHEYE:
-            error, matrix, distortion, turns, shifts = _fisheye(boards, points, size)
-        else:
-            flags = cv2.CALIB_RATIONAL_MODEL if lens is Lens.RATIONAL else cv2.CALIB_FIX_K3
-            error, matrix, distortion, turns, shifts = cv2.calibrateCamera(
-                boards, points, size, np.eye(3), np.zeros(8 if lens is Lens.RATIONAL else 5),
-                flags=flags,
-            )  # fmt: skip
+        with one_thread():
+            if lens is Lens.FISHEYE:
+                error, matrix, distortion, turns, shifts = _fisheye(boards, points, size)
+            else:
+                flags = cv2.CALIB_RATIONAL_MODEL if lens is Lens.RATIONAL else cv2.CALIB_FIX_K3
+                error, matrix, distortion, turns, shifts = cv2.calibrateCamera(
+                    boards, points, size, np.eye(3), np.zeros(8 if lens is Lens.RATIONAL else 5),
+                    flags=flags,
+                )  # fmt: skip
     except cv2.error as failure:
         raise CalibrationError(f"{name}: the views do not determine the camera") from failure
     matrix = np.asarray(matrix, np.float64)

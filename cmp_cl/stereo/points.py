@@ -44,12 +44,12 @@ class Points3D:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """A mask (R, C): the nodes that have a position."""
+        """Return (R, C) bool, True where a node has a position."""
         return np.equal(self.status, PointStatus.VALID)
 
     @property
     def sigma(self) -> NDArray[np.float64]:
-        """The standard deviation along the most uncertain axis, (R, C) float64, in `unit`.
+        """Return the standard deviation along the most uncertain axis, (R, C) float64, in `unit`.
 
         It includes the error of the calibration where that is known.
         """

@@ -85,12 +85,12 @@ void read_part(const Part *part, __global const PIXEL *image, const size_t p, co
 __kernel void edge_step_eight(__global const PIXEL *restrict image,
                               __global const float *restrict start,
                               __global const float *restrict lines,
-                              __global const uint *restrict totals, const uint rows,
-                              const uint columns, const uint step, const uint room,
-                              const uint place, const uint length, const float radius,
+                              __global const uint *restrict counts, const uint rows,
+                              const uint columns, const uint step, const uint capacity,
+                              const uint count_offset, const uint length, const float radius,
                               const float scale, __global float *restrict result) {
   const size_t p = get_global_id(1);
-  const uint total = SMALLER(totals[place + p], room);
+  const uint total = SMALLER(counts[count_offset + p], capacity);
   if (get_global_id(0) >= total) return;
   const float radius_2 = radius * radius;
   const float core_radius = SMALLER(4.0f, radius / 2), core_2 = core_radius * core_radius;
@@ -102,7 +102,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
   list_part(&part, -reach, reach, radius_2);
   const int whole = part.end > reach;
   for (size_t n = get_global_id(0); n < total; n += get_global_size(0)) {
-    const size_t row = p * room + n;
+    const size_t row = p * capacity + n;
     if (*RESULT_METHOD != METHOD_EDGE_LINES) continue;
     const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
     const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
@@ -165,8 +165,8 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
       for (int k = 0; k < part.count; k += 8) {
         const float8 w = LOAD_8(values.weight_of, k);
         const float8 both = LOAD_8(values.weight_of, k + 1) > 0 ? w : (float8)(0.0f);
-        const float8 r = REST(LOAD_8(values.grey_of, k), LOAD_8(values.model_of, k));
-        const float8 next = REST(LOAD_8(values.grey_of, k + 1), LOAD_8(values.model_of, k + 1));
+        const float8 r = RESIDUAL(LOAD_8(values.grey_of, k), LOAD_8(values.model_of, k));
+        const float8 next = RESIDUAL(LOAD_8(values.grey_of, k + 1), LOAD_8(values.model_of, k + 1));
         va += w * r * LOAD_8(values.slope_a_of, k);
         vb += w * r * LOAD_8(values.slope_b_of, k);
         products += both * r * next;

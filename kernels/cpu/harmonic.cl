@@ -215,29 +215,29 @@ int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 #define ABOVE_ZERO(v) ((v) & ~((v) >> (short)15))
 #define POSITIVE(k) ABOVE_ZERO(EIGHT_AT(rows_of[k] + x - 2))
 #define SUM5(v) ((int)v.s0 + (int)v.s1 + (int)v.s2 + (int)v.s3 + (int)v.s4)
-void append(__global int *restrict list, const uint n, const uint room, const int x, const int y,
+void append(__global int *restrict list, const uint n, const uint capacity, const int x, const int y,
             __global const short *const *rows_of) {
   const short8 above_2 = POSITIVE(0), above = POSITIVE(1), middle = POSITIVE(2);
   const short8 below = POSITIVE(3), below_2 = POSITIVE(4);
   const ushort8 columns = as_ushort8(above_2 + above + middle + below + below_2);
   const short8 far = below_2 - above_2, near = below - above;
   list[n] = x;
-  list[room + n] = y;
-  list[2 * room + n] = middle.s2;
-  list[3 * room + n] = SUM5(columns);
-  list[4 * room + n] = 2 * ((int)columns.s4 - (int)columns.s0) + (int)columns.s3 - (int)columns.s1;
-  list[5 * room + n] = 2 * SUM5(far) + SUM5(near);
+  list[capacity + n] = y;
+  list[2 * capacity + n] = middle.s2;
+  list[3 * capacity + n] = SUM5(columns);
+  list[4 * capacity + n] = 2 * ((int)columns.s4 - (int)columns.s0) + (int)columns.s3 - (int)columns.s1;
+  list[5 * capacity + n] = 2 * SUM5(far) + SUM5(near);
 }
 
 /* From the image to the lists of the maxima of a band, and the pads of its rows; a count runs past
- * the room of its list. `area` has a bit for every pixel. One work-item a band. */
+ * the capacity of its list. `area` has a bit for every pixel. One work-item a band. */
 __kernel void harmonic_band(__global PIXEL *restrict image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
-                            const uint room, const uint full_scale, const float inverse,
+                            const uint capacity, const uint full_scale, const float inverse,
                             const int alignment, const int support,
                             __global ushort *restrict work, const uint work_size,
-                            __global ulong *restrict noise, __global uint *restrict counts,
+                            __global ulong *restrict noise, __global uint *restrict band_counts,
                             __global int *restrict lists) {
   const uint band = get_global_id(0), bands = get_global_size(0);
   const size_t p = get_global_id(1), own = p * bands + band;
@@ -316,7 +316,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
       const Ring outer = fine ? ring_of(s1, y, 3, 2, height, step)
                               : ring_of(s3, y, 5, 4, height, step);
       const Ring between = ring_of(s3, y, 4, 3, height, step);
-      __global int *list = lists + (own * (1 + FINE) + fine) * LIST_COLUMNS * room;
+      __global int *list = lists + (own * (1 + FINE) + fine) * LIST_COLUMNS * capacity;
       for (int word = 0; 32 * word < width; ++word)
         for (uint left = bits[word]; left; left &= left - 1) {
           const int x = 32 * word + (int)lowest_bit(left);
@@ -338,13 +338,13 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
             if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
               continue;
           }
-          if (found[fine] < room) append(list, found[fine], room, x, y, row - 2);
+          if (found[fine] < capacity) append(list, found[fine], capacity, x, y, row - 2);
           ++found[fine];
         }
     }
   }
   noise[own] = noise_of_band;
-  for (int fine = 0; fine <= FINE; ++fine) counts[own * (1 + FINE) + fine] = found[fine];
+  for (int fine = 0; fine <= FINE; ++fine) band_counts[own * (1 + FINE) + fine] = found[fine];
 }
 
 /* The least response that the noise allows. */
@@ -360,16 +360,16 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
  * sum of the squares so far reaches the sum of all; 0 of none. By bins of 64 responses. */
 #define BINS 256
 #define SPAN_BITS 6
-uint reference_of(__global const int *lists, __global const uint *counts, const uint fine,
-                  const uint bands, const uint room, const int bound, ulong *squares) {
+uint reference_of(__global const int *lists, __global const uint *band_counts, const uint fine,
+                  const uint bands, const uint capacity, const int bound, ulong *squares) {
   ulong all = 0, so_far = 0;
   uint base = 0, span_bits = SPAN_BITS, bins = BINS;
   for (;;) {
     for (uint bin = 0; bin < bins; ++bin) squares[bin] = 0;
     for (uint band = 0; band < bands; ++band) {
       const size_t own = band * (1 + FINE) + fine;
-      __global const int *value = lists + (own * LIST_COLUMNS + 2) * room;
-      const uint count = SMALLER(counts[own], room);
+      __global const int *value = lists + (own * LIST_COLUMNS + 2) * capacity;
+      const uint count = SMALLER(band_counts[own], capacity);
       for (uint n = 0; n < count; ++n) {
         const uint bin = ((uint)value[n] - base) >> span_bits;
         if (value[n] > bound && (uint)value[n] >= base && bin < bins)
@@ -409,69 +409,69 @@ int any_near(__global const uint *bits, const int x, const int y, const int heig
 /* Which maxima are corners, in (y, x) order: a response above the noise's bound and a share of
  * the reference; a fine one only where no coarse corner is within NMS_RADIUS. `maxima` gets a bit
  * for each coarse corner. One work-item a frame. */
-__kernel void decide(__global const ulong *restrict noise, __global const uint *restrict counts,
+__kernel void decide(__global const ulong *restrict noise, __global const uint *restrict band_counts,
                      __global const int *restrict lists, const uint rows, const uint columns,
-                     const uint step, const uint bands, const uint room,
+                     const uint step, const uint bands, const uint capacity,
                      const uint full_scale, const uint coarse_noise, const int coarse_share,
-                     const int fine_share, const uint corner_room, const uint place,
+                     const int fine_share, const uint corner_capacity, const uint count_offset,
                      const uint length, __global uint *restrict maxima,
-                     __global int *restrict corners, __global uint *restrict totals) {
+                     __global int *restrict corners, __global uint *restrict counts) {
   const size_t p = get_global_id(0);
   ulong amplitude = 0, squares[BINS];
   for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
   const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
   const int coarse_bound = noise_bound(coarse_noise, amplitude, pixels, full_scale);
   const int fine_bound = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
-  lists += p * bands * (1 + FINE) * LIST_COLUMNS * room;
-  counts += p * bands * (1 + FINE);
+  lists += p * bands * (1 + FINE) * LIST_COLUMNS * capacity;
+  band_counts += p * bands * (1 + FINE);
   const uint width = step / 32;
-  int reference = (int)reference_of(lists, counts, 0, bands, room, coarse_bound, squares);
+  int reference = (int)reference_of(lists, band_counts, 0, bands, capacity, coarse_bound, squares);
 #if FINE
   maxima += p * rows * width;
   if (reference == 0)
-    reference = (int)reference_of(lists, counts, 1, bands, room, fine_bound, squares);
+    reference = (int)reference_of(lists, band_counts, 1, bands, capacity, fine_bound, squares);
   for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
   for (uint band = 0; band < bands; ++band) {
-    __global const int *list = lists + (size_t)band * (1 + FINE) * LIST_COLUMNS * room;
-    const uint count = SMALLER(counts[band * (1 + FINE)], room);
+    __global const int *list = lists + (size_t)band * (1 + FINE) * LIST_COLUMNS * capacity;
+    const uint count = SMALLER(band_counts[band * (1 + FINE)], capacity);
     for (uint n = 0; n < count; ++n) {
-      const int r = list[2 * room + n];
+      const int r = list[2 * capacity + n];
       if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
       const uint x = (uint)list[n] + PAD;
-      maxima[(uint)list[room + n] * width + x / 32] |= 1u << x % 32;
+      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
     }
   }
 #endif
   uint total = 0, most = 0;
   for (uint band = 0; band < bands; ++band) {
     const uint own = band * (1 + FINE);
-    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * room;
-    __global const int *fine = coarse + LIST_COLUMNS * room;
-    const uint coarse_count = SMALLER(counts[own], room);
-    const uint fine_count = FINE ? SMALLER(counts[own + FINE], room) : 0;
-    most = LARGER(most, LARGER(counts[own], counts[own + FINE]));
+    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
+    __global const int *fine = coarse + LIST_COLUMNS * capacity;
+    const uint coarse_count = SMALLER(band_counts[own], capacity);
+    const uint fine_count = FINE ? SMALLER(band_counts[own + FINE], capacity) : 0;
+    most = LARGER(most, LARGER(band_counts[own], band_counts[own + FINE]));
     for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
       const int before = f == fine_count ||
                          (c < coarse_count &&
-                          (coarse[room + c] < fine[room + f] ||
-                           (coarse[room + c] == fine[room + f] && coarse[c] < fine[f])));
+                          (coarse[capacity + c] < fine[capacity + f] ||
+                           (coarse[capacity + c] == fine[capacity + f] && coarse[c] < fine[f])));
       __global const int *list = before ? coarse + c++ : fine + f++;
-      const int r = list[2 * room];
+      const int r = list[2 * capacity];
       if (r <= (before ? coarse_bound : fine_bound) ||
           128 * r < (before ? coarse_share : fine_share) * reference)
         continue;
 #if FINE
-      if (!before && any_near(maxima, list[0] + PAD, list[room], (int)rows, width)) continue;
+      if (!before && any_near(maxima, list[0] + PAD, list[capacity], (int)rows, width)) continue;
 #endif
-      if (total < corner_room)
+      if (total < corner_capacity)
         for (uint k = 0; k < LIST_COLUMNS; ++k)
-          corners[(size_t)k * length + p * corner_room + total] = list[k * room];
+          corners[(size_t)k * length + p * corner_capacity + total] = list[k * capacity];
       ++total;
     }
   }
-  totals[p * (1 + FINE)] = most;
+  counts[p * (1 + FINE)] = most;
 #if FINE
-  totals[p * (1 + FINE) + 1] = 0;
+  counts[p * (1 + FINE) + 1] = 0;
 #endif
-  totals[place + p] = total;
+  counts[count_offset + p] = total;
 }

@@ -110,9 +110,9 @@ void edge_point(const float8 *d, RING_TABLE *ring, const uint8 bit, float8 *x, f
 /* The work-items take turns, eight corners at a time. */
 __kernel void refine_eight(__global const PIXEL *restrict image,
                            __global const int *restrict corners,
-                           __global const uint *restrict totals, const uint rows,
-                           const uint columns, const uint step, const uint room,
-                           const uint place, const uint length, const float max_shift,
+                           __global const uint *restrict counts, const uint rows,
+                           const uint columns, const uint step, const uint capacity,
+                           const uint count_offset, const uint length, const float max_shift,
 #if SCALED
                            const float scale, const uint reach,
                            __global const float8 *restrict ring_samples,
@@ -122,14 +122,14 @@ __kernel void refine_eight(__global const PIXEL *restrict image,
 #endif
                            __global float *restrict result) {
   const size_t p = get_global_id(1);
-  const uint total = SMALLER(totals[place + p], room);
-  RESULT_OF_FRAME(totals[place + p])
-  if (get_global_id(0) == 0) write_head(own, totals, place, p);
+  const uint total = SMALLER(counts[count_offset + p], capacity);
+  RESULT_OF_FRAME(counts[count_offset + p])
+  if (get_global_id(0) == 0) write_head(own, counts, count_offset, p);
 #if SCALED
   const uint full_rows = rows, full_columns = columns;
 #endif
   for (uint n = get_global_id(0) * LANES; n < total; n += get_global_size(0) * LANES) {
-    const size_t row = p * room + n;
+    const size_t row = p * capacity + n;
     START
 #if SCALED
     const int8 outside = (from_x < (int)reach) | (from_x + (int)reach >= (int)full_columns) |

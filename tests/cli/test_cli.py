@@ -15,6 +15,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cases import some
+from messages import fails_in_one_line
 
 import cmp_cl
 from cmp_cl import Method, NodeStatus, media, synthetic
@@ -23,31 +25,6 @@ from cmp_cl.viz import METHOD_COLOURS, STATUS_COLOURS
 
 PROJECT = Path(__file__).parents[2]
 BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Runs cmp-cl in an empty folder: status, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run_in_folder(*arguments):
-        try:
-            status = cli.main([str(argument) for argument in arguments])
-        except SystemExit as stop:
-            status = stop.code
-        return (status, *capsys.readouterr())
-
-    return run_in_folder
-
-
-def fails_in_one_line(result, *words):
-    status, _, err = result
-    assert status == 2
-    assert err.startswith("cmp-cl")
-    assert err.count("\n") == 1
-    assert err.endswith("\n")
-    for word in words:
-        assert word in err
 
 
 def rows_of(path):
@@ -64,7 +41,7 @@ def write_video(path, images):
 
 
 def write_flat_png(path, width, height, *, whole=True):
-    """A PNG of one grey level, in some kB however large it is; or but for its pixels."""
+    """Write a PNG of one grey level, in some kB however large it is; or but for its pixels."""
 
     def chunk(kind, data):
         return (
@@ -193,23 +170,34 @@ def test_render_writes_a_picture_and_its_truth_and_detect_finds_them(run):
     assert Path("again.png").read_bytes() == Path("gel.png").read_bytes()
 
 
-def test_each_option_of_render_changes_the_picture(run):
-    usual = ("render", "--shape", 120, 160, "--markers", 10, "--out")
-    run(*usual, "usual.png")
-    for option, value in [
-        ("--markers", 12),
-        ("--severity", 0.5),
-        ("--indenter", "wedge"),
-        ("--mode", "twist"),
-        ("--shape", (100, 160)),
-        ("--corrosion", 0),
-        ("--noise", 9),
-        ("--bits", 12),
-        ("--seed", 7),
-    ]:
-        values = value if isinstance(value, tuple) else (value,)
-        assert run(*usual, "other.png", option, *values)[0] == 0
-        assert Path("other.png").read_bytes() != Path("usual.png").read_bytes(), option
+RENDER = ("render", "--shape", 120, 160, "--markers", 10, "--out")
+
+
+@pytest.fixture(scope="session")
+def usual(tmp_path_factory):
+    """Return the picture of the options RENDER."""
+    path = tmp_path_factory.mktemp("render") / "usual.png"
+    cli.main([str(argument) for argument in (*RENDER, path)])
+    return path.read_bytes()
+
+
+OPTIONS = {
+    "--markers": (12,),
+    "--severity": (0.5,),
+    "--indenter": ("wedge",),
+    "--mode": ("twist",),
+    "--shape": (100, 160),
+    "--corrosion": (0,),
+    "--noise": (9,),
+    "--bits": (12,),
+    "--seed": (7,),
+}
+
+
+@pytest.mark.parametrize("option", some(OPTIONS, ("--mode", "--bits")))
+def test_each_option_of_render_changes_the_picture(run, usual, option):
+    assert run(*RENDER, "other.png", option, *OPTIONS[option])[0] == 0
+    assert Path("other.png").read_bytes() != usual
 
 
 def test_a_12_bit_camera_is_told_about_full_scale(run):
@@ -289,7 +277,7 @@ def test_broken_frames_are_reported_and_skipped(run):
 
 
 def cut_video(path):
-    """A video of which nothing can be read but that it is one."""
+    """Write a video of which nothing can be read but that it is one."""
     write_video("whole.avi", [media.read_image(BOARD)] * 3)
     Path(path).write_bytes(Path("whole.avi").read_bytes()[:6000])
 
@@ -475,7 +463,7 @@ def test_a_wrong_argument_is_one_line_and_status_2(run, arguments, words):
     assert sorted(os.listdir()) == before
 
 
-def test_settings_are_used(run):
+def test_detect_uses_the_settings_of_a_file(run):
     cmp_cl.DetectorConfig(refinement=None).save("cmp.toml")
     run("detect", BOARD, "--config", "cmp.toml", "--out", "c.csv")
     assert {row["method"] for row in rows_of("c.csv")} == {"CENTROID"}
@@ -501,7 +489,7 @@ def test_the_command_is_installed_and_writes_its_help():
 
 
 def command_of_readme(extra):
-    """The line of README.md that installs with those extras."""
+    """Return the line of README.md that installs with those extras."""
     lines = (PROJECT / "README.md").read_text(encoding="utf-8").splitlines()
     (command,) = [line.strip() for line in lines if f'pip install ".[{extra}]" &&' in line]
     return [shlex.split(part) for part in command.split("&&")]
@@ -525,7 +513,7 @@ def test_the_first_command_of_the_readme_ends_in_corners_and_overlays(run, monke
 
 
 def python_of_readme():
-    """The blocks of Python in README.md, in order."""
+    """Return the blocks of Python in README.md, in order."""
     text = (PROJECT / "README.md").read_text(encoding="utf-8")
     return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
 

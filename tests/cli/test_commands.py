@@ -16,7 +16,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import pytest
+from cases import some
 from disks import full_after
+from messages import fails_in_one_line
 from plane_images import moved_board
 from stereo_data import bumblebee_rig, grid_of, photographs
 
@@ -34,7 +36,6 @@ from cmp_cl import (
     select_device,
 )
 from cmp_cl.cli import demo, tune
-from cmp_cl.cli import main as cli
 from cmp_cl.cli import run as run_module
 from cmp_cl.cli.arguments import region_in, split_of
 from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
@@ -57,30 +58,6 @@ RIG = default_rig(VIEW)
 GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, seed=5)
 
 
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Runs cmp-cl in an empty folder: status, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run_in_folder(*arguments):
-        try:
-            status = cli.main([str(argument) for argument in arguments])
-        except SystemExit as stop:
-            status = stop.code
-        return (status, *capsys.readouterr())
-
-    return run_in_folder
-
-
-def fails_in_one_line(result, *words):
-    status, _, err = result
-    assert status == 2
-    assert err.startswith("cmp-cl")
-    assert err.count("\n") == 1
-    for word in words:
-        assert word in err
-
-
 class Shot(NamedTuple):
     """A rendered frame: its views, both in one image, and its nodes in space, mm."""
 
@@ -93,9 +70,9 @@ class Shot(NamedTuple):
         return binocular_frame(self.left, self.right)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def press():
-    """A gel at rest and pressed more and more."""
+    """Return frames of a gel at rest and pressed more and more."""
     return [
         Shot(*render_stereo(dataclasses.replace(GEL, severity=severity), RIG))
         for severity in (0.0, 0.4, 0.9)
@@ -104,7 +81,7 @@ def press():
 
 @pytest.fixture
 def recording(press, tmp_path):
-    """A folder with these frames, and the rig's file beside it."""
+    """Return a folder with these frames, and the rig's file beside it."""
     folder = tmp_path / "frames"
     folder.mkdir()
     for number, shot in enumerate(press):
@@ -115,7 +92,7 @@ def recording(press, tmp_path):
 
 @pytest.fixture
 def one_view(press, tmp_path):
-    """A folder with the left views."""
+    """Return a folder with the left views."""
     folder = tmp_path / "left"
     folder.mkdir()
     for number, shot in enumerate(press):
@@ -127,7 +104,8 @@ STEREO = "--stereo", "rig.yaml", "--grid", "12x12", "--out", "press.npz"
 
 
 def off_by(series, press, order):
-    """Root mean square error of every frame's displacement, mm; order: what each frame is."""
+    """Return the root mean square error of every frame's displacement, mm; order: what each frame
+    is."""
     truth = [press[number].xyz - press[0].xyz for number in order]
     return [
         np.sqrt(np.mean(np.square(found - true).sum(axis=2)))
@@ -212,7 +190,7 @@ def test_one_view_gives_positions_in_the_image(run, recording, press):
     assert np.isfinite(series["sigma"]).mean() > 0.98
 
 
-def test_settings_are_used(run, recording):
+def test_run_uses_the_settings_of_a_file(run, recording):
     DetectorConfig.for_cell(15).replace(refinement=EdgeLines()).save("cmp.toml")
     run("run", recording, *STEREO)
     default = np.load("press.npz")["displacement"]
@@ -234,7 +212,7 @@ def test_a_video_has_a_clock(run, recording, press):
 
 
 def camera_of(images, opened):
-    """A stand-in for cv2.VideoCapture that delivers these images, None for none."""
+    """Return a stand-in for cv2.VideoCapture that delivers these images, None for none."""
 
     class Camera:
         def __init__(self, number):
@@ -284,8 +262,20 @@ def test_a_camera_that_is_not_there_is_an_error(run, recording, monkeypatch):
 STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
+@pytest.fixture
+def without_nohup():
+    """Let SIGHUP be heard in a process that nohup has started, too."""
+    if not hasattr(signal, "SIGHUP"):
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("without_nohup")
 @pytest.mark.parametrize("times", [1, 2])
-@pytest.mark.parametrize("name", STOPS)
+@pytest.mark.parametrize("name", some(STOPS, ("SIGINT", "SIGTERM")))
 def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
     def frames_of(path, **_):
         if path.name == "1.png":
@@ -443,7 +433,7 @@ def test_a_rectangle_in_each_view_says_which_of_two_patterns_is_meant(
 
 
 def shifted(rig, columns):
-    """The rig whose views begin that much further to the left."""
+    """Return the rig whose views begin that much further to the left."""
     moved = np.array([[0, 0, columns], [0, 0, 0], [0, 0, 0]])
     return rig._replace(K1=rig.K1 + moved, K2=rig.K2 + moved)
 
@@ -458,7 +448,7 @@ def test_a_region_follows_its_rectangle_into_the_view(mirror):
     assert (x.min() - x0, y.min() - y0, x1 - x.max(), y1 - y.max()) == (0.5,) * 4
 
 
-@pytest.mark.parametrize("option", [["--rerun", "a.rrd"], ["--show"]])
+@pytest.mark.parametrize("option", some([["--rerun", "a.rrd"], ["--show"]], (["--show"],)))
 def test_without_rerun_the_extra_is_named(run, recording, tmp_path, monkeypatch, option):
     monkeypatch.setitem(sys.modules, "rerun", None)
     monkeypatch.setenv("DISPLAY", ":0")
@@ -611,9 +601,9 @@ def test_demo_does_not_write_into_a_file(run):
 # calibrate
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def boards():
-    """Frames that show a tilted board of 7 x 7 corners, 4 mm apart, to both cameras."""
+    """Return frames that show a tilted board of 7 x 7 corners, 4 mm apart, to both cameras."""
     tilts = (0.4, 0.1), (-0.3, 0.3), (0.1, -0.45), (-0.4, -0.2)
     frames = []
     for number, tilt in enumerate(tilts):
@@ -817,7 +807,7 @@ def test_changes_are_kept_while_they_lose_nothing_and_save_time(monkeypatch):
         return spent
 
     def missed(config):
-        """No check at all costs corners, as EdgeLines does alone."""
+        """Count the missed corners without any check, as EdgeLines does alone."""
         rule = config.detection
         both = isinstance(rule, RingHarmonic) and rule.alignment is rule.support is None
         return int(both or isinstance(config.refinement, EdgeLines))
@@ -857,7 +847,7 @@ def test_every_change_of_tune_changes_the_settings_and_they_add_up():
 
 
 def flat_frame():
-    """A flat grid of 6 x 6 nodes, 10 px apart."""
+    """Return a frame with a flat grid of 6 x 6 nodes, 10 px apart."""
     row, column = np.indices((6, 6))
     grid = grid_of(np.stack([20 + 10 * column, 30 + 10 * row], axis=-1))
     return tune.Frame(np.zeros((100, 100), np.uint8), grid, 10.0, tune.around(grid))
@@ -937,7 +927,7 @@ def test_a_split_is_read_as_it_is_written():
 
 @pytest.fixture
 def opencv_views():
-    """The left and the right photographs of OpenCV's stereo pairs."""
+    """Return the left and the right photographs of OpenCV's stereo pairs."""
     folder = photographs("stereo_opencv")
     return [sorted(folder.glob(f"{side}0?.jpg")) for side in ("left", "right")]
 
@@ -992,7 +982,7 @@ def test_single_views_given_as_pairs_say_what_is_expected(run, tmp_path):
 
 
 def film_of(path, images, rate=25):
-    """A lossless video of grey images."""
+    """Write a lossless video of grey images."""
     size = images[0].shape[::-1]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), rate, size, False)
     for image in images:

@@ -32,7 +32,7 @@ FAILURES = {
 
 
 def least(name):
-    """The arguments without which a command is not begun: any text or number."""
+    """Return the arguments without which a command is not begun: any text or number."""
     arguments = [name]
     chosen = [
         group._group_actions[0]

@@ -90,7 +90,7 @@ def test_a_count_below_one_is_refused(count):
 
 
 def checkerboard(dtype: type, parity: int) -> tuple[np.ndarray, Grid]:
-    """An image of cells of 16 px with soft edges, and the grid of its nodes."""
+    """Return an image of cells of 16 px with soft edges, and the grid of its nodes."""
     y, x = np.mgrid[0:160, 0:200].astype(float)
     wave = np.tanh(np.sin((x - 10.3) * np.pi / 16) * 4) * np.tanh(
         np.sin((y - 20.6) * np.pi / 16) * 4

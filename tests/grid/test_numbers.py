@@ -3,6 +3,7 @@
 import dataclasses
 import time
 
+import cv2
 import numpy as np
 import pytest
 from lattices import Board, board, drawn, endless, joined
@@ -12,6 +13,8 @@ from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, NodeStatus, Sides, build_grid
+from cmp_cl.grid.align import row_direction
+from cmp_cl.grid.fingerprint import Fingerprint, turn_to
 
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
 PERIODS = ((1, 1), (2, 0), (-1, 3))
@@ -163,12 +166,12 @@ def seen_in(picture: np.ndarray) -> Corners:
     return reference.detect(picture, DetectorConfig.for_cell(20))
 
 
-def true(grid: Grid, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def true(grid: Grid, corners: np.ndarray, within: float = 3) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of the measured nodes and those of the true corners there, (-1, -1) for none."""
     row, column = np.nonzero(np.isin(grid.status, MEASURED))
     away = np.linalg.norm(grid.xy[row, column][:, None] - corners.reshape(-1, 2), axis=2)
     place = np.stack(np.divmod(away.argmin(axis=1), corners.shape[1]), axis=1)
-    place[away.min(axis=1) > 3] = -1
+    place[away.min(axis=1) > within] = -1
     return np.stack([row, column], axis=1) + grid.origin, place
 
 
@@ -182,6 +185,87 @@ def test_a_pattern_that_moved_by_cells_is_numbered_by_its_border():
     np.testing.assert_array_equal(number, place)
     assert len(place) == 63
     assert not grid.ambiguous
+
+
+def turned(picture: np.ndarray, degrees: float) -> np.ndarray:
+    rows, columns = picture.shape
+    around = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), -degrees, 1)
+    return cv2.warpAffine(picture, around, (columns, rows), borderValue=210)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "ambiguous"), [(-35, False), (35, False), (43, True), (48, True)]
+)
+def test_a_square_pattern_that_turned_by_half_a_quarter_may_have_turned_either_way(
+    degrees, ambiguous
+):
+    picture, _ = drawn(8, 8, origin=(60, 60))
+    rest = build_grid(seen_in(picture), picture)
+    now = turned(picture, degrees)
+    grid = build_grid(seen_in(now), now, like=rest)
+    assert all(grid.border)
+    assert grid.ambiguous == ambiguous
+    assert (grid.rival is not None) == ambiguous
+    if not ambiguous:
+        ahead = row_direction(grid) / row_direction(rest)
+        assert np.angle(ahead, deg=True) == pytest.approx(degrees, abs=1)
+
+
+def test_a_square_pattern_is_followed_beyond_half_a_quarter_turn():
+    picture, _ = drawn(8, 8, origin=(60, 60))
+    before = rest = build_grid(seen_in(picture), picture)
+    for degrees in (25, 50, 75):
+        now = turned(picture, degrees)
+        before = build_grid(seen_in(now), now, like=rest, previous=before)
+        assert not before.ambiguous
+    ahead = row_direction(before) / row_direction(rest)
+    assert np.angle(ahead, deg=True) == pytest.approx(75, abs=1)
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_the_errors_of_a_print_tell_how_a_square_pattern_has_turned(quarters):
+    draw = np.random.default_rng(quarters)
+    row, column = np.indices((12, 12))
+    errors, noise = draw.normal(0, (0.3, 0.1), (2, 12, 12, 2)).swapaxes(0, 3).swapaxes(1, 2)[:2]
+    rest = 10 * (column + 1j * row) + errors[..., 0] + 1j * errors[..., 1]
+    now = np.rot90(rest * np.exp(0.2j), -quarters) + noise[..., 0] + 1j * noise[..., 1]
+    at_rest = Fingerprint.of(rest)
+    assert turn_to(at_rest, Fingerprint.of(now), [2, 0, 3, 1]) == quarters
+    flawless = Fingerprint.of(10 * (column + 1j * row) + draw.normal(0, 0.1, (12, 12)))
+    assert turn_to(at_rest, flawless, [2, 0, 3, 1]) is None
+
+
+def behind(picture: np.ndarray, x: int, slope: float = 0.0) -> np.ndarray:
+    """The picture with something dark in front of all that is right of a line."""
+    row, column = np.indices(picture.shape)
+    return np.where(column > x + slope * row, 16, picture).astype(np.uint8)
+
+
+def test_the_edge_of_what_stands_still_before_a_pattern_is_not_its_border():
+    whole, _ = drawn(6, 20)
+    views = [behind(np.ascontiguousarray(whole[:, x : x + 240]), 190) for x in (60, 106)]
+    rest, now = (build_grid(seen_in(view), view) for view in views)
+    assert rest.border.right
+    assert now.border.right
+    grid = build_grid(seen_in(views[1]), views[1], like=rest)
+    assert grid.ambiguous
+
+
+def test_an_oblique_edge_is_no_border():
+    whole, _ = drawn(20, 20)
+    view = behind(np.ascontiguousarray(whole[60:300, 60:300]), 190, 0.06)
+    grid = build_grid(seen_in(view), view)
+    assert grid.valid.any()
+    assert not grid.border.right
+
+
+def test_a_pattern_that_is_cut_through_its_last_squares_has_a_border():
+    picture, _ = drawn(7, 9)
+    picture[:, :52] = 210
+    grid = build_grid(seen_in(picture), picture)
+    assert grid.border == Sides(True, True, True, True)
+    np.testing.assert_allclose(grid.reach, [1, 1, 0.4, 1], atol=0.07)
+    np.testing.assert_allclose(grid.turned(1).reach, [1, 0.4, 1, 1], atol=0.07)
 
 
 @pytest.mark.parametrize("side", ["left", "top", "right", "bottom"])
@@ -221,11 +305,11 @@ def test_junctions_with_the_surround_are_no_nodes():
 def test_what_lies_in_front_of_a_pattern_makes_no_nodes_at_its_rim():
     picture, corners = drawn(14, 14)
     y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
-    picture[np.hypot(x - 191, y - 183) < 70] = 220
+    picture[np.hypot(x - 191, y - 183) < 66] = 220
     grid = build_grid(seen_in(picture), picture)
-    number, place = true(grid, corners)
-    np.testing.assert_array_equal(number, place)
-    assert len(place) > 145
+    number, place = true(grid, corners, within=1.5)
+    assert np.count_nonzero((number != place).any(axis=1)) <= 1  # 3 without a look at the place
+    assert len(place) > 150
 
 
 @pytest.mark.parametrize(

@@ -23,30 +23,30 @@ def check(detector_for, image, **threshold):
 
 @pytest.mark.parametrize("window", some([3, 21, 41, 255], (21, 255)))
 @pytest.mark.parametrize("name", some(EIGHT, FEW))
-def test_every_window(detector_for, name, window):
+def test_the_binary_image_is_the_oracles_for_every_window(detector_for, name, window):
     check(detector_for, EIGHT[name], window=window)
 
 
 @pytest.mark.parametrize("window", some([21, 255], (21,)))
 @pytest.mark.parametrize("name", some(DEEP, ("noise", "bright")))
-def test_sixteen_bits(detector_for, name, window):
+def test_the_binary_image_of_sixteen_bits_is_the_oracles(detector_for, name, window):
     check(detector_for, DEEP[name], window=window)
 
 
 @pytest.mark.parametrize("window", some([21, 255], (21,)))
 @pytest.mark.parametrize("name", some(EIGHT, FEW))
-def test_three_masks(detector_for, name, window):
+def test_the_layers_of_three_thresholds_are_the_oracles(detector_for, name, window):
     check(detector_for, EIGHT[name], masks=3, window=window)
 
 
 @pytest.mark.parametrize("window", some([21, 255], (255,)))
 @pytest.mark.parametrize("name", some(DEEP, ("noise", "bright")))
-def test_three_masks_of_sixteen_bits(detector_for, name, window):
+def test_the_layers_of_sixteen_bits_are_the_oracles(detector_for, name, window):
     check(detector_for, DEEP[name], masks=3, window=window)
 
 
 @pytest.mark.parametrize("offset", some([1, 7, 300, 65535], (7, 65535)))
-def test_an_offset(detector_for, offset):
+def test_an_offset_moves_the_threshold_as_in_the_oracle(detector_for, offset):
     image = EIGHT["scene"]
     assert check(detector_for, image, offset=offset).sum() < check(detector_for, image).sum()
 

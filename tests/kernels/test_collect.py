@@ -1,4 +1,4 @@
-"""kernels/collect.cl and the maxima: each is listed once; counts run past their room."""
+"""kernels/collect.cl and the maxima: each is listed once; counts may exceed the capacity."""
 
 import images
 import numpy as np
@@ -48,38 +48,38 @@ def test_maxima_in_the_corners_of_the_image(detector_for):
 
 
 @pytest.mark.parametrize("shape", some([(1, 31), (31, 1), (2, 3), (23, 29)], ((1, 31),)))
-def test_small_shapes(detector_for, shape):
+def test_images_of_few_pixels_have_the_oracles_corners(detector_for, shape):
     image = noise(shape, seed=8)
     assert_corners_equal(detector_for(image, DENSE), image)
 
 
-def with_room(detector, room):
+def with_capacity(detector, capacity):
     plan = detector._plan(None)
-    plan.list_room = plan.corner_room = room
+    plan.list_capacity = plan.corner_capacity = capacity
     plan._allocate()
     plan._bind()
 
 
 @pytest.mark.parametrize(("count", "regrown"), [(63, False), (64, False), (65, True), (128, True)])
-def test_room_for_64_holds_64(device, count, regrown):
+def test_a_capacity_of_64_holds_64(device, count, regrown):
     """A mask leaves exactly that many candidates, each of which is a maximum."""
     image = images.texture((300, 60), seed=9)
     maxima = np.argwhere(reference.maps(image, DENSE).maximum)
     mask = np.zeros(image.shape, np.bool_)
     mask[tuple(maxima[:count].T)] = True
     with Detector(shape=image.shape, config=DENSE, device=device, mask=mask) as detector:
-        with_room(detector, 64)
+        with_capacity(detector, 64)
         corners = assert_corners_equal(detector, image, mask=mask)
         assert len(corners) == count
         assert (detector.regrown > 0) is regrown
 
 
 @pytest.mark.parametrize("config", [PLAIN, DENSE], ids=["gate", "dense"])
-def test_more_than_the_room_is_counted_and_done_again(detector_for, config):
+def test_more_than_the_capacity_is_counted_and_done_again(detector_for, config):
     image = images.texture((300, 60), seed=9)
     small = config.replace(max_corners=3)
     detector = detector_for(image, small)
-    with_room(detector, 64)
+    with_capacity(detector, 64)
     corners = assert_corners_equal(detector, image)
     assert len(corners) > 64
     assert detector.regrown > 0

@@ -1,4 +1,4 @@
-"""kernels/criteria.cl: ring masks and the four rapid criteria, equal to the oracle."""
+"""kernels/criteria.cl: ring bits and the four rapid criteria, equal to the oracle."""
 
 import images
 import numpy as np
@@ -22,12 +22,12 @@ def check(detector_for, image, mask=None, **changes):
 
 @pytest.mark.parametrize("outer_radius", [4, 5])
 @pytest.mark.parametrize("name", some(EIGHT, ("texture", "worn scene", "two levels")))
-def test_every_map(detector_for, name, outer_radius):
+def test_every_map_is_the_oracles(detector_for, name, outer_radius):
     check(detector_for, EIGHT[name], outer_radius=outer_radius)
 
 
 @pytest.mark.parametrize("name", some(["noise", "near levels", "worn scene"], ("noise",)))
-def test_every_map_of_three_masks(detector_for, name):
+def test_every_map_of_three_thresholds(detector_for, name):
     maps = check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
     assert maps.candidate.shape == (3, *images.SHAPE)
 
@@ -60,14 +60,14 @@ def test_without_the_corrosion_criterion(detector_for, name):
     ),
     ids=str,
 )
-def test_each_threshold_decides(detector_for, criteria):
+def test_each_threshold_decides_as_in_the_oracle(detector_for, criteria):
     image = EIGHT["texture"]
     usual = check(detector_for, image)
     other = check(detector_for, image, criteria=RapidCriteria(**criteria))
     assert other.candidate.sum() != usual.candidate.sum()
 
 
-def test_noise_has_masks_of_every_kind(detector_for):
+def test_noise_has_rings_of_every_kind(detector_for):
     maps = check(detector_for, EIGHT["two levels"])
     assert len(np.unique(maps.inner)) > 3000
     assert set(np.unique(maps.inner_transitions)) >= set(range(2, 15, 2))

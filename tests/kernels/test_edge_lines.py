@@ -72,7 +72,7 @@ def test_every_number_of_corners(device_in_form, refinement):
 @LINES
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("depth", [8, 16])
-def test_both_forms(device_in_form, refinement, depth):
+def test_both_forms_give_the_oracles_corners(device_in_form, refinement, depth):
     pictures = EIGHT if depth == 8 else DEEP
     changes = {} if depth == 8 else {"full_scale": 4095}
     first = next(iter(pictures.values()))
@@ -127,8 +127,8 @@ def test_the_forms_agree_to_the_bit_on_a_scaled_image(device, factor):
 
 
 @LINES
-def test_the_largest_responses(device_in_form, refinement):
-    """Of the spectral criteria, whose responses are integers, and of three masks together."""
+def test_the_largest_responses_do_not_overflow(device_in_form, refinement):
+    """Of the spectral criteria, whose responses are integers, and of three thresholds together."""
     image = EIGHT["texture"]
     for changes in (
         {"criteria": SpectralCriteria(correlation=0), "contrast": None},

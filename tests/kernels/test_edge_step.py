@@ -41,7 +41,7 @@ def test_a_corner_in_the_very_middle_of_a_pixel(detector_in_form):
 
 
 @pytest.mark.parametrize("depth", [8, 16])
-def test_soft_corners(detector_in_form, depth):
+def test_soft_corners_are_refined_as_in_the_oracle(detector_in_form, depth):
     image = board(121, 83, 12)[0]
     if depth == 16:
         image = image.astype(np.uint16) * 257

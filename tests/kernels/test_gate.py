@@ -31,23 +31,23 @@ def check(detector_for, image, **changes):
 
 @pytest.mark.parametrize("outer_radius", [4, 5])
 @pytest.mark.parametrize("name", some(EIGHT, ("texture", "worn scene")))
-def test_eight_bits(detector_for, name, outer_radius):
+def test_the_gate_keeps_what_the_oracle_keeps(detector_for, name, outer_radius):
     check(detector_for, EIGHT[name], outer_radius=outer_radius)
 
 
 @pytest.mark.parametrize("full_scale", [None, 4095])
 @pytest.mark.parametrize("name", some(DEEP, ("12-bit scene",)))
-def test_sixteen_bits(detector_for, name, full_scale):
+def test_the_gate_of_sixteen_bits_keeps_what_the_oracle_keeps(detector_for, name, full_scale):
     check(detector_for, DEEP[name], full_scale=full_scale)
 
 
 @pytest.mark.parametrize("name", some(EIGHT, ("worn scene",)))
-def test_three_masks(detector_for, name):
+def test_the_gate_looks_at_every_layer_of_three_thresholds(detector_for, name):
     check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
 
 
 @pytest.mark.parametrize("name", some(["texture", "12-bit scene", "two levels"], ("texture",)))
-def test_three_masks_of_sixteen_bits(detector_for, name):
+def test_three_thresholds_of_sixteen_bits(detector_for, name):
     check(detector_for, DEEP[name], threshold=AdaptiveMean(masks=3))
 
 
@@ -55,7 +55,7 @@ def test_three_masks_of_sixteen_bits(detector_for, name):
     "name", some(["noise", "two levels", "near levels", "worn scene"], ("noise",))
 )
 def test_any_number_of_sectors(detector_for, name):
-    """The spectral form lets masks with two, six and more runs through."""
+    """The spectral form lets rings with two, six and more runs through."""
     check(detector_for, EIGHT[name], criteria=SpectralCriteria(correlation=0))
 
 
@@ -78,7 +78,7 @@ def test_any_number_of_sectors_of_sixteen_bits(detector_for, name):
     ids=str,
 )
 @pytest.mark.parametrize("name", some(["texture", "noise", "worn scene"], ("texture",)))
-def test_each_condition(detector_for, name, contrast):
+def test_each_condition_is_the_oracles(detector_for, name, contrast):
     # Sector thresholds this wide leave candidates whose contrast is 0 or less.
     criteria = RapidCriteria(sector_threshold=12, ring_threshold=9, corrosion_threshold=12)
     check(detector_for, EIGHT[name], contrast=SectorContrast(**contrast), criteria=criteria)
@@ -97,7 +97,7 @@ def test_each_condition_decides(detector_for):
     assert kept(grainy, noise=20) < kept(grainy, noise=0)
 
 
-def test_three_masks_ask_for_three_deviations(detector_for):
+def test_three_thresholds_ask_for_three_deviations(detector_for):
     three = AdaptiveMean(masks=3)
     kept = [
         check(
@@ -144,7 +144,7 @@ def test_a_difference_at_the_noise_bound_is_kept(detector_for):
     assert decided > 3
 
 
-def test_without_the_gate(detector_for):
+def test_without_the_gate_nothing_is_refused(detector_for):
     image = EIGHT["texture"]
     maps = check(detector_for, image, contrast=None)
     assert maps.contrast is None

@@ -71,7 +71,7 @@ def test_there_are_nine_vectors():
 
 
 @pytest.mark.parametrize("name", some(EIGHT, FEW))
-def test_eight_bits(detector_in_form, name):
+def test_corners_of_eight_bits_are_the_oracles(detector_in_form, name):
     """With the checks, without any, and as starts of refinement."""
     image = EIGHT[name]
     for config in (DetectorConfig(), DENSE, LINES):
@@ -79,7 +79,7 @@ def test_eight_bits(detector_in_form, name):
 
 
 @pytest.mark.parametrize("name", some(EIGHT, FEW))
-def test_maps_of_eight_bits(detector_for, name):
+def test_maps_of_eight_bits_are_the_oracles(detector_for, name):
     for config in (configured(), DENSE):
         assert_maps_equal(detector_for(EIGHT[name], config), EIGHT[name])
 
@@ -120,7 +120,7 @@ def test_levels_of_every_full_scale(detector_in_form):
 SHAPES = [(1, 1), (1, 40), (40, 1), (2, 2), (2, 31), (3, 3), (5, 4), (9, 11), (11, 64), (34, 7)]
 
 
-@pytest.mark.parametrize("shape", some(SHAPES, ((1, 1), (1, 40), (40, 1), (9, 11))), ids=str)
+@pytest.mark.parametrize("shape", some(SHAPES, ((1, 1), (9, 11))), ids=str)
 def test_images_smaller_than_the_ring(detector_in_form, shape):
     for image in (noise(shape, seed=3), np.full(shape, 255, np.uint8)):
         for config in (DetectorConfig(), DENSE, configured(nms_radius=15, **EVERYTHING)):
@@ -146,7 +146,7 @@ def test_widths_around_words_and_vectors(detector_in_form, width):
 
 
 @pytest.mark.parametrize("rows", some([31, 32, 63, 64, 65, 96, 127, 128], (65,)))
-def test_heights_around_bands(detector_in_form, rows):
+def test_images_of_any_height_are_divided_into_bands(detector_in_form, rows):
     image = images.texture((rows, 64), seed=6)
     corners = assert_corners_equal(detector_in_form(image, DENSE), image)
     y = corners.pixel[:, 1]
@@ -176,7 +176,7 @@ def test_bands_of_any_number_give_the_same(device, monkeypatch, bands):
 @pytest.mark.parametrize(
     "name", some(["texture", "fine board", "pixels", "stripes 4"], ("texture",))
 )
-def test_every_radius(detector_in_form, name, nms_radius):
+def test_corners_are_the_oracles_for_every_radius(detector_in_form, name, nms_radius):
     config = configured(nms_radius=nms_radius, **EVERYTHING)
     assert_corners_equal(detector_in_form(EIGHT[name], config), EIGHT[name])
 
@@ -218,7 +218,7 @@ def test_the_largest_harmonics_with_the_largest_factors(detector_in_form):
 
 
 @pytest.mark.parametrize("pixel", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
-def test_the_largest_noise(detector_in_form, pixel):
+def test_the_largest_noise_does_not_overflow(detector_in_form, pixel):
     """The bound of such noise is beyond every response, and its product near 64 bits."""
     most = np.iinfo(pixel).max
     image = (np.indices((200, 220)).sum(0) % 2 * most).astype(pixel)
@@ -285,27 +285,27 @@ def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
         assert_same_bytes(one, assert_corners_equal(detector, frame))
 
 
-# --- room ----------------------------------------------------------------------------------
+# --- capacity ------------------------------------------------------------------------------
 
 
-def with_room(detector, room):
+def with_capacity(detector, capacity):
     plan = detector._plan(None)
-    plan.list_room = plan.corner_room = room
+    plan.list_capacity = plan.corner_capacity = capacity
     plan._allocate()
     plan._bind()
 
 
-def test_more_maxima_than_room_are_counted_and_found_all_the_same(device_in_form):
-    """Noise has more maxima in windows of 3 x 3 than the plan has room for."""
+def test_more_maxima_than_the_capacity_are_counted_and_found_all_the_same(device_in_form):
+    """Noise has more maxima in windows of 3 x 3 than the list can hold."""
     image = noise((600, 200), seed=3)
     config = DENSE.replace(max_corners=1)
     with Detector(shape=image.shape, config=config, device=device_in_form) as detector:
-        room, memory = detector._plan(None).list_room, detector.memory
+        capacity, memory = detector._plan(None).list_capacity, detector.memory
         corners = assert_corners_equal(detector, image)
         assert detector.regrown > 0
-        assert detector._plan(None).list_room > room
+        assert detector._plan(None).list_capacity > capacity
         assert detector.memory > memory
-        assert len(corners) > room
+        assert len(corners) > capacity
         times = detector.regrown
         assert_same_bytes(detector(image), corners)
         assert_same_bytes(detector.batch([image, image[::-1].copy()])[0], corners)
@@ -315,7 +315,7 @@ def test_more_maxima_than_room_are_counted_and_found_all_the_same(device_in_form
 
 
 @pytest.mark.parametrize(("count", "regrown"), [(63, False), (64, False), (65, True)])
-def test_room_for_64_holds_64(device_in_form, count, regrown):
+def test_a_capacity_of_64_holds_64(device_in_form, count, regrown):
     """A mask leaves exactly that many maxima in the one band."""
     image = images.texture((60, 300), seed=9)
     config = DENSE.replace(detection=RingHarmonic(fine=False, **EVERYTHING))
@@ -323,7 +323,7 @@ def test_room_for_64_holds_64(device_in_form, count, regrown):
     mask = np.zeros(image.shape, np.bool_)
     mask[tuple(maxima[:count].T)] = True
     with Detector(shape=image.shape, config=config, device=device_in_form, mask=mask) as detector:
-        with_room(detector, 64)
+        with_capacity(detector, 64)
         corners = assert_corners_equal(detector, image, mask=mask)
         assert len(corners) == count
         assert (detector.regrown > 0) is regrown
@@ -350,7 +350,7 @@ def test_no_image_takes_more_than_ten_times_a_typical_one(device):
         memory = detector.memory
 
         def least(image):
-            """Seconds, the best of some turns: others use the machine too."""
+            """Return seconds, the best of some runs: others use the machine too."""
             spent = []
             for _ in range(7):
                 start = time.perf_counter()

@@ -15,7 +15,7 @@ FITS = pytest.mark.parametrize("fit", Fit, ids=lambda fit: fit.value)
 @RULES
 @FITS
 @pytest.mark.parametrize("scale", [None, 0.63])
-def test_after_both_rules(detector_for, rule, fit, scale):
+def test_midlines_follow_both_rules(detector_for, rule, fit, scale):
     image = images.scene(1.5, seed=3).image
     config = rule.replace(refinement=Midlines(fit=fit), scale=scale)
     corners = assert_corners_equal(detector_for(image, config), image)
@@ -35,7 +35,7 @@ def test_perfect_squares_have_parallel_centrelines(detector_for, fit):
 
 
 @pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
-def test_the_largest_shift(detector_for, max_shift):
+def test_a_midline_beyond_the_largest_shift_is_refused(detector_for, max_shift):
     image = images.scene(1.5, seed=3).image
     kept = [
         (corners.method == Method.KEPT).sum()

@@ -36,7 +36,7 @@ def check(detector_for, image, config=DENSE, **changes):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("radius", [1, 2, 3, 7])
 @pytest.mark.parametrize("name", EIGHT)
-def test_every_radius(detector_for, name, radius):
+def test_maxima_are_the_oracles_for_every_radius(detector_for, name, radius):
     check(detector_for, EIGHT[name], nms_radius=radius)
 
 
@@ -50,12 +50,12 @@ def test_a_larger_radius_keeps_fewer(detector_for):
 
 
 @pytest.mark.parametrize("name", ["texture", "worn scene", "board"])
-def test_the_responses_of_three_masks_together(detector_for, name):
+def test_the_responses_of_three_thresholds_together(detector_for, name):
     maps = check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
     assert maps.response.shape == maps.maximum.shape == images.SHAPE
 
 
-def test_the_largest_scores(detector_for):
+def test_the_largest_scores_do_not_overflow(detector_for):
     """Plateaus of the response 16 under the whole tent, four times over."""
     bars = np.kron(np.indices((8, 11)).sum(0) % 2, np.ones((8, 8)))[:61, :83] * 255
     maps = check(detector_for, bars.astype(np.uint8), threshold=AdaptiveMean(masks=3))
@@ -65,7 +65,7 @@ def test_the_largest_scores(detector_for):
 @pytest.mark.parametrize(
     "name", some(["texture", "noise", "worn scene", "stripes 3"], ("texture",))
 )
-def test_spectral_responses(detector_for, name):
+def test_maxima_of_spectral_responses_are_the_oracles(detector_for, name):
     criteria = SpectralCriteria(correlation=0, corrosion_threshold=None)
     maps = check(detector_for, EIGHT[name], criteria=criteria)
     if name != "stripes 3":

@@ -12,7 +12,7 @@ COLUMNS = [1, 2, 3, 4, 5, 6, 7, 8, 9, 31, 33, 64]
 
 
 def summed(detector, image):
-    """The sum over the bands of what the last frame left."""
+    """Return the sum over the bands of what the last frame left."""
     detector(image)
     plan = detector._plan(None)
     sums = np.empty(plan.sizes["noise"] // 8, np.uint64)
@@ -26,19 +26,19 @@ def summed(detector, image):
     "columns",
     [n if n in (2, 3, 31) else pytest.param(n, marks=pytest.mark.exhaustive) for n in COLUMNS],
 )
-def test_every_width(detector_in_form, dtype, columns, config):
+def test_the_noise_is_the_oracles_for_every_width(detector_in_form, dtype, columns, config):
     image = np.random.default_rng(6).integers(0, np.iinfo(dtype).max + 1, (19, columns), dtype)
     assert summed(detector_in_form(image, config), image) == gate.noise_amplitude(image)[0]
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 8, 9, 70])
-def test_every_height(detector_in_form, rows):
+def test_the_noise_is_the_oracles_for_every_height(detector_in_form, rows):
     image = np.random.default_rng(7).integers(0, 256, (rows, 31), np.uint8)
     assert summed(detector_in_form(image), image) == gate.noise_amplitude(image)[0]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
-def test_the_largest_noise(detector_in_form, dtype):
+def test_the_largest_noise_does_not_overflow(detector_in_form, dtype):
     """Black and white pixels in turn: eight full scales at every inner pixel."""
     most = np.iinfo(dtype).max
     image = (np.indices((70, 300)).sum(0) % 2 * most).astype(dtype)

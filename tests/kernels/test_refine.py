@@ -53,7 +53,7 @@ def check(detector_for, image, refinement, **changes):
     "name",
     some(EIGHT, ("worn scene",)),
 )
-def test_eight_bits(detector_for, name, refinement):
+def test_positions_of_eight_bits_are_the_oracles(detector_for, name, refinement):
     corners = check(detector_for, EIGHT[name], refinement)
     assert set(corners.method) <= METHODS[refinement]
     assert np.isfinite(corners.xy).all()
@@ -64,7 +64,7 @@ def test_eight_bits(detector_for, name, refinement):
     "name",
     some(DEEP, ("12-bit scene",)),
 )
-def test_sixteen_bits(detector_for, name, refinement):
+def test_positions_of_sixteen_bits_are_the_oracles(detector_for, name, refinement):
     corners = check(detector_for, DEEP[name], refinement, full_scale=4095)
     assert np.isfinite(corners.xy).all()
 
@@ -94,14 +94,14 @@ def test_whatever_has_four_sectors(detector_for, refinement):
 
 @refinements
 @pytest.mark.parametrize("severity", some([0.5, 1.5], (1.5,)))
-def test_scenes(detector_for, refinement, severity):
+def test_positions_on_scenes_are_the_oracles(detector_for, refinement, severity):
     image = images.scene(severity, seed=3).image
     corners = check(detector_for, image, refinement)
     assert len(corners) >= 30
 
 
 @pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
-def test_the_largest_shift(detector_for, max_shift):
+def test_a_position_beyond_the_largest_shift_is_refused(detector_for, max_shift):
     image = images.scene(1.5, seed=3).image
     config = DetectorConfig(detection=BinaryRings(), refinement=EdgeLines(max_shift=max_shift))
     corners = assert_corners_equal(detector_for(image, config), image)
@@ -128,7 +128,7 @@ def test_lines_say_how_sure_they_are(detector_for):
 @pytest.mark.parametrize(
     "changes",
     [{"criteria": SpectralCriteria()}, {"threshold": AdaptiveMean(masks=3)}, {"outer_radius": 4}],
-    ids=["spectral", "three masks", "radius 4"],
+    ids=["spectral", "three thresholds", "radius 4"],
 )
 def test_after_every_kind_of_response(detector_for, changes):
     corners = check(detector_for, EIGHT["scene"], "edge lines", **changes)
@@ -137,7 +137,7 @@ def test_after_every_kind_of_response(detector_for, changes):
 
 @refinements
 @pytest.mark.parametrize("inside", some([0, 1, 3, 5], (1,)))
-def test_at_the_border(detector_for, refinement, inside):
+def test_positions_at_the_border_are_the_oracles(detector_for, refinement, inside):
     image = np.ascontiguousarray(np.tile(corner(20, 20, 0.35), 2)[20 - inside :])
     check(detector_for, image, refinement)
     check(detector_for, np.ascontiguousarray(image.T), refinement)
@@ -145,7 +145,7 @@ def test_at_the_border(detector_for, refinement, inside):
 
 @pytest.mark.parametrize("steep", some([1, 20], (20,)))
 @refinements
-def test_clipped_profiles(detector_for, refinement, steep):
+def test_positions_on_clipped_profiles_are_the_oracles(detector_for, refinement, steep):
     """Saturated black and white: edges of two grey levels, equal neighbours everywhere."""
     grey = (EIGHT["board"].astype(np.float64) - 120) * steep + 120
     image = np.where(grey < 0, 0, np.where(grey > 255, 255, grey)).astype(np.uint8)

@@ -20,7 +20,7 @@ FACTORS = [0.5, 0.63, 2.0]
 @pytest.mark.parametrize(
     "name", some(["noise", "texture", "pixels", "worn scene", "white"], ("worn scene",))
 )
-def test_every_map(detector_for, name, factor):
+def test_every_map_of_a_scaled_image_is_the_oracles(detector_for, name, factor):
     image = EIGHT[name]
     maps = assert_maps_equal(
         detector_for(image, DetectorConfig(detection=BinaryRings(), scale=factor)), image
@@ -31,7 +31,7 @@ def test_every_map(detector_for, name, factor):
 
 @pytest.mark.parametrize("factor", some(FACTORS, (0.63,)))
 @pytest.mark.parametrize("name", some(["noise", "white", "12-bit scene"], ("noise",)))
-def test_sixteen_bits(detector_for, name, factor):
+def test_sixteen_bits_are_scaled_as_in_the_oracle(detector_for, name, factor):
     image = DEEP[name]
     assert_maps_equal(
         detector_for(image, DetectorConfig(detection=BinaryRings(), scale=factor)), image
@@ -39,7 +39,7 @@ def test_sixteen_bits(detector_for, name, factor):
 
 
 @pytest.mark.parametrize("factor", some([0.05, 0.1, 1 / 3, 0.999, 1.001, 1.5, 4.0], (0.1, 1.5)))
-def test_odd_factors(detector_for, factor):
+def test_odd_factors_give_the_oracles_image(detector_for, factor):
     image = noise((30, 23), seed=2)
     assert_maps_equal(
         detector_for(image, DetectorConfig(detection=BinaryRings(), scale=factor)), image
@@ -48,7 +48,7 @@ def test_odd_factors(detector_for, factor):
 
 @pytest.mark.parametrize("shape", some([(1, 1), (1, 7), (2, 2), (5, 3)], ((1, 1),)))
 @pytest.mark.parametrize("factor", [0.05, 0.63, 4.0])
-def test_tiny_shapes(detector_for, shape, factor):
+def test_tiny_images_are_scaled_as_in_the_oracle(detector_for, shape, factor):
     image = noise(shape, seed=5)
     assert_maps_equal(
         detector_for(image, DetectorConfig(detection=BinaryRings(), scale=factor)), image

@@ -23,7 +23,7 @@ def check(detector_for, image, config=None, **criteria):
 
 
 @pytest.mark.parametrize("name", some(EIGHT, ("texture", "worn scene")))
-def test_every_map(detector_for, name):
+def test_every_map_is_the_oracles(detector_for, name):
     check(detector_for, EIGHT[name])
 
 
@@ -39,7 +39,7 @@ def test_with_the_gate_and_the_smaller_ring(detector_for, name):
 
 
 @pytest.mark.parametrize("name", ["texture", "worn scene"])
-def test_three_masks(detector_for, name):
+def test_the_layers_of_three_thresholds_are_the_oracles(detector_for, name):
     threshold = AdaptiveMean(masks=3)
     check(
         detector_for,
@@ -65,7 +65,7 @@ def test_three_masks(detector_for, name):
     ],
     ids=str,
 )
-def test_each_bound_decides(detector_for, criteria):
+def test_each_bound_decides_as_in_the_oracle(detector_for, criteria):
     image = EIGHT["texture"]
     usual = check(detector_for, image)
     other = check(detector_for, image, **criteria)
@@ -80,7 +80,7 @@ def test_a_correlation_at_the_bound_fails(detector_for):
     assert not maps.candidate[square == 0.5625].any()
 
 
-def test_left_out_maps(detector_for):
+def test_maps_that_are_left_out_are_none(detector_for):
     maps = check(detector_for, EIGHT["noise"], corrosion_threshold=None)
     assert maps.corrosion is None
     assert maps.inner_transitions is None

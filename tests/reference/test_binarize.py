@@ -21,7 +21,7 @@ def window(image: np.ndarray, row: int, column: int, size: int) -> list[int]:
 
 
 def by_definition(image: np.ndarray, threshold: AdaptiveMean) -> np.ndarray:
-    """The masks with integer arithmetic of any length: mean - k sigma, k = 0, -1/2, 1/2."""
+    """Return the layers in integer arithmetic of any length: mean - k sigma, k = 0, -1/2, 1/2."""
     n = threshold.window**2
     result = np.zeros((threshold.masks, *image.shape), np.bool_)
     for row, column in np.ndindex(image.shape):
@@ -40,7 +40,7 @@ def by_definition(image: np.ndarray, threshold: AdaptiveMean) -> np.ndarray:
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (13, 17)])
 @pytest.mark.parametrize("size", [3, 9, 21])
 @pytest.mark.parametrize("masks", [1, 3])
-def test_masks_by_definition(shape, size, masks):
+def test_the_layers_follow_the_definition(shape, size, masks):
     for image in (noise(shape), noise(shape).astype(np.uint16) * 257, noise(shape) // 128):
         threshold = AdaptiveMean(window=size, masks=masks)
         np.testing.assert_array_equal(binarize(image, threshold), by_definition(image, threshold))
@@ -65,7 +65,7 @@ def test_a_grey_on_the_outer_threshold_is_white():
     assert not less[1, 1]
 
 
-def test_offset():
+def test_an_offset_is_added_before_the_comparison():
     image = noise((11, 12))
     threshold = AdaptiveMean(window=5, offset=20)
     found = binarize(image, threshold)
@@ -79,7 +79,7 @@ def test_a_flat_image_is_white_whatever_its_level():
         assert not binarize(image, AdaptiveMean(window=5, masks=3)).any()
 
 
-def test_the_outer_masks_lie_on_either_side():
+def test_the_outer_layers_lie_on_either_side():
     middle, more, less = binarize(noise((40, 40)), AdaptiveMean(window=9, masks=3))
     assert (more >= middle).all()
     assert (middle >= less).all()

@@ -12,13 +12,13 @@ Y, X = np.mgrid[-10:11, -10:11]
 
 
 def at_centre(binary: np.ndarray, rules: RapidCriteria, radius: int = 5) -> dict[str, int]:
-    inner, outer = (ring.ring_mask(binary, ring.INNER), ring.ring_mask(binary, ring.OUTER[radius]))
+    inner, outer = (ring.ring_bits(binary, ring.INNER), ring.ring_bits(binary, ring.OUTER[radius]))
     found = criteria.rapid(binary, inner, outer, rules)
     return {name: int(values[10, 10]) for name, values in vars(found).items() if values is not None}
 
 
 def lines(angle: float, opening: float, x: float = 0, y: float = 0) -> np.ndarray:
-    """Black where both lines through (x, y) have their normals on the same side."""
+    """Return an image, black between two lines through (x, y), whose normals are on one side."""
     sides = [(X - x) * math.cos(a) + (Y - y) * math.sin(a) for a in (angle, angle + opening)]
     return sides[0] * sides[1] > 0
 
@@ -71,7 +71,7 @@ def test_corrosion_treats_black_and_white_alike():
     rng = np.random.default_rng(3)
     binary = rng.random((40, 50)) < 0.5
     black, white = (
-        criteria.corrosion(mask, ring.ring_mask(mask, ring.OUTER_5)) for mask in (binary, ~binary)
+        criteria.corrosion(mask, ring.ring_bits(mask, ring.OUTER_5)) for mask in (binary, ~binary)
     )
     np.testing.assert_array_equal(black, white)
     assert len(np.unique(black)) > 5
@@ -100,7 +100,7 @@ WIDE = lines(0, math.radians(110))
         ("corrosion_threshold", SLANTED, 1),
     ],
 )
-def test_thresholds_are_strict(field, binary, value):
+def test_a_value_at_its_threshold_fails(field, binary, value):
     assert at_centre(binary, RapidCriteria(**{field: value + 1}))["candidate"] == 1
     assert at_centre(binary, RapidCriteria(**{field: value}))["candidate"] == 0
 

@@ -22,7 +22,7 @@ IMAGE, TRUTH = board(110, 120, 12)
 CONFIGS = {
     "rings": rings(),
     "radius 4": DetectorConfig(detection=BinaryRings(outer_radius=4)),
-    "three masks": DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
+    "three thresholds": DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
     "spectral": DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria())),
     "no gate": DetectorConfig(detection=BinaryRings(contrast=None)),
     "paper": DetectorConfig.paper(40),
@@ -98,7 +98,7 @@ def test_flat_images_have_no_corner(config, level):
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 @pytest.mark.parametrize("shape", [(0, 0), (0, 7), (7, 0)])
-def test_images_without_pixels(config, shape):
+def test_an_image_without_pixels_has_no_corners(config, shape):
     image = np.zeros(shape, np.uint8)
     corners = reference.detect(image, config)
     assert corners.xy.shape == corners.pixel.shape == (0, 2)
@@ -163,7 +163,7 @@ def test_a_wrong_mask_is_refused(mask):
         reference.detect(IMAGE, rings(), mask)
 
 
-def test_three_masks_weigh_two_one_one():
+def test_three_thresholds_weigh_two_one_one():
     config = DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3)))
     maps = reference.maps(IMAGE, config)
     assert maps.binary.shape == maps.contrast.shape == (3, *IMAGE.shape)

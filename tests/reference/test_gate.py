@@ -24,7 +24,7 @@ def painted(inner: list[int], outer: list[int]) -> np.ndarray:
     return image
 
 
-def test_contrasts_by_hand():
+def test_contrasts_are_those_worked_out_by_hand():
     inner = [10, 20, 30, 40, 210, 220, 230, 240, 50, 60, 70, 80, 200, 190, 180, 170]
     outer = [0, 5, 10, 15, 250, 240, 230, 220, 20, 25, 30, 35, 150, 160, 170, 180]
     sc1, sc2, sm = gate.sector_contrast(painted(inner, outer), X, Y, INNER, 5)
@@ -59,7 +59,7 @@ def test_the_bound_rounds_up():
     assert gate.contrast_bound(values[:0], SectorContrast(minimum=20.5), 255) == 21
 
 
-def test_noise_amplitude():
+def test_the_noise_amplitude_is_that_of_the_definition():
     image = np.zeros((5, 6), np.uint8)
     image[2, 2] = 9
     # One pixel answers as 4, four neighbours 2, four diagonals 1, all inside.
@@ -82,7 +82,7 @@ def test_noise_amplitude_measures_gaussian_noise(sigma):
     ("deviations", "masks", "factor"),
     [(2.5, 1, 17), (3, 1, 20), (0, 1, 0), (2.5, 3, 20), (0, 3, 20), (4, 3, 27)],
 )
-def test_noise_factor(deviations, masks, factor):
+def test_the_noise_factor_is_rounded_from_the_deviations(deviations, masks, factor):
     assert gate.noise_factor(SectorContrast(noise=deviations), masks) == factor
 
 
@@ -93,7 +93,7 @@ def count(image: np.ndarray, **changes: float) -> int:
     return int(reference.maps(image, config).maximum.sum())
 
 
-def test_each_condition_decides():
+def test_each_condition_of_the_gate_decides():
     faint = (corner(20, 20, 0.4).astype(np.int64) // 8 + 100).astype(np.uint8)
     assert count(faint, noise=0) == 0
     assert count(faint, minimum=5, noise=0) > 0
@@ -124,7 +124,7 @@ def test_the_gate_looks_at_maxima_alone():
     assert not (gated.maximum & ~free.maximum).any()
 
 
-def test_of_three_masks_one_that_passes_is_enough():
+def test_of_three_thresholds_one_that_passes_is_enough():
     image = texture((60, 70))
     contrast = SectorContrast(relative=0.9)
     config = rings(threshold=AdaptiveMean(masks=3), contrast=contrast)

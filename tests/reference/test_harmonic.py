@@ -369,7 +369,7 @@ def test_images_smaller_than_the_ring(shape, dtype):
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 7), (7, 0)])
-def test_images_without_pixels(shape):
+def test_an_image_without_pixels_has_no_corners(shape):
     image = np.zeros(shape, np.uint8)
     assert len(reference.detect(image, DetectorConfig())) == 0
     maps = reference.maps(image, DetectorConfig())

@@ -18,7 +18,7 @@ def tent(response: np.ndarray, row: int, column: int) -> int:
 
 
 def kept(response: np.ndarray, score: np.ndarray, radius: int) -> set[tuple[int, int]]:
-    """Pixel by pixel: larger 10 S + R wins, among equals the earlier in raster order."""
+    """Decide pixel by pixel: larger 10 S + R wins, among equals the earlier in raster order."""
     height, width = response.shape
 
     def key(row: int, column: int) -> tuple[int, int]:

@@ -29,7 +29,7 @@ def one(image: np.ndarray, refinement: object, **changes: object) -> Corners:
 
 
 @pytest.mark.parametrize(("radius", "points"), [(3, 16), (4, 24), (5, 28)])
-def test_circles(radius, points):
+def test_the_circles_are_round_and_begin_at_twelve_oclock(radius, points):
     circle = refine.circle(radius)
     assert len(circle) == len(set(circle)) == points
     assert circle[0] == (0, -radius)
@@ -221,7 +221,7 @@ def test_parallel_centrelines_of_a_perfect_board_fall_back_to_cusps():
 
 
 def bent(sharpness: float) -> np.ndarray:
-    """A corner whose two black sectors point in different directions."""
+    """Return a corner whose two black sectors point in different directions."""
     y, x = np.mgrid[-20.5:20.5:328j, -20.5:20.5:328j]
     angle = np.arctan2(y, x)
     first = np.abs(np.angle(np.exp(1j * (angle - 0.2)))) < 0.7
@@ -240,7 +240,7 @@ def test_bent_sectors_have_centrelines_that_meet():
 
 
 def rays(angles: list[float]) -> refine.EdgePoints:
-    """Edge points where four rays from the start meet circles of 3, 4 and 5 px."""
+    """Return edge points where four rays from the start meet circles of 3, 4 and 5 px."""
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     point = np.array([3.0, 4.0, 5.0])[:, None, None] * unit
     return refine.EdgePoints(
@@ -350,7 +350,7 @@ def test_boundaries_across_twelve_o_clock_are_matched_between_rings():
 
 
 def model(x: float, y: float, angles: tuple[float, float]) -> np.ndarray:
-    """(41, 41) uint16: the corner model itself, black between the two directions."""
+    """Return (41, 41) uint16: the corner model itself, black between the two directions."""
     row, column = np.mgrid[0:41, 0:41].astype(np.float64)
     sides = []
     for angle in angles:
@@ -375,7 +375,7 @@ def test_a_step_from_nearby_reaches_the_model(angles):
 def step_by_least_squares(
     image: np.ndarray, start: int, x: np.ndarray, angles: tuple[float, float], radius: float
 ) -> tuple[np.ndarray, float, float]:
-    """Step, tr rho^2 and ac with a general solver, pixel by pixel."""
+    """Return step, tr rho^2 and ac with a general solver, pixel by pixel."""
     normals = np.array([(-math.sin(angle), math.cos(angle)) for angle in angles])
     r0 = min(4, radius / 2)
     rows = {}
@@ -470,7 +470,7 @@ def test_radii_follow_the_working_scale():
     assert greys[0, 8] == image[20, 26]
 
 
-def test_bilinear_by_hand():
+def test_grey_levels_between_pixels_are_those_worked_out_by_hand():
     image = np.array([[0, 100], [50, 250]], np.uint8)
     x, y = np.array([0.25, 0.5, -3.0, 1.0]), np.array([0.0, 0.5, 0.0, 9.0])
     np.testing.assert_allclose(refine.bilinear(image, x, y), [25, 100, 0, 250])

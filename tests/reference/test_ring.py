@@ -1,4 +1,4 @@
-"""The sampler's tables and what is claimed of all 65 536 ring masks."""
+"""The sampler's tables and what is claimed of all 65 536 rings."""
 
 import itertools
 import math
@@ -12,7 +12,7 @@ RINGS = {"inner": (ring.INNER, 3), "outer 5": (ring.OUTER_5, 5), "outer 4": (rin
 
 
 def run_lengths(mask: int) -> list[int]:
-    """The lengths of the circular runs of a mask, by walking around it."""
+    """Return the lengths of the circular runs of a ring, by walking around it."""
     samples = [mask >> i & 1 for i in range(16)]
     start = next((i for i in range(16) if samples[i] != samples[i - 1]), 0)
     turned = samples[start:] + samples[:start]
@@ -48,19 +48,19 @@ def test_bit_i_is_sample_i():
     for bit, (dx, dy) in enumerate(ring.INNER):
         binary[:] = False
         binary[10 + dy, 10 + dx] = True
-        assert ring.ring_mask(binary, ring.INNER)[10, 10] == 1 << bit
+        assert ring.ring_bits(binary, ring.INNER)[10, 10] == 1 << bit
 
 
 def test_samples_outside_repeat_the_border_pixel():
     binary = np.zeros((12, 12), np.bool_)
     binary[0, 0] = True
-    corner = ring.bits(ring.ring_mask(binary, ring.OUTER_5))[0, 0]
+    corner = ring.bits(ring.ring_bits(binary, ring.OUTER_5))[0, 0]
     expected = [dx <= 0 and dy <= 0 for dx, dy in ring.OUTER_5]
     np.testing.assert_array_equal(corner, expected)
 
 
 def test_rotation_brings_sample_i_plus_k_to_bit_i():
-    masks = ring.all_masks()
+    masks = ring.all_rings()
     for k in range(16):
         expected = np.roll(ring.bits(masks), -k, axis=1)
         np.testing.assert_array_equal(ring.bits(ring.rotate(masks, k)), expected)
@@ -68,12 +68,12 @@ def test_rotation_brings_sample_i_plus_k_to_bit_i():
 
 def test_eq_19_counts_the_runs(runs):
     expected = [len(run) if len(run) > 1 else 0 for run in runs]
-    np.testing.assert_array_equal(criteria.inner_transitions(ring.all_masks()), expected)
+    np.testing.assert_array_equal(criteria.inner_transitions(ring.all_rings()), expected)
 
 
 def test_eq_20_counts_the_runs_of_two_samples_or_more(runs):
     expected = [sum(n >= 2 for n in run) if len(run) > 1 else 0 for run in runs]
-    np.testing.assert_array_equal(criteria.outer_transitions(ring.all_masks()), expected)
+    np.testing.assert_array_equal(criteria.outer_transitions(ring.all_rings()), expected)
 
 
 def test_eq_21_compares_opposite_runs(runs):
@@ -83,15 +83,15 @@ def test_eq_21_compares_opposite_runs(runs):
     np.testing.assert_array_equal(criteria.sector_differences(), expected)
 
 
-def test_1560_inner_masks_pass_the_sector_difference():
+def test_1560_inner_rings_pass_the_sector_difference():
     assert (criteria.sector_differences() < 5).sum() == 1560
 
 
-def test_272_masks_tie_exactly_in_the_spectrum_and_none_has_four_runs():
+def test_272_rings_tie_exactly_in_the_spectrum_and_none_has_four_runs():
     minus_1, minus_3 = spectral.spectrum_differences()
     tie = (minus_1 == 0) | (minus_3 == 0)
     assert tie.sum() == 272
-    assert not (tie & (criteria.inner_transitions(ring.all_masks()) == 4)).any()
+    assert not (tie & (criteria.inner_transitions(ring.all_rings()) == 4)).any()
     f1, f2, f3 = spectral.magnitudes().T
     others = np.concatenate([np.abs(f2 - f1)[minus_1 != 0], np.abs(f2 - f3)[minus_3 != 0]])
     assert others.min() > 1e-3

@@ -22,7 +22,7 @@ def correlations(inner: int, outer: int) -> list[int]:
 
 
 def phase(values: list[int]) -> float:
-    """The smallest |centre| of the circular runs of the largest value, samples."""
+    """Return the smallest |centre| of the circular runs of the largest value, samples."""
     best = [value == max(values) for value in values]
     if all(best):
         return 0.0
@@ -88,7 +88,7 @@ def test_a_perfect_corner_passes_and_its_response_is_the_formula():
     assert found.corrosion is None
 
 
-def test_each_bound_decides():
+def test_each_bound_of_the_spectrum_decides():
     free = SpectralCriteria(correlation=0, phase=math.pi, corrosion_threshold=None)
     turned = int(ring.rotate(np.array([0x0F0F], np.uint16), 1)[0])
     assert around(0x0F0F, free, turned).candidate[0, 0]
@@ -102,9 +102,9 @@ def test_each_bound_decides():
     assert around(0x0F0F, SpectralCriteria(corrosion_threshold=9)).candidate[0, 0]
 
 
-def test_candidates_by_definition():
+def test_candidates_follow_the_definition():
     criteria = SpectralCriteria(corrosion_threshold=None)
-    four = ring.all_masks()[ring.popcount(ring.all_masks() ^ ring.rotate(ring.all_masks(), 1)) == 4]
+    four = ring.all_rings()[ring.popcount(ring.all_rings() ^ ring.rotate(ring.all_rings(), 1)) == 4]
     rng = np.random.default_rng(8)
     inner = rng.choice(four, 2000)
     flips = (1 << rng.integers(0, 16, (4, 2000))).astype(np.uint16)

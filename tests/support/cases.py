@@ -7,7 +7,7 @@ import pytest
 
 
 def some(cases: Iterable[Any], few: Container[Any]) -> list[Any]:
-    """Every case; those that are not among the few are marked exhaustive."""
+    """Return every case; those that are not among the few are marked exhaustive."""
     return [
         case if case in few else pytest.param(case, marks=pytest.mark.exhaustive) for case in cases
     ]

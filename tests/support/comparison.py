@@ -19,7 +19,7 @@ def assert_maps_equal(
     fields: tuple[str, ...] | None = None,
     mask: NDArray[np.bool_] | None = None,
 ) -> Maps | HarmonicMaps:
-    """The maps of an image are the oracle's; returns them."""
+    """Assert that the maps of an image are the oracle's, and return them."""
     found = detector.maps(image)
     expected = reference.maps(image, detector.config, mask)
     assert type(found) is type(expected)
@@ -42,7 +42,7 @@ def assert_maps_equal(
 def assert_corners_equal(
     detector: Detector, image: np.ndarray, *, mask: NDArray[np.bool_] | None = None
 ) -> Corners:
-    """The corners of an image are the oracle's within the tolerances; returns them.
+    """Assert that the corners of an image are the oracle's within the tolerances, and return them.
 
     Corners whose guards lie within the margin are few, and are not compared.
     """
@@ -68,7 +68,7 @@ def assert_corners_equal(
 
 
 def assert_same_bytes(one: Corners, other: Corners) -> None:
-    """Two results are identical, NaN included."""
+    """Assert that two results are identical, NaN included."""
     for field in dataclasses.fields(Corners):
         values, others = getattr(one, field.name), getattr(other, field.name)
         if isinstance(values, np.ndarray):

@@ -12,7 +12,7 @@ OVERSAMPLING = 8
 def corner(
     x: float, y: float, angle: float, *, opening: float = math.pi / 2, blur: float = 0.7
 ) -> NDArray[np.uint8]:
-    """(41, 41): two lines through (x, y) at angle and angle + opening, grey 40 and 200."""
+    """Return (41, 41): two lines through (x, y) at angle and angle + opening, grey 40 and 200."""
     u = (np.arange(41 * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5
     sides = [
         (u[:, None] - y) * math.cos(a) - (u[None] - x) * math.sin(a)
@@ -24,7 +24,7 @@ def corner(
 def board(
     rows: int, columns: int, cell: float, *, angle: float = 0.1, blur: float = 0.7
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """A turned checkerboard over a whole image and (N, 2) its corners 6 px inside or more."""
+    """Return a turned checkerboard over a whole image and (N, 2) its corners 6 px inside."""
     height, width = rows, columns
     x, y = ((np.arange(n * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 for n in (width, height))
     cos, sin = math.cos(angle) / cell, math.sin(angle) / cell
@@ -48,5 +48,5 @@ def _pixels(fine: NDArray[np.float64], blur: float) -> NDArray[np.uint8]:
 
 
 def noise(shape: tuple[int, int], seed: int = 0) -> NDArray[np.uint8]:
-    """Uniform noise over all grey levels."""
+    """Return uniform noise over all grey levels."""
     return np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)

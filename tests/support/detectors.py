@@ -13,7 +13,7 @@ MakeDetector = Callable[..., Detector]
 
 @contextlib.contextmanager
 def detectors_on(device: Device) -> Iterator[MakeDetector]:
-    """make(image, config, mask): a detector for images like it, made only once."""
+    """Yield make(image, config, mask): a detector for images like it, made only once."""
     made: dict[Any, Detector] = {}
 
     def make(

@@ -14,14 +14,14 @@ SHAPE = (61, 83)
 
 
 def stripes(width: int, angle: float) -> NDArray[np.uint8]:
-    """Black and white stripes of that width, px."""
+    """Return black and white stripes of that width, px."""
     y, x = np.indices(SHAPE)
     across = x * np.cos(angle) + y * np.sin(angle)
     return np.where(np.floor(across / width + 1e-9) % 2 == 0, 30, 220).astype(np.uint8)
 
 
 def salt_and_pepper(shape: tuple[int, int], share: float, seed: int = 0) -> NDArray[np.uint8]:
-    """A grey image of which that share of the pixels is black or white."""
+    """Return a grey image of which that share of the pixels is black or white."""
     rng = np.random.default_rng(seed)
     image = np.full(shape, 128, np.uint8)
     hit = rng.random(shape) < share
@@ -30,7 +30,7 @@ def salt_and_pepper(shape: tuple[int, int], share: float, seed: int = 0) -> NDAr
 
 
 def texture(shape: tuple[int, int], seed: int = 7) -> NDArray[np.uint8]:
-    """A random texture as fine as the rings, which has candidates of every kind."""
+    """Return a random texture as fine as the rings, which has candidates of every kind."""
     rng = np.random.default_rng(seed)
     smooth = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 1.5)
     grey = 128 + 60 * smooth / smooth.std() + rng.normal(0, 3, shape)
@@ -39,7 +39,7 @@ def texture(shape: tuple[int, int], seed: int = 7) -> NDArray[np.uint8]:
 
 @functools.cache
 def scene(severity: float = 1.0, *, bits: int = 8, seed: int = 1) -> synthetic.Rendered:
-    """A pressed gel with cells of about 11 px, 96 x 128."""
+    """Return a pressed gel with cells of about 11 px, 96 x 128."""
     return synthetic.render(
         synthetic.Scene(markers=7, shape=(96, 128), severity=severity, bits=bits, seed=seed)
     )
@@ -47,7 +47,7 @@ def scene(severity: float = 1.0, *, bits: int = 8, seed: int = 1) -> synthetic.R
 
 @functools.cache
 def eight_bits() -> dict[str, Image]:
-    """Images by what they show."""
+    """Return images by what they show."""
     y, x = np.indices(SHAPE)
     images = {
         "black": np.zeros(SHAPE, np.uint8),
@@ -74,7 +74,7 @@ def eight_bits() -> dict[str, Image]:
 
 @functools.cache
 def sixteen_bits() -> dict[str, Image]:
-    """Images by what they show, of a 12-bit camera and over the whole range."""
+    """Return images by what they show, of a 12-bit camera and over the whole range."""
     rng = np.random.default_rng(5)
     eight = eight_bits()
     return {

@@ -31,7 +31,7 @@ def board(
     origin: complex = 60 + 50j,
     seed: int = 0,
 ) -> Board:
-    """A checkerboard, pulled by `pull` cells and twisted in the middle, whole nodes `lost`.
+    """Return a checkerboard, pulled by `pull` cells and twisted in the middle, whole nodes `lost`.
 
     black: whether the cell right below node (0, 0) is black. false: extra corners, a share.
     """
@@ -78,7 +78,7 @@ def endless(
     worn: float = 0.0,
     seed: int = 0,
 ) -> Board:
-    """What a picture of `side` px shows of a checkerboard that goes on beyond all its edges.
+    """Return what a picture of `side` px shows of a checkerboard that goes on beyond all its edges.
 
     It is zoomed and turned about the picture's middle, then shifted by so many cells. worn:
     standard deviation of the print's errors, cells, the same whatever the seed. The numbers are
@@ -102,7 +102,7 @@ def endless(
 def drawn(
     rows: int, columns: int, *, cell: int = 20, origin: tuple[int, int] = (40, 40)
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """A picture of a board on a white ground, and its inner corners, (rows, columns, 2) px.
+    """Return a picture of a board on a white ground, and its inner corners, (rows, columns, 2) px.
 
     origin: (x, y) of the first square's corner, px. The picture has room for two cells more.
     """
@@ -120,7 +120,7 @@ def drawn(
 
 
 def joined(first: Board, second: Board) -> Corners:
-    """The corners of two boards in one image."""
+    """Return the corners of two boards in one image."""
     z = [part.corners.xy @ np.array([1, 1j]) for part in (first, second)]
     edges = np.concatenate([first.corners.edges, second.corners.edges])
     return _sorted(np.concatenate(z), edges, np.full((len(edges), 2), -1))[0]

@@ -20,7 +20,7 @@ def moved_board(
     noise: float = 0.0,
     seed: int = 0,
 ) -> NDArray[np.uint8]:
-    """A checkerboard of which the point q at rest is seen at q + displacement(q), px.
+    """Return a checkerboard of which the point q at rest is seen at q + displacement(q), px.
 
     board: (x0, y0, x1, y1) of the pattern at rest, the rest is grey; None means everywhere.
     Its corners lie at whole multiples of the cell. noise: standard deviation, grey levels.

@@ -15,7 +15,7 @@ SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
 def photographs(name: str) -> Path:
-    """The folder of shared photographs of that name, else the test is skipped."""
+    """Return the folder of shared photographs of that name, or skip the test."""
     import pytest
 
     folder = SHARED / name
@@ -25,7 +25,7 @@ def photographs(name: str) -> Path:
 
 
 def grid_of(xy: np.ndarray, sigma: float = np.nan) -> Grid:
-    """A grid from positions (R, C, 2); NaN where missing."""
+    """Return a grid from positions (R, C, 2); NaN where missing."""
     xy = np.asarray(xy, np.float32)
     missing = np.isnan(xy[..., 0])
     rows, columns = np.indices(missing.shape)
@@ -38,7 +38,7 @@ def grid_of(xy: np.ndarray, sigma: float = np.nan) -> Grid:
 
 
 def truth_grid(path: Path) -> Grid:
-    """The listed corners of a photograph's JSON as a grid [j, i]."""
+    """Return the listed corners of a photograph's JSON as a grid [j, i]."""
     corners = json.loads(path.read_text())["corners"]
     shape = max(c["j"] for c in corners) + 1, max(c["i"] for c in corners) + 1
     xy = np.full((*shape, 2), np.nan)
@@ -48,13 +48,13 @@ def truth_grid(path: Path) -> Grid:
 
 
 def upright(grid: Grid) -> Grid:
-    """The grid numbered by the image: half a turn where its rows run upwards."""
+    """Return the grid numbered by the image: half a turn where its rows run upwards."""
     down = np.nanmean(np.diff(grid.xy[..., 1], axis=0)) > 0
     return grid if down else grid_of(grid.xy[::-1, ::-1])
 
 
 def bumblebee_rig(path: Path) -> StereoRig:
-    """The rig of BoofCV's stereo.yaml: X_left = rotation X_right + (x, y, z), mm."""
+    """Return the rig of BoofCV's stereo.yaml: X_left = rotation X_right + (x, y, z), mm."""
     text = path.read_text()
     left, rest = text.split("rightToLeft:")
     pose, right = rest.split("right:")
@@ -78,7 +78,7 @@ def bumblebee_rig(path: Path) -> StereoRig:
 
 
 def toed_in_rig(unit: str = "mm") -> StereoRig:
-    """Two cameras 16 mm apart that look at a point 46 mm away, with lens distortion."""
+    """Return two cameras 16 mm apart that look at a point 46 mm away, with lens distortion."""
     turn = cv2.Rodrigues(np.array([0.01, 0.35, -0.02]))[0]
     centre = np.array([0.0, 0.0, 46.0])
     return StereoRig(
@@ -93,7 +93,7 @@ def toed_in_rig(unit: str = "mm") -> StereoRig:
 
 
 def project(rig: StereoRig, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where both cameras see the points (..., 3): two arrays (..., 2), px."""
+    """Return where both cameras see the points (..., 3): two arrays (..., 2), px."""
     turn = cv2.Rodrigues(rig.R)[0]
     flat = np.ascontiguousarray(xyz, np.float64).reshape(-1, 1, 3)
     left, _ = cv2.projectPoints(flat, np.zeros(3), np.zeros(3), rig.K1, rig.D1)
@@ -103,14 +103,14 @@ def project(rig: StereoRig, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gel(rows: int = 20, columns: int = 20, depth: float = 2.0) -> np.ndarray:
-    """Nodes (R, C, 3) of a pressed gel 46 mm away and 30 mm wide, mm."""
+    """Return nodes (R, C, 3) of a pressed gel 46 mm away and 30 mm wide, mm."""
     y, x = np.meshgrid(np.linspace(-15, 15, rows), np.linspace(-15, 15, columns), indexing="ij")
     press = depth * np.exp(-((x - 2) ** 2 + (y + 1) ** 2) / 30)
     return np.stack([x, y, 46 - press], axis=-1)
 
 
 def points(xyz: np.ndarray, sigma: float = 0.01, unit: str = "mm") -> Points3D:
-    """Triangulated points without the triangulation; NaN where missing."""
+    """Return triangulated points without the triangulation; NaN where missing."""
     xyz = np.asarray(xyz, float)
     missing = np.isnan(xyz[..., 0])
     covariance = np.broadcast_to(np.eye(3) * sigma**2, (*missing.shape, 3, 3)).copy()
@@ -126,5 +126,5 @@ def points(xyz: np.ndarray, sigma: float = 0.01, unit: str = "mm") -> Points3D:
 
 
 def field_of(rest: np.ndarray, now: np.ndarray) -> DisplacementField:
-    """The displacement between two sets of positions (R, C, 3), mm."""
+    """Return the displacement between two sets of positions (R, C, 3), mm."""
     return displacement(points(rest), points(now))

@@ -10,35 +10,35 @@ from cmp_cl import Detector
 
 
 def frame(number):
-    """Frame of a recording: the scene moves by a pixel a frame."""
+    """Return a frame of a recording: the scene moves by a pixel a frame."""
     return np.ascontiguousarray(np.roll(images.scene().image, number, axis=1))
 
 
 def slow_frame(number):
-    """The same after a tenth of a second."""
+    """Return the same after a tenth of a second."""
     time.sleep(0.1)
     return frame(number)
 
 
 def broken_frame(number):
-    """The same, but for one frame."""
+    """Return the same, but for one frame."""
     if number == 17:
         raise OSError("frame 17 is broken")
     return frame(number)
 
 
 def colour_frame(number):
-    """The same with three channels."""
+    """Return the same with three channels."""
     return np.dstack([frame(number)] * 3)
 
 
 def process():
-    """The number of the process."""
+    """Return the number of the process."""
     return os.getpid()
 
 
 def corners_of_board(device):
-    """How many corners a detector of this process finds."""
+    """Return how many corners a detector of this process finds."""
     board = images.eight_bits()["board"]
     with Detector(shape=board.shape, device=device) as detector:
         return len(detector(board))
