@@ -1,5 +1,6 @@
 """What goes wrong around a detector: memory, caches, kills, threads, processes."""
 
+import linecache
 import multiprocessing
 import os
 import stat
@@ -482,3 +483,13 @@ def test_a_forked_child_of_a_process_that_used_opencl_gets_an_error_and_does_not
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
     )
     assert done.stdout == "['done']\n", done.stderr
+
+
+def test_detectors_that_are_opened_and_closed_leave_no_code_behind(device):
+    def open_one():
+        with Detector(shape=images.SHAPE, device=device):
+            return len(linecache.cache)
+
+    open_one()
+    before = open_one()
+    assert [open_one() for _ in range(3)] == [before] * 3

@@ -586,7 +586,9 @@ def run(arguments: argparse.Namespace) -> int:
     if isinstance(source, _Pairs):
         line += source.alone()
     piped = settings.out == "-"
-    print(f"{ended}wrote {shown(settings.out)}: {line}", file=sys.stderr if piped else sys.stdout)
+    if full is None or tally.frames:
+        text = f"{ended}wrote {shown(settings.out)}: {line}"
+        print(text, file=sys.stderr if piped else sys.stdout)
     for written in (settings.overlay, settings.rerun):
         if written is not None and film.error is None:
             print(f"wrote {shown(written)}", file=sys.stderr if piped else sys.stdout)

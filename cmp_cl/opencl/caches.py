@@ -88,18 +88,25 @@ def guard_pocl() -> None:
             os.environ["POCL_CACHE_DIR"] = temporary
 
 
-class _Nothing:
-    """A cache of pyopencl that is always empty."""
+class _InMemory:
+    """A cache of pyopencl that ends with the process."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, object] = {}
 
     def __getitem__(self, key: object) -> object:
-        raise KeyError(key)
+        return self._kept[repr(key)]
 
     def store_if_not_present(self, key: object, value: object) -> None:
-        """Keep nothing."""
+        """Keep a value, unless one is there."""
+        self._kept.setdefault(repr(key), value)
+
+
+_INVOKERS = _InMemory()
 
 
 def guard_invokers() -> None:
-    """Let pyopencl make the functions that call kernels anew in place of loading them.
+    """Let pyopencl make the functions that call kernels in each process, not load them.
 
     In the user's cache they are pickles, which are code; pyopencl asks nobody whose they are, and
     ends with an error of SQLite where the file is damaged or the disk full.
@@ -113,7 +120,7 @@ def guard_invokers() -> None:
         finally:
             setattr(cl, switch, before)
     invoker: Any = sys.modules[name]
-    invoker.invoker_cache = _Nothing()
+    invoker.invoker_cache = _INVOKERS
 
 
 def pocl_is_stuck() -> str:

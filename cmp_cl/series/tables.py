@@ -74,8 +74,9 @@ class _Appended:
         self._files = contextlib.ExitStack()
         buffered: Any = self._files.enter_context(whole_file(path))
         self._file = buffered.raw  # a buffer would keep the bytes that a full disk has refused
+        self._path = path
         self._end = 0
-        self._error: OSError | None = None
+        self.error: OSError | None = None
 
     def append(self, part: bytes) -> None:
         """Write a part, or nothing of it; raises OSError."""
@@ -84,18 +85,18 @@ class _Appended:
             while rest:  # a nearly full disk may take only some of it
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
-            self._error = error
+            self.error = OSError(error.errno, error.strerror, str(self._path))
             with contextlib.suppress(OSError):  # of a device or a pipe
                 self._file.truncate(self._end)
                 self._file.seek(self._end)
-            raise
+            raise self.error from error
         self._end += len(part)
 
     def close(self) -> None:
         """Let the file appear; raises OSError."""
         with self._files:
-            if self._error is not None and not self._end:
-                raise self._error
+            if self.error is not None and not self._end:
+                raise self.error
 
 
 class CsvSeries(Series):
@@ -129,7 +130,11 @@ class CsvSeries(Series):
         about = {"units": dict(self.description.units), **self.description.entries()}
         about_constants = {name: plain(value) for name, value in self.constants.items()}
         beside = self._target.with_name(f"{self._target.name}-metadata.json")
-        write_text(beside, json.dumps({**about, "constants": about_constants}, indent=1))
+        try:
+            write_text(beside, json.dumps({**about, "constants": about_constants}, indent=1))
+        except OSError:
+            if self._file.error is None:  # else the full disk has been told
+                raise
 
 
 class JsonLines(Series):

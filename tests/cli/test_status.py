@@ -152,3 +152,25 @@ def test_ctrl_c_while_modules_are_imported_is_130_and_one_line(tmp_path):
 )
 def test_only_the_command_answers_ctrl_c_in_place_of_python(program, arguments, ours):
     assert starting.is_command(program, arguments) is ours
+
+
+def test_json_lines_to_a_closed_standard_output_are_refused():
+    command = [sys.executable, "-m", "cmp_cl", "run", "cmp_cl/data/board.png", "--out", "-"]
+    done = subprocess.run(
+        ["sh", "-c", f"{' '.join(command)} >&-"],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 2
+    assert done.stderr == "cmp-cl: --out - needs standard output, which is closed\n"
+
+
+def test_a_word_of_any_length_is_not_told_whole(run):
+    status, _, said = run("x" * 100_000)
+    assert status == 2
+    assert len(said) < 1200
+    status, _, said = run("detect", "x" * 100_000)
+    assert status == 2
+    assert len(said) < 1200
