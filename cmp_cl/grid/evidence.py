@@ -29,11 +29,8 @@ class Least(NamedTuple):
 USUAL = Least(0.4, 0.2, 0.85, 0.12)
 ALONE = Least(0.8, 0.7, 0.95, 0.12)  # of a node that is in no whole cell
 NEAR = 1.5  # px: a node in a whole cell may be so far from its prediction however small cells are
-BESIDE, SHARE, ALIKE = (
-    2,
-    0.25,
-    4.0,
-)  # that quantile of the nodes so near at the rim, and units of it
+BESIDE = 2  # nodes to every side, whose distances from their predictions are compared
+SHARE, ALIKE = 0.25, 4.0  # quantile of these distances, and how many of it a node may be off
 BENT = 0.25  # cells: farther no node is off because the surface bends
 EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the picture's edge, and from the prediction there
 EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
