@@ -132,7 +132,7 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
 
 def own_rows(photograph: Photograph, cell: float) -> dict[str, DetectorConfig]:
     """Return our configurations: the default, what the library chooses itself, and the binary
-    rings, as they come, with three thresholds, and with a window for the cell and both outer radii."""
+    rings, as they come, with three thresholds, and with the cell's window and both outer radii."""
     window = AdaptiveMean(window=window_for_cell(cell))
     return {
         methods.DEFAULT: DetectorConfig(),
