@@ -1,7 +1,7 @@
 """What is missed, what is invented and how far off the rest is, by object, density, severity.
 
     python bench/accuracy.py --quick    30 scenes, about two minutes
-    python bench/accuracy.py            360 scenes, about twenty minutes; writes
+    python bench/accuracy.py            360 scenes, about an hour; writes
                                         results/accuracy.json
 
 Every method sees the same rendered frames. A frame fails if one corner is missed or one is

@@ -1,7 +1,7 @@
 """All measurements and the report, in one command.
 
 python bench/run.py --quick         two or three minutes; into a folder for temporary files
-python bench/run.py                 about 80 minutes on two quiet cores; into results/
+python bench/run.py                 about two hours on two quiet cores; into results/
 """
 
 import argparse
