@@ -310,8 +310,8 @@ def _frames_in(paths: Sequence[Path]) -> int | None:
 def _csv_path(out: str | None) -> Path | None:
     if out is None:
         return None
-    if not out:
-        raise ConfigError("--out needs the name of a file")
+    if out in ("", "-"):
+        raise ConfigError("--out needs the name of a file, for example corners.csv")
     return Path(out) / "corners.csv" if os.path.isdir(out) else Path(out)
 
 

@@ -421,6 +421,7 @@ def test_a_full_disk_behind_standard_output_is_told(tmp_path):
         (("detect", BOARD, "--overlay", "o.xyz"), ["o.xyz", ".png"]),
         (("detect", BOARD, "--overlay", ""), ["--overlay"]),
         (("detect", BOARD, "--out", ""), ["--out needs"]),
+        (("detect", BOARD, "--out", "-"), ["--out needs"]),
         (("detect", ""), ["there is no file ''"]),
         (("detect", BOARD, BOARD, "--overlay", "o.png"), ["2 inputs", "name a folder"]),
         (("detect", BOARD, "--overlay", BOARD), ["would be overwritten"]),
