@@ -7,15 +7,14 @@ import os
 import re
 import sys
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl import cameras, media
-from cmp_cl.cameras import CameraSettings, PairCount, is_live, paired
+from cmp_cl.cameras import CameraSettings
 from cmp_cl.cli import strain
 from cmp_cl.cli.arguments import (
     Box,
@@ -33,19 +32,18 @@ from cmp_cl.cli.arguments import (
 )
 from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
+from cmp_cl.cli.shots import PAIR_WITHIN, Pairs, Shot, Source
 from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
-from cmp_cl.errors import ConfigError, GridError, ImageError
+from cmp_cl.errors import ConfigError, GridError
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, open_series
-from cmp_cl.series.mcap import mcap_images
 from cmp_cl.stereo import StereoRig
 from cmp_cl.viz import RerunLog
 from cmp_cl.viz.film import FILM_SUFFIXES, OverlayFilm
 
-_PAIR_WITHIN = 20.0  # ms
 _LINES_OF_BROKEN = 8  # a recording full of broken frames is told in a number
 
 
@@ -80,7 +78,7 @@ def add_parser(commands: Any) -> None:
         metavar="MS",
         type=float,
         help="largest difference between the times of a pair, ms; default: half of the time "
-        f"between frames, {_PAIR_WITHIN:g} where that is unknown",
+        f"between frames, {PAIR_WITHIN:g} where that is unknown",
     )
     camera = parser.add_argument_group("settings of a camera, a device or an address")
     camera.add_argument(
@@ -186,172 +184,6 @@ def _camera_size(text: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-class _Shot(NamedTuple):
-    """A frame of the source; image is None where it cannot be read, time_ms NaN if unknown."""
-
-    number: int
-    time_ms: float
-    image: GreyImage | None
-
-
-class _Source:
-    """Where the frames come from.
-
-    rate: frames per second, full_scale: largest grey level; None where nobody knows.
-    """
-
-    def __init__(self, name: str, max_pixels: int, camera: CameraSettings) -> None:
-        self._max_pixels = max_pixels
-        self.live = is_live(name)
-        self._number = int(name) if name.isdigit() and camera == CameraSettings() else None
-        self._camera = cameras.Source(name, camera) if self.live else None
-        self.start_ns: int | None = None  # since 1970, of an MCAP
-        self.paths: list[Path] = [] if self.live else media.find_inputs([name])
-        self.name = name
-        single = self.paths[0] if len(self.paths) == 1 else None
-        self.rate = None if single is None else media.frame_rate(single)
-        self.full_scale = None if single is None else media.full_scale(single)
-
-    @property
-    def total(self) -> int | None:
-        """Return how many frames or pairs there are, None where nobody knows."""
-        if self.live:
-            return None
-        if len(self.paths) == 1:
-            return media.count_frames(self.paths[0])
-        total = 0
-        for path in self.paths:
-            with contextlib.suppress(ImageError):
-                total += media.count_frames(path) or 1
-        return total
-
-    def shots(self) -> Generator[_Shot, None, None]:
-        """Yield all frames or pairs, from the first; what cannot be read is one broken frame
-        without an image."""
-        start: float | None = None
-        if self.live and self._number is not None:
-            for frame in media.read_camera(self._number):
-                now = time.monotonic() * 1e3
-                start = now if start is None else start
-                yield _Shot(frame.index, now - start, frame.image)
-            return
-        if self._camera is not None:
-            for taken in self._camera.frames():
-                start = taken.time_ms if start is None else start
-                yield _Shot(taken.index, taken.time_ms - start, taken.image)
-            return
-        if self.paths[0].suffix.lower() == ".mcap":
-            for number, (stamp, image) in enumerate(
-                mcap_images(self.paths[0], max_pixels=self._max_pixels)
-            ):
-                self.start_ns = self.start_ns or stamp
-                yield _Shot(number, (stamp - self.start_ns) / 1e6, image)
-            return
-        index = 0
-        for path in self.paths:
-            try:
-                for frame in media.read_frames(path, max_pixels=self._max_pixels):
-                    time_ms = frame.time_ms if len(self.paths) == 1 else np.nan
-                    yield _Shot(index, time_ms, frame.image)
-                    index += 1
-            except ImageError:
-                if len(self.paths) == 1:
-                    raise
-                yield _Shot(index, np.nan, None)
-                index += 1
-
-    def rest(self, number: int) -> tuple[GreyImage, Generator[_Shot, None, None]]:
-        """Return the frame at rest, and the frames to measure: of a camera from it on, else all."""
-        shots = self.shots()
-        for shot in shots:
-            if shot.number < number:
-                continue
-            if shot.image is None:
-                raise ConfigError(f"--rest-frame {number} cannot be read; choose another one")
-            if self.live:
-                return shot.image, _chained(shot, shots)
-            shots.close()
-            return shot.image, self.shots()
-        raise ConfigError(f"--rest-frame {number} is beyond the last frame")
-
-
-class _Pairs(_Source):
-    """Frames of two sources side by side, left and right, paired by their times."""
-
-    def __init__(self, arguments: argparse.Namespace, camera: CameraSettings) -> None:
-        self._sides = [
-            cameras.Source(name, camera, max_pixels=arguments.max_pixels)
-            for name in (arguments.left, arguments.right)
-        ]
-        left, right = self._sides
-        if left.live != right.live:
-            raise ConfigError("--left and --right must both be files or both be cameras")
-        counts = len(left.paths), len(right.paths)
-        if max(counts) > 1 and counts[0] != counts[1]:
-            raise ConfigError(
-                f"--left has {counts[0]} files and --right {counts[1]}: images have no times by "
-                "which they could be paired; leave out those without a partner"
-            )
-        self.name = f"{left.name}, {right.name}"
-        self.start_ns = self.full_scale = None
-        if not left.live:
-            self.full_scale = media.full_scale(left.paths[0])
-        self.live = left.live
-        self.paths = [*left.paths, *right.paths]
-        periods = [side.period_ms for side in self._sides if np.isfinite(side.period_ms)]
-        self.rate = 1e3 / max(periods) if periods else None
-        self._within = arguments.pair_within
-        if self._within is None:
-            self._within = min(periods) / 2 if periods else _PAIR_WITHIN
-        self.count = PairCount()
-
-    @property
-    def total(self) -> int | None:
-        """Return how many frames or pairs there are, None where nobody knows."""
-        return None
-
-    def shots(self) -> Generator[_Shot, None, None]:
-        """Yield all frames or pairs, from the first; what cannot be read is one broken frame
-        without an image."""
-        self.count = PairCount()
-        start = None
-        with contextlib.ExitStack() as stack:
-            sides = [stack.enter_context(contextlib.closing(s.frames())) for s in self._sides]
-            found = paired(*sides, tolerance_ms=self._within, count=self.count, endless=self.live)
-            for number, (left, right) in enumerate(found):
-                start = left.time_ms if start is None else start
-                yield _Shot(number, left.time_ms - start, _side_by_side(left.image, right.image))
-
-    def alone(self) -> str:
-        """Say how many frames had no partner, "" where all had one."""
-        if not (self.count.left_alone or self.count.right_alone):
-            return ""
-        return (
-            f"; {self.count.left_alone} left and {self.count.right_alone} right frames without "
-            "a partner"
-        )
-
-
-def _side_by_side(left: GreyImage | None, right: GreyImage | None) -> GreyImage | None:
-    if left is None or right is None:
-        return None
-    if (left.shape, left.dtype) != (right.shape, right.dtype):
-        raise ImageError(f"the left frame is {_size(left)}, the right one {_size(right)}")
-    both = np.empty((left.shape[0], 2 * left.shape[1]), left.dtype)
-    both[:, : left.shape[1]], both[:, left.shape[1] :] = left, right
-    return both
-
-
-def _size(image: GreyImage) -> str:
-    return f"{image.shape[1]} x {image.shape[0]} px of {image.dtype}"
-
-
-def _chained(first: _Shot, others: Generator[_Shot, None, None]) -> Generator[_Shot, None, None]:
-    with contextlib.closing(others):
-        yield first
-        yield from others
-
-
 class _Tally:
     """What was measured, for the line at the end."""
 
@@ -398,7 +230,7 @@ class _Tally:
 class _Settings:
     """What the arguments ask for, checked and loaded."""
 
-    source: _Source
+    source: Source
     rest_frame: int
     out: str
     overlay: str | None
@@ -442,9 +274,9 @@ class _Settings:
             fourcc=arguments.pixel_format,
         )
         source = (
-            _Pairs(arguments, camera)
+            Pairs(arguments, camera)
             if arguments.left is not None
-            else _Source(arguments.source, arguments.max_pixels, camera)
+            else Source(arguments.source, arguments.max_pixels, camera)
         )
         if camera != CameraSettings() and not source.live:
             raise ConfigError(f"{shown(source.name)} is no camera: it takes no camera's settings")
@@ -519,7 +351,7 @@ class _Settings:
                 return self._with_added(OneView(rest, region=region, **search))
             split = split_of(self.split, self.mirror, rest.shape)
             one, two = views_of(split)
-            if isinstance(self.source, _Pairs):  # regions are in the two frames
+            if isinstance(self.source, Pairs):  # regions are in the two frames
                 two = ((0, 0, *two[0][2:]), two[1])
             left, right = regions_in(self.region, one, two)
             return self._with_added(
@@ -583,7 +415,7 @@ def run(arguments: argparse.Namespace) -> int:
             film.frame(shot, measured, at_rest)
     ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
-    if isinstance(source, _Pairs):
+    if isinstance(source, Pairs):
         line += source.alone()
     piped = settings.out == "-"
     if full is None or tally.frames:
@@ -599,7 +431,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 130 if stop.name and not source.live else 0
 
 
-def _full_scale(asked: int | None, source: _Source, config: DetectorConfig | None) -> int | None:
+def _full_scale(asked: int | None, source: Source, config: DetectorConfig | None) -> int | None:
     """Return the full scale that is asked for, else the source's where the settings say none."""
     if asked is not None or (config is not None and config.full_scale is not None):
         return asked
@@ -642,7 +474,7 @@ class _Film(contextlib.AbstractContextManager["_Film"]):
             except OSError as error:
                 self.error = error
 
-    def frame(self, shot: _Shot, measured: Measured, rest: NDArray[Any]) -> None:
+    def frame(self, shot: Shot, measured: Measured, rest: NDArray[Any]) -> None:
         """Add a frame; rest: the positions at rest, (R, C, 2) px or (R, C, 3)."""
         if self.error is not None:
             return
@@ -666,7 +498,7 @@ class _Film(contextlib.AbstractContextManager["_Film"]):
             self.error = error
 
 
-def _why_broken(shot: _Shot, rest: GreyImage) -> str:
+def _why_broken(shot: Shot, rest: GreyImage) -> str:
     if shot.image is None:
         return f"frame {shot.number} cannot be read and is left out"
     rows, columns = shot.image.shape
