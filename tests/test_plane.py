@@ -12,7 +12,7 @@ from stereo_data import grid_of
 
 import cmp_cl
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.field import (
+from cmp_cl.field.plane import (
     PlaneScale,
     motion_of,
     plane_displacement,

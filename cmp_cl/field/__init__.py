@@ -2,9 +2,20 @@
 
 from cmp_cl.field.contact import Contact, contact_of, surface_normals
 from cmp_cl.field.field import DisplacementField, displacement
-from cmp_cl.field.motion import Motion, motion_of, without_motion
-from cmp_cl.field.plane import PlaneField, PlaneScale, plane_displacement, with_measured_noise
-from cmp_cl.field.plane_strain import PlaneStrain, PrincipalStrain, plane_strain
+from cmp_cl.field.plane import (
+    Motion,
+    PlaneField,
+    PlaneScale,
+    PlaneStrain,
+    PrincipalStrain,
+    Raster,
+    motion_of,
+    plane_displacement,
+    plane_strain,
+    rasterize,
+    with_measured_noise,
+    without_motion,
+)
 from cmp_cl.field.poisson import (
     Boundary,
     Potential,
@@ -12,7 +23,6 @@ from cmp_cl.field.poisson import (
     projected_density,
     surface_height,
 )
-from cmp_cl.field.raster import Raster, rasterize
 from cmp_cl.field.strain import green_lagrange
 from cmp_cl.field.writers import mesh
 

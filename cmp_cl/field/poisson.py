@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.field.raster import Raster
+from cmp_cl.field.plane import Raster
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.field import green_lagrange
-from cmp_cl.field.plane import PlaneField
-from cmp_cl.field.plane_strain import plane_strain
+from cmp_cl.field.plane import PlaneField, plane_strain
 from cmp_cl.viz.figures import NARROWEST
 
 if TYPE_CHECKING:

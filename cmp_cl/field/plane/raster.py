@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.field.plane import PlaneField
+from cmp_cl.field.plane.displacement import PlaneField
 
 Array = NDArray[np.float64]
 

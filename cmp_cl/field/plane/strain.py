@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError
-from cmp_cl.field.plane import PlaneField
+from cmp_cl.field.plane.displacement import PlaneField
 from cmp_cl.field.strain import slope_weights
 
 Array = NDArray[np.float64]

@@ -1,0 +1,31 @@
+"""Displacement and strain in the plane, from one view: on the nodes, and on a raster.
+
+`plane_displacement` is the displacement of each node, in px or in a length. `Motion` is its part
+that is one translation, rotation and zoom of everything. `plane_strain` is the part that changes
+lengths. Each has its standard deviation, to first order in those of the positions.
+"""
+
+from cmp_cl.field.plane.displacement import (
+    PlaneField,
+    PlaneScale,
+    plane_displacement,
+    with_measured_noise,
+)
+from cmp_cl.field.plane.motion import Motion, motion_of, without_motion
+from cmp_cl.field.plane.raster import Raster, rasterize
+from cmp_cl.field.plane.strain import PlaneStrain, PrincipalStrain, plane_strain
+
+__all__ = [
+    "Motion",
+    "PlaneField",
+    "PlaneScale",
+    "PlaneStrain",
+    "PrincipalStrain",
+    "Raster",
+    "motion_of",
+    "plane_displacement",
+    "plane_strain",
+    "rasterize",
+    "with_measured_noise",
+    "without_motion",
+]
