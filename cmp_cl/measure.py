@@ -514,7 +514,7 @@ def find_board(
     """
     device = _selected(device)
     cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
-    blur = estimate_blur(view, estimate_cells(view))
+    blur = estimate_blur(view, estimate_cells(view)._replace(side=cell))
     scaled = DetectorConfig.for_cell(cell, blur=blur).replace(full_scale=full_scale)
     grids = []
     for config in dict.fromkeys((scaled, scaled.replace(scale=None))):
