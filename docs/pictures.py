@@ -102,7 +102,7 @@ def edges() -> Figure:
         along = np.array([np.cos(line.angle[0]), np.sin(line.angle[0])])
         ends = line.centre[0] + np.array([[-8], [8]]) * along
         axes.plot(*ends.T, color="white", linewidth=1)
-    axes.plot(*place, "x", color="yellow", markersize=10, markeredgewidth=2)
+    axes.plot(*corner, "x", color="yellow", markersize=10, markeredgewidth=2)
     axes.set_xlim(start[0, 0] - 8.5, start[0, 0] + 8.5)
     axes.set_ylim(start[0, 1] + 8.5, start[0, 1] - 8.5)
     axes.legend(fontsize=7, loc="upper right")
