@@ -156,6 +156,22 @@ def filter_grid(
     )
 
 
+def filter_at_rest(values: ArrayLike, *, measured: ArrayLike) -> Filtered:
+    """Filter positions at rest, see `filter_grid`. The last few are kept: those of a film's frames
+    are the same."""
+    given, votes = np.asarray(values, np.float64), np.asarray(measured, np.bool_)
+    return _at_rest(given.shape, given.tobytes(), votes.tobytes())
+
+
+@functools.lru_cache(maxsize=4)
+def _at_rest(shape: tuple[int, ...], values: bytes, measured: bytes) -> Filtered:
+    votes = np.frombuffer(measured, np.bool_).reshape(shape[:2])
+    found = filter_grid(np.frombuffer(values).reshape(shape), measured=votes)
+    for array in (found.values, found.sigma, found.noise, found.refused):
+        array.flags.writeable = False
+    return found
+
+
 def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid]:
     """Return the grid with filtered positions, and the raw one, each with the sigma from the
     lattice.
@@ -174,7 +190,7 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
         raise GridError(f"the grid at rest has {rest.extent}, the other {now.extent}")
     rest = rest.cut_to(now)
     measured = np.isin(rest.status, MEASURED)
-    start = filter_grid(rest.xy, measured=measured)
+    start = filter_at_rest(rest.xy, measured=measured)
     moved = now.xy.astype(np.float64) - rest.xy
     change = filter_grid(moved, measured=measured & np.isin(now.status, MEASURED), bends=True)
     values = np.where(np.isnan(moved), now.xy, start.values + change.values)
