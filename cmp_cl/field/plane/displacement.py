@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import FieldError
-from cmp_cl.grid.filter import Filtered, filter_grid
+from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 
 Array = NDArray[np.float64]
@@ -139,7 +139,7 @@ def plane_displacement(
     now = now.cut_to(rest)
     scale = PlaneScale.pixels() if scale is None else scale
     both = rest.valid & now.valid
-    measured = both & np.isin(rest.status, MEASURED) & np.isin(now.status, MEASURED)
+    seen_at_rest = np.isin(rest.status, MEASURED)
     (before, slope_before), (after, slope_after) = scale(rest.xy), scale(now.xy)
 
     def deviation(grid: Grid, slope: Array) -> Array:
@@ -149,14 +149,16 @@ def plane_displacement(
     missing = np.uint8(NodeStatus.MISSING)
     position = np.where(both[..., None], before, np.nan)
     moved = np.where(both[..., None], after - before, np.nan)
-    at_rest = filter_grid(position, measured=measured)
-    change = filter_grid(moved, measured=measured, bends=True)
+    at_rest = filter_at_rest(before, measured=seen_at_rest)
+    change = filter_grid(
+        moved, measured=both & seen_at_rest & np.isin(now.status, MEASURED), bends=True
+    )
     own_rest, own_now = deviation(rest, slope_before), deviation(now, slope_after)
     unfiltered = PlaneField(
         position=position,
         displacement=moved,
         sigma=_either(change.noise, np.hypot(own_rest, own_now)),
-        sigma_position=_either(at_rest.noise, own_rest),
+        sigma_position=np.where(both, _either(at_rest.noise, own_rest), np.nan),
         status=np.where(both, np.maximum(rest.status, now.status), missing).astype(np.uint8),
         unit=scale.unit,
     )
@@ -164,10 +166,10 @@ def plane_displacement(
         return unfiltered
     return dataclasses.replace(
         unfiltered,
-        position=at_rest.values,
+        position=np.where(both[..., None], at_rest.values, np.nan),
         displacement=change.values,
         sigma=_either(change.sigma, np.hypot(own_rest, own_now)),
-        sigma_position=_either(at_rest.sigma, own_rest),
+        sigma_position=np.where(both, _either(at_rest.sigma, own_rest), np.nan),
         raw=unfiltered,
         filtered=(at_rest, change),
     )

@@ -129,6 +129,25 @@ def filter_grid(
     )
 
 
+def filter_at_rest(values: ArrayLike, *, measured: ArrayLike) -> Filtered:
+    """Filter positions at rest, see `filter_grid`.
+
+    The results of the last few are kept: the frames of a film share their positions at rest. The
+    arrays of a result are read-only.
+    """
+    given, votes = np.asarray(values, np.float64), np.asarray(measured, np.bool_)
+    return _at_rest(given.shape, given.tobytes(), votes.tobytes())
+
+
+@functools.lru_cache(maxsize=4)
+def _at_rest(shape: tuple[int, ...], values: bytes, measured: bytes) -> Filtered:
+    votes = np.frombuffer(measured, np.bool_).reshape(shape[:2])
+    found = filter_grid(np.frombuffer(values).reshape(shape), measured=votes)
+    for array in (found.values, found.sigma, found.noise, found.refused):
+        array.flags.writeable = False
+    return found
+
+
 def _of_component(
     given: Array, votes: Bools, part: Bools, box: Box, *, bends: bool
 ) -> "tuple[Mixture, Array]":

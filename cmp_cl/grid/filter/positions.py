@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import GridError
-from cmp_cl.grid.filter.lattice import filter_grid
+from cmp_cl.grid.filter.lattice import filter_at_rest, filter_grid
 from cmp_cl.grid.grid import MEASURED, Grid
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
         raise GridError(f"the grid at rest has {rest.extent}, the other {now.extent}")
     rest = rest.cut_to(now)
     measured = np.isin(rest.status, MEASURED)
-    start = filter_grid(rest.xy, measured=measured)
+    start = filter_at_rest(rest.xy, measured=measured)
     moved = now.xy.astype(np.float64) - rest.xy
     change = filter_grid(moved, measured=measured & np.isin(now.status, MEASURED), bends=True)
     values = np.where(np.isnan(moved), now.xy, start.values + change.values)
