@@ -626,7 +626,7 @@ BOARD = "--board", "7x7", "--square", "4", "--out", "rig.yaml"
 
 
 def test_calibrate_finds_the_cameras_again(run, boards, monkeypatch):
-    monkeypatch.setattr("cmp_cl.measure._USUAL_CELLS", ())
+    monkeypatch.setattr("cmp_cl.measure.patterns._USUAL_CELLS", ())
     for number, views in enumerate(boards):
         cv2.imwrite(f"{number}.png", np.hstack(views))
     cv2.imwrite("4.png", np.full((VIEW[0], 2 * VIEW[1]), 90, np.uint8))
@@ -903,7 +903,7 @@ def test_what_is_lost_is_named():
 def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
     run, tmp_path, monkeypatch, arguments, words
 ):
-    monkeypatch.setattr("cmp_cl.measure._USUAL_CELLS", ())
+    monkeypatch.setattr("cmp_cl.measure.patterns._USUAL_CELLS", ())
     cv2.imwrite("0.png", np.full(VIEW, 90, np.uint8))
     cv2.imwrite("1.png", np.full((100, 90), 90, np.uint8))
     fails_in_one_line(run("tune", "--grid", "9x9", *arguments), *words)
