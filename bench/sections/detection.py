@@ -30,21 +30,20 @@ def accuracy(result: Row, folder: Path) -> str:
     rows = {(row["method"], row["group"]): row for row in result["rows"]}
     names = list(dict.fromkeys(row["method"] for row in result["rows"]))
     count = rows[DEFAULT, "all"]["frames"]
-    parts = ["## Error", conditions(result), left_out(result)]
+    parts = ["## Detection on rendered scenes", conditions(result), left_out(result)]
     parts.append(
-        f"{count} rendered scenes, each method on each of them. A frame fails if one corner is "
-        "missed or one is false. Peers have the settings that `search.py` found on other scenes. "
-        "Rows `+ grid` count the nodes that were measured, not those filled in. The print is worn "
-        "in all of these scenes, and wear is most of every error in px here; perfect prints and "
-        "other wear stand under Positions. "
-        f"{INTERVALS}they stand as they were measured, and the column `surely better` counts the "
-        "rows that are ahead beyond both intervals (Wilson's, over frames).\n"
+        f"{count} rendered scenes, every method on each of them. The peers have the settings that "
+        "`search.py` found on other scenes. Rows `+ grid` count the nodes that were measured, not "
+        "the interpolated ones. The print is worn in all of these scenes, and wear causes most of "
+        "every error in px; the section on positions has perfect prints and other wear. "
+        f"{INTERVALS}The rows stand in the order of measurement, and the column `surely better` "
+        "counts the rows whose share is higher beyond both intervals (Wilson's, over frames).\n"
     )
-    parts.append("### Success, % of frames, by severity\n")
+    parts.append("### Frames right, %, by severity\n")
     groups = [f"severity {s:g}" for s in result["severities"]]
     parts.append(_rates(rows, names, groups))
     parts.append(_right(rows, result))
-    parts.append("### Success, % of frames, by density and by object\n")
+    parts.append("### Frames right, %, by density, by object and by mode\n")
     groups = sorted(
         {g for _, g in rows if g.startswith(("markers", "object", "mode")) and "," not in g}
     )
@@ -52,7 +51,7 @@ def accuracy(result: Row, folder: Path) -> str:
     parts.append("### All scenes\n")
     head = (
         "method",
-        "success %",
+        "frames right %",
         "surely better",
         "missed a frame",
         "false a frame",
@@ -79,7 +78,7 @@ def accuracy(result: Row, folder: Path) -> str:
             ]
         )
     parts.append(table(head, body))
-    parts.append("### Position error on corners that both found, px\n")
+    parts.append("### Position error on the corners that both found, px\n")
     common = result["common"]
     parts.append(
         table(
@@ -90,19 +89,30 @@ def accuracy(result: Row, folder: Path) -> str:
             ],
         )
     )
-    parts.append(_shortfalls(rows, names, result))
     success_plot(rows, names, result["severities"], folder / "success.png")
-    parts.append("![Success by severity](success.png)\n")
+    parts.append("![Frames right by severity](success.png)\n")
+    if (folder / "methods.jpg").is_file():
+        parts.append("### Every method on the same frame\n\n![Methods](methods.jpg)\n")
+    return "\n".join(parts)
+
+
+def against_time(result: Row, folder: Path) -> str:
+    """Report errors against times of the rendered scenes, for each density."""
+    result = unpacked(result)
+    rows = {(row["method"], row["group"]): row for row in result["rows"]}
+    names = list(dict.fromkeys(row["method"] for row in result["rows"]))
+    parts = ["## Error against time", conditions(result)]
+    parts.append(
+        "The rendered scenes of the section on detection. A row is on a front if no other row was "
+        "both faster and more exact in this run. Times and RMSE have no intervals here: close rows "
+        "are not told apart.\n"
+    )
     for markers in result["densities"]:
         group = f"markers {markers}"
         points = [rows[name, group] for name in names if "NumPy" not in name or "grid" in name]
         pareto(points, f"{markers} x {markers} at 640 x 480", folder / f"pareto-{markers}.png")
         parts.append(f"### Error against time, {markers} x {markers}\n")
         parts.append(f"![Error against time](pareto-{markers}.png)\n")
-        parts.append(
-            "A row is on a front if no other was both faster and more exact in this run; times and "
-            "RMSE have no intervals here, and close rows are not told apart.\n"
-        )
         front = set(front_of(points, "per_thousand")) | set(front_of(points, "rmse"))
         body = [
             [
@@ -174,8 +184,11 @@ def _rates(rows: dict[tuple[str, str], Row], names: Sequence[str], groups: Seque
     return table(("method", *groups), body)
 
 
-def _shortfalls(rows: dict[tuple[str, str], Row], names: Sequence[str], result: Row) -> str:
-    """List where a peer is ahead: of all, or of those without a grid."""
+def shortfalls(result: Row) -> str:
+    """List where a peer succeeds more often: of all, or of those without a grid."""
+    result = unpacked(result)
+    rows = {(row["method"], row["group"]): row for row in result["rows"]}
+    names = dict.fromkeys(row["method"] for row in result["rows"])
     body = []
     for markers in result["densities"]:
         for severity in result["severities"]:
@@ -202,7 +215,7 @@ def _shortfalls(rows: dict[tuple[str, str], Row], names: Sequence[str], result: 
                                 "yes" if apart(ours, theirs) else "no",
                             ]
                         )
-    text = "### Where a peer succeeds more often than we do, up to severity 1\n\n"
+    text = "## Failures\n\n### Detection: where a peer succeeds more often, up to severity 1\n\n"
     if not body:
         return text + "Nowhere.\n"
     head = ("scenes", "ours", "succeeds", "peer", "succeeds", "told apart")
@@ -212,11 +225,12 @@ def _shortfalls(rows: dict[tuple[str, str], Row], names: Sequence[str], result: 
 def photographs(result: Row) -> str:
     parts = ["## Real photographs", conditions(result), left_out(result)]
     parts.append(
-        "Truth is a saddle fit to the grey image: it flatters methods that fit one, and "
-        "differences below 0.2 px say nothing. Beside it `scatter` asks no truth: the median "
-        "distance, px, of a corner from the middle of its four neighbours, over the root of 5/4; "
-        "what the surface bends is in it for all methods alike. False counts only where every "
-        "corner is listed; `outside` are detections elsewhere.\n"
+        "The truth is a saddle that is fitted to the grey image. It favours methods that fit a "
+        "saddle, and differences below 0.2 px mean nothing. `scatter` needs no truth: it is the "
+        "median distance, px, of a corner from the mean of its four neighbours, divided by the "
+        "root of 5/4. The curvature of the surface adds to it, alike for all methods. False "
+        "corners are counted only where every corner is listed; `outside` are detections "
+        "elsewhere.\n"
     )
     names = list(dict.fromkeys(row["photograph"] for row in result["rows"]))
     for name in names:
@@ -254,7 +268,7 @@ def photographs(result: Row) -> str:
 
 def criteria(result: Row) -> str:
     parts = ["## Thresholds and criteria", conditions(result)]
-    parts.append("A threshold for each ring against the mean of the window, all else the same.\n")
+    parts.append("A threshold for each ring, or the mean of the window; all else is the same.\n")
     keys = ("threshold", "frames", "success", "missed", "false", "rmse", "p95")
     parts.append(table(keys, [[row[key] for key in keys] for row in result["thresholds"]]))
     seen, spent = result["decisions"], result["times"]
@@ -273,9 +287,9 @@ def settings(result: Row) -> str:
     """Report what the search for the peers' settings found, and what it was worth."""
     parts = ["## The peers' settings", described(result)]
     parts.append(
-        f"Searched on {result['scenes_a_density']} scenes a density, seeds "
-        f"{result['first_seed']} and up, which nothing else uses. Success and wrong corners are "
-        "those on these scenes, with the settings found and with the usual ones.\n"
+        f"`search.py` chose them on {result['scenes_a_density']} scenes a density, with seeds from "
+        f"{result['first_seed']} on, which nothing else uses. Success and the number of wrong "
+        "corners are those on these scenes, with the settings found and with the usual ones.\n"
     )
     body = []
     for name, found in result["settings"].items():

@@ -10,15 +10,15 @@ def field(result: Row) -> str:
     parts = ["## Fields in space", conditions(result)]
     rows, columns = result["view"]
     parts.append(
-        f"Rendered pairs, two views of {columns} x {rows} with {result['markers']} x "
+        f"Rendered pairs: two views of {columns} x {rows} with {result['markers']} x "
         f"{result['markers']} corners of a pattern 32 mm wide, through cameras that are known "
-        "exactly. Errors are distances in space, in micrometres, over all nodes of all frames: "
-        "RMSE of the position, RMSE of the displacement from the frame at rest and its 95th "
-        "percentile (the median of the frames'), behind the lattice filter, and raw before it; "
-        "`within` is the share of errors within two stated standard deviations. A frame counts as "
-        "right in its numbering if no corner of it has a wrong row or column. The print is worn. "
-        f"{INTERVALS}the frames of one seed share their print and their frame at rest, so that the "
-        "true intervals are wider.\n"
+        "exactly. Errors are distances in space, um, over all nodes of all frames: the RMSE of the "
+        "position, the RMSE of the displacement from the frame at rest, and its 95th percentile "
+        "(the median over frames). `raw` is before the lattice filter, the column before it is "
+        "after the filter. `within` is the share of errors within two stated standard deviations. "
+        "The numbering of a frame is right if every corner has the right row and column. The print "
+        f"is worn. {INTERVALS}The frames of one seed share their print and their frame at rest: "
+        "the true intervals are wider.\n"
     )
     head = ("frames", "numbering right %", "nodes placed %", "position", "raw", "displacement")
     head = (*head, "raw", "within %", "raw", "95 %")
@@ -47,14 +47,10 @@ def field(result: Row) -> str:
             lead.append(100 * group["nodes_placed"])
             body.append([*lead, *figures, *shares, group["moved_p95_um"], group["ms"]])
         parts.append(table(("settings", key, *head, "ms"), body))
-    wrong = [row for row in result["frames"] if row["wrong_index"]]
-    if wrong:
-        parts.append("Frames with a wrong index:\n")
-        keys = ("config", "seed", "object", "mode", "severity", "wrong_index", "nodes")
-        parts.append(table(keys, [[row[key] for key in keys] for row in wrong]))
     parts.append(
-        "What `detector.grid` takes for the numbering, after the detection: frames of a press in "
-        "any order, whole ones and such that leave corners to the second look.\n"
+        "### Time of the numbering\n\nThe time of `detector.grid` after detection. The frames are "
+        "those of a press in any order: complete ones, and ones that leave corners to the second "
+        "look.\n"
     )
     body = [
         [
@@ -71,10 +67,13 @@ def field(result: Row) -> str:
     parts.append(table(("form", "frames", "corners", "runs", "wrong", "ms", "95 %"), body))
     count = sum(len(run["order"]) for run in result["orders"])
     same = sum(run["same_bytes"] for run in result["orders"])
-    parts.append(f"{same} of {count} frames gave the same bytes when they came in another order.\n")
     parts.append(
-        "### Boards of known squares\n\nSides of squares, mm: of the Bumblebee2 pairs with their "
-        "published calibration, of each of OpenCV's pairs with the calibration of the others.\n"
+        f"{same} of {count} frames gave the same bytes when the frames came in another order.\n"
+    )
+    parts.append(
+        "### Boards of known squares\n\nThe sides of squares, mm. The Bumblebee2 pairs are "
+        "measured with their published calibration, each of OpenCV's pairs with a calibration from "
+        "the other pairs.\n"
     )
     if not result["boards"]:
         return "\n".join([*parts, "Left out: there were no photographs.\n"])
@@ -94,3 +93,11 @@ def field(result: Row) -> str:
     head = ("pairs", "settings", "sides", "true", "mean", "deviation", "means of pairs")
     parts.append(table((*head, "reprojection error px"), body))
     return "\n".join(parts)
+
+
+def wrong_indices(result: Row) -> str:
+    """List the frames of the fields in space in which a corner has a wrong row or column."""
+    wrong = [row for row in result["frames"] if row["wrong_index"]]
+    keys = ("config", "seed", "object", "mode", "severity", "wrong_index", "nodes")
+    listed = table(keys, [[row[key] for key in keys] for row in wrong]) if wrong else "None.\n"
+    return f"### Fields in space: frames with a wrong index\n\n{listed}"

@@ -4,13 +4,14 @@ from sections.tables import Row, conditions, table
 
 
 def partial_views(result: Row) -> str:
-    """Report boards partly out of view, boards of a wrong size, an island."""
+    """Report boards partly out of view, boards of a wrong size, and an island of corners."""
     parts = ["## Boards partly out of view", conditions(result)]
     parts.append(
         "Each picture is cut at its four sides. A node is right if it lies within 3 px of a "
-        "corner and its numbers are those of one lattice; false, if no corner is within a quarter "
-        "of a cell. `doubted` views say that their numbers may be wrong, `silent` ones are wrong "
-        "and do not; only a method that is told the board's size has such numbers.\n"
+        "corner and its numbers belong to one lattice. It is false if no corner lies within a "
+        "quarter of a cell. A `doubted` view says that its numbers may be wrong. A `silent` one is "
+        "wrong and does not say so; that can happen only to methods that are told the size of the "
+        "board.\n"
     )
     keys = ("set", "method", "views", "visible", "right", "false", "other", "refused", "doubted")
     keys += ("silent",)
@@ -22,11 +23,13 @@ def partial_views(result: Row) -> str:
         group = counts.setdefault(row["answer"], [0, 0])
         group[tuple(row["asked"]) != (6, 9)] += 1
     parts.append(
-        "Boards of 6 x 9 corners, seen whole, asked for in that size and in seven others:\n"
+        "Boards of 6 x 9 corners in full view, searched for with that size and with seven others:\n"
     )
-    head = ("answer", "asked for 6 x 9", "asked for another size")
+    head = ("answer", "searched for 6 x 9", "searched for another size")
     parts.append(table(head, [[answer, *group] for answer, group in counts.items()]))
-    parts.append("water/ellipse_10, corners with a node of the right number in their island:\n")
+    parts.append(
+        "water/ellipse_10: corners that have a node with the right number within their island:\n"
+    )
     rows = [
         [word, row["outside"], row["island"], row["corners"], "yes" if row["ambiguous"] else "no"]
         for word, row in result["island"].items()
@@ -36,18 +39,21 @@ def partial_views(result: Row) -> str:
 
 
 def open_patterns(result: Row) -> str:
-    """Report numbers against the rest frame without a border in view."""
+    """Report the numbering against the frame at rest, without a border in view."""
     parts = ["## Patterns without a border in view", conditions(result)]
     parts.append(
-        "Frames are numbered like the rest frame. Right: every node has its number, but for one in "
-        "500. In silence: more have not, and the frame does not say that its numbers are "
-        "ambiguous. A perfect print that moved by a whole period gives the same picture as one "
-        "that did not move: nothing in the frame can tell, so that every such frame is ambiguous. "
-        "The errors of a worn print move with it, and tell.\n"
+        "Every frame is numbered like the frame at rest. It is right if at most one node in 500 "
+        "has a wrong number. It is wrong in silence if more have and the frame does not say that "
+        "its numbers are ambiguous. A perfect print that has moved by a whole period looks like "
+        "one that has not moved: no picture can tell, and every such frame is ambiguous. The "
+        "errors of a worn print move with it, and decide.\n"
     )
     for form, words in (
-        ("alone", "By the rest frame alone"),
-        ("followed", "After the frames before, between which it moves by 0.3 cells at most"),
+        ("alone", "Numbered by the frame at rest alone"),
+        (
+            "followed",
+            "Numbered by the frames before; the pattern moves by at most 0.3 cells between two",
+        ),
     ):
         counts = result["counts"][form]
         head = list(dict.fromkeys(verdict for group in counts.values() for verdict in group))
@@ -56,9 +62,9 @@ def open_patterns(result: Row) -> str:
         parts.append(f"{words}:\n\n" + table(("frames", *shown), rows))
     peers = result["lattices"]
     parts.append(
-        "No peer takes a rest frame. One frame in fourteen, given to each method alone: a frame is "
-        "right if all its nodes have the numbers of one lattice, but for one in 500, however few "
-        "they are; a node is false that is a quarter of a cell from every corner.\n"
+        "No peer takes a frame at rest. Each method gets one frame in fourteen, alone. A frame is "
+        "right if at most one of its nodes in 500 disagrees with one lattice, however few nodes it "
+        "has. A node is false if it lies more than a quarter of a cell from every corner.\n"
     )
     parts.append(table(list(peers[0]), [list(row.values()) for row in peers]))
     parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]

@@ -1,4 +1,4 @@
-"""How exact positions and displacements in the image are, and what they say of it."""
+"""Errors of positions and displacements in the image, and the errors that they state."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,15 +11,23 @@ KINDS = ("raw position", "position", "raw displacement", "displacement")
 
 
 def positions(result: Row) -> str:
-    """Report the lattice filter: errors before and behind it, and whether the stated ones hold."""
+    """Report the errors before and after the lattice filter, and whether the stated ones hold."""
     parts = ["## Positions, and their stated errors", conditions(result), left_out(result)]
     parts.append(
-        "Each scene against its frame at rest; nodes that are measured and rightly numbered. "
-        "`raw` is EDGE_STEP, the other behind the lattice filter; RMSE of the distance, px, over "
-        "both axes. Corrosion 0 is a perfect print, 1 the wear of the other tables. With wear most "
-        "of the raw error is that the visible corner is not where the material point is, which "
-        "rewards whoever averages more. Intervals of 95 % count frames, whose nodes depend on each "
-        "other; where they overlap, rows and columns are not told apart.\n"
+        "Each scene is measured against its frame at rest, on the nodes that are measured and "
+        "numbered rightly. `raw` is EDGE_STEP; the other columns are filtered by the lattice "
+        "filter. Errors are RMSE of the distance over both axes, px. `worse` is the share of "
+        "frames whose displacement has a larger error filtered than raw, %, and `worst ratio` the "
+        "largest ratio of the two. Stated errors are judged by the share of coordinates within one "
+        "and within two stated standard deviations: normal errors give 68 and 95 %. `corner` is "
+        "`corners.sigma`, which covers the noise of the image and no wear.\n"
+    )
+    parts.append(
+        "Corrosion 0 is a perfect print, 1 is the wear of the other sections. On a worn print most "
+        "of the raw error is the distance of the visible corner from the material point, and an "
+        "average over neighbours reduces it. The intervals of 95 % are over frames, because the "
+        "nodes of a frame depend on each other. Rows and columns whose intervals overlap are not "
+        "told apart.\n"
     )
     for key in ("severity", "markers", "noise", None):
         others = {"severity", "markers", "noise"} - {key}
@@ -40,8 +48,7 @@ def positions(result: Row) -> str:
             ]
             for label, row in zip(labels, rows, strict=True)
         ]
-        parts.append(f"### Errors {title}, px\n\n`worse`: frames whose displacement the filter")
-        parts.append("makes worse, %, and the largest ratio of filtered to raw.\n")
+        parts.append(f"### Errors {title}, px\n")
         parts.append(table((*head, *KINDS, "worse", "worst ratio"), body))
         body = [
             [
@@ -54,30 +61,29 @@ def positions(result: Row) -> str:
             ]
             for label, row in zip(labels, rows, strict=True)
         ]
-        parts.append(f"### Stated errors {title}\n\nCoordinates within one, two stated standard")
-        parts.append(
-            "deviations, %: 68 and 95 if errors are normal. `corner` is `corners.sigma`, which "
-            "knows the image's noise and no wear.\n"
-        )
+        parts.append(f"### Stated errors {title}: % within one, within two\n")
         parts.append(table((*head, *KINDS, "corner"), body))
-    parts.append("### Where the truth bends\n\nNodes whose true position or displacement is over")
-    parts.append(".2 px off the cubic through their neighbours; RMSE, px, with wear.\n")
+    parts.append(
+        "### Where the truth bends\n\nNodes whose true position or displacement is more than .2 px "
+        "off the cubic through their neighbours. RMSE, px, with wear.\n"
+    )
     body = [[kind, value["nodes"], value["rms"]] for kind, value in result["bends"].items()]
     parts.append(table(("error", "nodes", "px"), body))
     parts.append(_compared(result["compared"]))
     bound = result["bound"]
     parts.append(
-        "### The bound on a perfect print\n\nThe noise-only Cramer-Rao bound of a disc of .75 "
-        f"cell is {bound['bound']:.4f} px, the noise part of EDGE_STEP {bound['noise_part']:.4f} "
-        f"px ({100 * (bound['noise_part'] / bound['bound'] - 1):.0f} % above), its whole error "
+        "### The bound on a perfect print\n\nNoise alone bounds the error of every method that "
+        f"sees a disc of .75 cell: the Cramer-Rao bound is {bound['bound']:.4f} px. The noise part "
+        f"of EDGE_STEP's error is {bound['noise_part']:.4f} px "
+        f"({100 * (bound['noise_part'] / bound['bound'] - 1):.0f} % above), its whole error "
         f"{bound['all']:.4f} px; {bound['frames']} frames.\n"
     )
     parts.append(_known(result["strains"]))
     parts.append(_resolution(result["resolution"]))
     parts.append(
-        f"{result['ms']:.2f} ms for positions and sigma of 1936 nodes, {result['ms_bends']:.2f} ms "
-        f"for their displacements; {result['left_out']} scenes were not numbered and are left "
-        "out.\n"
+        f"The filter takes {result['ms']:.2f} ms for the positions and sigma of 1936 nodes, and "
+        f"{result['ms_bends']:.2f} ms for their displacements. {result['left_out']} scenes were "
+        "not numbered and are left out.\n"
     )
     return "\n".join(parts)
 
@@ -91,9 +97,11 @@ def _label(row: Row, key: str | None) -> list[Any]:
 
 
 def _compared(rows: Sequence[Row]) -> str:
-    """Tabulate other methods on the corners that they find too, without wear and with it."""
-    parts = ["### Other methods, on the corners that they find too\n\nRMSE, px. `<`: smaller"]
-    parts.append("beyond both intervals; a comma: not told apart.\n")
+    """Tabulate the errors of other methods on the corners that they find too."""
+    text = (
+        "### Other methods, on the corners that they find too\n\nRMSE, px. In `order`, `<` means "
+        "smaller beyond both intervals, and a comma means not told apart.\n\n"
+    )
     names = {"rms": "its", "edge_step": "EDGE_STEP", "filtered": "filtered"}
     body = []
     for row in rows:
@@ -102,15 +110,15 @@ def _compared(rows: Sequence[Row]) -> str:
         lead = [row["corrosion"], row["method"], row["frames"], row["corners"]]
         body.append([*lead, *cells, order_of(figures)])
     head = ("corrosion", "method", "frames", "corners", "its", "EDGE_STEP's", "filtered", "order")
-    return "\n".join([*parts, table(head, body)])
+    return text + table(head, body)
 
 
 def _known(rows: Sequence[Row]) -> str:
     """Tabulate uniform stretches, in space and in the plane."""
     text = (
-        "### Known strains\n\nUniform stretches of a flat lattice of 40 x 40 nodes with 10 um of "
-        "wear that travels and 2 um of noise at each moment, measured in space and in the plane: "
-        "E11, and the RMSE of the displacement.\n\n"
+        "### Known strains\n\nUniform stretches of a flat lattice of 40 x 40 nodes, measured in "
+        "space and in the plane, with 10 um of wear that travels with the material and 2 um of "
+        "noise in each frame: E11, and the RMSE of the displacement.\n\n"
     )
     body = [
         [
@@ -146,11 +154,11 @@ def _resolution(rows: Sequence[Row]) -> str:
         for (view, name), curve in curves.items()
     ]
     parts = [
-        "### Resolution of the strain\n\nThe share that is left of the amplitude of a strain that "
-        "is a sine over the columns, with the same wear and noise. The resolution is the "
-        "wavelength at which half is left.\n",
+        "### Resolution of the strain\n\nThe strain is a sine over the columns, with the same "
+        "wear and noise. The table has the share of its amplitude that is measured. The "
+        "resolution is the wavelength at which half of the amplitude is left.\n",
         table(head, body),
-        "The displacement's RMSE beside it, um:\n",
+        "The RMSE of the displacement in the same cases, um:\n",
         table(("displacement", *(f"{wave} nodes" for wave in waves)), errors),
     ]
     return "\n".join(parts)

@@ -11,9 +11,9 @@ PAPER_TIMES = "4.95 ms (its ChESS 5.04 ms), 1936 corners, integer positions"
 def speed(result: Row) -> str:
     parts = ["## Time", conditions(result), left_out(result)]
     parts.append(
-        "Wall time from an image in host memory to positions in host memory, methods in turns in "
-        "one run, the answers scored that were timed. `times` is the ratio to our default; a row "
-        f"that is less right shows it. For context, the paper reports {PAPER_TIMES}.\n"
+        "Wall time from an image in host memory to positions in host memory. The methods take "
+        "turns in one run, and the answers that were timed are the ones that are scored. `times` "
+        f"is the ratio to our default. For context, the paper reports {PAPER_TIMES}.\n"
     )
     for scene in result["scenes"]:
         rows, columns = scene["shape"]
@@ -29,18 +29,17 @@ def speed(result: Row) -> str:
         base = next(row for row in scene["rows"] if row["method"] == DEFAULT)
         stages = sorted(base["stages"].items(), key=lambda stage: -stage[1])
         parts.append(
-            f"Our default with profiling: {base['wall_profiled']:.2f} ms, of which kernels "
-            f"{base['kernels']:.2f} ms and host and transfers {base['host_and_transfers']:.2f} ms; "
-            f"{base['bytes_per_pixel']:.1f} bytes a pixel on the device. Kernels, us: "
-            + ", ".join(f"{name} {1e3 * ms:.0f}" for name, ms in stages)
-            + ".\n"
+            f"Our default with profiling on takes {base['wall_profiled']:.2f} ms: kernels "
+            f"{base['kernels']:.2f} ms, host and transfers {base['host_and_transfers']:.2f} ms. "
+            f"It holds {base['bytes_per_pixel']:.1f} bytes a pixel on the device. Time of the "
+            "kernels, us: " + ", ".join(f"{name} {1e3 * ms:.0f}" for name, ms in stages) + ".\n"
         )
     return "\n".join(parts)
 
 
 def _paced(scene: Row) -> str:
-    """Tabulate what a frame takes when a camera gives them, and not a loop."""
-    text = f"One frame every {scene['pace_ms']:g} ms; beside it the same frames in a loop:\n\n"
+    """Tabulate the time of a frame at the pace of a camera, beside that in a loop."""
+    text = f"One frame every {scene['pace_ms']:g} ms, and the same frames in a loop:\n\n"
     head = ("method", "ms", "99 %", "loop, ms", "loop, 99 %", "times the loop's")
     keys = ("method", "ms", "ms_p99", "loop_ms", "loop_ms_p99", "times_loop")
     return text + table(head, [[row[key] for key in keys] for row in scene["paced"]])
@@ -55,22 +54,24 @@ def _targets(scene: Row) -> str:
     lean = [row for name, row in rows.items() if name.startswith("chess-corners, lean")]
     if lean:
         ratio = min(row["ms"] for row in lean) / ms
-        goal = f"at least {lean_goal} times faster than chess-corners' leanest"
+        goal = f"at least {lean_goal} times as fast as the leanest chess-corners"
         lines.append((goal, f"{ratio:.1f}", ratio >= lean_goal))
     if "goodFeaturesToTrack" in rows:
         ratio = rows["goodFeaturesToTrack"]["ms"] / ms
-        goal = f"at least {features_goal} times faster than goodFeaturesToTrack"
+        goal = f"at least {features_goal} times as fast as goodFeaturesToTrack"
         lines.append((goal, f"{ratio:.1f}", ratio >= features_goal))
     if LINES in rows:
         ratio = ms / rows[LINES]["ms"]
-        lines.append(("default at most 1.7 times EDGE_LINES alone", f"{ratio:.2f}", ratio <= 1.7))
+        lines.append(
+            ("default at most 1.7 times as long as EDGE_LINES alone", f"{ratio:.2f}", ratio <= 1.7)
+        )
     for row in scene["paced"]:
         if row["method"] == DEFAULT:
             ratio = row["times_loop"]
-            goal = f"one frame every {scene['pace_ms']:g} ms, at most 1.4 times the loop's"
+            goal = f"a frame every {scene['pace_ms']:g} ms, at most 1.4 times as long as in a loop"
             lines.append((goal, f"{ratio:.2f}", ratio <= 1.4))
     most = max(row["bytes_per_pixel"] for row in rows.values() if "bytes_per_pixel" in row)
-    goal = "device memory, bytes a pixel, at most 8 in every configuration"
+    goal = "at most 8 bytes of device memory a pixel, in every configuration"
     lines.append((goal, f"{most:.1f}", most <= 8))
     body = [(goal, figure, "yes" if met else "**no**") for goal, figure, met in lines]
     return table(("goal", "this run", "met"), body)
@@ -79,7 +80,7 @@ def _targets(scene: Row) -> str:
 def scaling(result: Row) -> str:
     parts = [f"## Cost by size, frames and process on {result['environment']['device']}"]
     parts.append(conditions(result))
-    parts.append("Bytes are all that the detector holds on the device, the image included.\n")
+    parts.append("Bytes are all memory that the detector holds on the device, with the image.\n")
     rows = [
         [
             f"{r['shape'][1]} x {r['shape'][0]}",
@@ -119,10 +120,10 @@ def _floor(floor: Row) -> str:
         f"once, and needs {floor['operations_a_frame'] / 1e6:.0f} million operations. This device "
         f"copies {floor['copy_gb_s']:.1f} GB/s and does "
         f"{floor['operations_a_second'] / 1e9:.0f} thousand million operations of 32 bits a "
-        f"second, which would be {floor['frames_a_second_at_floor']:.0f} frames a second; the best "
-        f"of these rows takes {floor['times_the_floor']:.0f} times as long. A single frame is an "
+        f"second: {floor['frames_a_second_at_floor']:.0f} frames a second at most. The best of "
+        f"these rows takes {floor['times_the_floor']:.0f} times as long. A single frame needs an "
         f"upload ({1e3 * floor['upload_ms']:.0f} us), {floor['launches_a_frame']} launches "
-        f"({1e3 * floor['launch_ms']:.1f} us each if the kernels were empty) and one answer "
-        f"({1e3 * floor['answer_ms']:.0f} us): {floor['alone_ms_at_floor']:.3f} ms; it takes "
-        f"{floor['alone_times_the_floor']:.1f} times as long.\n"
+        f"({1e3 * floor['launch_ms']:.1f} us each with empty kernels) and one transfer back "
+        f"({1e3 * floor['answer_ms']:.0f} us), together {floor['alone_ms_at_floor']:.3f} ms. It "
+        f"takes {floor['alone_times_the_floor']:.1f} times as long.\n"
     )

@@ -20,7 +20,10 @@ def stability(result: Row, folder: Path) -> str:
         "frames with other corners",
     )
     oracle = result["against_oracle"]
-    parts.append("float32 kernels against the float64 oracle, px.\n")
+    parts.append(
+        "The distance of each position from the float32 kernels to the float64 oracle's, px: "
+        "in all, by the sine between the edge lines, by contrast, by the number of valid rings.\n"
+    )
     parts.append(
         table(
             head,
@@ -99,8 +102,13 @@ def stability(result: Row, folder: Path) -> str:
             [[r["case"], r["figure"], r["expected"]] for r in result["cases"]],
         )
     )
-    parts.append("### Where each method breaks\n")
-    parts.append("Levels at which at most 10 corners of 1000 are missed or false.\n")
+    return "\n".join(parts)
+
+
+def breaking(result: Row, folder: Path) -> str:
+    """Report up to which level of each difficulty each method holds."""
+    parts = ["### Detection: where each method breaks\n"]
+    parts.append("The levels at which at most 10 corners of 1000 are missed or false.\n")
     breaking_plot(result["breaking"], folder / "breaking.png")
     parts.append("![Where methods break](breaking.png)\n")
     body = [
@@ -120,8 +128,9 @@ def implementations(result: Row) -> str:
     ]
     parts = ["## One implementation and another", conditions(result), left_out(result)]
     parts.append(
-        f"{count} scenes and configurations: a digest of all whole numbers, maps and corners, "
-        "against that of the oracle, and the largest difference of a coordinate of a corner.\n"
+        f"{count} scenes with their configurations. A digest covers all integers, maps and "
+        "corners; it agrees if it is the oracle's. The second table has the largest difference of "
+        "a coordinate between two implementations.\n"
     )
     parts.append(table(("implementation", "device", "digests that agree"), rows))
     parts.append(table(("one", "other", "largest difference, px"), pairs))
@@ -131,8 +140,8 @@ def implementations(result: Row) -> str:
 def theory(result: Row, folder: Path) -> str:
     parts = ["## Theory", conditions(result)]
     parts.append(
-        "Closed forms on a continuous ring (thin lines) against rings of 16 samples from ideal "
-        "corners (dots); the differences are the sampling.\n"
+        "Lines are the closed forms on a continuous ring, dots are rings of 16 samples from ideal "
+        "corners. They differ by the sampling.\n"
     )
     parts.append(table(("quantity", "rms difference"), list(result["agreement"].items())))
     figure, axes = plt.subplots(2, 3, figsize=(14, 7.5))
