@@ -325,14 +325,14 @@ def judge(xy: NDArray[np.float32], frame: Frame) -> tuple[int, int, NDArray[np.f
         low, high = frame.region[:2], frame.region[2:]
         xy = xy[((xy >= low) & (xy <= high)).all(axis=1)]
     valid = frame.grid.valid
-    place = np.argwhere(valid)
+    index = np.argwhere(valid)
     partner = scoring.match(xy, frame.grid.xy[valid], scoring.reach(frame.cell))
     hit = partner >= 0
     rest = xy[~hit].astype(np.float64)
     away = np.linalg.norm(rest[:, None] - frame.ignored, axis=2)
     extra = int(np.count_nonzero(away.min(axis=1, initial=np.inf) > frame.cell / 2))
     at = np.full(valid.shape, complex(np.nan, np.nan))
-    row, column = place[partner[hit]].T
+    row, column = index[partner[hit]].T
     at[row, column] = xy[hit, 0] + 1j * xy[hit, 1]
     predicted, weight = predict(at, row, column)
     off = np.abs(at[row, column] - predicted)[weight >= STRONG]

@@ -163,8 +163,8 @@ class _Column:
         )
         return header.getvalue()
 
-    def _write_at(self, place: int, data: bytes) -> None:
-        self.file.seek(place)
+    def _write_at(self, offset: int, data: bytes) -> None:
+        self.file.seek(offset)
         rest = memoryview(data)
         while rest:  # a nearly full disk may take only part of it
             rest = rest[self.file.write(rest) :]

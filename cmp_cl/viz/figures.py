@@ -157,9 +157,9 @@ def grid_overlay(
     canvas = _enlarged(image, factor)
     nodes = (grid.xy.astype(np.float64) + 0.5) * factor - 0.5
     for along_row, lines in ((True, nodes), (False, nodes.transpose(1, 0, 2))):
-        for place, line in enumerate(lines):
+        for number, line in enumerate(lines):
             colour = (220, 160, 60)
-            if place == 0:
+            if number == 0:
                 colour = (60, 60, 255) if along_row else (255, 80, 40)
             _polyline(canvas, line, colour)
     radius = min(max(2.0, 0.1 * cell * factor), 8.0)
