@@ -153,7 +153,7 @@ def _table(
             (f"{side} view: missed by the detector", str(answer.missed), ""),
             (f"{side} view: false ones of the detector", str(answer.false), ""),
             (f"{side} view: error of a corner, RMS", f"{answer.rmse:.3f}", "px"),
-            (f"{side} view: behind the lattice filter, RMS", f"{filtered:.3f}", "px"),
+            (f"{side} view: after the lattice filter, RMS", f"{filtered:.3f}", "px"),
             (f"{side} view: nodes with a position", str(int(grid.valid.sum())), ""),
             (f"{side} view: nodes with a wrong number", str(wrongly_numbered(grid, view)), ""),
         ]
