@@ -81,8 +81,8 @@ def figures(timed: Row, errors: Row) -> str:
     )
     return (
         f"{described(timed)}\nMedians of one run, from an image in host memory to positions there, "
-        f"on frames with {timed['scenes'][0]['corners']} and {timed['scenes'][1]['corners']} corners. "
-        "RMSE and missed / false are those of the first. The last column is a separate "
+        f"on frames with {timed['scenes'][0]['corners']} and {timed['scenes'][1]['corners']} "
+        "corners. RMSE and missed / false are those of the first. The last column is a separate "
         f"measurement: the share of {whole[DEFAULT]['frames']} rendered frames, from slightly to "
         "severely deformed, in which no corner is missed and none is false, with its interval of "
         "95 %. Rows whose intervals overlap are not told apart.\n\n" + table(head, body)

@@ -103,7 +103,7 @@ def add_parser(commands: Any) -> None:
         "--grid",
         metavar="ROWSxCOLUMNS",
         type=grid_shape,
-        help="corners of the pattern; default: what is seen at rest",
+        help="rows and columns of corners of the pattern; default: those seen at rest",
     )
     parser.add_argument(
         "--rest-frame",
