@@ -108,7 +108,7 @@ class Recorded:
         return node
 
     def plane(self) -> tuple[Array, Array]:
-        """Return the rest positions (R, C, 2) to draw on, and (3, 3) axes of that plane.
+        """Return the positions at rest (R, C, 2) to draw on, and (3, 3) axes of that plane.
 
         Raises FieldError where fewer than three nodes are valid, or all lie on a line.
         """
