@@ -357,7 +357,7 @@ def test_a_kill_in_the_middle_of_writing_leaves_what_was_there(tmp_path, before)
 # --- threads and processes -----------------------------------------------------------------
 
 
-def test_two_detectors_in_two_threads(device):
+def test_two_detectors_run_in_two_threads(device):
     expected = {name: [] for name in ("board", "texture")}
     configs = {"board": rings(), "texture": rings(nms_radius=1)}
     frames = {"board": BOARD, "texture": TEXTURE}

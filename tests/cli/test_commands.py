@@ -670,7 +670,7 @@ def test_a_rectangle_in_each_view_says_which_of_two_boards_is_meant(run, boards)
     np.testing.assert_allclose(StereoRig.load("rig.yaml").K1, of_frames.K1, atol=1e-9)
 
 
-def test_two_cameras_with_files_of_their_own(run, boards):
+def test_two_cameras_with_files_of_their_own_are_calibrated(run, boards):
     for number, (left, right) in enumerate(boards):
         cv2.imwrite(f"l{number}.png", left)
         cv2.imwrite(f"r{number}.png", right)
