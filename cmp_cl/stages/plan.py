@@ -310,7 +310,7 @@ class Plan(PlanBase):
         return rows
 
     def grow(self, overflow: Overflow) -> None:
-        """Lengthen the lists that overflowed, with a quarter to spare; frames stay on the device."""
+        """Lengthen the lists that overflowed, with a quarter to spare; the frames stay."""
         if overflow.listed > self.list_capacity:
             self.list_capacity = multiple(overflow.listed * 5 // 4, GROUP)
         if overflow.corners > self.corner_capacity:
