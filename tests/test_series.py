@@ -327,9 +327,10 @@ path = sys.argv[1]
 with open(path, "w") as file:
     file.write("old")
 try:
-    if path.endswith((".h5", ".csv", ".jsonl")):
-        with open_series(path) as series:
+    if not path.endswith((".mp4", ".mkv", ".avi")):
+        with open_series(path, None, {"rest": np.zeros((20, 20, 2))}) as series:
             for number in range(10_000):
+                added = number
                 series.append(index=number, time_ms=number, xy=np.random.rand(20, 20, 2))
     else:
         from stereo_data import grid_of
@@ -347,6 +348,13 @@ if path.endswith(".h5"):
     from cmp_cl.series import read_series
     found = read_series(path)
     print(len(found["index"]) > 100, bool(np.isfinite(found["xy"]).all()))
+if path.endswith(".parquet"):
+    import pandas
+    frames = pandas.read_parquet(path)["frame"].value_counts()
+    print(added > 100, len(frames) == added and set(frames) == {400})
+if path.endswith(".mcap"):
+    from mcap_ros2.reader import read_ros2_messages
+    print(added > 100, sum(1 for _ in read_ros2_messages(path)) == added)
 if path.endswith(("csv", "jsonl")):
     with open(path) as file:
         *lines, last = file.read().split("\\n")
@@ -355,11 +363,16 @@ if path.endswith(("csv", "jsonl")):
 """
 
 
-@pytest.mark.parametrize("suffix", ["h5", "csv", "jsonl", "mp4", "mkv", "avi"])
+PACKAGES = {"h5": ["h5py"], "parquet": ["pyarrow", "pandas"], "mcap": ["mcap_ros2"]}
+
+
+@pytest.mark.parametrize("suffix", ["h5", "csv", "jsonl", "parquet", "mcap", "mp4", "mkv", "avi"])
 def test_a_full_disk_is_told_and_keeps_what_is_whole(tmp_path, suffix):
-    """HDF5 crashed, and OpenCV said nothing of a film that was cut off."""
-    if suffix == "h5":
-        needs("h5py")
+    """HDF5 crashed, OpenCV said nothing of a film that was cut off, and files without an end
+    were lost.
+    """
+    for package in PACKAGES.get(suffix, []):
+        needs(package)
     inside = f"mount -t tmpfs -o size=4m tmpfs {tmp_path} && exec"
     namespace = ["unshare", "-rm", "sh", "-c"]
     if not shutil.which("unshare") or subprocess.run([*namespace, f"{inside} true"]).returncode:
