@@ -7,6 +7,7 @@ import os
 import shlex
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -29,6 +30,14 @@ def needs(module):
     """Return the module, or skip the test."""
     pytest.importorskip(module, reason=f"{module} is not installed")
     return importlib.import_module(module)
+
+
+PACKAGES = {
+    "h5": ["h5py"],
+    "hdf5": ["h5py"],
+    "parquet": ["pyarrow", "pandas"],
+    "mcap": ["mcap_ros2"],
+}
 
 
 def rest():
@@ -241,6 +250,28 @@ def test_what_was_there_stays_where_nothing_is_measured_or_an_error_comes_first(
         series.append(index=1, time_ms=0, **frame(0))
 
 
+@pytest.mark.skipif(os.name == "nt", reason="modes are others on Windows")
+@pytest.mark.parametrize("suffix", SERIES_SUFFIXES)
+def test_an_older_file_gives_a_series_its_mode(tmp_path, suffix):
+    for name in PACKAGES.get(suffix[1:], []):
+        needs(name)
+    path = tmp_path / f"private{suffix}"
+    path.touch(mode=0o600)
+    with open_series(path, None, {"rest": rest()}) as series:
+        series.append(index=0, time_ms=0.0, **frame(0))
+    assert path.stat().st_size
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no named pipes on Windows")
+def test_hdf5_replaces_no_pipe(tmp_path):
+    needs("h5py")
+    os.mkfifo(tmp_path / "pipe.h5")
+    with pytest.raises(OSError, match=r"regular.*pipe\.h5"):
+        open_series(tmp_path / "pipe.h5")
+    assert stat.S_ISFIFO(os.stat(tmp_path / "pipe.h5").st_mode)
+
+
 def test_an_unknown_suffix_is_refused_with_the_known_ones():
     with pytest.raises(ConfigError, match=r"\.npz, \.h5") as refusal:
         open_series("press.mat")
@@ -361,9 +392,6 @@ if path.endswith(("csv", "jsonl")):
     whole = len(lines) % 400 == 1 if path.endswith("csv") else lines[-1].endswith("}")
     print(len(lines) > 40, whole and not last)
 """
-
-
-PACKAGES = {"h5": ["h5py"], "parquet": ["pyarrow", "pandas"], "mcap": ["mcap_ros2"]}
 
 
 @pytest.mark.parametrize("suffix", ["h5", "csv", "jsonl", "parquet", "mcap", "mp4", "mkv", "avi"])

@@ -2,7 +2,6 @@
 
 import os
 import re
-import secrets
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.extras import extra
-from cmp_cl.files import check_target
+from cmp_cl.files import check_target, temporary_beside
 from cmp_cl.series.base import Description, Frame, Series
 from cmp_cl.series.disk import Reserve
 
@@ -43,8 +42,8 @@ class Hdf5Series(Series):
         with extra("hdf5", "HDF5"):
             import h5py
         self._target = check_target(path)
-        self._temporary = self._target.with_name(f".{secrets.token_hex(8)}.tmp")
-        self._file: Any = h5py.File(self._temporary, "x", libver="latest")
+        self._temporary = temporary_beside(self._target)
+        self._file: Any = h5py.File(self._temporary, "w", libver="latest")
         self._datasets: dict[str, Any] = {}
         self._reserve = Reserve(self._target.parent)
         self._full = False
