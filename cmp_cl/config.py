@@ -229,7 +229,8 @@ class EdgeLines:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EdgeStep:
-    """EDGE_LINES, then one least-squares step of a corner model (section 6, EDGE_STEP).
+    """EDGE_LINES, then one least-squares step of a corner model in uneven light (section 6,
+    EDGE_STEP).
 
     cell: side of a cell, px, 4 to 1000; the model sees min(9, max(4.5, 0.75 cell)) px around.
         The default is for cells of unknown side: its 6.75 px reach over no more than the next

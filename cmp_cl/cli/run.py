@@ -30,7 +30,7 @@ from cmp_cl.cli.arguments import (
     views_of,
     whole,
 )
-from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.shots import PAIR_WITHIN, Pairs, Shot, Source
 from cmp_cl.cli.stopping import Stop, handled, ignore
@@ -288,6 +288,7 @@ class _Settings:
                 arguments.rerun,
             ],
         )
+        tell_what_opencv_hides(source.paths)
         return cls(
             source=source,
             rest_frame=arguments.rest_frame,

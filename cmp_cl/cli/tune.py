@@ -27,7 +27,7 @@ from cmp_cl.cli.arguments import (
     views_of,
     whole,
 )
-from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
 from cmp_cl.config import (
     BinaryRings,
@@ -167,7 +167,9 @@ def run(arguments: argparse.Namespace) -> int:
     if Path(arguments.out).suffix.lower() != ".toml":
         raise ConfigError(f"--out {shown(arguments.out)} must end in .toml")
     check_target(arguments.out)
-    refuse_to_overwrite(media.find_inputs(arguments.frames), [arguments.out])
+    paths = media.find_inputs(arguments.frames)
+    refuse_to_overwrite(paths, [arguments.out])
+    tell_what_opencv_hides(paths)
     device = select_device(arguments.device)
     views = _views(arguments)
     full, frames = _reference(views, arguments.grid, device, arguments.full_scale)

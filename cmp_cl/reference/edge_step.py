@@ -19,6 +19,8 @@ LARGEST_STEP = 0.3  # px
 BLUR = 1.2  # px, of the model's edges
 LEAST_CONTRAST = 1e-3  # grey levels
 LEAST_DETERMINANT = 1e-3  # relative to the product of the diagonal
+GRADIENT = 1e-3  # 1/px, of the light: what is expected where the image does not say more
+SIGNIFICANT = 9.0  # squared standard deviations from which on the image's own gradient counts
 DOUBT = 0.010  # excess autocorrelation of the residual
 # px: what bent edges, shading and sampling add to the noise of a position on perfect prints
 STEP_ERROR = 0.01
@@ -46,8 +48,9 @@ def edge_step(
 ) -> Step:
     """Apply EDGE_STEP: one weighted linear least-squares step of a blurred corner from EDGE_LINES.
 
-    The model of the grey around x is m + c f(n1.u) g(n2.u), f and g smooth steps of 1.2 px.
-    Its radius is clamp(0.75 cell s, 4.5, 9) / s with the working scale s.
+    The model of the grey around x is (m + c f(n1.u) g(n2.u)) (1 + e.u), f and g smooth steps of
+    1.2 px, e the relative gradient of the light. Its radius is clamp(0.75 cell s, 4.5, 9) / s with
+    the working scale s.
     """
     radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
     n1, n2 = (normal_of(line) for line in both_lines(points))
@@ -67,7 +70,7 @@ def edge_step(
     excess = np.zeros(len(start))
     if accepted.any():
         excess = np.maximum(0, correlation - lower_median(correlation[accepted]))
-    sigma = np.sqrt(STEP_ERROR**2 + 0.25 * variance + 1000 * excess**2)
+    sigma = np.sqrt(STEP_ERROR**2 + 0.5 * variance + 1000 * excess**2)
     margin = np.min(
         [
             near,
@@ -105,7 +108,8 @@ def _step_terms(
     """Return per corner: step (N, 2), whether the system is sound, tr rho^2, ac, and a margin.
 
     ac is the mean of r(q) r(q + (1, 0)), weighted by w(q), over the pixels q that are, like
-    their right neighbours, within the radius.
+    their right neighbours, within the radius, less what the light's gradient adds to it. rho^2 is
+    what mean r^2 has beyond that product: noise, which is not alike in neighbours.
     """
     height, width = image.shape
     reach = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
@@ -115,13 +119,13 @@ def _step_terms(
     columns = np.clip(start[:, 0, None, None] + x, 0, width - 1)
     rows = np.clip(start[:, 1, None, None] + y, 0, height - 1)
     grey = image[rows, columns].astype(np.float64)
-    grey -= image[start[:, 1], start[:, 0]].astype(np.float64)[:, None, None]
+    centre = image[start[:, 1], start[:, 0]].astype(np.float64)
+    grey -= centre[:, None, None]
 
     ux, uy = x - shift[:, 0, None, None], y - shift[:, 1, None, None]
     r2 = ux * ux + uy * uy
     inside = r2 < radius * radius
-    r0 = min(4.0, radius / 2)
-    w = np.where(inside, (1 - r2 / radius**2) * np.minimum(1, r2 / r0**2), 0)
+    w = np.clip(4 * (1 - r2 / radius**2), 0, 1)
     a, b = ((n[:, 0, None, None] * ux + n[:, 1, None, None] * uy) / BLUR for n in (n1, n2))
     qa, qb = 1 / np.sqrt(1 + a * a), 1 / np.sqrt(1 + b * b)
     f, g = a * qa, b * qb
@@ -131,19 +135,48 @@ def _step_terms(
         result: Floats = (w * values).sum(axis=(1, 2))
         return result
 
-    s1, sp, si = total(np.ones_like(p)), total(p), total(grey)
-    spp, spi, sii = total(p * p), total(p * grey), total(grey * grey)
-    sa, sb = total(da), total(db)
-    saa, sab, sbb = total(da * da), total(da * db), total(db * db)
-    sap, sbp, sai, sbi = total(da * p), total(db * p), total(da * grey), total(db * grey)
+    def products(first: tuple[Floats, ...], second: tuple[Floats, ...]) -> Floats:
+        """Return (N, len(first), len(second)) sums."""
+        sums = [np.stack([total(one * other) for other in second], axis=1) for one in first]
+        return np.stack(sums, axis=1)
 
+    s1, sp, si = total(np.ones_like(p)), total(p), total(grey)
+    spp, spi = total(p * p), total(p * grey)
     with np.errstate(all="ignore"):
         spread = s1 * spp - sp * sp
         c = (s1 * spi - sp * si) / spread
         m = (si - c * sp) / s1
-        ba, bb = sai - m * sa - c * sap, sbi - m * sb - c * sbp
-        d = saa * sbb - sab * sab
-        ha, hb = -(sbb * ba - sab * bb) / (d * c), -(saa * bb - sab * ba) / (d * c)
+        r = grey - m[:, None, None] - c[:, None, None] * p
+        level = np.maximum(m + centre, np.abs(c))
+        light = 1 + (c / level)[:, None, None] * p
+        edges, gradient = (da, db), (ux * light, uy * light)
+        aa, am = products(edges, edges), products(edges, gradient)
+        mm = products(gradient, gradient)
+        ra, rm = products(edges, (r,))[..., 0], products(gradient, (r,))[..., 0]
+        squares = total(r * r)
+        d = aa[:, 0, 0] * aa[:, 1, 1] - aa[:, 0, 1] ** 2
+        ratios = np.stack(
+            [
+                np.abs(c) / LEAST_CONTRAST,
+                d / (aa[:, 0, 0] * aa[:, 1, 1]) / LEAST_DETERMINANT,
+                spread / (s1 * spp) / LEAST_DETERMINANT,
+            ]
+        )
+        sound = np.logical_and((ratios > 1).all(axis=0), np.isfinite(ra).all(axis=1))
+        near = np.abs(np.where(np.isfinite(ratios), ratios, 0) - 1).min(axis=0)
+        aa = np.where(sound[:, None, None], aa, np.eye(2))
+        alone, by_gradient = np.linalg.solve(aa, ra[..., None])[..., 0], np.linalg.solve(aa, am)
+        noise = (squares - (ra * alone).sum(axis=1)) / s1
+        own, variance_of_own = _gradient(
+            mm - np.swapaxes(am, 1, 2) @ by_gradient,
+            rm - np.einsum("nij,ni->nj", am, alone),
+            np.stack([level, noise, s1, np.abs(c)], axis=1),
+        )
+        alone -= np.einsum("nij,nj->ni", by_gradient, own)
+        covariance = np.linalg.inv(aa)
+        covariance += by_gradient @ variance_of_own @ np.swapaxes(by_gradient, 1, 2)
+
+        ha, hb = -alone.T / c
         sine = cross(n1, n2)
         step = np.stack(
             [
@@ -152,22 +185,17 @@ def _step_terms(
             ],
             axis=1,
         )
-        rho2 = np.maximum(0, sii - m * si - c * spi) / s1 / (c * c)
-        variance = rho2 * (saa + sbb + 2 * sab * dot(n1, n2)) / (d * sine * sine)
-        r = (grey - m[:, None, None] - c[:, None, None] * p) / c[:, None, None]
+        explained = 2 * (own * rm).sum(axis=1) - np.einsum("ni,nij,nj->n", own, mm, own)
+        trace = covariance[:, 0, 0] + covariance[:, 1, 1]
+        trace -= 2 * covariance[:, 0, 1] * dot(n1, n2)
         pair = np.where(inside[:, :, :-1] & inside[:, :, 1:], w[:, :, :-1], 0)
         neighbours = np.where(pair > 0, r[:, :, :-1] * r[:, :, 1:], 0)
-        correlation = (pair * neighbours).sum(axis=(1, 2)) / pair.sum(axis=(1, 2))
-        ratios = np.stack(
-            [
-                np.abs(c) / LEAST_CONTRAST,
-                d / (saa * sbb) / LEAST_DETERMINANT,
-                spread / (s1 * spp) / LEAST_DETERMINANT,
-            ]
-        )
-        sound = (ratios > 1).all(axis=0) & np.isfinite(step).all(axis=1)
+        correlation = (pair * neighbours).sum(axis=(1, 2)) / s1
+        rho2 = np.maximum(0, squares / s1 - correlation) / (c * c)
+        variance = rho2 * trace / (sine * sine)
+        correlation = (correlation - explained / s1) / (c * c)
+        sound &= np.isfinite(step).all(axis=1)
         sound &= np.isfinite(variance) & np.isfinite(correlation)
-        near = np.abs(np.where(np.isfinite(ratios), ratios, 0) - 1).min(axis=0)
     clean = sound[:, None]
     return (
         np.where(clean, step, 0),
@@ -176,3 +204,26 @@ def _step_terms(
         np.where(sound, correlation, 0),
         near,
     )
+
+
+def _gradient(normal: Floats, right: Floats, scales: Floats) -> tuple[Floats, Floats]:
+    """Return the light's gradient in grey levels a px (N, 2), and its variance by that of the noise
+    (N, 2, 2).
+
+    normal: (N, 2, 2), right: (N, 2), the equations for it once the edges are eliminated.
+    scales: (N, 4), level, mean square of what edges alone leave, sum of weights, |c|.
+
+    It is a ridge estimate: GRADIENT is expected of the light, or more where the gradient that fits
+    best is more than SIGNIFICANT says that noise alone would give.
+    """
+    level, noise, weights, contrast = scales.T
+    det = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
+    solvable = det > LEAST_DETERMINANT * normal[:, 0, 0] * normal[:, 1, 1]
+    best = np.linalg.solve(np.where(solvable[:, None, None], normal, np.eye(2)), right[..., None])
+    best = np.where(solvable[:, None], best[..., 0], 0)
+    gained = (best * right).sum(axis=1)
+    noise = np.maximum(noise - gained / weights, (LEAST_CONTRAST * contrast) ** 2)
+    surely = np.maximum(0, 1 - SIGNIFICANT * noise / np.maximum(gained, 1e-30))
+    expected = (GRADIENT * level) ** 2 + surely * (best**2).sum(axis=1) / 2
+    inverse = np.linalg.inv(normal + (noise / expected)[:, None, None] * np.eye(2))
+    return np.einsum("nij,nj->ni", inverse, right), inverse

@@ -1161,3 +1161,17 @@ def test_frames_that_change_size_are_named_and_left_out(run):
     assert "1 left out" in out
     assert "frame 1 is 150 x 140 px of uint8, the frame at rest is 150 x 150" in err
     assert read_series("a.npz")["index"].tolist() == [0, 2]
+
+
+def test_without_pyav_a_command_tells_what_it_does_not_see_in_a_video(run, monkeypatch):
+    """OpenCV scales frames of another size to that of the first, and no property of it says so."""
+    monkeypatch.setattr(media, "has_pyav", lambda: False)
+    picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
+    pictures = [picture, picture[:140], picture]
+    Path("a.mjpeg").write_bytes(b"".join(cv2.imencode(".jpg", p)[1].tobytes() for p in pictures))
+    for command in (["run", "a.mjpeg", "--out", "a.npz"], ["detect", "a.mjpeg"]):
+        _, _, err = run(*command)
+        assert "PyAV is not installed" in err
+        assert "cmp-cl[video]" in err
+    media.write_image("a.png", picture)
+    assert run("detect", "a.png")[2] == ""

@@ -377,7 +377,6 @@ def step_by_least_squares(
 ) -> tuple[np.ndarray, float, float]:
     """Return step, tr rho^2 and ac with a general solver, pixel by pixel."""
     normals = np.array([(-math.sin(angle), math.cos(angle)) for angle in angles])
-    r0 = min(4, radius / 2)
     rows = {}
     for dy in range(-12, 13):
         for dx in range(-12, 13):
@@ -387,30 +386,46 @@ def step_by_least_squares(
             a, b = normals @ u / 1.2
             qa, qb = 1 / math.hypot(1, a), 1 / math.hypot(1, b)
             f, g = a * qa, b * qb
-            weight = (1 - distance**2 / radius**2) * min(1, distance**2 / r0**2)
+            weight = min(1, 4 * (1 - distance**2 / radius**2))
             grey = float(image[start + dy, start + dx])
-            rows[dx, dy] = (weight, f * g, qa**3 * g / 1.2, f * qb**3 / 1.2, grey)
-    weight, p, da, db, grey = np.array(list(rows.values())).T
+            rows[dx, dy] = (weight, f * g, qa**3 * g / 1.2, f * qb**3 / 1.2, *u, grey)
+    weight, p, da, db, ux, uy, grey = np.array(list(rows.values())).T
     root = np.sqrt(weight)
     m, c = np.linalg.lstsq(root[:, None] * np.stack([p * 0 + 1, p], axis=1), root * grey)[0]
-    residual = dict(zip(rows, grey - m - c * p, strict=True))
-    slopes = root[:, None] * np.stack([da, db], axis=1) @ normals
-    step = np.linalg.lstsq(-c * slopes, root * np.array(list(residual.values())))[0]
-    rho = math.sqrt((weight * np.array(list(residual.values())) ** 2).sum() / weight.sum()) / abs(c)
-    variance = np.trace(np.linalg.inv(slopes.T @ slopes)) * rho**2
-    pairs = [
-        (rows[dx, dy][0], residual[dx, dy] * residual[dx + 1, dy] / c**2)
+    residual = grey - m - c * p
+    slopes = -c * np.stack([da, db], axis=1) @ normals
+    light = np.stack([ux, uy], axis=1) * (1 + c / max(m, abs(c)) * p)[:, None]
+    whole = root[:, None] * np.concatenate([slopes, light], axis=1)
+
+    # Freely first: how much better the light's gradient makes the fit, and the noise that is left.
+    free, left = np.linalg.lstsq(whole, root * residual)[:2]
+    _, left_by_edges = np.linalg.lstsq(whole[:, :2], root * residual)[:2]
+    noise = left[0] / weight.sum()
+    surely = max(0, 1 - 9 * noise / (left_by_edges[0] - left[0]))
+    expected = (1e-3 * max(m, abs(c))) ** 2 + surely * (free[2:] ** 2).sum() / 2
+    prior = math.sqrt(noise / expected) * np.eye(4)[2:]
+    held = np.concatenate([whole, prior])
+    fitted = np.linalg.lstsq(held, np.append(root * residual, [0, 0]))[0]
+
+    by_pixel = dict(zip(rows, residual, strict=True))
+    alike = sum(
+        rows[dx, dy][0] * by_pixel[dx, dy] * by_pixel[dx + 1, dy]
         for dx, dy in rows
         if (dx + 1, dy) in rows
-    ]
-    correlation = sum(w * v for w, v in pairs) / sum(w for w, _ in pairs)
-    return step, variance, correlation
+    )
+    explained = (weight * residual**2).sum()
+    explained -= (weight * (residual - light @ fitted[2:]) ** 2).sum()
+    rho2 = ((weight * residual**2).sum() - alike) / weight.sum()
+    variance = np.trace(np.linalg.inv(held.T @ held)[:2, :2]) * rho2
+    return fitted[:2], variance, (alike - explained) / weight.sum() / c**2
 
 
 @pytest.mark.parametrize("cell", [6, 9, 12])
-def test_a_step_is_weighted_least_squares(cell):
+@pytest.mark.parametrize("light", [0.0, 0.02])
+def test_a_step_is_weighted_least_squares(cell, light):
     angles = (0.2, 1.5)
-    rough = model(20.1, 19.9, angles) // 64
+    across = 1 + light * (np.arange(41) - 20)
+    rough = (model(20.1, 19.9, angles) // 64 * across).astype(np.uint16)
     image = (rough + noise(rough.shape, seed=cell) // 4).astype(np.uint16)
     start, shift = np.array([[20, 20]]), np.array([[0.04, -0.05]])
     radius = min(max(0.75 * cell, 4.5), 9)
@@ -426,8 +441,20 @@ def test_a_step_is_weighted_least_squares(cell):
     found = edge_step.edge_step(image, start, shift, points, refinement, 1.0)
     np.testing.assert_allclose(found.position, shift + step, rtol=1e-8)
     np.testing.assert_allclose(
-        found.sigma, math.sqrt(edge_step.STEP_ERROR**2 + variance / 4), rtol=1e-8
+        found.sigma, math.sqrt(edge_step.STEP_ERROR**2 + variance / 2), rtol=1e-8
     )
+
+
+def test_uneven_light_moves_no_corner():
+    """Light that grows by 2 % a px would move the step by 0.18 px if nobody counted it."""
+    angles = (0.9, 2.0)
+    points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
+    across = 1 + 0.02 * (np.arange(41) - 20)
+    image = np.rint(model(20.02, 19.97, angles) / 2 * across).astype(np.uint16)
+    step = edge_step.edge_step(
+        image, np.array([[20, 20]]), np.zeros((1, 2)), points, EdgeStep(cell=12), 1.0
+    )
+    np.testing.assert_allclose(step.position, [[0.02, -0.03]], atol=3e-4)
 
 
 def test_a_step_of_more_than_0_3_px_is_refused():
