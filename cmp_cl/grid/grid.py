@@ -255,7 +255,7 @@ def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
         return np.where(there, 0, -1).astype(np.int32)
     count, label = cv2.connectedComponents(there.astype(np.uint8), connectivity=4)
     size = np.bincount(label.ravel(), minlength=count)
-    size[0] = -1  # what is no node
+    size[0] = -1  # no node
     rank = np.empty(count, np.int32)
     rank[np.argsort(-size, kind="stable")] = np.arange(count)
     rank[0] = -1
