@@ -11,18 +11,20 @@ import cmp_cl
 ROOT = Path(cmp_cl.__file__).parent
 # From the bottom up; a name stands for a module, or for a package and all within it.
 LAYERS = [
-    {"errors", "closing"},
-    {"files"},
-    {"image"},
-    {"config"},
+    {"closing", "errors", "image_size", "version"},
+    {"extras", "files"},
+    {"image", "pattern"},
+    {"arrays", "config", "media"},
     {"corners", "maps"},
     {"opencl"},
     {"stages"},
-    {"reference", "cell"},
-    {"grid", "detector"},
-    {"stereo"},
-    {"field"},
-    {"measure"},
+    {"cell", "reference", "synthetic"},
+    {"grid"},
+    {"detector"},
+    {"series", "stereo"},
+    {"cameras", "field"},
+    {"viz"},
+    {"cluster", "measure"},
     {"cli"},
 ]
 UPWARDS = {"config": {"cell"}}  # DetectorConfig.for_image estimates the cell when it is called
@@ -76,9 +78,9 @@ def test_a_module_imports_only_what_stands_below_it(name):
             assert layer_of(other) <= own, other
 
 
-def test_every_layer_is_there():
+def test_every_module_has_a_layer():
     tops = {name.split(".")[0] for name in modules()}
-    assert set().union(*LAYERS) <= tops
+    assert set().union(*LAYERS) == tops - ASIDE
 
 
 def test_modules_do_not_import_each_other_in_a_circle():
