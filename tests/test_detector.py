@@ -36,7 +36,7 @@ from cmp_cl import (
 from cmp_cl.errors import CapacityError, CmpClError, ConfigError, DeviceError, GridError, ImageError
 from cmp_cl.stages.plan import Overflow
 
-VECTORS = sorted((Path(__file__).resolve().parents[2] / "shared" / "vectors").glob("*.npz"))
+VECTORS = sorted((Path(__file__).resolve().parent / "data").glob("*.npz"))
 EIGHT = images.eight_bits()
 SCENE = images.scene().image
 BOARD, TRUTH = board(*images.SHAPE, 12)
