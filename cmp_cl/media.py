@@ -304,8 +304,8 @@ def _by_pyav(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
     with _container(path) as (container, stream):
         context = stream.codec_context
         _check_size(path, (context.width, context.height), max_pixels)
-        room = 2 * max_pixels + (1 << 16)  # decoders count whole blocks
-        context.options = {"err_detect": "crccheck+explode", "max_pixels": str(room)}
+        most = 2 * max_pixels + (1 << 16)  # decoders count whole blocks
+        context.options = {"err_detect": "crccheck+explode", "max_pixels": str(most)}
         stream.thread_type = "SLICE"  # threads that have a frame each tell its damage late
         packets = container.demux(stream)
         while True:
