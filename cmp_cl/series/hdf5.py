@@ -127,8 +127,8 @@ def _add_frame(dataset: Any, number: int, value: NDArray[Any]) -> None:
 
     found = dataset.id
     found.set_extent((number + 1, *value.shape))
-    place = found.get_space()
-    place.select_hyperslab((number, *(0,) * value.ndim), (1, *value.shape))
+    space = found.get_space()
+    space.select_hyperslab((number, *(0,) * value.ndim), (1, *value.shape))
     within = h5py.h5s.create_simple((1, *value.shape))
-    found.write(within, place, np.ascontiguousarray(value))
+    found.write(within, space, np.ascontiguousarray(value))
     found.flush()

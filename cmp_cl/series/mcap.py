@@ -86,8 +86,8 @@ def point_cloud(
     points[..., 7], points[..., 8] = np.indices((rows, columns))
     step = 4 * len(POINT_FIELDS)
     fields = [
-        {"name": name, "offset": 4 * place, "datatype": 7, "count": 1}
-        for place, name in enumerate(POINT_FIELDS)
+        {"name": name, "offset": 4 * index, "datatype": 7, "count": 1}
+        for index, name in enumerate(POINT_FIELDS)
     ]
     seconds, nanoseconds = divmod(stamp_ns, 10**9)
     return {

@@ -65,7 +65,7 @@ def _ends(name: str, count: int) -> tuple[str, ...]:
 
 
 class CsvSeries(Series):
-    """CSV with a header that says the units; what else is known is in NAME.csv-metadata.json.
+    """CSV with the units in its header; the description is in NAME.csv-metadata.json.
 
     Floats have 9 digits, nan where missing; a file beside it follows W3C's name for metadata.
     Both appear when the series is closed.

@@ -6,6 +6,7 @@ from stereo_data import grid_of
 
 from cmp_cl.errors import GridError
 from cmp_cl.grid import NodeStatus, filter_grid, filter_positions
+from cmp_cl.grid.filter import filter_at_rest
 from cmp_cl.reference import lattice_filter
 
 
@@ -282,3 +283,15 @@ def test_an_answer_does_not_depend_on_what_was_filtered_before():
     again = filter_grid(small, bends=True)
     assert first.values.tobytes() == again.values.tobytes()
     assert first.sigma.tobytes() == again.sigma.tobytes()
+
+
+def test_positions_at_rest_are_filtered_once_for_all_frames():
+    values = noisy(surface(8, 9), 0.1)
+    measured = np.ones((8, 9), np.bool_)
+    first = filter_at_rest(values, measured=measured)
+    assert filter_at_rest(values.copy(), measured=measured) is first
+    np.testing.assert_array_equal(first.values, filter_grid(values, measured=measured).values)
+    values[3, 4] += 0.2
+    assert filter_at_rest(values, measured=measured) is not first
+    with pytest.raises(ValueError, match="read-only"):
+        first.values[0, 0] = 0

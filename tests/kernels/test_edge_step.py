@@ -33,7 +33,7 @@ def test_the_cell_sets_the_radius(detector_in_form, cell):
 
 
 def test_a_corner_in_the_very_middle_of_a_pixel(detector_in_form):
-    """That pixel's weight is 0, but the pair it makes with the one before counts."""
+    """There the distance is 0, and grey levels are saturated all around."""
     grey = (images.eight_bits()["board"].astype(np.float64) - 120) * 20 + 120
     image = np.clip(grey, 0, 255).astype(np.uint8)
     detector = detector_in_form(image, rings(refinement=EdgeStep()))
@@ -46,6 +46,15 @@ def test_soft_corners_are_refined_as_in_the_oracle(detector_in_form, depth):
     if depth == 16:
         image = image.astype(np.uint16) * 257
     detector = detector_in_form(image, rings(refinement=EdgeStep()))
+    corners = assert_corners_equal(detector, image)
+    assert (corners.method == Method.EDGE_STEP).sum() > 20
+
+
+def test_steep_light_is_counted_as_in_the_oracle(detector_in_form):
+    """Grey levels that grow tenfold over the image: far more than noise could."""
+    image = board(121, 83, 12)[0]
+    image = (image * np.geomspace(0.1, 1.0, image.shape[1])).astype(np.uint8)
+    detector = detector_in_form(image, rings(refinement=EdgeStep(cell=12)))
     corners = assert_corners_equal(detector, image)
     assert (corners.method == Method.EDGE_STEP).sum() > 20
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import FieldError
-from cmp_cl.grid.filter import Filtered, filter_grid
+from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 
 Array = NDArray[np.float64]
@@ -90,10 +90,9 @@ class PlaneField:
         the position, in `unit`; NaN where unknown. Wear of the print counts in the position.
     status: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     unit: name of the unit of length.
-    raw: the field as it was measured, where this one has been through the lattice filter; None
-        where this one is raw.
-    filtered: what the filter says of the position and of the displacement; None where this field
-        is raw.
+    raw: the field before the lattice filter; None where this one is not filtered.
+    filtered: the filter's results for the position and the displacement; None where this field
+        is not filtered.
     shared: (2, 2, 2, 2) float64, covariances of x and y, in `unit` squared, of the errors at rest
         and now: of a node with the next one of its row, and of its column. The displacement has
         their sum. None where nothing is known of it, and of a filtered field, whose raw one has it.
@@ -126,7 +125,7 @@ def plane_displacement(
 ) -> PlaneField:
     """Return the displacement of each node in the plane, now - rest, by its number.
 
-    The difference goes through the lattice filter, and so does the position at rest: see
+    The displacement and the position at rest are filtered over the lattice, see
     `cmp_cl.grid.filter_grid`. scale: from the image to the plane; None means px. raw: leave the
     filter out. The errors are those that the lattice shows, and those of the corners where it is
     too small to tell; what neighbours share of them is in `raw.shared`, see `with_measured_noise`.
@@ -139,7 +138,7 @@ def plane_displacement(
     now = now.cut_to(rest)
     scale = PlaneScale.pixels() if scale is None else scale
     both = rest.valid & now.valid
-    measured = both & np.isin(rest.status, MEASURED) & np.isin(now.status, MEASURED)
+    seen_at_rest = np.isin(rest.status, MEASURED)
     (before, slope_before), (after, slope_after) = scale(rest.xy), scale(now.xy)
 
     def deviation(grid: Grid, slope: Array) -> Array:
@@ -149,14 +148,16 @@ def plane_displacement(
     missing = np.uint8(NodeStatus.MISSING)
     position = np.where(both[..., None], before, np.nan)
     moved = np.where(both[..., None], after - before, np.nan)
-    at_rest = filter_grid(position, measured=measured)
-    change = filter_grid(moved, measured=measured, bends=True)
+    at_rest = filter_at_rest(before, measured=seen_at_rest)
+    change = filter_grid(
+        moved, measured=both & seen_at_rest & np.isin(now.status, MEASURED), bends=True
+    )
     own_rest, own_now = deviation(rest, slope_before), deviation(now, slope_after)
     unfiltered = PlaneField(
         position=position,
         displacement=moved,
         sigma=_either(change.noise, np.hypot(own_rest, own_now)),
-        sigma_position=_either(at_rest.noise, own_rest),
+        sigma_position=np.where(both, _either(at_rest.noise, own_rest), np.nan),
         status=np.where(both, np.maximum(rest.status, now.status), missing).astype(np.uint8),
         unit=scale.unit,
     )
@@ -169,10 +170,10 @@ def plane_displacement(
         return unfiltered
     return dataclasses.replace(
         unfiltered,
-        position=at_rest.values,
+        position=np.where(both[..., None], at_rest.values, np.nan),
         displacement=change.values,
         sigma=_either(change.sigma, np.hypot(own_rest, own_now)),
-        sigma_position=_either(at_rest.sigma, own_rest),
+        sigma_position=np.where(both, _either(at_rest.sigma, own_rest), np.nan),
         shared=None,
         raw=unfiltered,
         filtered=(at_rest, change),
