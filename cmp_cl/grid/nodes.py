@@ -1,6 +1,7 @@
 """A grid in the making."""
 
 import cmath
+import copy
 from typing import Any
 
 import numpy as np
@@ -73,10 +74,10 @@ class Nodes:
         if not quarters:
             return self
         first = (0, self.at.shape[1], sum(self.at.shape), self.at.shape[0])[quarters]
-        turned = Nodes(self.at.shape, (self.parity + first) % 2, self.free)
-        turned.at, turned.owner = np.rot90(self.at, quarters), np.rot90(self.owner, quarters)
-        turned.status = np.rot90(self.status, quarters)
-        turned.changed = np.rot90(self.changed, quarters)
+        turned = copy.copy(self)
+        turned.parity = (self.parity + first) % 2
+        for name in ("at", "owner", "status", "changed"):
+            setattr(turned, name, np.rot90(getattr(self, name), quarters))
         return turned
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":

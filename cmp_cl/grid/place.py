@@ -177,7 +177,7 @@ def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> D
 
 def _printed(like: Grid, rest: Reference) -> Fingerprint:
     """Return the errors of the print at rest."""
-    return Fingerprint.of(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
+    return Fingerprint.at_rest(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
 
 
 def _checked(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) -> Decision:

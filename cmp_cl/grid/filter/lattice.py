@@ -52,7 +52,7 @@ class Filtered:
         whole = np.full((*sigma.shape, count, count), np.nan)
         for mixture in self._mixtures:
             box, part = mixture.box, mixture.part
-            covariance = mixture.common() * np.square(sigma[box])[..., None, None]
+            covariance = mixture.common * np.square(sigma[box])[..., None, None]
             whole[box] = np.where(part[..., None, None], covariance, whole[box])
         return whole
 

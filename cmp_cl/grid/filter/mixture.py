@@ -1,6 +1,7 @@
 """The mixture of all filters at each node, weighted by Stein's unbiased risk estimate."""
 
 import dataclasses
+import functools
 import math
 import threading
 
@@ -54,6 +55,7 @@ class Mixture:
     variance: Single
     gain: Single
 
+    @functools.cached_property
     def common(self) -> Array:
         """Return (R, C, K, K): how the coordinates vary together around each node, of mean diagonal
         1."""
