@@ -80,12 +80,12 @@ def figures(timed: Row, errors: Row) -> str:
         "frames right, %",
     )
     return (
-        f"{described(timed)}\nMedians of one run, from an image in host memory to positions there: "
-        f"{timed['scenes'][0]['corners']} and {timed['scenes'][1]['corners']} corners; errors are "
-        "those of the first. The last column is another measurement: frames of "
-        f"{whole[DEFAULT]['frames']} rendered ones, from slightly to severely deformed, in which "
-        "no corner is missed and none is false, with an interval of 95 %: rows whose intervals "
-        "overlap are not told apart by it.\n\n" + table(head, body)
+        f"{described(timed)}\nMedians of one run, from an image in host memory to positions there, "
+        f"on frames with {timed['scenes'][0]['corners']} and {timed['scenes'][1]['corners']} "
+        "corners. RMSE and missed / false are those of the first. The last column is a separate "
+        f"measurement: the share of {whole[DEFAULT]['frames']} rendered frames, from slightly to "
+        "severely deformed, in which no corner is missed and none is false, with its interval of "
+        "95 %. Rows whose intervals overlap are not told apart.\n\n" + table(head, body)
     )
 
 
@@ -104,7 +104,7 @@ def exactness(image: Row, space: Row) -> str:
             [f"{print_}: {what}, px", *(rows[each][kind]["rms"] for each in severities)]
             for kind, what in (
                 ("raw position", "a corner from its image"),
-                ("position", "a node behind the filter"),
+                ("position", "a filtered node"),
                 ("raw displacement", "displacement, raw"),
                 ("displacement", "displacement, filtered"),
             )

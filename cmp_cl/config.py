@@ -115,7 +115,7 @@ class SectorContrast:
     minimum: least contrast of a candidate, in 1/255 of full scale, 0 to 255.
     relative: least contrast as a share of the 90th percentile of the frame, 0 to 1.
     noise: least difference of the sector means, standard deviations of the noise, 0 to 100; with
-        three threshold layers at least 3 are required, whatever it says.
+        three threshold layers it is at least 3.
     """
 
     minimum: float = 20
@@ -165,14 +165,9 @@ class RingHarmonic:
     def coarse_noise(self) -> int:
         """Return the noise bound of the 5 px ring, in hundredths of the mean noise amplitude.
 
-        334 of them are one standard deviation of the response.
+        334 of them are one standard deviation of the response. The 3 px ring has twice this bound.
         """
         return math.floor(334 * self.noise + 0.5)
-
-    @property
-    def fine_noise(self) -> int:
-        """Return the noise bound of the 3 px ring, in hundredths of the mean noise amplitude."""
-        return 2 * self.coarse_noise
 
     @property
     def coarse_share(self) -> int:
@@ -314,7 +309,7 @@ class DetectorConfig:
     detection: the detection rule, RingHarmonic or BinaryRings.
     nms_radius: radius of the window of non-maximum suppression, px, 1 to 15.
     refinement: EdgeStep, EdgeLines or Midlines, or None for centroids.
-    scale: working scale (0.05 to 4), or Pyramid, or None for the image as it is.
+    scale: working scale (0.05 to 4), or Pyramid, or None for the image at full size.
     full_scale: largest grey level of the camera (1 to 65535); None means 255 for
         uint8 and 65535 for uint16.
     max_corners: initial capacity of the list of corners, 1 to 2**26; it grows.

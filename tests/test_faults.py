@@ -14,6 +14,7 @@ import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
 from configs import rings
+from disks import full_after
 from workers import corners_of_board
 
 from cmp_cl import BinaryRings, Detector, DetectorConfig
@@ -295,6 +296,14 @@ def test_a_compiler_that_a_full_disk_would_end_is_not_started(device, cache, mon
     usage = type("Usage", (), {"free": 100_000})
     monkeypatch.setattr(caches.shutil, "disk_usage", lambda _: usage)
     with pytest.raises(program.KernelBuildError, match="100000 bytes left"):
+        build(device)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no such limit on Windows")
+def test_a_compiler_that_a_limit_of_files_would_end_is_not_started(device, cache):
+    if not device_module.is_pocl(device.handle):
+        pytest.skip("only PoCL ends the process")
+    with full_after(100_000), pytest.raises(program.KernelBuildError, match="ulimit -f"):
         build(device)
 
 

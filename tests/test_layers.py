@@ -1,6 +1,7 @@
 """What may import what: a module only what stands below it, and none in a circle."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -87,3 +88,16 @@ def test_modules_do_not_import_each_other_in_a_circle():
         for name in ready:
             del left[name]
     assert left == {}
+
+
+def test_every_kernel_file_has_the_oracle_and_the_test_that_its_readme_names():
+    kernels, tests = ROOT.parent / "kernels", Path(__file__).parent
+    readme = (kernels / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \*\*(?:cpu/)?(\w+)\.cl\*\*.*\|([^|]*)\|$", readme, flags=re.MULTILINE)
+    assert {name for name, _ in rows} == {path.stem for path in kernels.rglob("*.cl")}
+    for name, oracles in rows:
+        for oracle in set(re.findall(r"`(\w+)`", oracles)):
+            assert (ROOT / "reference" / f"{oracle}.py").is_file(), oracle
+        if name not in {"border", "centroids"}:
+            found = [tests / folder / f"test_{name}.py" for folder in ("kernels", "grid")]
+            assert any(path.is_file() for path in found), name

@@ -17,9 +17,11 @@ from sections.tables import (
     described,
     is_peer,
     left_out,
+    named,
     share_of,
     surely_better,
     table,
+    table_of,
 )
 
 ZHANG = "Zhang's spectrum, OpenCL + our grid"
@@ -49,46 +51,20 @@ def accuracy(result: Row, folder: Path) -> str:
     )
     parts.append(_rates(rows, names, groups))
     parts.append("### All scenes\n")
-    head = (
-        "method",
-        "frames right %",
-        "surely better",
-        "missed a frame",
-        "false a frame",
-        "RMSE px",
-        "p95 px",
-        "ms",
-        "ms 95 %",
-    )
+    head = "method, frames right %, surely better, missed a frame, false a frame, RMSE px, p95 px"
+    keys = "method share better missed_a_frame false_a_frame rmse p95 ms ms_p95"
     bounds = [interval(rows[name, "all"]["success"], rows[name, "all"]["frames"]) for name in names]
     body = []
     for name, better in zip(names, surely_better(bounds), strict=True):
         row = rows[name, "all"]
-        body.append(
-            [
-                name,
-                share_of(row["success"], row["frames"]),
-                better,
-                row["missed"] / row["frames"],
-                row["false"] / row["frames"],
-                row["rmse"],
-                row["p95"],
-                row["ms"],
-                row["ms_p95"],
-            ]
-        )
-    parts.append(table(head, body))
+        share = share_of(row["success"], row["frames"])
+        each = {f"{kind}_a_frame": row[kind] / row["frames"] for kind in ("missed", "false")}
+        body.append({**row, **each, "share": share, "better": better})
+    parts.append(table_of(body, f"{head}, ms, ms 95 %", keys))
     parts.append("### Position error on the corners that both found, px\n")
-    common = result["common"]
-    parts.append(
-        table(
-            ("method", "corners", "its RMSE", "our default", "our EDGE_LINES"),
-            [
-                [n, c["corners"], c["rmse"], c["rmse_default"], c.get("rmse_lines")]
-                for n, c in common.items()
-            ],
-        )
-    )
+    common = [{"rmse_lines": None, **row} for row in named(result["common"])]
+    head = "method, corners, its RMSE, our default, our EDGE_LINES"
+    parts.append(table_of(common, head, "name corners rmse rmse_default rmse_lines"))
     success_plot(rows, names, result["severities"], folder / "success.png")
     parts.append("![Frames right by severity](success.png)\n")
     if (folder / "methods.jpg").is_file():
@@ -115,18 +91,11 @@ def against_time(result: Row, folder: Path) -> str:
         parts.append(f"![Error against time](pareto-{markers}.png)\n")
         front = set(front_of(points, "per_thousand")) | set(front_of(points, "rmse"))
         body = [
-            [
-                p["method"],
-                p["ms"],
-                p["ms_p95"],
-                p["per_thousand"],
-                p["rmse"],
-                "yes" if p["method"] in front else "",
-            ]
-            for p in sorted(points, key=lambda p: p["ms"])
+            {**point, "front": "yes" if point["method"] in front else ""}
+            for point in sorted(points, key=lambda point: point["ms"])
         ]
-        head = ("method", "ms", "ms 95 %", "wrong per 1000", "RMSE px", "on a front")
-        parts.append(table(head, body))
+        head = "method, ms, ms 95 %, wrong per 1000, RMSE px, on a front"
+        parts.append(table_of(body, head, "method ms ms_p95 per_thousand rmse front"))
     return "\n".join(parts)
 
 
@@ -240,7 +209,7 @@ def photographs(result: Row) -> str:
             f"### {name}: {rows[0]['expected']} corners"
             + (f" in {count} photographs\n" if count > 1 else "\n")
         )
-        keys = (
+        keys = [
             "method",
             "missed",
             "false",
@@ -251,7 +220,7 @@ def photographs(result: Row) -> str:
             "p95",
             "scatter",
             "ms",
-        )
+        ]
         body = []
         for row in rows:
             found = row["expected"] - row["missed"]
@@ -269,8 +238,8 @@ def photographs(result: Row) -> str:
 def criteria(result: Row) -> str:
     parts = ["## Thresholds and criteria", conditions(result)]
     parts.append("A threshold for each ring, or the mean of the window; all else is the same.\n")
-    keys = ("threshold", "frames", "success", "missed", "false", "rmse", "p95")
-    parts.append(table(keys, [[row[key] for key in keys] for row in result["thresholds"]]))
+    keys = "threshold frames success missed false rmse p95"
+    parts.append(table_of(result["thresholds"], keys.replace(" ", ", "), keys))
     seen, spent = result["decisions"], result["times"]
     parts.append(
         f"Rapid and spectral criteria disagree on {100 * seen['near_disagree']:.2f} % of the "

@@ -2,7 +2,7 @@
 
 from methods import DEFAULT, LINES
 
-from sections.tables import Row, conditions, left_out, table
+from sections.tables import Row, conditions, left_out, table, table_of
 
 # Measured by the paper on its own machine (14-core i7-12700H) and scenes: context, not a rival row.
 PAPER_TIMES = "4.95 ms (its ChESS 5.04 ms), 1936 corners, integer positions"
@@ -20,10 +20,10 @@ def speed(result: Row) -> str:
         parts.append(
             f"### {columns} x {rows}, {scene['corners']} corners, cells of {scene['cell']:.1f} px\n"
         )
-        head = ("method", "ms", "95 %", "times", "missed", "false", "RMSE px", "p95 px")
         kept = sorted(scene["rows"], key=lambda row: row["ms"])
-        keys = ("method", "ms", "ms_p95", "times_default", "missed", "false", "rmse", "p95")
-        parts.append(table(head, [[row[key] for key in keys] for row in kept]))
+        head = "method, ms, 95 %, times, missed, false, RMSE px, p95 px"
+        keys = "method ms ms_p95 times_default missed false rmse p95"
+        parts.append(table_of(kept, head, keys))
         parts.append(_paced(scene))
         parts.append(_targets(scene))
         base = next(row for row in scene["rows"] if row["method"] == DEFAULT)
@@ -81,34 +81,15 @@ def scaling(result: Row) -> str:
     parts = [f"## Cost by size, frames and process on {result['environment']['device']}"]
     parts.append(conditions(result))
     parts.append("Bytes are all memory that the detector holds on the device, with the image.\n")
-    rows = [
-        [
-            f"{r['shape'][1]} x {r['shape'][0]}",
-            r["corners"],
-            r["ms"],
-            r["ms_p95"],
-            r["ns_per_pixel"],
-            r["bytes_per_pixel"],
-        ]
-        for r in result["sizes"]
-    ]
-    head = ("image", "corners", "ms", "ms 95 %", "ns a pixel", "device bytes a pixel")
-    parts.append(table(head, rows))
-    parts.append(
-        table(
-            ("corners in a VGA frame", "ms"), [[r["corners"], r["ms"]] for r in result["corners"]]
-        )
-    )
+    rows = [{**row, "image": "{1} x {0}".format(*row["shape"])} for row in result["sizes"]]
+    head = "image, corners, ms, ms 95 %, ns a pixel, device bytes a pixel"
+    parts.append(table_of(rows, head, "image corners ms ms_p95 ns_per_pixel bytes_per_pixel"))
+    parts.append(table_of(result["corners"], "corners in a VGA frame, ms", "corners ms"))
     rows = [[r["what"], r["ms_per_frame"], 1e3 / r["ms_per_frame"]] for r in result["frames"]]
     parts.append(table(("VGA frames", "ms a frame", "frames a second"), rows))
     parts.append(_floor(result["floor"]))
     if result["threads"]:
-        parts.append(
-            table(
-                ("threads", "ms", "ms 95 %"),
-                [[r["threads"], r["ms"], r["ms_p95"]] for r in result["threads"]],
-            )
-        )
+        parts.append(table_of(result["threads"], "threads, ms, ms 95 %", "threads ms ms_p95"))
     rows = [[r["cache"], r["imports_s"], r["seconds"]] for r in result["first_result"]]
     parts.append(table(("kernel cache", "imports, s", "first result in a new process, s"), rows))
     return "\n".join(parts)

@@ -6,40 +6,19 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sections.plots import GRID, OURS, PEER, breaking_plot, save, sigma_plot
-from sections.tables import Row, conditions, left_out, table
+from sections.tables import Row, conditions, left_out, named, table, table_of
 
 
 def stability(result: Row, folder: Path) -> str:
     parts = ["## Numbers at their limits", conditions(result)]
-    head = (
-        "refinement",
-        "corners",
-        "largest",
-        "99.9 %",
-        "near a bound",
-        "frames with other corners",
-    )
     oracle = result["against_oracle"]
     parts.append(
         "The distance of each position from the float32 kernels to the float64 oracle's, px: "
         "in all, by the sine between the edge lines, by contrast, by the number of valid rings.\n"
     )
-    parts.append(
-        table(
-            head,
-            [
-                [
-                    n,
-                    r["count"],
-                    r["largest"],
-                    r["p99_9"],
-                    r["near_a_bound_or_other_branch"],
-                    r["frames_with_other_corners"],
-                ]
-                for n, r in oracle.items()
-            ],
-        )
-    )
+    head = "refinement, corners, largest, 99.9 %, near a bound, frames with other corners"
+    keys = "name count largest p99_9 near_a_bound_or_other_branch frames_with_other_corners"
+    parts.append(table_of(named(oracle), head, keys))
     for key in ("by_sine", "by_contrast", "by_rings"):
         body = [
             [n, f"{r['from']:g} to {r['to']:g}", r["count"], r["largest"], r["p99_9"]]
@@ -50,58 +29,19 @@ def stability(result: Row, folder: Path) -> str:
         parts.append(
             table(("refinement", key.replace("_", " "), "corners", "largest", "99.9 %"), body)
         )
-    rows = result["along_position"]
-    parts.append(
-        table(
-            ("refinement", "moved right by", "corners", "largest difference px", "step of float32"),
-            [
-                [r["refinement"], r["offset"], r["corners"], r["largest"], r["float32_step"]]
-                for r in rows
-            ],
-        )
-    )
-    rows = result["depth"]
-    parts.append(
-        table(
-            ("exposure", "bits", "missed", "false", "RMSE px"),
-            [[r["exposure"], r["bits"], r["missed"], r["false"], r["rmse"]] for r in rows],
-        )
-    )
+    head = "refinement, moved right by, corners, largest difference px, step of float32"
+    keys = "refinement offset corners largest float32_step"
+    parts.append(table_of(result["along_position"], head, keys))
+    head = "exposure, bits, missed, false, RMSE px"
+    parts.append(table_of(result["depth"], head, "exposure bits missed false rmse"))
     parts.append("### corners.sigma against the real error\n")
     rows = result["sigma"]
-    parts.append(
-        table(
-            (
-                "scenes",
-                "corners",
-                "z (1 is right)",
-                "rank correlation",
-                "doubtful",
-                "above 1 px",
-                "doubtful of these",
-            ),
-            [
-                [
-                    r["kind"],
-                    r["corners"],
-                    r["z"],
-                    r["rank_correlation"],
-                    r["doubtful"],
-                    r["far"],
-                    r["doubtful_of_far"],
-                ]
-                for r in rows
-            ],
-        )
-    )
+    head = "scenes, corners, z (1 is right), rank correlation, doubtful, above 1 px"
+    keys = "kind corners z rank_correlation doubtful far doubtful_of_far"
+    parts.append(table_of(rows, f"{head}, doubtful of these", keys))
     sigma_plot(rows, folder / "sigma.png")
     parts.append("![sigma](sigma.png)\n\n### Single cases\n")
-    parts.append(
-        table(
-            ("case", "figure", "expected"),
-            [[r["case"], r["figure"], r["expected"]] for r in result["cases"]],
-        )
-    )
+    parts.append(table_of(result["cases"], "case, figure, expected", "case figure expected"))
     return "\n".join(parts)
 
 

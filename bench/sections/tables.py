@@ -18,6 +18,16 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def table_of(rows: Iterable[Row], head: str, keys: str) -> str:
+    """Return a table of some keys of rows; head: names with ", " between, keys: with blanks."""
+    return table(head.split(", "), [[row[key] for key in keys.split()] for row in rows])
+
+
+def named(rows: dict[str, Row]) -> list[Row]:
+    """Return the rows, each with its name in the column `name`."""
+    return [{"name": name, **row} for name, row in rows.items()]
+
+
 def _cell(value: Any) -> str:
     if value is None:
         return "-"

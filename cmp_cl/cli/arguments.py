@@ -33,12 +33,12 @@ def refuse_to_overwrite(
     for path in outputs:
         if path is None or (os.path.exists(path) and not os.path.isfile(path)):
             continue
-        place = os.path.realpath(path)
-        if place in read:
+        real = os.path.realpath(path)
+        if real in read:
             raise ConfigError(f"{shown(path)} is an input and would be overwritten")
-        if place in written:
+        if real in written:
             raise ConfigError(f"{shown(path)} is named for two outputs")
-        written.add(place)
+        written.add(real)
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:

@@ -28,7 +28,7 @@ class DisplacementField:
     status: (R, C) uint8 of `PointStatus`: that of now, or that at rest where it is not VALID.
     source: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12 in the tangent plane of
-        the rest surface, axis 1 along the rows; NaN where too few neighbours are valid;
+        the surface at rest, axis 1 along the rows; NaN where too few neighbours are valid;
         None where it was not asked for (`with_strain`).
     strain_sigma: (R, C, 3) float64, standard deviations of the strain; None without a strain.
     unit: name of the unit of length.

@@ -132,7 +132,7 @@ def refine_markers(
 ) -> Grid:
     """Refine the virtual markers of a dense grid: move them across their edges to the edge itself.
 
-    dense: what `grid.with_virtual_markers(count)` gave. image: (H, W) uint8 or uint16.
+    dense: the result of `grid.with_virtual_markers(count)`. image: (H, W) uint8 or uint16.
     device: a Device, a text for `select_device`, or None for the default device. contrast: grey
     levels by which the two sides of an edge must differ; where they do not, the marker stays.
 

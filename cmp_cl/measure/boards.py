@@ -92,7 +92,7 @@ def find_board(
 
 
 def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
-    """Return the grid of a board behind the lattice filter, of the nodes that calibration may use.
+    """Return the filtered grid of a board, of the nodes that calibration may use.
 
     Left out are nodes that were not detected, or whose own image is less certain than max_sigma,
     px. The sigma of the others is that of their filtered positions.

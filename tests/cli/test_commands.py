@@ -392,7 +392,7 @@ def test_a_wrong_argument_of_run_is_one_line_and_no_file(
 def test_the_wrong_calibration_is_noticed_at_rest(run, recording):
     swapped = StereoRig(RIG.K2, RIG.D2, RIG.K1, RIG.D1, RIG.R.T, -RIG.R.T @ RIG.T)
     swapped.save("rig.yaml")
-    fails_in_one_line(run("run", recording, *STEREO), "rest frame 0", "the rig fits", "left")
+    fails_in_one_line(run("run", recording, *STEREO), "frame at rest, 0", "the rig fits", "left")
 
 
 def test_two_views_without_a_calibration_are_explained(run, recording, monkeypatch):
@@ -401,7 +401,7 @@ def test_two_views_without_a_calibration_are_explained(run, recording, monkeypat
 
     monkeypatch.setattr("cmp_cl.measure.frames.find_pattern", two)
     fails_in_one_line(
-        run("run", recording, "--out", "a.npz"), "rest frame 0: two patterns", "--stereo"
+        run("run", recording, "--out", "a.npz"), "frame at rest, 0: two patterns", "--stereo"
     )
 
 
@@ -567,7 +567,7 @@ def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
     assert "left view: nodes with a wrong number,0," in (folder / "errors.csv").read_text()
     with open(folder / "errors.csv", newline="", encoding="utf-8") as file:
         table = {row["what"]: row["value"] for row in csv.DictReader(file)}
-    filtered = float(table["left view: behind the lattice filter, RMS"])
+    filtered = float(table["left view: after the lattice filter, RMS"])
     assert filtered < 0.8 * float(table["left view: error of a corner, RMS"])
     assert "nearly all wear" in out
     command = out.splitlines()[-1].partition("cmp-cl ")[2].split()
@@ -1159,5 +1159,19 @@ def test_frames_that_change_size_are_named_and_left_out(run):
     status, out, err = run("run", "a.mjpeg", "--grid", "7x7", "--out", "a.npz")
     assert status == 0
     assert "1 left out" in out
-    assert "frame 1 is 150 x 140 px of uint8, the rest frame is 150 x 150" in err
+    assert "frame 1 is 150 x 140 px of uint8, the frame at rest is 150 x 150" in err
     assert read_series("a.npz")["index"].tolist() == [0, 2]
+
+
+def test_without_pyav_a_command_tells_what_it_does_not_see_in_a_video(run, monkeypatch):
+    """OpenCV scales frames of another size to that of the first, and no property of it says so."""
+    monkeypatch.setattr(media, "has_pyav", lambda: False)
+    picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
+    pictures = [picture, picture[:140], picture]
+    Path("a.mjpeg").write_bytes(b"".join(cv2.imencode(".jpg", p)[1].tobytes() for p in pictures))
+    for command in (["run", "a.mjpeg", "--out", "a.npz"], ["detect", "a.mjpeg"]):
+        _, _, err = run(*command)
+        assert "PyAV is not installed" in err
+        assert "cmp-cl[video]" in err
+    media.write_image("a.png", picture)
+    assert run("detect", "a.png")[2] == ""

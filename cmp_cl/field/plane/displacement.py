@@ -90,10 +90,9 @@ class PlaneField:
         the position, in `unit`; NaN where unknown. Wear of the print counts in the position.
     status: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     unit: name of the unit of length.
-    raw: the field as it was measured, where this one has been through the lattice filter; None
-        where this one is raw.
-    filtered: what the filter says of the position and of the displacement; None where this field
-        is raw.
+    raw: the field before the lattice filter; None where this one is not filtered.
+    filtered: the filter's results for the position and the displacement; None where this field
+        is not filtered.
     shared: (2, 2, 2, 2) float64, covariances of x and y, in `unit` squared, of the errors at rest
         and now: of a node with the next one of its row, and of its column. The displacement has
         their sum. None where nothing is known of it.
@@ -126,7 +125,7 @@ def plane_displacement(
 ) -> PlaneField:
     """Return the displacement of each node in the plane, now - rest, by its number.
 
-    The difference goes through the lattice filter, and so does the position at rest: see
+    The displacement and the position at rest are filtered over the lattice, see
     `cmp_cl.grid.filter_grid`. scale: from the image to the plane; None means px. raw: leave the
     filter out. The errors are those that the lattice shows, and those of the corners where it is
     too small to tell. The field has the rows and columns of the grid at rest: a node beyond them

@@ -18,9 +18,9 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
     lattice.
 
     rest: the same pattern at rest, numbered alike. Then the displacements are filtered and
-    stand on the filtered positions at rest; a node that is missing there keeps its position.
-    Nodes that no image has shown, interpolated ones, follow their neighbours. Where the lattice
-    is too small to tell, sigma stays what the corners say.
+    added to the filtered positions at rest; a node that is missing there keeps its position.
+    Interpolated nodes follow their neighbours. Where the lattice is too small to tell, sigma is
+    that of the corners.
 
     Raises GridError where the grid has not all rows and columns of the one at rest.
     """
