@@ -254,7 +254,7 @@ def test_the_edge_of_what_stands_still_before_a_pattern_is_not_its_border():
 
 def test_an_oblique_edge_is_no_border():
     whole, _ = drawn(20, 20)
-    view = behind(np.ascontiguousarray(whole[60:300, 60:300]), 190, 0.06)
+    view = behind(np.ascontiguousarray(whole[60:300, 60:300]), 190, 0.1)
     grid = build_grid(seen_in(view), view)
     assert grid.valid.any()
     assert not grid.border.right
