@@ -8,6 +8,7 @@ OpenCV makes 8 bits of all, and frames of another size it scales to that of the 
 import contextlib
 import csv
 import dataclasses
+import glob
 import importlib.util
 import math
 import os
@@ -71,6 +72,8 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """Return the files to read: folders are replaced by the images and videos in them, by name.
 
+    A name with `*`, `?` or `[` that is no file is a pattern, which some shells leave as it is.
+
     Raises FileNotFoundError for a path that is not there and for a folder without any.
     """
     found: list[Path] = []
@@ -89,6 +92,8 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
             found += inside
         elif path.exists():
             found.append(path)
+        elif matches := sorted(glob.glob(str(path))):
+            found += map(Path, matches)
         else:
             raise FileNotFoundError(f"there is no file {str(path)!r}")
     return found

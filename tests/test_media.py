@@ -305,6 +305,15 @@ def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
         media.find_inputs([tmp_path / "missing.png"])
 
 
+def test_a_pattern_that_the_shell_has_left_stands_for_its_files(tmp_path):
+    for name in ("b1.png", "b2.png", "c1.png", "b[1].png"):
+        (tmp_path / name).touch()
+    assert [path.name for path in media.find_inputs([tmp_path / "b?.png"])] == ["b1.png", "b2.png"]
+    assert media.find_inputs([tmp_path / "b[1].png"]) == [tmp_path / "b[1].png"]
+    with pytest.raises(FileNotFoundError, match=r"d\*\.png"):
+        media.find_inputs([tmp_path / "d*.png"])
+
+
 def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
     corners = corners_at([[1.1, 2.2], [63.000004, 47]])
     name = 'a "b",\nc.png'
