@@ -118,8 +118,8 @@ def run(arguments: argparse.Namespace) -> int:
     for what, value, unit in table:
         print(f"  {what:{width}}  {value:>8}  {unit}".rstrip())
     print(
-        "the error of a corner is nearly all wear: what is seen of a worn print is not where the "
-        "material point is; the lattice filter learns more from the neighbours"
+        "The error of a corner is nearly all wear: on a worn print the visible corner is not where "
+        "the material point is. The lattice filter uses the neighbours, and lowers it."
     )
     print(f"wrote to {shown(folder)}: {', '.join(written)}")
     print(
