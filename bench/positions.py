@@ -129,16 +129,16 @@ def measured(scene: Scene, detector: Detector, rivals: dict[str, Detect]) -> Nod
         return None
     filtered, raw = filter_positions(now, rest=rest)
     good = np.isin(now.status, MEASURED) & np.isin(rest.status, MEASURED) & ~wrong
-    change = filter_grid(now.xy.astype(float) - rest.xy, measured=good, bends=True)
+    change = plane_displacement(rest, now)
     moved = truth - rest_truth
     values = {
         "position": (filtered.xy - truth, filtered.sigma),
-        "displacement": (change.values - moved, change.sigma),
+        "displacement": (change.displacement - moved, change.sigma),
         "raw position": (raw.xy - truth, raw.sigma),
-        "raw displacement": (now.xy - rest.xy - moved, change.noise),
+        "raw displacement": (now.xy - rest.xy - moved, change.raw.sigma),
         "corner": (raw.xy - truth, now.sigma),
     }
-    good &= np.isfinite(change.values[..., 0])
+    good &= np.isfinite(change.displacement[..., 0])
     edges = {"position": bent(truth) & good, "displacement": bent(moved) & good}
     bends = {
         kind: np.square(values[kind][0][edges[kind.removeprefix("raw ")]]).sum(axis=1)

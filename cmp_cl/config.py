@@ -233,11 +233,11 @@ class EdgeStep:
     EDGE_STEP).
 
     cell: side of a cell, px, 4 to 1000; the model sees min(9, max(4.5, 0.75 cell)) px around.
-        The default is for cells of unknown side: its 6.75 px reach over no more than the next
+        The default is for cells of unknown side: its 6.45 px reach over no more than the next
         edges of cells of 6 px, and wider cells lose 2 to 10 % of what the right size gains.
     """
 
-    cell: float = 9.0
+    cell: float = 8.6
 
     def __post_init__(self) -> None:
         _check("EdgeStep", "cell", self.cell, 4, 1000, kind=float)

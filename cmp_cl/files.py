@@ -53,7 +53,7 @@ def check_target(path: str | PathLike[str]) -> Path:
     not there or cannot be written.
     """
     if not os.fspath(path):
-        raise FileNotFoundError("'' is no name of a file")
+        raise FileNotFoundError("'' is not the name of a file")
     if os.path.isdir(path):
         raise IsADirectoryError(f"{str(path)!r} is a folder, not a file")
     target = Path(os.path.realpath(path))
@@ -134,7 +134,7 @@ def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError("it is no text in UTF-8") from error
+        raise ValueError("it is not text in UTF-8") from error
     dots = max(line.count(".") for line in text.split("\n"))
     if dots > _MOST_DOTS or text.count("[") + text.count("{") > _MOST_BRACKETS:
         raise ValueError("nested too deep, no settings")

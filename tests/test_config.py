@@ -300,7 +300,7 @@ def test_wide_cells_get_a_scale_where_they_are_blurred_or_nobody_knows(cell, blu
     assert config.replace(scale=None) == rest
 
 
-def test_the_bounds_of_the_rule_in_whole_numbers():
+def test_the_bounds_of_the_rule_are_whole_numbers():
     """2 standard deviations of the noise, 24/128 and 40/128 of the reference."""
     rule = RingHarmonic()
     assert (rule.coarse_noise, rule.coarse_share, rule.fine_share) == (668, 24, 40)

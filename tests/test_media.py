@@ -137,7 +137,7 @@ def test_what_is_no_image_is_an_image_error_with_its_name(tmp_path):
     media.write_image(tmp_path / "whole.png", NOISE)
     (tmp_path / "cut.png").write_bytes((tmp_path / "whole.png").read_bytes()[:60])
     for name in ("text.png", "empty.png", "cut.png"):
-        with pytest.raises(ImageError, match=f"{name}' is no image"):
+        with pytest.raises(ImageError, match=f"{name}' is not an image"):
             media.read_image(tmp_path / name)
     with pytest.raises(ImageError, match=r"cannot read .*missing.png"):
         media.read_image(tmp_path / "missing.png")

@@ -284,10 +284,10 @@ def test_a_missing_package_is_named_by_its_extra(tmp_path, monkeypatch):
         open_series(tmp_path / "press.h5")
 
 
-def test_what_is_no_series_is_refused(tmp_path):
+def test_what_is_not_a_series_is_refused(tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"nothing")
     np.savez(tmp_path / "other.npz", x=1)
-    with pytest.raises(FieldError, match="no series"):
+    with pytest.raises(FieldError, match="not a series"):
         read_series(tmp_path / "bad.npz")
     with pytest.raises(FieldError, match="index"):
         read_series(tmp_path / "other.npz")

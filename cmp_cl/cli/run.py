@@ -180,7 +180,7 @@ def add_parser(commands: Any) -> None:
 def _camera_size(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no size such as 1280x720")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
     return int(match[1]), int(match[2])
 
 
@@ -279,7 +279,9 @@ class _Settings:
             else Source(arguments.source, arguments.max_pixels, camera)
         )
         if camera != CameraSettings() and not source.live:
-            raise ConfigError(f"{shown(source.name)} is no camera: it takes no camera's settings")
+            raise ConfigError(
+                f"{shown(source.name)} is not a camera: it takes no camera's settings"
+            )
         refuse_to_overwrite(
             [*source.paths, arguments.config, arguments.stereo],
             [

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.evidence import grey
-from cmp_cl.grid.grid import NO_SIDES, Sides, turned_sides
-from cmp_cl.grid.nodes import Index, Mask, Nodes, Points
+from cmp_cl.grid.grid import NO_SIDES, UNSEEN, Grid, Sides, turned_sides
+from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
@@ -21,38 +21,62 @@ STEP = 0.1  # cells
 DEPTHS = np.arange(0.3, 1.45, STEP)  # cells from the last nodes: where the last squares may end
 PARALLEL = 0.16  # cells: so near to one reach are three of four
 ALIKE = 0.12  # cells: between the reach of a side of a pattern and that in another picture
+PAST = np.array([0.3, 0.6, 0.9])  # cells past the pattern, where its border has ended
+OFF_LINE = 0.3  # cells to either side of the border's line
+ROWS = np.array([0, 0, -1, -1, 0, -1, 0, -1])  # the corners at the ends of the four sides
+COLUMNS = np.array([0, -1, 0, -1, 0, 0, -1, -1])
+INNER_ROWS, INNER_COLUMNS = np.where(ROWS, -2, 1), np.where(COLUMNS, -2, 1)
+ASIDE = np.array([2, 3, 2, 3, 0, 1, 0, 1])  # the sides that meet them there
+STEPPED = 0.2  # of the contrast of two squares: a step between the sides of that line
 PAIRS = 16  # neighbouring squares of a side that are looked at for where they end
 
 
-NONE = float("nan")
+FourSides = tuple[float, float, float, float]  # top, bottom, left, right; NaN where unknown
 
 
 class Border(NamedTuple):
-    """How far the last squares of a pattern reach beyond its last nodes, cells, by side.
+    """Where a pattern ends in the view, by side.
 
-    NaN where the pattern does not end in the view.
+    reach: how far its last squares reach beyond its last nodes, cells, NaN where it does not
+    end. past: by how much the picture differs between the two sides of that line past the
+    pattern, as a share of the pattern's contrast; NaN where that is not in view.
     """
 
-    top: float = NONE
-    bottom: float = NONE
-    left: float = NONE
-    right: float = NONE
+    reach: FourSides = UNSEEN
+    past: FourSides = UNSEEN
+
+    @classmethod
+    def of(cls, grid: Grid) -> "Border":
+        return cls(grid.reach, grid.past)
 
     @property
     def sides(self) -> Sides:
         """Return the sides on which the pattern ends in the view."""
-        return Sides(*(not math.isnan(reach) for reach in self))
+        return Sides(*(not math.isnan(reach) for reach in self.reach))
+
+    @property
+    def passing(self) -> Sides:
+        """Return the sides whose line goes on past the pattern, and that face no border.
+
+        The edge of what hides a part of a pattern does not know where the pattern ends. Nor
+        does the edge of a sheet that was cut along its squares; then the side across is seen.
+        """
+        facing = (self.reach[number] for number in (1, 0, 3, 2))
+        sides = zip(self.past, facing, strict=True)
+        return Sides(*(abs(step) > STEPPED and math.isnan(across) for step, across in sides))
 
     def turned(self, quarters: int) -> "Border":
         """Return the same after the numbers are turned as in `Grid.turned`."""
-        return Border(*turned_sides(self, quarters))
+        return Border(turned_sides(self.reach, quarters), turned_sides(self.past, quarters))
 
     def contradicts(self, other: "Border") -> Sides:
-        """Return the sides on which both end, and the squares do not reach as far.
+        """Return the sides on which one of the two is the edge of what hides the pattern.
 
-        On such a side one of them is the edge of what hides the pattern.
+        Both end there, and the squares do not reach as far, or the line goes on past the
+        pattern in one of the two alone.
         """
-        return Sides(*(abs(a - b) > ALIKE for a, b in zip(self, other, strict=True)))
+        sides = zip(self.reach, other.reach, self.past, other.past, strict=True)
+        return Sides(*(abs(a - b) > ALIKE or abs(c - d) > STEPPED for a, b, c, d in sides))
 
 
 class Ends(NamedTuple):
@@ -60,37 +84,64 @@ class Ends(NamedTuple):
 
     border: the sides on which nodes end in the picture, and what lies beyond is no cell.
     cut: the sides on which the picture ends before the next nodes.
+    passing: the sides of a border whose line goes on past the pattern.
     """
 
     border: Sides = NO_SIDES
     cut: Sides = NO_SIDES
+    passing: Sides = NO_SIDES
 
     def turned(self, quarters: int) -> "Ends":
         """Return the same after the numbers are turned as in `Grid.turned`."""
-        return Ends(self.border.turned(quarters), self.cut.turned(quarters))
+        return Ends(*(sides.turned(quarters) for sides in self))
 
 
 def border_of(nodes: Nodes, image: GreyImage) -> Border:
-    """Return where nodes end in the image, and no cell follows, and how far the last squares reach.
+    """Return where nodes end in the image, and no cell follows.
 
-    They must reach as far along all of the side: the edge of what lies in front of a pattern
-    cuts them anywhere.
+    The last squares must reach as far along all of the side: the edge of what lies in front of
+    a pattern cuts them anywhere.
     """
     ended = _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
+    if not any(ended):
+        return Border()
     at, across = nodes.at, nodes.at.T
     ways = (at, at[::-1], across, across[::-1])
-    return Border(
-        *(_reach(way, image) if end else NONE for end, way in zip(ended, ways, strict=True))
-    )
+    found = iter(_reaches([way for end, way in zip(ended, ways, strict=True) if end], image))
+    top, bottom, left, right = (next(found) if end else math.nan for end in ended)
+    reach = top, bottom, left, right
+    return Border(reach, _past(nodes, image, reach))
 
 
-def _reach(at: Points, image: GreyImage) -> float:
-    """Return how far the squares before the first row of nodes, (R, C) px, reach, cells.
+def _reaches(sides: list[Points], image: GreyImage) -> list[float]:
+    """Return how far the squares before the first row of nodes of each side reach, cells.
 
-    A square ends where its contrast to the one beside it does: the mean of that contrast over
-    depths, as a share of that between the first two rows, is how far it reaches. NaN where they
-    do not reach equally far.
+    sides: (R, C) px each. A square ends where its contrast to the one beside it does. How far
+    the two reach is the sum of that contrast over depths, as a share of that between the first
+    two rows. What is seen of the squares beyond, in which black and white change places,
+    counts too. NaN where they do not reach equally far.
     """
+    pairs = [_pairs(at) for at in sides]
+    side = np.repeat(np.arange(len(sides)), [pair.shape[1] for pair in pairs])
+    middle, out, along = np.concatenate(pairs, axis=1)
+    shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
+    middle, out, along = (each[shown, :, None] for each in (middle, out, along))
+    depths = np.concatenate([[-0.5], DEPTHS])
+    level = grey(image, (middle + depths * out)[..., None] + SPOTS * along[..., None]).sum(axis=3)
+    contrast = np.abs(level[:, 0] - level[:, 1])
+    share = np.minimum(contrast[:, 1:] / np.maximum(contrast[:, :1], 1), 1)
+    around = np.pad(share, ((0, 0), (2, 2)))
+    before = np.maximum(around[:, :-4], around[:, 1:-3])
+    after = np.maximum(around[:, 3:-1], around[:, 4:])
+    share = np.maximum(share, np.minimum(before, after))  # where black and white change places
+    reach = DEPTHS[0] - STEP / 2 + STEP * share.sum(axis=1)
+    side = side[shown]
+    return [common_reach(reach[side == number], at.shape[1]) for number, at in enumerate(sides)]
+
+
+def _pairs(at: Points) -> Points:
+    """Return some pairs of squares before the first row of nodes, (3, K, 2) px: the middle of
+    their first sides, and the steps out of the pattern and along it."""
     one, two = at[0], at[1]
     seen = ~np.isnan(one.real) & ~np.isnan(two.real)
     column = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:])
@@ -99,19 +150,21 @@ def _reach(at: Points, image: GreyImage) -> float:
     beside = np.stack([column, column + 1], axis=1)
     middle = (one[beside] + one[beside + 1]) / 2
     out = middle - (two[beside] + two[beside + 1]) / 2
-    along = one[beside + 1] - one[beside]
-    shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
-    if not shown.any():
-        return NONE
-    middle, out, along = middle[shown, :, None], out[shown, :, None], along[shown, :, None]
-    depths = np.concatenate([[-0.5], DEPTHS])
-    level = grey(image, (middle + depths * out)[..., None] + SPOTS * along[..., None]).sum(axis=3)
-    contrast = level[:, 0] - level[:, 1]
-    inside = contrast[:, :1]  # of the other sign
-    share = np.clip(-contrast[:, 1:] / np.where(inside == 0, np.inf, inside), 0, 1)
-    reach = DEPTHS[0] - STEP / 2 + STEP * share.sum(axis=1)
-    middling = float(np.median(reach))
-    return middling if np.quantile(np.abs(reach - middling), 0.75) <= PARALLEL else NONE
+    return np.stack([middle, out, one[beside + 1] - one[beside]])
+
+
+def common_reach(reach: Float, columns: int) -> float:
+    """Return the median of how far pairs reach; NaN unless three of four are near.
+
+    One of several pairs cannot tell whether they reach equally far.
+    """
+    count = len(reach)
+    if count < max(min(2, columns - 2), 1):
+        return math.nan
+    reach = np.sort(reach)
+    middling = float(reach[(count - 1) // 2] + reach[count // 2]) / 2
+    off = np.sort(np.abs(reach - middling))
+    return middling if off[(3 * count - 1) // 4] <= PARALLEL else math.nan
 
 
 def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
@@ -123,6 +176,35 @@ def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
             ended = _ends_at(nodes, image, depth, depth + 0.05)
             cut = [hidden and not end for hidden, end in zip(cut, ended, strict=True)]
     return Sides(*cut)
+
+
+def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
+    """Return by how much the picture differs between the sides of the lines, past the pattern.
+
+    Seen past both corners of a side it is the smaller of the two, and none if they differ in
+    sign: an edge that hides the pattern goes on at both.
+    """
+    at, middle = nodes.at, len(nodes.at) // 2
+    squares = (at[middle - 1, 1:] + at[middle, :-1]) / 2
+    level = np.sort(grey(image, squares[~np.isnan(squares.real)]))
+    if len(level) < 2:
+        return UNSEEN
+    contrast = max(float(level[3 * len(level) // 4] - level[len(level) // 4]), 1.0)
+    corner = at[ROWS, COLUMNS]
+    down, across = corner - at[INNER_ROWS, COLUMNS], corner - at[ROWS, INNER_COLUMNS]
+    out = np.concatenate([down[:4], across[4:]])[:, None, None]
+    along = np.concatenate([across[:4], down[4:]])[:, None, None]
+    reaches = np.array(reach)[:, None, None]
+    depth = reaches.repeat(2, axis=0) + np.array([[-OFF_LINE], [OFF_LINE]])
+    spots = corner[:, None, None] + depth * out + (reaches[ASIDE] + PAST) * along
+    shown = _inside(spots, image).all(axis=(1, 2))
+    spots[~shown] = 0
+    level = grey(image, spots).mean(axis=2)
+    step = np.where(shown, (level[:, 1] - level[:, 0]) / contrast, math.nan)
+    first, second = step[::2], step[1::2]
+    least = np.clip(0, np.fmin(first, second), np.fmax(first, second))
+    top, bottom, left, right = least.tolist()
+    return top, bottom, left, right
 
 
 def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Sides:

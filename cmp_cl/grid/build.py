@@ -73,7 +73,7 @@ def build_grid(
     needs a border or a print that tell; one that is seen whole and looks the same after a
     quarter turn has turned by the least angle, and is ambiguous from 40 to 50 degrees.
     The edge of something that hides the pattern along a row passes for its border only where
-    it leaves as much of the last squares as at rest.
+    it leaves as much of the last squares as at rest, and does not go on past the pattern.
     Where no closed cell is found the grid is empty, (0, 0) or of the known shape.
 
     Raises GridError where corners have no finite position or no edge angles, where two
@@ -190,10 +190,10 @@ def _numbered(
     if like is not None:
         placed = like_rest(nodes, border, like, previous)
     elif shape is not None:
-        cut = NO_SIDES
+        ends = Ends(border.sides)
         if seen.image is not None and np.less(nodes.at.shape, shape).any():
-            cut = cut_of(nodes, seen.image)
-        placed = in_shape(nodes, found.bend, shape, Ends(border.sides, cut))
+            ends = Ends(border.sides, cut_of(nodes, seen.image), border.passing)
+        placed = in_shape(nodes, found.bend, shape, ends)
     else:
         placed = Placed(nodes)
     if not alone and np.count_nonzero(found.size >= LEAST_BOARD) > 1:
@@ -333,7 +333,8 @@ def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Gri
         parity=nodes.parity,
         origin=placed.origin,
         border=ends.sides,
-        reach=ends.border,
+        reach=ends.border.reach,
+        past=ends.border.past,
         continues=placed.continues,
         seen_shape=placed.seen_shape,
         ambiguous=placed.ambiguous,

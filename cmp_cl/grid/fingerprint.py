@@ -89,10 +89,11 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
     """Return which of those quarter turns takes the errors to those at rest; None if unclear.
 
     For patterns that are seen whole, in the same rows and columns after any of the turns. It
-    stands out as in `shift_to`. Errors that a camera makes at the same place of every picture
-    speak for the pattern that has not turned, or for all turns alike.
+    stands out as in `shift_to`. The errors of a camera's grid of pixels may look the same
+    after a turn; they are too small.
     """
     scores: list[float] = []
+    common: list[float] = []
     for quarters in turns:
         error = np.rot90(now.error, quarters) * (-1j) ** quarters
         both = np.rot90(now.known, quarters) & rest.known
@@ -100,9 +101,11 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
         power = (np.abs(error[both]) ** 2).sum() * (np.abs(rest.error[both]) ** 2).sum()
         chance = np.sqrt(max(float(power), 1e-30) / 2 / max(int(np.count_nonzero(both)), 1))
         scores.append(agreed / float(chance))
+        common.append(agreed / max(int(np.count_nonzero(both)), 1))
     best = int(np.argmax(scores))
     second = max(score for place, score in enumerate(scores) if place != best)
-    return turns[best] if scores[best] >= max(ABOVE_CHANCE, ABOVE_SECOND * second) else None
+    clear = scores[best] >= max(ABOVE_CHANCE, ABOVE_SECOND * second)
+    return turns[best] if clear and _printed(common[best], now, rest) else None
 
 
 def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
@@ -126,12 +129,16 @@ def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
     chance = np.median(np.abs(score[compared.ravel()])) / 0.6745
     if score[best] < max(ABOVE_CHANCE * chance, ABOVE_SECOND * score[second]):
         return None
-    common = total.ravel()[best] / count.ravel()[best] / GAIN / 2
-    if common * now.cell * rest.cell < PRINTED**2:
+    if not _printed(total.ravel()[best] / count.ravel()[best], now, rest):
         return None
     place: Index = np.array(np.unravel_index(best, size))
     row, column = (place - np.where(place < rest.known.shape, 0, size)).tolist()
     return row, column
+
+
+def _printed(common: float, now: Fingerprint, rest: Fingerprint) -> bool:
+    """Return whether common errors, a mean product, are larger than a camera makes them."""
+    return bool(common / GAIN / 2 * now.cell * rest.cell >= PRINTED**2)
 
 
 def _correlation(

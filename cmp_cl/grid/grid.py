@@ -83,13 +83,16 @@ class Grid:
     border: sides on which the pattern ends in the view.
     reach: how far its last squares reach beyond the last nodes there, cells: 1 where they are
         whole; top, bottom, left, right, NaN where it is not seen.
+    past: by how much the picture differs between the two sides of a border's line past the
+        pattern, as a share of its contrast; NaN where it is not seen. The edge of something
+        that hides a part of the pattern goes on there.
     continues: sides on which the pattern goes on beyond a known shape: the shape is wrong.
     seen_shape: rows and columns of what is seen where that contradicts a known shape.
     ambiguous: whether another numbering explains the frame too. The numbers are then those of
         the least motion, and may be wrong by `rival`.
     rival: the second best numbering, None where there is no other.
     margin: by how much further the middle of the pattern has moved by the rival, cells; NaN
-        without one.
+        without one, or where too few nodes say it.
     """
 
     xy: NDArray[np.float32]
@@ -101,6 +104,7 @@ class Grid:
     component: NDArray[np.int32] = dataclasses.field(default_factory=lambda: np.zeros((0, 0), "i4"))
     border: Sides = NO_SIDES
     reach: tuple[float, float, float, float] = UNSEEN
+    past: tuple[float, float, float, float] = UNSEEN
     continues: Sides = NO_SIDES
     seen_shape: tuple[int, int] | None = None
     ambiguous: bool = False
@@ -171,6 +175,7 @@ class Grid:
             origin=(0, 0),
             border=self.border.turned(quarters),
             reach=turned_sides(self.reach, quarters),
+            past=turned_sides(self.past, quarters),
             continues=self.continues.turned(quarters),
             seen_shape=seen,
         )
@@ -255,7 +260,7 @@ def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
         return np.where(there, 0, -1).astype(np.int32)
     count, label = cv2.connectedComponents(there.astype(np.uint8), connectivity=4)
     size = np.bincount(label.ravel(), minlength=count)
-    size[0] = -1  # what is no node
+    size[0] = -1  # no node
     rank = np.empty(count, np.int32)
     rank[np.argsort(-size, kind="stable")] = np.arange(count)
     rank[0] = -1

@@ -159,10 +159,11 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
             break
         here = around[best]
     motion = np.abs(_motion(at, near.cell, moved[0]) + _differences(moved))
+    if len(around) > 1:  # nobody knows by how much those have moved that hardly meet the reference
+        motion[alone > MOST_ALONE] = np.inf
     choices = [
         Choice(float(off + ALONE * lost), float(off), quarters, int(top), int(left))
         for off, lost, (top, left) in zip(motion, alone, around, strict=True)
-        if lost <= MOST_ALONE or len(around) == 1
     ]
     return sorted(choices)
 

@@ -17,7 +17,7 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NOWHERE = complex(np.nan, np.nan)
-ROOM, ROOM_EACH = 65536, 64  # nodes that a grid may have, and more of them for each corner
+MOST_NODES, NODES_EACH = 65536, 64  # that any grid may have, and more for each corner
 
 
 class Nodes:
@@ -101,10 +101,10 @@ class Nodes:
 
 def check_room(shape: tuple[int, int], corners: int) -> None:
     """Raise GridError where a grid of that shape is far too large for that many corners."""
-    if shape[0] * shape[1] > ROOM + ROOM_EACH * corners:
+    if shape[0] * shape[1] > MOST_NODES + NODES_EACH * corners:
         raise GridError(
             f"a grid of {shape[0]} x {shape[1]} nodes is too large for {corners} corners, "
-            f"expected at most {ROOM + ROOM_EACH * corners} nodes"
+            f"expected at most {MOST_NODES + NODES_EACH * corners} nodes"
         )
 
 

@@ -4,7 +4,11 @@ A checkerboard repeats itself, so a frame has many numberings: four rotations, a
 whole cells that keep the colours. Four things speak for one of them, in this order.
 
 The border. Where the pattern ends at rest and now, a row is the first or the last one, and what
-lies beyond a border at rest is none of the pattern. That leaves few numberings, often one.
+lies beyond a border at rest is none of the pattern. That leaves few numberings, often one. The
+edge of something that hides the pattern ends it too. A side is such an edge, and decides
+nothing, where it differs between the frames: in how far the last squares reach, or in whether
+its line goes on past the pattern. So is one whose line goes on and that faces no border. Where
+a side differs, the other sides are sure only of motions by less than half a cell.
 
 The print. Its errors go where the pattern goes, see `fingerprint`.
 
@@ -84,16 +88,14 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
     the numbers of the rest grid, or None.
     """
     rest = Reference.of(like)
-    at_rest = Border(*like.reach).turned(-quarter_turns(nodes.at, rest)[0][0])
+    at_rest = Border.of(like).turned(-quarter_turns(nodes.at, rest)[0][0])
     whole = all(border.sides) and all(like.border) and not any(border.contradicts(at_rest))
     if whole and nodes.at.shape in (like.shape, like.shape[::-1]):
-        decided = _by_turn(nodes, like, rest)
+        decided = _by_turn(nodes, border, like, rest)
     else:
         decided = _by_border(nodes, border, like, rest)
-        if not decided.sure:
-            decided = _by_print(nodes, like, rest, decided)
-        elif any(border.sides):
-            decided = _checked(nodes, like, rest, decided)
+        if not decided.sure or any(border.sides):
+            decided = _with_print(nodes, like, rest, decided)
     if previous is not None:
         followed = _by_frame_before(nodes, border, like, previous)
         if not decided.sure or (decided.usual and followed.sure):
@@ -103,19 +105,21 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
     return _placed(nodes, like, decided)
 
 
-def _by_turn(nodes: Nodes, like: Grid, rest: Reference) -> Decision:
+def _by_turn(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Decision:
     """Choose the rotation of a pattern that is seen whole, now and at rest.
 
-    Colours and shape leave one, two or four. Of several the print tells one, if it has errors;
-    else it is the least, as long as the next is clearly larger: up to 40 degrees where a
-    quarter turn leaves the pattern as it was.
+    Colours, shape and the reach of the last squares leave one, two or four. Of several the
+    print tells one, if it has errors; else it is the least, as long as the next is clearly
+    larger: up to 40 degrees where a quarter turn leaves the pattern as it was.
     """
     top, left = like.origin
     ordered = quarter_turns(nodes.at, rest, every=True)
     fitting = []
     for quarters, angle in ordered:
         turned = nodes.turned(quarters)
-        if turned.at.shape == like.shape and (top + left) % 2 == colour(turned, rest):
+        alike = not any(border.turned(quarters).contradicts(Border.of(like)))
+        alike &= turned.at.shape == like.shape
+        if alike and (top + left) % 2 == colour(turned, rest):
             fitting.append((quarters, angle))
     if not fitting:
         return _by_border(nodes, NO_BORDER, like, rest)
@@ -135,7 +139,9 @@ def _by_border(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Dec
     """Choose the nearest of the numberings that borders allow; sure where they allow one.
 
     Lines that are lost look like a border. So it is not sure where the pattern lies in its
-    place at rest by other numbers.
+    place at rest by other numbers. Where a side contradicts the rest frame's, something hides
+    the pattern and may end it on other sides too: then it is sure only if it is also where the
+    pattern has moved by less than half a cell.
     """
     turns = quarter_turns(nodes.at, rest)
     if len(turns) == 1 and not any(border.sides):
@@ -150,51 +156,42 @@ def _by_border(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Dec
         if other.number != left[0].number and other.motion <= STILL:
             return Decision(left[0], other, sure=False)
     if left:
-        return Decision(left[0], left[1] if len(left) > 1 else None, sure=len(left) == 1)
+        hidden = any(border.turned(left[0].quarters).contradicts(Border.of(like)))
+        sure = len(left) == 1 and not (hidden and left[0].motion > FOLLOWED)
+        return Decision(left[0], left[1] if len(left) > 1 else None, sure=sure)
     # lines are lost, or there are false ones
     freely = _nearest(nodes, NO_BORDER, like, rest)
     freely = freely or climb(nodes.turned(turns[0][0]), rest, Bounds(), turns[0][0])
     return Decision(freely[0], freely[1] if len(freely) > 1 else None, sure=False)
 
 
-def _by_print(nodes: Nodes, like: Grid, rest: Reference, nearest: Decision) -> Decision:
-    """Choose the numbering under which the errors of the print agree, if there is one."""
+def _with_print(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) -> Decision:
+    """Choose the numbering under which the errors of the print agree, if there is one.
+
+    It is sure unless the border is sure of another: the edge of what hides a part of the
+    pattern along a row may look like its border.
+    """
     at_rest = _printed(like, rest)
-    for quarters, _ in quarter_turns(nodes.at, rest, every=True):
+    turns = [quarters for quarters, _ in quarter_turns(nodes.at, rest, every=True)]
+    for quarters in [decided.best.quarters] if decided.sure else turns:
         turned = nodes.turned(quarters)
         shift = shift_to(at_rest, Fingerprint.of(turned.at))
         if shift is None:
             continue
         top, left = shift[0] + like.origin[0], shift[1] + like.origin[1]
         if (top + left) % 2 != colour(turned, rest):
-            return nearest
+            return decided
         best = chosen(turned, rest, quarters, top, left)
-        others = (nearest.best, nearest.second)
+        others = (decided.best, decided.second)
         second = [each for each in others if each is not None and each.number != best.number]
-        return Decision(best, second[0] if second else None, sure=True)
-    return nearest
+        sure = not decided.sure or best.number == decided.best.number
+        return Decision(best, second[0] if second else None, sure=sure)
+    return decided
 
 
 def _printed(like: Grid, rest: Reference) -> Fingerprint:
     """Return the errors of the print at rest."""
     return Fingerprint.at_rest(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
-
-
-def _checked(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) -> Decision:
-    """Return what the border decides, unless the errors of the print tell another place.
-
-    What hides a part of the pattern along a row may look like its border; then it is not sure,
-    and the print's place is the best.
-    """
-    quarters, top, left = decided.best.number
-    turned = nodes.turned(quarters)
-    shift = shift_to(_printed(like, rest), Fingerprint.of(turned.at))
-    if shift is None:
-        return decided
-    number = shift[0] + like.origin[0], shift[1] + like.origin[1]
-    if number == (top, left) or sum(number) % 2 != colour(turned, rest):
-        return decided
-    return Decision(chosen(turned, rest, quarters, *number), decided.best, sure=False)
 
 
 def _by_frame_before(nodes: Nodes, border: Border, like: Grid, previous: Grid) -> Decision:
@@ -223,12 +220,14 @@ def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
     """Return the numbers that borders allow for the first row and column.
 
     What lies beyond a border of the rest grid is none of its nodes, and nodes that end at a
-    border of the pattern end where the rest grid does. Where the last squares do not reach as
-    far as at rest, the pattern does not end on that side.
+    border of the pattern end where the rest grid does. A side that is the edge of what hides
+    the pattern is no border, now or at rest.
     """
     here, rest = full_lines(nodes.there), _lines(like)
     at_rest = like.border if any(like.border) else _known_ends(like, nodes.at)
-    hidden = border.contradicts(Border(*like.reach))
+    known = Border.of(like)
+    doubts = border.contradicts(known), border.passing, known.passing
+    hidden = [any(side) for side in zip(*doubts, strict=True)]
     ends = [end and not other for end, other in zip(at_rest, hidden, strict=True)]
     now = [end and not other for end, other in zip(border.sides, hidden, strict=True)]
     rows = _axis_bounds(here[:2], rest[:2], ends[:2], now[:2])
@@ -296,7 +295,8 @@ def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
     rival = None
     margin = float("nan")
     if second is not None:
-        margin = second.motion - best.motion
+        if np.isfinite(second.motion):
+            margin = second.motion - best.motion
         turn = (second.quarters - best.quarters) % 4
         rows, columns = turned.at.shape
         skipped = (  # from the first node of the turned grid to that of the turned nodes

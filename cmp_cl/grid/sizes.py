@@ -17,7 +17,8 @@ def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], en
 
     A shape that fits better across is taken so, by the quarter turn that leaves the columns
     nearest to the image's x axis. Where less is seen, the borders in view say which part it
-    is. Where more is seen, it is the fullest window, nearest to the top left.
+    is; not for sure where a border's line goes on past the pattern. Where more is seen, it is
+    the fullest window, nearest to the top left.
 
     bend: of every corner.
     """
@@ -35,15 +36,17 @@ def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], en
     fullest = int(np.argmax([weight for weight, _, _ in windows]))
     best = likely[fullest]
     _, top, left = windows[fullest]
-    found, (border, cut) = turned[best], sides[best]
+    found, (border, cut, passing) = turned[best], sides[best]
     starts, unsure = [top, left], len(likely) > 1
     for axis in (0, 1):
         lack = shape[axis] - found.at.shape[axis]
         if lack > 0:
-            begin, end = border[2 * axis], border[2 * axis + 1]
-            no_begin, no_end = cut[2 * axis], cut[2 * axis + 1]
+            first, last = 2 * axis, 2 * axis + 1
+            begin, end = border[first], border[last]
             starts[axis] = -lack if end and not begin else 0
-            unsure |= not ((begin and end) or (begin and no_end) or (no_begin and end))
+            by_begin = begin and cut[last] and not passing[first]
+            by_end = end and cut[first] and not passing[last]
+            unsure |= not ((begin and end) or by_begin or by_end)
     seen, continues = _seen_shape(found, bend, shape, (top, left), border)
     placed = found.window(starts[0], starts[1], shape)
     return Placed(

@@ -145,7 +145,7 @@ def pocl_is_stuck() -> str:
     if free < _LEAST_FREE:
         return (
             f"PoCL's cache {str(folder)!r} is on a disk with {free} bytes left, and PoCL ends the "
-            "process where it is full; make room, or name another place in XDG_CACHE_HOME"
+            "process where it is full; free some space, or name another folder in XDG_CACHE_HOME"
         )
     return ""
 

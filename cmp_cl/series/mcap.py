@@ -190,7 +190,7 @@ def mcap_images(
     except ImageError:
         raise
     except Exception as error:  # damaged bytes lead to any, in the packages and in codecs
-        raise ImageError(f"{str(path)!r} is no MCAP that can be read: {error}") from error
+        raise ImageError(f"{str(path)!r} is not an MCAP that can be read: {error}") from error
 
 
 def _image_topic(reader: Any, path: str | PathLike[str], topic: str | None) -> str:

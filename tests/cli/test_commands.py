@@ -670,7 +670,7 @@ def test_a_rectangle_in_each_view_says_which_of_two_boards_is_meant(run, boards)
     np.testing.assert_allclose(StereoRig.load("rig.yaml").K1, of_frames.K1, atol=1e-9)
 
 
-def test_two_cameras_with_files_of_their_own(run, boards):
+def test_two_cameras_with_files_of_their_own_are_calibrated(run, boards):
     for number, (left, right) in enumerate(boards):
         cv2.imwrite(f"l{number}.png", left)
         cv2.imwrite(f"r{number}.png", right)
@@ -1034,7 +1034,7 @@ def test_folders_of_which_one_has_more_images_are_not_paired_by_guess(run, recor
         (["--left", "frames", "--right", "0", *STEREO], "both be cameras"),
         (["--left", "frames", "--right", "frames", "--split", "halves", *STEREO], "--split"),
         (["frames", "--pair-within", "3", *STEREO], "--pair-within"),
-        (["frames", "--exposure", "3", *STEREO], "no camera"),
+        (["frames", "--exposure", "3", *STEREO], "not a camera"),
         (["0", "--pixel-format", "M", *STEREO], "four letters"),
     ],
 )
@@ -1120,8 +1120,8 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
         (("--cell", "2", "--stereo", "rig.yaml"), "--cell is for one view"),
         (("--contact", "2"), "--contact needs --stereo"),
         (("--unit", "cm"), "--unit needs --cell"),
-        (("--cell", "0"), "no length"),
-        (("--contact", "nan", "--stereo", "rig.yaml"), "no length"),
+        (("--cell", "0"), "not a length"),
+        (("--contact", "nan", "--stereo", "rig.yaml"), "not a length"),
     ],
 )
 def test_lengths_that_a_view_does_not_have_are_refused(run, arguments, message):

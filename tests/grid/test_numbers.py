@@ -1,6 +1,7 @@
 """Numbers that are right, or say that they may be wrong."""
 
 import dataclasses
+import math
 import time
 
 import cv2
@@ -14,6 +15,7 @@ from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, NodeStatus, Sides, build_grid
 from cmp_cl.grid.align import row_direction
+from cmp_cl.grid.border import common_reach
 from cmp_cl.grid.fingerprint import Fingerprint, turn_to
 
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
@@ -236,6 +238,15 @@ def test_the_errors_of_a_print_tell_how_a_square_pattern_has_turned(quarters):
     assert turn_to(at_rest, flawless, [2, 0, 3, 1]) is None
 
 
+def test_errors_of_a_camera_that_look_the_same_after_half_a_turn_are_no_print():
+    row, column = np.indices((12, 12))
+    place = 10 * (column + 1j * row)
+    errors = np.random.default_rng(0).normal(0, 0.05, (2, 12, 12))
+    of_camera = errors[0] + 1j * errors[1]
+    rest, now = (Fingerprint.of(place + each) for each in (of_camera, -of_camera[::-1, ::-1]))
+    assert turn_to(rest, now, [0, 2]) is None
+
+
 def behind(picture: np.ndarray, x: int, slope: float = 0.0) -> np.ndarray:
     """Return the picture with something dark in front of all that is right of a line."""
     row, column = np.indices(picture.shape)
@@ -252,9 +263,85 @@ def test_the_edge_of_what_stands_still_before_a_pattern_is_not_its_border():
     assert grid.ambiguous
 
 
+def test_a_pattern_that_moved_by_a_period_behind_an_edge_is_ambiguous():
+    whole, _ = drawn(6, 20)
+    rest_view, view = (
+        behind(np.ascontiguousarray(whole[:, x : x + 240]), 190) for x in (60, 60 + 2 * 20)
+    )
+    rest = build_grid(seen_in(rest_view), rest_view)
+    grid = build_grid(seen_in(view), view, like=rest)
+    np.testing.assert_allclose(grid.reach, rest.reach, atol=0.05)
+    np.testing.assert_allclose(grid.past, rest.past, atol=0.05)
+    assert grid.ambiguous
+
+
+def test_a_sheet_that_was_cut_along_its_squares_has_borders_on_both_sides():
+    views = []
+    for x in (40, 80):
+        picture, corners = drawn(7, 9, origin=(x, 40))
+        picture[:, : x + 1] = picture[:, x + 10 * 20 - 1 :] = 90
+        views.append(picture)
+    rest = build_grid(seen_in(views[0]), views[0])
+    grid = build_grid(seen_in(views[1]), views[1], like=rest)
+    assert min(np.abs(rest.past[2:])) > 0.5
+    number, place = true(grid, corners)
+    np.testing.assert_array_equal(number, place)
+    assert not grid.ambiguous
+
+
+def mirrored(picture: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(picture[:, ::-1])
+
+
+def test_an_edge_that_goes_on_past_the_pattern_is_not_its_border():
+    whole, _ = drawn(7, 9)
+    right_hidden = behind(whole, 40 + 6 * 20 - 1)
+    left_hidden = mirrored(behind(mirrored(whole), whole.shape[1] - 1 - (40 + 4 * 20)))
+    rest, now = (build_grid(seen_in(view), view) for view in (right_hidden, left_hidden))
+    assert rest.border == now.border == Sides(True, True, True, True)
+    assert rest.shape == now.shape == (7, 5)
+    assert rest.past[3] < -0.9
+    assert now.past[2] < -0.9
+    np.testing.assert_allclose([*rest.past[:3], *now.past[:2], now.past[3]], 0, atol=0.05)
+    grid = build_grid(seen_in(left_hidden), left_hidden, like=rest)
+    assert grid.ambiguous
+    assert rest.turned(1).past == (rest.past[3], rest.past[2], rest.past[0], rest.past[1])
+
+
+def test_an_edge_that_shows_a_sliver_of_the_next_squares_reaches_beyond_whole_ones():
+    whole, _ = drawn(7, 9)
+    view = behind(whole, 40 + 6 * 20 + 2)
+    grid = build_grid(seen_in(view), view)
+    assert grid.shape == (7, 5)
+    assert grid.reach[3] == pytest.approx(1.15, abs=0.06)
+
+
+@pytest.mark.parametrize(("moved", "ambiguous"), [(0, False), (6, False), (40, True)])
+def test_where_a_side_contradicts_the_others_decide_about_half_a_cell_alone(moved, ambiguous):
+    at_rest, _ = drawn(7, 9)
+    at_rest[:, :52] = 210  # to this side the pattern ends in its squares
+    rest = build_grid(seen_in(at_rest), at_rest)
+    now, corners = drawn(7, 9, origin=(40 + moved, 40))
+    grid = build_grid(seen_in(now), now, like=rest)
+    number, place = true(grid, corners)
+    np.testing.assert_array_equal(number, place)
+    assert grid.ambiguous == ambiguous
+
+
+def test_parts_of_a_pattern_that_hardly_meet_are_not_placed_by_one_border_each():
+    whole, _ = drawn(11, 11)
+    left_part = behind(whole, 120, 0.3)
+    right_part = mirrored(behind(mirrored(whole), 120, 0.3))
+    rest, now = (build_grid(seen_in(view), view) for view in (right_part, left_part))
+    assert (rest.border.left, rest.border.right) == (False, True)
+    assert (now.border.left, now.border.right) == (True, False)
+    grid = build_grid(seen_in(left_part), left_part, like=rest)
+    assert grid.ambiguous
+
+
 def test_an_oblique_edge_is_no_border():
     whole, _ = drawn(20, 20)
-    view = behind(np.ascontiguousarray(whole[60:300, 60:300]), 190, 0.06)
+    view = behind(np.ascontiguousarray(whole[60:300, 60:300]), 190, 0.1)
     grid = build_grid(seen_in(view), view)
     assert grid.valid.any()
     assert not grid.border.right
@@ -293,6 +380,23 @@ def test_a_board_without_a_border_in_view_is_ambiguous():
     grid = build_grid(seen_in(picture), picture, shape=(6, 9))
     assert grid.valid.any()
     assert grid.ambiguous
+
+
+@pytest.mark.parametrize("squares", [6, 6.5, 6.85])
+def test_a_board_behind_an_edge_is_not_numbered_by_it_for_sure(squares):
+    picture, _ = drawn(6, 9)
+    view = behind(picture, 40 + round(squares * 20) - 1)
+    view = np.ascontiguousarray(view[:, 85:])
+    grid = build_grid(seen_in(view), view, shape=(6, 9))
+    assert grid.valid.any()
+    assert grid.ambiguous
+
+
+def test_one_pair_of_squares_of_many_does_not_tell_that_an_edge_is_parallel():
+    assert math.isnan(common_reach(np.array([0.8]), columns=5))
+    assert common_reach(np.array([0.8]), columns=3) == 0.8
+    assert common_reach(np.array([0.8, 0.9, 0.85, 0.2]), columns=9) == pytest.approx(0.825)
+    assert math.isnan(common_reach(np.array([0.8, 0.4, 0.6, 0.2]), columns=9))
 
 
 def test_junctions_with_the_surround_are_no_nodes():

@@ -32,7 +32,7 @@ def test_the_cell_sets_the_radius(detector_in_form, cell):
     assert (corners.method == Method.EDGE_STEP).sum() > 20
 
 
-def test_a_corner_in_the_very_middle_of_a_pixel(detector_in_form):
+def test_a_corner_in_the_very_middle_of_a_pixel_is_refined(detector_in_form):
     """There the distance is 0, and grey levels are saturated all around."""
     grey = (images.eight_bits()["board"].astype(np.float64) - 120) * 20 + 120
     image = np.clip(grey, 0, 255).astype(np.uint8)
@@ -60,7 +60,7 @@ def test_steep_light_is_counted_as_in_the_oracle(detector_in_form):
 
 
 @pytest.mark.parametrize("cell", some([20.0, 60.0, 130.0], (60.0,)))
-def test_discs_of_a_scaled_image(detector_in_form, cell):
+def test_discs_of_a_scaled_image_equal_the_oracle(detector_in_form, cell):
     """Of a radius of 0.6 cells: in one part, in several, and with rows that leave the image."""
     image = board(int(4 * cell), int(5 * cell), cell)[0]
     config = {"scale": 15 / cell, "refinement": EdgeStep(cell=cell)}

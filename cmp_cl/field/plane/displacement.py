@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import FieldError
-from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid
+from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 
 Array = NDArray[np.float64]
@@ -149,10 +149,13 @@ def plane_displacement(
     position = np.where(both[..., None], before, np.nan)
     moved = np.where(both[..., None], after - before, np.nan)
     at_rest = filter_at_rest(before, measured=seen_at_rest)
-    change = filter_grid(
-        moved, measured=both & seen_at_rest & np.isin(now.status, MEASURED), bends=True
-    )
     own_rest, own_now = deviation(rest, slope_before), deviation(now, slope_after)
+    change = filter_grid(
+        moved,
+        measured=both & seen_at_rest & np.isin(now.status, MEASURED),
+        bends=True,
+        most_noise=noise_of_change(at_rest, own_rest, own_now),
+    )
     unfiltered = PlaneField(
         position=position,
         displacement=moved,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +14,8 @@ from cmp_cl.grid.filter.mixture import Mixture, mixed
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Box = tuple[slice, slice]
+
+_OPENED = 3.0  # times, at most, that strain makes wear larger than it is at rest
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,7 +82,11 @@ class Filtered:
 
 
 def filter_grid(
-    values: ArrayLike, *, measured: ArrayLike | None = None, bends: bool = False
+    values: ArrayLike,
+    *,
+    measured: ArrayLike | None = None,
+    bends: bool = False,
+    most_noise: ArrayLike | None = None,
 ) -> Filtered:
     """Filter a lattice over its rows and columns.
 
@@ -90,7 +97,9 @@ def filter_grid(
     bends: the values may bend sharply along an axis, as a deformation does at the edge of what
     presses. What bends is then told from noise by looking along one direction alone, too: an
     axis or a diagonal. Leave it out for positions: wear that neighbours share would be taken
-    for the shape.
+    for the shape. most_noise: (R, C), the largest standard deviation of the noise that can be, in
+    the unit of the values, NaN where nobody knows, as `filter_positions` knows it from the images
+    and from the wear at rest. What is more than that is shape, and is kept.
 
     Raises GridError where the arrays have other shapes.
     """
@@ -105,13 +114,18 @@ def filter_grid(
         if allowed.shape != there.shape:
             raise GridError(f"measured must be {there.shape}, not {allowed.shape}")
         votes &= allowed
+    most = np.full(there.shape, np.nan) if most_noise is None else np.asarray(most_noise, float)
+    if most.shape != there.shape:
+        raise GridError(f"most_noise must be {there.shape}, not {most.shape}")
     sigma = np.full(there.shape, np.nan)
     noise = sigma.copy()
     refused = np.zeros(there.shape, np.bool_)
     mixtures = []
     for part in _components(votes):
         box = _box(votes & part)
-        mixture, plane = _of_component(given[box], votes[box], part[box], box, bends=bends)
+        mixture, plane = _of_component(
+            given[box], votes[box], part[box], most[box], box, bends=bends
+        )
         prediction = mixture.values.transpose(1, 2, 0) + plane
         here = there[box] & part[box]
         refused[box] |= here & votes[box] & ~mixture.votes
@@ -148,14 +162,34 @@ def _at_rest(shape: tuple[int, ...], values: bytes, measured: bytes) -> Filtered
     return found
 
 
+def noise_of_change(
+    at_rest: Filtered, own_rest: NDArray[np.floating[Any]], own_now: NDArray[np.floating[Any]]
+) -> Array:
+    """Return the largest standard deviation (R, C) that the noise of now - rest can have.
+
+    at_rest: the positions at rest. own_rest, own_now: (R, C), the standard deviations that the
+    corners' own images tell, NaN or 0 where unknown. What they do not explain of the noise at rest
+    is wear. Wear travels with the material, but strain may open it: in the difference it counts for
+    at most three times what it is at rest. A print that shows no wear at rest has the noise of its
+    images alone.
+    """
+    before, after = (
+        np.where(own > 0, np.square(own, dtype=np.float64), np.nan) for own in (own_rest, own_now)
+    )
+    wear = np.maximum(np.square(at_rest.noise) - before, 0)
+    most: Array = np.sqrt(before + after + _OPENED**2 * wear)
+    return most
+
+
 def _of_component(
-    given: Array, votes: Bools, part: Bools, box: Box, *, bends: bool
+    given: Array, votes: Bools, part: Bools, most: Array, box: Box, *, bends: bool
 ) -> "tuple[Mixture, Array]":
     """Return the mixture for the residual of the best bilinear surface; the surface, (R, C, K)."""
     votes = votes & part
     plane = _plane(given, votes)
     data = np.where(votes[..., None], given - plane, 0).transpose(2, 0, 1)
-    return mixed(np.ascontiguousarray(data, np.float32), votes, part, box, bends=bends), plane
+    single = np.ascontiguousarray(data, np.float32)
+    return mixed(single, votes, part, most.astype(np.float32), box, bends=bends), plane
 
 
 def _components(votes: Bools) -> list[Bools]:

@@ -119,8 +119,13 @@ class Mixture:
         return result
 
 
-def mixed(data: Single, votes: Bools, part: Bools, box: Box, *, bends: bool) -> Mixture:
-    """Return the mixture for data (K, R, C), without the nodes that their neighbours refuse."""
+def mixed(
+    data: Single, votes: Bools, part: Bools, most: Single, box: Box, *, bends: bool
+) -> Mixture:
+    """Return the mixture for data (K, R, C), without the nodes that their neighbours refuse.
+
+    most: (R, C), the largest standard deviation of the noise, NaN where unknown.
+    """
     whole = bool(votes.all())
     if not whole:
         data = filled(data, votes)
@@ -134,6 +139,8 @@ def mixed(data: Single, votes: Bools, part: Bools, box: Box, *, bends: bool) -> 
         data = filled(np.where(votes, data, 0), allowed)
         residual, noise = noise_of(data, allowed, whole=False)
     shape_noise = noise_along(data, allowed, noise) if bends else noise
+    if not np.isnan(most).all():
+        shape_noise = np.where(np.isnan(noise), noise, np.fmin(shape_noise, np.square(most)))
     return _mixture(data, allowed, residual, noise, shape_noise, part, box, bends=bends)
 
 

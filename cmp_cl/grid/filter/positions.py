@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import GridError
-from cmp_cl.grid.filter.lattice import filter_at_rest, filter_grid
+from cmp_cl.grid.filter.lattice import filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid.grid import MEASURED, Grid
 
 Array = NDArray[np.float64]
@@ -33,7 +33,12 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
     measured = np.isin(rest.status, MEASURED)
     start = filter_at_rest(rest.xy, measured=measured)
     moved = now.xy.astype(np.float64) - rest.xy
-    change = filter_grid(moved, measured=measured & np.isin(now.status, MEASURED), bends=True)
+    change = filter_grid(
+        moved,
+        measured=measured & np.isin(now.status, MEASURED),
+        bends=True,
+        most_noise=noise_of_change(start, rest.sigma, now.sigma),
+    )
     values = np.where(np.isnan(moved), now.xy, start.values + change.values)
     return (
         _with(now, values, np.hypot(start.sigma, change.sigma)),
