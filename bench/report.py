@@ -17,7 +17,7 @@ from sections.detection import accuracy, against_time, criteria, photographs, se
 from sections.field import field, wrong_indices
 from sections.grid import open_patterns, partial_views
 from sections.plots import SHOWN
-from sections.positions import positions
+from sections.positions import positions, strain
 from sections.speed import scaling, speed
 from sections.stability import breaking, implementations, stability, theory
 from sections.tables import Row, described, is_peer, share_of, table
@@ -146,6 +146,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         ("photographs", photographs),
         ("criteria", criteria),
         ("positions", positions),
+        ("strain", strain),
         ("partial_views", partial_views),
         ("open_patterns", open_patterns),
         ("field", field),

@@ -213,6 +213,16 @@ def test_opencv_and_the_library_read_a_rig_back(tmp_path):
     assert storage.getNode("size1").mat().tolist() == [[800, 1200]]
 
 
+def test_a_file_of_one_camera_or_of_fisheyes_is_told_as_such(tmp_path):
+    save_cameras(tmp_path / "one.yaml", {"a": camera(Lens.PINHOLE)})
+    with pytest.raises(CalibrationError, match="a rig has two cameras"):
+        StereoRig.load(tmp_path / "one.yaml")
+    two = {"a": camera(Lens.FISHEYE), "b": camera(Lens.FISHEYE, (0, 0.1, 0), (-50, 0, 0))}
+    save_cameras(tmp_path / "fish.yaml", two)
+    with pytest.raises(CalibrationError, match="a fisheye"):
+        StereoRig.load(tmp_path / "fish.yaml")
+
+
 def loaded(path):
     yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
     return yaml.safe_load(Path(path).read_text())

@@ -11,6 +11,7 @@ import numpy as np
 
 from cmp_cl import cameras, media
 from cmp_cl.cameras import CameraSettings, PairCount, is_live, paired
+from cmp_cl.cli.messages import counted
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.series.mcap import mcap_images
@@ -121,8 +122,8 @@ class Pairs(Source):
         counts = len(left.paths), len(right.paths)
         if max(counts) > 1 and counts[0] != counts[1]:
             raise ConfigError(
-                f"--left has {counts[0]} files and --right {counts[1]}: images have no times by "
-                "which they could be paired; leave out those without a partner"
+                f"--left has {counted(counts[0], 'file')} and --right {counts[1]}: images have no "
+                "times by which they could be paired; leave out those without a partner"
             )
         self.name = f"{left.name}, {right.name}"
         self.start_ns = self.full_scale = None

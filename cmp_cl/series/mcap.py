@@ -205,8 +205,10 @@ def _image_topic(reader: Any, path: str | PathLike[str], topic: str | None) -> s
     )
     if topic is None and len(found) == 1:
         return str(found[0])
+    if not found:
+        raise ImageError(f"{str(path)!r} has no topic of images")
     if topic not in found:
-        names = ", ".join(found) or "none"
+        names = ", ".join(found)
         what = "which topic is meant?" if topic is None else f"there is no image topic {topic};"
         raise ImageError(f"{str(path)!r}: {what} Its image topics: {names}")
     return str(topic)

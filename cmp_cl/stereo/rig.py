@@ -102,6 +102,11 @@ class StereoRig:
                     if name in found and not np.array_equal(found[name], value):
                         raise CalibrationError(f"{path}: {alias} contradicts an earlier {name}")
                     found[name] = value
+            if "fisheye" in (storage.getNode(name).string() for name in ("lens1", "lens2")):
+                raise CalibrationError(
+                    f"{path}: a camera is a fisheye, and a rig of two views takes none; calibrate "
+                    "it with --lens rational"
+                )
             kept = read_matrix(storage, _COVARIANCE, path)
             covariance = covariance if kept is None else kept
             written = storage.getNode("unit")
@@ -110,7 +115,8 @@ class StereoRig:
         missing = [" or ".join(_ALIASES[name]) for name in _ALIASES if name not in found]
         if missing:
             files = ", ".join(str(path) for path in paths)
-            raise CalibrationError(f"{files}: no {'; no '.join(missing)}")
+            what = f"{files}: no {'; no '.join(missing)}"
+            raise CalibrationError(f"{what}; a rig has two cameras" if "K1" in found else what)
         try:
             return cls(**found, unit="mm" if named is None else named, covariance=covariance)
         except CalibrationError as error:
