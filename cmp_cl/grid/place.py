@@ -236,7 +236,7 @@ def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
 def _hidden(border: Border, like: Grid) -> Sides:
     """Return the sides that are the edge of what hides the pattern, now or at rest."""
     rest = Border.of(like)
-    doubts = border.contradicts(rest), border.passing, rest.passing
+    doubts = border.contradicts(rest), border.lone, rest.lone
     return Sides(*(any(side) for side in zip(*doubts, strict=True)))
 
 

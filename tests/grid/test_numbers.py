@@ -402,6 +402,15 @@ def test_a_board_behind_an_edge_is_not_numbered_by_it_for_sure(squares):
     assert grid.ambiguous
 
 
+def test_an_edge_that_leaves_as_many_columns_as_a_board_has_rows_does_not_turn_it_for_sure():
+    picture, _ = drawn(5, 8)
+    view = behind(picture, 40 + 6 * 20 - 1)
+    view = np.ascontiguousarray(view[: 40 + 5 * 20 + 10])
+    grid = build_grid(seen_in(view), view, shape=(5, 8))
+    assert grid.valid.any()
+    assert grid.ambiguous
+
+
 def test_one_pair_of_squares_of_many_does_not_tell_that_an_edge_is_parallel():
     assert math.isnan(common_reach(np.array([0.8]), columns=5))
     assert common_reach(np.array([0.8]), columns=3) == 0.8
