@@ -63,7 +63,7 @@ def corners_per_ring(image: GreyImage, threshold: Threshold) -> np.ndarray:
 
 def _greys(image: GreyImage, offsets: Sequence[tuple[int, int]]) -> np.ndarray:
     """Return (samples, H, W) float32: the grey level of every sample around every pixel."""
-    reach = ring.REACH
+    reach = ring.PADDING
     rows, columns = image.shape
     wide = np.pad(image, reach, mode="edge").astype(np.float32)
     return np.stack(

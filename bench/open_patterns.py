@@ -1,4 +1,4 @@
-"""Numbers against the rest frame where no border of the pattern is in view.
+"""Numbers against the frame at rest where no border of the pattern is in view.
 
     python bench/open_patterns.py           writes results/open_patterns.json
     python bench/open_patterns.py --drawn 200 --seed 900000         other frames, drawn by chance
@@ -6,10 +6,10 @@
 Rendered checkerboards that go on beyond all four edges of the picture: zoomed, turned, shifted,
 waved, with a hole in the print or something in front of it. Half of the prints are perfect; the
 others have errors, as real ones do, which show where the pattern has moved. Each frame is
-numbered like the rest frame, alone and after the frame before. A frame is wrong if more than one
-measured node in 500 has a wrong number, and wrong in silence if the grid does not say that it may
-be. No peer takes a rest frame. On some frames the peers are compared in what they do give: whether
-their nodes are corners, and whether the numbers of these fit one lattice.
+numbered like the frame at rest, alone and after the frame before. A frame is wrong if more than
+one measured node in 500 has a wrong number, and wrong in silence if the grid does not say that it
+may be. No peer takes a frame at rest. On some frames the peers are compared in what they do give:
+whether their nodes are corners, and whether the numbers of these fit one lattice.
 """
 
 import argparse
@@ -39,7 +39,7 @@ MEASURED = (1, 2, 3)  # statuses of nodes that are no interpolation
 
 
 class Case(NamedTuple):
-    """A frame: cell at rest, px; zoom; rotation, degrees; shift, cells of the rest frame; wave,
+    """A frame: cell at rest, px; zoom; rotation, degrees; shift, cells of the frame at rest; wave,
     cells; hole: 6 cells wide, none, of the print or in front of it; wear: standard deviation of
     the print's errors, cells; noise: grey levels; print_seed: of the print's errors."""
 
@@ -213,7 +213,7 @@ def attempt(**given: Any) -> Grid | None:
 
 
 def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
-    """Return each frame's verdict: by the rest frame alone, and after frames that lead up to it."""
+    """Return each frame's verdict: by the frame at rest alone, and after frames that lead to it."""
     rows = []
     rests: dict[Case, Grid] = {}
     for number, case in enumerate(every):
@@ -224,7 +224,7 @@ def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
                 image = picture(at_rest, 5000)
                 grid = attempt(corners=detector(image), image=image)
                 if grid is None:
-                    rows.append({**case._asdict(), "group": "no rest frame", **NO_REST})
+                    rows.append({**case._asdict(), "group": "no frame at rest", **NO_REST})
                     continue
                 rests[at_rest] = grid
             rest = rests[at_rest]
@@ -284,7 +284,7 @@ def visible(case: Case) -> int:
 
 
 def lattices(every: Sequence[Case]) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """Return what each method makes of single frames, without a rest frame, and why some did not
+    """Return what each method makes of single frames, without a frame at rest, and why some did not
     run."""
     totals: dict[str, dict[str, int]] = {}
     reasons: dict[str, str] = {}
@@ -346,7 +346,7 @@ def counted(rows: Sequence[dict[str, Any]], form: str) -> dict[str, dict[str, in
 
 def show(rows: Sequence[dict[str, Any]]) -> None:
     for form in ("alone", "followed"):
-        print(f"\nlike the rest frame, {form}")
+        print(f"\nlike the frame at rest, {form}")
         print(f"{'frames':34}" + "".join(f"{word:>19}" for word in (*VERDICTS[:-1], "in silence")))
         for group, count in counted(rows, form).items():
             print(f"{group:34}" + "".join(f"{count[word]:19}" for word in VERDICTS))

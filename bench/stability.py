@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from cmp_cl import Corners, Detector, DetectorConfig, EdgeLines, EdgeStep, Midlines, reference
 from cmp_cl.errors import ConfigError
-from cmp_cl.reference import refine
+from cmp_cl.reference import edges
 from cmp_cl.synthetic import Scene, Surround, random_scene
 from cmp_cl.synthetic.scoring import match, reach, total
 
@@ -71,7 +71,7 @@ def against_oracle(scenes: Sequence[Scene]) -> dict[str, Any]:
             columns["apart"].append(apart[same])
             columns["sine"].append(_sine(expected)[same])
             columns["contrast"].append(_contrast(image, start)[same])
-            columns["rings"].append(refine.edge_points(image, start, 1.0).valid.sum(1)[same])
+            columns["rings"].append(edges.edge_points(image, start, 1.0).valid.sum(1)[same])
         values = {key: np.concatenate(parts) for key, parts in columns.items()}
         whole[name] = {
             "frames_with_other_corners": other_set,

@@ -25,7 +25,6 @@ from environment import RESULTS, environment
 from cmp_cl.reference import ring
 
 RADIUS = {"inner": 3.0, "outer": 5.0}
-TOLERANCE = {"sector": math.pi / 3, "azimuth": math.pi / 4, "shift": math.pi / 9}  # the paper's
 
 
 def samples(name: str, width: float, azimuth: float, shift: tuple[float, float]) -> np.ndarray:

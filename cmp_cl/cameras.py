@@ -40,7 +40,7 @@ class Timed:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """What a camera is asked for; None leaves it as it is.
+    """The settings requested of a camera; None leaves a setting as it is.
 
     size: (width, height), px. fps: frames per second. exposure: in the driver's own unit.
     fourcc: pixel format of four letters, GREY, Y16 with a blank, MJPG, YUYV.

@@ -152,9 +152,9 @@ def detect(
     config: the defaults of DetectorConfig where None. device: as `select_device` takes it on a
         worker; None is the default there. part: frames of a file.
 
-    Parts that are there already are kept, damaged ones done again. Raises ConfigError where the
-    folder holds those of another count, part or configuration, and what `read` or the detector
-    raise on a worker.
+    Parts that are there already are kept, and damaged ones are computed again. Raises ConfigError
+    where the folder holds those of another count, part or configuration, and what `read` or the
+    detector raise on a worker.
     """
     import distributed
 

@@ -115,7 +115,7 @@ class SectorContrast:
     minimum: least contrast of a candidate, in 1/255 of full scale, 0 to 255.
     relative: least contrast as a share of the 90th percentile of the frame, 0 to 1.
     noise: least difference of the sector means, standard deviations of the noise, 0 to 100; with
-        three threshold layers at least 3 are required, whatever it says.
+        three threshold layers it is at least 3.
     """
 
     minimum: float = 20
@@ -165,14 +165,9 @@ class RingHarmonic:
     def coarse_noise(self) -> int:
         """Return the noise bound of the 5 px ring, in hundredths of the mean noise amplitude.
 
-        334 of them are one standard deviation of the response.
+        334 of them are one standard deviation of the response. The 3 px ring has twice this bound.
         """
         return math.floor(334 * self.noise + 0.5)
-
-    @property
-    def fine_noise(self) -> int:
-        """Return the noise bound of the 3 px ring, in hundredths of the mean noise amplitude."""
-        return 2 * self.coarse_noise
 
     @property
     def coarse_share(self) -> int:
@@ -234,14 +229,15 @@ class EdgeLines:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EdgeStep:
-    """EDGE_LINES, then one least-squares step of a corner model (section 6, EDGE_STEP).
+    """EDGE_LINES, then one least-squares step of a corner model in uneven light (section 6,
+    EDGE_STEP).
 
     cell: side of a cell, px, 4 to 1000; the model sees min(9, max(4.5, 0.75 cell)) px around.
-        The default is for cells of unknown side: its 6.75 px reach over no more than the next
+        The default is for cells of unknown side: its 6.45 px reach over no more than the next
         edges of cells of 6 px, and wider cells lose 2 to 10 % of what the right size gains.
     """
 
-    cell: float = 9.0
+    cell: float = 8.6
 
     def __post_init__(self) -> None:
         _check("EdgeStep", "cell", self.cell, 4, 1000, kind=float)
@@ -313,7 +309,7 @@ class DetectorConfig:
     detection: the detection rule, RingHarmonic or BinaryRings.
     nms_radius: radius of the window of non-maximum suppression, px, 1 to 15.
     refinement: EdgeStep, EdgeLines or Midlines, or None for centroids.
-    scale: working scale (0.05 to 4), or Pyramid, or None for the image as it is.
+    scale: working scale (0.05 to 4), or Pyramid, or None for the image at full size.
     full_scale: largest grey level of the camera (1 to 65535); None means 255 for
         uint8 and 65535 for uint16.
     max_corners: initial capacity of the list of corners, 1 to 2**26; it grows.

@@ -31,7 +31,7 @@ def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[
         with _named(path), open(target, "wb") as file:
             yield file
         return
-    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
+    temporary = _temporary_name(target)
     try:
         with _named(path, temporary):
             with open(temporary, "xb") as file:
@@ -53,7 +53,7 @@ def check_target(path: str | PathLike[str]) -> Path:
     not there or cannot be written.
     """
     if not os.fspath(path):
-        raise FileNotFoundError("'' is no name of a file")
+        raise FileNotFoundError("'' is not the name of a file")
     if os.path.isdir(path):
         raise IsADirectoryError(f"{str(path)!r} is a folder, not a file")
     target = Path(os.path.realpath(path))
@@ -64,6 +64,27 @@ def check_target(path: str | PathLike[str]) -> Path:
     if not target.exists() and not os.access(target.parent, os.W_OK):
         raise PermissionError(errno.EACCES, "its folder cannot be written", str(path))
     return target
+
+
+def temporary_beside(target: Path, suffix: str = ".tmp") -> Path:
+    """Make an empty file in the folder of a target, with its mode and owner, to be renamed to it.
+
+    suffix: of its name. Raises OSError, also where the target is a device or a pipe.
+    """
+    if target.exists() and not target.is_file():
+        raise OSError(errno.EINVAL, "only a regular file can hold this format", str(target))
+    temporary = _temporary_name(target, suffix)
+    try:
+        with _named(target, temporary), open(temporary, "xb"):
+            _keep_rights(target, temporary)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    return temporary
+
+
+def _temporary_name(target: Path, suffix: str = ".tmp") -> Path:
+    return target.with_name(f".{secrets.token_hex(8)}{suffix}")
 
 
 def _keep_rights(old: Path, new: Path) -> None:
@@ -113,7 +134,7 @@ def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError("it is no text in UTF-8") from error
+        raise ValueError("it is not text in UTF-8") from error
     dots = max(line.count(".") for line in text.split("\n"))
     if dots > _MOST_DOTS or text.count("[") + text.count("{") > _MOST_BRACKETS:
         raise ValueError("nested too deep, no settings")

@@ -8,6 +8,7 @@ OpenCV makes 8 bits of all, and frames of another size it scales to that of the 
 import contextlib
 import csv
 import dataclasses
+import glob
 import importlib.util
 import math
 import os
@@ -50,7 +51,7 @@ LONGEST_GAP = 250  # frames
 def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
     """Write an image in the format of the suffix, whole or not at all.
 
-    image: (H, W) or (H, W, 3) BGR. Raises ImageError for a suffix that is no image's or
+    image: (H, W) or (H, W, 3) BGR. Raises ImageError for a suffix that is not an image's or
     holds no such pixels, OSError where the folder is missing or not writable.
     """
     known = IMAGE_SUFFIXES if image.dtype == np.uint8 else SUFFIXES_OF_16_BITS
@@ -71,6 +72,8 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """Return the files to read: folders are replaced by the images and videos in them, by name.
 
+    A name with `*`, `?` or `[` that is no file is a pattern, which some shells leave as it is.
+
     Raises FileNotFoundError for a path that is not there and for a folder without any.
     """
     found: list[Path] = []
@@ -89,6 +92,8 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
             found += inside
         elif path.exists():
             found.append(path)
+        elif matches := sorted(glob.glob(str(path))):
+            found += map(Path, matches)
         else:
             raise FileNotFoundError(f"there is no file {str(path)!r}")
     return found
@@ -103,7 +108,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Gr
     """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
     Of a file with several pages it is the first. Raises ImageError where the file cannot be
-    read, is damaged, has more pixels than that, or is no image of 8 or 16 bits.
+    read, is damaged, has more pixels than that, or is not an image of 8 or 16 bits.
     """
     return next(read_pages(path, max_pixels=max_pixels))
 
@@ -120,7 +125,7 @@ def decoded_pages(
     try:
         sizes = page_sizes(data.data)
     except ValueError as error:
-        raise ImageError(f"{str(path)!r} is no image that OpenCV can read: {error}") from error
+        raise ImageError(f"{str(path)!r} is not an image that OpenCV can read: {error}") from error
     number = 0
     while sizes is None or number < len(sizes):
         if sizes is not None:
@@ -129,7 +134,7 @@ def decoded_pages(
         if page is None and sizes is None and number:
             return
         if page is None or _tells_damage(said):
-            what = "is no image that OpenCV can read" if page is None else "is damaged"
+            what = "is not an image that OpenCV can read" if page is None else "is damaged"
             raise ImageError(f"{str(path)!r} {what}{f': {said}' if said else ''}")
         if page.dtype not in (np.uint8, np.uint16):
             raise ImageError(
@@ -156,7 +161,7 @@ def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
             raise ImageError(f"over {_MAX_PIPED} bytes come from {str(path)!r}; save it as a file")
     except OSError as error:
         raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
-    raise ImageError(f"{str(path)!r} is no file")
+    raise ImageError(f"{str(path)!r} is not a file")
 
 
 def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, str]:
@@ -304,8 +309,8 @@ def _by_pyav(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
     with _container(path) as (container, stream):
         context = stream.codec_context
         _check_size(path, (context.width, context.height), max_pixels)
-        room = 2 * max_pixels + (1 << 16)  # decoders count whole blocks
-        context.options = {"err_detect": "crccheck+explode", "max_pixels": str(room)}
+        most = 2 * max_pixels + (1 << 16)  # decoders count whole blocks
+        context.options = {"err_detect": "crccheck+explode", "max_pixels": str(most)}
         stream.thread_type = "SLICE"  # threads that have a frame each tell its damage late
         packets = container.demux(stream)
         while True:
@@ -355,7 +360,7 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
     try:
         container = av.open(os.path.abspath(path))  # never taken for an address
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise ImageError(f"{str(path)!r} is no video that PyAV can read") from error
+        raise ImageError(f"{str(path)!r} is not a video that PyAV can read") from error
     with container:
         if not container.streams.video:
             raise ImageError(f"{str(path)!r} has no video")
@@ -428,7 +433,7 @@ def _opened(path: str | PathLike[str]) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(os.path.abspath(path))
     try:
         if not capture.isOpened():
-            raise ImageError(f"{str(path)!r} is no video that OpenCV can read")
+            raise ImageError(f"{str(path)!r} is not a video that OpenCV can read")
         yield capture
     finally:
         capture.release()

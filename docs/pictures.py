@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 import cmp_cl
 from cmp_cl import media, viz
 from cmp_cl.reference import detect, maps, refine
+from cmp_cl.reference.edges import edge_points, fit_lines
 from cmp_cl.synthetic import Indenter, Mode, Rendered, Scene, default_rig, render, render_stereo
 
 HERE = Path(__file__).parent
@@ -88,8 +89,8 @@ def edges() -> Figure:
     """Draw the edge points of one corner, the lines through them, and where they meet."""
     scene = gel(severity=0.5, corrosion=0.6)
     start = np.rint(scene.truth[12, 7]).astype(np.int64)[None]
-    points = refine.edge_points(scene.image, start, 1.0)
-    place = refine.refine(scene.image, start, start, cmp_cl.EdgeLines(), 1.0).xy[0]
+    points = edge_points(scene.image, start, 1.0)
+    corner = refine.refine(scene.image, start, start, cmp_cl.EdgeLines(), 1.0).xy[0]
     figure, axes = plt.subplots(figsize=(3.6, 3.6), layout="constrained")
     shown(axes, scene.image, "edge points on rings of 3, 4 and 5 px")
     for boundary, colour in enumerate(COLOURS):
@@ -97,11 +98,11 @@ def edges() -> Figure:
         axes.plot(*at.T, "o", color=colour, markersize=5, label=f"e{boundary}")
     for pair in ((0, 2), (1, 3)):
         at = points.point[0, points.valid[0]][:, list(pair)].reshape(-1, 2) + start[0]
-        line = refine.fit_lines(at[None], np.ones((1, len(at)), bool))
+        line = fit_lines(at[None], np.ones((1, len(at)), bool))
         along = np.array([np.cos(line.angle[0]), np.sin(line.angle[0])])
         ends = line.centre[0] + np.array([[-8], [8]]) * along
         axes.plot(*ends.T, color="white", linewidth=1)
-    axes.plot(*place, "x", color="yellow", markersize=10, markeredgewidth=2)
+    axes.plot(*corner, "x", color="yellow", markersize=10, markeredgewidth=2)
     axes.set_xlim(start[0, 0] - 8.5, start[0, 0] + 8.5)
     axes.set_ylim(start[0, 1] + 8.5, start[0, 1] - 8.5)
     axes.legend(fontsize=7, loc="upper right")

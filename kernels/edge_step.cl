@@ -1,7 +1,6 @@
 #include "corner_model.clh"
 
 /* One work-item per corner, eight pixels of a row at a time. */
-#define MOST_EIGHTS 57 /* 19 rows of 24 pixels hold a radius of 9 */
 
 /* Grey levels of eight pixels from offset (i, j) of the start on, with the border repeated. */
 #define GREY_NEAR(i, j) \
@@ -38,19 +37,12 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
   const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
   const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
-  const float core_radius = fmin(4.0f, radius / 2), radius_2 = radius * radius;
-  const float core_2 = core_radius * core_radius;
+  const float radius_2 = radius * radius, rim = 4 / radius_2;
   const float a_x = n1x / BLUR, a_y = n1y / BLUR, b_x = n2x / BLUR, b_y = n2y / BLUR;
   const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);
   const float centre = GREY_NEAR(0, 0);
 
-#if !SCALED
-  float weight_of[8 * MOST_EIGHTS + 1], model_of[8 * MOST_EIGHTS + 1];
-  float grey_of[8 * MOST_EIGHTS + 1];
-  int k = 0;
-#endif
-  float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vii = 0, va = 0, vb = 0;
-  float8 vaa = 0, vab = 0, vbb = 0, vap = 0, vbp = 0, vai = 0, vbi = 0;
+  float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vaa = 0, vab = 0, vbb = 0;
   for (int j = top; j <= bottom; ++j) {
     DISC_ROW(j)
     for (int i = left; i < right; i += 8) {
@@ -58,70 +50,43 @@ __kernel void edge_step(__global const PIXEL *restrict image,
       CORNER_MODEL(uy_2)
       SLOPES
       const float8 I = EIGHT_GREYS(i, j) - centre;
-      const float8 wP = w * P, wA = w * A, wB = w * B, wI = w * I;
+      const float8 wP = w * P, wA = w * A, wB = w * B;
       v1 += w;
       vp += wP;
       vpp += wP * P;
-      vi += wI;
+      vi += w * I;
       vpi += wP * I;
-      vii += wI * I;
-      va += wA;
-      vb += wB;
       vaa += wA * A;
       vab += wA * B;
       vbb += wB * B;
-      vap += wA * P;
-      vbp += wB * P;
-      vai += wA * I;
-      vbi += wB * I;
-#if !SCALED
-      STORE_8(weight_of, k, r2 + 2 * ux + 1 < radius_2 ? w : (float8)(0.0f));
-      STORE_8(model_of, k, P);
-      STORE_8(grey_of, k, I);
-      k += 8;
-#endif
     }
   }
   const float s1 = sum_of_eight(v1), sp = sum_of_eight(vp), spp = sum_of_eight(vpp);
-  const float si = sum_of_eight(vi), spi = sum_of_eight(vpi), sii = sum_of_eight(vii);
-  const float sa = sum_of_eight(va), sb = sum_of_eight(vb), saa = sum_of_eight(vaa);
-  const float sab = sum_of_eight(vab), sbb = sum_of_eight(vbb), sap = sum_of_eight(vap);
-  const float sbp = sum_of_eight(vbp), sai = sum_of_eight(vai), sbi = sum_of_eight(vbi);
+  const float si = sum_of_eight(vi), spi = sum_of_eight(vpi);
+  const float saa = sum_of_eight(vaa), sab = sum_of_eight(vab), sbb = sum_of_eight(vbb);
+  LEVELS
 
-  const float spread = s1 * spp - sp * sp;
-  const float c = (s1 * spi - sp * si) / spread, m = (si - c * sp) / s1;
-  const float ra = sai - m * sa - c * sap, rb = sbi - m * sb - c * sbp;
-  SOLVE_STEP
-  if (!sound) return;
-
-  /* Autocorrelation of the residual, between each pixel and the next of its row. */
-  float8 products = 0, weights = 0;
-#if SCALED
+  /* The residual: its products with the model's columns, and of each pixel with the next one. */
+  RESIDUAL_SUMS
+  float8 products = 0;
   for (int j = top; j <= bottom; ++j) {
     DISC_ROW(j)
     float last = 0, last_weight = 0;
     for (int i = left; i < right; i += 8) {
       const float8 ux = (float)i - x + EIGHT;
       CORNER_MODEL(uy_2)
+      SLOPES
       const float8 r = RESIDUAL((EIGHT_GREYS(i, j) - centre), P);
+      ADD_RESIDUAL(w, r, A, B)
+      ADD_LIGHT(w, r, A, B, P)
       const float8 before = (float8)(last, r.s0123, r.s456);
       const float8 weight = (float8)(last_weight, w.s0123, w.s456);
-      const float8 both = r2 < radius_2 ? weight : (float8)(0.0f);
-      products += both * before * r;
-      weights += both;
+      products += r2 < radius_2 ? weight * before * r : (float8)(0.0f);
       last = r.s7;
       last_weight = w.s7;
     }
   }
-#else
-  weight_of[k] = model_of[k] = grey_of[k] = 0;
-  for (int n = 0; n < k; n += 8) {
-    const float8 w = LOAD_8(weight_of, n);
-    const float8 r = RESIDUAL(LOAD_8(grey_of, n), LOAD_8(model_of, n));
-    const float8 next = RESIDUAL(LOAD_8(grey_of, n + 1), LOAD_8(model_of, n + 1));
-    products += w * r * next;
-    weights += w;
-  }
-#endif
+  SOLVE_STEP
+  if (!sound) return;
   STORE_STEP
 }

@@ -36,7 +36,7 @@ from cmp_cl import (
 from cmp_cl.errors import CapacityError, CmpClError, ConfigError, DeviceError, GridError, ImageError
 from cmp_cl.stages.plan import Overflow
 
-VECTORS = sorted((Path(__file__).resolve().parents[2] / "shared" / "vectors").glob("*.npz"))
+VECTORS = sorted((Path(__file__).resolve().parent / "data").glob("*.npz"))
 EIGHT = images.eight_bits()
 SCENE = images.scene().image
 BOARD, TRUTH = board(*images.SHAPE, 12)
@@ -70,7 +70,7 @@ def test_maps_and_corners_of_every_shape_are_the_oracles(detector_for, shape):
 
 
 @pytest.mark.exhaustive
-def test_a_large_odd_shape(device):
+def test_a_large_odd_shape_equals_the_oracle(device):
     image = images.texture((1201, 1601))
     image[300:361, 500:583] = BOARD
     image[-61:, -83:] = BOARD
@@ -80,7 +80,7 @@ def test_a_large_odd_shape(device):
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_cropped_and_padded_buffers(detector_for, dtype):
+def test_cropped_and_padded_buffers_equal_whole_ones(detector_for, dtype):
     buffer = np.tile(images.texture((100, 120)), 1).astype(dtype)
     plain = buffer[7:68, 5:88].copy()
     detector = detector_for(plain, DetectorConfig(full_scale=255))
@@ -108,7 +108,7 @@ def test_read_only_and_fortran_like_arrays(detector):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
-def test_the_images_of_the_vectors(device, path):
+def test_the_images_of_the_vectors_equal_the_oracle(device, path):
     """tests/reference holds the oracle to what else is in the vectors."""
     with np.load(path) as file:
         image = file["image"]
@@ -123,7 +123,7 @@ def test_the_images_of_the_vectors(device, path):
 
 
 @pytest.mark.exhaustive
-def test_an_enormous_image_on_tiles(device):
+def test_an_enormous_image_equals_the_oracle_on_tiles(device):
     """8192 x 8192: the tile and its surroundings alone give the corners of the tile."""
     tile = images.texture((256, 256))
     tile[40:101, 60:143] = BOARD
@@ -237,7 +237,7 @@ def test_an_image_without_pixels_has_no_corners(device, shape):
         ),
     ],
 )
-def test_alone_in_a_stream_and_in_a_batch_alike(detector_for, refinement, scale):
+def test_a_frame_is_the_same_alone_in_a_stream_and_in_a_batch(detector_for, refinement, scale):
     config = DetectorConfig(refinement=refinement, scale=scale)
     detector = detector_for(BOARD, config)
     alone = [detector(frame) for frame in FRAMES]
@@ -273,7 +273,7 @@ def test_a_batch_equals_the_loop(detector_for, config):
         assert_same_bytes(one, detector(frame))
 
 
-def test_a_batch_of_sixteen_bits(detector_for):
+def test_a_batch_of_sixteen_bits_equals_the_single_frames(detector_for):
     deep = list(images.sixteen_bits().values())
     config = DetectorConfig(full_scale=4095)
     detector = detector_for(deep[0], config)
@@ -281,7 +281,7 @@ def test_a_batch_of_sixteen_bits(detector_for):
         assert_same_bytes(corners, detector(frame))
 
 
-def test_a_batch_of_views(detector):
+def test_a_batch_of_views_equals_the_single_views(detector):
     buffer = np.tile(images.texture((200, 120)), 1)
     views = [buffer[k : k + 61, k : k + 83] for k in (0, 10, 37)]
     for corners, view in zip(detector.batch(views), views, strict=True):
@@ -340,7 +340,7 @@ def test_a_batch_on_the_device_grows_too(device):
             assert_same_bytes(corners, detector(frames[0]))
 
 
-def test_empty_streams_and_batches(detector):
+def test_empty_streams_and_batches_give_nothing(detector):
     assert list(detector.stream([])) == []
     assert detector.batch([]) == []
     assert detector.batch(np.empty((0, *images.SHAPE), np.uint8)) == []
@@ -386,7 +386,7 @@ def test_streams_and_calls_may_alternate(detector):
         assert_same_bytes(other, alone[-1 - k])
 
 
-def test_a_wrong_frame_in_a_stream(detector):
+def test_a_wrong_frame_in_a_stream_is_refused(detector):
     stream = detector.stream([BOARD, BOARD[:-1], BOARD])
     with pytest.raises(ImageError, match="takes"):
         list(stream)
@@ -438,7 +438,7 @@ def test_a_detector_runs_in_the_callers_queue(device, detector):
             Detector(shape=images.SHAPE, queue=queue, device=device)
 
 
-def test_a_queue_without_order(device):
+def test_a_queue_without_order_is_refused(device):
     disordered = cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
     if not device.handle.queue_properties & disordered:
         pytest.skip("this device has none")
@@ -449,7 +449,7 @@ def test_a_queue_without_order(device):
         Detector(shape=images.SHAPE, queue=queue)
 
 
-def test_times_of_the_stages(device, detector):
+def test_every_stage_has_a_time(device, detector):
     assert detector.times == {}
     with Detector(shape=images.SHAPE, device=device, profile=True) as profiled:
         assert_same_bytes(profiled(BOARD), detector(BOARD))
@@ -672,7 +672,7 @@ def test_a_wrong_image_is_refused_with_the_remedy(detector, name):
 @pytest.mark.parametrize(
     "image", [BOARD[:-1], BOARD[:, :-1], np.zeros((0, 0), np.uint8), BOARD.astype(np.uint16)]
 )
-def test_an_image_of_another_plan(detector, image):
+def test_an_image_of_another_plan_is_refused(detector, image):
     with pytest.raises(ImageError, match=r"takes \(61, 83\) uint8, got .* make a Detector"):
         detector(image)
 

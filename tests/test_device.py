@@ -47,7 +47,7 @@ def test_a_cache_that_pocl_cannot_write_is_named_where_no_device_is_found(monkey
         select_device()
 
 
-def test_the_device_under_test(device):
+def test_the_device_under_test_describes_itself(device):
     assert device in list_devices()
     assert isinstance(device.handle, cl.Device)
     assert device.memory > 2**20
@@ -119,7 +119,7 @@ def test_without_a_text_the_variable_decides(lab):
         select_device()
 
 
-def test_without_either_a_gpu_before_a_cpu(lab):
+def test_without_either_a_gpu_comes_before_a_cpu(lab):
     assert select_device() == CARD
     lab.setattr(module, "list_devices", lambda: [OTHER, POCL])
     assert select_device() == POCL
@@ -144,7 +144,7 @@ def test_no_platform_is_no_device(monkeypatch):
         select_device()
 
 
-def test_a_platform_without_devices(monkeypatch):
+def test_a_platform_without_devices_is_passed_over(monkeypatch):
     class Empty:
         def get_devices(self):
             raise cl.RuntimeError("DEVICE_NOT_FOUND")

@@ -114,7 +114,7 @@ def test_a_full_disk_is_named():
         (b"a" + b".a" * 30_000 + b" = 1", "nested too deep"),  # takes memory without end
         (b"a = " + b"[" * 1000, "nested too deep"),
         (b"a = '" + b"b" * 70_000 + b"'", "over 65536 bytes"),
-        (b"a = '\xff'", "no text in UTF-8"),
+        (b"a = '\xff'", "not text in UTF-8"),
         (b"a = ", "Invalid value"),
     ],
 )

@@ -123,7 +123,7 @@ def test_compressed_images_are_read_and_a_topic_is_chosen(ros, tmp_path):
     with pytest.raises(ImageError, match="no image topic /c"):
         list(mcap_images(path, topic="/c"))
     (tmp_path / "bad.mcap").write_bytes(b"nothing")
-    with pytest.raises(ImageError, match="no MCAP"):
+    with pytest.raises(ImageError, match="not an MCAP"):
         list(mcap_images(tmp_path / "bad.mcap"))
 
 

@@ -137,7 +137,7 @@ def test_what_is_no_image_is_an_image_error_with_its_name(tmp_path):
     media.write_image(tmp_path / "whole.png", NOISE)
     (tmp_path / "cut.png").write_bytes((tmp_path / "whole.png").read_bytes()[:60])
     for name in ("text.png", "empty.png", "cut.png"):
-        with pytest.raises(ImageError, match=f"{name}' is no image"):
+        with pytest.raises(ImageError, match=f"{name}' is not an image"):
             media.read_image(tmp_path / name)
     with pytest.raises(ImageError, match=r"cannot read .*missing.png"):
         media.read_image(tmp_path / "missing.png")
@@ -303,6 +303,15 @@ def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
         media.find_inputs([tmp_path / "e.png"])
     with pytest.raises(FileNotFoundError, match="there is no file"):
         media.find_inputs([tmp_path / "missing.png"])
+
+
+def test_a_pattern_that_the_shell_has_left_stands_for_its_files(tmp_path):
+    for name in ("b1.png", "b2.png", "c1.png", "b[1].png"):
+        (tmp_path / name).touch()
+    assert [path.name for path in media.find_inputs([tmp_path / "b?.png"])] == ["b1.png", "b2.png"]
+    assert media.find_inputs([tmp_path / "b[1].png"]) == [tmp_path / "b[1].png"]
+    with pytest.raises(FileNotFoundError, match=r"d\*\.png"):
+        media.find_inputs([tmp_path / "d*.png"])
 
 
 def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):

@@ -70,6 +70,15 @@ def test_the_workflows_run_what_they_say():
     }
     runners = {job["runs-on"] for job in workflows["ci"]["jobs"].values()}
     assert {"windows-latest", "macos-latest", "ubuntu-24.04-arm"} <= runners
-    for name, job in (("ci", "linux"), ("release", "build")):
+    for name, job in (("ci", "linux"), ("release", "test")):
         steps = workflows[name]["jobs"][job]["steps"]
         assert ".ci/run" in [step.get("run") for step in steps]
+    publish = workflows["release"]["jobs"]["publish"]
+    assert set(publish["needs"]) == {"test", "build"}
+    used = [
+        step["uses"]
+        for job in workflows["release"]["jobs"].values()
+        for step in job["steps"]
+        if "uses" in step
+    ]
+    assert all(re.search(r"@[0-9a-f]{40}$", action) for action in used), "a tag can be moved"

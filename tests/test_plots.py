@@ -1,5 +1,7 @@
 """Pictures and films of recordings."""
 
+import os
+import stat
 import subprocess
 import sys
 
@@ -165,6 +167,18 @@ def test_a_film_shows_nodes_by_their_displacement(tmp_path, suffix):
     assert far[1] > 150
     assert picture[480:].std() > 10  # the bar
     assert sum(capture.read()[0] for _ in range(3)) == 2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes and devices are others on Windows")
+def test_a_film_keeps_the_mode_of_an_older_one_and_replaces_no_device(tmp_path):
+    path = tmp_path / "film.mp4"
+    path.touch(mode=0o600)
+    film(path)
+    assert path.stat().st_mode & 0o777 == 0o600
+    os.mkfifo(tmp_path / "pipe.mp4")
+    with pytest.raises(OSError, match=r"regular.*pipe\.mp4"):
+        film(tmp_path / "pipe.mp4")
+    assert stat.S_ISFIFO(os.stat(tmp_path / "pipe.mp4").st_mode)
 
 
 def test_pyav_reads_a_film(tmp_path):

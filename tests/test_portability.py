@@ -88,17 +88,17 @@ def check(device, config, frames):
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_every_kernel_in_every_form(other_form, name):
+def test_every_kernel_equals_the_oracle_in_every_form(other_form, name):
     counts = check(other_form, CONFIGS[name], [FRAME, FEW])
     assert counts[0] > 0
 
 
 @pytest.mark.parametrize("name", SIXTEEN_BITS)
-def test_every_kernel_in_every_form_of_sixteen_bits(other_form, name):
+def test_every_kernel_equals_the_oracle_in_every_form_of_sixteen_bits(other_form, name):
     assert check(other_form, SIXTEEN_BITS[name], [DEEP, DEEP[::-1].copy()])[0] > 0
 
 
-def test_few_corners_after_many(device):
+def test_few_corners_after_many_are_not_mixed_with_them(device):
     """Work-items without a corner must not see what an earlier frame left."""
     many = images.texture((97, 61))
     few = np.full_like(many, 128)

@@ -130,7 +130,9 @@ def test_inverting_a_board_keeps_its_corners(detector_for, cell, angle):
     right=st.integers(0, 9),
     every=st.integers(1, 3),
 )
-def test_crops_in_a_batch_a_stream_or_alone(detector_for, many, dtype, left, right, every):
+def test_crops_are_the_same_in_a_batch_a_stream_or_alone(
+    detector_for, many, dtype, left, right, every
+):
     images = [any_image(seed, dtype) for seed in many]
     views = []
     for image in images:
@@ -153,7 +155,7 @@ def test_what_is_not_valid_is_refused_by_an_error_of_ours(device, number):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("shape", [(1, 1), (1, 13), (17, 1), (2, 3), (11, 11)])
-def test_shapes_smaller_than_a_ring(detector_for, shape):
+def test_shapes_smaller_than_a_ring_equal_the_oracle(detector_for, shape):
     for seed in range(8):
         image = random_image(np.random.default_rng(seed), shape, np.uint8)
         for config in CONFIGS:

@@ -7,6 +7,7 @@ import os
 import shlex
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -29,6 +30,14 @@ def needs(module):
     """Return the module, or skip the test."""
     pytest.importorskip(module, reason=f"{module} is not installed")
     return importlib.import_module(module)
+
+
+PACKAGES = {
+    "h5": ["h5py"],
+    "hdf5": ["h5py"],
+    "parquet": ["pyarrow", "pandas"],
+    "mcap": ["mcap_ros2"],
+}
 
 
 def rest():
@@ -241,6 +250,28 @@ def test_what_was_there_stays_where_nothing_is_measured_or_an_error_comes_first(
         series.append(index=1, time_ms=0, **frame(0))
 
 
+@pytest.mark.skipif(os.name == "nt", reason="modes are others on Windows")
+@pytest.mark.parametrize("suffix", SERIES_SUFFIXES)
+def test_an_older_file_gives_a_series_its_mode(tmp_path, suffix):
+    for name in PACKAGES.get(suffix[1:], []):
+        needs(name)
+    path = tmp_path / f"private{suffix}"
+    path.touch(mode=0o600)
+    with open_series(path, None, {"rest": rest()}) as series:
+        series.append(index=0, time_ms=0.0, **frame(0))
+    assert path.stat().st_size
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no named pipes on Windows")
+def test_hdf5_replaces_no_pipe(tmp_path):
+    needs("h5py")
+    os.mkfifo(tmp_path / "pipe.h5")
+    with pytest.raises(OSError, match=r"regular.*pipe\.h5"):
+        open_series(tmp_path / "pipe.h5")
+    assert stat.S_ISFIFO(os.stat(tmp_path / "pipe.h5").st_mode)
+
+
 def test_an_unknown_suffix_is_refused_with_the_known_ones():
     with pytest.raises(ConfigError, match=r"\.npz, \.h5") as refusal:
         open_series("press.mat")
@@ -253,10 +284,10 @@ def test_a_missing_package_is_named_by_its_extra(tmp_path, monkeypatch):
         open_series(tmp_path / "press.h5")
 
 
-def test_what_is_no_series_is_refused(tmp_path):
+def test_what_is_not_a_series_is_refused(tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"nothing")
     np.savez(tmp_path / "other.npz", x=1)
-    with pytest.raises(FieldError, match="no series"):
+    with pytest.raises(FieldError, match="not a series"):
         read_series(tmp_path / "bad.npz")
     with pytest.raises(FieldError, match="index"):
         read_series(tmp_path / "other.npz")
@@ -327,9 +358,10 @@ path = sys.argv[1]
 with open(path, "w") as file:
     file.write("old")
 try:
-    if path.endswith((".h5", ".csv", ".jsonl")):
-        with open_series(path) as series:
+    if not path.endswith((".mp4", ".mkv", ".avi")):
+        with open_series(path, None, {"rest": np.zeros((20, 20, 2))}) as series:
             for number in range(10_000):
+                added = number
                 series.append(index=number, time_ms=number, xy=np.random.rand(20, 20, 2))
     else:
         from stereo_data import grid_of
@@ -347,6 +379,13 @@ if path.endswith(".h5"):
     from cmp_cl.series import read_series
     found = read_series(path)
     print(len(found["index"]) > 100, bool(np.isfinite(found["xy"]).all()))
+if path.endswith(".parquet"):
+    import pandas
+    frames = pandas.read_parquet(path)["frame"].value_counts()
+    print(added > 100, len(frames) == added and set(frames) == {400})
+if path.endswith(".mcap"):
+    from mcap_ros2.reader import read_ros2_messages
+    print(added > 100, sum(1 for _ in read_ros2_messages(path)) == added)
 if path.endswith(("csv", "jsonl")):
     with open(path) as file:
         *lines, last = file.read().split("\\n")
@@ -355,11 +394,13 @@ if path.endswith(("csv", "jsonl")):
 """
 
 
-@pytest.mark.parametrize("suffix", ["h5", "csv", "jsonl", "mp4", "mkv", "avi"])
+@pytest.mark.parametrize("suffix", ["h5", "csv", "jsonl", "parquet", "mcap", "mp4", "mkv", "avi"])
 def test_a_full_disk_is_told_and_keeps_what_is_whole(tmp_path, suffix):
-    """HDF5 crashed, and OpenCV said nothing of a film that was cut off."""
-    if suffix == "h5":
-        needs("h5py")
+    """HDF5 crashed, OpenCV said nothing of a film that was cut off, and files without an end
+    were lost.
+    """
+    for package in PACKAGES.get(suffix, []):
+        needs(package)
     inside = f"mount -t tmpfs -o size=4m tmpfs {tmp_path} && exec"
     namespace = ["unshare", "-rm", "sh", "-c"]
     if not shutil.which("unshare") or subprocess.run([*namespace, f"{inside} true"]).returncode:

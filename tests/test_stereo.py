@@ -489,6 +489,20 @@ def test_the_calibrations_own_covariance_is_that_of_its_errors():
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
+def test_the_largest_deviation_is_the_root_of_the_largest_eigenvalue():
+    draw = np.random.default_rng(0)
+    factor = draw.normal(size=(60, 3, 3)) * np.exp(draw.normal(scale=4, size=(60, 1, 1)))
+    factor[:10, :, 1:] = 0  # along one axis alone
+    factor[10:20] = np.eye(3) * draw.uniform(0, 5, (10, 1, 1))  # in all directions alike
+    factor[20:30] *= [1, 1, 1e-9]
+    factor[30] = 0
+    covariance = factor @ factor.transpose(0, 2, 1)
+    covariance[31, 0, 1] = np.nan
+    expected = np.sqrt(np.linalg.eigvalsh(np.nan_to_num(covariance))[:, -1].clip(0))
+    expected[31] = np.nan
+    np.testing.assert_allclose(largest_deviation(covariance), expected, rtol=1e-7)
+
+
 def test_the_covariance_survives_the_file(tmp_path):
     views = boards(toed_in_rig(), np.random.default_rng(1), count=5)
     rig = calibrate(views, spacing=3.0, image_size=(800, 1200)).rig

@@ -33,12 +33,12 @@ def refuse_to_overwrite(
     for path in outputs:
         if path is None or (os.path.exists(path) and not os.path.isfile(path)):
             continue
-        place = os.path.realpath(path)
-        if place in read:
+        real = os.path.realpath(path)
+        if real in read:
             raise ConfigError(f"{shown(path)} is an input and would be overwritten")
-        if place in written:
+        if real in written:
             raise ConfigError(f"{shown(path)} is named for two outputs")
-        written.add(place)
+        written.add(real)
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:
@@ -87,7 +87,7 @@ def add_region(parser: argparse.ArgumentParser, *, help_: str) -> None:
 def positive(text: str) -> int:
     """Parse a whole number from 1 on."""
     if re.fullmatch(r"\d{1,18}", text) is None or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
     return int(text)
 
 
@@ -95,7 +95,7 @@ def grid_shape(text: str) -> tuple[int, int]:
     """Parse rows and columns from a text such as 40x40."""
     match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text)
     if match is None or min(int(match[1]), int(match[2])) < 2:
-        raise argparse.ArgumentTypeError(f"{text!r} is no pair of counts such as 40x40")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a pair of counts such as 40x40")
     rows, columns = int(match[1]), int(match[2])
     if rows * columns > MOST_NODES:
         raise argparse.ArgumentTypeError(f"{text!r} is more than {MOST_NODES} nodes")

@@ -174,15 +174,15 @@ def _report(
         counts = [int(seen.valid.sum()) for seen in views[name] if seen is not None]
         left_out = len(counts) * board[0] * board[1] - sum(counts)
         matrix: Any = camera.matrix
-        place = ""
+        pose = ""
         if name != next(iter(found.cameras)):
             away = np.linalg.norm(camera.T)
             angle = np.degrees(np.arccos(np.clip((np.trace(camera.R) - 1) / 2, -1, 1)))
-            place = f"; {away:.3f} {camera.unit} and {angle:.2f} degrees from the first"
+            pose = f"; {away:.3f} {camera.unit} and {angle:.2f} degrees from the first"
         print(
             f"{name}: {camera.lens.value}, focal lengths {matrix[0, 0]:.1f} and "
             f"{matrix[1, 1]:.1f} px, centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f}); corners in "
             f"{found.coverage[name]:.0%} of the image; left out as unseen or uncertain: "
-            f"{left_out}{place}"
+            f"{left_out}{pose}"
         )
     print(f"all views: {found.error:.3f} px")

@@ -153,15 +153,15 @@ def _table(
             (f"{side} view: missed by the detector", str(answer.missed), ""),
             (f"{side} view: false ones of the detector", str(answer.false), ""),
             (f"{side} view: error of a corner, RMS", f"{answer.rmse:.3f}", "px"),
-            (f"{side} view: behind the lattice filter, RMS", f"{filtered:.3f}", "px"),
+            (f"{side} view: after the lattice filter, RMS", f"{filtered:.3f}", "px"),
             (f"{side} view: nodes with a position", str(int(grid.valid.sum())), ""),
             (f"{side} view: nodes with a wrong number", str(wrongly_numbered(grid, view)), ""),
         ]
     points, field = measured.points, measured.field
-    place = (points.xyz - now.xyz)[points.valid] * 1e3
+    error = (points.xyz - now.xyz)[points.valid] * 1e3
     moved = (field.displacement - (now.xyz - rest.xyz))[field.valid] * 1e3
     length = np.linalg.norm(now.xyz - rest.xyz, axis=2)
-    for name, off in (("position in space", place), ("displacement", moved)):
+    for name, off in (("position in space", error), ("displacement", moved)):
         size = np.linalg.norm(off, axis=1)
         table += [
             (f"{name}: RMS error", f"{np.sqrt(np.mean(size**2)):.1f}", "um"),

@@ -21,7 +21,7 @@ from cmp_cl.cli.arguments import (
     grid_shape,
     refuse_to_overwrite,
 )
-from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.tables import CORNER_COLUMNS, NODE_COLUMNS, Table, corner_rows, node_rows
 from cmp_cl.config import DetectorConfig
@@ -86,6 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     overlays = _overlay_paths(arguments.overlay, paths)
     out = _csv_path(arguments.out)
     refuse_to_overwrite([*paths, arguments.config], [*overlays.values(), out])
+    tell_what_opencv_hides(paths)
     device = None if arguments.device is None else select_device(arguments.device)
     status = 0
     table = None

@@ -170,11 +170,11 @@ def _why_none() -> str:
     stuck = pocl_is_stuck()
     if stuck:
         return stuck
-    place = os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors")
-    if os.path.isdir(place):
-        drivers = sorted(name for name in os.listdir(place) if name.endswith(".icd"))
+    folder = os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors")
+    if os.path.isdir(folder):
+        drivers = sorted(name for name in os.listdir(folder) if name.endswith(".icd"))
     else:
-        drivers = [place] if os.path.isfile(place) else []
+        drivers = [folder] if os.path.isfile(folder) else []
     if drivers:
-        return f"{', '.join(drivers)} in {place} cannot be loaded or have no device"
-    return f"no driver is registered in {place}"
+        return f"{', '.join(drivers)} in {folder} cannot be loaded or have no device"
+    return f"no driver is registered in {folder}"

@@ -1,7 +1,11 @@
 """Names, errors and counts as they stand in one line of a message."""
 
 import os
+import sys
+from collections.abc import Iterable
 from pathlib import Path
+
+from cmp_cl import media
 
 _LONGEST = 1000  # letters of a message: a value that is refused may be of any length
 
@@ -28,3 +32,13 @@ def shortened(line: str) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun: 1 frame, 2 frames."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def tell_what_opencv_hides(paths: Iterable[Path]) -> None:
+    """Say on stderr what is lost where a video is read without PyAV."""
+    if not media.has_pyav() and any(map(media.is_video, paths)):
+        print(
+            "cmp-cl: PyAV is not installed: OpenCV reads videos with 8 bits, and scales frames of "
+            "another size to that of the first without saying so; pip install 'cmp-cl[video]'",
+            file=sys.stderr,
+        )

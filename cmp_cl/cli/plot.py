@@ -47,7 +47,7 @@ def add_parser(commands: Any) -> None:
 def _node(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5}),(\d{1,5})", text)
     if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no node such as 3,7")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a node such as 3,7")
     return int(match[1]), int(match[2])
 
 

@@ -30,7 +30,7 @@ from cmp_cl.cli.arguments import (
     views_of,
     whole,
 )
-from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.shots import PAIR_WITHIN, Pairs, Shot, Source
 from cmp_cl.cli.stopping import Stop, handled, ignore
@@ -52,10 +52,10 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "run",
         help="measure the deformation in every frame of a recording or of a live camera",
-        description="Numbers the pattern in every frame as in the rest frame and writes the "
+        description="Numbers the pattern in every frame as in the frame at rest and writes the "
         "series. With --stereo each frame shows two views, and the series holds the "
         "displacement of every node in space; without it, the positions in the image. "
-        "Each frame is measured against the rest frame alone, unless --track is given. Frames "
+        "Each frame is measured against the frame at rest alone, unless --track is given. Frames "
         "that cannot be read are left out and counted; in frames without the pattern all nodes "
         "are missing. Ctrl-C ends the run, and what was measured is written.",
     )
@@ -103,7 +103,7 @@ def add_parser(commands: Any) -> None:
         "--grid",
         metavar="ROWSxCOLUMNS",
         type=grid_shape,
-        help="corners of the pattern; default: what is seen at rest",
+        help="rows and columns of corners of the pattern; default: those seen at rest",
     )
     parser.add_argument(
         "--rest-frame",
@@ -115,9 +115,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--track",
         action="store_true",
-        help="continue the numbers of the frame before where the rest frame leaves them "
+        help="continue the numbers of the frame before where the frame at rest leaves them "
         "ambiguous, as it does where no border of the pattern is in view; the pattern as a whole "
-        "must move by less than half a cell from the rest frame to the first, and from frame to "
+        "must move by less than half a cell from the frame at rest to the first, and from frame to "
         "frame",
     )
     add_split(
@@ -180,7 +180,7 @@ def add_parser(commands: Any) -> None:
 def _camera_size(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     if match is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is no size such as 1280x720")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
     return int(match[1]), int(match[2])
 
 
@@ -279,7 +279,9 @@ class _Settings:
             else Source(arguments.source, arguments.max_pixels, camera)
         )
         if camera != CameraSettings() and not source.live:
-            raise ConfigError(f"{shown(source.name)} is no camera: it takes no camera's settings")
+            raise ConfigError(
+                f"{shown(source.name)} is not a camera: it takes no camera's settings"
+            )
         refuse_to_overwrite(
             [*source.paths, arguments.config, arguments.stereo],
             [
@@ -288,6 +290,7 @@ class _Settings:
                 arguments.rerun,
             ],
         )
+        tell_what_opencv_hides(source.paths)
         return cls(
             source=source,
             rest_frame=arguments.rest_frame,
@@ -358,7 +361,7 @@ class _Settings:
                 TwoViews(rest, self.rig, split, regions=(left, right), **search)
             )
         except GridError as error:
-            raise GridError(f"the rest frame {self.rest_frame}: {error}{hint}") from error
+            raise GridError(f"the frame at rest, {self.rest_frame}: {error}{hint}") from error
 
     def _with_added(self, measure: OneView | TwoViews) -> Measurement:
         try:
@@ -503,7 +506,7 @@ def _why_broken(shot: Shot, rest: GreyImage) -> str:
         return f"frame {shot.number} cannot be read and is left out"
     rows, columns = shot.image.shape
     return (
-        f"frame {shot.number} is {columns} x {rows} px of {shot.image.dtype}, the rest frame is "
+        f"frame {shot.number} is {columns} x {rows} px of {shot.image.dtype}, the frame at rest is "
         f"{rest.shape[1]} x {rest.shape[0]} of {rest.dtype}; it is left out"
     )
 

@@ -1,7 +1,7 @@
-"""Ctrl-C while a command's modules are imported: one line, status 130.
+"""Ctrl-C, SIGTERM and SIGHUP while a command's modules are imported: one line, status 130.
 
 This is imported before all else. Importing takes most of a second, in which Python would answer
-Ctrl-C with a traceback. `main` has handlers of its own.
+Ctrl-C with a traceback and the others with a status of its own. `main` has handlers of its own.
 """
 
 import os
@@ -25,8 +25,8 @@ def _end(_: int, __: object) -> None:
     os._exit(130)
 
 
-if (
-    is_command(sys.argv[0] if sys.argv else "", sys.orig_argv)
-    and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-):
-    signal.signal(signal.SIGINT, _end)
+if is_command(sys.argv[0] if sys.argv else "", sys.orig_argv):
+    for _name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        _number = getattr(signal, _name, None)  # Windows has no SIGHUP
+        if _number is not None and signal.getsignal(_number) != signal.SIG_IGN:
+            signal.signal(_number, _end)

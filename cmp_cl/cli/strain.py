@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _length(text: str) -> float:
     if re.fullmatch(r"\d*\.?\d*(e[+-]?\d+)?", text) is None or not re.search(r"[1-9]", text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no length such as 2.5")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a length such as 2.5")
     return float(text)
 
 

@@ -27,7 +27,7 @@ from cmp_cl.cli.arguments import (
     views_of,
     whole,
 )
-from cmp_cl.cli.messages import counted, one_line, shown
+from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
 from cmp_cl.config import (
     BinaryRings,
@@ -61,13 +61,13 @@ def add_parser(commands: Any) -> None:
     """Add `tune` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "tune",
-        help="find the cheapest settings that lose nothing on your own frames",
-        description="Measures what each optional stage of the detector costs in time and buys "
-        "in corners on the frames given, prints the table, and writes the cheapest settings "
-        "that lose nothing against the most complete ones. Missed corners are counted against "
-        "--grid; extra ones are detections where the numbered grid of the most complete "
-        "settings has no corner. Roughness is how far the corners are from where their "
-        "neighbours in the grid predict them, RMS: the smaller, the more exact the refinement.",
+        help="find the fastest settings that lose nothing on your own frames",
+        description="Measures on your frames how much time each optional stage of the detector "
+        "takes and how many corners it gains, prints a table, and writes the fastest settings "
+        "that find as much as the most complete ones. Missed corners are counted against --grid. "
+        "Extra ones are detections where the grid of the most complete settings has no node. "
+        "Roughness is the RMS distance of the corners from the positions that their neighbours in "
+        "the grid predict: a smaller one means a more exact refinement.",
     )
     parser.add_argument(
         "frames", nargs="+", metavar="FRAME", help="images, folders or videos, all of one size"
@@ -77,7 +77,7 @@ def add_parser(commands: Any) -> None:
         metavar="ROWSxCOLUMNS",
         type=grid_shape,
         required=True,
-        help="corners of the pattern in each view",
+        help="rows and columns of corners of the pattern in each view",
     )
     parser.add_argument(
         "--out", metavar="TOML", default="cmp.toml", help="the settings to write; default: cmp.toml"
@@ -167,7 +167,9 @@ def run(arguments: argparse.Namespace) -> int:
     if Path(arguments.out).suffix.lower() != ".toml":
         raise ConfigError(f"--out {shown(arguments.out)} must end in .toml")
     check_target(arguments.out)
-    refuse_to_overwrite(media.find_inputs(arguments.frames), [arguments.out])
+    paths = media.find_inputs(arguments.frames)
+    refuse_to_overwrite(paths, [arguments.out])
+    tell_what_opencv_hides(paths)
     device = select_device(arguments.device)
     views = _views(arguments)
     full, frames = _reference(views, arguments.grid, device, arguments.full_scale)
@@ -325,14 +327,14 @@ def judge(xy: NDArray[np.float32], frame: Frame) -> tuple[int, int, NDArray[np.f
         low, high = frame.region[:2], frame.region[2:]
         xy = xy[((xy >= low) & (xy <= high)).all(axis=1)]
     valid = frame.grid.valid
-    place = np.argwhere(valid)
+    index = np.argwhere(valid)
     partner = scoring.match(xy, frame.grid.xy[valid], scoring.reach(frame.cell))
     hit = partner >= 0
     rest = xy[~hit].astype(np.float64)
     away = np.linalg.norm(rest[:, None] - frame.ignored, axis=2)
     extra = int(np.count_nonzero(away.min(axis=1, initial=np.inf) > frame.cell / 2))
     at = np.full(valid.shape, complex(np.nan, np.nan))
-    row, column = place[partner[hit]].T
+    row, column = index[partner[hit]].T
     at[row, column] = xy[hit, 0] + 1j * xy[hit, 1]
     predicted, weight = predict(at, row, column)
     off = np.abs(at[row, column] - predicted)[weight >= STRONG]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import FieldError
 from cmp_cl.field.strain import Slopes, green_lagrange, slope_weights, strain_deviation
 from cmp_cl.field.writers import save
-from cmp_cl.grid.filter import Filtered, filter_grid
+from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid.grid import MEASURED, NodeStatus
 from cmp_cl.stereo.points import Points3D, PointStatus, largest_deviation
 
@@ -28,7 +28,7 @@ class DisplacementField:
     status: (R, C) uint8 of `PointStatus`: that of now, or that at rest where it is not VALID.
     source: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12 in the tangent plane of
-        the rest surface, axis 1 along the rows; NaN where too few neighbours are valid;
+        the surface at rest, axis 1 along the rows; NaN where too few neighbours are valid;
         None where it was not asked for (`with_strain`).
     strain_sigma: (R, C, 3) float64, standard deviations of the strain; None without a strain.
     unit: name of the unit of length.
@@ -135,8 +135,13 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
     )
     position = np.where(valid[..., None], rest.xyz, np.nan)
     moved = np.where(valid[..., None], now.xyz - rest.xyz, np.nan)
-    at_rest = filter_grid(rest.xyz, measured=np.isin(rest.source, MEASURED))
-    change = filter_grid(moved, measured=np.isin(source, MEASURED), bends=True)
+    at_rest = filter_at_rest(rest.xyz, measured=np.isin(rest.source, MEASURED))
+    change = filter_grid(
+        moved,
+        measured=np.isin(source, MEASURED),
+        bends=True,
+        most_noise=noise_of_change(at_rest, _per_axis(rest), _per_axis(now)),
+    )
     unfiltered = DisplacementField(
         position=position,
         displacement=moved,
@@ -159,6 +164,12 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
         raw=unfiltered,
         filtered=(at_rest, change),
     )
+
+
+def _per_axis(points: Points3D) -> Array:
+    """Return (R, C): the standard deviation per axis that the points' own images tell."""
+    variance: Array = np.trace(points.covariance, axis1=2, axis2=3) / 3
+    return np.sqrt(variance)
 
 
 def _either(lattice: Array, points: Array, valid: NDArray[np.bool_]) -> Array:

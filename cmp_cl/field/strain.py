@@ -17,8 +17,8 @@ def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
     rest, now: (R, C, 3) positions of the same nodes, NaN where missing. Around each node a plane in
     (column, row) is fitted to both by least squares, over the valid ones of the (2 radius + 1)^2
     nodes, to give the tangent vectors A = (a1, a2) at rest and B now. In the orthonormal basis of
-    the rest plane, axis 1 along a1 and axis 2 towards a2, with A = Q U: E = (U^-T B^T B U^-1 - I) /
-    2. A rigid motion of the surface gives 0.
+    the plane at rest, axis 1 along a1 and axis 2 towards a2, with A = Q U:
+    E = (U^-T B^T B U^-1 - I) / 2. A rigid motion of the surface gives 0.
 
     Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN where the node is
     missing, or fewer than 6 of the window are there, or all of those on a line.
@@ -87,7 +87,7 @@ def strain_deviation(
 ) -> Array:
     """Return the standard deviations of the strain of `green_lagrange`, (R, C, 3).
 
-    With Q the orthonormal axes of the rest plane, F the tangents now along them, dG and dA the
+    With Q the orthonormal axes of the plane at rest, F the tangents now along them, dG and dA the
     errors of the slopes of the displacement and of the position at rest along the same axes, to
     first order dE = sym(F^T dG + (F - Q F^T F)^T dA), and the effect of the rotation of axis 1 by
     Q2 . dA1 on the components. rest, now: (R, C, 3). rest_slopes, slopes: of the position and of

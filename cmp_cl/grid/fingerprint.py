@@ -5,6 +5,7 @@ left of positions without all that is smooth is those errors and noise. Between 
 errors agree under the right numbers and under no others.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -45,11 +46,21 @@ class Fingerprint(NamedTuple):
         error = np.where(known, rough * np.minimum(1, limit / np.maximum(size, 1e-12)), 0)
         return cls(error, known, float(np.median(np.abs(step[known]))))
 
+    @classmethod
+    def at_rest(cls, at: Points) -> "Fingerprint":
+        """Take the same of the frame at rest. The last few are kept: a film's frames share it."""
+        return _kept(at.shape, at.tobytes())
+
     @property
     def pixels(self) -> float:
         """Return the root mean square of the errors per axis, px."""
         squares = (np.abs(self.error) ** 2).sum() / max(np.count_nonzero(self.known), 1)
         return self.cell * float(np.sqrt(squares / GAIN / 2))
+
+
+@functools.lru_cache(maxsize=4)
+def _kept(shape: tuple[int, ...], at: bytes) -> Fingerprint:
+    return Fingerprint.of(np.frombuffer(at, np.complex128).reshape(shape))
 
 
 def _rough(at: Points) -> tuple[Points, Points]:
@@ -59,7 +70,8 @@ def _rough(at: Points) -> tuple[Points, Points]:
     step along the row: an independent error of variance 1 leaves GAIN.
     """
     rows, columns = at.shape
-    padded = np.pad(at, 2, constant_values=NOWHERE)
+    padded = np.full((rows + 4, columns + 4), NOWHERE)
+    padded[2:-2, 2:-2] = at
 
     def near(row: int, column: int) -> Points:
         there: Points = padded[2 + row : 2 + row + rows, 2 + column : 2 + column + columns]

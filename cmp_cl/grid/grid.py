@@ -72,14 +72,14 @@ class Grid:
     xy: (R, C, 2) float32, px, NaN where missing.
     status: (R, C) uint8 of `NodeStatus`.
     sigma: (R, C) float32, standard deviation of the position per axis, px, NaN where unknown.
-    index: (N, 2) int32, place (row, column) in these arrays of each corner that the grid was
-        built from, -1 where unassigned.
-    parity: 0 where the cell between the first node and its diagonal neighbour, places (0, 0)
+    index: (N, 2) int32, (row, column) in these arrays of each corner that the grid was built
+        from, -1 where unassigned.
+    parity: 0 where the cell between the first node and its diagonal neighbour, indices (0, 0)
         and (1, 1), is black, 1 where it is white.
-    origin: number (row, column) of place (0, 0). It is not (0, 0) where nodes lie above or
-        left of the first row or column at rest; place + origin is the number.
-    component: (R, C) int32, 0 for the nodes that hang together with the most others by steps
-        from neighbour to neighbour, then 1, 2, ...; -1 where missing. Left out, it is computed.
+    origin: number (row, column) of index (0, 0). It is not (0, 0) where nodes lie above or
+        left of the first row or column at rest; index + origin is the number.
+    component: (R, C) int32, 0 for the nodes of the largest connected part, then 1, 2, ...; -1 where
+        missing. It is computed if it is left out.
     border: sides on which the pattern ends in the view.
     reach: how far its last squares reach beyond the last nodes there, cells: 1 where they are
         whole; top, bottom, left, right, NaN where it is not seen.
@@ -195,7 +195,7 @@ class Grid:
     def cut_to(self, rest: "Grid") -> "Grid":
         """Return the nodes on the rows and columns of another grid with the same numbers.
 
-        Equal places of the two are then equal numbers. Corners beyond belong to no node.
+        Equal indices of the two then have equal numbers. Corners beyond belong to no node.
         """
         if (self.origin, self.shape) == (rest.origin, rest.shape):
             return self
@@ -244,7 +244,7 @@ class Grid:
 
         They lie on cubic curves through the nodes. Node (r, c) is at ((count + 1) r,
         (count + 1) c) of the result, ((R - 1)(count + 1) + 1, (C - 1)(count + 1) + 1), whose
-        places inside the cells are MISSING. Raises GridError where count is below 1.
+        nodes inside the cells are MISSING. Raises GridError where count is below 1.
         """
         from cmp_cl.grid.markers import virtual_markers
 
@@ -260,7 +260,7 @@ def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
         return np.where(there, 0, -1).astype(np.int32)
     count, label = cv2.connectedComponents(there.astype(np.uint8), connectivity=4)
     size = np.bincount(label.ravel(), minlength=count)
-    size[0] = -1  # what is no node
+    size[0] = -1  # no node
     rank = np.empty(count, np.int32)
     rank[np.argsort(-size, kind="stable")] = np.arange(count)
     rank[0] = -1

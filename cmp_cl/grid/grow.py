@@ -31,7 +31,7 @@ class Seen(NamedTuple):
 
 
 def grow(nodes: Nodes, seen: Seen) -> None:
-    """Attach free corners, beyond the box too, and drop what is no node, until nothing changes."""
+    """Attach free corners, beyond the box too, and drop false nodes, until nothing changes."""
     drop_misfits(nodes)
     _refuse(nodes, seen)
     while nodes.free.any() and nodes.there.any():

@@ -15,7 +15,7 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-REACH = 1.6  # cells: how far a neighbour may be; the cell is that of the sparser parts
+FARTHEST_NEIGHBOUR = 1.6  # cells: how far a neighbour may be; the cell is that of the sparser parts
 CROWD = 64  # more points than that within reach on one side are no lattice
 COSINE = 0.75  # least cosine between a boundary and the way to the neighbour
 SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, of the squares of its diagonals
@@ -60,7 +60,7 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
 
 
 def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
-    """Return the pairs of points that are at most REACH cells apart.
+    """Return the pairs of points that are at most FARTHEST_NEIGHBOUR cells apart.
 
     Returns an order of the points and the pairs as places in that order, each pair once, the
     lower place first. The cell is taken from the density of the points, where all but a tenth
@@ -76,7 +76,7 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
     tiles = (y / tile).astype(np.int64) * (column.max() + 1) + column
     crowds = np.sort(np.bincount(tiles))
     crowd = crowds[np.searchsorted(np.cumsum(crowds), len(z) // 10, side="right")]
-    reach = max(REACH * tile / np.sqrt(crowd), extent / 1024)
+    reach = max(FARTHEST_NEIGHBOUR * tile / np.sqrt(crowd), extent / 1024)
 
     strip = wide + 2 * reach  # of one strip of that height after the other
     along = np.floor(y / reach) * strip + x

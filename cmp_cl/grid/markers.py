@@ -16,8 +16,8 @@ from cmp_cl.opencl.program import programs_of
 
 Float = NDArray[np.float64]
 
-REACH = 0.3  # of the edge's length: how far from the curve the edge is looked for
-LONGEST_REACH = 6.0  # px
+SEARCHED = 0.3  # of the edge's length: how far from the curve the edge is looked for
+LONGEST_SEARCH = 6.0  # px
 
 
 def virtual_markers(grid: Grid, count: int) -> Grid:
@@ -119,7 +119,7 @@ def profiles(dense: Grid, count: int) -> Profiles:
         place=np.stack([row, column], axis=1),
         pixel=pixel.astype(np.int32),
         line=np.concatenate([at - pixel, normal], axis=1).astype(np.float32),
-        reach=np.minimum(REACH / 2 * times * length, LONGEST_REACH).astype(np.float32),
+        reach=np.minimum(SEARCHED / 2 * times * length, LONGEST_SEARCH).astype(np.float32),
     )
 
 
@@ -132,7 +132,7 @@ def refine_markers(
 ) -> Grid:
     """Refine the virtual markers of a dense grid: move them across their edges to the edge itself.
 
-    dense: what `grid.with_virtual_markers(count)` gave. image: (H, W) uint8 or uint16.
+    dense: the result of `grid.with_virtual_markers(count)`. image: (H, W) uint8 or uint16.
     device: a Device, a text for `select_device`, or None for the default device. contrast: grey
     levels by which the two sides of an edge must differ; where they do not, the marker stays.
 

@@ -34,7 +34,7 @@ class Reference(NamedTuple):
 
     @classmethod
     def of(cls, grid: Grid) -> "Reference":
-        at = grid.xy[..., 0] + 1j * grid.xy[..., 1].astype(np.float64)
+        at = np.ascontiguousarray(grid.xy, np.float64).view(np.complex128)[..., 0]
         return cls.at_places(at, grid.parity, grid.origin)
 
     @classmethod

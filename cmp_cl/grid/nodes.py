@@ -1,6 +1,7 @@
 """A grid in the making."""
 
 import cmath
+import copy
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NOWHERE = complex(np.nan, np.nan)
-ROOM, ROOM_EACH = 65536, 64  # nodes that a grid may have, and more of them for each corner
+MOST_NODES, NODES_EACH = 65536, 64  # that any grid may have, and more for each corner
 
 
 class Nodes:
@@ -73,10 +74,10 @@ class Nodes:
         if not quarters:
             return self
         first = (0, self.at.shape[1], sum(self.at.shape), self.at.shape[0])[quarters]
-        turned = Nodes(self.at.shape, (self.parity + first) % 2, self.free)
-        turned.at, turned.owner = np.rot90(self.at, quarters), np.rot90(self.owner, quarters)
-        turned.status = np.rot90(self.status, quarters)
-        turned.changed = np.rot90(self.changed, quarters)
+        turned = copy.copy(self)
+        turned.parity = (self.parity + first) % 2
+        for name in ("at", "owner", "status", "changed"):
+            setattr(turned, name, np.rot90(getattr(self, name), quarters))
         return turned
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":
@@ -100,10 +101,10 @@ class Nodes:
 
 def check_room(shape: tuple[int, int], corners: int) -> None:
     """Raise GridError where a grid of that shape is far too large for that many corners."""
-    if shape[0] * shape[1] > ROOM + ROOM_EACH * corners:
+    if shape[0] * shape[1] > MOST_NODES + NODES_EACH * corners:
         raise GridError(
             f"a grid of {shape[0]} x {shape[1]} nodes is too large for {corners} corners, "
-            f"expected at most {ROOM + ROOM_EACH * corners} nodes"
+            f"expected at most {MOST_NODES + NODES_EACH * corners} nodes"
         )
 
 

@@ -191,7 +191,7 @@ def _with_print(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) ->
 
 def _printed(like: Grid, rest: Reference) -> Fingerprint:
     """Return the errors of the print at rest."""
-    return Fingerprint.of(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
+    return Fingerprint.at_rest(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
 
 
 def _by_frame_before(nodes: Nodes, border: Border, like: Grid, previous: Grid) -> Decision:

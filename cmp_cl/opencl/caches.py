@@ -7,6 +7,7 @@ used at all.
 import atexit
 import contextlib
 import importlib
+import math
 import os
 import shutil
 import stat
@@ -20,6 +21,7 @@ import platformdirs
 import pyopencl as cl
 
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_LEAST_LARGEST = 1 << 20  # bytes: the largest file there has about 250 kB
 _LEAST_FREE = 32 << 20  # bytes: a plan's kernels take some 10 MB in PoCL's cache
 
 
@@ -126,16 +128,33 @@ def guard_invokers() -> None:
 def pocl_is_stuck() -> str:
     """Return why PoCL cannot start or compile with its cache as it is; "" where it can.
 
-    Without a folder to write to it is not even listed; on a full disk it ends the process.
+    Without a folder to write to it is not even listed; on a full disk it ends the process,
+    and so it does where its files may not be as large as they get (ulimit -f).
     """
     folder = pocl_folder()
     there = next((each for each in (folder, *folder.parents) if each.exists()), None)
     if there is None or not there.is_dir() or not os.access(there, os.W_OK):
         return f"PoCL cannot write to its cache {str(folder)!r}; XDG_CACHE_HOME names another place"
+    largest = _largest_file()
+    if largest < _LEAST_LARGEST:
+        return (
+            f"no file may have more than {largest} bytes here, and PoCL ends the process where one "
+            "of its cache would; ulimit -f unlimited, or a larger limit, lets it"
+        )
     free = shutil.disk_usage(there).free
     if free < _LEAST_FREE:
         return (
             f"PoCL's cache {str(folder)!r} is on a disk with {free} bytes left, and PoCL ends the "
-            "process where it is full; make room, or name another place in XDG_CACHE_HOME"
+            "process where it is full; free some space, or name another folder in XDG_CACHE_HOME"
         )
     return ""
+
+
+def _largest_file() -> float:
+    """Return how many bytes a file of this process may have."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return math.inf
+    soft, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    return math.inf if soft == resource.RLIM_INFINITY else soft

@@ -47,7 +47,7 @@ Mask = NDArray[np.bool_] | None
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class _Found:
-    """The corners of an image at one working scale, in raster order, and the maps behind them.
+    """The corners of an image at one working scale, in raster order, and the maps that gave them.
 
     pixel: (N, 2) (x, y). response: (N,). centroid: (N, 2). All are of the working image.
     """

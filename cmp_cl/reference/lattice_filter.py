@@ -24,7 +24,8 @@
 8. Where the values may bend sharply, (3, 3) is among the filters, and the pairs are chosen with
    s1 in place of s2: the least of s2 and of its like from the pilot along one axis alone or
    along one diagonal alone (there (3, 5), only where its window fits), times 1.29, and at most
-   s2. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s2 sum w V).
+   s2. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s2 sum w V). Where the
+   largest noise that can be is known, s1 is at most its square.
 """
 
 import dataclasses
@@ -56,8 +57,16 @@ class Filtered:
     margin: Floats
 
 
-def filter_grid(values: Floats, measured: Bools | None = None, *, bends: bool = False) -> Filtered:
-    """Filter (R, C, K) values; NaN where missing. measured: (R, C), None for all."""
+def filter_grid(
+    values: Floats,
+    measured: Bools | None = None,
+    *,
+    bends: bool = False,
+    most_noise: Floats | None = None,
+) -> Filtered:
+    """Filter (R, C, K) values; NaN where missing. measured: (R, C), None for all. most_noise:
+    (R, C), NaN where unknown.
+    """
     there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
     votes = there if measured is None else there & measured
     result = np.where(there[..., None], values, np.nan)
@@ -69,7 +78,10 @@ def filter_grid(values: Floats, measured: Bools | None = None, *, bends: bool = 
         box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
         here = there[box] & part[box]
         kept, s2, smooth, variance, near = _component(
-            values[box], votes[box] & part[box], bends=bends
+            values[box],
+            votes[box] & part[box],
+            None if most_noise is None else most_noise[box],
+            bends=bends,
         )
         gone = votes[box] & part[box] & ~kept
         off = ((values[box] - smooth) ** 2).mean(axis=2)
@@ -109,7 +121,7 @@ def _components(votes: Bools) -> list[Bools]:
 
 
 def _component(
-    given: Floats, votes: Bools, *, bends: bool
+    given: Floats, votes: Bools, most: Floats | None, *, bends: bool
 ) -> tuple[Bools, Floats, Floats, Floats, float]:
     """Return the kept votes, s2, the filtered values (R, C, K), their variance, the margin."""
     plane = _plane(given, votes)
@@ -128,6 +140,8 @@ def _component(
         data = _filled(np.where(kept[..., None], data, 0), kept)
         residual, s2, own = _noise(data, kept)
     chosen = _least_noise(data, kept, s2) if bends else s2
+    if most is not None:
+        chosen = np.where(np.isnan(most), chosen, np.minimum(chosen, most**2))
     values, variance = _mixture(data, kept, s2, chosen, PAIRED_BENDING if bends else PAIRED)
     return kept, s2, values + plane, variance, margin
 

@@ -68,14 +68,14 @@ OUTER_4 = (
 )
 OUTER = {4: OUTER_4, 5: OUTER_5}
 REGION = tuple((dx, dy) for dy in range(-2, 3) for dx in range(-2, 3) if abs(dx) + abs(dy) < 4)
-REACH = 5
+PADDING = 5  # px, as far as the outer ring extends
 
 
 def ring_bits(
     binary: NDArray[np.bool_], offsets: tuple[tuple[int, int], ...]
 ) -> NDArray[np.uint16]:
     """Return (H, W) uint16: the ring bits around every pixel of a binary image."""
-    padded = np.pad(binary, REACH, mode="edge").astype(np.uint16)
+    padded = np.pad(binary, PADDING, mode="edge").astype(np.uint16)
     mask = np.zeros(binary.shape, np.uint16)
     for bit, offset in enumerate(offsets):
         mask |= padded[_window(binary.shape, offset)] << np.uint16(bit)
@@ -84,7 +84,7 @@ def ring_bits(
 
 def black_in_region(binary: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return (H, W): black pixels of the corrosion region (21 px) around every pixel."""
-    padded = np.pad(binary, REACH, mode="edge").astype(np.int64)
+    padded = np.pad(binary, PADDING, mode="edge").astype(np.int64)
     count = np.zeros(binary.shape, np.int64)
     for offset in REGION:
         count += padded[_window(binary.shape, offset)]
@@ -92,11 +92,11 @@ def black_in_region(binary: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _window(shape: tuple[int, ...], offset: tuple[int, int]) -> tuple[slice, slice]:
-    """Return the part of an image padded by REACH that lies at an offset from the image."""
+    """Return the part of an image padded by PADDING that lies at an offset from the image."""
     dx, dy = offset
     return (
-        slice(REACH + dy, REACH + dy + shape[0]),
-        slice(REACH + dx, REACH + dx + shape[1]),
+        slice(PADDING + dy, PADDING + dy + shape[0]),
+        slice(PADDING + dx, PADDING + dx + shape[1]),
     )
 
 

@@ -35,11 +35,11 @@ def rows_of(begin: str, columns: Sequence[NDArray[np.generic]]) -> bytes:
     parts = [np.broadcast_to(first, (count, len(first)))] * (1 + len(columns))
     exact = [column.dtype.kind != "f" for column in columns]
     for whole in (True, False):
-        if places := [place for place, same in enumerate(exact) if same == whole]:
-            values = np.stack([columns[place] for place in places]).astype(np.float64)
+        if chosen := [number for number, same in enumerate(exact) if same == whole]:
+            values = np.stack([columns[number] for number in chosen]).astype(np.float64)
             numbers = _numbers(values, whole, _words(","), ("nan", "inf", "-inf"))
-            for place, number in zip(places, numbers, strict=True):
-                parts[1 + place] = number
+            for at, text in zip(chosen, numbers, strict=True):
+                parts[1 + at] = text
     return _joined(np.concatenate(parts, axis=1))[1:] + b"\n"
 
 
@@ -113,8 +113,8 @@ def _numbers(values: Array, exact: bool, before: Words, unknown: tuple[str, str,
         text[row, :, first + len(digits)] = _words(f"e-{3 * power}")[0]
     for row in np.flatnonzero(alone).tolist():
         form = "%d" if exact else "%.9g"
-        for place in np.flatnonzero(finite[row]).tolist():
-            text[row, place, first:] = _words(form % values[row, place], words)
+        for column in np.flatnonzero(finite[row]).tolist():
+            text[row, column, first:] = _words(form % values[row, column], words)
     if not finite.all():
         odd = np.isnan(values), values == np.inf, values == -np.inf
         for which, name in zip(odd, unknown, strict=True):

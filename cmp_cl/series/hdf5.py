@@ -1,11 +1,7 @@
 """A recording as HDF5, readable while it grows."""
 
-import contextlib
-import errno
 import os
 import re
-import secrets
-import tempfile
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any
@@ -14,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.extras import extra
-from cmp_cl.files import check_target
+from cmp_cl.files import check_target, temporary_beside
 from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.disk import Reserve
 
 _CHUNK = 1 << 16  # bytes of several small frames
 _RESERVE = 1 << 21  # bytes, and two chunks of every dataset
@@ -45,10 +42,10 @@ class Hdf5Series(Series):
         with extra("hdf5", "HDF5"):
             import h5py
         self._target = check_target(path)
-        self._temporary = self._target.with_name(f".{secrets.token_hex(8)}.tmp")
-        self._file: Any = h5py.File(self._temporary, "x", libver="latest")
+        self._temporary = temporary_beside(self._target)
+        self._file: Any = h5py.File(self._temporary, "w", libver="latest")
         self._datasets: dict[str, Any] = {}
-        self._reserve = contextlib.ExitStack()
+        self._reserve = Reserve(self._target.parent)
         self._full = False
         for name, value in description.entries().items():
             self._file.attrs[name] = value
@@ -72,7 +69,7 @@ class Hdf5Series(Series):
             for name, value in full.items():
                 _add_frame(self._datasets[name], self._count, value)
         except (RuntimeError, OSError) as error:
-            self._reserve.close()
+            self._reserve.free()
             self._full = True
             raise self._failed(error) from error
         if not self._count:
@@ -90,10 +87,7 @@ class Hdf5Series(Series):
     def _begin(self, frame: Frame) -> None:
         """Make the datasets; none can be added once others read the file."""
         size = _RESERVE + 2 * sum(max(value.nbytes, _CHUNK) for value in frame.values())
-        held = tempfile.TemporaryFile(dir=self._target.parent, buffering=0)  # noqa: SIM115
-        self._reserve.enter_context(held)
-        if held.write(bytes(size)) < size:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._target))
+        self._reserve.grow(size)
         for name, value in frame.items():
             if name in self._datasets:
                 continue
@@ -113,7 +107,7 @@ class Hdf5Series(Series):
 
     def _finish(self) -> None:
         self._datasets.clear()
-        self._reserve.close()
+        self._reserve.free()
         try:
             self._file.close()
         except RuntimeError as error:
@@ -133,8 +127,8 @@ def _add_frame(dataset: Any, number: int, value: NDArray[Any]) -> None:
 
     found = dataset.id
     found.set_extent((number + 1, *value.shape))
-    place = found.get_space()
-    place.select_hyperslab((number, *(0,) * value.ndim), (1, *value.shape))
+    space = found.get_space()
+    space.select_hyperslab((number, *(0,) * value.ndim), (1, *value.shape))
     within = h5py.h5s.create_simple((1, *value.shape))
-    found.write(within, place, np.ascontiguousarray(value))
+    found.write(within, space, np.ascontiguousarray(value))
     found.flush()

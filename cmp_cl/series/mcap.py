@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 from cmp_cl import media
 from cmp_cl.errors import FieldError, ImageError
 from cmp_cl.extras import extra
-from cmp_cl.files import whole_file
 from cmp_cl.image import GreyImage
 from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.disk import Finishable
 
 TOPIC = "/cmp_cl/nodes"
 POINT_FIELDS = ("x", "y", "z", "dx", "dy", "dz", "sigma", "row", "column")
 
+_CHUNK = 1 << 18  # bytes that wait in memory
 _RULE = "=" * 80
 _POINT_CLOUD = f"""\
 std_msgs/Header header
@@ -85,8 +86,8 @@ def point_cloud(
     points[..., 7], points[..., 8] = np.indices((rows, columns))
     step = 4 * len(POINT_FIELDS)
     fields = [
-        {"name": name, "offset": 4 * place, "datatype": 7, "count": 1}
-        for place, name in enumerate(POINT_FIELDS)
+        {"name": name, "offset": 4 * index, "datatype": 7, "count": 1}
+        for index, name in enumerate(POINT_FIELDS)
     ]
     seconds, nanoseconds = divmod(stamp_ns, 10**9)
     return {
@@ -125,8 +126,8 @@ class McapSeries(Series):
         with extra("mcap", "MCAP"):
             writing = importlib.import_module("mcap_ros2.writer")
         self._start_ns = int(description.settings.get("start_ns", "0"))
-        self._files = contextlib.ExitStack()
-        self._writer: Any = writing.Writer(self._files.enter_context(whole_file(path)))
+        self._file = Finishable(path)
+        self._writer: Any = writing.Writer(self._file, chunk_size=_CHUNK)
         self._schema = self._writer.register_msgdef("sensor_msgs/msg/PointCloud2", _POINT_CLOUD)
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
@@ -136,8 +137,10 @@ class McapSeries(Series):
             shift = frame["xy"] - rest
         if shift is None or shift.shape != rest.shape:
             raise FieldError("an MCAP needs the displacement or the positions xy of the nodes")
+        self._file.check()
         sigma = frame.get("sigma", np.full(rest.shape[:2], np.nan))
         stamp = self._start_ns + round((time_ms if np.isfinite(time_ms) else index) * 1e6)
+        self._file.expect(2 * _CHUNK + 4 * len(POINT_FIELDS) * sigma.size)
         frame_id = "camera" if rest.shape[2] == 3 else "image"
         self._writer.write_message(
             topic=TOPIC,
@@ -149,7 +152,8 @@ class McapSeries(Series):
         )
 
     def _finish(self) -> None:
-        with self._files:
+        with self._file.files:
+            self._file.check_whole()
             about = {
                 **self.description.entries(),
                 **{f"unit of {name}": unit for name, unit in self.description.units.items()},
@@ -186,7 +190,7 @@ def mcap_images(
     except ImageError:
         raise
     except Exception as error:  # damaged bytes lead to any, in the packages and in codecs
-        raise ImageError(f"{str(path)!r} is no MCAP that can be read: {error}") from error
+        raise ImageError(f"{str(path)!r} is not an MCAP that can be read: {error}") from error
 
 
 def _image_topic(reader: Any, path: str | PathLike[str], topic: str | None) -> str:

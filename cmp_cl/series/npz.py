@@ -96,7 +96,7 @@ class SeriesWriter(NpzSeries):
     """Writes a recording, frame by frame, to one .npz; memory does not grow with it.
 
     The file holds `index` (F,) int64, `time_ms` (F,) float64, every array that `append` gets
-    stacked along a first axis of F frames, and the constants (rest positions, unit) as they are;
+    stacked along a first axis of F frames, and the constants (positions at rest, unit) as they are;
     numpy.load reads it. It appears when the `with` block ends, even by an exception or Ctrl-C: then
     with the frames so far. Until then the frames are in the folder NAME.parts beside it, one .npy
     for each array, so the disk must hold two copies. Where it cannot, or the process is killed,
@@ -163,8 +163,8 @@ class _Column:
         )
         return header.getvalue()
 
-    def _write_at(self, place: int, data: bytes) -> None:
-        self.file.seek(place)
+    def _write_at(self, offset: int, data: bytes) -> None:
+        self.file.seek(offset)
         rest = memoryview(data)
         while rest:  # a nearly full disk may take only part of it
             rest = rest[self.file.write(rest) :]

@@ -60,8 +60,8 @@ class ParaViewSeries(Series):
                 "<Collection>\n".encode()
             )
         time = time_ms / 1e3 if np.isfinite(time_ms) else float(index)
-        place = quoteattr(f"{self._folder.name}/{name.name}")
-        line = f'<DataSet timestep="{time:.9g}" part="0" file={place}/>\n'
+        path = quoteattr(f"{self._folder.name}/{name.name}")
+        line = f'<DataSet timestep="{time:.9g}" part="0" file={path}/>\n'
         at = self._file.tell()
         self._file.write((line + _END).encode())
         self._file.flush()

@@ -41,7 +41,7 @@ def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     try:
         found = _npz(path) if suffix == ".npz" else _hdf5(path)
     except _DAMAGE as error:
-        raise FieldError(f"{str(path)!r} is no series that can be read: {error}") from error
+        raise FieldError(f"{str(path)!r} is not a series that can be read: {error}") from error
     if "index" not in found:
         raise FieldError(f"{str(path)!r} holds no series: it has no array `index`")
     return found

@@ -1,12 +1,10 @@
 """Recordings as tables: a row for each node of each frame, or a line for each frame."""
 
-import contextlib
 import json
 import os
 import sys
 from collections.abc import Iterator, Mapping
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
-from cmp_cl.files import check_target, whole_file, write_text
+from cmp_cl.files import check_target, write_text
 from cmp_cl.series.base import Description, Frame, Series
 from cmp_cl.series.digits import nested, plain, rows_of
+from cmp_cl.series.disk import Appended, Finishable
 
 _ROWS = 1 << 17  # of a group in a Parquet file
+_END = 1 << 16  # bytes of what ends such a file, and an eighth of a group
 _AXES = "x", "y", "z"
 _PARTS = {  # of arrays that are no vectors
     **dict.fromkeys(("strain", "strain_sigma"), ("xx", "yy", "xy")),
@@ -64,43 +64,8 @@ def _ends(name: str, count: int) -> tuple[str, ...]:
     return ends[:count] if count <= len(ends) else tuple(map(str, range(count)))
 
 
-class _Appended:
-    """A file that appears when it is closed, with the parts that were written whole.
-
-    On a full disk these are kept; without any, an older file stays.
-    """
-
-    def __init__(self, path: str | PathLike[str]) -> None:
-        self._files = contextlib.ExitStack()
-        buffered: Any = self._files.enter_context(whole_file(path))
-        self._file = buffered.raw  # a buffer would keep the bytes that a full disk has refused
-        self._path = path
-        self._end = 0
-        self.error: OSError | None = None
-
-    def append(self, part: bytes) -> None:
-        """Write a part, or nothing of it; raises OSError."""
-        rest = memoryview(part)
-        try:
-            while rest:  # a nearly full disk may take only some of it
-                rest = rest[self._file.write(rest) :]
-        except OSError as error:
-            self.error = OSError(error.errno, error.strerror, str(self._path))
-            with contextlib.suppress(OSError):  # of a device or a pipe
-                self._file.truncate(self._end)
-                self._file.seek(self._end)
-            raise self.error from error
-        self._end += len(part)
-
-    def close(self) -> None:
-        """Let the file appear; raises OSError."""
-        with self._files:
-            if self.error is not None and not self._end:
-                raise self.error
-
-
 class CsvSeries(Series):
-    """CSV with a header that says the units; what else is known is in NAME.csv-metadata.json.
+    """CSV with the units in its header; the description is in NAME.csv-metadata.json.
 
     Floats have 9 digits, nan where missing; a file beside it follows W3C's name for metadata.
     Both appear when the series is closed.
@@ -114,7 +79,7 @@ class CsvSeries(Series):
     ) -> None:
         super().__init__(description, constants)
         self._target = check_target(path)
-        self._file = _Appended(path)
+        self._file = Appended(path)
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         table = list(node_columns(frame, self.description.units))
@@ -150,7 +115,7 @@ class JsonLines(Series):
         constants: Mapping[str, ArrayLike],
     ) -> None:
         super().__init__(description, constants)
-        self._file = None if os.fspath(path) == "-" else _Appended(path)
+        self._file = None if os.fspath(path) == "-" else Appended(path)
         about = {"units": dict(description.units), **description.entries()}
         parts = {name: json.dumps(text).encode() for name, text in about.items()}
         self._line({**parts, "constants": _members(_nested(self.constants))})
@@ -202,13 +167,13 @@ class ParquetSeries(Series):
             import pyarrow
             import pyarrow.parquet
         self._arrow: Any = pyarrow
-        self._files = contextlib.ExitStack()
-        self._file = self._files.enter_context(whole_file(Path(path)))
+        self._file = Finishable(path)
         self._writer: Any = None
         self._waiting: list[Any] = []
-        self._rows = 0
+        self._rows = self._bytes = 0
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        self._file.check()
         table = list(node_columns(frame, self.description.units))
         count = len(table[0][1])
         full = [
@@ -239,16 +204,19 @@ class ParquetSeries(Series):
             arrow.record_batch([_arrow_array(v) for _, v, _ in full], schema=self._writer.schema)
         )
         self._rows += count
+        self._bytes += sum(v.nbytes for _, v, _ in full)
+        self._file.expect(self._bytes * 9 // 8 + _END)
         if self._rows >= _ROWS:
             self._flush()
 
     def _flush(self) -> None:
         if self._waiting:
             self._writer.write_table(self._arrow.Table.from_batches(self._waiting))
-        self._waiting, self._rows = [], 0
+        self._waiting, self._rows, self._bytes = [], 0, 0
 
     def _finish(self) -> None:
-        with self._files:
+        with self._file.files:
+            self._file.check_whole()
             if self._writer is None:
                 raise FieldError("no frame was measured: there is no table to write")
             self._flush()

@@ -15,5 +15,6 @@ What they share:
     form      portable, or the one for CPUs
     maps      every intermediate image, for `Detector.maps`
 
-A stage has the same name in kernels/, here, in cmp_cl/reference/ and in tests/kernels/.
+A stage has the same name in kernels/, here, in cmp_cl/reference/ and in tests/kernels/. The table
+in kernels/README.md names the oracle of every kernel.
 """

@@ -5,7 +5,7 @@ from typing import Any, cast
 import numpy as np
 
 from cmp_cl.config import BinaryRings, RapidCriteria, SpectralCriteria
-from cmp_cl.stages import spectrum
+from cmp_cl.stages import spectral
 from cmp_cl.stages.layout import GROUP, Launch, PlanBase
 
 
@@ -13,8 +13,8 @@ def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
     """Return the launches from the binary images to the lists of candidates."""
     stages = []
     for layer in range(rule.threshold.masks):
-        spectral = isinstance(rule.criteria, SpectralCriteria)
-        stages.append((_spectral if spectral else _rapid)(plan, rule, layer))
+        rapid = isinstance(rule.criteria, RapidCriteria)
+        stages.append((_rapid if rapid else _spectral)(plan, rule, layer))
         stages.append(_collect(plan, layer))
     return stages
 
@@ -37,8 +37,8 @@ def _rapid(plan: PlanBase, rule: BinaryRings, layer: int) -> Launch:
 
 def _spectral(plan: PlanBase, rule: BinaryRings, layer: int) -> Launch:
     criteria, b = cast(SpectralCriteria, rule.criteria), plan.arrays
-    inner_response, outer_passes = spectrum.response_tables()
-    least = spectrum.least_correlation(criteria.correlation)
+    inner_response, outer_passes = spectral.response_tables()
+    least = spectral.least_correlation(criteria.correlation)
     return plan.dense(
         "spectral_criteria",
         binary=b["binary"],
@@ -49,7 +49,7 @@ def _spectral(plan: PlanBase, rule: BinaryRings, layer: int) -> Launch:
         least_correlation=plan.constant(least),
         rows=plan.size["rows"],
         step=plan.size["step"],
-        phase_bound=np.int32(spectrum.phase_bound(criteria.phase)),
+        phase_bound=np.int32(spectral.phase_bound(criteria.phase)),
         corrosion_threshold=np.int8(criteria.corrosion_threshold or 0),
         response=b["response"],
     )

@@ -58,7 +58,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
 
 
 def _bits(plan: PlanBase) -> int:
-    """Return the bytes of a bit for every pixel, and of a word behind the last."""
+    """Return the bytes of one bit for every pixel and of one more word."""
     return plan.frames * plan.working[0] * plan.step // 8 + 4
 
 

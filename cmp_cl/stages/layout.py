@@ -78,6 +78,7 @@ class PlanBase:
             self.list_capacity = multiple(pixels // 128 // self.bands + 64, GROUP)
         self.step = multiple(self.working[1] + 2 * self.pad, GROUP)
         self.full_step = multiple(shape[1] + 2 * self.pad, GROUP)
+        # One corner in 96 pixels is one in a cell of 10 px; the list grows too.
         self.corner_capacity = multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
         self.buffers: dict[str, cl.Buffer] = {}
 

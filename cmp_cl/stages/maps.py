@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria, RingHarmonic
 from cmp_cl.maps import HarmonicMaps, Maps
-from cmp_cl.stages import spectrum
+from cmp_cl.stages import spectral
 from cmp_cl.stages.plan import Plan
 
 _RAPID_MAPS = (
@@ -166,7 +166,7 @@ def _spectral_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[A
     inner, outer, corrosion, best, half_samples = _per_pixel(
         plan, "spectral_maps", dtypes, plan.lists, _black(plan, binary)
     )
-    margins = spectrum.margins()
+    margins = spectral.margins()
     smaller = np.minimum(margins[inner], margins[outer]).astype(np.float32)
     black = np.bitwise_count(np.stack([inner, outer])).astype(np.float64)
     product = np.sqrt(black[0] * black[1])

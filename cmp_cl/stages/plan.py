@@ -285,7 +285,7 @@ class Plan(PlanBase):
             raise Overflow(listed, most)
         if most > self._likely:
             rows = self._fetch(queue, most)
-        self._likely = min(most * 9 // 8, self.corner_capacity)
+        self._likely = min(most * 9 // 8, self.corner_capacity)  # the next frame is much like it
         return rows
 
     def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
@@ -310,7 +310,7 @@ class Plan(PlanBase):
         return rows
 
     def grow(self, overflow: Overflow) -> None:
-        """Lengthen the lists that overflowed; the frames stay on the device."""
+        """Lengthen the lists that overflowed, with a quarter to spare; the frames stay."""
         if overflow.listed > self.list_capacity:
             self.list_capacity = multiple(overflow.listed * 5 // 4, GROUP)
         if overflow.corners > self.corner_capacity:

@@ -145,7 +145,7 @@ def _seen(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, A
         here, chain = pose, None
         if camera:
             here, chain = composed(pose, numbers[2 * CAMERA :])
-        place, slopes = cv2.projectPoints(
+        projected, slopes = cv2.projectPoints(
             view.board.astype(np.float64), here[:3], here[3:], matrix, np.array(distortion)
         )
         by_numbers: Array = np.zeros((len(slopes), len(numbers)))
@@ -154,7 +154,7 @@ def _seen(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, A
         if chain is not None:
             by_numbers[:, 2 * CAMERA :] = by_pose @ chain[1]
             by_pose = by_pose @ chain[0]
-        off = np.asarray(seen - place.reshape(-1, 2), np.float64)
+        off = np.asarray(seen - projected.reshape(-1, 2), np.float64)
         found.append((off, by_numbers, by_pose))
     return found
 

@@ -77,10 +77,10 @@ def _vnl(views: Views, _: float) -> str:
             continue
         sigma = np.where(grid.sigma > 0, grid.sigma, smallest)
         level = np.rint(np.log2(sigma / smallest)).astype(int)
-        for place in np.ndindex(grid.shape):
-            x, y = grid.xy[place]
+        for node in np.ndindex(grid.shape):
+            x, y = grid.xy[node]
             lines.append(
-                f"{name} - - -" if np.isnan(x) else f"{name} {x:.6f} {y:.6f} {level[place]}"
+                f"{name} - - -" if np.isnan(x) else f"{name} {x:.6f} {y:.6f} {level[node]}"
             )
     return "\n".join(lines) + "\n"
 

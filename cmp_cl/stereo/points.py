@@ -59,8 +59,16 @@ class Points3D:
 
 
 def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the root of the largest eigenvalue: (..., 3, 3) -> (...). NaN stays NaN."""
-    known = np.isfinite(covariance).all(axis=(-2, -1))
-    deviation = np.full(known.shape, np.nan)
-    deviation[known] = np.sqrt(np.linalg.eigvalsh(covariance[known])[:, -1].clip(0))
+    """Return the root of the largest eigenvalue: (..., 3, 3) -> (...). NaN stays NaN.
+
+    With C = m I + s B, trace B = 0 and |B|^2 = 6, it is m + 2 s cos(acos(det B / 2) / 3).
+    """
+    mean = np.trace(covariance, axis1=-2, axis2=-1) / 3
+    rest = covariance - mean[..., None, None] * np.eye(3)
+    spread = np.sqrt(np.square(rest).sum(axis=(-2, -1)) / 6)
+    scaled = rest / np.where(spread == 0, 1, spread)[..., None, None]
+    (a, f, e), (_, b, d), (_, _, c) = np.moveaxis(scaled, (-2, -1), (0, 1))
+    determinant = a * (b * c - d * d) - f * (f * c - d * e) + e * (f * d - b * e)
+    angle = np.arccos(np.clip(determinant / 2, -1, 1)) / 3
+    deviation: NDArray[np.float64] = np.sqrt(mean + 2 * spread * np.cos(angle))
     return deviation

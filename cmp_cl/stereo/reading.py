@@ -31,7 +31,7 @@ def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
         raise CalibrationError(f"cannot read the calibration {str(path)!r}: {why}") from error
     except UnicodeDecodeError as error:
         raise CalibrationError(
-            f"cannot read the calibration {str(path)!r}: it is no text in UTF-8"
+            f"cannot read the calibration {str(path)!r}: it is not text in UTF-8"
         ) from error
     except (cv2.error, SystemError) as error:
         raise CalibrationError(f"{path}: neither YAML, XML nor JSON as OpenCV writes it") from error

@@ -157,19 +157,15 @@ class StereoRig:
         xyz, status = self._linear(seen)
         error = np.full(len(seen), np.nan)
         covariance = np.full((len(seen), 3, 3), np.nan)
+        shared = covariance.copy()
         good = status == PointStatus.VALID
-        xyz[good], error[good], covariance[good] = self._refined(
+        xyz[good], error[good], covariance[good], shared[good] = self._refined(
             xyz[good], seen[good], deviation[good]
         )
         status[good & ~(error <= max_error)] = PointStatus.INCONSISTENT
-        good = status == PointStatus.VALID
-        xyz[~good] = np.nan
-        covariance[~good] = np.nan
-        shared = None
-        if self.covariance is not None:
-            own = np.full((len(seen), 3, 3), np.nan)
-            own[good] = self._calibration_covariance(xyz[good], deviation[good])
-            shared = _spread(both, own)
+        bad = status != PointStatus.VALID
+        for values in (xyz, covariance, shared):
+            values[bad] = np.nan
         all_status = np.full(left.shape, PointStatus.MISSING, np.uint8)
         all_status[both] = status
         return Points3D(
@@ -181,7 +177,7 @@ class StereoRig:
                 np.uint8
             ),
             unit=self.unit,
-            calibration_covariance=shared,
+            calibration_covariance=None if self.covariance is None else _spread(both, shared),
         )
 
     def _linear(self, seen: Array) -> tuple[Array, NDArray[np.uint8]]:
@@ -202,36 +198,32 @@ class StereoRig:
         status[~(left_in_model & right_in_model)] = PointStatus.INCONSISTENT
         return xyz, status
 
-    def _refined(self, xyz: Array, seen: Array, sigma: Array) -> tuple[Array, Array, Array]:
+    def _refined(self, xyz: Array, seen: Array, sigma: Array) -> tuple[Array, Array, Array, Array]:
         """Take one Gauss-Newton step on the reprojection error, weighted by 1 / sigma^2.
 
         xyz: (N, 3). seen: (N, 4) px, left and right. sigma: (N, 2) px; NaN weights both alike.
-        Returns points (N, 3), reprojection errors (N,), px, and covariances (N, 3, 3).
+        Returns points (N, 3), reprojection errors (N,), px, and covariances (N, 3, 3): that of the
+        positions in the image, and that of the rig, NaN where it is unknown.
         """
         if not len(xyz):
-            return xyz, np.empty(0), np.empty((0, 3, 3))
-        projected, jacobian, _ = self._projected(xyz)
+            return xyz, np.empty(0), np.empty((0, 3, 3)), np.empty((0, 3, 3))
+        projected, jacobian, by_rig = self._projected(xyz)
         residual = seen - projected
         known = np.isfinite(sigma.sum(axis=1))
         weight = np.repeat(1 / np.where(known[:, None], sigma, 1), 2, axis=1)
         scaled = jacobian * weight[..., None]
-        transposed = scaled.transpose(0, 2, 1)
-        inverse = np.linalg.inv(transposed @ scaled)
-        step = inverse @ (transposed @ (residual * weight)[..., None])
+        inverse = np.linalg.inv(scaled.transpose(0, 2, 1) @ scaled)
+        by_image = inverse @ (scaled * weight[..., None]).transpose(0, 2, 1)
+        step = by_image @ residual[..., None]
         residual = residual - (jacobian @ step)[..., 0]
         error = np.sqrt(np.square(residual).sum(axis=1) / 2)
-        return xyz + step[..., 0], error, np.where(known[:, None, None], inverse, np.nan)
-
-    def _calibration_covariance(self, xyz: Array, sigma: Array) -> Array:
-        """Propagate the rig's covariance to the points: (N, 3, 3)."""
-        if not len(xyz) or self.covariance is None:
-            return np.empty((0, 3, 3))
-        _, jacobian, by_rig = self._projected(xyz)
-        known = np.isfinite(sigma.sum(axis=1))
-        weight = np.repeat(1 / np.where(known[:, None], sigma, 1), 2, axis=1)[..., None]
-        sensitivity = -np.linalg.pinv(jacobian * weight) @ (by_rig * weight)
-        shared: Array = sensitivity @ self.covariance @ sensitivity.transpose(0, 2, 1)
-        return shared
+        own = np.where(known[:, None, None], inverse, np.nan)
+        shared = np.full_like(own, np.nan)
+        if self.covariance is not None:
+            # as the rig moves the points at fixed positions in the image
+            by_rig = by_image @ by_rig
+            shared = by_rig @ self.covariance @ by_rig.transpose(0, 2, 1)
+        return xyz + step[..., 0], error, own, shared
 
     def _projected(self, xyz: Array) -> tuple[Array, Array, Array]:
         """Project points into both cameras.

@@ -157,9 +157,9 @@ def grid_overlay(
     canvas = _enlarged(image, factor)
     nodes = (grid.xy.astype(np.float64) + 0.5) * factor - 0.5
     for along_row, lines in ((True, nodes), (False, nodes.transpose(1, 0, 2))):
-        for place, line in enumerate(lines):
+        for number, line in enumerate(lines):
             colour = (220, 160, 60)
-            if place == 0:
+            if number == 0:
                 colour = (60, 60, 255) if along_row else (255, 80, 40)
             _polyline(canvas, line, colour)
     radius = min(max(2.0, 0.1 * cell * factor), 8.0)
@@ -255,11 +255,11 @@ class Projection(enum.Enum):
 def surface_figure(
     field: DisplacementField, *, projection: Projection = Projection.PERSPECTIVE
 ) -> "Figure":
-    """Draw the surface now, coloured by displacement, with arrows from the rest positions.
+    """Draw the surface now, coloured by displacement, with arrows from the positions at rest.
 
     The axes run along the rows, along the columns, and towards the cameras out of the plane that
-    fits the rest positions best. The height is stretched to a fifth of the width; the label gives
-    the factor. Needs matplotlib.
+    fits the positions at rest best. The height is stretched to a fifth of the width; the label
+    gives the factor. Needs matplotlib.
 
     Raises FieldError where fewer than three nodes are valid.
     """
@@ -328,7 +328,7 @@ def draw_surface(axes: "Axes3D", field: DisplacementField) -> None:
 
 
 def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a plane to the rest positions: (3, 3) axes as rows, (3,) origin.
+    """Fit a plane to the positions at rest: (3, 3) axes as rows, (3,) origin.
 
     The first axis runs along the rows, the second along the columns, the third towards the
     cameras (a left-handed frame, as on a picture with y down and height towards the viewer).

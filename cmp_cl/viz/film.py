@@ -1,7 +1,6 @@
 """One annotated video of a recording: the nodes on the image, coloured by their displacement."""
 
 import os
-import secrets
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.files import check_target
+from cmp_cl.files import check_target, temporary_beside
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
 
@@ -43,7 +42,8 @@ class OverlayFilm(Closing):
         if not 0 < fps < 1e4:
             raise ConfigError(f"fps must be from 0 to 10000, not {fps!r}")
         self._target = check_target(path)
-        self._temporary = self._target.with_name(f".{secrets.token_hex(8)}{suffix}")
+        self._suffix = suffix
+        self._temporary = self._target
         self._fourcc = cv2.VideoWriter.fourcc(*FILM_SUFFIXES[suffix])
         self._fps, self._unit = fps, unit
         self._writer: Any = None
@@ -93,6 +93,7 @@ class OverlayFilm(Closing):
             self._factor = float(-(-_NARROWEST // width))
         wide, high = int(width * self._factor), int(shape[0] * self._factor) + _STRIP
         self._size = (wide + wide % 2, high + high % 2)
+        self._temporary = temporary_beside(self._target, self._suffix)
         self._writer = cv2.VideoWriter(
             str(self._temporary), self._fourcc, self._fps, self._size, isColor=True
         )

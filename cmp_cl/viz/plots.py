@@ -108,7 +108,7 @@ class Recorded:
         return node
 
     def plane(self) -> tuple[Array, Array]:
-        """Return the rest positions (R, C, 2) to draw on, and (3, 3) axes of that plane.
+        """Return the positions at rest (R, C, 2) to draw on, and (3, 3) axes of that plane.
 
         Raises FieldError where fewer than three nodes are valid, or all lie on a line.
         """
@@ -190,17 +190,17 @@ def sheet_figure(
     recorded: Recorded, *, index: int | None = None, node: tuple[int, int] | None = None
 ) -> "Figure":
     """Draw the recording on one sheet: the maps of a frame and a node's curve."""
-    place = recorded.frame_of(index)
+    frame = recorded.frame_of(index)
     wanted = [Quantity.DISPLACEMENT, Quantity.STRAIN]
     wanted += [Quantity.HEIGHT] if recorded.rest.shape[2] == 3 else []
-    wanted += [Quantity.SIGMA] if np.isfinite(recorded.sigma[place]).any() else []
+    wanted += [Quantity.SIGMA] if np.isfinite(recorded.sigma[frame]).any() else []
     rows = -(-len(wanted) // 2) + 1
     figure = _figure((12.0, 4.6 * rows))
     grid = figure.add_gridspec(rows, 2)
     for number, quantity in enumerate(wanted):
         last = number == len(wanted) - 1 and number % 2 == 0
         at = grid[number // 2, :] if last else grid[number // 2, number % 2]
-        draw_map(figure, figure.add_subplot(at), recorded, quantity, place)
+        draw_map(figure, figure.add_subplot(at), recorded, quantity, frame)
     _draw_curve(figure.add_subplot(grid[rows - 1, :]), recorded, recorded.node_of(node))
     return figure
 
@@ -212,12 +212,12 @@ def _figure(size: tuple[float, float]) -> "Figure":
 
 
 def draw_map(
-    figure: "Figure", axes: "Axes", recorded: Recorded, quantity: Quantity, place: int
+    figure: "Figure", axes: "Axes", recorded: Recorded, quantity: Quantity, frame: int
 ) -> None:
-    """Draw what `map_figure` shows into axes; place: of the frame in the recording."""
+    """Draw what `map_figure` shows into axes; frame: its index in the recording."""
     from matplotlib.collections import PolyCollection
 
-    values, unit = recorded.values(quantity, place)
+    values, unit = recorded.values(quantity, frame)
     nodes, _ = recorded.plane()
     cells = np.stack(_around(nodes), axis=2)
     mean = np.mean(_around(values), axis=0)
@@ -244,7 +244,7 @@ def draw_map(
         facecolor="0.9",
         xlabel=f"{names[0]} / {recorded.unit}",
         ylabel=f"{names[1]} / {recorded.unit}",
-        title=f"{_TITLES[quantity]}, frame {recorded.index[place]}"
+        title=f"{_TITLES[quantity]}, frame {recorded.index[frame]}"
         + ("" if known.any() else ": no cell has a value"),
     )
     label = _TITLES[quantity] if unit == "1" else f"{_TITLES[quantity]} / {unit}"

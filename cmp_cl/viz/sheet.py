@@ -57,8 +57,8 @@ def press_sheet(
             "unit": np.array(field.unit),
         }
     )
-    for place, quantity in ((at[1, 1], Quantity.HEIGHT), (at[2, 0], Quantity.STRAIN)):
-        axes = figure.add_subplot(place)
+    for cell, quantity in ((at[1, 1], Quantity.HEIGHT), (at[2, 0], Quantity.STRAIN)):
+        axes = figure.add_subplot(cell)
         draw_map(figure, axes, recorded, quantity, 0)
         axes.set_title(quantity.value)
     table = figure.add_subplot(at[2, 1])

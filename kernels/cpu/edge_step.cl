@@ -93,7 +93,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
   const uint total = SMALLER(counts[count_offset + p], capacity);
   if (get_global_id(0) >= total) return;
   const float radius_2 = radius * radius;
-  const float core_radius = SMALLER(4.0f, radius / 2), core_2 = core_radius * core_radius;
+  const float rim = 4 / radius_2;
   const int reach = (int)(radius + 0.5f);
 
   RESULT_OF_FRAME(total)
@@ -129,7 +129,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
     STORE_8(values.grey_of, k, EIGHT_OF(float8, values.pixel_of + k) - centre);     \
   }
 
-    float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vii = 0, vaa = 0, vab = 0, vbb = 0;
+    float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vaa = 0, vab = 0, vbb = 0;
     for (int dy = -reach; dy <= reach; dy = part.end) {
       TAKE_PART(dy)
       for (int k = 0; k < part.count; k += 8) {
@@ -142,38 +142,42 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
         vpp += wP * P;
         vi += wI;
         vpi += wI * P;
-        vii += wI * I;
         vaa += wA * A;
         vab += wA * B;
         vbb += wB * B;
       }
     }
     const float s1 = sum_of_eight(v1), sp = sum_of_eight(vp), spp = sum_of_eight(vpp);
-    const float si = sum_of_eight(vi), spi = sum_of_eight(vpi), sii = sum_of_eight(vii);
+    const float si = sum_of_eight(vi), spi = sum_of_eight(vpi);
     const float saa = sum_of_eight(vaa), sab = sum_of_eight(vab), sbb = sum_of_eight(vbb);
-    const float spread = s1 * spp - sp * sp;
-    const float c = (s1 * spi - sp * si) / spread, m = (si - c * sp) / s1;
+    LEVELS
 
-    /* The residual: its products with the slopes, and with the next pixel's in the row. */
-    float8 va = 0, vb = 0, products = 0, weights = 0;
+    /* The residual: its products with the model's columns, and with the next pixel's in the row. */
+    RESIDUAL_SUMS
+    float8 products = 0;
     for (int dy = -reach; dy <= reach; dy = part.end) {
       if (!whole) {
         TAKE_PART(dy)
       }
       const int end = (part.count + 7) / 8 * 8;
-      values.weight_of[end] = values.model_of[end] = values.grey_of[end] = 0;
-      for (int k = 0; k < part.count; k += 8) {
+      for (int k = 0; k < end; k += 8) {
         const float8 w = LOAD_8(values.weight_of, k);
-        const float8 both = LOAD_8(values.weight_of, k + 1) > 0 ? w : (float8)(0.0f);
-        const float8 r = RESIDUAL(LOAD_8(values.grey_of, k), LOAD_8(values.model_of, k));
-        const float8 next = RESIDUAL(LOAD_8(values.grey_of, k + 1), LOAD_8(values.model_of, k + 1));
-        va += w * r * LOAD_8(values.slope_a_of, k);
-        vb += w * r * LOAD_8(values.slope_b_of, k);
-        products += both * r * next;
-        weights += both;
+        const float8 left = RESIDUAL(LOAD_8(values.grey_of, k), LOAD_8(values.model_of, k));
+        const float8 r = w > 0 ? left : (float8)(0.0f);
+        STORE_8(values.grey_of, k, r);
+        ADD_RESIDUAL(w, r, LOAD_8(values.slope_a_of, k), LOAD_8(values.slope_b_of, k))
       }
+      for (int k = 0; k < end; k += 8) {
+        const float8 ux = LOAD_8(part.dx_of, k) - part_x, uy = LOAD_8(part.dy_of, k) - part_y;
+        ADD_LIGHT(LOAD_8(values.weight_of, k), LOAD_8(values.grey_of, k),
+                  LOAD_8(values.slope_a_of, k), LOAD_8(values.slope_b_of, k),
+                  LOAD_8(values.model_of, k))
+      }
+      values.grey_of[end] = 0;
+      for (int k = 0; k < end; k += 8)
+        products += LOAD_8(values.weight_of, k) * LOAD_8(values.grey_of, k) *
+                    LOAD_8(values.grey_of, k + 1);
     }
-    const float ra = sum_of_eight(va), rb = sum_of_eight(vb);
     SOLVE_STEP
     if (!sound) continue;
     STORE_STEP

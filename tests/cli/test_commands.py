@@ -392,16 +392,16 @@ def test_a_wrong_argument_of_run_is_one_line_and_no_file(
 def test_the_wrong_calibration_is_noticed_at_rest(run, recording):
     swapped = StereoRig(RIG.K2, RIG.D2, RIG.K1, RIG.D1, RIG.R.T, -RIG.R.T @ RIG.T)
     swapped.save("rig.yaml")
-    fails_in_one_line(run("run", recording, *STEREO), "rest frame 0", "the rig fits", "left")
+    fails_in_one_line(run("run", recording, *STEREO), "frame at rest, 0", "the rig fits", "left")
 
 
 def test_two_views_without_a_calibration_are_explained(run, recording, monkeypatch):
     def two(*_, **__):
         raise GridError("two patterns are seen")
 
-    monkeypatch.setattr("cmp_cl.measure.find_pattern", two)
+    monkeypatch.setattr("cmp_cl.measure.frames.find_pattern", two)
     fails_in_one_line(
-        run("run", recording, "--out", "a.npz"), "rest frame 0: two patterns", "--stereo"
+        run("run", recording, "--out", "a.npz"), "frame at rest, 0: two patterns", "--stereo"
     )
 
 
@@ -567,7 +567,7 @@ def test_demo_measures_what_it_rendered(run, small_demo, tmp_path):
     assert "left view: nodes with a wrong number,0," in (folder / "errors.csv").read_text()
     with open(folder / "errors.csv", newline="", encoding="utf-8") as file:
         table = {row["what"]: row["value"] for row in csv.DictReader(file)}
-    filtered = float(table["left view: behind the lattice filter, RMS"])
+    filtered = float(table["left view: after the lattice filter, RMS"])
     assert filtered < 0.8 * float(table["left view: error of a corner, RMS"])
     assert "nearly all wear" in out
     command = out.splitlines()[-1].partition("cmp-cl ")[2].split()
@@ -626,7 +626,7 @@ BOARD = "--board", "7x7", "--square", "4", "--out", "rig.yaml"
 
 
 def test_calibrate_finds_the_cameras_again(run, boards, monkeypatch):
-    monkeypatch.setattr("cmp_cl.measure._USUAL_CELLS", ())
+    monkeypatch.setattr("cmp_cl.measure.patterns._USUAL_CELLS", ())
     for number, views in enumerate(boards):
         cv2.imwrite(f"{number}.png", np.hstack(views))
     cv2.imwrite("4.png", np.full((VIEW[0], 2 * VIEW[1]), 90, np.uint8))
@@ -670,7 +670,7 @@ def test_a_rectangle_in_each_view_says_which_of_two_boards_is_meant(run, boards)
     np.testing.assert_allclose(StereoRig.load("rig.yaml").K1, of_frames.K1, atol=1e-9)
 
 
-def test_two_cameras_with_files_of_their_own(run, boards):
+def test_two_cameras_with_files_of_their_own_are_calibrated(run, boards):
     for number, (left, right) in enumerate(boards):
         cv2.imwrite(f"l{number}.png", left)
         cv2.imwrite(f"r{number}.png", right)
@@ -903,7 +903,7 @@ def test_what_is_lost_is_named():
 def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
     run, tmp_path, monkeypatch, arguments, words
 ):
-    monkeypatch.setattr("cmp_cl.measure._USUAL_CELLS", ())
+    monkeypatch.setattr("cmp_cl.measure.patterns._USUAL_CELLS", ())
     cv2.imwrite("0.png", np.full(VIEW, 90, np.uint8))
     cv2.imwrite("1.png", np.full((100, 90), 90, np.uint8))
     fails_in_one_line(run("tune", "--grid", "9x9", *arguments), *words)
@@ -1034,7 +1034,7 @@ def test_folders_of_which_one_has_more_images_are_not_paired_by_guess(run, recor
         (["--left", "frames", "--right", "0", *STEREO], "both be cameras"),
         (["--left", "frames", "--right", "frames", "--split", "halves", *STEREO], "--split"),
         (["frames", "--pair-within", "3", *STEREO], "--pair-within"),
-        (["frames", "--exposure", "3", *STEREO], "no camera"),
+        (["frames", "--exposure", "3", *STEREO], "not a camera"),
         (["0", "--pixel-format", "M", *STEREO], "four letters"),
     ],
 )
@@ -1120,8 +1120,8 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
         (("--cell", "2", "--stereo", "rig.yaml"), "--cell is for one view"),
         (("--contact", "2"), "--contact needs --stereo"),
         (("--unit", "cm"), "--unit needs --cell"),
-        (("--cell", "0"), "no length"),
-        (("--contact", "nan", "--stereo", "rig.yaml"), "no length"),
+        (("--cell", "0"), "not a length"),
+        (("--contact", "nan", "--stereo", "rig.yaml"), "not a length"),
     ],
 )
 def test_lengths_that_a_view_does_not_have_are_refused(run, arguments, message):
@@ -1159,5 +1159,19 @@ def test_frames_that_change_size_are_named_and_left_out(run):
     status, out, err = run("run", "a.mjpeg", "--grid", "7x7", "--out", "a.npz")
     assert status == 0
     assert "1 left out" in out
-    assert "frame 1 is 150 x 140 px of uint8, the rest frame is 150 x 150" in err
+    assert "frame 1 is 150 x 140 px of uint8, the frame at rest is 150 x 150" in err
     assert read_series("a.npz")["index"].tolist() == [0, 2]
+
+
+def test_without_pyav_a_command_tells_what_it_does_not_see_in_a_video(run, monkeypatch):
+    """OpenCV scales frames of another size to that of the first, and no property of it says so."""
+    monkeypatch.setattr(media, "has_pyav", lambda: False)
+    picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
+    pictures = [picture, picture[:140], picture]
+    Path("a.mjpeg").write_bytes(b"".join(cv2.imencode(".jpg", p)[1].tobytes() for p in pictures))
+    for command in (["run", "a.mjpeg", "--out", "a.npz"], ["detect", "a.mjpeg"]):
+        _, _, err = run(*command)
+        assert "PyAV is not installed" in err
+        assert "cmp-cl[video]" in err
+    media.write_image("a.png", picture)
+    assert run("detect", "a.png")[2] == ""

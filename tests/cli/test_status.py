@@ -121,7 +121,8 @@ def test_a_signal_from_outside_ends_a_command_with_130(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a signal to one process alone needs POSIX")
-def test_ctrl_c_while_modules_are_imported_is_130_and_one_line(tmp_path):
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_while_modules_are_imported_is_130_and_one_line(tmp_path, name):
     (tmp_path / "cv2.py").write_text(
         "import sys, time\nsys.stdout.write('importing\\n')\nsys.stdout.flush()\ntime.sleep(60)\n"
     )
@@ -134,7 +135,7 @@ def test_ctrl_c_while_modules_are_imported_is_130_and_one_line(tmp_path):
         start_new_session=True,
     )
     assert child.stdout.readline() == "importing\n"
-    child.send_signal(signal.SIGINT)
+    child.send_signal(getattr(signal, name))
     assert child.communicate(timeout=60) == ("", "cmp-cl: interrupted\n")
     assert child.returncode == 130
 

@@ -1,11 +1,15 @@
 """The adaptive lattice filter: what it gains, what it must not lose, and what it says of itself."""
 
+import math
+
 import numpy as np
 import pytest
-from stereo_data import grid_of
+from stereo_data import grid_of, points
 
 from cmp_cl.errors import GridError
+from cmp_cl.field import displacement, plane_displacement
 from cmp_cl.grid import NodeStatus, filter_grid, filter_positions
+from cmp_cl.grid.filter import filter_at_rest, noise_of_change
 from cmp_cl.reference import lattice_filter
 
 
@@ -217,10 +221,10 @@ def test_interpolated_nodes_follow_their_neighbours():
     assert np.allclose(filter_positions(grid)[0].xy, filter_positions(off)[0].xy, atol=1e-3)
 
 
-def assert_as_the_oracle(values, measured=None, *, bends=False):
+def assert_as_the_oracle(values, measured=None, *, bends=False, most_noise=None):
     """Assert that the fast form in float32 is the oracle's in float64, to 5e-3 of the noise."""
-    found = filter_grid(values, measured=measured, bends=bends)
-    expected = lattice_filter.filter_grid(values, measured, bends=bends)
+    found = filter_grid(values, measured=measured, bends=bends, most_noise=most_noise)
+    expected = lattice_filter.filter_grid(values, measured, bends=bends, most_noise=most_noise)
     assert expected.margin.min() > 1e-4
     np.testing.assert_array_equal(found.refused, expected.refused)
     np.testing.assert_array_equal(np.isnan(found.sigma), np.isnan(expected.sigma))
@@ -235,6 +239,68 @@ def assert_as_the_oracle(values, measured=None, *, bends=False):
 @pytest.mark.parametrize("bends", [False, True])
 def test_the_fast_form_is_the_oracles(bends):
     assert_as_the_oracle(noisy(surface(17, 20), 0.1) + 300, bends=bends)
+
+
+@pytest.mark.parametrize("bends", [False, True])
+def test_the_fast_form_is_the_oracles_where_the_noise_is_known(bends):
+    most = np.full((17, 20), 0.05)
+    most[4:9, 3:12] = np.nan
+    values = noisy(surface(17, 20), 0.1)
+    values[12, 4] = np.nan
+    assert_as_the_oracle(values, bends=bends, most_noise=most)
+
+
+def pyramid() -> np.ndarray:
+    """Return the displacement (20, 20, 2), px, under a pyramid turned against the lattice: its
+    edges, eight nodes apart, look like noise along rows, columns and diagonals.
+    """
+    x, y = np.moveaxis(np.stack(np.mgrid[:20, :20], axis=-1) - [9.3, 10.1], -1, 0)
+    aside = np.maximum(np.abs(x + 0.3 * y), np.abs(y - 0.3 * x))
+    return np.maximum(0, 1 - aside / 4)[..., None] * [8.0, -5.6]
+
+
+def test_a_filter_that_knows_the_noise_smears_no_sharp_edges():
+    values = noisy(pyramid(), 0.02, seed=3)
+    free, held = (
+        rms(filter_grid(values, bends=True, most_noise=most).values - pyramid())
+        for most in (None, np.full((20, 20), 0.025))
+    )
+    raw = rms(values - pyramid())
+    assert free > 1.1 * raw
+    assert held < 0.85 * raw
+
+
+@pytest.mark.parametrize("worn", [False, True])
+def test_displacements_keep_sharp_edges_of_a_perfect_print(worn):
+    """In the image, in the plane and in space the corners' sigma says what is noise."""
+    flat = np.stack(np.mgrid[:20, :20], axis=-1) * 20.0
+    print_ = flat + (noisy(np.zeros_like(flat), 0.3, seed=5) if worn else 0)
+    before, after = (
+        noisy(print_ + moved, 0.015, seed=seed) for seed, moved in ((6, 0), (7, pyramid()))
+    )
+    rest, now = (grid_of(xy, 0.015) for xy in (before, after))
+    still, pressed = (
+        points(np.concatenate([xy, np.zeros((20, 20, 1))], axis=2), 0.015) for xy in (before, after)
+    )
+    start = filter_positions(rest)[0].xy
+    found = {
+        "image": filter_positions(now, rest=rest)[0].xy - start,
+        "plane": plane_displacement(rest, now).displacement,
+        "space": displacement(still, pressed).displacement[..., :2],
+    }
+    raw = rms(after - before - pyramid())
+    for name, moved in found.items():
+        assert (rms(moved - pyramid()) < 0.9 * raw) != worn, name
+
+
+def test_the_noise_of_a_change_is_the_images_on_a_print_that_shows_no_wear():
+    own = np.full((20, 20), 0.02)
+    for wear, most in ((0.0, 0.02 * math.sqrt(2)), (0.2, 0.6)):
+        at_rest = filter_grid(noisy(surface(20, 20), math.hypot(0.015, wear)))
+        found = noise_of_change(at_rest, own, own)
+        assert np.median(found) == pytest.approx(most, rel=0.1)
+    unknown = noise_of_change(at_rest, np.full((20, 20), np.nan), own)
+    assert np.isnan(unknown).all()
 
 
 def test_the_fast_form_is_the_oracles_for_holes_and_errors():
@@ -282,3 +348,15 @@ def test_an_answer_does_not_depend_on_what_was_filtered_before():
     again = filter_grid(small, bends=True)
     assert first.values.tobytes() == again.values.tobytes()
     assert first.sigma.tobytes() == again.sigma.tobytes()
+
+
+def test_positions_at_rest_are_filtered_once_for_all_frames():
+    values = noisy(surface(8, 9), 0.1)
+    measured = np.ones((8, 9), np.bool_)
+    first = filter_at_rest(values, measured=measured)
+    assert filter_at_rest(values.copy(), measured=measured) is first
+    np.testing.assert_array_equal(first.values, filter_grid(values, measured=measured).values)
+    values[3, 4] += 0.2
+    assert filter_at_rest(values, measured=measured) is not first
+    with pytest.raises(ValueError, match="read-only"):
+        first.values[0, 0] = 0

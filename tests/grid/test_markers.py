@@ -74,7 +74,7 @@ def test_an_edge_without_one_of_its_nodes_has_no_markers():
 
 
 @pytest.mark.parametrize("shape", [(1, 4), (4, 1), (1, 1), (0, 0)])
-def test_grids_of_a_line_or_less(shape):
+def test_grids_of_a_line_or_less_get_markers_too(shape):
     xy = np.moveaxis(np.indices(shape)[::-1] * 12.0, 0, -1)
     dense = grid_at(xy).with_virtual_markers(3)
     expected = tuple(4 * n - 3 if n else 0 for n in shape)

@@ -351,7 +351,7 @@ def test_parts_of_a_pattern_that_hardly_meet_are_not_placed_by_one_border_each()
 
 def test_an_oblique_edge_is_no_border():
     whole, _ = drawn(20, 20)
-    view = behind(np.ascontiguousarray(whole[60:300, 60:300]), 190, 0.06)
+    view = behind(np.ascontiguousarray(whole[60:300, 60:300]), 190, 0.1)
     grid = build_grid(seen_in(view), view)
     assert grid.valid.any()
     assert not grid.border.right

@@ -53,11 +53,11 @@ def test_an_offset_moves_the_threshold_as_in_the_oracle(detector_for, offset):
 
 @pytest.mark.parametrize("offset", some([1, 700, 65535], (700,)))
 @pytest.mark.parametrize("name", some(DEEP, ("12-bit scene",)))
-def test_an_offset_of_sixteen_bits(detector_for, name, offset):
+def test_an_offset_of_sixteen_bits_equals_the_oracle(detector_for, name, offset):
     check(detector_for, DEEP[name], offset=offset)
 
 
-def test_an_offset_beyond_32_bits(detector_for):
+def test_an_offset_beyond_32_bits_is_addressed(detector_for):
     image = DEEP["white"]
     assert not check(detector_for, image, offset=65535, window=255).any()
 
@@ -72,7 +72,7 @@ def test_the_mean_itself_is_white(detector_for):
 
 @pytest.mark.parametrize("shape", some(SHAPES, ((1, 1), (13, 17))))
 @pytest.mark.parametrize("masks", [1, 3])
-def test_shapes_smaller_than_the_window(detector_for, shape, masks):
+def test_shapes_smaller_than_the_window_equal_the_oracle(detector_for, shape, masks):
     image = np.random.default_rng(3).integers(0, 256, shape, dtype=np.uint8)
     check(detector_for, image, masks=masks)
     check(detector_for, image, window=41)

@@ -23,7 +23,7 @@ RULES = {
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("name", ["texture", "scene"])
-def test_centroids_in_raster_order(detector_in_form, name, rule):
+def test_centroids_are_in_raster_order(detector_in_form, name, rule):
     image = EIGHT[name]
     corners = assert_corners_equal(detector_in_form(image, RULES[rule]), image)
     y, x = np.nonzero(reference.maps(image, RULES[rule]).maximum)
@@ -35,7 +35,7 @@ def test_centroids_in_raster_order(detector_in_form, name, rule):
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("scale", some([0.63, 2.0], (0.63,)))
-def test_centroids_of_a_scaled_image(detector_in_form, rule, scale):
+def test_centroids_of_a_scaled_image_equal_the_oracle(detector_in_form, rule, scale):
     image = EIGHT["scene"]
     config = RULES[rule].replace(scale=scale)
     assert len(assert_corners_equal(detector_in_form(image, config), image)) > 5

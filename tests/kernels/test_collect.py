@@ -34,7 +34,7 @@ def test_every_maximum_is_listed_once_in_raster_order(detector_for, name, config
     np.testing.assert_array_equal(corners.pixel, np.stack([x, y], axis=1))
 
 
-def test_maxima_in_the_corners_of_the_image(detector_for):
+def test_maxima_in_the_corners_of_the_image_are_found(detector_for):
     """Cut so that corners lie on the first and last row and column."""
     image = images.texture((61, 83))
     seen = set()

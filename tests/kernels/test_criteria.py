@@ -33,7 +33,7 @@ def test_every_map_of_three_thresholds(detector_for, name):
 
 
 @pytest.mark.parametrize("name", ["texture", "fine board"])
-def test_without_the_corrosion_criterion(detector_for, name):
+def test_the_criteria_without_corrosion_equal_the_oracle(detector_for, name):
     criteria = RapidCriteria(corrosion_threshold=None)
     more = check(detector_for, EIGHT[name], criteria=criteria)
     fewer = check(detector_for, EIGHT[name])

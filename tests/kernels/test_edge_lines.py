@@ -49,7 +49,7 @@ def test_which_form_is_taken(detector_in_form, form, rule, scale):
 
 
 @LINES
-def test_every_number_of_corners(device_in_form, refinement):
+def test_every_number_of_corners_equals_the_oracle(device_in_form, refinement):
     """A mask leaves that many corners: vectors that are full, and the last one that is not."""
     image = images.texture((120, 150), seed=9)
     with detector_of_form(device_in_form, image, refinement=refinement) as detector:
@@ -87,7 +87,7 @@ def test_both_forms_give_the_oracles_corners(device_in_form, refinement, depth):
 
 @LINES
 @pytest.mark.parametrize("shape", some([(1, 31), (31, 1), (2, 3), (9, 40), (40, 9)], ((9, 40),)))
-def test_images_smaller_than_the_rings(device_in_form, refinement, shape):
+def test_images_smaller_than_the_rings_equal_the_oracle(device_in_form, refinement, shape):
     image = images.texture((60, 60))[: shape[0], : shape[1]].copy()
     with detector_of_form(device_in_form, image, refinement=refinement, **DENSE) as detector:
         assert_corners_equal(detector, image)

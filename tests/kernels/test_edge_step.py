@@ -32,8 +32,8 @@ def test_the_cell_sets_the_radius(detector_in_form, cell):
     assert (corners.method == Method.EDGE_STEP).sum() > 20
 
 
-def test_a_corner_in_the_very_middle_of_a_pixel(detector_in_form):
-    """That pixel's weight is 0, but the pair it makes with the one before counts."""
+def test_a_corner_in_the_very_middle_of_a_pixel_is_refined(detector_in_form):
+    """There the distance is 0, and grey levels are saturated all around."""
     grey = (images.eight_bits()["board"].astype(np.float64) - 120) * 20 + 120
     image = np.clip(grey, 0, 255).astype(np.uint8)
     detector = detector_in_form(image, rings(refinement=EdgeStep()))
@@ -50,8 +50,17 @@ def test_soft_corners_are_refined_as_in_the_oracle(detector_in_form, depth):
     assert (corners.method == Method.EDGE_STEP).sum() > 20
 
 
+def test_steep_light_is_counted_as_in_the_oracle(detector_in_form):
+    """Grey levels that grow tenfold over the image: far more than noise could."""
+    image = board(121, 83, 12)[0]
+    image = (image * np.geomspace(0.1, 1.0, image.shape[1])).astype(np.uint8)
+    detector = detector_in_form(image, rings(refinement=EdgeStep(cell=12)))
+    corners = assert_corners_equal(detector, image)
+    assert (corners.method == Method.EDGE_STEP).sum() > 20
+
+
 @pytest.mark.parametrize("cell", some([20.0, 60.0, 130.0], (60.0,)))
-def test_discs_of_a_scaled_image(detector_in_form, cell):
+def test_discs_of_a_scaled_image_equal_the_oracle(detector_in_form, cell):
     """Of a radius of 0.6 cells: in one part, in several, and with rows that leave the image."""
     image = board(int(4 * cell), int(5 * cell), cell)[0]
     config = {"scale": 15 / cell, "refinement": EdgeStep(cell=cell)}

@@ -47,20 +47,20 @@ def test_the_gate_looks_at_every_layer_of_three_thresholds(detector_for, name):
 
 
 @pytest.mark.parametrize("name", some(["texture", "12-bit scene", "two levels"], ("texture",)))
-def test_three_thresholds_of_sixteen_bits(detector_for, name):
+def test_three_thresholds_of_sixteen_bits_equal_the_oracle(detector_for, name):
     check(detector_for, DEEP[name], threshold=AdaptiveMean(masks=3))
 
 
 @pytest.mark.parametrize(
     "name", some(["noise", "two levels", "near levels", "worn scene"], ("noise",))
 )
-def test_any_number_of_sectors(detector_for, name):
+def test_any_number_of_sectors_equals_the_oracle(detector_for, name):
     """The spectral form lets rings with two, six and more runs through."""
     check(detector_for, EIGHT[name], criteria=SpectralCriteria(correlation=0))
 
 
 @pytest.mark.parametrize("name", some(["texture", "12-bit scene", "bright"], ("texture",)))
-def test_any_number_of_sectors_of_sixteen_bits(detector_for, name):
+def test_any_number_of_sectors_of_sixteen_bits_equals_the_oracle(detector_for, name):
     check(detector_for, DEEP[name], criteria=SpectralCriteria(correlation=0))
 
 
@@ -113,7 +113,7 @@ def test_three_thresholds_ask_for_three_deviations(detector_for):
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_the_rank_of_the_percentile_in_short_lists(detector_for, dtype):
+def test_the_percentile_of_short_lists_has_the_right_rank(detector_for, dtype):
     """Views of a texture with 1 to 10 maxima or so; the bound is one of their contrasts."""
     texture = images.texture((200, 200)).astype(dtype)
     contrast = SectorContrast(minimum=0, relative=1, noise=0)
@@ -159,12 +159,12 @@ def test_one_candidate_sets_the_percentile(detector_for):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (2, 31), (31, 2), (3, 3)])
-def test_images_without_an_inner_pixel(detector_for, shape):
+def test_images_without_an_inner_pixel_equal_the_oracle(detector_for, shape):
     check(detector_for, noise(shape, seed=4))
 
 
 @pytest.mark.parametrize("relative", [0.3, 1])
-def test_both_levels_of_the_percentile(detector_for, relative):
+def test_both_levels_of_the_percentile_equal_the_oracle(detector_for, relative):
     """Contrasts whose lower eight bits decide, frame after frame."""
     texture = images.texture((90, 80)).astype(np.uint16) * 3 + 100
     contrast = SectorContrast(minimum=0, relative=relative, noise=0)

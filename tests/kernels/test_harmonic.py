@@ -99,14 +99,14 @@ def test_greys_above_full_scale_count_as_full_scale(detector_in_form, name, full
 
 
 @pytest.mark.parametrize("full_scale", [1, 200])
-def test_bytes_above_full_scale(detector_in_form, full_scale):
+def test_bytes_above_full_scale_equal_the_oracle(detector_in_form, full_scale):
     image = EIGHT["scene"]
     config = configured(full_scale=full_scale, **EVERYTHING)
     assert_corners_equal(detector_in_form(image, config), image)
     assert_maps_equal(detector_in_form(image, config), image)
 
 
-def test_levels_of_every_full_scale(detector_in_form):
+def test_levels_of_every_full_scale_equal_the_oracle(detector_in_form):
     """Quotients of every remainder: the forms divide in different ways."""
     image = np.arange(61 * 83, dtype=np.uint16).reshape(61, 83)
     for full_scale in (3, 254, 1000, 4079, 4080, 4081, 5062, 40_000):
@@ -121,7 +121,7 @@ SHAPES = [(1, 1), (1, 40), (40, 1), (2, 2), (2, 31), (3, 3), (5, 4), (9, 11), (1
 
 
 @pytest.mark.parametrize("shape", some(SHAPES, ((1, 1), (9, 11))), ids=str)
-def test_images_smaller_than_the_ring(detector_in_form, shape):
+def test_images_smaller_than_the_ring_equal_the_oracle(detector_in_form, shape):
     for image in (noise(shape, seed=3), np.full(shape, 255, np.uint8)):
         for config in (DetectorConfig(), DENSE, configured(nms_radius=15, **EVERYTHING)):
             detector = detector_in_form(image, config)
@@ -133,7 +133,7 @@ WIDTHS = [31, 32, 33, 47, 48, 49, 63, 64, 65, 95, 96, 97, 127, 128, 129, 159, 16
 
 
 @pytest.mark.parametrize("width", some(WIDTHS, (32, 33, 97)))
-def test_widths_around_words_and_vectors(detector_in_form, width):
+def test_widths_around_words_and_vectors_equal_the_oracle(detector_in_form, width):
     """With maxima in the first and in the last column."""
     tall = images.texture((500, width), seed=6)
     seen = set()
@@ -200,14 +200,14 @@ RULES = {
 
 @pytest.mark.parametrize("rule", some(RULES, ("wide cells", "half the noise", "loose")))
 @pytest.mark.parametrize("name", some(["texture", "worn scene", "fine board"], ("texture",)))
-def test_every_setting_of_the_rule(detector_in_form, name, rule):
+def test_every_setting_of_the_rule_equals_the_oracle(detector_in_form, name, rule):
     image, config = EIGHT[name], configured(**RULES[rule])
     detector = detector_in_form(image, config)
     assert_corners_equal(detector, image)
     assert_maps_equal(detector, image)
 
 
-def test_the_largest_harmonics_with_the_largest_factors(detector_in_form):
+def test_the_largest_harmonics_fit_with_the_largest_factors(detector_in_form):
     """Products of two second harmonics and a factor are beyond 32 bits."""
     y, x = np.indices(images.SHAPE)
     image = np.where((x // 12 + y // 12) % 2 == 0, 0, 255).astype(np.uint8)
@@ -266,7 +266,7 @@ def test_a_mask_leaves_corners_inside_and_suppression_as_it_is(detector_in_form)
     assert 0 < len(corners) < whole.sum()
 
 
-def test_a_corner_in_every_place_of_a_band(detector_in_form):
+def test_a_corner_is_found_in_every_row_of_a_band(detector_in_form):
     """The list is in (y, x) order, whatever the order in which work-items found its entries."""
     tile = corner(20, 20, 0.35)[:31, :31]
     image = np.ascontiguousarray(np.tile(tile, (5, 4)))

@@ -50,7 +50,7 @@ def test_a_larger_radius_keeps_fewer(detector_for):
 
 
 @pytest.mark.parametrize("name", ["texture", "worn scene", "board"])
-def test_the_responses_of_three_thresholds_together(detector_for, name):
+def test_the_responses_of_three_thresholds_add_up(detector_for, name):
     maps = check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
     assert maps.response.shape == maps.maximum.shape == images.SHAPE
 
@@ -89,7 +89,7 @@ def test_a_plateau_has_one_winner_the_first_in_raster_order(detector_for):
     "shape", some([(1, 1), (1, 31), (31, 1), (3, 2), (29, 31)], ((1, 1), (29, 31)))
 )
 @pytest.mark.parametrize("radius", some([3, 7], (7,)))
-def test_windows_larger_than_the_image(detector_for, shape, radius):
+def test_windows_larger_than_the_image_equal_the_oracle(detector_for, shape, radius):
     check(detector_for, noise(shape, seed=6), nms_radius=radius)
 
 

@@ -130,7 +130,7 @@ def test_lines_say_how_sure_they_are(detector_for):
     [{"criteria": SpectralCriteria()}, {"threshold": AdaptiveMean(masks=3)}, {"outer_radius": 4}],
     ids=["spectral", "three thresholds", "radius 4"],
 )
-def test_after_every_kind_of_response(detector_for, changes):
+def test_positions_after_every_kind_of_response_equal_the_oracles(detector_for, changes):
     corners = check(detector_for, EIGHT["scene"], "edge lines", **changes)
     assert (corners.method == Method.EDGE_LINES).sum() > 5
 

@@ -30,7 +30,7 @@ def test_every_map_is_the_oracles(detector_for, name):
 @pytest.mark.parametrize(
     "name", some(["noise", "texture", "worn scene", "fine board"], ("texture",))
 )
-def test_with_the_gate_and_the_smaller_ring(detector_for, name):
+def test_the_gate_with_the_smaller_ring_equals_the_oracle(detector_for, name):
     check(
         detector_for,
         EIGHT[name],

@@ -28,7 +28,7 @@ def stripe(width: float, angle: float = 0, offset: float = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("radius", [4, 5])
-def test_a_diagonal_corner_by_hand(radius):
+def test_a_diagonal_corner_has_the_values_worked_out_by_hand(radius):
     found = at_centre(np.abs(X) > np.abs(Y), RapidCriteria(), radius)
     # Inner ring: 3 black samples about three and nine o'clock, the diagonals white: 3 5 3 5.
     assert found["inner_transitions"] == 4
@@ -40,7 +40,7 @@ def test_a_diagonal_corner_by_hand(radius):
     assert found["response"] == 5
 
 
-def test_an_upright_corner_by_hand():
+def test_an_upright_corner_has_the_values_worked_out_by_hand():
     found = at_centre((X > 0) ^ (Y > 0), RapidCriteria())
     # From one o'clock 4 black, 3 white, 4 black, 5 white: the axes belong to the upper left.
     assert found["sector_difference"] == 2

@@ -110,7 +110,7 @@ def test_an_image_without_pixels_has_no_corners(config, shape):
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 2), (3, 3), (5, 4), (11, 10)])
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
-def test_images_smaller_than_ring_and_window(config, shape):
+def test_images_smaller_than_ring_and_window_have_maps_of_their_shape(config, shape):
     image = noise(shape, seed=3)
     maps = reference.maps(image, config)
     assert maps.maximum.shape == shape

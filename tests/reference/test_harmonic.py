@@ -80,7 +80,7 @@ def test_the_corners_equal_the_vector(vector):
 # --- by definition -------------------------------------------------------------------------
 
 
-def test_a_ring_by_hand():
+def test_a_ring_has_the_values_worked_out_by_hand():
     values = np.zeros((21, 21), np.int64)
     far, near = 5, 4
     places = [(0, -5), (4, -4), (5, 0), (4, 4), (0, 5), (-4, 4), (-5, 0), (-4, -4)]
@@ -359,7 +359,7 @@ def test_a_flat_image_has_no_corner(shape, level):
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 40), (3, 3), (7, 5), (11, 10)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_images_smaller_than_the_ring(shape, dtype):
+def test_images_smaller_than_the_ring_have_maps_of_their_shape(shape, dtype):
     image = noise(shape, seed=3).astype(dtype) * (257 if dtype == np.uint16 else 1)
     maps = reference.maps(image, DetectorConfig())
     assert maps.maximum.shape == maps.fine.shape == shape

@@ -43,7 +43,7 @@ def sparse(shape: tuple[int, int], share: float, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("radius", [1, 3, 5])
 @pytest.mark.parametrize("share", [0.05, 0.5, 1.0])
 @pytest.mark.parametrize("shape", [(1, 1), (2, 9), (19, 23)])
-def test_maxima_by_a_walk(radius, share, shape):
+def test_maxima_are_those_of_a_walk_over_the_pixels(radius, share, shape):
     response = sparse(shape, share, seed=radius)
     score = nms.score(response)
     for row, column in np.ndindex(shape):
@@ -67,12 +67,12 @@ def test_an_endless_plateau_keeps_maxima_apart():
     assert (distance[~np.eye(len(row), dtype=bool)] > 3).all()
 
 
-def test_no_response_no_maximum():
+def test_an_image_without_a_response_has_no_maximum():
     response = np.zeros((8, 8), np.int32)
     assert not nms.maxima(response, nms.score(response), 3).any()
 
 
-def test_the_centroid_and_its_rounding():
+def test_the_centroid_is_rounded_halves_up():
     response = np.zeros((20, 20), np.int32)
     response[9, 9], response[9, 10], response[11, 10], response[9, 12] = 5, 3, 2, 5
     centroid, rounded = nms.centroids(response, np.array([9]), np.array([9]))

@@ -10,7 +10,7 @@ from corner_images import board, corner, noise
 from cmp_cl import reference
 from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines
 from cmp_cl.corners import Corners, Method, Refusal
-from cmp_cl.reference import refine, ring
+from cmp_cl.reference import edge_lines, edge_step, edges, midlines, refine, ring
 
 RNG = np.random.default_rng(11)
 PLACES = [
@@ -30,7 +30,7 @@ def one(image: np.ndarray, refinement: object, **changes: object) -> Corners:
 
 @pytest.mark.parametrize(("radius", "points"), [(3, 16), (4, 24), (5, 28)])
 def test_the_circles_are_round_and_begin_at_twelve_oclock(radius, points):
-    circle = refine.circle(radius)
+    circle = edges.circle(radius)
     assert len(circle) == len(set(circle)) == points
     assert circle[0] == (0, -radius)
     assert circle[points // 4] == (radius, 0)
@@ -38,7 +38,7 @@ def test_the_circles_are_round_and_begin_at_twelve_oclock(radius, points):
 
 
 def test_the_inner_circle_is_that_of_the_sampler():
-    assert refine.circle(3) == ring.INNER
+    assert edges.circle(3) == ring.INNER
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_every_refined_corner_has_a_sigma_and_the_step_doubts():
     corners = found(image, EdgeStep(cell=11))
     stepped = corners.method == Method.EDGE_STEP
     assert stepped.sum() > 0.8 * len(truth)
-    assert (corners.sigma[stepped] >= refine.STEP_ERROR).all()
+    assert (corners.sigma[stepped] >= edge_step.STEP_ERROR).all()
     assert np.array_equal(np.isnan(corners.sigma), corners.method == Method.KEPT)
     assert 0 < corners.doubtful.sum() < 0.2 * len(corners)
     torn = np.linalg.norm(corners.xy - np.array([75, 63]), axis=1) < 25
@@ -124,8 +124,8 @@ def test_sigma_of_lines_is_that_of_their_crossing():
     fitted = np.polyval(straight, points.point[0, :, [0, 2], 0].reshape(-1))
     squares = np.sum((points.point[0, :, [0, 2], 1].reshape(-1) - fitted) ** 2)
     variance = squares / 8 / 6  # 12 points less 2 lines of 2 parameters; 6 points a line
-    expected = math.sqrt(refine.LINES_ERROR**2 + variance)
-    np.testing.assert_allclose(refine.lines_sigma(points), expected, rtol=1e-3)
+    expected = math.sqrt(edge_lines.LINES_ERROR**2 + variance)
+    np.testing.assert_allclose(edge_lines.lines_sigma(points), expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize("refinement", [EdgeLines(), EdgeStep(cell=11)], ids=["lines", "step"])
@@ -239,11 +239,11 @@ def test_bent_sectors_have_centrelines_that_meet():
     assert not np.array_equal(linear, curved)
 
 
-def rays(angles: list[float]) -> refine.EdgePoints:
+def rays(angles: list[float]) -> edges.EdgePoints:
     """Return edge points where four rays from the start meet circles of 3, 4 and 5 px."""
     unit = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     point = np.array([3.0, 4.0, 5.0])[:, None, None] * unit
-    return refine.EdgePoints(
+    return edges.EdgePoints(
         point=point[None],
         valid=np.ones((1, 3), np.bool_),
         direction=3 * unit[None],
@@ -253,10 +253,10 @@ def rays(angles: list[float]) -> refine.EdgePoints:
 
 def test_the_midpoints_of_rays_meet_where_the_rays_do():
     for fit in Fit:
-        shift, method, _, _ = refine.midlines(rays([-0.5, 0.9, 1.7, 2.9]), fit, 2.0)
+        shift, method, _, _ = midlines.midlines(rays([-0.5, 0.9, 1.7, 2.9]), fit, 2.0)
         assert method[0] == Method.MIDLINE
         np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
-    shift, method, why, _ = refine.midlines(rays([-0.5, 0.9, 2.64, 4.04]), Fit.LINEAR, 2.0)
+    shift, method, why, _ = midlines.midlines(rays([-0.5, 0.9, 2.64, 4.04]), Fit.LINEAR, 2.0)
     assert (method[0], why[0]) == (Method.CUSP, Refusal.ANGLE)
     np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
 
@@ -265,7 +265,7 @@ def test_lines_at_a_small_angle_are_refused():
     kept, taken = (Method.KEPT, Refusal.ANGLE), (Method.EDGE_LINES, Refusal.NONE)
     for angle, expected in [(0.16, kept), (0.18, taken)]:
         points = rays([0.0, angle, math.pi, math.pi + angle])
-        _, method, refusal, _ = refine.edge_lines(points, 2.0, 1.0)
+        _, method, refusal, _ = edge_lines.edge_lines(points, 2.0, 1.0)
         assert (method[0], refusal[0]) == expected
 
 
@@ -278,7 +278,7 @@ def test_edge_points_off_their_lines_are_refused(scale, off, expected):
     sideways = np.array([0.5, -1.0, 0.5]) * np.sqrt(2) * off / scale  # their mean square is off^2
     points.point[0, :, 0, 1] += sideways
     points.point[0, :, 2, 1] += sideways
-    _, method, refusal, margin = refine.edge_lines(points, 2.0 / scale, scale)
+    _, method, refusal, margin = edge_lines.edge_lines(points, 2.0 / scale, scale)
     assert method[0] == expected
     assert (refusal[0] == Refusal.RESIDUAL) == (expected == Method.KEPT)
     assert margin[0] == pytest.approx(abs(off**2 - 0.25) / 0.25, rel=1e-6)
@@ -300,9 +300,9 @@ def test_quadratic_centrelines_meet_where_parabolas_meet():
     t = np.array([3.0, 4.0, 5.0])
     middle[0, :, 0] = np.stack([t, 0.1 * t * t], axis=1)  # y = x^2 / 10
     middle[0, :, 1] = np.stack([0.1 * t * t, -t], axis=1)  # x = y^2 / 10
-    lines = [refine.fit_lines(middle[:, :, k], np.ones((1, 3), np.bool_)) for k in (0, 1)]
-    straight = refine.intersect(*lines)
-    curved = refine._intersect_curves(*lines, middle, straight.position)
+    lines = [edges.fit_lines(middle[:, :, k], np.ones((1, 3), np.bool_)) for k in (0, 1)]
+    straight = edges.intersect(*lines)
+    curved = midlines._intersect_curves(*lines, middle, straight.position)
     # Not the origin exactly: v is quadratic along a turned axis.
     assert np.linalg.norm(curved.position) < np.linalg.norm(straight.position) / 3
 
@@ -322,23 +322,23 @@ def test_far_from_the_origin_a_corner_moves_by_exactly_that(far):
 @pytest.mark.parametrize("speck", [2, 8, 14, 20])
 def test_a_ring_with_a_speck_is_mended_by_a_majority(speck):
     clean = np.where(np.arange(24) // 6 % 2 == 0, -50.0, 50.0)[None]
-    offsets = np.array(refine.circle(4), np.float64)
-    expected, four, _ = refine._ring_edges(offsets, clean)
+    offsets = np.array(edges.circle(4), np.float64)
+    expected, four, _ = edges._ring_edges(offsets, clean)
     assert four[0]
     dirty = clean.copy()
     dirty[0, speck] *= -1
-    mended, four, _ = refine._ring_edges(offsets, dirty)
+    mended, four, _ = edges._ring_edges(offsets, dirty)
     assert four[0]
     np.testing.assert_array_equal(mended, expected)
     dirty[0, [(speck + 12) % 24, (speck + 13) % 24]] *= -1
-    assert not refine._ring_edges(offsets, dirty)[1][0]
+    assert not edges._ring_edges(offsets, dirty)[1][0]
 
 
 def test_boundaries_across_twelve_o_clock_are_matched_between_rings():
     """The line passes twelve o'clock on one side at 3 px and on the other at 5 px."""
     image = corner(20.45, 20, -math.atan2(0.45, 4))
     start = np.array([[20, 20]])
-    points = refine.edge_points(image, start, 1.0)
+    points = edges.edge_points(image, start, 1.0)
     assert points.valid.all()
     upper = points.point[0, :, :, 1].argmin(axis=1)
     assert len(set(upper)) == 1
@@ -366,10 +366,10 @@ def test_a_step_from_nearby_reaches_the_model(angles):
     for t in ([0.02, -0.03], [-0.04, 0.01]):
         image = model(20 + t[0], 20 + t[1], angles)
         start = np.array([[20, 20]])
-        step = refine.edge_step(image, start, np.zeros((1, 2)), points, EdgeStep(), 1.0)
+        step = edge_step.edge_step(image, start, np.zeros((1, 2)), points, EdgeStep(), 1.0)
         assert step.accepted[0]
         np.testing.assert_allclose(step.position, [t], atol=1e-3)
-        assert step.sigma[0] == pytest.approx(refine.STEP_ERROR, rel=0.3)
+        assert step.sigma[0] == pytest.approx(edge_step.STEP_ERROR, rel=0.3)
 
 
 def step_by_least_squares(
@@ -377,7 +377,6 @@ def step_by_least_squares(
 ) -> tuple[np.ndarray, float, float]:
     """Return step, tr rho^2 and ac with a general solver, pixel by pixel."""
     normals = np.array([(-math.sin(angle), math.cos(angle)) for angle in angles])
-    r0 = min(4, radius / 2)
     rows = {}
     for dy in range(-12, 13):
         for dx in range(-12, 13):
@@ -387,47 +386,75 @@ def step_by_least_squares(
             a, b = normals @ u / 1.2
             qa, qb = 1 / math.hypot(1, a), 1 / math.hypot(1, b)
             f, g = a * qa, b * qb
-            weight = (1 - distance**2 / radius**2) * min(1, distance**2 / r0**2)
+            weight = min(1, 4 * (1 - distance**2 / radius**2))
             grey = float(image[start + dy, start + dx])
-            rows[dx, dy] = (weight, f * g, qa**3 * g / 1.2, f * qb**3 / 1.2, grey)
-    weight, p, da, db, grey = np.array(list(rows.values())).T
+            rows[dx, dy] = (weight, f * g, qa**3 * g / 1.2, f * qb**3 / 1.2, *u, grey)
+    weight, p, da, db, ux, uy, grey = np.array(list(rows.values())).T
     root = np.sqrt(weight)
     m, c = np.linalg.lstsq(root[:, None] * np.stack([p * 0 + 1, p], axis=1), root * grey)[0]
-    residual = dict(zip(rows, grey - m - c * p, strict=True))
-    slopes = root[:, None] * np.stack([da, db], axis=1) @ normals
-    step = np.linalg.lstsq(-c * slopes, root * np.array(list(residual.values())))[0]
-    rho = math.sqrt((weight * np.array(list(residual.values())) ** 2).sum() / weight.sum()) / abs(c)
-    variance = np.trace(np.linalg.inv(slopes.T @ slopes)) * rho**2
-    pairs = [
-        (rows[dx, dy][0], residual[dx, dy] * residual[dx + 1, dy] / c**2)
+    residual = grey - m - c * p
+    slopes = -c * np.stack([da, db], axis=1) @ normals
+    light = np.stack([ux, uy], axis=1) * (1 + c / max(m, abs(c)) * p)[:, None]
+    whole = root[:, None] * np.concatenate([slopes, light], axis=1)
+
+    # Freely first: how much better the light's gradient makes the fit, and the noise that is left.
+    free, left = np.linalg.lstsq(whole, root * residual)[:2]
+    _, left_by_edges = np.linalg.lstsq(whole[:, :2], root * residual)[:2]
+    noise = left[0] / weight.sum()
+    surely = max(0, 1 - 9 * noise / (left_by_edges[0] - left[0]))
+    expected = (1e-3 * max(m, abs(c))) ** 2 + surely * (free[2:] ** 2).sum() / 2
+    prior = math.sqrt(noise / expected) * np.eye(4)[2:]
+    held = np.concatenate([whole, prior])
+    fitted = np.linalg.lstsq(held, np.append(root * residual, [0, 0]))[0]
+
+    by_pixel = dict(zip(rows, residual, strict=True))
+    alike = sum(
+        rows[dx, dy][0] * by_pixel[dx, dy] * by_pixel[dx + 1, dy]
         for dx, dy in rows
         if (dx + 1, dy) in rows
-    ]
-    correlation = sum(w * v for w, v in pairs) / sum(w for w, _ in pairs)
-    return step, variance, correlation
+    )
+    explained = (weight * residual**2).sum()
+    explained -= (weight * (residual - light @ fitted[2:]) ** 2).sum()
+    rho2 = ((weight * residual**2).sum() - alike) / weight.sum()
+    variance = np.trace(np.linalg.inv(held.T @ held)[:2, :2]) * rho2
+    return fitted[:2], variance, (alike - explained) / weight.sum() / c**2
 
 
 @pytest.mark.parametrize("cell", [6, 9, 12])
-def test_a_step_is_weighted_least_squares(cell):
+@pytest.mark.parametrize("light", [0.0, 0.02])
+def test_a_step_is_weighted_least_squares(cell, light):
     angles = (0.2, 1.5)
-    rough = model(20.1, 19.9, angles) // 64
+    across = 1 + light * (np.arange(41) - 20)
+    rough = (model(20.1, 19.9, angles) // 64 * across).astype(np.uint16)
     image = (rough + noise(rough.shape, seed=cell) // 4).astype(np.uint16)
     start, shift = np.array([[20, 20]]), np.array([[0.04, -0.05]])
     radius = min(max(0.75 * cell, 4.5), 9)
     step, variance, correlation = step_by_least_squares(image, 20, shift[0], angles, radius)
     normals = [np.array([[-math.sin(angle), math.cos(angle)]]) for angle in angles]
-    terms = refine._step_terms(image, start, shift, *normals, radius)
+    terms = edge_step._step_terms(image, start, shift, *normals, radius)
     np.testing.assert_allclose(terms[0], [step], rtol=1e-8)
     assert terms[1][0]
     np.testing.assert_allclose(terms[2], variance, rtol=1e-8)
     np.testing.assert_allclose(terms[3], correlation, rtol=1e-8)
     points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
     refinement = EdgeStep(cell=cell)
-    found = refine.edge_step(image, start, shift, points, refinement, 1.0)
+    found = edge_step.edge_step(image, start, shift, points, refinement, 1.0)
     np.testing.assert_allclose(found.position, shift + step, rtol=1e-8)
     np.testing.assert_allclose(
-        found.sigma, math.sqrt(refine.STEP_ERROR**2 + variance / 4), rtol=1e-8
+        found.sigma, math.sqrt(edge_step.STEP_ERROR**2 + variance / 2), rtol=1e-8
     )
+
+
+def test_uneven_light_moves_no_corner():
+    """Light that grows by 2 % a px would move the step by 0.18 px if nobody counted it."""
+    angles = (0.9, 2.0)
+    points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
+    across = 1 + 0.02 * (np.arange(41) - 20)
+    image = np.rint(model(20.02, 19.97, angles) / 2 * across).astype(np.uint16)
+    step = edge_step.edge_step(
+        image, np.array([[20, 20]]), np.zeros((1, 2)), points, EdgeStep(cell=12), 1.0
+    )
+    np.testing.assert_allclose(step.position, [[0.02, -0.03]], atol=3e-4)
 
 
 def test_a_step_of_more_than_0_3_px_is_refused():
@@ -435,7 +462,7 @@ def test_a_step_of_more_than_0_3_px_is_refused():
     start = np.array([[20, 20]])
     for t, accepted in [(0.25, True), (0.4, False)]:
         image = model(20 + t, 20, (0.2, 1.7))
-        step = refine.edge_step(image, start, np.zeros((1, 2)), points, EdgeStep(), 1.0)
+        step = edge_step.edge_step(image, start, np.zeros((1, 2)), points, EdgeStep(), 1.0)
         assert step.accepted[0] == accepted
         assert step.refusal[0] == (Refusal.NONE if accepted else Refusal.SHIFT)
         assert np.isnan(step.sigma[0]) != accepted
@@ -444,7 +471,9 @@ def test_a_step_of_more_than_0_3_px_is_refused():
 def test_a_step_without_contrast_is_refused():
     points = rays([0.2, 1.7, 0.2 + math.pi, 1.7 + math.pi])
     grey = np.full((41, 41), 90, np.uint8)
-    step = refine.edge_step(grey, np.array([[20, 20]]), np.zeros((1, 2)), points, EdgeStep(), 1.0)
+    step = edge_step.edge_step(
+        grey, np.array([[20, 20]]), np.zeros((1, 2)), points, EdgeStep(), 1.0
+    )
     assert step.refusal[0] == Refusal.FLAT
 
 
@@ -463,7 +492,7 @@ def test_the_margin_tells_how_near_a_guard_is():
 
 def test_radii_follow_the_working_scale():
     image = corner(20.3, 20.4, 0.7)
-    offsets, greys = refine.ring_samples(image, np.array([[20, 20]]), 3, 0.5)
+    offsets, greys = edges.ring_samples(image, np.array([[20, 20]]), 3, 0.5)
     assert greys.shape == (1, 32)
     np.testing.assert_allclose(np.hypot(*offsets.T), 6)
     np.testing.assert_allclose(offsets[[0, 8]], [[0, -6], [6, 0]], atol=1e-12)
@@ -473,10 +502,10 @@ def test_radii_follow_the_working_scale():
 def test_grey_levels_between_pixels_are_those_worked_out_by_hand():
     image = np.array([[0, 100], [50, 250]], np.uint8)
     x, y = np.array([0.25, 0.5, -3.0, 1.0]), np.array([0.0, 0.5, 0.0, 9.0])
-    np.testing.assert_allclose(refine.bilinear(image, x, y), [25, 100, 0, 250])
+    np.testing.assert_allclose(edges.bilinear(image, x, y), [25, 100, 0, 250])
 
 
 def test_the_threshold_lies_between_the_quarters():
     greys = np.array([[*range(10, 18), *range(100, 108)]], np.float64)
     expected = ((10 + 11 + 12 + 13) / 4 + (104 + 105 + 106 + 107) / 4) / 2
-    assert refine.threshold(greys)[0] == expected
+    assert edges.threshold(greys)[0] == expected

@@ -29,14 +29,14 @@ def test_half_scale_is_the_mean_of_four():
     assert scale.to_working(image, 0.5).tolist() == [[25]]
 
 
-def test_weights_at_three_quarters_by_hand():
+def test_weights_at_three_quarters_are_those_worked_out_by_hand():
     index, weight = scale.weights(4, 0.75)
     # Intervals 0..4/3, 4/3..8/3, 8/3..4: shares 3/4 1/4, 1/2 1/2, 1/4 3/4.
     assert index.tolist() == [[0, 1], [1, 2], [2, 3]]
     assert weight.tolist() == [[1536, 512], [1024, 1024], [512, 1536]]
 
 
-def test_weights_at_double_scale_by_hand():
+def test_weights_at_double_scale_are_those_worked_out_by_hand():
     index, weight = scale.weights(2, 2.0)
     # Positions -1/4, 1/4, 3/4, 5/4; the border pixel is repeated.
     assert index.tolist() == [[0, 0], [0, 1], [0, 1], [1, 1]]
@@ -121,7 +121,7 @@ def test_the_pyramid_takes_the_nearest_count_and_the_larger_of_equals():
 
 
 @pytest.mark.parametrize("factor", [0.05, 0.6, 3.0])
-def test_tiny_images_at_a_scale(factor):
+def test_tiny_images_at_a_scale_have_their_corners_within_them(factor):
     for shape in [(1, 1), (2, 5), (9, 1)]:
         corners = reference.detect(noise(shape), DetectorConfig(scale=factor))
         assert np.isfinite(corners.xy).all()

@@ -43,7 +43,7 @@ def test_magnitudes_are_those_of_the_transform():
             assert spectral.magnitudes()[mask, n - 1] == pytest.approx(abs(value), abs=1e-12)
 
 
-def test_correlation_and_phase_by_their_definitions():
+def test_correlation_and_phase_follow_their_definitions():
     largest, best = spectral.cross_correlation(MASKS, OTHERS)
     shift = spectral.smallest_shifts()[best] / 2
     for k, (inner, outer) in enumerate(zip(MASKS, OTHERS, strict=True)):

@@ -8,7 +8,7 @@ import pytest
 from cmp_cl import reference
 from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, RapidCriteria, SectorContrast
 
-FOLDER = Path(__file__).resolve().parents[3] / "shared" / "vectors"
+FOLDER = Path(__file__).resolve().parents[1] / "data"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.npz") if not path.stem.startswith("harmonic-"))
 MAPS = (
     "binary",
@@ -44,7 +44,6 @@ def load(name: str) -> tuple[dict[str, np.ndarray], DetectorConfig]:
     return vector, config
 
 
-@pytest.mark.skipif(not NAMES, reason="the folder of test vectors is not beside the repository")
 def test_there_are_fifteen_vectors():
     assert len(NAMES) == 15
 

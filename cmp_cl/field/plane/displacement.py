@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import FieldError
-from cmp_cl.grid.filter import Filtered, filter_grid
+from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 
 Array = NDArray[np.float64]
@@ -90,13 +90,12 @@ class PlaneField:
         the position, in `unit`; NaN where unknown. Wear of the print counts in the position.
     status: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     unit: name of the unit of length.
-    raw: the field as it was measured, where this one has been through the lattice filter; None
-        where this one is raw.
-    filtered: what the filter says of the position and of the displacement; None where this field
-        is raw.
+    raw: the field before the lattice filter; None where this one is not filtered.
+    filtered: the filter's results for the position and the displacement; None where this field
+        is not filtered.
     shared: (2, 2, 2, 2) float64, covariances of x and y, in `unit` squared, of the errors at rest
         and now: of a node with the next one of its row, and of its column. The displacement has
-        their sum. None where nothing is known of it.
+        their sum. None where nothing is known of it, and of a filtered field, whose raw one has it.
     """
 
     position: Array
@@ -126,11 +125,11 @@ def plane_displacement(
 ) -> PlaneField:
     """Return the displacement of each node in the plane, now - rest, by its number.
 
-    The difference goes through the lattice filter, and so does the position at rest: see
+    The displacement and the position at rest are filtered over the lattice, see
     `cmp_cl.grid.filter_grid`. scale: from the image to the plane; None means px. raw: leave the
     filter out. The errors are those that the lattice shows, and those of the corners where it is
-    too small to tell. The field has the rows and columns of the grid at rest: a node beyond them
-    has no displacement.
+    too small to tell; what neighbours share of them is in `raw.shared`, see `with_measured_noise`.
+    The field has the rows and columns of the grid at rest: a node beyond them has no displacement.
 
     Raises FieldError where now has not all rows and columns of the grid at rest.
     """
@@ -139,7 +138,7 @@ def plane_displacement(
     now = now.cut_to(rest)
     scale = PlaneScale.pixels() if scale is None else scale
     both = rest.valid & now.valid
-    measured = both & np.isin(rest.status, MEASURED) & np.isin(now.status, MEASURED)
+    seen_at_rest = np.isin(rest.status, MEASURED)
     (before, slope_before), (after, slope_after) = scale(rest.xy), scale(now.xy)
 
     def deviation(grid: Grid, slope: Array) -> Array:
@@ -149,25 +148,36 @@ def plane_displacement(
     missing = np.uint8(NodeStatus.MISSING)
     position = np.where(both[..., None], before, np.nan)
     moved = np.where(both[..., None], after - before, np.nan)
-    at_rest = filter_grid(position, measured=measured)
-    change = filter_grid(moved, measured=measured, bends=True)
+    at_rest = filter_at_rest(before, measured=seen_at_rest)
     own_rest, own_now = deviation(rest, slope_before), deviation(now, slope_after)
+    change = filter_grid(
+        moved,
+        measured=both & seen_at_rest & np.isin(now.status, MEASURED),
+        bends=True,
+        most_noise=noise_of_change(at_rest, own_rest, own_now),
+    )
     unfiltered = PlaneField(
         position=position,
         displacement=moved,
         sigma=_either(change.noise, np.hypot(own_rest, own_now)),
-        sigma_position=_either(at_rest.noise, own_rest),
+        sigma_position=np.where(both, _either(at_rest.noise, own_rest), np.nan),
         status=np.where(both, np.maximum(rest.status, now.status), missing).astype(np.uint8),
         unit=scale.unit,
     )
+    shown = _shown_by_neighbours(unfiltered)
+    known = np.isfinite(unfiltered.sigma)
+    if shown is not None and known.any():
+        variance = np.square(unfiltered.sigma[known]).mean()
+        unfiltered = dataclasses.replace(unfiltered, shared=variance * shown[1])
     if raw:
         return unfiltered
     return dataclasses.replace(
         unfiltered,
-        position=at_rest.values,
+        position=np.where(both[..., None], at_rest.values, np.nan),
         displacement=change.values,
         sigma=_either(change.sigma, np.hypot(own_rest, own_now)),
-        sigma_position=_either(at_rest.sigma, own_rest),
+        sigma_position=np.where(both, _either(at_rest.sigma, own_rest), np.nan),
+        shared=None,
         raw=unfiltered,
         filtered=(at_rest, change),
     )
@@ -192,7 +202,27 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
     Raises FieldError where no 4 x 4 nodes are valid.
     """
     field = field if field.raw is None else field.raw
+    shown = _shown_by_neighbours(field)
+    if shown is None:
+        raise FieldError("no 4 x 4 nodes are valid: they show no noise")
+    variance, shared = shown
+    even = np.where(field.valid, math.sqrt(variance), np.nan)
+    return dataclasses.replace(
+        field,
+        sigma=even,
+        sigma_position=even / math.sqrt(2),
+        shared=variance * shared,
+    )
+
+
+def _shown_by_neighbours(field: PlaneField) -> tuple[float, Array] | None:
+    """Return the variance that the roughness of a raw field shows, and what neighbours share of
+    the errors, (2, 2, 2, 2) like `PlaneField.shared` for a variance of 1; None without 4 x 4 valid
+    nodes.
+    """
     rough = np.diff(np.diff(field.displacement, 2, axis=0), 2, axis=1)
+    if np.isnan(rough).all():
+        return None
     by_moment = np.stack([_across(moment) for moment in (field.position, field.now)]) / 2
     across = by_moment.sum(axis=0)
     products = np.concatenate(
@@ -206,20 +236,13 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
     )
     products = products[~np.isnan(products)]
     if not len(products):
-        raise FieldError("no 4 x 4 nodes are valid: they show no noise")
+        return None
     size = float(np.nanmean(np.square(rough)))
     own, other = np.square(across).sum() / 2, (across[0] * across[1]).sum()
     gain = float(42 * own + 32 * other)  # 42 where rows and columns are square to each other
     ratio = products.mean() / size if size > 0 else -1.0
     part = np.clip((24 + 36 * ratio) / max(gain + 48 * ratio, 1.0), 0, 0.5)
-    variance = size / (36 - 48 * part)
-    even = np.where(field.valid, math.sqrt(variance), np.nan)
-    return dataclasses.replace(
-        field,
-        sigma=even,
-        sigma_position=even / math.sqrt(2),
-        shared=part * variance * by_moment,
-    )
+    return size / (36 - 48 * part), part * by_moment
 
 
 def _across(points: Array) -> Array:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,18 +96,23 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
     valid = field.valid
     known = valid & np.isfinite(field.sigma)
     used = known if known.any() else valid
+    raw = field if field.raw is None else field.raw
     slopes, errors = _local_planes(
         np.concatenate([field.position, field.now], axis=2),
-        np.stack([field.sigma_position, field.sigma], axis=-1),
+        np.stack([raw.sigma_position, raw.sigma], axis=-1),
         used,
         radius,
     )
-    if field.filtered is not None:
-        errors = _shared_errors(field, used, radius)
-    errors = np.eye(2)[:, :, None, None] * errors[:, :, :, None, None]
-    if field.shared is not None:
-        at_rest, now = field.shared
-        errors += _of_neighbours(np.stack([at_rest, at_rest + now]), used, radius)
+    added: Any = 0.0
+    if raw.shared is not None:
+        at_rest, now = raw.shared
+        added = _of_neighbours(np.stack([at_rest, at_rest + now]), used, radius)
+    if field.filtered is not None:  # it lessens what neighbours share as it lessens the rest
+        own, errors = errors, _shared_errors(field, used, radius)
+        before, after = (np.einsum("...aa->...a", each) for each in (own, errors))
+        less = np.sqrt(np.divide(after, before, out=np.zeros_like(after), where=before > 0))
+        added = added * np.einsum("rcma,rcmb->rcmab", less, less)[:, :, :, None, None]
+    errors = np.eye(2)[:, :, None, None] * errors[:, :, :, None, None] + added
     before, after = slopes[..., :2], slopes[..., 2:]
     size = np.square(before).sum(axis=(-2, -1))
     area = before[..., 0, 0] * before[..., 1, 1] - before[..., 0, 1] * before[..., 1, 0]

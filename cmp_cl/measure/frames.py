@@ -1,54 +1,35 @@
-"""Measuring frames against a frame at rest, and finding patterns and boards.
-
-A field for every frame of a film that shows two views side by side, for example through mirrors:
-
-    import cmp_cl
-
-    rig = cmp_cl.StereoRig.load("rig.yaml")
-    frames = cmp_cl.media.read_frames("press.mp4")
-    rest = next(frames).image
-    split = cmp_cl.BinocularSplit.halves(width=rest.shape[1], height=rest.shape[0])
-    with cmp_cl.measure.TwoViews(rest, rig, split, shape=(12, 12)) as measure:
-        for frame in frames:
-            if frame.image is not None:
-                measure(frame.image).field.save(f"press-{frame.index:04}.vtp")
-
-`OneView` does the same in the image, with one camera. `find_boards` returns the pairs of grids from
-which `cmp_cl.calibrate` makes the rig.
-"""
+"""Frames measured against the frame at rest, in one view and in two."""
 
 import contextlib
 import dataclasses
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.cell import estimate_blur, estimate_cells
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
 from cmp_cl.field import DisplacementField, displacement
-from cmp_cl.grid import Grid, NodeStatus, align, build_grid, filter_positions
-from cmp_cl.grid.align import row_direction
+from cmp_cl.grid import Grid, build_grid, filter_positions
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.measure.patterns import (
+    Region,
+    align_views,
+    check_size,
+    exact_config,
+    find_pattern,
+    selected,
+)
+from cmp_cl.opencl.device import Device
 from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
-
-Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 BRIDGED = 1  # frames without a grid over which numbers are continued: after more, a motion of
 # half a cell a frame can reach the next place that looks alike
-MAX_SIGMA = 0.2  # px: corners of a board that are less certain are not used
-_MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
-_USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried where the estimate does not find the pattern
-
-
-# frames against the frame at rest
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -158,7 +139,7 @@ class OneView(Measurement):
     ) -> None:
         super().__init__()
         self._raw = raw
-        search = _Search(_selected(device), shape, config, full_scale, track)
+        search = _Search(selected(device), shape, config, full_scale, track)
         self._pattern = _Pattern(rest, search, region)
         self._detectors.enter_context(self._pattern.detector)
         self.unit = "px"
@@ -234,7 +215,7 @@ class TwoViews(Measurement):
         self._raw = raw
         self._rig = rig
         self._split = split
-        search = _Search(_selected(device), shape, config, full_scale, track)
+        search = _Search(selected(device), shape, config, full_scale, track)
         with contextlib.ExitStack() as stack:
             patterns = []
             for side, view, region in zip(("left", "right"), split(rest), regions, strict=True):
@@ -350,7 +331,7 @@ class _Pattern:
             self.corners, self.rest = self.detector.grid(view, shape=shape, region=region)
             if not self.rest.valid.any():
                 raise GridError("no pattern is seen")
-            _check_size(self.rest)
+            check_size(self.rest)
             stack.pop_all()
 
     def find(self, view: GreyImage) -> tuple[Corners, Grid]:
@@ -385,191 +366,3 @@ def _without_nodes(rest: Grid, corners: int) -> Grid:
         index=np.full((corners, 2), -1, np.int32),
         origin=rest.origin,
     )
-
-
-def _selected(device: Device | str | None) -> Device:
-    return device if isinstance(device, Device) else select_device(device)
-
-
-# patterns of unknown cells
-
-
-def find_pattern(
-    view: GreyImage,
-    *,
-    shape: tuple[int, int] | None = None,
-    region: Region | None = None,
-    full_scale: int | None = None,
-    device: Device | str | None = None,
-) -> tuple[float, Grid]:
-    """Find a pattern whose cell size nobody has given; return its cell, px, and its grid.
-
-    The arguments are those of `OneView`. The estimated cell and some usual ones are tried. The
-    first that shows all nodes of a known shape, or a grid of most corners, ends the search;
-    else the one with the most detected nodes wins.
-
-    Raises GridError where no cell shows a pattern or it seems to have another size, and what
-    `Detector` raises.
-    """
-    device = _selected(device)
-    best: Grid | None = None
-    why = "no closed cell is seen"
-    configs = (DetectorConfig.for_image(view), *map(DetectorConfig.for_cell, _USUAL_CELLS))
-    for config in configs:
-        config = config.replace(full_scale=full_scale)
-        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
-            try:
-                corners, grid = detector.grid(view, shape=shape, region=region)
-            except GridError as error:
-                why = str(error)
-                continue
-        if _detected(grid) > (0 if best is None else _detected(best)):
-            best = grid
-        enough = len(corners) / 2 if shape is None else grid.status.size - 1
-        if _detected(grid) > enough:
-            break
-    cell = np.nan if best is None else cell_of(best)
-    if best is None or not cell >= 4:
-        size = "" if shape is None else f" of {shape[0]} x {shape[1]} corners"
-        raise GridError(f"no pattern{size} is found: {why}")
-    _check_size(best)
-    return cell, best
-
-
-def _check_size(grid: Grid) -> None:
-    """Raise GridError where the pattern seems to have another number of corners."""
-    if grid.seen_shape is not None:
-        raise GridError(grid.doubts[0])
-
-
-def _detected(grid: Grid) -> int:
-    """Count the nodes that the detector itself has found."""
-    return int(np.count_nonzero(grid.status == NodeStatus.DETECTED))
-
-
-def cell_of(grid: Grid) -> float:
-    """Return the median side of a grid's cells, px, NaN where there is none."""
-    sides = [np.linalg.norm(np.diff(grid.xy, axis=axis), axis=2).ravel() for axis in (0, 1)]
-    known = np.concatenate(sides)
-    known = known[np.isfinite(known)]
-    return float(np.median(known)) if len(known) else float("nan")
-
-
-def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
-    """Return the most complete and exact settings for a deformed pattern of such cells, px.
-
-    They are those of `DetectorConfig.for_cell`.
-    """
-    return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
-
-
-# rigid boards
-
-
-def find_boards(
-    views: tuple[GreyImage, GreyImage],
-    shape: tuple[int, int],
-    *,
-    max_sigma: float = MAX_SIGMA,
-    full_scale: int | None = None,
-    regions: tuple[Region | None, ...] = (None, None),
-    device: Device | str | None = None,
-) -> tuple[Grid, Grid]:
-    """Find a rigid board in two views; return grids numbered alike, of trusted corners alone.
-
-    The result is one of the pairs that `cmp_cl.calibrate` takes. shape: (rows, columns) of
-    the board's inner corners. max_sigma: the largest standard deviation of a corner that is
-    used, px. The other arguments are those of `TwoViews`.
-
-    Raises GridError where a view does not show all four sides of the board, because its corners
-    cannot be told apart then.
-    """
-    device = _selected(device)
-    grids = []
-    for view, region, side in zip(views, regions, ("left", "right"), strict=True):
-        try:
-            grid = find_board(view, shape, region=region, full_scale=full_scale, device=device)
-        except GridError as error:
-            raise GridError(f"the {side} view: {error}") from error
-        grids.append(grid)
-    left, right = grids
-    return trusted(left, max_sigma), trusted(align_views(left, right), max_sigma)
-
-
-def find_board(
-    view: GreyImage,
-    shape: tuple[int, int],
-    *,
-    region: Region | None = None,
-    full_scale: int | None = None,
-    device: Device | str | None = None,
-) -> Grid:
-    """Find a rigid board of (rows, columns) inner corners; return its grid.
-
-    Corners are refined at the scale that `DetectorConfig.for_image` chooses, if all of them are
-    found there. Else they are refined at full size too: there the rings are smaller in terms of
-    the board, and do not extend past narrow outer squares. The scale with more corners counts.
-
-    Raises GridError where the view does not show corners of all four sides of the board.
-    """
-    device = _selected(device)
-    cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
-    blur = estimate_blur(view, estimate_cells(view)._replace(side=cell))
-    scaled = DetectorConfig.for_cell(cell, blur=blur).replace(full_scale=full_scale)
-    grids = []
-    for config in dict.fromkeys((scaled, scaled.replace(scale=None))):
-        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
-            grids.append(detector.grid(view, shape=shape, region=region)[1])
-        if _detected(grids[-1]) == shape[0] * shape[1]:
-            break
-    grid = max(grids, key=_detected)
-    _check_size(grid)
-    seen = grid.status == NodeStatus.DETECTED
-    if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
-        raise GridError(
-            f"it shows {_detected(grid)} of {seen.size} corners, and not those of every side"
-        )
-    return grid
-
-
-def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
-    """Return the grid of a board behind the lattice filter, of the nodes that calibration may use.
-
-    Left out are nodes that were not detected, or whose own image is less certain than max_sigma,
-    px. The sigma of the others is that of their filtered positions.
-    """
-    good = (grid.status == NodeStatus.DETECTED) & (grid.sigma <= max_sigma)
-    kept = dataclasses.replace(
-        grid,
-        xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
-        status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
-        sigma=np.where(good, grid.sigma, np.float32(np.nan)),
-    )
-    return filter_positions(kept)[0]
-
-
-def square_sides(points: Points3D) -> NDArray[np.float64]:
-    """Return the distances between neighbouring nodes that were placed, (N,), in their unit."""
-    sides = [np.linalg.norm(np.diff(points.xyz, axis=axis), axis=2).ravel() for axis in (0, 1)]
-    every: NDArray[np.float64] = np.concatenate(sides)
-    return every[np.isfinite(every)]
-
-
-# two views of one pattern
-
-
-def align_views(left: Grid, right: Grid) -> Grid:
-    """Return the right grid numbered as the left one is, see `cmp_cl.align`.
-
-    The two cameras of a rig have nearly the same side up. If the rows of the two views differ by
-    more than 60 degrees, one of the views is numbered wrongly.
-
-    Raises GridError where shapes, colours or the directions of the rows do not agree.
-    """
-    aligned = align([left, right])[1]
-    if not abs(np.angle(row_direction(aligned) / row_direction(left))) <= _MOST_ROTATED:
-        raise GridError(
-            "the two views cannot be numbered alike: by their checker colours the directions of "
-            "their rows do not agree"
-        )
-    return aligned

@@ -1,0 +1,1 @@
+"""The sections of the report: each makes Markdown of the results of one measurement."""

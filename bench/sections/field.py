@@ -1,0 +1,103 @@
+"""Fields in space."""
+
+from field import grouped
+from positions import mean_interval, rms_interval
+
+from sections.tables import INTERVALS, Row, conditions, percent, share_of, table, within
+
+
+def field(result: Row) -> str:
+    parts = ["## Fields in space", conditions(result)]
+    rows, columns = result["view"]
+    parts.append(
+        f"Rendered pairs: two views of {columns} x {rows} with {result['markers']} x "
+        f"{result['markers']} corners of a pattern 32 mm wide, through cameras that are known "
+        "exactly. Errors are distances in space, um, over all nodes of all frames: the RMSE of the "
+        "position, the RMSE of the displacement from the frame at rest, and its 95th percentile "
+        "(the median over frames). `raw` is before the lattice filter, the column before it is "
+        "after the filter. `within` is the share of errors within two stated standard deviations. "
+        "The numbering of a frame is right if every corner has the right row and column. The print "
+        f"is worn. {INTERVALS}The frames of one seed share their print and their frame at rest: "
+        "the true intervals are wider.\n"
+    )
+    head = ("frames", "numbering right %", "nodes placed %", "position", "raw", "displacement")
+    head = (*head, "raw", "within %", "raw", "95 %")
+    for key in ("severity", "object", "mode"):
+        body = []
+        for group in sorted(
+            grouped(result["frames"], "config", key), key=lambda group: group["config"]
+        ):
+            frames = [
+                row
+                for row in result["frames"]
+                if (row["config"], row[key]) == (group["config"], group[key])
+            ]
+            right = sum(row["wrong_index"] == 0 for row in frames)
+            figures = [
+                within(
+                    group[f"{name}_rms_um"], rms_interval([row[f"{name}_um2"] for row in frames])
+                )
+                for name in ("place", "raw_place", "moved", "raw_moved")
+            ]
+            shares = [
+                percent(group[name], mean_interval([row[name] for row in frames]))
+                for name in ("within_2", "raw_within_2")
+            ]
+            lead = [group["config"], group[key], group["frames"], share_of(right, len(frames))]
+            lead.append(100 * group["nodes_placed"])
+            body.append([*lead, *figures, *shares, group["moved_p95_um"], group["ms"]])
+        parts.append(table(("settings", key, *head, "ms"), body))
+    parts.append(
+        "### Time of the numbering\n\nThe time of `detector.grid` after detection. The frames are "
+        "those of a press in any order: complete ones, and ones that leave corners to the second "
+        "look.\n"
+    )
+    body = [
+        [
+            f"{row['form']}=",
+            row["stream"],
+            f"{row['corners']:.0f}",
+            row["frames"],
+            row["wrong_index"],
+            row["ms"],
+            row["ms_p95"],
+        ]
+        for row in result.get("numbering", [])
+    ]
+    parts.append(table(("form", "frames", "corners", "runs", "wrong", "ms", "95 %"), body))
+    count = sum(len(run["order"]) for run in result["orders"])
+    same = sum(run["same_bytes"] for run in result["orders"])
+    parts.append(
+        f"{same} of {count} frames gave the same bytes when the frames came in another order.\n"
+    )
+    parts.append(
+        "### Boards of known squares\n\nThe sides of squares, mm. The Bumblebee2 pairs are "
+        "measured with their published calibration, each of OpenCV's pairs with a calibration from "
+        "the other pairs.\n"
+    )
+    if not result["boards"]:
+        return "\n".join([*parts, "Left out: there were no photographs.\n"])
+    body = [
+        [
+            row["set"],
+            row["config"],
+            row["sides"],
+            row["true"],
+            f"{row['mean']:.3f}",
+            f"{row['deviation']:.3f}",
+            f"{min(row['pair_means']):.3f} to {max(row['pair_means']):.3f}",
+            row.get("calibration_error_px", "published"),
+        ]
+        for row in sorted(result["boards"], key=lambda row: row["set"])
+    ]
+    head = ("pairs", "settings", "sides", "true", "mean", "deviation", "means of pairs")
+    parts.append(table((*head, "reprojection error px"), body))
+    return "\n".join(parts)
+
+
+def wrong_indices(result: Row) -> str:
+    """List the frames of the fields in space in which a corner has a wrong row or column."""
+    wrong = [row for row in result["frames"] if row["wrong_index"]]
+    keys = ("config", "seed", "object", "mode", "severity", "wrong_index", "nodes")
+    listed = table(keys, [[row[key] for key in keys] for row in wrong]) if wrong else "None.\n"
+    return f"### Fields in space: frames with a wrong index\n\n{listed}"

@@ -1,0 +1,244 @@
+"""The mixture of all filters at each node, weighted by Stein's unbiased risk estimate."""
+
+import dataclasses
+import functools
+import math
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid.filter.holes import filled
+from cmp_cl.grid.filter.noise import LEAST_VARIANCE, noise_along, noise_of, outliers
+from cmp_cl.grid.filter.polynomials import (
+    AXIS_FILTERS,
+    LEAST_SUPPORT,
+    RISK_REACH,
+    axis_of,
+    bands_of,
+    pairs_of,
+)
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Box = tuple[slice, slice]
+
+_SHARPNESS = 2 * math.pi * RISK_REACH**2 / 3  # of the weights, per unit of risk
+_ROUNDS = 3  # searches for nodes to refuse
+_ROWS_AT_ONCE = 16  # of a lattice, where every node has a kernel of its own
+_MOST_KEPT = 1 << 20  # numbers of a thread's scratch memory
+_kept = threading.local()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Mixture:
+    """The filtered values of a connected part, in its rectangle of nodes; all float32.
+
+    part: (R, C), the nodes of the part. votes: (R, C), those that others rely on.
+    bends: see `filter_grid`.
+    data: (K, R, C), before the filter, with predictions in the holes. values: (K, R, C), after it.
+    residual: (K, R, C), of the pilot. weights: (A, B, R, C), of each pair at each node.
+    raw_variance, variance: (R, C), of the data and of the values. gain: (R, C), the least ratio
+    of the two that the weights allow.
+    """
+
+    box: Box
+    part: Bools
+    bends: bool
+    data: Single
+    votes: Bools
+    residual: Single
+    weights: Single
+    values: Single
+    raw_variance: Single
+    variance: Single
+    gain: Single
+
+    @functools.cached_property
+    def common(self) -> Array:
+        """Return (R, C, K, K): how the coordinates vary together around each node, of mean diagonal
+        1."""
+        rows, columns = self.votes.shape
+        down, along = axis_of(rows), axis_of(columns)
+        residual = np.where(self.votes, self.residual, 0).astype(np.float64)
+        products = residual[:, None] * residual[None]
+        sums = down.near_noise @ products @ along.near_noise.T
+        sums = sums.transpose(2, 3, 0, 1)
+        count = len(residual)
+        mean = np.trace(sums, axis1=2, axis2=3)[..., None, None] / count
+        alike = np.broadcast_to(np.eye(count), sums.shape)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(mean > 0, sums / mean, alike)
+
+    def deviation_of(self, stencil: Array, sigma: Array) -> Array:
+        """Return (R, C) float64, see `Filtered.deviation_of`."""
+        rows, columns = self.votes.shape
+        reach, side = stencil.shape[2] // 2, 2 * max(half for half, _ in AXIS_FILTERS)
+        down, along = (bands_of(n, side, bends=self.bends) for n in (rows, columns))
+        noise = np.sqrt(self.raw_variance)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            excess = sigma / (noise * np.sqrt(self.gain))  # what the noise does not explain
+        excess = np.where(np.isfinite(excess), excess, 1)
+        noise = np.pad(np.where(np.isfinite(noise), noise, 0), side + reach)
+        result = np.empty((rows, columns))
+        for first in range(0, rows, _ROWS_AT_ONCE):
+            block = slice(first, min(first + _ROWS_AT_ONCE, rows))
+            low, high = max(first - reach, 0), min(block.stop + reach, rows)
+            kernels = np.einsum(
+                "abrc,ard,bce->rcde", self.weights[:, :, low:high], down[:, low:high], along,
+                optimize=True,
+            )  # fmt: skip
+            around = np.lib.stride_tricks.sliding_window_view(
+                noise[low + reach : high + reach + 2 * side, reach : -reach or None],
+                kernels.shape[2:],
+            )
+            kernels = kernels * around
+            kernels *= excess[low:high, :, None, None]
+            total = np.zeros(
+                (block.stop - first, columns, *(n + 2 * reach for n in [2 * side + 1] * 2))
+            )
+            width = 2 * side + 1
+            for i in range(-reach, reach + 1):
+                for j in range(-reach, reach + 1):
+                    top, bottom = max(first, -i), min(block.stop, rows - i)
+                    left, right = max(0, -j), min(columns, columns - j)
+                    if top >= bottom or left >= right:
+                        continue
+                    weight = stencil[top:bottom, left:right, i + reach, j + reach]
+                    total[
+                        top - first : bottom - first,
+                        left:right,
+                        i + reach : i + reach + width,
+                        j + reach : j + reach + width,
+                    ] += (
+                        weight[..., None, None]
+                        * kernels[top + i - low : bottom + i - low, left + j : right + j]
+                    )
+            result[block] = np.sqrt(np.square(total).sum(axis=(2, 3)))
+        return result
+
+
+def mixed(
+    data: Single, votes: Bools, part: Bools, most: Single, box: Box, *, bends: bool
+) -> Mixture:
+    """Return the mixture for data (K, R, C), without the nodes that their neighbours refuse.
+
+    most: (R, C), the largest standard deviation of the noise, NaN where unknown.
+    """
+    whole = bool(votes.all())
+    if not whole:
+        data = filled(data, votes)
+    residual, noise = noise_of(data, votes, whole=whole)
+    allowed = votes
+    for _ in range(_ROUNDS):
+        refused = outliers(residual, noise, allowed)
+        if not refused.any():
+            break
+        allowed = allowed & ~refused
+        data = filled(np.where(votes, data, 0), allowed)
+        residual, noise = noise_of(data, allowed, whole=False)
+    shape_noise = noise_along(data, allowed, noise) if bends else noise
+    if not np.isnan(most).all():
+        shape_noise = np.where(np.isnan(noise), noise, np.fmin(shape_noise, np.square(most)))
+    return _mixture(data, allowed, residual, noise, shape_noise, part, box, bends=bends)
+
+
+def _mixture(
+    data: Single,
+    votes: Bools,
+    residual: Single,
+    noise: Single,
+    chosen_noise: Single,
+    part: Bools,
+    box: Box,
+    *,
+    bends: bool,
+) -> Mixture:
+    count, rows, columns = data.shape
+    down, along = (axis_of(n, bends=bends) for n in (rows, columns))
+    pairs = pairs_of(rows, columns, bends=bends)
+    known = np.isfinite(noise)
+    s2 = np.where(known, np.maximum(chosen_noise, np.float32(LEAST_VARIANCE)), np.float32(1))
+    smooth = _smooth(data, bends=bends)
+    risk = _scratch("risk", pairs.own.shape)
+    apart = np.empty_like(risk)
+    np.multiply(pairs.own, 2 * count * s2, out=risk)  # the loss, until it is averaged
+    for coordinate in range(count):
+        np.subtract(smooth[coordinate], data[coordinate], out=apart)
+        risk += np.square(apart, out=apart)
+    whole = bool(votes.all())
+    if not whole:
+        risk *= votes
+    np.matmul(down.near_risk, np.matmul(risk, along.near_risk.T, out=apart), out=risk)
+    if whole:
+        risk *= 1 / (count * s2)
+    else:
+        there = votes.astype(np.float32)
+        near = down.near_risk @ there @ along.near_risk.T
+        risk *= 1 / (count * s2 * np.maximum(near, np.float32(1e-6)))
+        support = (down.share @ there)[:, None] @ along.share.transpose(0, 2, 1)
+        bad = (support < LEAST_SUPPORT) | ~known | (near < 1e-6)
+        bad[0, 0] = False
+        risk[bad] = 1e30
+    weights = np.subtract(risk.min(axis=(0, 1)), risk, out=apart)
+    weights *= np.float32(_SHARPNESS)
+    np.exp(weights, out=weights)
+    weights *= 1 / weights.sum(axis=(0, 1))
+    values = np.stack([_over_pairs(weights, each) for each in smooth])
+    gain = _over_pairs(weights, pairs.gain)
+    own = _over_pairs(weights, pairs.own) if chosen_noise is not noise else np.float32(0)
+    mean_risk = _over_pairs(weights, risk)
+    more = noise - chosen_noise  # the choice takes less noise for granted than the errors do
+    expected = chosen_noise * mean_risk + 2 * more * own - noise
+    variance = np.maximum(expected, noise * gain)
+    return Mixture(
+        box=box,
+        part=part,
+        bends=bends,
+        data=data,
+        votes=votes,
+        residual=residual,
+        weights=weights,
+        values=values,
+        raw_variance=noise,
+        variance=variance,
+        gain=gain,
+    )
+
+
+def _smooth(data: Single, *, bends: bool) -> Single:
+    """Apply each pair of filters: (K, R, C) -> (K, A, B, R, C).
+
+    Every product is of matrices no larger than the lattice: those are too small for BLAS to
+    share out over threads, which costs milliseconds where other work keeps the cores busy.
+    """
+    count, rows, columns = data.shape
+    down, along = (axis_of(n, bends=bends) for n in (rows, columns))
+    shape = (count, len(down.filters), len(along.filters), rows, columns)
+    smooth = _scratch("smooth", shape)
+    smooth[:, 0, 0] = data
+    np.matmul(down.filters[1:], data[:, None], out=smooth[:, 1:, 0])
+    np.matmul(smooth[:, :, :1], along.columns, out=smooth[:, :, 1:])
+    return smooth
+
+
+def _scratch(name: str, shape: tuple[int, ...]) -> Single:
+    """Return memory of that shape, reused by this thread under that name; its content is random.
+
+    Fresh memory costs a page fault for every 4 kB, a third of the time of the filter.
+    """
+    size = math.prod(shape)
+    if size > _MOST_KEPT:
+        return np.empty(shape, np.float32)
+    kept: Single | None = vars(_kept).get(name)
+    if kept is None or kept.size < size:
+        kept = np.empty(size, np.float32)
+        vars(_kept)[name] = kept
+    return kept[:size].reshape(shape)
+
+
+def _over_pairs(weights: Single, values: Single) -> Single:
+    """Sum over pairs: (A, R, B, C) -> (R, C)."""
+    total: Single = np.einsum("abrc,abrc->rc", weights, values)
+    return total

@@ -1,0 +1,127 @@
+"""The noise of a lattice, from the residual of a local polynomial, and the outliers in it."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid.filter.polynomials import LEAST_SUPPORT, axis_of, pairs_of
+
+Single = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+
+REFUSED = 6.0  # standard deviations from what the neighbours predict
+LEAST_VARIANCE = 1e-30  # of the noise
+_FLOOR = 1e-10  # of the variance of the noise, relative to the mean square of the values
+_LEAST_OF_FIVE = 1.29  # white noise: its variance over the mean of the least of the five below
+_SEVEN = np.array([5, -30, 75, 131, 75, -30, 5]) / 231  # the pilot's weights, inside
+
+
+def noise_of(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
+    """Return the pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
+
+    The mean size of the residual sees a few large ones less than the mean of its square: a
+    sharp bend of the surface is no noise.
+    """
+    rows, columns = votes.shape
+    down, along, pairs = axis_of(rows), axis_of(columns), pairs_of(rows, columns)
+    residual = np.asarray(data - down.pilot @ data @ along.pilot.T, np.float32)
+    left = 1 - pairs.pilot_own
+    square = np.square(residual).mean(axis=0) / np.maximum(left, 1e-3)
+    size = np.asarray(np.sqrt(square), np.float32)
+    usable = left > 0.05
+    if not whole:
+        support = down.pilot_share @ votes.astype(np.float32) @ along.pilot_share.T
+        usable &= votes & (support >= LEAST_SUPPORT)
+    if usable.all():
+        mean = down.near_noise @ size @ along.near_noise.T
+    else:
+        size = np.where(usable, size, np.float32(0))
+        near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
+        mean = down.near_noise @ size @ along.near_noise.T
+        mean = np.where(near > 1e-6, mean / np.maximum(near, 1e-6), np.float32(np.nan))
+    expected = _expected_size(residual, size)
+    floor = max(_FLOOR * float(np.square(data).mean()), LEAST_VARIANCE)
+    noise = np.square(mean / np.float32(expected)) + np.float32(floor)
+    return residual, np.asarray(noise, np.float32)
+
+
+def noise_along(data: Single, votes: Bools, noise: Single) -> Single:
+    """Return the least of the noise's variances that both axes together, each alone and each
+    diagonal alone show, (R, C).
+
+    Along an edge the surface is smooth, however sharply it bends across. The least of five is
+    too small by a known share where all show the same noise.
+    """
+    down, along = axis_of(votes.shape[0]), axis_of(votes.shape[1])
+    least = noise
+    for residual, own in (
+        (data - down.pilot @ data, down.pilot_own[:, None]),
+        (data - data @ along.pilot.T, along.pilot_own[None]),
+        *_along_diagonals(data),
+    ):
+        usable = votes & (own < 0.95)
+        near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
+        square = np.square(residual).mean(axis=0) / np.maximum(1 - own, 0.05)
+        size = np.where(usable, np.asarray(np.sqrt(square), np.float32), np.float32(0))
+        mean = down.near_noise @ size @ along.near_noise.T / np.maximum(near, np.float32(1e-6))
+        alone = np.square(mean / np.float32(_expected_size(residual, size)))
+        least = np.where(near > 1e-6, np.minimum(least, alone), least)
+    chosen: Single = np.minimum(noise, least * np.float32(_LEAST_OF_FIVE))
+    return chosen
+
+
+def _along_diagonals(data: Single) -> list[tuple[Single, Single]]:
+    """Return the pilot's residual along each diagonal, (K, R, C), and each node's own weight in
+    it, (R, C); the weight is 1 within three nodes of the border. A lattice of fewer than 7 rows
+    or columns has none.
+    """
+    _, rows, columns = data.shape
+    if min(rows, columns) < len(_SEVEN):
+        return []
+    inside = np.s_[3 : rows - 3, 3 : columns - 3]
+    own = np.ones((rows, columns), np.float32)
+    own[inside] = _SEVEN[3]
+    found = []
+    for sense in (1, -1):
+        residual = np.zeros_like(data)
+        middle = residual[:, *inside]
+        middle += data[:, *inside]
+        for step, weight in enumerate(_SEVEN, -3):
+            left = 3 + sense * step
+            around = data[:, 3 + step : rows - 3 + step, left : left + columns - 6]
+            middle -= np.float32(weight) * around
+        found.append((residual, own))
+    return found
+
+
+def _expected_size(residual: Single, size: Single) -> float:
+    """Return the mean of a residual's size where its variance per coordinate is 1.
+
+    That size is taken as chi-distributed, with as many degrees of freedom as there are
+    directions of like variance: those of the residuals, weighted so that few large ones do not
+    decide. residual: (K, R, C). size: (R, C), 0 where it is unknown.
+    """
+    count = len(residual)
+    relative = size / max(float(size.max()), 1e-30)
+    weights = np.where(size > 0, 1 / np.maximum(relative, 1e-8), 0)
+    flat = residual.reshape(count, -1)
+    common = (flat * weights.reshape(-1)) @ flat.T
+    square = float(np.square(common).sum())
+    freedom = float(np.trace(common)) ** 2 / square if square > 0 else float(count)
+    share: float = math.sqrt(2 / freedom)
+    return share * math.gamma(freedom / 2 + 0.5) / math.gamma(freedom / 2)
+
+
+def outliers(residual: Single, noise: Single, votes: Bools) -> Bools:
+    """Return the nodes whose residual is too large, and the largest among its eight neighbours'."""
+    size = np.where(votes, np.square(residual).mean(axis=0), 0)
+    pairs = pairs_of(*votes.shape)
+    with np.errstate(invalid="ignore"):
+        large: Bools = size > REFUSED**2 * noise * (1 - pairs.pilot_own)
+    if not large.any():
+        return large
+    padded = np.pad(size, 1)
+    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).max(axis=(2, 3))
+    largest: Bools = large & (size >= around)
+    return largest

@@ -1,0 +1,120 @@
+"""The filters along one axis of a lattice: local polynomials, as matrices."""
+
+import dataclasses
+import functools
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+AXIS_FILTERS = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))  # half width in nodes, degree
+BENDING_FILTERS = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # of what may bend sharply
+LEAST_SUPPORT = 0.75  # share of a window's nodes that must be measured
+NOISE_REACH = 2.0  # nodes, standard deviation of the Gaussian that averages the noise
+RISK_REACH = 1.5  # nodes, of the one that averages the risk
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Axis:
+    """The filters along an axis of n nodes, A of them.
+
+    filters: (A, n, n) float32, a row per node; the first one changes nothing. own: (A, n), the
+    weight of the node itself. gain: (A, n), the sum of the squares. share: (A, n, n), 1 / window
+    where the window is. pilot, pilot_own, pilot_share: of the filter that shows the noise.
+    near_noise, near_risk: (n, n) Gaussians, rows of sum 1. columns: (A - 1, n, n), the filters
+    after the first one as factors on the right.
+    """
+
+    filters: Single
+    columns: Single
+    own: Single
+    gain: Single
+    share: Single
+    pilot: Single
+    pilot_own: Single
+    pilot_share: Single
+    near_noise: Single
+    near_risk: Single
+
+
+def _polynomial(n: int, half: int, degree: int) -> Array:
+    """Return (n, n): the value at each node of the polynomial fitted to its window, which is moved
+    inwards at the ends.
+    """
+    whole = np.zeros((n, n))
+    for node in range(n):
+        first = min(max(node - half, 0), n - 2 * half - 1)
+        window = np.arange(first, first + 2 * half + 1)
+        powers = (window - node)[:, None].astype(np.float64) ** np.arange(degree + 1)
+        whole[node, window] = np.linalg.pinv(powers)[0]
+    return whole
+
+
+def _gaussian(n: int, deviation: float) -> Single:
+    """Return (n, n): Gaussian weights of all nodes around each node, rows of sum 1."""
+    apart = np.arange(n)[:, None] - np.arange(n)
+    weights = np.exp(-np.square(apart / deviation) / 2)
+    rows: Single = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+    return rows
+
+
+@functools.lru_cache(maxsize=64)
+def axis_of(n: int, *, bends: bool = False) -> Axis:
+    """Return the filters along n nodes, those whose window fits; bends: see `filter_grid`."""
+    usual = BENDING_FILTERS if bends else AXIS_FILTERS
+    fitting = [(half, degree) for half, degree in usual if n >= 2 * half + 1]
+    filters = np.stack([_polynomial(n, *each) for each in fitting])
+    pilot = _polynomial(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
+    windows = [np.not_equal(each, 0) | np.eye(n, dtype=np.bool_) for each in [*filters, pilot]]
+    share = np.stack([each / each.sum(axis=1, keepdims=True) for each in windows])
+
+    def single(values: Array) -> Single:
+        return np.ascontiguousarray(values, np.float32)
+
+    return Axis(
+        filters=single(filters),
+        columns=single(filters[1:].transpose(0, 2, 1)),
+        own=single(np.diagonal(filters, axis1=1, axis2=2)),
+        gain=single(np.square(filters).sum(axis=2)),
+        share=single(share[:-1]),
+        pilot=single(pilot),
+        pilot_own=single(np.diag(pilot)),
+        pilot_share=single(share[-1]),
+        near_noise=_gaussian(n, NOISE_REACH),
+        near_risk=_gaussian(n, RISK_REACH),
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Pairs:
+    """The weights of each pair of filters: one along the columns (A), one along the rows (B).
+
+    own, gain: (A, B, R, C), as in `Axis`. pilot_own: (R, C).
+    """
+
+    own: Single
+    gain: Single
+    pilot_own: Single
+
+
+@functools.lru_cache(maxsize=64)
+def pairs_of(rows: int, columns: int, *, bends: bool = False) -> Pairs:
+    """Return the weights of all pairs of filters on a lattice of that size."""
+    down, along = axis_of(rows, bends=bends), axis_of(columns, bends=bends)
+    return Pairs(
+        own=down.own[:, None, :, None] * along.own[:, None],
+        gain=down.gain[:, None, :, None] * along.gain[:, None],
+        pilot_own=np.outer(down.pilot_own, along.pilot_own),
+    )
+
+
+def bands_of(n: int, side: int, *, bends: bool) -> Single:
+    """Return the rows of the filters around the node, (A, n, 2 side + 1)."""
+    filters = axis_of(n, bends=bends).filters
+    bands = np.zeros((len(filters), n, 2 * side + 1), np.float32)
+    for node in range(n):
+        first, last = max(node - side, 0), min(node + side + 1, n)
+        bands[:, node, first - node + side : last - node + side] = filters[:, node, first:last]
+    return bands

@@ -1,0 +1,40 @@
+"""Measuring frames against a frame at rest, and finding patterns and boards.
+
+A field for every frame of a film that shows two views side by side, for example through mirrors:
+
+    import cmp_cl
+
+    rig = cmp_cl.StereoRig.load("rig.yaml")
+    frames = cmp_cl.media.read_frames("press.mp4")
+    rest = next(frames).image
+    split = cmp_cl.BinocularSplit.halves(width=rest.shape[1], height=rest.shape[0])
+    with cmp_cl.measure.TwoViews(rest, rig, split, shape=(12, 12)) as measure:
+        for frame in frames:
+            if frame.image is not None:
+                measure(frame.image).field.save(f"press-{frame.index:04}.vtp")
+
+`OneView` does the same in the image, with one camera. `find_boards` returns the pairs of grids from
+which `cmp_cl.calibrate` makes the rig.
+"""
+
+from cmp_cl.measure.boards import MAX_SIGMA, find_board, find_boards, square_sides, trusted
+from cmp_cl.measure.frames import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
+from cmp_cl.measure.patterns import Region, align_views, cell_of, exact_config, find_pattern
+
+__all__ = [
+    "MAX_SIGMA",
+    "Measured",
+    "MeasuredInSpace",
+    "Measurement",
+    "OneView",
+    "Region",
+    "TwoViews",
+    "align_views",
+    "cell_of",
+    "exact_config",
+    "find_board",
+    "find_boards",
+    "find_pattern",
+    "square_sides",
+    "trusted",
+]

@@ -1,0 +1,114 @@
+"""Rigid boards for calibration, in one view and in two."""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.cell import estimate_blur, estimate_cells
+from cmp_cl.config import DetectorConfig
+from cmp_cl.detector import Detector
+from cmp_cl.errors import GridError
+from cmp_cl.grid import Grid, NodeStatus, filter_positions
+from cmp_cl.image import GreyImage
+from cmp_cl.measure.patterns import (
+    Region,
+    align_views,
+    check_size,
+    detected,
+    find_pattern,
+    selected,
+)
+from cmp_cl.opencl.device import Device
+from cmp_cl.stereo import Points3D
+
+MAX_SIGMA = 0.2  # px: corners of a board that are less certain are not used
+
+
+def find_boards(
+    views: tuple[GreyImage, GreyImage],
+    shape: tuple[int, int],
+    *,
+    max_sigma: float = MAX_SIGMA,
+    full_scale: int | None = None,
+    regions: tuple[Region | None, ...] = (None, None),
+    device: Device | str | None = None,
+) -> tuple[Grid, Grid]:
+    """Find a rigid board in two views; return grids numbered alike, of trusted corners alone.
+
+    The result is one of the pairs that `cmp_cl.calibrate` takes. shape: (rows, columns) of
+    the board's inner corners. max_sigma: the largest standard deviation of a corner that is
+    used, px. The other arguments are those of `TwoViews`.
+
+    Raises GridError where a view does not show all four sides of the board, because its corners
+    cannot be told apart then.
+    """
+    device = selected(device)
+    grids = []
+    for view, region, side in zip(views, regions, ("left", "right"), strict=True):
+        try:
+            grid = find_board(view, shape, region=region, full_scale=full_scale, device=device)
+        except GridError as error:
+            raise GridError(f"the {side} view: {error}") from error
+        grids.append(grid)
+    left, right = grids
+    return trusted(left, max_sigma), trusted(align_views(left, right), max_sigma)
+
+
+def find_board(
+    view: GreyImage,
+    shape: tuple[int, int],
+    *,
+    region: Region | None = None,
+    full_scale: int | None = None,
+    device: Device | str | None = None,
+) -> Grid:
+    """Find a rigid board of (rows, columns) inner corners; return its grid.
+
+    Corners are refined at the scale that `DetectorConfig.for_image` chooses, if all of them are
+    found there. Else they are refined at full size too: there the rings are smaller in terms of
+    the board, and do not extend past narrow outer squares. The scale with more corners counts.
+
+    Raises GridError where the view does not show corners of all four sides of the board.
+    """
+    device = selected(device)
+    cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
+    blur = estimate_blur(view, estimate_cells(view)._replace(side=cell))
+    scaled = DetectorConfig.for_cell(cell, blur=blur).replace(full_scale=full_scale)
+    grids = []
+    for config in dict.fromkeys((scaled, scaled.replace(scale=None))):
+        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
+            grids.append(detector.grid(view, shape=shape, region=region)[1])
+        if detected(grids[-1]) == shape[0] * shape[1]:
+            break
+    grid = max(grids, key=detected)
+    check_size(grid)
+    seen = grid.status == NodeStatus.DETECTED
+    if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
+        raise GridError(
+            f"it shows {detected(grid)} of {seen.size} corners, and not those of every side"
+        )
+    return grid
+
+
+def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
+    """Return the filtered grid of a board, of the nodes that calibration may use.
+
+    Left out are nodes that were not detected, or whose own image is less certain than max_sigma,
+    px. The sigma of the others is that of their filtered positions.
+    """
+    good = (grid.status == NodeStatus.DETECTED) & (grid.sigma <= max_sigma)
+    kept = dataclasses.replace(
+        grid,
+        xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),
+        status=np.where(good, grid.status, NodeStatus.MISSING).astype(np.uint8),
+        sigma=np.where(good, grid.sigma, np.float32(np.nan)),
+    )
+    return filter_positions(kept)[0]
+
+
+def square_sides(points: Points3D) -> NDArray[np.float64]:
+    """Return the distances between neighbouring nodes that were placed, (N,), in their unit."""
+    sides = [np.linalg.norm(np.diff(points.xyz, axis=axis), axis=2).ravel() for axis in (0, 1)]
+    every: NDArray[np.float64] = np.concatenate(sides)
+    return every[np.isfinite(every)]

@@ -1,0 +1,108 @@
+"""Patterns of unknown cells in a view, and two views of one pattern."""
+
+from typing import TypeAlias
+
+import numpy as np
+
+from cmp_cl.config import DetectorConfig
+from cmp_cl.detector import Detector
+from cmp_cl.errors import GridError
+from cmp_cl.grid import Grid, NodeStatus, align
+from cmp_cl.grid.align import row_direction
+from cmp_cl.image import GreyImage
+from cmp_cl.opencl.device import Device, select_device
+
+Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
+
+_MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
+_USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried where the estimate does not find the pattern
+
+
+def find_pattern(
+    view: GreyImage,
+    *,
+    shape: tuple[int, int] | None = None,
+    region: Region | None = None,
+    full_scale: int | None = None,
+    device: Device | str | None = None,
+) -> tuple[float, Grid]:
+    """Find a pattern whose cell size nobody has given; return its cell, px, and its grid.
+
+    The arguments are those of `OneView`. The estimated cell and some usual ones are tried. The
+    first that shows all nodes of a known shape, or a grid of most corners, ends the search;
+    else the one with the most detected nodes wins.
+
+    Raises GridError where no cell shows a pattern or it seems to have another size, and what
+    `Detector` raises.
+    """
+    device = selected(device)
+    best: Grid | None = None
+    why = "no closed cell is seen"
+    configs = (DetectorConfig.for_image(view), *map(DetectorConfig.for_cell, _USUAL_CELLS))
+    for config in configs:
+        config = config.replace(full_scale=full_scale)
+        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
+            try:
+                corners, grid = detector.grid(view, shape=shape, region=region)
+            except GridError as error:
+                why = str(error)
+                continue
+        if detected(grid) > (0 if best is None else detected(best)):
+            best = grid
+        enough = len(corners) / 2 if shape is None else grid.status.size - 1
+        if detected(grid) > enough:
+            break
+    cell = np.nan if best is None else cell_of(best)
+    if best is None or not cell >= 4:
+        size = "" if shape is None else f" of {shape[0]} x {shape[1]} corners"
+        raise GridError(f"no pattern{size} is found: {why}")
+    check_size(best)
+    return cell, best
+
+
+def check_size(grid: Grid) -> None:
+    """Raise GridError where the pattern seems to have another number of corners."""
+    if grid.seen_shape is not None:
+        raise GridError(grid.doubts[0])
+
+
+def detected(grid: Grid) -> int:
+    """Count the nodes that the detector itself has found."""
+    return int(np.count_nonzero(grid.status == NodeStatus.DETECTED))
+
+
+def cell_of(grid: Grid) -> float:
+    """Return the median side of a grid's cells, px, NaN where there is none."""
+    sides = [np.linalg.norm(np.diff(grid.xy, axis=axis), axis=2).ravel() for axis in (0, 1)]
+    known = np.concatenate(sides)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
+    """Return the most complete and exact settings for a deformed pattern of such cells, px.
+
+    They are those of `DetectorConfig.for_cell`.
+    """
+    return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
+
+
+def align_views(left: Grid, right: Grid) -> Grid:
+    """Return the right grid numbered as the left one is, see `cmp_cl.align`.
+
+    The two cameras of a rig have nearly the same side up. If the rows of the two views differ by
+    more than 60 degrees, one of the views is numbered wrongly.
+
+    Raises GridError where shapes, colours or the directions of the rows do not agree.
+    """
+    aligned = align([left, right])[1]
+    if not abs(np.angle(row_direction(aligned) / row_direction(left))) <= _MOST_ROTATED:
+        raise GridError(
+            "the two views cannot be numbered alike: by their checker colours the directions of "
+            "their rows do not agree"
+        )
+    return aligned
+
+
+def selected(device: Device | str | None) -> Device:
+    return device if isinstance(device, Device) else select_device(device)

@@ -1,0 +1,80 @@
+"""EDGE_LINES: the intersection of the two edge lines, in float64."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.corners import Method, Refusal
+from cmp_cl.reference.edges import (
+    EdgePoints,
+    Lines,
+    Meeting,
+    both_lines,
+    boundary_points,
+    intersect,
+    normal_of,
+    within,
+)
+
+Floats = NDArray[np.float64]
+
+LARGEST_RESIDUAL = 0.5  # px, root of the mean squared distances from both lines together
+# px: what bent edges, shading and sampling add to the noise of a position on perfect prints
+LINES_ERROR = 0.02
+
+
+def edge_lines(
+    points: EdgePoints, max_shift: float, scale: float
+) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8], Floats]:
+    """Apply EDGE_LINES: line e0 e2 meets line e1 e3.
+
+    Returns shift (N, 2), method, refusal and margin (N,).
+
+    The edge points of a torn corner, and of rings that extend past a squeezed cell, are not on two
+    lines. The centroid is nearer there, and is kept where the mean squared distances of both lines
+    add up to more than LARGEST_RESIDUAL squared.
+    """
+    first, second = both_lines(points)
+    crossing = intersect(first, second)
+    near = within(crossing, max_shift)
+    meeting = _straight(near, first, second, scale)
+    method = np.where(meeting.accepted, Method.EDGE_LINES, Method.KEPT).astype(np.uint8)
+    refusal = np.select(
+        [meeting.accepted, near.accepted, crossing.accepted],
+        [Refusal.NONE, Refusal.RESIDUAL, Refusal.SHIFT],
+        Refusal.ANGLE,
+    ).astype(np.uint8)
+    return meeting.position, method, refusal, meeting.margin
+
+
+def lines_sigma(points: EdgePoints) -> Floats:
+    """Return the standard deviation per axis of the intersection of EDGE_LINES, px: (N,).
+
+    The residuals of both lines together give the variance of a point: each line of n points has
+    n - 2 degrees of freedom. The variance of a line is 1 / n of it. The intersection divides it by
+    the squared sine of the angle between the lines.
+    """
+    counts = 2 * points.valid.sum(axis=1)
+    squares = np.zeros(len(counts))
+    lines = both_lines(points)
+    for line, boundaries in zip(lines, ((0, 2), (1, 3)), strict=True):
+        point, valid = boundary_points(points, boundaries)
+        normal = normal_of(line)[:, None]
+        apart = ((point - line.centre[:, None]) * normal).sum(axis=2)
+        squares += np.where(valid, apart**2, 0).sum(axis=1)
+    sin = np.sin(lines[1].angle - lines[0].angle)
+    with np.errstate(all="ignore"):
+        variance = squares / (2 * (counts - 2)) / counts / sin**2
+    result: Floats = np.sqrt(LINES_ERROR**2 + variance)
+    return result
+
+
+def _straight(meeting: Meeting, first: Lines, second: Lines, scale: float) -> Meeting:
+    """Return the meeting, accepted only where the points are near both lines."""
+    largest = (LARGEST_RESIDUAL / scale) ** 2
+    residual = first.residual + second.residual
+    near = np.abs(residual - largest) / largest
+    return Meeting(
+        position=meeting.position,
+        accepted=meeting.accepted & (residual <= largest),
+        margin=np.minimum(meeting.margin, np.where(meeting.accepted, near, np.inf)),
+    )

@@ -1,0 +1,114 @@
+"""MIDLINE and CUSP: the centrelines of the black sectors, and their cusps, in float64."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.config import Fit
+from cmp_cl.corners import Method, Refusal
+from cmp_cl.reference.edges import (
+    EdgePoints,
+    Lines,
+    Meeting,
+    along_of,
+    boundary_points,
+    cross,
+    dot,
+    fit_lines,
+    intersect,
+    norm,
+    within,
+)
+
+Floats = NDArray[np.float64]
+
+
+def midlines(
+    points: EdgePoints, fit: Fit, max_shift: float
+) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8], Floats]:
+    """Apply MIDLINE: the centrelines of the two black sectors meet; where they do not, CUSP.
+
+    Returns shift (N, 2), method (N,), refusal (N,), of MIDLINE, and margin (N,).
+    """
+    middle = (points.point[:, :, 0::2] + points.point[:, :, 1::2]) / 2
+    first, second = (fit_lines(middle[:, :, sector], points.valid) for sector in (0, 1))
+    meeting = intersect(first, second)
+    open_ = meeting.accepted
+    if fit is Fit.QUADRATIC:
+        three = points.valid.all(axis=1) & meeting.accepted
+        curved = _intersect_curves(first, second, middle, meeting.position)
+        meeting = Meeting(
+            position=np.where(three[:, None], curved.position, meeting.position),
+            accepted=meeting.accepted & (curved.accepted | ~three),
+            margin=np.minimum(meeting.margin, np.where(three, curved.margin, np.inf)),
+        )
+    straight = within(meeting, max_shift)
+    cusp = within(cusps(points), max_shift)
+    method = np.where(straight.accepted, Method.MIDLINE, Method.CUSP)
+    method = np.where(straight.accepted | cusp.accepted, method, Method.KEPT).astype(np.uint8)
+    refusal = np.select(
+        [straight.accepted, open_], [Refusal.NONE, Refusal.SHIFT], Refusal.ANGLE
+    ).astype(np.uint8)
+    position = np.where(straight.accepted[:, None], straight.position, cusp.position)
+    margin = np.where(straight.accepted, straight.margin, np.minimum(straight.margin, cusp.margin))
+    return position, method, refusal, margin
+
+
+def cusps(points: EdgePoints) -> Meeting:
+    """Apply CUSP: the edge lines of each black sector meet in a cusp; take the cusps' midpoint."""
+    line = [fit_lines(*boundary_points(points, (boundary,))) for boundary in range(4)]
+    one, other = intersect(line[0], line[1]), intersect(line[2], line[3])
+    return Meeting(
+        position=(one.position + other.position) / 2,
+        accepted=one.accepted & other.accepted,
+        margin=np.minimum(one.margin, other.margin),
+    )
+
+
+def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats) -> Meeting:
+    """Intersect the parabolas v = a + b u + c u^2 through three points each.
+
+    u runs along a line, v across it, both from its centre. Four Newton steps in the two u
+    from where the lines meet.
+    """
+    lines = (first, second)
+    along = [along_of(line) for line in lines]
+    across = [np.stack([-each[:, 1], each[:, 0]], axis=1) for each in along]
+    with np.errstate(all="ignore"):
+        curves = [
+            _parabola(middle[:, :, k] - lines[k].centre[:, None], along[k], across[k])
+            for k in (0, 1)
+        ]
+        u = [dot(begin - lines[k].centre, along[k]) for k in (0, 1)]
+        least_sin = np.full(len(begin), np.inf)
+        for _ in range(4):
+            point = [_on_curve(lines[k], along[k], across[k], curves[k], u[k]) for k in (0, 1)]
+            tangent = [
+                along[k] + (curves[k][:, 1] + 2 * curves[k][:, 2] * u[k])[:, None] * across[k]
+                for k in (0, 1)
+            ]
+            sine = cross(tangent[0], tangent[1])
+            gap = point[1] - point[0]
+            u = [u[0] + cross(gap, tangent[1]) / sine, u[1] + cross(gap, tangent[0]) / sine]
+            least_sin = np.minimum(least_sin, np.abs(sine) / norm(tangent[0]) / norm(tangent[1]))
+        position = _on_curve(first, along[0], across[0], curves[0], u[0])
+    accepted = np.isfinite(position.sum(axis=1))
+    margin = np.where(accepted, least_sin, 0.0)
+    return Meeting(
+        position=np.where(accepted[:, None], position, 0), accepted=accepted, margin=margin
+    )
+
+
+def _parabola(point: Floats, along: Floats, across: Floats) -> Floats:
+    """Return (N, 3): a, b, c of the parabola through (N, 3, 2) points, by divided differences."""
+    u0, u1, u2 = (point * along[:, None]).sum(axis=2).T
+    v0, v1, v2 = (point * across[:, None]).sum(axis=2).T
+    slope = (v1 - v0) / (u1 - u0)
+    c = ((v2 - v1) / (u2 - u1) - slope) / (u2 - u0)
+    b = slope - c * (u0 + u1)
+    return np.stack([v0 - b * u0 - c * u0 * u0, b, c], axis=1)
+
+
+def _on_curve(line: Lines, along: Floats, across: Floats, curve: Floats, u: Floats) -> Floats:
+    v = curve[:, 0] + curve[:, 1] * u + curve[:, 2] * u * u
+    result: Floats = line.centre + u[:, None] * along + v[:, None] * across
+    return result

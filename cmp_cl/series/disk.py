@@ -1,0 +1,160 @@
+"""Recordings on a disk that fills up: what was measured before stays."""
+
+import contextlib
+import errno
+import os
+import tempfile
+from os import PathLike
+from pathlib import Path
+from typing import IO, Any
+
+from cmp_cl.files import check_target, whole_file
+
+_ZEROS = bytes(1 << 16)
+
+
+class Appended:
+    """A file that appears when it is closed, with the parts that were written whole.
+
+    On a full disk these are kept; without any, an older file stays.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self._files = contextlib.ExitStack()
+        buffered: Any = self._files.enter_context(whole_file(path))
+        self._file = buffered.raw  # a buffer would keep the bytes that a full disk has refused
+        self._path = path
+        self._end = 0
+        self.error: OSError | None = None
+
+    def append(self, part: bytes) -> None:
+        """Write a part, or nothing of it; raises OSError."""
+        try:
+            _write_all(self._file, part)
+        except OSError as error:
+            self.error = OSError(error.errno, error.strerror, str(self._path))
+            with contextlib.suppress(OSError):  # of a device or a pipe
+                self._file.truncate(self._end)
+                self._file.seek(self._end)
+            raise self.error from error
+        self._end += len(part)
+
+    def close(self) -> None:
+        """Let the file appear; raises OSError."""
+        with self._files:
+            if self.error is not None and not self._end:
+                raise self.error
+
+
+class Reserve:
+    """Disk space that is held back for what must be written at the end.
+
+    folder: on the disk; None holds nothing back.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._file: IO[bytes] | None = None
+        self._size = 0
+
+    def grow(self, size: int) -> None:
+        """Hold back at least so many bytes; raises OSError where the disk has no more."""
+        if self._folder is None:
+            return
+        if self._file is None:
+            self._file = tempfile.TemporaryFile(  # noqa: SIM115, closed by free
+                dir=self._folder, buffering=0
+            )
+        while self._size < size:
+            written = self._file.write(_ZEROS)
+            if not written:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            self._size += written
+
+    def free(self) -> None:
+        """Give the space back, for good."""
+        self._folder = None
+        if self._file is not None:
+            self._file.close()
+
+
+class Finishable:
+    """A file that appears when it is finished, and can be finished on a full disk.
+
+    It is for writers of other packages, whose files cannot be read without an end. Before more
+    waits in memory, `expect` holds back disk space for it. Once the disk is full, that space is
+    freed and what waits is written there. `check` raises from then on: nothing more is to be added.
+
+    files: leaving this context lets the file appear, or removes it where an error is raised.
+    """
+
+    closed = False  # as files say it
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        target = check_target(path)
+        self.files = contextlib.ExitStack()
+        buffered: Any = self.files.enter_context(whole_file(path))
+        self._file = buffered.raw
+        self._reserve = Reserve(None if target.exists() and not target.is_file() else target.parent)
+        self.files.callback(self._reserve.free)
+        self._path = path
+        self._length = 0
+        self._error: OSError | None = None
+        self._cut = False
+
+    def expect(self, size: int) -> None:
+        """Hold back so many bytes, or note that the disk is full and free what was held."""
+        if self._error is None:
+            try:
+                self._reserve.grow(size)
+            except OSError as error:
+                self._full(error)
+
+    def check(self) -> None:
+        """Raise OSError where the disk is full."""
+        if self._error is not None:
+            raise self._error
+
+    def check_whole(self) -> None:
+        """Raise OSError where the disk has refused what was written."""
+        if self._cut:
+            self.check()
+
+    def _full(self, error: OSError) -> None:
+        self._error = OSError(error.errno, error.strerror, str(self._path))
+        self._reserve.free()
+
+    def write(self, data: bytes | memoryview) -> int:
+        """Write all of it, into the space held back if need be; raises OSError."""
+        part = memoryview(data).cast("B")
+        try:
+            done = 0
+            while done < len(part):  # a nearly full disk may take only some of it
+                done += self._try(part[done:])
+        except OSError:
+            self._cut = True
+            raise
+        self._length += len(part)
+        return len(part)
+
+    def _try(self, part: memoryview) -> int:
+        try:
+            return int(self._file.write(part))
+        except OSError as error:
+            if self._error is not None:
+                raise
+            self._full(error)
+            return int(self._file.write(part))
+
+    def tell(self) -> int:
+        """Return the number of bytes written."""
+        return self._length
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+
+def _write_all(file: Any, part: bytes) -> None:
+    rest = memoryview(part)
+    while rest:  # a nearly full disk may take only some of it
+        rest = rest[file.write(rest) :]
