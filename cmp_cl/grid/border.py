@@ -56,14 +56,19 @@ class Border(NamedTuple):
 
     @property
     def passing(self) -> Sides:
-        """Return the sides whose line goes on past the pattern, and that face no border.
+        """Return the sides whose line goes on past the pattern.
 
         The edge of what hides a part of a pattern does not know where the pattern ends. Nor
-        does the edge of a sheet that was cut along its squares; then the side across is seen.
+        does the edge of a sheet that was cut along its squares.
         """
+        return Sides(*(abs(step) > STEPPED for step in self.past))
+
+    @property
+    def lone(self) -> Sides:
+        """Return the sides whose line goes on past the pattern, and that face no border."""
         facing = (self.reach[number] for number in (1, 0, 3, 2))
-        sides = zip(self.past, facing, strict=True)
-        return Sides(*(abs(step) > STEPPED and math.isnan(across) for step, across in sides))
+        sides = zip(self.passing, facing, strict=True)
+        return Sides(*(passes and math.isnan(across) for passes, across in sides))
 
     def turned(self, quarters: int) -> "Border":
         """Return the same after the numbers are turned as in `Grid.turned`."""

@@ -102,7 +102,7 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
             decided = followed
         elif followed.sure and not decided.agrees(followed):
             decided = Decision(decided.best, followed.best, sure=False)
-    return _placed(nodes, like, decided)
+    return _placed(nodes, border, like, decided)
 
 
 def _by_turn(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Decision:
@@ -225,14 +225,19 @@ def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
     """
     here, rest = full_lines(nodes.there), _lines(like)
     at_rest = like.border if any(like.border) else _known_ends(like, nodes.at)
-    known = Border.of(like)
-    doubts = border.contradicts(known), border.passing, known.passing
-    hidden = [any(side) for side in zip(*doubts, strict=True)]
+    hidden = _hidden(border, like)
     ends = [end and not other for end, other in zip(at_rest, hidden, strict=True)]
     now = [end and not other for end, other in zip(border.sides, hidden, strict=True)]
     rows = _axis_bounds(here[:2], rest[:2], ends[:2], now[:2])
     columns = _axis_bounds(here[2:], rest[2:], ends[2:], now[2:])
     return Bounds(*rows, *columns)
+
+
+def _hidden(border: Border, like: Grid) -> Sides:
+    """Return the sides that are the edge of what hides the pattern, now or at rest."""
+    rest = Border.of(like)
+    doubts = border.contradicts(rest), border.lone, rest.lone
+    return Sides(*(any(side) for side in zip(*doubts, strict=True)))
 
 
 def _lines(grid: Grid) -> tuple[int, int, int, int]:
@@ -279,12 +284,14 @@ def _known_ends(like: Grid, at: Points) -> Sides:
     return Sides(ends(rest), ends(rest[::-1]), ends(rest.T), ends(rest.T[::-1]))
 
 
-def _placed(nodes: Nodes, like: Grid, decided: Decision) -> Placed:
+def _placed(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Placed:
     """Return the nodes on the rest grid's rows and columns, and on those beyond an open side."""
     best, second, sure, _ = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []
-    ends = (like.border[:2], like.border[2:])
+    hidden = _hidden(border.turned(best.quarters), like)
+    known = [end and not other for end, other in zip(like.border, hidden, strict=True)]
+    ends = (known[:2], known[2:])
     for axis, start in enumerate((best.top, best.left)):
         low, high = like.origin[axis], like.origin[axis] + like.shape[axis]
         before, after = start, start + turned.at.shape[axis]

@@ -17,8 +17,9 @@ def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], en
 
     A shape that fits better across is taken so, by the quarter turn that leaves the columns
     nearest to the image's x axis. Where less is seen, the borders in view say which part it
-    is; not for sure where a border's line goes on past the pattern. Where more is seen, it is
-    the fullest window, nearest to the top left.
+    is; not for sure where its line goes on past the pattern. Such a line may also leave as many
+    rows as the shape has columns. Where more is seen, it is the fullest window, nearest to the
+    top left.
 
     bend: of every corner.
     """
@@ -38,15 +39,15 @@ def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], en
     _, top, left = windows[fullest]
     found, (border, cut, passing) = turned[best], sides[best]
     starts, unsure = [top, left], len(likely) > 1
+    either_way = bool(np.less_equal(found.at.shape, shape[::-1]).all())
     for axis in (0, 1):
         lack = shape[axis] - found.at.shape[axis]
         if lack > 0:
             first, last = 2 * axis, 2 * axis + 1
             begin, end = border[first], border[last]
             starts[axis] = -lack if end and not begin else 0
-            by_begin = begin and cut[last] and not passing[first]
-            by_end = end and cut[first] and not passing[last]
-            unsure |= not ((begin and end) or by_begin or by_end)
+            unsure |= not ((begin and end) or (begin and cut[last]) or (end and cut[first]))
+            unsure |= any(passing if either_way else passing[first : last + 1])
     seen, continues = _seen_shape(found, bend, shape, (top, left), border)
     placed = found.window(starts[0], starts[1], shape)
     return Placed(

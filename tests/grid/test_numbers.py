@@ -308,6 +308,16 @@ def test_an_edge_that_goes_on_past_the_pattern_is_not_its_border():
     assert rest.turned(1).past == (rest.past[3], rest.past[2], rest.past[0], rest.past[1])
 
 
+def test_what_an_edge_hid_at_rest_is_not_cut_away():
+    picture, corners = drawn(7, 9)
+    hidden = behind(picture, 40 + 6 * 20 - 1)
+    rest = build_grid(seen_in(hidden), hidden)
+    grid = build_grid(seen_in(picture), picture, like=rest)
+    assert (rest.shape, grid.shape) == ((7, 5), (7, 9))
+    number, place = true(grid, corners)
+    np.testing.assert_array_equal(number, place)
+
+
 def test_an_edge_that_shows_a_sliver_of_the_next_squares_reaches_beyond_whole_ones():
     whole, _ = drawn(7, 9)
     view = behind(whole, 40 + 6 * 20 + 2)
@@ -388,6 +398,15 @@ def test_a_board_behind_an_edge_is_not_numbered_by_it_for_sure(squares):
     view = behind(picture, 40 + round(squares * 20) - 1)
     view = np.ascontiguousarray(view[:, 85:])
     grid = build_grid(seen_in(view), view, shape=(6, 9))
+    assert grid.valid.any()
+    assert grid.ambiguous
+
+
+def test_an_edge_that_leaves_as_many_columns_as_a_board_has_rows_does_not_turn_it_for_sure():
+    picture, _ = drawn(5, 8)
+    view = behind(picture, 40 + 6 * 20 - 1)
+    view = np.ascontiguousarray(view[: 40 + 5 * 20 + 10])
+    grid = build_grid(seen_in(view), view, shape=(5, 8))
     assert grid.valid.any()
     assert grid.ambiguous
 
