@@ -6,6 +6,7 @@ import math
 import threading
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from cmp_cl.grid.filter.holes import filled
@@ -15,7 +16,7 @@ from cmp_cl.grid.filter.polynomials import (
     LEAST_SUPPORT,
     RISK_REACH,
     axis_of,
-    bands_of,
+    moved_bands,
     pairs_of,
 )
 
@@ -26,7 +27,6 @@ Box = tuple[slice, slice]
 
 _SHARPNESS = 2 * math.pi * RISK_REACH**2 / 3  # of the weights, per unit of risk
 _ROUNDS = 3  # searches for nodes to refuse
-_ROWS_AT_ONCE = 16  # of a lattice, where every node has a kernel of its own
 _MOST_KEPT = 1 << 20  # numbers of a thread's scratch memory
 _kept = threading.local()
 
@@ -72,50 +72,29 @@ class Mixture:
             return np.where(mean > 0, sums / mean, alike)
 
     def deviation_of(self, stencil: Array, sigma: Array) -> Array:
-        """Return (R, C) float64, see `Filtered.deviation_of`."""
+        """Return (R, C) float64, see `Filtered.deviation_of`.
+
+        A combination of neighbours is one filter more: the sum of the pairs, each moved to its
+        neighbour. Row by row it is two products of matrices for each node.
+        """
         rows, columns = self.votes.shape
         reach, side = stencil.shape[2] // 2, 2 * max(half for half, _ in AXIS_FILTERS)
-        down, along = (bands_of(n, side, bends=self.bends) for n in (rows, columns))
+        down, along = (moved_bands(n, side, reach, bends=self.bends) for n in (rows, columns))
         noise = np.sqrt(self.raw_variance)
         with np.errstate(invalid="ignore", divide="ignore"):
             excess = sigma / (noise * np.sqrt(self.gain))  # what the noise does not explain
         excess = np.where(np.isfinite(excess), excess, 1)
         noise = np.pad(np.where(np.isfinite(noise), noise, 0), side + reach)
+        noise_around = sliding_window_view(noise, (2 * (side + reach) + 1,) * 2)
+        weights = np.pad(self.weights * excess, ((0, 0), (0, 0), (reach, reach), (reach, reach)))
+        weights_around = sliding_window_view(weights, stencil.shape[2:], axis=(2, 3))
         result = np.empty((rows, columns))
-        for first in range(0, rows, _ROWS_AT_ONCE):
-            block = slice(first, min(first + _ROWS_AT_ONCE, rows))
-            low, high = max(first - reach, 0), min(block.stop + reach, rows)
-            kernels = np.einsum(
-                "abrc,ard,bce->rcde", self.weights[:, :, low:high], down[:, low:high], along,
-                optimize=True,
-            )  # fmt: skip
-            around = np.lib.stride_tricks.sliding_window_view(
-                noise[low + reach : high + reach + 2 * side, reach : -reach or None],
-                kernels.shape[2:],
-            )
-            kernels = kernels * around
-            kernels *= excess[low:high, :, None, None]
-            total = np.zeros(
-                (block.stop - first, columns, *(n + 2 * reach for n in [2 * side + 1] * 2))
-            )
-            width = 2 * side + 1
-            for i in range(-reach, reach + 1):
-                for j in range(-reach, reach + 1):
-                    top, bottom = max(first, -i), min(block.stop, rows - i)
-                    left, right = max(0, -j), min(columns, columns - j)
-                    if top >= bottom or left >= right:
-                        continue
-                    weight = stencil[top:bottom, left:right, i + reach, j + reach]
-                    total[
-                        top - first : bottom - first,
-                        left:right,
-                        i + reach : i + reach + width,
-                        j + reach : j + reach + width,
-                    ] += (
-                        weight[..., None, None]
-                        * kernels[top + i - low : bottom + i - low, left + j : right + j]
-                    )
-            result[block] = np.sqrt(np.square(total).sum(axis=(2, 3)))
+        for row in range(rows):
+            pairs = np.einsum("abcij,cij->ciajb", weights_around[:, :, row], stencil[row])
+            pairs = pairs.reshape(columns, down.shape[1], along.shape[1]).astype(np.float32)
+            kernel = down[row].T @ (pairs @ along)
+            kernel *= noise_around[row]
+            result[row] = np.sqrt(np.square(kernel).sum(axis=(1, 2)))
         return result
 
 

@@ -110,11 +110,19 @@ def pairs_of(rows: int, columns: int, *, bends: bool = False) -> Pairs:
     )
 
 
-def bands_of(n: int, side: int, *, bends: bool) -> Single:
-    """Return the rows of the filters around the node, (A, n, 2 side + 1)."""
+def moved_bands(n: int, side: int, reach: int, *, bends: bool) -> Single:
+    """Return the filters of the nodes within reach of each node, around that node: (n, S A, T).
+
+    S = 2 reach + 1 neighbours, A filters of each, T = 2 (side + reach) + 1 nodes; 0 where there is
+    no neighbour.
+    """
     filters = axis_of(n, bends=bends).filters
-    bands = np.zeros((len(filters), n, 2 * side + 1), np.float32)
+    size = 2 * reach + 1
+    bands = np.zeros((n, size, len(filters), 2 * (side + reach) + 1), np.float32)
     for node in range(n):
-        first, last = max(node - side, 0), min(node + side + 1, n)
-        bands[:, node, first - node + side : last - node + side] = filters[:, node, first:last]
-    return bands
+        for beside in range(max(node - reach, 0), min(node + reach + 1, n)):
+            first, last = max(beside - side, 0), min(beside + side + 1, n)
+            start = first - node + side + reach
+            part = filters[:, beside, first:last]
+            bands[node, beside - node + reach, :, start : start + last - first] = part
+    return bands.reshape(n, size * len(filters), -1)
