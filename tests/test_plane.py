@@ -100,6 +100,22 @@ def test_turning_and_shifting_strains_nothing():
         assert np.nanmax(np.abs(plane_strain(each).tensor)) < 1e-5
 
 
+def test_a_node_that_a_frame_does_not_show_has_no_position_and_spoils_none_at_rest():
+    row, column = np.indices((9, 9))
+    rest = 20.0 * np.stack([column, row], axis=-1) + np.random.default_rng(1).normal(
+        0, 0.1, (9, 9, 2)
+    )
+    now = rest + 1
+    whole = plane_displacement(grid_of(rest), grid_of(now))
+    now[4, 5] = np.nan
+    field = plane_displacement(grid_of(rest), grid_of(now))
+    for values in (field.position, field.displacement, field.sigma, field.sigma_position):
+        assert np.isnan(values[4, 5]).all()
+    there = field.valid
+    assert np.count_nonzero(~there) == 1
+    np.testing.assert_array_equal(field.position[there], whole.position[there])
+
+
 def test_without_neighbours_and_without_sigma_errors_are_unknown():
     rest = lattice(4, 4)
     field = plane_displacement(grid_of(rest), grid_of(rest * 1.01))

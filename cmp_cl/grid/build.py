@@ -273,7 +273,7 @@ def _check_previous(previous: Grid | None, like: Grid | None) -> None:
     if previous is None:
         return
     if like is None:
-        raise GridError("the grid of the frame before needs the rest grid too")
+        raise GridError("the grid of the frame before needs the grid at rest too")
     if not isinstance(previous, Grid):
         raise GridError(f"previous must be a Grid, not {type(previous).__name__}")
     if not previous.valid.any():

@@ -16,8 +16,8 @@ MOST = 16  # islands
 def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) -> None:
     """Put the islands into the grid that have one place there.
 
-    rest: the rest grid on the rows and columns of the nodes, or None. An island's place is
-    where the rest grid has it after the affine motion of the other nodes; without a rest grid
+    rest: the grid at rest on the rows and columns of the nodes, or None. An island's place is
+    where the grid at rest has it after the affine motion of the other nodes; without that grid
     it is where their rows and columns meet, and they must lie on all sides of it. An island
     whose middle is more than a quarter of a cell from its place has none.
     """

@@ -1,4 +1,4 @@
-"""Which numbers a grid has: those of the rest grid.
+"""Which numbers a grid has: those of the grid at rest.
 
 A checkerboard repeats itself, so a frame has many numberings: four rotations, and all shifts by
 whole cells that keep the colours. Four things speak for one of them, in this order.
@@ -19,8 +19,8 @@ The least motion from rest. It says which numbering is most likely, and never th
 right one: a pattern without a border that moved by a whole period looks as if it had not moved.
 
 The best numbering is kept with the second best and the difference of their motions. It is sure
-if one of the first three decides; else, and where the frame before contradicts what the rest
-grid says for sure, it is ambiguous.
+if one of the first three decides; else, and where the frame before contradicts what the grid
+at rest says for sure, it is ambiguous.
 """
 
 from collections.abc import Sequence
@@ -82,10 +82,10 @@ class Decision(NamedTuple):
 
 
 def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -> Placed:
-    """Return the nodes with the numbers of the rest grid.
+    """Return the nodes with the numbers of the grid at rest.
 
     border: the sides on which the pattern ends in the view. previous: the frame before, with
-    the numbers of the rest grid, or None.
+    the numbers of the grid at rest, or None.
     """
     rest = Reference.of(like)
     at_rest = Border.of(like).turned(-quarter_turns(nodes.at, rest)[0][0])
@@ -139,7 +139,7 @@ def _by_border(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Dec
     """Choose the nearest of the numberings that borders allow; sure where they allow one.
 
     Lines that are lost look like a border. So it is not sure where the pattern lies in its
-    place at rest by other numbers. Where a side contradicts the rest frame's, something hides
+    place at rest by other numbers. Where a side contradicts the frame at rest, something hides
     the pattern and may end it on other sides too: then it is sure only if it is also where the
     pattern has moved by less than half a cell.
     """
@@ -219,8 +219,8 @@ def _nearest(nodes: Nodes, border: Border, like: Grid, near: Reference) -> list[
 def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
     """Return the numbers that borders allow for the first row and column.
 
-    What lies beyond a border of the rest grid is none of its nodes, and nodes that end at a
-    border of the pattern end where the rest grid does. A side that is the edge of what hides
+    What lies beyond a border of the grid at rest is none of its nodes, and nodes that end at a
+    border of the pattern end where the grid at rest does. A side that is the edge of what hides
     the pattern is no border, now or at rest.
     """
     here, rest = full_lines(nodes.there), _lines(like)
@@ -264,9 +264,9 @@ def _axis_bounds(
 
 
 def _known_ends(like: Grid, at: Points) -> Sides:
-    """Return where the rest grid ends within what the nodes show of the image.
+    """Return where the grid at rest ends within what the nodes show of the image.
 
-    For rest grids that were built without their image, which do not know their borders.
+    For grids at rest that were built without their image, which do not know their borders.
     """
     rest = like.xy[..., 0] + 1j * like.xy[..., 1].astype(np.float64)
     every = np.concatenate([rest.ravel(), at.ravel()])
@@ -285,7 +285,7 @@ def _known_ends(like: Grid, at: Points) -> Sides:
 
 
 def _placed(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Placed:
-    """Return the nodes on the rest grid's rows and columns, and on those beyond an open side."""
+    """Return the nodes on the rows and columns at rest, and on those beyond an open side."""
     best, second, sure, _ = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []

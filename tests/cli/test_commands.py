@@ -424,6 +424,8 @@ def test_a_rectangle_in_each_view_says_which_of_two_patterns_is_meant(
     assert (status, err) == (0, "")
     series = np.load("press.npz")
     np.testing.assert_array_equal(series["status"], alone["status"])
+    for view in ("left", "right"):
+        np.testing.assert_allclose(series[view], alone[view] + [VIEW[1], 0], atol=1e-4)
     apart = np.abs(series["displacement"] - alone["displacement"]).max(axis=-1)
     # sigma compares a corner with the median of its whole frame, and weighs the two views
     assert (apart <= 0.1 * alone["sigma"]).all()

@@ -358,5 +358,8 @@ def test_positions_at_rest_are_filtered_once_for_all_frames():
     np.testing.assert_array_equal(first.values, filter_grid(values, measured=measured).values)
     values[3, 4] += 0.2
     assert filter_at_rest(values, measured=measured) is not first
+    measured[2, 2] = False
+    others = filter_at_rest(values, measured=measured)
+    np.testing.assert_array_equal(others.values, filter_grid(values, measured=measured).values)
     with pytest.raises(ValueError, match="read-only"):
         first.values[0, 0] = 0
