@@ -26,7 +26,7 @@ class Refusal(enum.IntEnum):
     ANGLE = 2  # the lines enclose less than 10 degrees
     SHIFT = 3  # the result lies too far from the start, or EDGE_STEP's from EDGE_LINES'
     RESIDUAL = 4  # the edge points lie off their lines: the corner is torn
-    FLAT = 5  # EDGE_STEP: too little contrast, or edges that are nearly one
+    FLAT = 5  # EDGE_STEP: too little contrast
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -27,7 +27,8 @@ __kernel void edge_step(__global const PIXEL *restrict image,
                         __global const uint *restrict counts, const uint rows,
                         const uint columns, const uint step, const uint capacity,
                         const uint count_offset, const uint length, const float radius,
-                        const float scale, __global float *restrict result) {
+                        const float scale, __global const float8 *restrict moments,
+                        __global float *restrict result) {
   const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= counts[count_offset + p]) return;
   const size_t row = p * capacity + n;
@@ -38,55 +39,42 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
   const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
   const float radius_2 = radius * radius, rim = 4 / radius_2;
-  const float a_x = n1x / BLUR, a_y = n1y / BLUR, b_x = n2x / BLUR, b_y = n2y / BLUR;
+  const float a_x = n1x * BY_BLUR, a_y = n1y * BY_BLUR, b_x = n2x * BY_BLUR, b_y = n2y * BY_BLUR;
   const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);
   const float centre = GREY_NEAR(0, 0);
 
-  float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vaa = 0, vab = 0, vbb = 0;
+  LEVEL_SUMS
   for (int j = top; j <= bottom; ++j) {
     DISC_ROW(j)
     for (int i = left; i < right; i += 8) {
       const float8 ux = (float)i - x + EIGHT;
       CORNER_MODEL(uy_2)
-      SLOPES
       const float8 I = EIGHT_GREYS(i, j) - centre;
-      const float8 wP = w * P, wA = w * A, wB = w * B;
-      v1 += w;
-      vp += wP;
-      vpp += wP * P;
-      vi += w * I;
-      vpi += wP * I;
-      vaa += wA * A;
-      vab += wA * B;
-      vbb += wB * B;
+      ADD_LEVELS(w, P, I)
     }
   }
-  const float s1 = sum_of_eight(v1), sp = sum_of_eight(vp), spp = sum_of_eight(vpp);
-  const float si = sum_of_eight(vi), spi = sum_of_eight(vpi);
-  const float saa = sum_of_eight(vaa), sab = sum_of_eight(vab), sbb = sum_of_eight(vbb);
   LEVELS
 
-  /* The residual: its products with the model's columns, and of each pixel with the next one. */
   RESIDUAL_SUMS
-  float8 products = 0;
   for (int j = top; j <= bottom; ++j) {
     DISC_ROW(j)
-    float last = 0, last_weight = 0;
+    float last = 0;
     for (int i = left; i < right; i += 8) {
       const float8 ux = (float)i - x + EIGHT;
       CORNER_MODEL(uy_2)
       SLOPES
-      const float8 r = RESIDUAL((EIGHT_GREYS(i, j) - centre), P);
-      ADD_RESIDUAL(w, r, A, B)
-      ADD_LIGHT(w, r, A, B, P)
-      const float8 before = (float8)(last, r.s0123, r.s456);
-      const float8 weight = (float8)(last_weight, w.s0123, w.s456);
-      products += r2 < radius_2 ? weight * before * r : (float8)(0.0f);
-      last = r.s7;
-      last_weight = w.s7;
+      const float8 all = RESIDUAL((EIGHT_GREYS(i, j) - centre), P);
+      const float8 r = w > 0 ? all : (float8)(0.0f), wr = w * r;
+      ADD_RESIDUAL(wr, r, A, B, P)
+      vrn += (float8)(last, wr.s0123, wr.s456) * r;
+      last = wr.s7;
     }
   }
+#define SUM(name) const float name = sum_of_eight(v##name);
+  SUM(rr) SUM(ra) SUM(rb) SUM(rn) SUM(rx) SUM(ry) SUM(px) SUM(py)
+  EDGE_FRAME
+  MOMENTS_AT(angle)
+#define MOMENT(axis, i) of_##axis.s##i
   SOLVE_STEP
-  if (!sound) return;
   STORE_STEP
 }

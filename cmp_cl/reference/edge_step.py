@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.config import EdgeStep
 from cmp_cl.corners import Refusal
 from cmp_cl.image import GreyImage
-from cmp_cl.reference.edges import EdgePoints, both_lines, cross, dot, norm, normal_of
+from cmp_cl.reference.edges import EdgePoints, both_lines, norm, normal_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -18,7 +18,7 @@ STEP_SHIFT = 2.0  # px, from the start
 LARGEST_STEP = 0.3  # px
 BLUR = 1.2  # px, of the model's edges
 LEAST_CONTRAST = 1e-3  # grey levels
-LEAST_DETERMINANT = 1e-3  # relative to the product of the diagonal
+LEAST_SPREAD = 1e-3  # of the model, relative to its weighted mean square
 GRADIENT = 1e-3  # 1/px, of the light: what is expected where the image does not say more
 SIGNIFICANT = 9.0  # squared standard deviations from which on the image's own gradient counts
 DOUBT = 0.010  # excess autocorrelation of the residual
@@ -50,7 +50,8 @@ def edge_step(
 
     The model of the grey around x is (m + c f(n1.u) g(n2.u)) (1 + e.u), f and g smooth steps of
     1.2 px, e the relative gradient of the light. Its radius is clamp(0.75 cell s, 4.5, 9) / s with
-    the working scale s.
+    the working scale s. In the normal equations, what depends on the model alone is integrated
+    over the disc; in the frame of the edges they fall apart into two of two unknowns each.
     """
     radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
     n1, n2 = (normal_of(line) for line in both_lines(points))
@@ -125,20 +126,12 @@ def _step_terms(
     ux, uy = x - shift[:, 0, None, None], y - shift[:, 1, None, None]
     r2 = ux * ux + uy * uy
     inside = r2 < radius * radius
-    w = np.clip(4 * (1 - r2 / radius**2), 0, 1)
-    a, b = ((n[:, 0, None, None] * ux + n[:, 1, None, None] * uy) / BLUR for n in (n1, n2))
-    qa, qb = 1 / np.sqrt(1 + a * a), 1 / np.sqrt(1 + b * b)
-    f, g = a * qa, b * qb
-    p, da, db = f * g, qa**3 * g / BLUR, f * qb**3 / BLUR
+    w = weight_of(r2, radius)
+    p, da, db = model_of(*(n[:, 0, None, None] * ux + n[:, 1, None, None] * uy for n in (n1, n2)))
 
     def total(values: Floats) -> Floats:
         result: Floats = (w * values).sum(axis=(1, 2))
         return result
-
-    def products(first: tuple[Floats, ...], second: tuple[Floats, ...]) -> Floats:
-        """Return (N, len(first), len(second)) sums."""
-        sums = [np.stack([total(one * other) for other in second], axis=1) for one in first]
-        return np.stack(sums, axis=1)
 
     s1, sp, si = total(np.ones_like(p)), total(p), total(grey)
     spp, spi = total(p * p), total(p * grey)
@@ -148,57 +141,42 @@ def _step_terms(
         m = (si - c * sp) / s1
         r = grey - m[:, None, None] - c[:, None, None] * p
         level = np.maximum(m + centre, np.abs(c))
-        light = 1 + (c / level)[:, None, None] * p
-        edges, gradient = (da, db), (ux * light, uy * light)
-        aa, am = products(edges, edges), products(edges, gradient)
-        mm = products(gradient, gradient)
-        ra, rm = products(edges, (r,))[..., 0], products(gradient, (r,))[..., 0]
+        ratio = c / level
+        lit = r * (1 + ratio[:, None, None] * p)
         squares = total(r * r)
-        d = aa[:, 0, 0] * aa[:, 1, 1] - aa[:, 0, 1] ** 2
-        ratios = np.stack(
-            [
-                np.abs(c) / LEAST_CONTRAST,
-                d / (aa[:, 0, 0] * aa[:, 1, 1]) / LEAST_DETERMINANT,
-                spread / (s1 * spp) / LEAST_DETERMINANT,
-            ]
-        )
-        sound = np.logical_and((ratios > 1).all(axis=0), np.isfinite(ra).all(axis=1))
-        near = np.abs(np.where(np.isfinite(ratios), ratios, 0) - 1).min(axis=0)
-        aa = np.where(sound[:, None, None], aa, np.eye(2))
-        alone, by_gradient = np.linalg.solve(aa, ra[..., None])[..., 0], np.linalg.solve(aa, am)
-        noise = (squares - (ra * alone).sum(axis=1)) / s1
-        own, variance_of_own = _gradient(
-            mm - np.swapaxes(am, 1, 2) @ by_gradient,
-            rm - np.einsum("nij,ni->nj", am, alone),
+
+        axes, half = edge_frame(n1, n2)
+        d_d, d_k, d_kp, k_k, k_kp, k_kpp = np.moveaxis(moments(half, radius), -1, 0)
+        d_light = d_k + ratio[:, None] * d_kp
+        light_2 = k_k + 2 * ratio[:, None] * k_kp + ratio[:, None] ** 2 * k_kpp
+        r_d = half * np.stack([total(r * (da + db)), total(r * (da - db))], axis=1)
+        r_light = np.einsum("nki,ni->nk", axes, np.stack([total(lit * ux), total(lit * uy)], 1))
+
+        by_offset = d_light / d_d
+        left = light_2 - by_offset * d_light
+        noise = (squares - (r_d**2 / d_d).sum(axis=1)) / s1
+        gradient, variance_of_gradient = _gradient(
+            left,
+            r_light - by_offset * r_d,
             np.stack([level, noise, s1, np.abs(c)], axis=1),
         )
-        alone -= np.einsum("nij,nj->ni", by_gradient, own)
-        covariance = np.linalg.inv(aa)
-        covariance += by_gradient @ variance_of_own @ np.swapaxes(by_gradient, 1, 2)
+        along = (by_offset * gradient - r_d / d_d) / c[:, None]
+        step = np.einsum("nk,nki->ni", along, axes)
+        trace = (1 / d_d + by_offset**2 * variance_of_gradient).sum(axis=1)
+        explained = (2 * gradient * r_light - gradient**2 * light_2).sum(axis=1)
 
-        ha, hb = -alone.T / c
-        sine = cross(n1, n2)
-        step = np.stack(
-            [
-                (ha * n2[:, 1] - hb * n1[:, 1]) / sine,
-                (hb * n1[:, 0] - ha * n2[:, 0]) / sine,
-            ],
-            axis=1,
-        )
-        explained = 2 * (own * rm).sum(axis=1) - np.einsum("ni,nij,nj->n", own, mm, own)
-        trace = covariance[:, 0, 0] + covariance[:, 1, 1]
-        trace -= 2 * covariance[:, 0, 1] * dot(n1, n2)
         pair = np.where(inside[:, :, :-1] & inside[:, :, 1:], w[:, :, :-1], 0)
         neighbours = np.where(pair > 0, r[:, :, :-1] * r[:, :, 1:], 0)
         correlation = (pair * neighbours).sum(axis=(1, 2)) / s1
-        rho2 = np.maximum(0, squares / s1 - correlation) / (c * c)
-        variance = rho2 * trace / (sine * sine)
+        variance = np.maximum(0, squares / s1 - correlation) / (c * c) * trace
         correlation = (correlation - explained / s1) / (c * c)
-        sound &= np.isfinite(step).all(axis=1)
+
+        ratios = np.stack([np.abs(c) / LEAST_CONTRAST, spread / (s1 * spp) / LEAST_SPREAD])
+        sound = (ratios > 1).all(axis=0) & np.isfinite(step).all(axis=1)
         sound &= np.isfinite(variance) & np.isfinite(correlation)
-    clean = sound[:, None]
+        near = np.abs(np.where(np.isfinite(ratios), ratios, 0) - 1).min(axis=0)
     return (
-        np.where(clean, step, 0),
+        np.where(sound[:, None], step, 0),
         sound,
         np.where(sound, variance, 0),
         np.where(sound, correlation, 0),
@@ -206,24 +184,72 @@ def _step_terms(
     )
 
 
-def _gradient(normal: Floats, right: Floats, scales: Floats) -> tuple[Floats, Floats]:
-    """Return the light's gradient in grey levels a px (N, 2), and its variance by that of the noise
-    (N, 2, 2).
+def weight_of(r2: Floats, radius: float) -> Floats:
+    """Return the weights of the disc for squared distances from the corner."""
+    result: Floats = np.clip(4 * (1 - r2 / radius**2), 0, 1)
+    return result
 
-    normal: (N, 2, 2), right: (N, 2), the equations for it once the edges are eliminated.
+
+def model_of(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return P and its slopes for distances from the two edges, px."""
+    a, b = a / BLUR, b / BLUR
+    qa, qb = 1 / np.sqrt(1 + a * a), 1 / np.sqrt(1 + b * b)
+    f, g = a * qa, b * qb
+    return f * g, qa**3 * g / BLUR, f * qb**3 / BLUR
+
+
+def edge_frame(n1: Floats, n2: Floats) -> tuple[Floats, Floats]:
+    """Return the axes s, t (N, 2, 2), and the cosine and sine of half the angle (N, 2)."""
+    along = np.stack([n1 + n2, n1 - n2], axis=1)
+    length = norm(along)
+    return along / length[..., None], length / 2
+
+
+def moments(half: Floats, radius: float) -> Floats:
+    """Return the integrals over the disc that depend on the model alone, (N, 2, 6).
+
+    half: (N, 2) from `edge_frame`. For the axes s and t, with D the slope of P along the axis and k
+    the coordinate: the integrals of w D D, w D k, w D k P, w k k, w k k P, w k k P P.
+
+    In polar coordinates: Gauss-Legendre up to the distance from which on the weight falls and on
+    from there, trapezoids of equal angles. P is even in s and in t, so a quadrant is enough.
+    """
+    count = math.ceil(3 * radius) + 8
+    node, weight = np.polynomial.legendre.leggauss(count)
+    falls = radius * math.sqrt(0.75)
+    spans = ((0, falls), (falls, radius))
+    r = np.concatenate([(low + high) / 2 + (high - low) / 2 * node for low, high in spans])
+    by_r = np.concatenate([(high - low) / 2 * weight for low, high in spans])
+    angle = np.linspace(0, math.pi / 2, count)
+    by_angle = np.full(count, 4 * (angle[1] - angle[0]))
+    by_angle[[0, -1]] /= 2
+    s, t = r[:, None] * np.cos(angle), r[:, None] * np.sin(angle)
+    w = weight_of(r * r, radius)[:, None] * (r * by_r)[:, None] * by_angle
+    result = np.empty((len(half), 2, 6))
+    for row, (cosine, sine) in zip(result, half, strict=True):
+        p, da, db = model_of(cosine * s + sine * t, cosine * s - sine * t)
+        for each, slope, k in ((row[0], cosine * (da + db), s), (row[1], sine * (da - db), t)):
+            light = k * p
+            products = (slope * slope, slope * k, slope * light, k * k, k * light, light * light)
+            each[:] = [(w * product).sum() for product in products]
+    return result
+
+
+def _gradient(left: Floats, right: Floats, scales: Floats) -> tuple[Floats, Floats]:
+    """Return the light's gradient in grey levels a px along s and t (N, 2), and its variance by
+    that of the noise (N, 2).
+
+    left, right: (N, 2), left e = right once the offsets are eliminated.
     scales: (N, 4), level, mean square of what edges alone leave, sum of weights, |c|.
 
     It is a ridge estimate: GRADIENT is expected of the light, or more where the gradient that fits
     best is more than SIGNIFICANT says that noise alone would give.
     """
     level, noise, weights, contrast = scales.T
-    det = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
-    solvable = det > LEAST_DETERMINANT * normal[:, 0, 0] * normal[:, 1, 1]
-    best = np.linalg.solve(np.where(solvable[:, None, None], normal, np.eye(2)), right[..., None])
-    best = np.where(solvable[:, None], best[..., 0], 0)
+    best = right / left
     gained = (best * right).sum(axis=1)
     noise = np.maximum(noise - gained / weights, (LEAST_CONTRAST * contrast) ** 2)
     surely = np.maximum(0, 1 - SIGNIFICANT * noise / np.maximum(gained, 1e-30))
     expected = (GRADIENT * level) ** 2 + surely * (best**2).sum(axis=1) / 2
-    inverse = np.linalg.inv(normal + (noise / expected)[:, None, None] * np.eye(2))
-    return np.einsum("nij,nj->ni", inverse, right), inverse
+    ridged = left + (noise / expected)[:, None]
+    return right / ridged, 1 / ridged

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines
 from cmp_cl.corners import Corners, Method
 from cmp_cl.stages.layout import LANES, Launch, PlanBase, multiple
+from cmp_cl.stages.moments import BLUR, moments
 from cmp_cl.stages.resampling import full_pixels
 
 RESULT_HEAD = 16  # numbers before the fields of a frame, like the next of kernels/result.clh
@@ -43,11 +44,14 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     """Return the macros that only these kernels need."""
     refinement = plan.config.refinement
     quadratic = isinstance(refinement, Midlines) and refinement.fit is Fit.QUADRATIC
+    table = moments(_radius(plan, refinement)) if isinstance(refinement, EdgeStep) else ()
     return {
         "LANES": plan.lanes,
         "LISTS": plan.lists,
         "SCALED": int(plan.scale is not None),
         "EDGE_STEP": int(isinstance(refinement, EdgeStep)),
+        "ANGLES": len(table) - 1,
+        "BLUR": f"{BLUR}f",
         "QUADRATIC": int(quadratic),
     }
 
@@ -142,7 +146,7 @@ def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
 
 def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
     b, factor = plan.arrays, plan.scale or 1.0
-    share, least, most = STEP_RADIUS
+    radius = _radius(plan, refinement)
     return _of_corners(
         plan,
         "edge_step_eight" if plan.lanes == LANES else "edge_step",
@@ -152,10 +156,17 @@ def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
         counts=b["counts"],
         **_full_size(plan),
         **plan.corner_list,
-        radius=np.float32(min(max(share * refinement.cell * factor, least), most) / factor),
+        radius=np.float32(radius),
         scale=np.float32(factor),
+        moments=plan.constant(moments(radius)),
         result=b["result"],
     )
+
+
+def _radius(plan: PlanBase, refinement: EdgeStep) -> float:
+    """Return the radius of EDGE_STEP's disc, px of the image."""
+    factor, (share, least, most) = plan.scale or 1.0, STEP_RADIUS
+    return min(max(share * refinement.cell * factor, least), most) / factor
 
 
 def _largest_shift(plan: PlanBase) -> np.float32:

@@ -4,7 +4,8 @@
 /* EDGE_STEP for CPUs. The pixels that the disc may contain, wherever in the middle pixel its
  * centre lies, are listed once for all corners, row by row. A vector holds the next eight of
  * the list, so every loop has the same length for every corner. The work from a pixel to the
- * sums is cut into two loops, so that several vectors are in flight at a time. */
+ * sums is cut into two loops, so that several vectors are in flight at a time. The equations
+ * are solved for eight corners at a time. */
 
 #if LANES != 8
 #error "LANES must be 8"
@@ -19,6 +20,8 @@
 #define MOST_PIXELS 312
 #endif
 #define BEHIND 32 /* elements behind the last pixel, which vector stores overwrite */
+
+#define ROUNDED(v) ((int)((v) + 1024.5f) - 1024) /* near 0; floor is a call */
 
 /* A row of the list: a pixel that is always outside, so that the row before ends there, and
  * columns -most to most of the middle pixel. */
@@ -82,16 +85,24 @@ void read_part(const Part *part, __global const PIXEL *image, const size_t p, co
   }
 }
 
+/* What SOLVE_STEP needs of eight corners. */
+typedef struct {
+  float angle[LANES], c[LANES], middle[LANES], varied[LANES], s1[LANES];
+  float rr[LANES], ra[LANES], rb[LANES], rx[LANES], ry[LANES], px[LANES], py[LANES], rn[LANES];
+  float8 of_s[LANES], of_t[LANES];
+} Sums;
+
 __kernel void edge_step_eight(__global const PIXEL *restrict image,
                               __global const float *restrict start,
                               __global const float *restrict lines,
                               __global const uint *restrict counts, const uint rows,
                               const uint columns, const uint step, const uint capacity,
                               const uint count_offset, const uint length, const float radius,
-                              const float scale, __global float *restrict result) {
+                              const float scale, __global const float8 *restrict moments,
+                              __global float *restrict result) {
   const size_t p = get_global_id(1);
   const uint total = SMALLER(counts[count_offset + p], capacity);
-  if (get_global_id(0) >= total) return;
+  if (get_global_id(0) * LANES >= total) return;
   const float radius_2 = radius * radius;
   const float rim = 4 / radius_2;
   const int reach = (int)(radius + 0.5f);
@@ -99,20 +110,9 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
   RESULT_OF_FRAME(total)
   Part part;
   Values values;
+  Sums sums;
   list_part(&part, -reach, reach, radius_2);
   const int whole = part.end > reach;
-  for (size_t n = get_global_id(0); n < total; n += get_global_size(0)) {
-    const size_t row = p * capacity + n;
-    if (*RESULT_METHOD != METHOD_EDGE_LINES) continue;
-    const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
-    const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
-    const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
-    const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
-    const float a_x = n1x / BLUR, a_y = n1y / BLUR, b_x = n2x / BLUR, b_y = n2y / BLUR;
-    /* The middle pixel, and the corner relative to it. */
-    const int middle_x = (int)floor(x + 0.5f), middle_y = (int)floor(y + 0.5f);
-    const float part_x = x - (float)middle_x, part_y = y - (float)middle_y;
-    const float centre = (float)image[CLAMPED_ROW(from_y) + from_x];
 
 #define TAKE_PART(first_row)                                                        \
   if (!whole) list_part(&part, first_row, reach, radius_2);                         \
@@ -120,66 +120,80 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
             values.pixel_of);                                                       \
   for (int k = 0; k < part.count; k += 8) {                                         \
     const float8 ux = LOAD_8(part.dx_of, k) - part_x, uy = LOAD_8(part.dy_of, k) - part_y; \
+    const float8 I = EIGHT_OF(float8, values.pixel_of + k) - centre;                \
     CORNER_MODEL(uy * uy)                                                           \
     SLOPES                                                                          \
     STORE_8(values.weight_of, k, w);                                                \
     STORE_8(values.model_of, k, P);                                                 \
     STORE_8(values.slope_a_of, k, A);                                               \
     STORE_8(values.slope_b_of, k, B);                                               \
-    STORE_8(values.grey_of, k, EIGHT_OF(float8, values.pixel_of + k) - centre);     \
+    STORE_8(values.grey_of, k, I);                                                  \
   }
 
-    float8 v1 = 0, vp = 0, vpp = 0, vi = 0, vpi = 0, vaa = 0, vab = 0, vbb = 0;
-    for (int dy = -reach; dy <= reach; dy = part.end) {
-      TAKE_PART(dy)
-      for (int k = 0; k < part.count; k += 8) {
-        const float8 w = LOAD_8(values.weight_of, k), P = LOAD_8(values.model_of, k);
-        const float8 A = LOAD_8(values.slope_a_of, k), B = LOAD_8(values.slope_b_of, k);
-        const float8 I = LOAD_8(values.grey_of, k);
-        const float8 wP = w * P, wA = w * A, wB = w * B, wI = w * I;
-        v1 += w;
-        vp += wP;
-        vpp += wP * P;
-        vi += wI;
-        vpi += wI * P;
-        vaa += wA * A;
-        vab += wA * B;
-        vbb += wB * B;
-      }
-    }
-    const float s1 = sum_of_eight(v1), sp = sum_of_eight(vp), spp = sum_of_eight(vpp);
-    const float si = sum_of_eight(vi), spi = sum_of_eight(vpi);
-    const float saa = sum_of_eight(vaa), sab = sum_of_eight(vab), sbb = sum_of_eight(vbb);
-    LEVELS
+  for (size_t n = get_global_id(0) * LANES; n < total; n += get_global_size(0) * LANES) {
+    const size_t row = p * capacity + n;
+    const REAL n1x = LANE(lines, 0), n1y = LANE(lines, 1), n2x = LANE(lines, 2);
+    const REAL n2y = LANE(lines, 3), x = LANE(lines, 4), y = LANE(lines, 5);
+    const REAL from_x = LANE(start, 0), from_y = LANE(start, 1);
+    EDGE_FRAME
+    STORE_8(sums.angle, 0, angle);
+    for (uint lane = 0; lane < LANES && n + lane < total; ++lane) {
+      if (RESULT_METHOD[lane] != METHOD_EDGE_LINES) continue;
+      const size_t row = p * capacity + n + lane;
+      const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
+      const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
+      const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
+      const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
+      const float a_x = n1x * BY_BLUR, a_y = n1y * BY_BLUR;
+      const float b_x = n2x * BY_BLUR, b_y = n2y * BY_BLUR;
+      /* The middle pixel, and the corner relative to it. */
+      const int middle_x = ROUNDED(x), middle_y = ROUNDED(y);
+      const float part_x = x - (float)middle_x, part_y = y - (float)middle_y;
+      const float centre = (float)image[CLAMPED_ROW(from_y) + from_x];
 
-    /* The residual: its products with the model's columns, and with the next pixel's in the row. */
-    RESIDUAL_SUMS
-    float8 products = 0;
-    for (int dy = -reach; dy <= reach; dy = part.end) {
-      if (!whole) {
+      LEVEL_SUMS
+      for (int dy = -reach; dy <= reach; dy = part.end) {
         TAKE_PART(dy)
+        for (int k = 0; k < part.count; k += 8)
+          ADD_LEVELS(LOAD_8(values.weight_of, k), LOAD_8(values.model_of, k),
+                     LOAD_8(values.grey_of, k))
       }
-      const int end = (part.count + 7) / 8 * 8;
-      for (int k = 0; k < end; k += 8) {
-        const float8 w = LOAD_8(values.weight_of, k);
-        const float8 left = RESIDUAL(LOAD_8(values.grey_of, k), LOAD_8(values.model_of, k));
-        const float8 r = w > 0 ? left : (float8)(0.0f);
-        STORE_8(values.grey_of, k, r);
-        ADD_RESIDUAL(w, r, LOAD_8(values.slope_a_of, k), LOAD_8(values.slope_b_of, k))
+      LEVELS
+
+      RESIDUAL_SUMS
+      for (int dy = -reach; dy <= reach; dy = part.end) {
+        if (!whole) {
+          TAKE_PART(dy)
+        }
+        float8 last = 0;
+        for (int k = 0; k < part.count; k += 8) {
+          const float8 ux = LOAD_8(part.dx_of, k) - part_x, uy = LOAD_8(part.dy_of, k) - part_y;
+          const float8 w = LOAD_8(values.weight_of, k), P = LOAD_8(values.model_of, k);
+          const float8 left = RESIDUAL(LOAD_8(values.grey_of, k), P);
+          const float8 r = w > 0 ? left : (float8)(0.0f), wr = w * r;
+          ADD_RESIDUAL(wr, r, LOAD_8(values.slope_a_of, k), LOAD_8(values.slope_b_of, k), P)
+          vrn += (float8)(last.s7, wr.s0123, wr.s456) * r;
+          last = wr;
+        }
       }
-      for (int k = 0; k < end; k += 8) {
-        const float8 ux = LOAD_8(part.dx_of, k) - part_x, uy = LOAD_8(part.dy_of, k) - part_y;
-        ADD_LIGHT(LOAD_8(values.weight_of, k), LOAD_8(values.grey_of, k),
-                  LOAD_8(values.slope_a_of, k), LOAD_8(values.slope_b_of, k),
-                  LOAD_8(values.model_of, k))
-      }
-      values.grey_of[end] = 0;
-      for (int k = 0; k < end; k += 8)
-        products += LOAD_8(values.weight_of, k) * LOAD_8(values.grey_of, k) *
-                    LOAD_8(values.grey_of, k + 1);
+#define PUT(name, value) sums.name[lane] = value;
+#define PUT_SUM(name) PUT(name, sum_of_eight(v##name))
+      PUT(c, c) PUT(middle, middle) PUT(varied, varied) PUT(s1, s1)
+      PUT_SUM(rr) PUT_SUM(ra) PUT_SUM(rb) PUT_SUM(rn)
+      PUT_SUM(rx) PUT_SUM(ry) PUT_SUM(px) PUT_SUM(py)
+      MOMENTS_AT(sums.angle[lane])
+      PUT(of_s, of_s) PUT(of_t, of_t)
     }
+
+#define TAKE(name) const REAL name = LOAD_8(sums.name, 0);
+    TAKE(c) TAKE(middle) TAKE(varied) TAKE(s1)
+    TAKE(rr) TAKE(ra) TAKE(rb) TAKE(rn) TAKE(rx) TAKE(ry) TAKE(px) TAKE(py)
+#define MOMENT_OF(axis, i, lane) sums.of_##axis[lane].s##i
+#define MOMENT(axis, i)                                                             \
+  (REAL)(MOMENT_OF(axis, i, 0), MOMENT_OF(axis, i, 1), MOMENT_OF(axis, i, 2),       \
+         MOMENT_OF(axis, i, 3), MOMENT_OF(axis, i, 4), MOMENT_OF(axis, i, 5),       \
+         MOMENT_OF(axis, i, 6), MOMENT_OF(axis, i, 7))
     SOLVE_STEP
-    if (!sound) continue;
     STORE_STEP
   }
 }

@@ -8,8 +8,9 @@ from comparison import assert_corners_equal
 from configs import rings
 from corner_images import board
 
-from cmp_cl import EdgeLines, EdgeStep, Method
+from cmp_cl import EdgeLines, EdgeStep, Method, reference
 from cmp_cl.stages.form import Form
+from cmp_cl.stages.moments import moments
 
 
 @pytest.mark.parametrize("scale", [None, 0.63])
@@ -70,3 +71,20 @@ def test_discs_of_a_scaled_image_equal_the_oracle(detector_in_form, cell):
     distance = np.minimum(stepped, np.array(image.shape[::-1]) - 1 - stepped).min(axis=1)
     assert (distance < 0.6 * cell).any()
     assert (distance > 0.6 * cell).any()
+
+
+@pytest.mark.parametrize("radius", [4.5, 6.45, 9.0, 40.0])
+def test_the_table_of_moments_holds_the_integrals_of_the_model(radius):
+    """At the angles of the table, and between them by linear interpolation."""
+    table = moments(radius).astype(np.float64)
+    place = np.array([9.0, 20.0, 31.5, 40.5, 55.0]) * (len(table) // 64)
+    below = place.astype(int)
+    between = (table[below] + table[np.ceil(place).astype(int)]) / 2
+    half = np.arcsin((2 * place / (len(table) - 1) - 1) / np.sqrt(2)) + np.pi / 4
+    half = np.stack([np.cos(half), np.sin(half)], axis=1)
+    exact = reference.edge_step.moments(half, radius)
+    exact[..., 0] /= half**4
+    exact[..., 1:3] /= half[..., None] ** 2
+    slope, place = np.sqrt(exact[..., 0]), np.sqrt(exact[..., 3])
+    size = np.stack([slope * slope, *2 * [slope * place], *3 * [place * place]], axis=-1)
+    assert (np.abs(between[..., :6] - exact) < 0.002 * size).all()

@@ -372,51 +372,61 @@ def test_a_step_from_nearby_reaches_the_model(angles):
         assert step.sigma[0] == pytest.approx(edge_step.STEP_ERROR, rel=0.3)
 
 
+def columns_of_step(
+    ux: np.ndarray, uy: np.ndarray, angles: tuple[float, float], radius: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return weight (N,), P (N,) and its slopes along x and y (N, 2) at offsets (N,)."""
+    normals = np.array([(-math.sin(angle), math.cos(angle)) for angle in angles])
+    a, b = normals @ np.stack([ux, uy]) / 1.2
+    f, g = a / np.hypot(1, a), b / np.hypot(1, b)
+    weight = np.clip(4 * (1 - (ux**2 + uy**2) / radius**2), 0, 1)
+    slopes = np.stack([g / np.hypot(1, a) ** 3, f / np.hypot(1, b) ** 3], axis=1) / 1.2
+    return weight, f * g, slopes @ normals
+
+
 def step_by_least_squares(
     image: np.ndarray, start: int, x: np.ndarray, angles: tuple[float, float], radius: float
 ) -> tuple[np.ndarray, float, float]:
-    """Return step, tr rho^2 and ac with a general solver, pixel by pixel."""
-    normals = np.array([(-math.sin(angle), math.cos(angle)) for angle in angles])
-    rows = {}
-    for dy in range(-12, 13):
-        for dx in range(-12, 13):
-            u = np.array([dx, dy]) - x
-            if (distance := math.hypot(*u)) >= radius:
-                continue
-            a, b = normals @ u / 1.2
-            qa, qb = 1 / math.hypot(1, a), 1 / math.hypot(1, b)
-            f, g = a * qa, b * qb
-            weight = min(1, 4 * (1 - distance**2 / radius**2))
-            grey = float(image[start + dy, start + dx])
-            rows[dx, dy] = (weight, f * g, qa**3 * g / 1.2, f * qb**3 / 1.2, *u, grey)
-    weight, p, da, db, ux, uy, grey = np.array(list(rows.values())).T
+    """Return step, tr rho^2 and ac with a general solver.
+
+    What the image does not enter is summed over 16 x 16 places a pixel, for an integral.
+    """
+    offset = np.arange(-12, 13)
+    dx, dy = (each.ravel() for each in np.meshgrid(offset, offset))
+    weight, p, slopes = columns_of_step(dx - x[0], dy - x[1], angles, radius)
+    grey = image[start + dy, start + dx].astype(np.float64)
     root = np.sqrt(weight)
     m, c = np.linalg.lstsq(root[:, None] * np.stack([p * 0 + 1, p], axis=1), root * grey)[0]
     residual = grey - m - c * p
-    slopes = -c * np.stack([da, db], axis=1) @ normals
-    light = np.stack([ux, uy], axis=1) * (1 + c / max(m, abs(c)) * p)[:, None]
-    whole = root[:, None] * np.concatenate([slopes, light], axis=1)
+    ratio = c / max(m, abs(c))
+
+    def system(ux, uy, p, slopes):
+        light = np.stack([ux, uy], axis=1) * (1 + ratio * p)[:, None]
+        return np.concatenate([-c * slopes, light], axis=1)
+
+    right = system(dx - x[0], dy - x[1], p, slopes).T @ (weight * residual)
+    fine = (np.arange(-12 * 16, 12 * 16) + 0.5) / 16
+    ux, uy = (each.ravel() for each in np.meshgrid(fine, fine))
+    fine_weight, fine_p, fine_slopes = columns_of_step(ux, uy, angles, radius)
+    whole = system(ux, uy, fine_p, fine_slopes)
+    matrix = whole.T @ (fine_weight[:, None] * whole) / 16**2
 
     # Freely first: how much better the light's gradient makes the fit, and the noise that is left.
-    free, left = np.linalg.lstsq(whole, root * residual)[:2]
-    _, left_by_edges = np.linalg.lstsq(whole[:, :2], root * residual)[:2]
-    noise = left[0] / weight.sum()
-    surely = max(0, 1 - 9 * noise / (left_by_edges[0] - left[0]))
+    free, edges = np.linalg.solve(matrix, right), np.linalg.solve(matrix[:2, :2], right[:2])
+    gained = right @ free - right[:2] @ edges
+    noise = ((weight * residual**2).sum() - right @ free) / weight.sum()
+    surely = max(0, 1 - 9 * noise / gained)
     expected = (1e-3 * max(m, abs(c))) ** 2 + surely * (free[2:] ** 2).sum() / 2
-    prior = math.sqrt(noise / expected) * np.eye(4)[2:]
-    held = np.concatenate([whole, prior])
-    fitted = np.linalg.lstsq(held, np.append(root * residual, [0, 0]))[0]
+    held = matrix + np.diag([0, 0, noise / expected, noise / expected])
+    fitted = np.linalg.solve(held, right)
 
-    by_pixel = dict(zip(rows, residual, strict=True))
-    alike = sum(
-        rows[dx, dy][0] * by_pixel[dx, dy] * by_pixel[dx + 1, dy]
-        for dx, dy in rows
-        if (dx + 1, dy) in rows
-    )
-    explained = (weight * residual**2).sum()
-    explained -= (weight * (residual - light @ fitted[2:]) ** 2).sum()
+    square = (len(offset), len(offset))
+    r, w = residual.reshape(square), weight.reshape(square)
+    pair = np.where((w[:, :-1] > 0) & (w[:, 1:] > 0), w[:, :-1], 0)
+    alike = (pair * r[:, :-1] * r[:, 1:]).sum()
+    explained = 2 * right[2:] @ fitted[2:] - fitted[2:] @ matrix[2:, 2:] @ fitted[2:]
     rho2 = ((weight * residual**2).sum() - alike) / weight.sum()
-    variance = np.trace(np.linalg.inv(held.T @ held)[:2, :2]) * rho2
+    variance = np.trace(np.linalg.inv(held)[:2, :2]) * rho2
     return fitted[:2], variance, (alike - explained) / weight.sum() / c**2
 
 
@@ -432,21 +442,24 @@ def test_a_step_is_weighted_least_squares(cell, light):
     step, variance, correlation = step_by_least_squares(image, 20, shift[0], angles, radius)
     normals = [np.array([[-math.sin(angle), math.cos(angle)]]) for angle in angles]
     terms = edge_step._step_terms(image, start, shift, *normals, radius)
-    np.testing.assert_allclose(terms[0], [step], rtol=1e-8)
+    np.testing.assert_allclose(terms[0], [step], rtol=1e-3)
     assert terms[1][0]
-    np.testing.assert_allclose(terms[2], variance, rtol=1e-8)
-    np.testing.assert_allclose(terms[3], correlation, rtol=1e-8)
+    np.testing.assert_allclose(terms[2], variance, rtol=1e-3)
+    np.testing.assert_allclose(terms[3], correlation, rtol=1e-3)
     points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
     refinement = EdgeStep(cell=cell)
     found = edge_step.edge_step(image, start, shift, points, refinement, 1.0)
-    np.testing.assert_allclose(found.position, shift + step, rtol=1e-8)
+    np.testing.assert_allclose(found.position, shift + terms[0])
     np.testing.assert_allclose(
-        found.sigma, math.sqrt(edge_step.STEP_ERROR**2 + variance / 2), rtol=1e-8
+        found.sigma, math.sqrt(edge_step.STEP_ERROR**2 + terms[2][0] / 2), rtol=1e-8
     )
 
 
 def test_uneven_light_moves_no_corner():
-    """Light that grows by 2 % a px would move the step by 0.18 px if nobody counted it."""
+    """Light that grows by 2 % a px would move the step by 0.18 px if nobody counted it.
+
+    Sums over pixels and integrals differ by about 2 % of that.
+    """
     angles = (0.9, 2.0)
     points = rays([*angles, angles[0] + math.pi, angles[1] + math.pi])
     across = 1 + 0.02 * (np.arange(41) - 20)
@@ -454,7 +467,7 @@ def test_uneven_light_moves_no_corner():
     step = edge_step.edge_step(
         image, np.array([[20, 20]]), np.zeros((1, 2)), points, EdgeStep(cell=12), 1.0
     )
-    np.testing.assert_allclose(step.position, [[0.02, -0.03]], atol=3e-4)
+    np.testing.assert_allclose(step.position, [[0.02, -0.03]], atol=5e-3)
 
 
 def test_a_step_of_more_than_0_3_px_is_refused():

@@ -1,0 +1,47 @@
+"""The moments of EDGE_STEP's corner model, which depend on its radius and on the edges' angle."""
+
+import functools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+BLUR = 1.2  # px, of the model's edges
+NARROW = 1e-3  # rad: stands for no angle at all
+MOST_SAMPLES = 96  # of a quadrant, along either coordinate
+
+
+@functools.lru_cache(maxsize=8)
+def moments(radius: float) -> NDArray[np.float32]:
+    """Return the table of kernels/corner_model.clh, (angles + 1, 2, 8) float32.
+
+    radius: of the disc, px. Entry k is of half an angle between the normals whose sine is larger
+    than its cosine by 2 k / angles - 1; the axes are s and t. The slope along an axis is divided
+    by the square of that cosine, or of that sine, so that it stays finite and smooth.
+
+    In polar coordinates: Gauss-Legendre along the radius, equal angles in a quadrant, as P is even
+    in s and in t.
+    """
+    angles = 256 if radius <= 9 else 64  # as much as float32 shows; wide discs take long
+    count = min(math.ceil(2 * radius) + 8, MOST_SAMPLES)
+    node, part = np.polynomial.legendre.leggauss(count)
+    flat = math.sqrt(0.75)  # of the radius: from there on the weight falls
+    r = radius * np.concatenate([flat * (node + 1), 1 + flat + (1 - flat) * node]) / 2
+    ring = radius * np.concatenate([flat * part, (1 - flat) * part]) / 2 * r
+    direction = (np.arange(count)[:, None] + 0.5) * (math.pi / 2 / count)
+    s, t = (r * np.cos(direction)).ravel(), (r * np.sin(direction)).ravel()
+    w = np.tile(np.clip(4 * (1 - (r / radius) ** 2), 0, 1) * ring * (2 * math.pi / count), count)
+    table = np.zeros((angles + 1, 2, 8))
+    for entry, difference in zip(table, np.linspace(-1, 1, angles + 1), strict=True):
+        half = math.asin(difference / math.sqrt(2)) + math.pi / 4
+        half = min(half, math.pi / 2 - NARROW)
+        near, far = math.cos(half) / BLUR * s, math.sin(half) / BLUR * t
+        a, b = near + far, near - far
+        by_a, by_b = 1 / np.sqrt(1 + a * a), 1 / np.sqrt(1 + b * b)
+        f, g = a * by_a, b * by_b
+        slope = (by_a**3 * g + f * by_b**3) / (BLUR * math.cos(half))
+        columns = np.stack([slope, s, f * g * s])
+        entry[0, :6] = ((w * columns) @ columns.T)[np.triu_indices(3)]
+    # With the other normal turned round, s and t change places and P its sign.
+    table[:, 1, :6] = table[::-1, 0, :6] * [1, -1, 1, 1, -1, 1]
+    return table.astype(np.float32)
