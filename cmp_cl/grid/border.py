@@ -135,7 +135,8 @@ def _reaches(sides: list[Points], image: GreyImage) -> list[float]:
     level = grey(image, (middle + depths * out)[..., None] + SPOTS * along[..., None]).sum(axis=3)
     contrast = np.abs(level[:, 0] - level[:, 1])
     share = np.minimum(contrast[:, 1:] / np.maximum(contrast[:, :1], 1), 1)
-    around = np.pad(share, ((0, 0), (2, 2)))
+    around = np.zeros((len(share), len(DEPTHS) + 4))
+    around[:, 2:-2] = share
     before = np.maximum(around[:, :-4], around[:, 1:-3])
     after = np.maximum(around[:, 3:-1], around[:, 4:])
     share = np.maximum(share, np.minimum(before, after))  # where black and white change places

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points
+from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points, turned_lines
 
 CLIP = 2.5  # times the median: a larger error counts as that
 PRINTED = 0.1  # px per axis: smaller errors may be the camera's, which stay in their places
@@ -95,8 +95,8 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
     scores: list[float] = []
     common: list[float] = []
     for quarters in turns:
-        error = np.rot90(now.error, quarters) * (-1j) ** quarters
-        both = np.rot90(now.known, quarters) & rest.known
+        error = turned_lines(now.error, quarters) * (-1j) ** quarters
+        both = turned_lines(now.known, quarters) & rest.known
         agreed = float((error.conj() * rest.error).real.sum())
         power = (np.abs(error[both]) ** 2).sum() * (np.abs(rest.error[both]) ** 2).sum()
         chance = np.sqrt(max(float(power), 1e-30) / 2 / max(int(np.count_nonzero(both)), 1))

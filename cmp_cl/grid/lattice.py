@@ -174,7 +174,7 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
 
 
 class _Trees(NamedTuple):
-    """A forest over the corners: each one's root and its place in the root's frame."""
+    """A forest over the corners: the number of each one's root and its place in that frame."""
 
     root: Index
     node: Complex
@@ -193,7 +193,9 @@ def _planted(corners: int, half: Index, other: Index) -> _Trees:
         node=np.zeros(corners, np.complex64),
         turn=np.ones(corners, np.complex64),
     )
-    return _hooked(alone, child, half >> 2, -UNITS[(half - other) & 3], UNITS[half & 3])
+    planted = _hooked(alone, child, half >> 2, -UNITS[(half - other) & 3], UNITS[half & 3])
+    number = np.cumsum(lowest == nothing) - 1  # of the trees, which are fewer
+    return planted._replace(root=number[planted.root])
 
 
 def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
@@ -216,7 +218,7 @@ def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
 
 def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Complex) -> _Trees:
     """Return the trees after those roots have hooked to others, flattened by pointer jumping."""
-    above = np.arange(len(trees.root))
+    above = np.arange(trees.root.max() + 1)
     above[child] = parent
     offset = np.zeros(len(above), np.complex64)
     offset[child] = shift
@@ -226,15 +228,12 @@ def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Co
         higher = above[above]
         if (higher == above).all():
             break
-        offset = offset[above] + spun[above] * offset
-        spun = spun[above] * spun
+        turned = spun[above]
+        offset, spun = offset[above] + turned * offset, turned * spun
         above = higher
     root = trees.root
-    return _Trees(
-        root=above[root],
-        node=offset[root] + spun[root] * trees.node,
-        turn=spun[root] * trees.turn,
-    )
+    turned = spun[root]
+    return _Trees(above[root], offset[root] + turned * trees.node, turned * trees.turn)
 
 
 def _hooks(
@@ -256,7 +255,7 @@ def _hooks(
     key = key * (2 * reach) + (shift.imag.astype(np.int64) + reach)
     order = np.argsort(key)  # equal keys are equal hooks
     start = starts(key[order])
-    votes = np.diff(start, append=len(key))
+    votes = np.append(start[1:], len(key)) - start
     first = starts(child[order[start]])
     rank = votes * len(start) + np.arange(len(start))[::-1]
     winner = len(start) - 1 - np.maximum.reduceat(rank, first) % len(start)
