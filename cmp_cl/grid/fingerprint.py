@@ -6,12 +6,14 @@ errors agree under the right numbers and under no others.
 """
 
 import functools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
+from cmp_cl.grid.grid import MEASURED, Grid
 from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points, turned_lines
 
 CLIP = 2.5  # times the median: a larger error counts as that
@@ -47,9 +49,9 @@ class Fingerprint(NamedTuple):
         return cls(error, known, float(np.median(np.abs(step[known]))))
 
     @classmethod
-    def at_rest(cls, at: Points) -> "Fingerprint":
-        """Take the same of the frame at rest. The last few are kept: a film's frames share it."""
-        return _kept(at.shape, at.tobytes())
+    def at_rest(cls, rest: Grid) -> "Fingerprint":
+        """Take the same of a grid at rest. The last few are kept: a film's frames share it."""
+        return _kept(rest.shape, rest.xy.dtype, rest.xy.tobytes(), rest.status.tobytes())
 
     @property
     def pixels(self) -> float:
@@ -59,8 +61,10 @@ class Fingerprint(NamedTuple):
 
 
 @functools.lru_cache(maxsize=4)
-def _kept(shape: tuple[int, ...], at: bytes) -> Fingerprint:
-    return Fingerprint.of(np.frombuffer(at, np.complex128).reshape(shape))
+def _kept(shape: tuple[int, int], kind: DTypeLike, xy: bytes, status: bytes) -> Fingerprint:
+    at = np.frombuffer(xy, kind).astype(np.float64).view(np.complex128).reshape(shape)
+    measured = np.isin(np.frombuffer(status, np.uint8), MEASURED).reshape(shape)
+    return Fingerprint.of(np.where(measured, at, NOWHERE))
 
 
 def _rough(at: Points) -> tuple[Points, Points]:
@@ -94,14 +98,15 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
     """
     scores: list[float] = []
     common: list[float] = []
+    square, square_at_rest = (np.abs(each.error) ** 2 for each in (now, rest))  # 0 where unknown
     for quarters in turns:
         error = turned_lines(now.error, quarters) * (-1j) ** quarters
-        both = turned_lines(now.known, quarters) & rest.known
+        known = turned_lines(now.known, quarters)
+        count = max(int(np.count_nonzero(known & rest.known)), 1)
         agreed = float((error.conj() * rest.error).real.sum())
-        power = (np.abs(error[both]) ** 2).sum() * (np.abs(rest.error[both]) ** 2).sum()
-        chance = np.sqrt(max(float(power), 1e-30) / 2 / max(int(np.count_nonzero(both)), 1))
-        scores.append(agreed / float(chance))
-        common.append(agreed / max(int(np.count_nonzero(both)), 1))
+        power = (turned_lines(square, quarters) * rest.known).sum() * (square_at_rest * known).sum()
+        scores.append(agreed / math.sqrt(max(float(power), 1e-30) / 2 / count))
+        common.append(agreed / count)
     best = int(np.argmax(scores))
     second = max(score for place, score in enumerate(scores) if place != best)
     clear = scores[best] >= max(ABOVE_CHANCE, ABOVE_SECOND * second)

@@ -1,9 +1,11 @@
 """The numbers that leave nodes nearest to a reference: the frame at rest, or the one before."""
 
+import cmath
+import functools
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.grid.grid import Grid
 from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, Points
@@ -34,8 +36,8 @@ class Reference(NamedTuple):
 
     @classmethod
     def of(cls, grid: Grid) -> "Reference":
-        at = np.ascontiguousarray(grid.xy, np.float64).view(np.complex128)[..., 0]
-        return cls.at_places(at, grid.parity, grid.origin)
+        """Take a grid's nodes. The last few are kept: a film's frames share the one at rest."""
+        return _kept(grid.xy.dtype, grid.xy.tobytes(), grid.shape, grid.parity, grid.origin)
 
     @classmethod
     def at_places(cls, at: Points, parity: int, origin: tuple[int, int]) -> "Reference":
@@ -50,6 +52,14 @@ class Reference(NamedTuple):
             along=along or -1j * down,
             cell=float(np.mean(known)) if known else 1.0,
         )
+
+
+@functools.lru_cache(maxsize=4)
+def _kept(
+    kind: DTypeLike, xy: bytes, shape: tuple[int, int], parity: int, origin: tuple[int, int]
+) -> Reference:
+    at = np.frombuffer(xy, kind).astype(np.float64).view(np.complex128).reshape(shape)
+    return Reference.at_places(at, parity, origin)
 
 
 def _mean_step(at: Points) -> complex:
@@ -111,10 +121,9 @@ def quarter_turns(
     along = along or -1j * down
     down = down or 1j * along
     ways = (along, down, -along, -down)
-    angles = [abs(float(np.angle(way / reference.along))) for way in ways]
-    order = np.argsort(angles, kind="stable")
-    kept = order[: 4 if every else 2 if angles[order[0]] > TURNED else 1]
-    return [(int(turn), angles[turn]) for turn in kept]
+    angles = [abs(cmath.phase(way / reference.along)) for way in ways]
+    turns = sorted(enumerate(angles), key=lambda turn: turn[1])
+    return turns[: 4 if every else 2 if turns[0][1] > TURNED else 1]
 
 
 def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
