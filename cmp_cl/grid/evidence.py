@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points
+from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, median
 from cmp_cl.grid.predict import mean_steps, predict
 from cmp_cl.image import GreyImage
 
@@ -102,7 +102,7 @@ def _usual_contrast(nodes: Nodes, image: GreyImage) -> float:
         return 0.0
     row, column, along, down = row[known], column[known], along[known], down[known]
     bright, dark, _ = _levels(nodes, image, row, column, along, down)
-    return float(np.median(bright - dark))
+    return median(bright - dark)
 
 
 def _levels(

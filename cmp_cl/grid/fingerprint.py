@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.grid.grid import MEASURED, Grid
-from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points, turned_lines
+from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points, median, turned_lines
 
 CLIP = 2.5  # times the median: a larger error counts as that
 PRINTED = 0.1  # px per axis: smaller errors may be the camera's, which stay in their places
@@ -44,9 +44,9 @@ class Fingerprint(NamedTuple):
         if not known.any():
             return cls(np.zeros(at.shape, np.complex128), known, 0.0)
         size = np.abs(rough)
-        limit = CLIP * np.median(size[known])
+        limit = CLIP * median(size[known])
         error = np.where(known, rough * np.minimum(1, limit / np.maximum(size, 1e-12)), 0)
-        return cls(error, known, float(np.median(np.abs(step[known]))))
+        return cls(error, known, median(np.abs(step[known])))
 
     @classmethod
     def at_rest(cls, rest: Grid) -> "Fingerprint":
@@ -131,7 +131,7 @@ def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
         return None
     score = np.where(compared, total / np.sqrt(np.maximum(count, 1)), 0).ravel()
     second, best = np.argpartition(score, -2)[-2:]
-    chance = np.median(np.abs(score[compared.ravel()])) / 0.6745
+    chance = median(np.abs(score[compared.ravel()])) / 0.6745
     if score[best] < max(ABOVE_CHANCE * chance, ABOVE_SECOND * score[second]):
         return None
     if not _printed(total.ravel()[best] / count.ravel()[best], now, rest):

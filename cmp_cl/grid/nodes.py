@@ -107,6 +107,13 @@ def turned_lines(values: NDArray[Entry], quarters: int) -> NDArray[Entry]:
     return (values, values[::-1], values[::-1, ::-1], values[:, ::-1])[quarters]
 
 
+def median(values: Float) -> float:
+    """Return what np.median does, of one or more values without NaN, in a third of the time."""
+    first, second = (len(values) - 1) // 2, len(values) // 2
+    parted = np.partition(values, (first, second))
+    return float(parted[first] + parted[second]) / 2
+
+
 def check_room(shape: tuple[int, int], corners: int) -> None:
     """Raise GridError where a grid of that shape is far too large for that many corners."""
     if shape[0] * shape[1] > MOST_NODES + NODES_EACH * corners:
