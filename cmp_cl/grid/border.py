@@ -156,7 +156,7 @@ def _pairs(at: Points) -> Points:
     beside = column[:, None] + [0, 1]
     middle = (one[beside] + one[beside + 1]) / 2
     out = middle - (two[beside] + two[beside + 1]) / 2
-    return np.stack([middle, out, one[beside + 1] - one[beside]])
+    return np.array([middle, out, one[beside + 1] - one[beside]])
 
 
 def common_reach(reach: Float, columns: int) -> float:
@@ -229,7 +229,7 @@ def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Side
     sign = np.concatenate([line.sign for line in lines])
     far: Points = middle + shown * out
     seen = _inside(far, image)
-    spots = np.stack([middle + depth * out, middle - out / 2])[..., None] + SPOTS * along[:, None]
+    spots = np.array([middle + depth * out, middle - out / 2])[..., None] + SPOTS * along[:, None]
     level = (sign * grey(image, spots).sum(axis=2))[:, seen]
     group = (2 * side + (sign > 0))[seen]  # dark squares of the first side, bright ones, ...
     count = np.bincount(group, minlength=8)
