@@ -132,7 +132,8 @@ def _reaches(sides: list[Points], image: GreyImage) -> list[float]:
     shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
     middle, out, along = (each[shown, :, None] for each in (middle, out, along))
     depths = np.concatenate([[-0.5], DEPTHS])
-    level = grey(image, (middle + depths * out)[..., None] + SPOTS * along[..., None]).sum(axis=3)
+    spots = middle + depths * out + SPOTS[:, None, None, None] * along
+    level = grey(image, spots).sum(axis=0)
     contrast = np.abs(level[:, 0] - level[:, 1])
     share = np.minimum(contrast[:, 1:] / np.maximum(contrast[:, :1], 1), 1)
     around = np.zeros((len(share), len(DEPTHS) + 4))
@@ -229,8 +230,8 @@ def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Side
     sign = np.concatenate([line.sign for line in lines])
     far: Points = middle + shown * out
     seen = _inside(far, image)
-    spots = np.array([middle + depth * out, middle - out / 2])[..., None] + SPOTS * along[:, None]
-    level = (sign * grey(image, spots).sum(axis=2))[:, seen]
+    spots = np.array([middle + depth * out, middle - out / 2]) + SPOTS[:, None, None] * along
+    level = (sign * grey(image, spots).sum(axis=0))[:, seen]
     group = (2 * side + (sign > 0))[seen]  # dark squares of the first side, bright ones, ...
     count = np.bincount(group, minlength=8)
     total = np.stack([np.bincount(group, each, 8) for each in level])
