@@ -240,14 +240,12 @@ def _hooks(
     trees: _Trees, half: Index, other: Index
 ) -> tuple[Index, Index, Complex, Complex, Index]:
     """Return each tree with a neighbour of lower root, that root, its frame there, and votes."""
+    down = trees.root[half >> 2] < trees.root[other >> 2]
+    half, other = np.where(down, half, other), np.where(down, other, half)
     a, b = half >> 2, other >> 2
+    parent, child = trees.root[a], trees.root[b]
     spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
     shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
-    ra, rb = trees.root[a], trees.root[b]
-    down = ra < rb
-    child, parent = np.where(down, rb, ra), np.where(down, ra, rb)
-    shift = np.where(down, shift, -spin.conj() * shift)
-    spin = np.where(down, spin, spin.conj())
     quarter = (spin.imag != 0) + 2 * (spin.real + spin.imag < 0)
     reach = int(max(np.abs(shift.real).max(), np.abs(shift.imag).max())) + 1
     key = (child * len(trees.root) + parent) * 4 + quarter
