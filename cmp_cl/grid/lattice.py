@@ -137,11 +137,10 @@ def _boundary(
     lines: Complex, corner: Index, way: Complex
 ) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Return the number of the boundary nearest to that direction, and the cosine between."""
-    way = way.conj()
-    even, odd = ((line * way).real for line in lines.take(corner, axis=1))
+    even, odd = (lines.take(corner, axis=1) * way.conj()).real
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
-    behind = (is_odd & (odd < 0)) | (~is_odd & (even < 0))
+    behind = np.where(is_odd, odd, even) < 0
     return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
