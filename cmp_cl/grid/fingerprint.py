@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
@@ -123,16 +124,17 @@ def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
     if min(now.pixels, rest.pixels) < PRINTED:
         return None
     rows, columns = np.add(now.known.shape, rest.known.shape).tolist()
-    size = [1 << (rows - 2).bit_length(), 1 << (columns - 2).bit_length()]
+    size = [cv2.getOptimalDFTSize(rows - 1), cv2.getOptimalDFTSize(columns - 1)]
     total = _correlation(now.error, rest.error, size)
     count = np.rint(_correlation(now.known, rest.known, size))
     compared = count >= max(LEAST_COMMON * np.count_nonzero(now.known), LEAST_COUNT)
     if not compared.any():
         return None
     score = np.where(compared, total / np.sqrt(np.maximum(count, 1)), 0).ravel()
-    second, best = np.argpartition(score, -2)[-2:]
+    best = int(score.argmax())
+    second = np.delete(score, best).max()
     chance = median(np.abs(score[compared.ravel()])) / 0.6745
-    if score[best] < max(ABOVE_CHANCE * chance, ABOVE_SECOND * score[second]):
+    if score[best] < max(ABOVE_CHANCE * chance, ABOVE_SECOND * second):
         return None
     if not _printed(total.ravel()[best] / count.ravel()[best], now, rest):
         return None

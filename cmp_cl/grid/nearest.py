@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.grid.grid import Grid
-from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, Points
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 
 VOTERS = 384  # nodes that are compared with the reference
 ALONE = 0.5  # cells: cost of a node without a counterpart in the reference
@@ -206,12 +206,16 @@ def _motion(at: Points, cell: float, moved: Points) -> complex:
     middle = complex(at.real.min() + at.real.max(), at.imag.min() + at.imag.max()) / 2
     from_middle = (at - middle) / cell
     model = np.stack([np.ones(len(at)), from_middle, from_middle.conj()])
-    weight = np.ones(len(at))
-    for _ in range(3):
+
+    def fitted(weight: Float) -> Points:
         weighted = model.conj() * weight
-        affine = np.linalg.lstsq(weighted @ model.T, weighted @ moved, rcond=None)[0]
+        solved: Points = np.linalg.lstsq(weighted @ model.T, weighted @ moved, rcond=None)[0]
+        return solved
+
+    affine = fitted(np.ones(len(at)))
+    for _ in range(2):
         off = np.abs(moved - affine @ model)
-        weight = np.where(off <= max(2.5 * float(np.median(off)), 1e-3), 1.0, 0.0)
+        affine = fitted(np.where(off <= max(2.5 * median(off), 1e-3), 1.0, 0.0))
     return complex(affine[0])
 
 
