@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.grid.grid import Grid
+from cmp_cl.grid.lattice import Complex
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 
 VOTERS = 384  # nodes that are compared with the reference
@@ -207,10 +208,9 @@ def _motion(at: Points, cell: float, moved: Points) -> complex:
     from_middle = (at - middle) / cell
     model = np.stack([np.ones(len(at)), from_middle, from_middle.conj()])
 
-    def fitted(weight: Float) -> Points:
+    def fitted(weight: Float) -> Complex:
         weighted = model.conj() * weight
-        solved: Points = np.linalg.lstsq(weighted @ model.T, weighted @ moved, rcond=None)[0]
-        return solved
+        return np.linalg.lstsq(weighted @ model.T, weighted @ moved, rcond=None)[0]
 
     affine = fitted(np.ones(len(at)))
     for _ in range(2):
