@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.evidence import grey
 from cmp_cl.grid.grid import NO_SIDES, UNSEEN, Grid, Sides, turned_sides
-from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points
+from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, median
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
@@ -132,10 +132,12 @@ def _reaches(sides: list[Points], image: GreyImage) -> list[float]:
     shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
     middle, out, along = (each[shown, :, None] for each in (middle, out, along))
     depths = np.concatenate([[-0.5], DEPTHS])
-    level = grey(image, (middle + depths * out)[..., None] + SPOTS * along[..., None]).sum(axis=3)
+    spots = middle + depths * out + SPOTS[:, None, None, None] * along
+    level = grey(image, spots).sum(axis=0)
     contrast = np.abs(level[:, 0] - level[:, 1])
     share = np.minimum(contrast[:, 1:] / np.maximum(contrast[:, :1], 1), 1)
-    around = np.pad(share, ((0, 0), (2, 2)))
+    around = np.zeros((len(share), len(DEPTHS) + 4))
+    around[:, 2:-2] = share
     before = np.maximum(around[:, :-4], around[:, 1:-3])
     after = np.maximum(around[:, 3:-1], around[:, 4:])
     share = np.maximum(share, np.minimum(before, after))  # where black and white change places
@@ -152,10 +154,10 @@ def _pairs(at: Points) -> Points:
     column = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:])
     if len(column) > PAIRS:
         column = column[np.arange(PAIRS) * len(column) // PAIRS]
-    beside = np.stack([column, column + 1], axis=1)
+    beside = column[:, None] + [0, 1]
     middle = (one[beside] + one[beside + 1]) / 2
     out = middle - (two[beside] + two[beside + 1]) / 2
-    return np.stack([middle, out, one[beside + 1] - one[beside]])
+    return np.array([middle, out, one[beside + 1] - one[beside]])
 
 
 def common_reach(reach: Float, columns: int) -> float:
@@ -166,8 +168,7 @@ def common_reach(reach: Float, columns: int) -> float:
     count = len(reach)
     if count < max(min(2, columns - 2), 1):
         return math.nan
-    reach = np.sort(reach)
-    middling = float(reach[(count - 1) // 2] + reach[count // 2]) / 2
+    middling = median(reach)
     off = np.sort(np.abs(reach - middling))
     return middling if off[(3 * count - 1) // 4] <= PARALLEL else math.nan
 
@@ -221,26 +222,23 @@ def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Side
     if min(at.shape) < 2:
         return NO_SIDES
     lines = [_squares(way, *rows) for way in (at, at.T) for rows in ((0, 1), (-1, -2))]
-    side = np.repeat(np.arange(4), [len(line.sign) for line in lines])
+    looked = np.array([len(line.sign) for line in lines])
+    side = np.repeat(np.arange(4), looked)
     middle: Points = np.concatenate([line.middle for line in lines])
     out: Points = np.concatenate([line.out for line in lines])
     along = np.concatenate([line.along for line in lines])
     sign = np.concatenate([line.sign for line in lines])
     far: Points = middle + shown * out
     seen = _inside(far, image)
-    spots = np.stack([middle + depth * out, middle - out / 2])[..., None] + SPOTS * along[:, None]
-    level = sign * grey(image, spots).sum(axis=2)
-    ends = []
-    for number, line in enumerate(lines):
-        here = seen & (side == number)
-        count = np.count_nonzero(here)
-        if 2 * count < len(line.sign) or count < 2 or abs(int(sign[here].sum())) == count:
-            ends.append(False)
-            continue
-        bright, dark = here & (sign > 0), here & (sign < 0)
-        beyond, inside = level[:, bright].mean(axis=1) + level[:, dark].mean(axis=1)
-        ends.append(bool(abs(beyond) < FLAT * abs(inside)))
-    return Sides(*ends)
+    spots = np.array([middle + depth * out, middle - out / 2]) + SPOTS[:, None, None] * along
+    level = (sign * grey(image, spots).sum(axis=0))[:, seen]
+    group = (2 * side + (sign > 0))[seen]  # dark squares of the first side, bright ones, ...
+    count = np.bincount(group, minlength=8)
+    total = np.stack([np.bincount(group, each, 8) for each in level])
+    beyond, inside = np.abs((total / np.maximum(count, 1)).reshape(2, 4, 2).sum(axis=2))
+    dark, bright = count.reshape(4, 2).T
+    both = (2 * (dark + bright) >= looked) & (dark > 0) & (bright > 0)
+    return Sides(*(both & (beyond < FLAT * inside)).tolist())
 
 
 def _cut(at: Points, image: GreyImage) -> bool:
@@ -296,8 +294,6 @@ def full_lines(there: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     ends: list[int] = []
     for axis in (1, 0):
         count = there.sum(axis=axis)
-        ordered = np.sort(count)
-        median = (int(ordered[(len(count) - 1) // 2]) + int(ordered[len(count) // 2])) / 2
-        full = np.flatnonzero(count >= max(median / 4, 1))
+        full = np.flatnonzero(count >= max(median(count) / 4, 1))
         ends += [int(full[0]), int(full[-1])]
     return ends[0], ends[1], ends[2], ends[3]

@@ -186,7 +186,10 @@ def _numbered(
         return None, Ended()
     if shape is not None and seen.image is not None and np.less(nodes.at.shape, shape).any():
         extend(nodes, seen)
-    border = Border() if seen.image is None else border_of(nodes, seen.image)
+    border = Border()  # which places nodes that do not fill a known shape, and those like others
+    placing = like is not None or shape not in (None, nodes.at.shape)
+    if seen.image is not None and placing:
+        border = border_of(nodes, seen.image)
     if like is not None:
         placed = like_rest(nodes, border, like, previous)
     elif shape is not None:
@@ -201,10 +204,10 @@ def _numbered(
         join_islands(placed.nodes, found, seen, at_rest)
     count = np.count_nonzero(nodes.there)
     fill(placed.nodes, seen, BRACKETED if shape is None else WEAK)
-    if seen.image is not None and np.count_nonzero(placed.nodes.there) != count:
-        border = border_of(placed.nodes, seen.image)
-    else:
+    if seen.image is None or (placing and np.count_nonzero(placed.nodes.there) == count):
         border = border.turned(placed.quarters)
+    else:
+        border = border_of(placed.nodes, seen.image)
     declared = _declared(placed, border.sides, shape if like is None else None)
     return placed, Ended(declared, border)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points
+from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, median
 from cmp_cl.grid.predict import mean_steps, predict
 from cmp_cl.image import GreyImage
 
@@ -102,27 +102,27 @@ def _usual_contrast(nodes: Nodes, image: GreyImage) -> float:
         return 0.0
     row, column, along, down = row[known], column[known], along[known], down[known]
     bright, dark, _ = _levels(nodes, image, row, column, along, down)
-    return float(np.median(bright - dark))
+    return median(bright - dark)
 
 
 def _levels(
     nodes: Nodes, image: GreyImage, row: Index, column: Index, along: Points, down: Points
 ) -> tuple[Float, Float, Float]:
     """Return the grey levels of the darker bright cell and the brighter dark cell, and the span."""
-    step = DIAGONAL.real * along[:, None] + DIAGONAL.imag * down[:, None]
-    at = nodes.at[row, column][:, None, None] + step[..., None] * WITHIN
-    level = grey(image, at).sum(axis=2)
+    step = DIAGONAL.real[:, None] * along + DIAGONAL.imag[:, None] * down
+    at = nodes.at[row, column] + WITHIN[:, None, None] * step
+    level = grey(image, at).sum(axis=0)
     black = (nodes.parity + row + column) % 2 == 0  # the cells after and before on the diagonal
-    level[~black] = level[~black][:, [1, 2, 3, 0]]
-    dark, bright = np.maximum(level[:, 0], level[:, 2]), np.minimum(level[:, 1], level[:, 3])
-    return bright, dark, level.max(axis=1) - level.min(axis=1)
+    level = np.where(black, level, level[[1, 2, 3, 0]])
+    dark, bright = np.maximum(level[0], level[2]), np.minimum(level[1], level[3])
+    return bright, dark, level.max(axis=0) - level.min(axis=0)
 
 
 def grey(image: GreyImage, at: Points) -> Float:
     """Return the grey levels of the nearest pixels; beyond the image those of its border."""
     rows, columns = image.shape
-    x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1).astype(np.int64)
-    y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1).astype(np.int64)
+    x = np.rint(at.real).clip(0, columns - 1).astype(np.int64)
+    y = np.rint(at.imag).clip(0, rows - 1).astype(np.int64)
     level: Float = image[y, x].astype(np.float64)
     return level
 

@@ -6,13 +6,16 @@ errors agree under the right numbers and under no others.
 """
 
 import functools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points
+from cmp_cl.grid.grid import MEASURED, Grid
+from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points, median, turned_lines
 
 CLIP = 2.5  # times the median: a larger error counts as that
 PRINTED = 0.1  # px per axis: smaller errors may be the camera's, which stay in their places
@@ -42,14 +45,14 @@ class Fingerprint(NamedTuple):
         if not known.any():
             return cls(np.zeros(at.shape, np.complex128), known, 0.0)
         size = np.abs(rough)
-        limit = CLIP * np.median(size[known])
+        limit = CLIP * median(size[known])
         error = np.where(known, rough * np.minimum(1, limit / np.maximum(size, 1e-12)), 0)
-        return cls(error, known, float(np.median(np.abs(step[known]))))
+        return cls(error, known, median(np.abs(step[known])))
 
     @classmethod
-    def at_rest(cls, at: Points) -> "Fingerprint":
-        """Take the same of the frame at rest. The last few are kept: a film's frames share it."""
-        return _kept(at.shape, at.tobytes())
+    def at_rest(cls, rest: Grid) -> "Fingerprint":
+        """Take the same of a grid at rest. The last few are kept: a film's frames share it."""
+        return _kept(rest.shape, rest.xy.dtype, rest.xy.tobytes(), rest.status.tobytes())
 
     @property
     def pixels(self) -> float:
@@ -59,8 +62,10 @@ class Fingerprint(NamedTuple):
 
 
 @functools.lru_cache(maxsize=4)
-def _kept(shape: tuple[int, ...], at: bytes) -> Fingerprint:
-    return Fingerprint.of(np.frombuffer(at, np.complex128).reshape(shape))
+def _kept(shape: tuple[int, int], kind: DTypeLike, xy: bytes, status: bytes) -> Fingerprint:
+    at = np.frombuffer(xy, kind).astype(np.float64).view(np.complex128).reshape(shape)
+    measured = np.isin(np.frombuffer(status, np.uint8), MEASURED).reshape(shape)
+    return Fingerprint.of(np.where(measured, at, NOWHERE))
 
 
 def _rough(at: Points) -> tuple[Points, Points]:
@@ -94,14 +99,15 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
     """
     scores: list[float] = []
     common: list[float] = []
+    square, square_at_rest = (np.abs(each.error) ** 2 for each in (now, rest))  # 0 where unknown
     for quarters in turns:
-        error = np.rot90(now.error, quarters) * (-1j) ** quarters
-        both = np.rot90(now.known, quarters) & rest.known
+        error = turned_lines(now.error, quarters) * (-1j) ** quarters
+        known = turned_lines(now.known, quarters)
+        count = max(int(np.count_nonzero(known & rest.known)), 1)
         agreed = float((error.conj() * rest.error).real.sum())
-        power = (np.abs(error[both]) ** 2).sum() * (np.abs(rest.error[both]) ** 2).sum()
-        chance = np.sqrt(max(float(power), 1e-30) / 2 / max(int(np.count_nonzero(both)), 1))
-        scores.append(agreed / float(chance))
-        common.append(agreed / max(int(np.count_nonzero(both)), 1))
+        power = (turned_lines(square, quarters) * rest.known).sum() * (square_at_rest * known).sum()
+        scores.append(agreed / math.sqrt(max(float(power), 1e-30) / 2 / count))
+        common.append(agreed / count)
     best = int(np.argmax(scores))
     second = max(score for place, score in enumerate(scores) if place != best)
     clear = scores[best] >= max(ABOVE_CHANCE, ABOVE_SECOND * second)
@@ -118,16 +124,17 @@ def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
     if min(now.pixels, rest.pixels) < PRINTED:
         return None
     rows, columns = np.add(now.known.shape, rest.known.shape).tolist()
-    size = [1 << (rows - 2).bit_length(), 1 << (columns - 2).bit_length()]
+    size = [cv2.getOptimalDFTSize(rows - 1), cv2.getOptimalDFTSize(columns - 1)]
     total = _correlation(now.error, rest.error, size)
     count = np.rint(_correlation(now.known, rest.known, size))
     compared = count >= max(LEAST_COMMON * np.count_nonzero(now.known), LEAST_COUNT)
     if not compared.any():
         return None
     score = np.where(compared, total / np.sqrt(np.maximum(count, 1)), 0).ravel()
-    second, best = np.argpartition(score, -2)[-2:]
-    chance = np.median(np.abs(score[compared.ravel()])) / 0.6745
-    if score[best] < max(ABOVE_CHANCE * chance, ABOVE_SECOND * score[second]):
+    best = int(score.argmax())
+    second = np.delete(score, best).max()
+    chance = median(np.abs(score[compared.ravel()])) / 0.6745
+    if score[best] < max(ABOVE_CHANCE * chance, ABOVE_SECOND * second):
         return None
     if not _printed(total.ravel()[best] / count.ravel()[best], now, rest):
         return None

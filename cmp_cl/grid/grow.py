@@ -66,6 +66,8 @@ def attach(nodes: Nodes, seen: Seen) -> None:
 
 def fill(nodes: Nodes, seen: Seen, least: float) -> None:
     """Look again where predictions have at least that weight, attach, and interpolate."""
+    if nodes.there.all():
+        return
     looked = np.zeros(nodes.at.shape)
     while seen.image is not None and _look_again(nodes, looked, seen.image, least):
         drop_misfits(nodes)

@@ -137,11 +137,10 @@ def _boundary(
     lines: Complex, corner: Index, way: Complex
 ) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Return the number of the boundary nearest to that direction, and the cosine between."""
-    way = way.conj()
-    even, odd = ((line * way).real for line in lines.take(corner, axis=1))
+    even, odd = (lines.take(corner, axis=1) * way.conj()).real
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
-    behind = (is_odd & (odd < 0)) | (~is_odd & (even < 0))
+    behind = np.where(is_odd, odd, even) < 0
     return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
@@ -174,7 +173,7 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
 
 
 class _Trees(NamedTuple):
-    """A forest over the corners: each one's root and its place in the root's frame."""
+    """A forest over the corners: the number of each one's root and its place in that frame."""
 
     root: Index
     node: Complex
@@ -193,7 +192,9 @@ def _planted(corners: int, half: Index, other: Index) -> _Trees:
         node=np.zeros(corners, np.complex64),
         turn=np.ones(corners, np.complex64),
     )
-    return _hooked(alone, child, half >> 2, -UNITS[(half - other) & 3], UNITS[half & 3])
+    planted = _hooked(alone, child, half >> 2, -UNITS[(half - other) & 3], UNITS[half & 3])
+    number = np.cumsum(lowest == nothing) - 1  # of the trees, which are fewer
+    return planted._replace(root=number[planted.root])
 
 
 def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
@@ -216,7 +217,7 @@ def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
 
 def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Complex) -> _Trees:
     """Return the trees after those roots have hooked to others, flattened by pointer jumping."""
-    above = np.arange(len(trees.root))
+    above = np.arange(trees.root.max() + 1)
     above[child] = parent
     offset = np.zeros(len(above), np.complex64)
     offset[child] = shift
@@ -226,29 +227,24 @@ def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Co
         higher = above[above]
         if (higher == above).all():
             break
-        offset = offset[above] + spun[above] * offset
-        spun = spun[above] * spun
+        turned = spun[above]
+        offset, spun = offset[above] + turned * offset, turned * spun
         above = higher
     root = trees.root
-    return _Trees(
-        root=above[root],
-        node=offset[root] + spun[root] * trees.node,
-        turn=spun[root] * trees.turn,
-    )
+    turned = spun[root]
+    return _Trees(above[root], offset[root] + turned * trees.node, turned * trees.turn)
 
 
 def _hooks(
     trees: _Trees, half: Index, other: Index
 ) -> tuple[Index, Index, Complex, Complex, Index]:
     """Return each tree with a neighbour of lower root, that root, its frame there, and votes."""
+    down = trees.root[half >> 2] < trees.root[other >> 2]
+    half, other = np.where(down, half, other), np.where(down, other, half)
     a, b = half >> 2, other >> 2
+    parent, child = trees.root[a], trees.root[b]
     spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
     shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
-    ra, rb = trees.root[a], trees.root[b]
-    down = ra < rb
-    child, parent = np.where(down, rb, ra), np.where(down, ra, rb)
-    shift = np.where(down, shift, -spin.conj() * shift)
-    spin = np.where(down, spin, spin.conj())
     quarter = (spin.imag != 0) + 2 * (spin.real + spin.imag < 0)
     reach = int(max(np.abs(shift.real).max(), np.abs(shift.imag).max())) + 1
     key = (child * len(trees.root) + parent) * 4 + quarter
@@ -256,7 +252,7 @@ def _hooks(
     key = key * (2 * reach) + (shift.imag.astype(np.int64) + reach)
     order = np.argsort(key)  # equal keys are equal hooks
     start = starts(key[order])
-    votes = np.diff(start, append=len(key))
+    votes = np.append(start[1:], len(key)) - start
     first = starts(child[order[start]])
     rank = votes * len(start) + np.arange(len(start))[::-1]
     winner = len(start) - 1 - np.maximum.reduceat(rank, first) % len(start)

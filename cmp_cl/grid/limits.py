@@ -19,8 +19,9 @@ def check_size(rows: int, columns: int) -> None:
 
 def check_finite(corners: Corners) -> None:
     """Raise GridError for corners without a position that an image can have."""
-    lost = int(np.count_nonzero(~(np.abs(corners.xy) < FARTHEST).all(axis=1)))
-    if lost:
+    near = np.abs(corners.xy) < FARTHEST
+    if not near.all():
+        lost = int(np.count_nonzero(~near.all(axis=1)))
         raise GridError(
             f"{lost} of the {len(corners)} corners have no finite position; leave them out"
         )

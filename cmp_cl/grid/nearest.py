@@ -1,12 +1,15 @@
 """The numbers that leave nodes nearest to a reference: the frame at rest, or the one before."""
 
+import cmath
+import functools
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.grid.grid import Grid
-from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, Points
+from cmp_cl.grid.lattice import Complex
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 
 VOTERS = 384  # nodes that are compared with the reference
 ALONE = 0.5  # cells: cost of a node without a counterpart in the reference
@@ -34,8 +37,8 @@ class Reference(NamedTuple):
 
     @classmethod
     def of(cls, grid: Grid) -> "Reference":
-        at = np.ascontiguousarray(grid.xy, np.float64).view(np.complex128)[..., 0]
-        return cls.at_places(at, grid.parity, grid.origin)
+        """Take a grid's nodes. The last few are kept: a film's frames share the one at rest."""
+        return _kept(grid.xy.dtype, grid.xy.tobytes(), grid.shape, grid.parity, grid.origin)
 
     @classmethod
     def at_places(cls, at: Points, parity: int, origin: tuple[int, int]) -> "Reference":
@@ -50,6 +53,14 @@ class Reference(NamedTuple):
             along=along or -1j * down,
             cell=float(np.mean(known)) if known else 1.0,
         )
+
+
+@functools.lru_cache(maxsize=4)
+def _kept(
+    kind: DTypeLike, xy: bytes, shape: tuple[int, int], parity: int, origin: tuple[int, int]
+) -> Reference:
+    at = np.frombuffer(xy, kind).astype(np.float64).view(np.complex128).reshape(shape)
+    return Reference.at_places(at, parity, origin)
 
 
 def _mean_step(at: Points) -> complex:
@@ -111,10 +122,9 @@ def quarter_turns(
     along = along or -1j * down
     down = down or 1j * along
     ways = (along, down, -along, -down)
-    angles = [abs(float(np.angle(way / reference.along))) for way in ways]
-    order = np.argsort(angles, kind="stable")
-    kept = order[: 4 if every else 2 if angles[order[0]] > TURNED else 1]
-    return [(int(turn), angles[turn]) for turn in kept]
+    angles = [abs(cmath.phase(way / reference.along)) for way in ways]
+    turns = sorted(enumerate(angles), key=lambda turn: turn[1])
+    return turns[: 4 if every else 2 if turns[0][1] > TURNED else 1]
 
 
 def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
@@ -197,12 +207,15 @@ def _motion(at: Points, cell: float, moved: Points) -> complex:
     middle = complex(at.real.min() + at.real.max(), at.imag.min() + at.imag.max()) / 2
     from_middle = (at - middle) / cell
     model = np.stack([np.ones(len(at)), from_middle, from_middle.conj()])
-    weight = np.ones(len(at))
-    for _ in range(3):
+
+    def fitted(weight: Float) -> Complex:
         weighted = model.conj() * weight
-        affine = np.linalg.lstsq(weighted @ model.T, weighted @ moved, rcond=None)[0]
+        return np.linalg.lstsq(weighted @ model.T, weighted @ moved, rcond=None)[0]
+
+    affine = fitted(np.ones(len(at)))
+    for _ in range(2):
         off = np.abs(moved - affine @ model)
-        weight = np.where(off <= max(2.5 * float(np.median(off)), 1e-3), 1.0, 0.0)
+        affine = fitted(np.where(off <= max(2.5 * median(off), 1e-3), 1.0, 0.0))
     return complex(affine[0])
 
 

@@ -2,7 +2,7 @@
 
 import cmath
 import copy
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NOWHERE = complex(np.nan, np.nan)
+Entry = TypeVar("Entry", bound=np.generic)
 MOST_NODES, NODES_EACH = 65536, 64  # that any grid may have, and more for each corner
 
 
@@ -77,7 +78,7 @@ class Nodes:
         turned = copy.copy(self)
         turned.parity = (self.parity + first) % 2
         for name in ("at", "owner", "status", "changed"):
-            setattr(turned, name, np.rot90(getattr(self, name), quarters))
+            setattr(turned, name, turned_lines(getattr(self, name), quarters))
         return turned
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":
@@ -97,6 +98,20 @@ class Nodes:
         for name in ("at", "owner", "status"):
             getattr(cut, name)[there] = getattr(self, name)[here]
         return cut
+
+
+def turned_lines(values: NDArray[Entry], quarters: int) -> NDArray[Entry]:
+    """Return a view of them, (R, C), as np.rot90 turns them, which is slow; quarters: 0 to 3."""
+    if quarters % 2:
+        values = values.T
+    return (values, values[::-1], values[::-1, ::-1], values[:, ::-1])[quarters]
+
+
+def median(values: Float) -> float:
+    """Return what np.median does, of one or more values without NaN, in a third of the time."""
+    first, second = (len(values) - 1) // 2, len(values) // 2
+    parted = np.partition(values, (first, second))
+    return float(parted[first] + parted[second]) / 2
 
 
 def check_room(shape: tuple[int, int], corners: int) -> None:

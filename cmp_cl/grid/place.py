@@ -30,7 +30,7 @@ import numpy as np
 
 from cmp_cl.grid.border import Border, full_lines
 from cmp_cl.grid.fingerprint import Fingerprint, shift_to, turn_to
-from cmp_cl.grid.grid import MEASURED, Grid, Rival, Sides
+from cmp_cl.grid.grid import Grid, Rival, Sides
 from cmp_cl.grid.nearest import (
     FAR,
     Bounds,
@@ -41,7 +41,7 @@ from cmp_cl.grid.nearest import (
     colour,
     quarter_turns,
 )
-from cmp_cl.grid.nodes import NOWHERE, Nodes, Points, check_room
+from cmp_cl.grid.nodes import Nodes, Points, check_room
 
 STILL = 0.125  # cells: a pattern that moved less as a whole is where it was
 FOLLOWED = 0.5  # cells: how far the pattern as a whole may move from one frame to the next
@@ -88,10 +88,11 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
     the numbers of the grid at rest, or None.
     """
     rest = Reference.of(like)
-    at_rest = Border.of(like).turned(-quarter_turns(nodes.at, rest)[0][0])
+    turns = quarter_turns(nodes.at, rest, every=True)
+    at_rest = Border.of(like).turned(-turns[0][0])
     whole = all(border.sides) and all(like.border) and not any(border.contradicts(at_rest))
     if whole and nodes.at.shape in (like.shape, like.shape[::-1]):
-        decided = _by_turn(nodes, border, like, rest)
+        decided = _by_turn(nodes, border, like, rest, turns)
     else:
         decided = _by_border(nodes, border, like, rest)
         if not decided.sure or any(border.sides):
@@ -105,15 +106,18 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
     return _placed(nodes, border, like, decided)
 
 
-def _by_turn(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Decision:
+def _by_turn(
+    nodes: Nodes, border: Border, like: Grid, rest: Reference, ordered: Sequence[tuple[int, float]]
+) -> Decision:
     """Choose the rotation of a pattern that is seen whole, now and at rest.
 
     Colours, shape and the reach of the last squares leave one, two or four. Of several the
     print tells one, if it has errors; else it is the least, as long as the next is clearly
     larger: up to 40 degrees where a quarter turn leaves the pattern as it was.
+
+    ordered: all quarter turns.
     """
     top, left = like.origin
-    ordered = quarter_turns(nodes.at, rest, every=True)
     fitting = []
     for quarters, angle in ordered:
         turned = nodes.turned(quarters)
@@ -127,7 +131,7 @@ def _by_turn(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Decis
     choices = {quarters: Choice(0.0, 0.0, quarters, top, left) for quarters in turns}
     if len(turns) == 1:
         return Decision(choices[turns[0]], None, sure=True)
-    printed = turn_to(_printed(like, rest), Fingerprint.of(nodes.at), turns)
+    printed = turn_to(Fingerprint.at_rest(like), Fingerprint.of(nodes.at), turns)
     if printed is not None:
         return Decision(choices[printed], None, sure=True)
     usual = fitting[1][1] - fitting[0][1] > UNDECIDED
@@ -171,7 +175,7 @@ def _with_print(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) ->
     It is sure unless the border is sure of another: the edge of what hides a part of the
     pattern along a row may look like its border.
     """
-    at_rest = _printed(like, rest)
+    at_rest = Fingerprint.at_rest(like)
     turns = [quarters for quarters, _ in quarter_turns(nodes.at, rest, every=True)]
     for quarters in [decided.best.quarters] if decided.sure else turns:
         turned = nodes.turned(quarters)
@@ -187,11 +191,6 @@ def _with_print(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) ->
         sure = not decided.sure or best.number == decided.best.number
         return Decision(best, second[0] if second else None, sure=sure)
     return decided
-
-
-def _printed(like: Grid, rest: Reference) -> Fingerprint:
-    """Return the errors of the print at rest."""
-    return Fingerprint.at_rest(np.where(np.isin(like.status, MEASURED), rest.at, NOWHERE))
 
 
 def _by_frame_before(nodes: Nodes, border: Border, like: Grid, previous: Grid) -> Decision:

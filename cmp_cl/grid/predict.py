@@ -1,5 +1,6 @@
 """Where nodes should be by their neighbours, and how long the steps between them are."""
 
+import cv2
 import numpy as np
 
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Points
@@ -26,13 +27,10 @@ WEIGHTS = np.array([weight for weight, _ in PREDICTORS])
 FACTORS = np.array([[factors.get((r, c), 0) for r, c in STEPS] for _, factors in PREDICTORS])
 USES = (FACTORS != 0).astype(np.float64)
 WEIGHTED = WEIGHTS[:, None] * FACTORS
-ALIKE = [  # the factor of equally distant nodes in the mean of all predictors, and these
-    (float(WEIGHTED[:, alike].sum(0)[0] / WEIGHTS.sum()), STEPS[alike])
-    for alike in ((STEPS**2).sum(1) == away for away in (1, 2, 4, 9))
-]
-ALONG = np.array([(r, c) for r in (-1, 0, 1) for c in (-2, -1, 0, 1)])  # where steps begin
-BEGINS = np.concatenate([ALONG, ALONG[:, ::-1]])
-ENDS = BEGINS + np.repeat([[0, 1], [1, 0]], len(ALONG), axis=0)
+KERNEL = np.zeros((7, 7))  # the mean of all predictions
+KERNEL[tuple(STEPS.T + 3)] = WEIGHTED.sum(axis=0) / WEIGHTS.sum()
+ALONG = np.array([[(r, c) for c in range(-2, 3)] for r in (-1, 0, 1)])  # three parts of rows
+LINES = np.stack([ALONG, ALONG[..., ::-1]])  # and of columns, whose steps are taken
 TOUCHED = np.kron(np.eye(2), [1, 2, 2, 1] * 3)  # how many of the 3 x 3 nodes a step touches
 REACHED = np.array(  # where predictions or cells change with the node in the middle
     [(r, c) for r in range(-3, 4) for c in range(-3, 4) if 0 in (r, c) or max(abs(r), abs(c)) < 3]
@@ -59,13 +57,9 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
 
 def predict_within(at: Points) -> Points:
     """Return the same for every node, (R, C); NaN where one of those around is missing."""
-    padded = _bordered(at)
-    rows, columns = at.shape
-    total = np.zeros((rows, columns), np.complex128)
-    for factor, steps in ALIKE:
-        first, *others = (padded[r : r + rows, c : c + columns] for r, c in steps + 3)
-        total += factor * sum(others, first)
-    return total
+    padded = _bordered(at).view(np.float64).reshape(*np.add(at.shape, 6), 2)
+    filtered = cv2.filter2D(padded, -1, KERNEL)[3:-3, 3:-3]  # leaves out factors that are 0
+    return np.ascontiguousarray(filtered).view(np.complex128)[..., 0]
 
 
 def _bordered(at: Points) -> Points:
@@ -84,8 +78,8 @@ def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, F
     padded = _bordered(at)
     width = padded.shape[1]
     place = (row + 3) * width + column + 3
-    begin, end = (padded.ravel()[(steps @ [width, 1])[:, None] + place] for steps in (BEGINS, ENDS))
-    step = end - begin
+    near = padded.ravel()[(LINES @ [width, 1])[..., None] + place]
+    step = (near[:, :, 1:] - near[:, :, :-1]).reshape(TOUCHED.shape[1], len(row))
     known = ~np.isnan(step.real)
     step[~known] = 0
     with np.errstate(invalid="ignore"):

@@ -17,6 +17,8 @@ from cmp_cl.grid import Grid, NodeStatus, Sides, build_grid
 from cmp_cl.grid.align import row_direction
 from cmp_cl.grid.border import common_reach
 from cmp_cl.grid.fingerprint import Fingerprint, turn_to
+from cmp_cl.grid.nearest import Reference
+from cmp_cl.grid.nodes import median, turned_lines
 
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
 PERIODS = ((1, 1), (2, 0), (-1, 3))
@@ -245,6 +247,28 @@ def test_errors_of_a_camera_that_look_the_same_after_half_a_turn_are_no_print():
     of_camera = errors[0] + 1j * errors[1]
     rest, now = (Fingerprint.of(place + each) for each in (of_camera, -of_camera[::-1, ::-1]))
     assert turn_to(rest, now, [0, 2]) is None
+
+
+def test_a_grid_at_rest_that_is_changed_in_place_counts_as_it_is_now():
+    rest = build_grid(endless(seed=1).corners)
+    before = Reference.of(rest), Fingerprint.at_rest(rest)
+    assert Reference.of(rest) is before[0]
+    assert Fingerprint.at_rest(rest) is before[1]
+    rest.xy[5, 5] += 1
+    assert Reference.of(rest).at[5, 5] == complex(*rest.xy[5, 5])
+    assert Fingerprint.at_rest(rest).error[5, 5] != before[1].error[5, 5]
+    rest.status[:] = NodeStatus.INTERPOLATED
+    assert not Fingerprint.at_rest(rest).known.any()
+
+
+def test_turned_lines_and_medians_are_those_of_numpy():
+    draw = np.random.default_rng(0)
+    for quarters in range(4):
+        values = draw.random((3, 4))
+        assert (turned_lines(values, quarters) == np.rot90(values, quarters)).all()
+    for count in (1, 2, 7, 8):
+        values = draw.random(count)
+        assert median(values) == np.median(values)
 
 
 def behind(picture: np.ndarray, x: int, slope: float = 0.0) -> np.ndarray:
