@@ -32,6 +32,7 @@ from cmp_cl.stereo import (
     undistort,
 )
 from cmp_cl.stereo.points import largest_deviation
+from cmp_cl.stereo.triangulation import inverse_symmetric
 from cmp_cl.synthetic import default_rig, random_scene, render_stereo
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
@@ -526,3 +527,9 @@ def test_uncertain_views_weigh_less():
             camera = calibrate_camera(views, spacing=3.0, image_size=(800, 1200))
             off[said].append(camera.matrix[0, 0] - rig.K1[0, 0])
     assert np.square(off[True]).mean() < 0.3 * np.square(off[False]).mean()
+
+
+def test_inverses_of_normal_matrices_are_those_of_numpy():
+    slopes = np.random.default_rng(0).normal(size=(50, 4, 3)) * [1000, 1000, 1]
+    normal = slopes.transpose(0, 2, 1) @ slopes
+    np.testing.assert_allclose(inverse_symmetric(normal), np.linalg.inv(normal), rtol=1e-9)

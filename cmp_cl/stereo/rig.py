@@ -15,7 +15,12 @@ from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.stereo.adjustment import CAMERA, POSE
 from cmp_cl.stereo.points import Points3D, PointStatus
 from cmp_cl.stereo.reading import open_storage, read_matrix
-from cmp_cl.stereo.triangulation import rays_through, triangulate_points, undistort
+from cmp_cl.stereo.triangulation import (
+    inverse_symmetric,
+    rays_through,
+    triangulate_points,
+    undistort,
+)
 
 MIN_PARALLAX = 1.0  # px: under it, depth is noise
 _COVARIANCE = "covariance"
@@ -218,7 +223,7 @@ class StereoRig:
         known = np.isfinite(sigma.sum(axis=1))
         weight = np.repeat(1 / np.where(known[:, None], sigma, 1), 2, axis=1)
         scaled = jacobian * weight[..., None]
-        inverse = np.linalg.inv(scaled.transpose(0, 2, 1) @ scaled)
+        inverse = inverse_symmetric(scaled.transpose(0, 2, 1) @ scaled)
         by_image = inverse @ (scaled * weight[..., None]).transpose(0, 2, 1)
         step = by_image @ residual[..., None]
         residual = residual - (jacobian @ step)[..., 0]
