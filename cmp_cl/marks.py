@@ -31,7 +31,8 @@ ASIDE = 0.2  # share of the way by which the other end may lie beside the edge
 OPPOSITE = -0.85  # largest cosine between the edges of both ends
 INSIDE = 0.8  # share of a cell's side that is inside it
 BESIDE = 0.08  # of a cell's side: a corner this far outside still counts as inside
-LONGER, MUCH_LONGER = 1.2, 2.0  # ratios of edges, where two or one of the cell's edges have an end
+# times INSIDE of the cell's sides over the edges of a corner in it, where two or one of them end
+LONGER, MUCH_LONGER = 1.2, 2.0
 LEAST_SINE = 0.3  # between two edges that span a cell
 LEAST_CELL = 9.0  # px; in smaller ones torn corners are like marks
 ROW = 16.0  # px, of the bins in which pairs are searched
@@ -57,8 +58,8 @@ def drop_marks(corners: Corners, image: Frame) -> Corners:
     grey = as_frame(image)
     if not len(corners):
         return corners
-    columns, rows = corners.pixel.max(axis=0) + 1
-    if columns > grey.shape[1] or rows > grey.shape[0]:
+    x, y = corners.xy.max(axis=0)
+    if x > grey.shape[1] + 2 or y > grey.shape[0] + 2:  # refined ones may lie a little outside
         raise ImageError(f"the corners are not of this image, {grey.shape}: one is beyond it")
     if np.isin(corners.method, (Method.CENTROID, Method.MIDLINE, Method.CUSP)).any():
         raise ConfigError(

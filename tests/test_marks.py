@@ -151,6 +151,17 @@ def test_edge_lines_are_enough(detector_for):
     assert judged(drop_marks(corners, image), truth, image.shape) == (0, 0)
 
 
+@pytest.mark.parametrize("scale", [0.6, 2.0])
+def test_corners_of_a_working_scale_lose_their_marks_too(scale, detector_for):
+    image, truth = marked("dot")
+    corners = detector_for(image, DetectorConfig(scale=scale))(image)
+    before, after = (
+        judged(each, truth, image.shape) for each in (corners, drop_marks(corners, image))
+    )
+    assert after[0] == before[0]
+    assert after[1] <= before[1] // 20
+
+
 def test_another_image_is_refused(detector_for):
     image, _ = marked("dot")
     corners = detector_for(image)(image)
