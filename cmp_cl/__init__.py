@@ -44,6 +44,7 @@ from cmp_cl.grid import (
     refine_markers,
 )
 from cmp_cl.maps import HarmonicMaps, Maps
+from cmp_cl.marks import drop_marks
 from cmp_cl.opencl.device import Device, DeviceKind, list_devices, select_device
 from cmp_cl.series import SeriesWriter
 from cmp_cl.stereo import (
@@ -108,6 +109,7 @@ __all__ = [
     "cameras",
     "detect",
     "displacement",
+    "drop_marks",
     "estimate_cell",
     "list_devices",
     "measure",

@@ -18,7 +18,7 @@ LAYERS = [
     {"corners", "maps"},
     {"opencl"},
     {"stages"},
-    {"cell", "reference", "synthetic"},
+    {"cell", "marks", "reference", "synthetic"},
     {"grid"},
     {"detector"},
     {"series", "stereo"},

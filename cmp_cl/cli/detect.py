@@ -31,6 +31,7 @@ from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import whole_file
 from cmp_cl.grid import Grid, build_grid
 from cmp_cl.image import GreyImage
+from cmp_cl.marks import drop_marks
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.viz import corner_overlay, grid_overlay
 
@@ -71,6 +72,11 @@ def add_parser(commands: Any) -> None:
         help="number the corners of a pattern of this size, and search again for those that are "
         "missing; table and picture then show the nodes, and how each was found",
     )
+    parser.add_argument(
+        "--drop-marks",
+        action="store_true",
+        help="leave out corners inside the cells, for boards with dots, rings or codes there",
+    )
     add_full_scale(parser)
     add_max_pixels(parser)
     add_device(parser)
@@ -95,7 +101,15 @@ def run(arguments: argparse.Namespace) -> int:
             columns = CORNER_COLUMNS if arguments.grid is None else NODE_COLUMNS
             table = Table(stack.enter_context(whole_file(out)), columns)
         finder = stack.enter_context(
-            contextlib.closing(_Finder(config, arguments.full_scale, device, arguments.max_pixels))
+            contextlib.closing(
+                _Finder(
+                    config,
+                    arguments.full_scale,
+                    device,
+                    arguments.max_pixels,
+                    marks_go=arguments.drop_marks,
+                )
+            )
         )
         progress = stack.enter_context(Progress(_frames_in(paths), "frames"))
         for path in paths:
@@ -245,8 +259,11 @@ class _Finder:
         full_scale: int | None,
         device: Device | None,
         max_pixels: int,
+        *,
+        marks_go: bool,
     ) -> None:
         self._max_pixels = max_pixels
+        self._marks_go = marks_go
         self._config = config
         self._full_scale = full_scale
         self._device = device
@@ -271,7 +288,10 @@ class _Finder:
             self._fit(frame.image, chosen)
             start = time.perf_counter()
             corners = self._detector(frame.image)
-            tally.add(corners, (time.perf_counter() - start) * 1e3)
+            milliseconds = (time.perf_counter() - start) * 1e3
+            if self._marks_go:
+                corners = drop_marks(corners, frame.image)
+            tally.add(corners, milliseconds)
             if frame.image.dtype == np.uint16 and chosen.full_scale is None:
                 tally.brightest = max(tally.brightest, int(frame.image.max()))
             if len(corners):

@@ -535,3 +535,18 @@ def test_ci_runs_the_readmes_test_command():
     script = (PROJECT / ".ci" / "run").read_text(encoding="utf-8")
     assert r"""grep -m 1 'pip install "\.\[pocl,test\]"' README.md""" in script
     assert 'bash -c "$command"' in script
+
+
+def test_marks_in_the_cells_are_left_out_where_that_is_asked_for(run):
+    cells = np.kron(np.indices((9, 12)).sum(axis=0) % 2, np.ones((20, 20)))
+    y, x = np.indices(cells.shape) % 20 - 9.5
+    board = np.where((cells > 0) ^ (np.hypot(x, y) < 5.6), 40, 200).astype(np.uint8)
+    cv2.imwrite("dots.png", cv2.GaussianBlur(board, (0, 0), 0.9))
+    run("detect", "dots.png", "--out", "all.csv")
+    run("detect", "dots.png", "--drop-marks", "--out", "board.csv")
+    there = {
+        (round(float(row["x_px"]) / 20), round(float(row["y_px"]) / 20))
+        for row in rows_of("board.csv")
+    }
+    assert len(rows_of("all.csv")) > 2 * len(rows_of("board.csv"))
+    assert {(i, j) for i in range(1, 12) for j in range(1, 9)} <= there
