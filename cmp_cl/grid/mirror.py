@@ -24,7 +24,7 @@ LINES = 16  # rows or columns that are looked at
 CROSSING = 4  # of them that must cross a seam, and a quarter of all, half where nodes are lost
 LOST = 2  # nodes in succession that may be lost at a seam
 SHARE = 0.4  # of the rows may cross a seam without a step
-SEAM = 0.03  # cells: least step at a seam
+SEAM, SEAM_PIXELS = 0.03, 0.6  # cells and px: least step at a seam; drawn edges may step by .5 px
 ABOVE_OTHERS = 2.5  # times the step at any other line
 APART = 1.5  # lines: those nearer to a seam have a part of its step
 OTHERS = 3  # lines that say what is usual
@@ -58,13 +58,13 @@ def _has_seam(at: Points) -> bool:
         return False
     lost = 0 if known.all() else LOST
     lines = [_off(at, step, nodes) for nodes in range(lost + 1)]
-    off = np.concatenate(lines) / np.abs(step[known]).mean()
+    off, cell = np.concatenate(lines), float(np.abs(step[known]).mean())
     place = np.concatenate([np.arange(len(line)) + n / 2 for n, line in enumerate(lines)])
     best = int(off.argmax())
     others = off[(np.abs(place - place[best]) > APART) & (off > 0)]
     if len(others) < OTHERS:
         return False
-    return bool(off[best] >= max(SEAM, ABOVE_OTHERS * others.max()))
+    return bool(off[best] >= max(SEAM * cell, SEAM_PIXELS, ABOVE_OTHERS * others.max()))
 
 
 def _off(at: Points, step: Points, lost: int) -> Float:
