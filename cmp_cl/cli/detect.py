@@ -217,7 +217,8 @@ class _Tally:
             line += f"; {_span(self.nodes)} of {self.size} nodes"
         if self.ambiguous:
             line += f"; ambiguous numbers in {counted(len(self.ambiguous), 'frame')}: "
-            line += f"{_some(self.ambiguous)}, which do not show enough of the board's border"
+            line += f"{_some(self.ambiguous)}, which do not show enough of the board's border, "
+            line += "or show a reflection of it"
         if self.overlays:
             last = f" to {shown(self.overlays[-1])}" if len(self.overlays) > 1 else ""
             line += f"; wrote {shown(self.overlays[0])}{last}"

@@ -8,12 +8,13 @@ import numpy as np
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
-from cmp_cl.grid.grid import NO_SIDES, Grid, Sides
+from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
 from cmp_cl.grid.lattice import Lattice, lattice
 from cmp_cl.grid.limits import check_finite, check_size
-from cmp_cl.grid.nodes import Index, Nodes, boxed, check_room
+from cmp_cl.grid.mirror import has_seam, repeats_reversed
+from cmp_cl.grid.nodes import NOWHERE, Index, Nodes, boxed, check_room
 from cmp_cl.grid.place import Placed, like_rest
 from cmp_cl.grid.sizes import in_shape
 from cmp_cl.image import GreyImage, check_image
@@ -27,10 +28,15 @@ Region = tuple[float, float, float, float]
 
 
 class Ended(NamedTuple):
-    """The sides on which a pattern ends, and how far its last squares reach where that is seen."""
+    """What is known of the pattern beside its numbers.
+
+    sides: on which it ends. border: how far its last squares reach where that is seen.
+    reflected: as in `Grid`.
+    """
 
     sides: Sides = NO_SIDES
     border: Border = Border()
+    reflected: bool = False
 
 
 def build_grid(
@@ -209,7 +215,20 @@ def _numbered(
     else:
         border = border_of(placed.nodes, seen.image)
     declared = _declared(placed, border.sides, shape if like is None else None)
-    return placed, Ended(declared, border)
+    whole = all(declared) and placed.seen_shape is None and placed.nodes.at.shape == shape
+    reflected = _reflected(placed.nodes, like, whole=whole)
+    return placed, Ended(declared, border, reflected)
+
+
+def _reflected(nodes: Nodes, like: Grid | None, *, whole: bool) -> bool:
+    """Return whether a part of the nodes may be the reflection of another part, now or at rest.
+
+    whole: whether the pattern ends on all sides, and has the known shape.
+    """
+    if whole or (like is not None and like.reflected):
+        return like is not None and like.reflected
+    at = np.where(nodes.status == NodeStatus.INTERPOLATED, NOWHERE, nodes.at)
+    return has_seam(at) or repeats_reversed(at)
 
 
 def _framed(placed: Placed) -> Grid:
@@ -340,7 +359,8 @@ def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Gri
         past=ends.border.past,
         continues=placed.continues,
         seen_shape=placed.seen_shape,
-        ambiguous=placed.ambiguous,
+        ambiguous=placed.ambiguous or ends.reflected,
+        reflected=ends.reflected,
         rival=placed.rival,
         margin=placed.margin,
     )

@@ -91,6 +91,8 @@ class Grid:
     ambiguous: whether another numbering explains the frame too. The numbers are then those of
         the least motion, and may be wrong by `rival`.
     rival: the second best numbering, None where there is no other.
+    reflected: whether a part of the pattern may be the reflection of another part. It is
+        ambiguous then.
     margin: by how much further the middle of the pattern has moved by the rival, cells; NaN
         without one, or where too few nodes say it.
     """
@@ -110,6 +112,7 @@ class Grid:
     ambiguous: bool = False
     rival: Rival | None = None
     margin: float = float("nan")
+    reflected: bool = False
 
     def __post_init__(self) -> None:
         if self.component.shape != self.xy.shape[:2]:
@@ -139,7 +142,12 @@ class Grid:
         if self.seen_shape is not None:
             seen = " x ".join(map(str, self.seen_shape))
             found.append(f"the board looks like {seen} corners; {rows} x {columns} were asked for")
-        if self.ambiguous:
+        if self.reflected:
+            found.append(
+                "a part of the pattern may be a reflection, or another pattern: its steps, or its "
+                "print, change at a line; give a region without it"
+            )
+        elif self.ambiguous:
             other = ""
             if self.rival is not None:
                 turn = f", turned by {90 * self.rival.quarters} degrees" * (self.rival.quarters > 0)

@@ -1,0 +1,189 @@
+"""Whether a part of a grid is the reflection of another part.
+
+A mirror whose edge falls on a line of cells continues the pattern: the reflection has the right
+colours and no border. Two things tell.
+
+The seam. The edge of a mirror lies in the middle of a line of cells only by chance, and a
+reflected row goes on in another direction. So the steps across that line differ from those
+before and after, more than across any other line. Two patterns side by side, and a pattern that
+was torn from edge to edge, have such a seam too, and their numbers are as doubtful.
+
+The print. Its errors come again beyond the edge, reversed, see `fingerprint`.
+
+A perfect print whose mirror leaves no seam looks like a larger pattern.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid.nodes import NOWHERE, Float, Points
+
+LINES = 16  # rows or columns that are looked at
+CROSSING = 4  # of them that must cross a seam, and a quarter of all, half where nodes are lost
+LOST = 2  # nodes in succession that may be lost at a seam
+SHARE = 0.4  # of the rows may cross a seam without a step
+SEAM, SEAM_PIXELS = 0.03, 0.6  # cells and px: least step at a seam; drawn edges may step by .5 px
+ABOVE_OTHERS = 2.5  # times the step at any other line
+APART = 1.5  # lines: those nearer to a seam have a part of its step
+OTHERS = 3  # lines that say what is usual
+CLIP = 2.5  # times the median: a larger error counts as that
+ABOVE_CHANCE = 6.0  # correlation of errors, in errors that have a counterpart to the power of .5
+ABOVE_SECOND = 1.6  # times the second best, of any direction
+ALIKE = 0.5  # least share of the errors that is common
+LEAST_COUNT = 16  # errors that must have a counterpart
+PRINTED = 0.05  # px per axis: smaller errors may be the camera's
+GAIN = 9 / 4  # of an error's variance, see `_errors`
+MEDIAN = 1.18  # of the length of errors, by the standard deviation per axis
+BESIDE = 4  # half cells: places so near to the best share its errors
+# by what the product of an error, along rows plus 1j down columns, and its reflection is real
+COLUMNS, ROWS, FALLING, RISING = -1, 1, 1j, -1j
+
+
+def has_seam(at: Points) -> bool:
+    """Return whether the steps across one line of cells differ from those across all others.
+
+    at: (R, C) measured nodes, px, NaN where there is none.
+    """
+    return _has_seam(at) or _has_seam(at.T)
+
+
+def _has_seam(at: Points) -> bool:
+    """Return the same for the lines between columns."""
+    at = _some(at)
+    step = at[:, 1:] - at[:, :-1]
+    known = ~np.isnan(step.real)
+    if at.shape[1] < 6 or not known.any():
+        return False
+    lost = 0 if known.all() else LOST
+    lines = [_off(at, step, nodes) for nodes in range(lost + 1)]
+    off, cell = np.concatenate(lines), float(np.abs(step[known]).mean())
+    place = np.concatenate([np.arange(len(line)) + n / 2 for n, line in enumerate(lines)])
+    best = int(off.argmax())
+    others = off[(np.abs(place - place[best]) > APART) & (off > 0)]
+    if len(others) < OTHERS:
+        return False
+    return bool(off[best] >= max(SEAM * cell, SEAM_PIXELS, ABOVE_OTHERS * others.max()))
+
+
+def _off(at: Points, step: Points, lost: int) -> Float:
+    """Return how far the way across that many lost nodes is from the steps beside it, px.
+
+    A quantile of the rows that cross each line, 0 where few do.
+    """
+    ahead = lost + 1
+    before, after = step[:, : -1 - ahead], step[:, 1 + ahead :]
+    off = at[:, 1 + ahead : -1] - at[:, 1 : -1 - ahead] - ahead * (before + after) / 2
+    if lost:
+        off[~np.isnan(at[:, 2 : -1 - lost])] = NOWHERE
+    size = np.sort(np.abs(off), axis=0)  # unknown ones are last
+    count = (size == size).sum(axis=0)
+    least = max(CROSSING, len(at) / (2 if lost else 4))
+    typical: Float = size[(SHARE * count).astype(np.int64), np.arange(len(count))]
+    typical[count < least] = 0
+    return typical
+
+
+def repeats_reversed(at: Points) -> bool:
+    """Return whether the errors of the print come again beyond a line, reversed.
+
+    at: (R, C) measured nodes, px, NaN where there is none. The lines are the middles of cells
+    along rows or columns, and the diagonals.
+    """
+    error, cell = _errors(at)
+    if not error.size:
+        return False
+    scores = [
+        _scores([_some(error)], COLUMNS, cell),
+        _scores([_some(error.T)], ROWS, cell),
+        _scores(_diagonals(error), FALLING, cell),
+        _scores(_diagonals(error[:, ::-1]), RISING, cell),
+    ]
+    best, second, alike = max(scores)
+    others = sorted(score for score, *_ in scores)[-2]
+    return alike and best >= max(ABOVE_CHANCE, ABOVE_SECOND * max(others, second))
+
+
+def _errors(at: Points) -> tuple[Points, float]:
+    """Return how far nodes are from what the 3 x 3 around say, cells, (R - 2, C - 2), and the cell.
+
+    What is left of x without the mean of its neighbours on the row, and of that without the same
+    on the column: zero where x is a function of the row plus one of the column. An independent
+    error of variance 1 leaves GAIN. 0 where one is unknown; empty where few are known or they
+    are small.
+    """
+    nothing = np.zeros((0, 0), np.complex128), 0.0
+    if min(at.shape) < 3:
+        return nothing
+    error = at[:, 1:-1] - (at[:, :-2] + at[:, 2:]) / 2
+    error = error[1:-1] - (error[:-2] + error[2:]) / 2
+    known = ~np.isnan(error.real)
+    if np.count_nonzero(known) < LEAST_COUNT:
+        return nothing
+    size = np.abs(error)
+    ordinary = float(np.median(size[known]))
+    if ordinary < MEDIAN * np.sqrt(GAIN) * PRINTED:
+        return nothing
+    step = (at[1:-1, 2:] - at[1:-1, :-2]) / 2
+    length = np.maximum(np.abs(step), 1e-6)
+    clipped = np.minimum(1, CLIP * ordinary / np.maximum(size, 1e-12))
+    with np.errstate(invalid="ignore"):
+        error = np.where(known, error * clipped * step.conj() / length**2, 0)
+    return error, float(np.median(length[known]))
+
+
+def _some(lines: NDArray[Any]) -> NDArray[Any]:
+    """Return at most LINES of those lines, evenly spread."""
+    return lines[:: max(-(-len(lines) // LINES), 1)]
+
+
+def _diagonals(error: Points) -> list[Points]:
+    """Return some falling diagonals: (K, L) those on which row plus column is even, then odd.
+
+    A diagonal's errors lie by half that sum.
+    """
+    high, wide = error.shape
+    half = np.arange((high + wide) // 2)
+    found = []
+    for odd in (0, 1):
+        every = np.arange(1 - wide, high)
+        ahead = _some(every[every % 2 == odd])[:, None]
+        row = half + (ahead + odd) // 2
+        column = row - ahead
+        inside = (row >= 0) & (row < high) & (column >= 0) & (column < wide)
+        found.append(np.where(inside, error[row * inside, column * inside], 0))
+    return found
+
+
+def _scores(lines: list[Points], way: complex, cell: float) -> tuple[float, float, bool]:
+    """Return how well errors agree with those on the other side of a place on the lines.
+
+    The best score of all places and the second best, some places away, in standard deviations of
+    what independent errors would have; and whether what agrees there is enough.
+    """
+    size = 1 << (2 * lines[0].shape[1] - 1).bit_length()
+    agreed, power = np.zeros(size), np.zeros(size)
+    for odd, line in enumerate(lines):
+        square = line.real**2 + line.imag**2
+        both = np.zeros((2, len(line), size), np.complex64)
+        both[0, :, : line.shape[1]] = line
+        both[1, :, : line.shape[1]].real = square > 0
+        both[1, :, : line.shape[1]].imag = square
+        both = np.fft.fft(both)
+        first, second = np.fft.ifft((both * both).sum(axis=1))
+        agreed += np.roll((way * first).real, odd)
+        power += np.roll(second.imag / 2, odd)
+    errors = np.concatenate([line[line != 0] for line in lines])
+    if not len(errors):
+        return 0.0, 0.0, False
+    variance = float((errors.real**2 + errors.imag**2).mean())
+    met = power >= LEAST_COUNT * variance
+    if way in (COLUMNS, ROWS):
+        met[::2] = False  # lines of nodes: a reflection there has the wrong colours
+    score = np.where(met, agreed / np.sqrt(np.maximum(power, variance) * variance), 0)
+    best = int(score.argmax())
+    highest, common = float(score[best]), float(agreed[best]) / max(float(power[best]), variance)
+    score[max(best - BESIDE, 0) : best + BESIDE + 1] = 0
+    printed = common * variance / GAIN / 2 * cell**2 >= PRINTED**2
+    return highest, float(score.max()), printed and common >= ALIKE

@@ -1,0 +1,117 @@
+"""What is the reflection of another part of the pattern is not numbered in silence."""
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_cl import Detector, DetectorConfig, build_grid
+from cmp_cl.errors import GridError
+from cmp_cl.grid import NodeStatus
+from cmp_cl.grid.mirror import has_seam, repeats_reversed
+
+CELL = 14  # px
+HIGH, WIDE = 15 * CELL, 12 * CELL  # px: what is seen of a pattern without end
+
+
+def picture(*, wear: float, wave: float = 0.0, phase: float = 0.5, seed: int = 3) -> np.ndarray:
+    """Draw a checkerboard past all edges; wear: of its nodes, cells; wave: cells."""
+    draw = np.random.default_rng(seed)
+    y, x = np.indices((4 * HIGH, 4 * WIDE), np.float32) / 4 / CELL
+    x, y = x + np.float32(wave) * np.sin(y / 3), y + np.float32(wave) * np.sin(x / 2)
+    error = draw.normal(0, wear, (2, 24, 24)).astype(np.float32)
+    x, y = (
+        line + cv2.remap(each, x + 2, y + 2, cv2.INTER_LINEAR)
+        for line, each in zip((x, y), error, strict=True)
+    )
+    board = (np.floor(x + phase) + np.floor(y)) % 2 * np.float32(160) + 45
+    small = cv2.resize(board, (WIDE, HIGH), interpolation=cv2.INTER_AREA)
+    noisy = cv2.GaussianBlur(small, (0, 0), 0.7) + draw.normal(0, 2, small.shape)
+    return noisy.round().astype(np.uint8)
+
+
+def mirrored(image: np.ndarray) -> np.ndarray:
+    """Put the left five cells again beyond them, as a mirror does that stands there."""
+    kept = image[:, : -(-7 * CELL)]
+    noise = np.random.default_rng(8).integers(-2, 3, kept.shape)
+    return np.hstack([kept, np.clip(kept[:, ::-1] + noise, 0, 255).astype(np.uint8)])
+
+
+def numbered(image, **known):
+    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
+        return build_grid(detector(image), image, **known)
+
+
+def test_a_reflection_of_a_worn_print_is_doubted():
+    image = mirrored(picture(wear=0.03))
+    grid = numbered(image)
+    assert grid.shape[1] > 12
+    assert grid.reflected
+    assert grid.ambiguous
+    assert "reflection" in grid.doubts[0]
+    with pytest.raises(GridError, match="reflection"):
+        numbered(image, strict=True)
+
+
+def test_a_reflection_with_a_seam_is_doubted_on_a_perfect_print():
+    grid = numbered(mirrored(picture(wear=0.0, phase=0.57)))
+    assert grid.shape[1] > 12
+    assert grid.reflected
+
+
+@pytest.mark.parametrize("wear", [0.0, 0.03])
+@pytest.mark.parametrize("wave", [0.0, 0.3])
+def test_a_pattern_without_a_mirror_is_not_doubted(wear, wave):
+    assert not numbered(picture(wear=wear, wave=wave)).doubts
+
+
+def nodes(rows=20, columns=24, wear=0.03, seed=0):
+    draw = np.random.default_rng(seed)
+    row, column = np.indices((rows, columns))
+    error = draw.normal(0, wear, (2, rows, columns))
+    return 12 * (column + error[0] + 1j * (row + error[1]))
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_errors_reversed_across_a_line_of_cells_are_a_reflection(turn):
+    at = nodes()
+    assert not repeats_reversed(np.rot90(at, turn))
+    at[:, 14:] = 12 * 27 - at[:, 13:3:-1].conj()
+    assert repeats_reversed(np.rot90(at, turn))
+    assert not has_seam(np.rot90(at, turn))
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_errors_reversed_across_a_diagonal_are_a_reflection(turn):
+    at = nodes(20, 20)
+    row, column = np.nonzero(np.tri(20, k=-1))
+    at[row, column] = 1j * at[column, row].conj()
+    assert repeats_reversed(np.rot90(at, turn))
+
+
+def test_errors_that_come_again_in_the_same_order_are_none():
+    at = nodes()
+    at[:, 14:] = 12 * 12 + at[:, 2:12]
+    assert not repeats_reversed(at)
+
+
+def test_small_errors_may_be_the_camera_s():
+    at = nodes(wear=0.002)
+    at[:, 14:] = 12 * 27 - at[:, 13:3:-1].conj()
+    assert not repeats_reversed(at)
+
+
+@pytest.mark.parametrize("lost", [0, 1, 2])
+def test_a_step_across_one_line_is_a_seam_though_nodes_are_lost_there(lost):
+    at = nodes(wear=0.005)
+    assert not has_seam(at)
+    at[:, 10:] += 0.2 * 12
+    at[:, 10 : 10 + lost] = np.nan
+    assert has_seam(at)
+    assert has_seam(at.T)
+
+
+def test_a_frame_like_one_with_a_reflection_is_doubted_too():
+    rest = numbered(mirrored(picture(wear=0.03)))
+    grid = numbered(picture(wear=0.03), like=rest)
+    assert (grid.status == NodeStatus.DETECTED).any()
+    assert grid.reflected
