@@ -149,12 +149,12 @@ def _mixture(
     whole = bool(votes.all())
     if not whole:
         risk *= votes
-    np.matmul(down.near_risk, np.matmul(risk, along.near_risk.T, out=apart), out=risk)
+    np.matmul(down.near_risk, np.matmul(risk, along.risk_columns, out=apart), out=risk)
     if whole:
         risk *= 1 / (count * s2)
     else:
         there = votes.astype(np.float32)
-        near = down.near_risk @ there @ along.near_risk.T
+        near = down.near_risk @ there @ along.risk_columns
         risk *= 1 / (count * s2 * np.maximum(near, np.float32(1e-6)))
         support = (down.share @ there)[:, None] @ along.share.transpose(0, 2, 1)
         bad = (support < LEAST_SUPPORT) | ~known | (near < 1e-6)
