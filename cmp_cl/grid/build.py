@@ -340,4 +340,5 @@ def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Gri
         ambiguous=placed.ambiguous,
         rival=placed.rival,
         margin=placed.margin,
+        edge_radius=corners.edge_radius,
     )

@@ -93,6 +93,8 @@ class Grid:
     rival: the second best numbering, None where there is no other.
     margin: by how much further the middle of the pattern has moved by the rival, cells; NaN
         without one, or where too few nodes say it.
+    edge_radius: that of the corners, px: where edges bend, the filters of positions and
+        displacements take off what they add within it. NaN where it is not known.
     """
 
     xy: NDArray[np.float32]
@@ -110,6 +112,7 @@ class Grid:
     ambiguous: bool = False
     rival: Rival | None = None
     margin: float = float("nan")
+    edge_radius: float = float("nan")
 
     def __post_init__(self) -> None:
         if self.component.shape != self.xy.shape[:2]:

@@ -142,7 +142,6 @@ def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
 
 def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
     b, factor = plan.arrays, plan.scale or 1.0
-    share, least, most = STEP_RADIUS
     return _of_corners(
         plan,
         "edge_step_eight" if plan.lanes == LANES else "edge_step",
@@ -152,10 +151,16 @@ def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
         counts=b["counts"],
         **_full_size(plan),
         **plan.corner_list,
-        radius=np.float32(min(max(share * refinement.cell * factor, least), most) / factor),
+        radius=np.float32(_step_radius(refinement, factor)),
         scale=np.float32(factor),
         result=b["result"],
     )
+
+
+def _step_radius(refinement: EdgeStep, scale: float) -> float:
+    """Return the radius of EDGE_STEP's disc, px of the image."""
+    share, least, most = STEP_RADIUS
+    return min(max(share * refinement.cell * scale, least), most) / scale
 
 
 def _largest_shift(plan: PlanBase) -> np.float32:
@@ -168,6 +173,9 @@ def _largest_shift(plan: PlanBase) -> np.float32:
 def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     """Return the corners of each frame: parts of what `Plan.read` has fetched."""
     device, found = str(plan.device), []
+    refinement, radius = plan.config.refinement, math.nan
+    if isinstance(refinement, EdgeStep):
+        radius = _step_radius(refinement, plan.scale or 1.0)
     for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
         padded = multiple(count, LANES)
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
@@ -186,6 +194,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
                 sigma=sigma,
                 edges=fields[EDGES].reshape(-1, 4)[:count],
                 doubtful=doubtful,
+                edge_radius=radius,
                 device=device,
             )
         )

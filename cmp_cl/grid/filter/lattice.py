@@ -186,7 +186,7 @@ def _of_component(
 ) -> "tuple[Mixture, Array]":
     """Return the mixture for the residual of the best bilinear surface; the surface, (R, C, K)."""
     votes = votes & part
-    plane = _plane(given, votes)
+    plane = bilinear_surface(given, votes)
     data = np.where(votes[..., None], given - plane, 0).transpose(2, 0, 1)
     single = np.ascontiguousarray(data, np.float32)
     return mixed(single, votes, part, most.astype(np.float32), box, bends=bends), plane
@@ -220,14 +220,16 @@ def _bilinear(rows: int, columns: int) -> tuple[Array, Array]:
     return terms, np.ascontiguousarray((terms / np.square(terms).sum(axis=0)).T)
 
 
-def _plane(values: Array, votes: Bools) -> Array:
+def bilinear_surface(values: Array, votes: Bools) -> Array:
     """Return (R, C, K): the bilinear surface that fits best. The filters leave such surfaces as
     they are; without it float32 is exact enough for the residual.
     """
     rows, columns = votes.shape
     terms, projector = _bilinear(rows, columns)
+    fit: Array
     if votes.all():
-        fit: Array = projector @ values.reshape(rows * columns, -1)
+        fit = np.dot(projector, values.reshape(rows * columns, -1))
     else:
-        fit = np.linalg.lstsq(terms[votes.reshape(-1)], values[votes], rcond=None)[0]
-    return np.reshape(terms @ fit, values.shape)
+        fit = np.asarray(np.linalg.lstsq(terms[votes.ravel()], values[votes], rcond=None)[0], float)
+    plane: Array = terms @ fit
+    return plane.reshape(values.shape)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,16 +44,16 @@ class Axis:
     risk_columns: Single
 
 
-def _polynomial(n: int, half: int, degree: int) -> Array:
+def polynomial(n: int, half: int, degree: int, order: int = 0) -> Array:
     """Return (n, n): the value at each node of the polynomial fitted to its window, which is moved
-    inwards at the ends.
+    inwards at the ends; with an order, that derivative of it.
     """
     whole = np.zeros((n, n))
     for node in range(n):
         first = min(max(node - half, 0), n - 2 * half - 1)
         window = np.arange(first, first + 2 * half + 1)
         powers = (window - node)[:, None].astype(np.float64) ** np.arange(degree + 1)
-        whole[node, window] = np.linalg.pinv(powers)[0]
+        whole[node, window] = math.factorial(order) * np.linalg.pinv(powers)[order]
     return whole
 
 
@@ -69,8 +70,8 @@ def axis_of(n: int, *, bends: bool = False) -> Axis:
     """Return the filters along n nodes, those whose window fits; bends: see `filter_grid`."""
     usual = BENDING_FILTERS if bends else AXIS_FILTERS
     fitting = [(half, degree) for half, degree in usual if n >= 2 * half + 1]
-    filters = np.stack([_polynomial(n, *each) for each in fitting])
-    pilot = _polynomial(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
+    filters = np.stack([polynomial(n, *each) for each in fitting])
+    pilot = polynomial(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
     windows = [np.not_equal(each, 0) | np.eye(n, dtype=np.bool_) for each in [*filters, pilot]]
     share = np.stack([each / each.sum(axis=1, keepdims=True) for each in windows])
 
