@@ -12,7 +12,7 @@ from cmp_cl.field import PlaneScale, displacement, plane_displacement
 from cmp_cl.grid import filter_positions
 from cmp_cl.grid.filter import bend_shift, bend_shift_of
 from cmp_cl.measure import exact_config
-from cmp_cl.reference import detect
+from cmp_cl.reference import detect, lattice_filter
 from cmp_cl.synthetic import Indenter, Mode, random_scene, render
 
 RADIUS = 8.0  # px
@@ -43,6 +43,12 @@ def test_the_shift_is_that_of_the_points_of_an_edge():
     xy, _ = arcs(rows=5, bend=bend)
     first = bend_shift(xy, RADIUS)[0, 7]
     assert math.hypot(*first) == pytest.approx(np.polyfit(along, edge, 1)[1], rel=0.03)
+
+
+def test_the_fast_form_is_the_oracles():
+    xy = arcs(rows=7, columns=9)[0] + np.random.default_rng(0).normal(0, 0.3, (7, 9, 2))
+    expected = lattice_filter.bend_shift(xy, RADIUS)
+    np.testing.assert_allclose(bend_shift(xy, RADIUS), expected, atol=1e-9)
 
 
 def test_straight_and_stretched_lattices_are_not_shifted():
