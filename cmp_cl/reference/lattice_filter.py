@@ -24,7 +24,7 @@
 8. Where the values may bend sharply, (3, 3) is among the filters, and the pairs are chosen with
    s1 in place of s2: the least of s2 and of its like from the pilot along one axis alone or
    along one diagonal alone (there (3, 5), only where its window fits), times 1.29, and at most
-   s2. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s2 sum w V). Where the
+   s2. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s1 sum w V). Where the
    largest noise that can be is known, s1 is at most its square.
 9. Edges that are taken to be straight within the radius r move a corner where they bend. Along
    each of its two lines, 5 nodes by 5 beside them fit a parabola along and a straight line across.
@@ -274,7 +274,7 @@ def _mixture(
     mean_risk = (weights * np.where(weights > 0, risk, 0)).sum(axis=0)
     mean_own = (weights * np.array(owns)).sum(axis=0)
     expected = chosen * mean_risk + 2 * (s2 - chosen) * mean_own - s2
-    variance = np.maximum(expected, s2 * (weights * gain).sum(axis=0))
+    variance = np.maximum(expected, chosen * (weights * gain).sum(axis=0))
     return values, variance
 
 

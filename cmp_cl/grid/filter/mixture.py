@@ -168,9 +168,9 @@ def _mixture(
     gain = _over_pairs(weights, pairs.gain)
     own = _over_pairs(weights, pairs.own) if chosen_noise is not noise else np.float32(0)
     mean_risk = _over_pairs(weights, risk)
-    more = noise - chosen_noise  # the choice takes less noise for granted than the errors do
+    more = noise - chosen_noise  # what the pilot sees beyond it; the filters take it off, too
     expected = chosen_noise * mean_risk + 2 * more * own - noise
-    variance = np.maximum(expected, noise * gain)
+    variance = np.maximum(expected, chosen_noise * gain)
     return Mixture(
         box=box,
         part=part,
