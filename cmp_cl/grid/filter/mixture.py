@@ -39,8 +39,8 @@ class Mixture:
     bends: see `filter_grid`.
     data: (K, R, C), before the filter, with predictions in the holes. values: (K, R, C), after it.
     residual: (K, R, C), of the pilot. weights: (A, B, R, C), of each pair at each node.
-    raw_variance, variance: (R, C), of the data and of the values. gain: (R, C), the least ratio
-    of the two that the weights allow.
+    raw_variance, variance: (R, C), of the data and of the values. gain: (R, C), the share of
+    the noise's variance that the weights leave.
     """
 
     box: Box
