@@ -321,6 +321,8 @@ def boards() -> list[dict[str, Any]]:
                 smooth = [lattice_filtered(pair) for pair in views]
                 row = {"set": "opencv", "config": f"{name}, filtered", "true": 25.0}
                 rows.append(row | left_out(smooth))
+                row = {"set": "opencv", "config": f"{name}, filtered, free board", "true": 25.0}
+                rows.append(row | left_out(smooth, free_board=True))
                 sure = [
                     (trusted(left, MAX_SIGMA), trusted(right, MAX_SIGMA)) for left, right in views
                 ]
@@ -334,15 +336,30 @@ def lattice_filtered(pair: tuple[Grid, Grid]) -> tuple[Grid, Grid]:
     return left, right
 
 
-def left_out(views: Sequence[tuple[Grid, Grid]]) -> dict[str, Any]:
-    """Measure each pair with the calibration of the others."""
+def left_out(views: Sequence[tuple[Grid, Grid]], *, free_board: bool = False) -> dict[str, Any]:
+    """Measure each pair with the calibration of the others.
+
+    With a free board each side is compared to the one that the others found, 25 mm long on the
+    whole.
+    """
     size = (640, 480)
     sides = []
     for out, pair in enumerate(views):
         others = [view for place, view in enumerate(views) if place != out]
-        rig = calibrate(others, spacing=25, image_size=size).rig
-        sides.append(square_sides(rig.triangulate(*pair)))
-    error = calibrate(views, spacing=25, image_size=size).error
+        found = calibrate(others, spacing=25, image_size=size, free_board=free_board)
+        if found.board is None:
+            sides.append(square_sides(found.rig.triangulate(*pair)))
+            continue
+        half_turn = 2 if pair[0].parity != others[0][0].parity else 0
+        seen = found.rig.triangulate(*(grid.turned(half_turn) for grid in pair)).xyz
+        off = [
+            np.linalg.norm(np.diff(seen, axis=axis), axis=2)
+            - np.linalg.norm(np.diff(found.board, axis=axis), axis=2)
+            for axis in (0, 1)
+        ]
+        every = np.concatenate([each.ravel() for each in off])
+        sides.append(25 + every[np.isfinite(every)])
+    error = calibrate(views, spacing=25, image_size=size, free_board=free_board).error
     return {"calibration_error_px": error, **spread(sides)}
 
 

@@ -40,6 +40,7 @@ from cmp_cl.stereo import Points3D, PointStatus
 from cmp_cl.synthetic import Scene, random_scene
 
 CORROSIONS = (0.0, 0.3, 2.0)  # beside the 1 of accuracy.py
+REPEATS = 3  # prints of each of these, density and severity
 NOISES = (0.5, 8.0)  # beside the 2 to 4.5
 BEND = 0.2  # px by which the truth of a node is off the cubic through its neighbours
 RIVALS = (
@@ -56,6 +57,19 @@ KINDS = ("position", "displacement", "raw position", "raw displacement")
 def others(quick: bool) -> Iterator[Scene]:
     """Yield prints of other wear, and images of other noise, at every severity."""
     seed = TEST_SEED + 700_000
+    yield from worn(seed, quick)
+    seed += len(CORROSIONS) * len(DENSITIES) * len(SEVERITIES)
+    for noise in NOISES:
+        for corrosion in (0.0, 1.0):
+            for severity in SEVERITIES:
+                seed += 1
+                if not quick:
+                    scene = random_scene(seed, severity=severity, corrosion=corrosion)
+                    yield dataclasses.replace(scene, noise=noise)
+
+
+def worn(seed: int, quick: bool) -> Iterator[Scene]:
+    """Yield a print of each other wear, density and severity."""
     for corrosion in CORROSIONS:
         for markers in DENSITIES:
             for number, severity in enumerate(SEVERITIES):
@@ -69,13 +83,6 @@ def others(quick: bool) -> Iterator[Scene]:
                     indenter=INDENTERS[seed % len(INDENTERS)],
                     corrosion=corrosion,
                 )
-    for noise in NOISES:
-        for corrosion in (0.0, 1.0):
-            for severity in SEVERITIES:
-                seed += 1
-                if not quick:
-                    scene = random_scene(seed, severity=severity, corrosion=corrosion)
-                    yield dataclasses.replace(scene, noise=noise)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -526,6 +533,10 @@ def chosen_scenes(quick: bool) -> Iterable[tuple[Scene, bool]]:
             yield scene, number % 3 == 0
     for scene in others(quick):
         yield scene, scene.corrosion == 0
+    if not quick:
+        for repeat in range(1, REPEATS):
+            for scene in worn(TEST_SEED + 700_000 + 1000 * repeat, quick):
+                yield scene, False
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -216,6 +216,7 @@ def _work(
         name: np.concatenate([getattr(corners, name) for corners in found]) for name in _ARRAYS
     }
     arrays |= {"lengths": lengths, "device": np.array(found[0].device)}
+    arrays["edge_radius"] = np.array(found[0].edge_radius)
     data = BytesIO()
     np.savez(data, digest=np.array(_digest(arrays, first)), **arrays)
     write_bytes(store._path(number), data.getvalue(), durable=True)
@@ -260,9 +261,11 @@ def _digest(arrays: Mapping[str, NDArray[Any]], first: int) -> str:
 def _split(arrays: Mapping[str, NDArray[Any]]) -> list[Corners]:
     """Return the frames of a part."""
     ends = np.cumsum(arrays["lengths"])[:-1]
-    device = str(arrays["device"])
+    device, radius = str(arrays["device"]), float(arrays["edge_radius"])
     split = {name: np.split(arrays[name], ends) for name in _ARRAYS}
     return [
-        Corners(**{name: split[name][n].copy() for name in _ARRAYS}, device=device)
+        Corners(
+            **{name: split[name][n].copy() for name in _ARRAYS}, edge_radius=radius, device=device
+        )
         for n in range(len(ends) + 1)
     ]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,8 @@ class Corners:
         screen, the first from white to black; NaN where unknown.
     doubtful: (N,) bool, corners whose surroundings do not fit the corner model (EdgeStep only,
         False otherwise).
+    edge_radius: px around a corner within which its refinement takes the edges to be straight, NaN
+        where it is not known (only EdgeStep says it).
     device: the device that ran, for example "pthread-... (Portable Computing Language)".
     """
 
@@ -54,6 +57,7 @@ class Corners:
     sigma: NDArray[np.float32]
     edges: NDArray[np.float32]
     doubtful: NDArray[np.bool_]
+    edge_radius: float = math.nan
     device: str
 
     def __len__(self) -> int:

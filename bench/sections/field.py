@@ -73,7 +73,9 @@ def field(result: Row) -> str:
     parts.append(
         "### Boards of known squares\n\nThe sides of squares, mm. The Bumblebee2 pairs are "
         "measured with their published calibration, each of OpenCV's pairs with a calibration from "
-        "the other pairs.\n"
+        "the other pairs. With a free board the calibration finds the nodes of the board too, and "
+        "each side is compared to the same side of the board that the other pairs found, 25 mm on "
+        "the whole.\n"
     )
     if not result["boards"]:
         return "\n".join([*parts, "Left out: there were no photographs.\n"])

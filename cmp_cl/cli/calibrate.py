@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl import media
 from cmp_cl.cli import calibrate_cameras
@@ -98,6 +99,13 @@ def add_parser(commands: Any) -> None:
         default=MAX_SIGMA,
         help=f"largest standard deviation of a corner that is used; default: {MAX_SIGMA:g} px",
     )
+    parser.add_argument(
+        "--free-board",
+        action="store_true",
+        help="find the nodes of the board too, for a print that is bent or not exact; at least "
+        "four pairs of views, of a board with an odd number of rows and columns together, such as "
+        "9x6",
+    )
     calibrate_cameras.add_arguments(parser)
     add_full_scale(parser)
     add_max_pixels(parser)
@@ -156,7 +164,11 @@ def run(arguments: argparse.Namespace) -> int:
             )
         raise CalibrationError(f"none of the {len(names)} views shows the board{hint}")
     found = calibrate(
-        views, spacing=arguments.square, image_size=(size[1], size[0]), unit=arguments.unit
+        views,
+        spacing=arguments.square,
+        image_size=(size[1], size[0]),
+        unit=arguments.unit,
+        free_board=arguments.free_board,
     )
     if check_cameras(arguments.out) in (".yaml", ".yml"):
         found.rig.save(arguments.out)
@@ -186,6 +198,14 @@ def _check(arguments: argparse.Namespace) -> None:
 def _check_numbers(arguments: argparse.Namespace) -> None:
     if not 0 < arguments.square < np.inf:
         raise ConfigError(f"--square must be a positive length, not {arguments.square}")
+    if arguments.free_board and arguments.camera:
+        raise ConfigError("--free-board is for pairs of views, not for --camera")
+    if arguments.free_board and sum(arguments.board) % 2 == 0:
+        rows, columns = arguments.board
+        raise ConfigError(
+            f"--free-board: a board of {rows} x {columns} corners looks the same after half a "
+            "turn, so that its nodes cannot be told apart; one such as 9x6 is needed"
+        )
     if not arguments.max_sigma > 0:
         raise ConfigError(f"--max-sigma must be above 0 px, not {arguments.max_sigma}")
 
@@ -239,8 +259,22 @@ def _report(
             f"(+- {camera.focal_sigma:.1f}), centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f})"
         )
     angle = np.degrees(np.arccos(np.clip((np.trace(rig.R) - 1) / 2, -1, 1)))
+    if found.board is not None:
+        _report_board(found.board, arguments)
     sides = np.concatenate([square_sides(rig.triangulate(*pair)) for pair in views])
     print(
         f"between the cameras: {np.linalg.norm(rig.T):.3f} {unit}, {angle:.2f} degrees; the "
         f"squares measure {sides.mean():.3f} {unit} with a standard deviation of {sides.std():.3f}"
+    )
+
+
+def _report_board(board: NDArray[np.float64], arguments: argparse.Namespace) -> None:
+    """Print by how much the nodes of a free board lie off those of a flat and exact one."""
+    row, column = np.indices(board.shape[:2])
+    off = board - arguments.square * np.stack([column, row, np.zeros(row.shape)], axis=-1)
+    inside, height = np.linalg.norm(off[..., :2], axis=2), np.abs(off[..., 2])
+    print(
+        f"the board: its nodes lie up to {np.nanmax(height):.3f} {arguments.unit} off its plane "
+        f"({np.sqrt(np.nanmean(height**2)):.3f} RMS), and up to {np.nanmax(inside):.3f} off their "
+        f"places in it ({np.sqrt(np.nanmean(inside**2)):.3f} RMS)"
     )

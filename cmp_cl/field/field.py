@@ -116,7 +116,8 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
     """Return the displacement of each node between two moments, now - rest, by index.
 
     The displacement and the position at rest are filtered over the lattice, see
-    `cmp_cl.grid.filter_grid`; `raw` leaves the filter out. The standard deviations are estimated
+    `cmp_cl.grid.filter_grid`, and what bent edges add to points is taken off them; `raw` leaves
+    both out. The standard deviations are estimated
     from the lattice, wear of the print included. Where the lattice is too small for that, those of
     the points are taken, and the two moments are assumed independent.
 
@@ -153,9 +154,12 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
     )
     if raw:
         return unfiltered
+    bent_rest, bent_now = (
+        0.0 if points.bend_shift is None else points.bend_shift for points in (rest, now)
+    )
     return DisplacementField(
-        position=np.where(valid[..., None], at_rest.values, np.nan),
-        displacement=change.values,
+        position=np.where(valid[..., None], at_rest.values - bent_rest, np.nan),
+        displacement=change.values - (bent_now - bent_rest),
         covariance=_either(change.covariance(), rest.covariance + now.covariance, valid),
         position_covariance=_either(at_rest.covariance(), rest.covariance, valid),
         status=status,

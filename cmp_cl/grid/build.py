@@ -363,4 +363,5 @@ def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Gri
         reflected=ends.reflected,
         rival=placed.rival,
         margin=placed.margin,
+        edge_radius=corners.edge_radius,
     )

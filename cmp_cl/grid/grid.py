@@ -95,6 +95,8 @@ class Grid:
         ambiguous then.
     margin: by how much further the middle of the pattern has moved by the rival, cells; NaN
         without one, or where too few nodes say it.
+    edge_radius: that of the corners, px: where edges bend, the filters of positions and
+        displacements take off what they add within it. NaN where it is not known.
     """
 
     xy: NDArray[np.float32]
@@ -113,6 +115,7 @@ class Grid:
     rival: Rival | None = None
     margin: float = float("nan")
     reflected: bool = False
+    edge_radius: float = float("nan")
 
     def __post_init__(self) -> None:
         if self.component.shape != self.xy.shape[:2]:

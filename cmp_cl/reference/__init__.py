@@ -96,6 +96,7 @@ def detect_with_margin(
         sigma=refined.sigma.astype(np.float32),
         edges=refined.edges.astype(np.float32),
         doubtful=refined.doubtful,
+        edge_radius=refine.edge_radius(config.refinement, factor),
         device="NumPy",
     )
     return corners, refined.margin

@@ -5,6 +5,7 @@ radii, the largest shift, the largest step.
 """
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +98,14 @@ def refine(
         doubtful=doubtful,
         margin=np.where(enough, np.minimum(margin, points.margin), points.margin),
     )
+
+
+def edge_radius(refinement: EdgeLines | EdgeStep | Midlines | None, scale: float) -> float:
+    """Return the radius within which the refinement takes edges to be straight, px of the image;
+    NaN where only EDGE_STEP would say."""
+    if not isinstance(refinement, EdgeStep):
+        return math.nan
+    return min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
 
 
 def _chosen(points: EdgePoints, rows: NDArray[np.int64]) -> EdgePoints:

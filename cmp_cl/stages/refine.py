@@ -44,7 +44,11 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     """Return the macros that only these kernels need."""
     refinement = plan.config.refinement
     quadratic = isinstance(refinement, Midlines) and refinement.fit is Fit.QUADRATIC
-    table = moments(_radius(plan, refinement)) if isinstance(refinement, EdgeStep) else ()
+    table = (
+        moments(_step_radius(refinement, plan.scale or 1.0))
+        if isinstance(refinement, EdgeStep)
+        else ()
+    )
     return {
         "LANES": plan.lanes,
         "LISTS": plan.lists,
@@ -146,7 +150,7 @@ def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
 
 def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
     b, factor = plan.arrays, plan.scale or 1.0
-    radius = _radius(plan, refinement)
+    radius = _step_radius(refinement, factor)
     return _of_corners(
         plan,
         "edge_step_eight" if plan.lanes == LANES else "edge_step",
@@ -163,10 +167,10 @@ def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
     )
 
 
-def _radius(plan: PlanBase, refinement: EdgeStep) -> float:
+def _step_radius(refinement: EdgeStep, scale: float) -> float:
     """Return the radius of EDGE_STEP's disc, px of the image."""
-    factor, (share, least, most) = plan.scale or 1.0, STEP_RADIUS
-    return min(max(share * refinement.cell * factor, least), most) / factor
+    share, least, most = STEP_RADIUS
+    return min(max(share * refinement.cell * scale, least), most) / scale
 
 
 def _largest_shift(plan: PlanBase) -> np.float32:
@@ -179,6 +183,9 @@ def _largest_shift(plan: PlanBase) -> np.float32:
 def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     """Return the corners of each frame: parts of what `Plan.read` has fetched."""
     device, found = str(plan.device), []
+    refinement, radius = plan.config.refinement, math.nan
+    if isinstance(refinement, EdgeStep):
+        radius = _step_radius(refinement, plan.scale or 1.0)
     for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
         padded = multiple(count, LANES)
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
@@ -197,6 +204,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
                 sigma=sigma,
                 edges=fields[EDGES].reshape(-1, 4)[:count],
                 doubtful=doubtful,
+                edge_radius=radius,
                 device=device,
             )
         )

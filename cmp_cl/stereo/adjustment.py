@@ -26,7 +26,7 @@ class View:
     the first camera, (6,).
     """
 
-    board: NDArray[np.float32]
+    board: NDArray[np.floating[Any]]
     seen: tuple[Array, ...]
     sigma: tuple[Array, ...]
     pose: Array
@@ -50,7 +50,7 @@ def adjust(views: Sequence[View], start: Array) -> Adjusted:
     median one. The covariance is scaled by the residuals: what makes the sigmas too small or too
     large together does not matter.
     """
-    weights = _weights(views)
+    weights = node_weights(views)
     numbers, poses = start.copy(), [view.pose.copy() for view in views]
     cost, step = _system(views, weights, numbers, poses)
     for _ in range(_STEPS):
@@ -66,19 +66,24 @@ def adjust(views: Sequence[View], start: Array) -> Adjusted:
     _, _, normal = step()
     count = sum(2 * len(view.board) * len(view.seen) for view in views)
     freedom = max(count - len(numbers) - POSE * len(views), 1)
-    errors = [
+    covariance = np.linalg.pinv(normal, hermitian=True) * cost / freedom
+    return Adjusted(numbers, covariance, view_errors(views, numbers, poses))
+
+
+def view_errors(views: Sequence[View], numbers: Array, poses: Sequence[Array]) -> Array:
+    """Return the root mean square reprojection errors, (V, cameras), px."""
+    return np.array(
         [
-            float(np.sqrt(np.square(off).sum(axis=1).mean()))
-            for off, _, _ in _seen(view, numbers, pose)
+            [
+                float(np.sqrt(np.square(off).sum(axis=1).mean()))
+                for off, *_ in seen_by(view, numbers, pose)
+            ]
+            for view, pose in zip(views, poses, strict=True)
         ]
-        for view, pose in zip(views, poses, strict=True)
-    ]
-    return Adjusted(
-        numbers, np.linalg.pinv(normal, hermitian=True) * cost / freedom, np.array(errors)
     )
 
 
-def _weights(views: Sequence[View]) -> list[tuple[Array, ...]]:
+def node_weights(views: Sequence[View]) -> list[tuple[Array, ...]]:
     """Return 1 / sigma of each node, relative to the median of all."""
     every = np.concatenate([sigma for view in views for sigma in view.sigma])
     known = every[np.isfinite(every) & (every > 0)]
@@ -104,8 +109,8 @@ def _system(
     parts = []
     for view, weight, pose in zip(views, weights, poses, strict=True):
         rows = []
-        for (off, by_numbers, by_pose), each in zip(
-            _seen(view, numbers, pose), weight, strict=True
+        for (off, by_numbers, by_pose, _), each in zip(
+            seen_by(view, numbers, pose), weight, strict=True
         ):
             scale = np.repeat(each, 2)[:, None]
             rows.append((off.reshape(-1, 1) * scale, by_numbers * scale, by_pose * scale))
@@ -133,11 +138,11 @@ def _system(
     return cost, step
 
 
-def _seen(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, Array]]:
-    """Return, for each camera, seen minus projected (N, 2), and the slopes of the projection (2
-    N, ...) by the numbers and by the pose.
+def seen_by(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, Array, Array]]:
+    """Return, for each camera, seen minus projected (N, 2), and the slopes of the projection: (2 N,
+    ...) by the numbers and by the pose, (N, 2, 3) by the node on the board.
     """
-    found: list[tuple[Array, Array, Array]] = []
+    found: list[tuple[Array, Array, Array, Array]] = []
     for camera, seen in enumerate(view.seen):
         own = slice(CAMERA * camera, CAMERA * (camera + 1))
         fx, fy, cx, cy, *distortion = numbers[own]
@@ -151,11 +156,12 @@ def _seen(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, A
         by_numbers: Array = np.zeros((len(slopes), len(numbers)))
         by_numbers[:, own] = slopes[:, POSE : POSE + CAMERA]
         by_pose = np.asarray(slopes[:, :POSE], np.float64)
+        by_node = by_pose[:, 3:].reshape(-1, 2, 3) @ cv2.Rodrigues(here[:3])[0]
         if chain is not None:
             by_numbers[:, 2 * CAMERA :] = by_pose @ chain[1]
             by_pose = by_pose @ chain[0]
         off = np.asarray(seen - projected.reshape(-1, 2), np.float64)
-        found.append((off, by_numbers, by_pose))
+        found.append((off, by_numbers, by_pose, by_node))
     return found
 
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmp_cl.errors import CalibrationError, FieldError
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import CAMERA, Adjusted, View, adjust
+from cmp_cl.stereo.free_board import adjust_board
 from cmp_cl.stereo.rig import StereoRig
 from cmp_cl.stereo.threads import one_thread
 
@@ -32,6 +33,8 @@ class CameraCalibration:
     focal_sigma: standard deviation of the focal length, px.
     error: root mean square reprojection error, px.
     view_errors: (V,), the same for each view.
+    board: (R, C, 3), the nodes of a free board, in the unit of spacing, z towards the back of the
+        board, NaN where no view shows the node; None where the board was taken to be flat.
     """
 
     matrix: Array
@@ -39,6 +42,7 @@ class CameraCalibration:
     focal_sigma: float
     error: float
     view_errors: Array
+    board: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,7 +52,8 @@ class StereoCalibration:
     rig: the two cameras.
     error: root mean square reprojection error of both cameras, px.
     view_errors: (V, 2), the same for each view, left and right.
-    left, right: each camera, calibrated alone.
+    left, right: each camera, calibrated alone on a board that is taken to be flat.
+    board: see `CameraCalibration`.
     """
 
     rig: StereoRig
@@ -56,21 +61,32 @@ class StereoCalibration:
     view_errors: Array
     left: CameraCalibration
     right: CameraCalibration
+    board: Array | None = None
 
 
 def calibrate_camera(
-    grids: Sequence[Grid], *, spacing: float, image_size: tuple[int, int]
+    grids: Sequence[Grid],
+    *,
+    spacing: float,
+    image_size: tuple[int, int],
+    free_board: bool = False,
 ) -> CameraCalibration:
     """Calibrate a camera on at least three views of a flat board.
 
     A view may show part of the board, and the views may be numbered differently. Each node has
     the weight 1 / sigma^2.
     spacing: side of a square, in any unit. image_size: (width, height), px.
+    free_board: the board is neither exact nor flat; its nodes are found too, on the whole as large
+    as the flat board. Then at least four views are needed, and equal indices must be the same node
+    in all of them; those of a board with an odd number of rows and columns together are turned
+    alike.
 
-    Raises CalibrationError where there are too few views or nodes, or where the views do not
-    determine the focal length (the board faces the camera in all of them).
+    Raises CalibrationError where there are too few views or nodes, where the views do not
+    determine the focal length (the board faces the camera in all of them), or where the views of a
+    free board are numbered differently.
     """
     _check_spacing(spacing)
+    grids = _numbered_alike(grids) if free_board else grids
     parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
     _check_views(len(parts))
     try:
@@ -103,13 +119,20 @@ def calibrate_camera(
             parts, rotations, translations, grids, strict=True
         )
     ]
-    adjusted = adjust(views, _parameters_of(matrix, distortion))
+    start = _parameters_of(matrix, distortion)
+    shape = None
+    if free_board:
+        adjusted, shape = _with_board(views, [grid.valid for grid in grids], start, spacing)
+        sigma = float(np.sqrt(np.diag(adjusted.covariance)[:2].max()))
+    else:
+        adjusted = adjust(views, start)
     return CameraCalibration(
         matrix=_matrix_of(adjusted.numbers),
         distortion=_distortion_of(adjusted.numbers),
         focal_sigma=sigma,
         error=_whole_error(adjusted, views),
         view_errors=adjusted.errors[:, 0],
+        board=shape,
     )
 
 
@@ -119,12 +142,14 @@ def calibrate(
     spacing: float,
     image_size: tuple[int, int],
     unit: str = "mm",
+    free_board: bool = False,
 ) -> StereoCalibration:
     """Calibrate a rig on at least three views (left, right) of a flat board.
 
     The two grids of a view have the same numbering. First each camera is calibrated alone, then
     the pose between them, and last all parameters together.
     spacing: side of a square, in `unit`. image_size: (width, height) of each view, px.
+    free_board: see `calibrate_camera`.
 
     Raises CalibrationError as `calibrate_camera` does, and where no pose between the cameras
     fits all views. Raises FieldError where the grids of a view have different shapes.
@@ -134,6 +159,9 @@ def calibrate(
             raise FieldError(
                 f"view {view}: the grids have different shapes: {left.shape} and {right.shape}"
             )
+    if free_board:
+        both = _numbered_alike([grid for pair in views for grid in pair])
+        views = list(zip(both[::2], both[1::2], strict=True))
     one = calibrate_camera([left for left, _ in views], spacing=spacing, image_size=image_size)
     two = calibrate_camera([right for _, right in views], spacing=spacing, image_size=image_size)
     pairs = [
@@ -176,7 +204,13 @@ def calibrate(
         )
     ]
     pose = np.concatenate([cv2.Rodrigues(R)[0].reshape(-1), _double(T).reshape(-1)])
-    adjusted = adjust(whole, np.concatenate([_parameters_of(K1, D1), _parameters_of(K2, D2), pose]))
+    start = np.concatenate([_parameters_of(K1, D1), _parameters_of(K2, D2), pose])
+    shape = None
+    if free_board:
+        seen = [left.valid & right.valid for left, right in views]
+        adjusted, shape = _with_board(whole, seen, start, spacing)
+    else:
+        adjusted = adjust(whole, start)
     cameras = [adjusted.numbers[k : k + CAMERA] for k in (0, CAMERA)]
     rotation, translation = np.split(adjusted.numbers[2 * CAMERA :], 2)
     return StereoCalibration(
@@ -194,7 +228,38 @@ def calibrate(
         view_errors=adjusted.errors,
         left=one,
         right=two,
+        board=shape,
     )
+
+
+def _numbered_alike(grids: Sequence[Grid]) -> list[Grid]:
+    """Return the grids of a free board, turned so that equal indices are the same node.
+
+    Where a half turn swaps black and white the squares say which way up the board is. Raises
+    CalibrationError where the grids have different rows or columns.
+    """
+    for view, grid in enumerate(grids):
+        if grid.shape != grids[0].shape:
+            raise CalibrationError(
+                "the views of a free board must be numbered alike: the first grid has "
+                f"{grids[0].extent}, number {view} has {grid.extent}"
+            )
+    return [
+        grid.turned(2) if sum(grid.shape) % 2 and grid.parity != grids[0].parity else grid
+        for grid in grids
+    ]
+
+
+def _with_board(
+    views: Sequence[View], seen: Sequence[NDArray[np.bool_]], start: Array, spacing: float
+) -> tuple[Adjusted, Array]:
+    """Adjust with a free board; return its nodes too, (R, C, 3), NaN where no view shows one."""
+    row, column = np.indices(seen[0].shape)
+    flat = np.stack([column, row, np.zeros(row.shape)], axis=-1).reshape(-1, 3) * spacing
+    nodes = [np.flatnonzero(each) for each in seen]
+    adjusted, found = adjust_board(views, nodes, start, flat, spacing)
+    shown = np.any(seen, axis=0)
+    return adjusted, np.where(shown[..., None], found.reshape(*shown.shape, 3), np.nan)
 
 
 def _view(

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import CalibrationError, FieldError
 from cmp_cl.files import write_text
+from cmp_cl.grid.filter import bend_shift_of
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.stereo.adjustment import CAMERA, POSE
 from cmp_cl.stereo.points import Points3D, PointStatus
@@ -170,12 +171,14 @@ class StereoRig:
         covariance = np.full((len(seen), 3, 3), np.nan)
         shared = covariance.copy()
         good = status == PointStatus.VALID
-        xyz[good], error[good], covariance[good], shared[good] = self._refined(
-            xyz[good], seen[good], deviation[good]
+        bent = np.hstack([bend_shift_of(grid)[both] for grid in (left, right)])
+        moved = np.zeros_like(xyz)
+        xyz[good], error[good], covariance[good], shared[good], moved[good] = self._refined(
+            xyz[good], seen[good], deviation[good], bent[good]
         )
         status[good & ~(error <= max_error)] = PointStatus.INCONSISTENT
         bad = status != PointStatus.VALID
-        for values in (xyz, covariance, shared):
+        for values in (xyz, covariance, shared, moved):
             values[bad] = np.nan
         all_status = np.full(left.shape, PointStatus.MISSING, np.uint8)
         all_status[both] = status
@@ -189,6 +192,7 @@ class StereoRig:
             ),
             unit=self.unit,
             calibration_covariance=None if self.covariance is None else _spread(both, shared),
+            bend_shift=_spread(both, moved),
         )
 
     def _linear(self, seen: Array) -> tuple[Array, NDArray[np.uint8]]:
@@ -209,15 +213,18 @@ class StereoRig:
         status[~(left_in_model & right_in_model)] = PointStatus.INCONSISTENT
         return xyz, status
 
-    def _refined(self, xyz: Array, seen: Array, sigma: Array) -> tuple[Array, Array, Array, Array]:
+    def _refined(
+        self, xyz: Array, seen: Array, sigma: Array, bent: Array
+    ) -> tuple[Array, Array, Array, Array, Array]:
         """Take one Gauss-Newton step on the reprojection error, weighted by 1 / sigma^2.
 
         xyz: (N, 3). seen: (N, 4) px, left and right. sigma: (N, 2) px; NaN weights both alike.
-        Returns points (N, 3), reprojection errors (N,), px, and covariances (N, 3, 3): that of the
-        positions in the image, and that of the rig, NaN where it is unknown.
+        bent: (N, 4) px, shifts in the image. Returns points (N, 3), reprojection errors (N,), px,
+        covariances (N, 3, 3), that of the positions in the image and that of the rig, NaN where it
+        is unknown, and by how much the shifts move the points, (N, 3).
         """
         if not len(xyz):
-            return xyz, np.empty(0), np.empty((0, 3, 3)), np.empty((0, 3, 3))
+            return xyz, np.empty(0), np.empty((0, 3, 3)), np.empty((0, 3, 3)), xyz
         projected, jacobian, by_rig = self._projected(xyz)
         residual = seen - projected
         known = np.isfinite(sigma.sum(axis=1))
@@ -234,7 +241,7 @@ class StereoRig:
             # as the rig moves the points at fixed positions in the image
             by_rig = by_image @ by_rig
             shared = by_rig @ self.covariance @ by_rig.transpose(0, 2, 1)
-        return xyz + step[..., 0], error, own, shared
+        return xyz + step[..., 0], error, own, shared, (by_image @ bent[..., None])[..., 0]
 
     def _projected(self, xyz: Array) -> tuple[Array, Array, Array]:
         """Project points into both cameras.

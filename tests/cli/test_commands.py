@@ -698,6 +698,7 @@ def test_two_cameras_with_files_of_their_own_are_calibrated(run, boards):
         (["0.png", "--out", "rig.txt"], ["yaml"]),
         (["0.png", "--out", "no/rig.yaml"], ["there is no folder", "no'"]),
         (["--left", "0.png", "--right", "1.png", "--split", "halves"], ["--split"]),
+        (["0.png", "--free-board"], ["7 x 7", "half a turn"]),
         (["0.png", "--region", "0,0,9,9"], ["a rectangle for each view", "here 2"]),
         (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["0,0,9,9", "outside"]),
     ],
@@ -733,6 +734,21 @@ def test_opencvs_five_pairs_calibrate(run):
     mean, deviation = out.split("squares measure ")[1].split(" mm with a standard deviation of ")
     assert float(mean) == pytest.approx(25, abs=0.03)
     assert float(deviation.split()[0]) < 0.08
+
+
+def test_a_free_board_halves_the_residuals_of_opencvs_pairs(run):
+    folder = photographs("stereo_opencv")
+    left, right = (sorted(folder.glob(f"{side}0?.jpg")) for side in ("left", "right"))
+    status, out, _ = run(
+        *("calibrate", "--left", *left, "--right", *right, "--board", "9x6", "--square", 25),
+        *("--out", "rig.yaml", "--free-board"),
+    )
+    assert status == 0
+    assert float(out.split("all views: ")[1].split()[0]) < 0.075
+    assert "the board: its nodes lie up to 0." in out
+    rig = StereoRig.load("rig.yaml")
+    for matrix in (rig.K1, rig.K2):  # the pixels are square
+        assert matrix[0, 0] == pytest.approx(matrix[1, 1], rel=5e-4)
 
 
 def test_our_corners_measure_30_mm_with_the_published_calibration():

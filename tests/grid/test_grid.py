@@ -112,7 +112,7 @@ def keep(corners, which):
     fields = {
         field.name: getattr(corners, field.name)[which]
         for field in dataclasses.fields(corners)
-        if field.name != "device"
+        if field.name not in ("device", "edge_radius")
     }
     return dataclasses.replace(corners, **fields)
 

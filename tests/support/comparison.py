@@ -76,4 +76,4 @@ def assert_same_bytes(one: Corners, other: Corners) -> None:
             assert values.shape == others.shape, field.name
             assert values.tobytes() == others.tobytes(), field.name
         else:
-            assert values == others
+            np.testing.assert_equal(values, others)

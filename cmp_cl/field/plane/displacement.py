@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import FieldError
-from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid, noise_of_change
+from cmp_cl.grid.filter import (
+    Filtered,
+    bend_shift_of,
+    filter_at_rest,
+    filter_grid,
+    noise_of_change,
+)
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
 
 Array = NDArray[np.float64]
@@ -126,7 +132,8 @@ def plane_displacement(
     """Return the displacement of each node in the plane, now - rest, by its number.
 
     The displacement and the position at rest are filtered over the lattice, see
-    `cmp_cl.grid.filter_grid`. scale: from the image to the plane; None means px. raw: leave the
+    `cmp_cl.grid.filter_grid`, and what bent edges add to positions is taken off them. scale: from
+    the image to the plane; None means px. raw: leave the
     filter out. The errors are those that the lattice shows, and those of the corners where it is
     too small to tell; what neighbours share of them is in `raw.shared`, see `with_measured_noise`.
     The field has the rows and columns of the grid at rest: a node beyond them has no displacement.
@@ -171,10 +178,14 @@ def plane_displacement(
         unfiltered = dataclasses.replace(unfiltered, shared=variance * shown[1])
     if raw:
         return unfiltered
+    bent_rest, bent_now = (
+        (slope @ bend_shift_of(grid)[..., None])[..., 0]
+        for grid, slope in ((rest, slope_before), (now, slope_after))
+    )
     return dataclasses.replace(
         unfiltered,
-        position=np.where(both[..., None], at_rest.values, np.nan),
-        displacement=change.values,
+        position=np.where(both[..., None], at_rest.values - bent_rest, np.nan),
+        displacement=change.values - (bent_now - bent_rest),
         sigma=_either(change.sigma, np.hypot(own_rest, own_now)),
         sigma_position=np.where(both, _either(at_rest.sigma, own_rest), np.nan),
         shared=None,

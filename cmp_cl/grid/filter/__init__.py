@@ -6,7 +6,16 @@ along its row and its column. Stein's unbiased risk estimate chooses, node by no
 reach and of which degree they are; there is nothing to set.
 """
 
+from cmp_cl.grid.filter.bends import bend_shift, bend_shift_of
 from cmp_cl.grid.filter.lattice import Filtered, filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid.filter.positions import filter_positions
 
-__all__ = ["Filtered", "filter_at_rest", "filter_grid", "filter_positions", "noise_of_change"]
+__all__ = [
+    "Filtered",
+    "bend_shift",
+    "bend_shift_of",
+    "filter_at_rest",
+    "filter_grid",
+    "filter_positions",
+    "noise_of_change",
+]

@@ -106,7 +106,7 @@ def filter_grid(
     given = np.array(values, np.float64)
     if given.ndim != 3 or not given.shape[2]:
         raise GridError(f"values must be (R, C, K), K >= 1, not {given.shape}")
-    there = np.asarray(np.isfinite(given).all(axis=2), np.bool_)
+    there = functools.reduce(np.logical_and, np.isfinite(given.transpose(2, 0, 1)))
     given[~there] = np.nan
     votes = there.copy()
     if measured is not None:
@@ -186,7 +186,7 @@ def _of_component(
 ) -> "tuple[Mixture, Array]":
     """Return the mixture for the residual of the best bilinear surface; the surface, (R, C, K)."""
     votes = votes & part
-    plane = _plane(given, votes)
+    plane = bilinear_surface(given, votes)
     data = np.where(votes[..., None], given - plane, 0).transpose(2, 0, 1)
     single = np.ascontiguousarray(data, np.float32)
     return mixed(single, votes, part, most.astype(np.float32), box, bends=bends), plane
@@ -210,23 +210,26 @@ def _box(votes: Bools) -> Box:
 
 
 @functools.lru_cache(maxsize=64)
-def _bilinear(rows: int, columns: int) -> Array:
-    """Return 1, r, c and r c, from -1 to 1, orthogonal over all nodes: (R, C, 4)."""
+def _bilinear(rows: int, columns: int) -> tuple[Array, Array]:
+    """Return 1, r, c and r c, from -1 to 1, orthogonal over all nodes, (R C, 4), and what projects
+    values of all nodes on them, (4, R C).
+    """
     r = np.linspace(-1, 1, rows)[:, None] if rows > 1 else np.full((1, 1), 1e-9)
     c = np.linspace(-1, 1, columns)[None, :] if columns > 1 else np.full((1, 1), 1e-9)
-    return np.stack(np.broadcast_arrays(1.0, r, c, r * c), axis=-1)
+    terms = np.stack(np.broadcast_arrays(1.0, r, c, r * c), axis=-1).reshape(-1, 4)
+    return terms, np.ascontiguousarray((terms / np.square(terms).sum(axis=0)).T)
 
 
-def _plane(values: Array, votes: Bools) -> Array:
+def bilinear_surface(values: Array, votes: Bools) -> Array:
     """Return (R, C, K): the bilinear surface that fits best. The filters leave such surfaces as
     they are; without it float32 is exact enough for the residual.
     """
     rows, columns = votes.shape
-    terms = _bilinear(rows, columns)
+    terms, projector = _bilinear(rows, columns)
+    fit: Array
     if votes.all():
-        flat = terms.reshape(-1, 4)
-        fit = (flat.T @ values.reshape(len(flat), -1)) / np.square(flat).sum(axis=0)[:, None]
+        fit = np.dot(projector, values.reshape(rows * columns, -1))
     else:
-        fit = np.linalg.lstsq(terms[votes], values[votes], rcond=None)[0]
+        fit = np.asarray(np.linalg.lstsq(terms[votes.ravel()], values[votes], rcond=None)[0], float)
     plane: Array = terms @ fit
-    return plane
+    return plane.reshape(values.shape)

@@ -39,8 +39,8 @@ class Mixture:
     bends: see `filter_grid`.
     data: (K, R, C), before the filter, with predictions in the holes. values: (K, R, C), after it.
     residual: (K, R, C), of the pilot. weights: (A, B, R, C), of each pair at each node.
-    raw_variance, variance: (R, C), of the data and of the values. gain: (R, C), the least ratio
-    of the two that the weights allow.
+    raw_variance, variance: (R, C), of the data and of the values. gain: (R, C), the share of
+    the noise's variance that the weights leave.
     """
 
     box: Box
@@ -149,12 +149,12 @@ def _mixture(
     whole = bool(votes.all())
     if not whole:
         risk *= votes
-    np.matmul(down.near_risk, np.matmul(risk, along.near_risk.T, out=apart), out=risk)
+    np.matmul(down.near_risk, np.matmul(risk, along.risk_columns, out=apart), out=risk)
     if whole:
         risk *= 1 / (count * s2)
     else:
         there = votes.astype(np.float32)
-        near = down.near_risk @ there @ along.near_risk.T
+        near = down.near_risk @ there @ along.risk_columns
         risk *= 1 / (count * s2 * np.maximum(near, np.float32(1e-6)))
         support = (down.share @ there)[:, None] @ along.share.transpose(0, 2, 1)
         bad = (support < LEAST_SUPPORT) | ~known | (near < 1e-6)
@@ -168,9 +168,9 @@ def _mixture(
     gain = _over_pairs(weights, pairs.gain)
     own = _over_pairs(weights, pairs.own) if chosen_noise is not noise else np.float32(0)
     mean_risk = _over_pairs(weights, risk)
-    more = noise - chosen_noise  # the choice takes less noise for granted than the errors do
+    more = noise - chosen_noise  # what the pilot sees beyond it; the filters take it off, too
     expected = chosen_noise * mean_risk + 2 * more * own - noise
-    variance = np.maximum(expected, noise * gain)
+    variance = np.maximum(expected, chosen_noise * gain)
     return Mixture(
         box=box,
         part=part,

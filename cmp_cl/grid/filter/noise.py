@@ -25,7 +25,7 @@ def noise_of(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single
     """
     rows, columns = votes.shape
     down, along, pairs = axis_of(rows), axis_of(columns), pairs_of(rows, columns)
-    residual = np.asarray(data - down.pilot @ data @ along.pilot.T, np.float32)
+    residual = np.asarray(data - down.pilot @ data @ along.pilot_columns, np.float32)
     left = 1 - pairs.pilot_own
     square = np.square(residual).mean(axis=0) / np.maximum(left, 1e-3)
     size = np.asarray(np.sqrt(square), np.float32)
@@ -34,11 +34,11 @@ def noise_of(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single
         support = down.pilot_share @ votes.astype(np.float32) @ along.pilot_share.T
         usable &= votes & (support >= LEAST_SUPPORT)
     if usable.all():
-        mean = down.near_noise @ size @ along.near_noise.T
+        mean = down.near_noise @ size @ along.noise_columns
     else:
         size = np.where(usable, size, np.float32(0))
-        near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
-        mean = down.near_noise @ size @ along.near_noise.T
+        near = down.near_noise @ usable.astype(np.float32) @ along.noise_columns
+        mean = down.near_noise @ size @ along.noise_columns
         mean = np.where(near > 1e-6, mean / np.maximum(near, 1e-6), np.float32(np.nan))
     expected = _expected_size(residual, size)
     floor = max(_FLOOR * float(np.square(data).mean()), LEAST_VARIANCE)
@@ -57,14 +57,14 @@ def noise_along(data: Single, votes: Bools, noise: Single) -> Single:
     least = noise
     for residual, own in (
         (data - down.pilot @ data, down.pilot_own[:, None]),
-        (data - data @ along.pilot.T, along.pilot_own[None]),
+        (data - data @ along.pilot_columns, along.pilot_own[None]),
         *_along_diagonals(data),
     ):
         usable = votes & (own < 0.95)
-        near = down.near_noise @ usable.astype(np.float32) @ along.near_noise.T
+        near = down.near_noise @ usable.astype(np.float32) @ along.noise_columns
         square = np.square(residual).mean(axis=0) / np.maximum(1 - own, 0.05)
         size = np.where(usable, np.asarray(np.sqrt(square), np.float32), np.float32(0))
-        mean = down.near_noise @ size @ along.near_noise.T / np.maximum(near, np.float32(1e-6))
+        mean = down.near_noise @ size @ along.noise_columns / np.maximum(near, np.float32(1e-6))
         alone = np.square(mean / np.float32(_expected_size(residual, size)))
         least = np.where(near > 1e-6, np.minimum(least, alone), least)
     chosen: Single = np.minimum(noise, least * np.float32(_LEAST_OF_FIVE))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,8 @@ class Axis:
     weight of the node itself. gain: (A, n), the sum of the squares. share: (A, n, n), 1 / window
     where the window is. pilot, pilot_own, pilot_share: of the filter that shows the noise.
     near_noise, near_risk: (n, n) Gaussians, rows of sum 1. columns: (A - 1, n, n), the filters
-    after the first one as factors on the right.
+    after the first one as factors on the right; pilot_columns, noise_columns, risk_columns: the
+    same of the pilot and of the Gaussians. A factor that lies in memory as it is read costs half.
     """
 
     filters: Single
@@ -37,18 +39,21 @@ class Axis:
     pilot_share: Single
     near_noise: Single
     near_risk: Single
+    pilot_columns: Single
+    noise_columns: Single
+    risk_columns: Single
 
 
-def _polynomial(n: int, half: int, degree: int) -> Array:
+def polynomial(n: int, half: int, degree: int, order: int = 0) -> Array:
     """Return (n, n): the value at each node of the polynomial fitted to its window, which is moved
-    inwards at the ends.
+    inwards at the ends; with an order, that derivative of it.
     """
     whole = np.zeros((n, n))
     for node in range(n):
         first = min(max(node - half, 0), n - 2 * half - 1)
         window = np.arange(first, first + 2 * half + 1)
         powers = (window - node)[:, None].astype(np.float64) ** np.arange(degree + 1)
-        whole[node, window] = np.linalg.pinv(powers)[0]
+        whole[node, window] = math.factorial(order) * np.linalg.pinv(powers)[order]
     return whole
 
 
@@ -65,14 +70,15 @@ def axis_of(n: int, *, bends: bool = False) -> Axis:
     """Return the filters along n nodes, those whose window fits; bends: see `filter_grid`."""
     usual = BENDING_FILTERS if bends else AXIS_FILTERS
     fitting = [(half, degree) for half, degree in usual if n >= 2 * half + 1]
-    filters = np.stack([_polynomial(n, *each) for each in fitting])
-    pilot = _polynomial(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
+    filters = np.stack([polynomial(n, *each) for each in fitting])
+    pilot = polynomial(n, *((3, 5) if n >= 8 else (2, 3) if n >= 5 else (0, 0)))
     windows = [np.not_equal(each, 0) | np.eye(n, dtype=np.bool_) for each in [*filters, pilot]]
     share = np.stack([each / each.sum(axis=1, keepdims=True) for each in windows])
 
-    def single(values: Array) -> Single:
+    def single(values: Array | Single) -> Single:
         return np.ascontiguousarray(values, np.float32)
 
+    near_noise, near_risk = _gaussian(n, NOISE_REACH), _gaussian(n, RISK_REACH)
     return Axis(
         filters=single(filters),
         columns=single(filters[1:].transpose(0, 2, 1)),
@@ -82,8 +88,11 @@ def axis_of(n: int, *, bends: bool = False) -> Axis:
         pilot=single(pilot),
         pilot_own=single(np.diag(pilot)),
         pilot_share=single(share[-1]),
-        near_noise=_gaussian(n, NOISE_REACH),
-        near_risk=_gaussian(n, RISK_REACH),
+        near_noise=near_noise,
+        near_risk=near_risk,
+        pilot_columns=single(pilot.T),
+        noise_columns=single(near_noise.T),
+        risk_columns=single(near_risk.T),
     )
 
 

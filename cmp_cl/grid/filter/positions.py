@@ -7,7 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import GridError
-from cmp_cl.grid.filter.lattice import filter_at_rest, filter_grid, noise_of_change
+from cmp_cl.grid.filter.bends import bend_shift
+from cmp_cl.grid.filter.lattice import (
+    Filtered,
+    filter_at_rest,
+    filter_grid,
+    noise_of_change,
+)
 from cmp_cl.grid.grid import MEASURED, Grid
 
 Array = NDArray[np.float64]
@@ -19,14 +25,15 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
 
     rest: the same pattern at rest, numbered alike. Then the displacements are filtered and
     added to the filtered positions at rest; a node that is missing there keeps its position.
-    Interpolated nodes follow their neighbours. Where the lattice is too small to tell, sigma is
-    that of the corners.
+    What bent edges add to the positions is taken off the filtered ones. Interpolated nodes follow
+    their neighbours. Where the lattice is too small to tell, sigma is that of the corners.
 
     Raises GridError where the grid has not all rows and columns of the one at rest.
     """
     if rest is None:
         found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
-        return _with(now, found.values, found.sigma), _with(now, now.xy, found.noise)
+        values = found.values - bend_shift(found.values, now.edge_radius)
+        return _with(now, values, found.sigma), _with(now, now.xy, found.noise)
     if not now.covers(rest):
         raise GridError(f"the grid at rest has {rest.extent}, the other {now.extent}")
     rest = rest.cut_to(now)
@@ -40,10 +47,27 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
         most_noise=noise_of_change(start, rest.sigma, now.sigma),
     )
     values = np.where(np.isnan(moved), now.xy, start.values + change.values)
-    return (
-        _with(now, values, np.hypot(start.sigma, change.sigma)),
-        _with(now, now.xy, np.hypot(start.noise, change.noise)),
-    )
+    values -= bend_shift(values, now.edge_radius)
+    sigma, noise = _deviations(start, change, rest, now)
+    return _with(now, values, sigma), _with(now, now.xy, noise)
+
+
+def _deviations(start: Filtered, change: Filtered, rest: Grid, now: Grid) -> tuple[Array, Array]:
+    """Return the standard deviations (R, C) of filtered positions and of raw ones.
+
+    The noise of the image at rest is in the displacement too, with the other sign: what both
+    filters leave of it cancels in their sum. Of the noise at rest it is what the corners' sigma
+    tells, and no more than its share of the noise of the displacement.
+    """
+    before, after = (np.square(grid.sigma, dtype=np.float64) for grid in (rest, now))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.square(change.noise) * before / (before + after)
+        own = np.fmin(np.fmin(before, np.square(start.noise)), share)
+        own = np.where(before + after > 0, own, 0)
+        left = np.square(np.fmin(start.sigma / start.noise, change.sigma / change.noise))
+        both = [np.square(each.sigma) for each in (start, change)]
+        raw = [np.square(each.noise) for each in (start, change)]
+        return np.sqrt(sum(both) - 2 * own * left), np.sqrt(sum(raw) - 2 * own)
 
 
 def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:

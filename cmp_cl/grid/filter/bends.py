@@ -1,0 +1,83 @@
+"""What bent edges add to the positions of corners, from how the lattice bends."""
+
+import functools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid.filter.holes import filled
+from cmp_cl.grid.filter.lattice import bilinear_surface, filter_at_rest
+from cmp_cl.grid.filter.polynomials import LEAST_SUPPORT, polynomial
+from cmp_cl.grid.grid import MEASURED, Grid
+
+Array = NDArray[np.float64]
+
+_HALF = 2  # nodes on each side of a node that show how a line bends
+_LEAST_SINE = math.sin(math.radians(10))  # of the angle between the two lines at a corner
+
+
+def bend_shift_of(grid: Grid) -> Array:
+    """Return (R, C, 2) float64, px: how far bent edges have moved the nodes of a grid, see
+    `bend_shift`. It is 0 where the radius of the corners' refinement is not known.
+    """
+    if not math.isfinite(grid.edge_radius):
+        return np.zeros(grid.xy.shape)
+    filtered = filter_at_rest(grid.xy, measured=np.isin(grid.status, MEASURED))
+    return bend_shift(filtered.values, grid.edge_radius)
+
+
+def bend_shift(xy: Array, radius: float) -> Array:
+    """Return (R, C, 2) float64: how far bent edges move each corner, in the unit of `xy`.
+
+    xy: (R, C, 2), filtered positions, NaN where missing. radius: within which a refinement takes
+    the edges to be straight, in the same unit; NaN where none does. The straight line that fits
+    an arc of curvature k best within the radius r lies k r^2 / 6 off its middle, on the inner side;
+    the corner moves with both of its lines. The shift is 0 where too few nodes show the curvature,
+    and where the lines enclose less than 10 degrees.
+    """
+    there = np.asarray(np.isfinite(xy).all(axis=2), np.bool_)
+    rows, columns = there.shape
+    if not math.isfinite(radius) or min(rows, columns) <= 2 * _HALF or not there.any():
+        return np.zeros_like(xy)
+    data = xy.transpose(2, 0, 1)
+    support: Array | bool = True
+    if not there.all():
+        plane = bilinear_surface(xy, there)
+        bent = np.where(there[..., None], xy - plane, 0).transpose(2, 0, 1)
+        data = plane.transpose(2, 0, 1) + filled(bent.astype(np.float32), there)
+        near = [np.not_equal(_derivatives(n)[2], 0) / (2 * _HALF + 1) for n in there.shape]
+        support = near[0] @ there @ near[1].T
+    slope_down, second_down, mean_down = _derivatives(rows)
+    slope_along, second_along, mean_along = _derivatives(columns)
+    lines = (
+        (slope_down @ data @ mean_along.T, second_down @ data @ mean_along.T),
+        (mean_down @ data @ slope_along.T, mean_down @ data @ second_along.T),
+    )
+    (n0, off0), (n1, off1) = (_line(*each, radius) for each in lines)
+    sine = n0[0] * n1[1] - n0[1] * n1[0]
+    known = (np.abs(sine) > _LEAST_SINE) & (support >= LEAST_SUPPORT)
+    divisor = np.where(known, sine, 1)
+    x = (off0 * n1[1] - off1 * n0[1]) / divisor
+    y = (off1 * n0[0] - off0 * n1[0]) / divisor
+    return np.where(known[..., None], np.stack([x, y], axis=-1), 0)
+
+
+def _line(slope: Array, second: Array, radius: float) -> tuple[Array, Array]:
+    """Return the normal of a line at each node, (2, R, C), and how far along it the line's bend
+    moves what is taken to be straight, (R, C).
+
+    slope, second: (2, R, C), the first and second derivatives by the number of the node.
+    """
+    square = np.maximum(np.square(slope).sum(axis=0), 1e-30)
+    normal = np.stack([-slope[1], slope[0]]) / np.sqrt(square)
+    return normal, (second * normal).sum(axis=0) / square * (radius**2 / 6)
+
+
+@functools.lru_cache(maxsize=64)
+def _derivatives(n: int) -> tuple[Array, Array, Array]:
+    """Return three (n, n): the first and second derivative of the parabola fitted to five nodes,
+    and the value of the line fitted to five, which are moved inwards at the ends.
+    """
+    first, second = (polynomial(n, _HALF, 2, order) for order in (1, 2))
+    return first, second, polynomial(n, _HALF, 1)

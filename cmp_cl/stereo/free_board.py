@@ -1,0 +1,182 @@
+"""The last step of a calibration on a board that is neither flat nor exact: the nodes of the board
+are found with the cameras.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import CalibrationError
+from cmp_cl.stereo.adjustment import POSE, Adjusted, View, node_weights, seen_by, view_errors
+
+Array = NDArray[np.float64]
+Nodes = NDArray[np.int64]
+Weights = Sequence[tuple[Array, ...]]
+
+LEAST_VIEWS = 4
+_STEPS = 30
+_HALVINGS = 6
+_SMALL = 1e-7  # of the cost, by which the last step must improve it
+_LOOSE = 0.1  # of a square: standard deviation that a node is expected to have from its place
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _State:
+    """The numbers of the cameras, the poses (V, 6), and the nodes of the board (P, 3)."""
+
+    numbers: Array
+    poses: Array
+    board: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Normal:
+    """The normal equations, of cameras and poses (n) and of P nodes, whose blocks are 3 x 3.
+
+    cost: of all weighted residuals, and what nodes off their places add.
+    """
+
+    cost: float
+    both: Array
+    right: Array
+    cross: Array
+    own: Array
+    own_right: Array
+
+
+def adjust_board(
+    views: Sequence[View], nodes: Sequence[Nodes], start: Array, board: Array, spacing: float
+) -> tuple[Adjusted, Array]:
+    """Minimize the weighted reprojection error over cameras, poses and the nodes of the board, by
+    Gauss-Newton from a near solution.
+
+    nodes: for each view, the rows (N,) of `board` (P, 3) that it shows. spacing: side of a square,
+    in the unit of the board. Each node is drawn to its place by a spring of a tenth of a square;
+    against many residuals of a tenth of a pixel it only decides what the views do not: the nodes
+    keep the size, the place and the orientation of the flat board. Returns the cameras and the
+    nodes (P, 3). Raises CalibrationError where fewer than four views are given.
+    """
+    if len(views) < LEAST_VIEWS:
+        raise CalibrationError(
+            f"{len(views)} views of a free board, at least {LEAST_VIEWS} are needed"
+        )
+    weights = node_weights(views)
+    state = _State(start.copy(), np.array([view.pose for view in views]), board.copy())
+    count = sum(2 * len(view.board) * len(view.seen) for view in views)
+    for _ in range(2):  # the spring is as stiff as the residuals are small
+        rest = _system(views, nodes, weights, state, board, 0.0).cost / count
+        spring = rest / (_LOOSE * spacing) ** 2
+        state, normal = _settled(views, nodes, weights, state, board, spring)
+    reduced: Array = _reduced(normal)[0]
+    covariance = np.asarray(np.linalg.pinv(reduced, hermitian=True), np.float64)
+    seen = len(np.unique(np.concatenate(nodes)))
+    unknown = len(covariance) + 3 * seen - POSE - 1  # the board as a whole does not move or grow
+    scale = normal.cost / max(count - unknown, 1)
+    moved = [
+        dataclasses.replace(view, board=state.board[rows])
+        for view, rows in zip(views, nodes, strict=True)
+    ]
+    return (
+        Adjusted(
+            state.numbers,
+            covariance[: len(start), : len(start)] * scale,
+            view_errors(moved, state.numbers, list(state.poses)),
+        ),
+        state.board,
+    )
+
+
+def _settled(
+    views: Sequence[View],
+    nodes: Sequence[Nodes],
+    weights: Weights,
+    state: _State,
+    flat: Array,
+    spring: float,
+) -> tuple[_State, _Normal]:
+    """Take steps until they lower the cost no more; a step that raises it is halved."""
+    normal = _system(views, nodes, weights, state, flat, spring)
+    for _ in range(_STEPS):
+        step = _step(normal, state)
+        for halving in range(_HALVINGS):
+            moved = _State(
+                *(
+                    one + change / 2**halving
+                    for one, change in zip(_parts(state), _parts(step), strict=True)
+                )
+            )
+            lower = _system(views, nodes, weights, moved, flat, spring)
+            if lower.cost < normal.cost:
+                break
+        else:
+            break
+        done = normal.cost - lower.cost < _SMALL * normal.cost
+        state, normal = moved, lower
+        if done:
+            break
+    return state, normal
+
+
+def _parts(state: _State) -> tuple[Array, Array, Array]:
+    return state.numbers, state.poses, state.board
+
+
+def _step(normal: _Normal, state: _State) -> _State:
+    """Return the Gauss-Newton step."""
+    reduced, right, inverse = _reduced(normal)
+    both = np.linalg.lstsq(reduced, right, rcond=None)[0]
+    own = inverse @ (normal.own_right - normal.cross.transpose(0, 2, 1) @ both)[..., None]
+    numbers, poses = np.split(both, [len(state.numbers)])
+    return _State(numbers, poses.reshape(-1, POSE), own[..., 0])
+
+
+def _reduced(normal: _Normal) -> tuple[Array, Array, Array]:
+    """Return the equations of cameras and poses without the nodes, (n, n) and (n,), and the inverse
+    blocks of the nodes."""
+    inverse = np.asarray(np.linalg.inv(normal.own), np.float64)
+    through = normal.cross @ inverse
+    reduced = normal.both - np.tensordot(through, normal.cross, axes=((0, 2), (0, 2)))
+    return (
+        reduced,
+        normal.right - np.tensordot(through, normal.own_right, axes=((0, 2), (0, 1))),
+        inverse,
+    )
+
+
+def _system(
+    views: Sequence[View],
+    nodes: Sequence[Nodes],
+    weights: Weights,
+    state: _State,
+    flat: Array,
+    spring: float,
+) -> _Normal:
+    """Return the normal equations at a state."""
+    first = len(state.numbers)
+    size, count = first + state.poses.size, len(flat)
+    both, right = np.zeros((size, size)), np.zeros(size)
+    cross = np.zeros((count, size, 3))
+    own = np.zeros((count, 3, 3)) + max(spring, 1e-30) * np.eye(3)
+    own_right = spring * (flat - state.board)
+    cost = float(spring * np.square(flat - state.board).sum())
+    for number, (view, rows, weight) in enumerate(zip(views, nodes, weights, strict=True)):
+        pose = slice(first + POSE * number, first + POSE * (number + 1))
+        shown = dataclasses.replace(view, board=state.board[rows])
+        for (off, by_numbers, by_pose, by_node), each in zip(
+            seen_by(shown, state.numbers, state.poses[number]), weight, strict=True
+        ):
+            slopes = np.zeros((len(rows), 2, size))
+            slopes[..., :first] = by_numbers.reshape(len(rows), 2, -1)
+            slopes[..., pose] = by_pose.reshape(len(rows), 2, -1)
+            slopes *= each[:, None, None]
+            off, by_node = off * each[:, None], by_node * each[:, None, None]
+            cost += float(np.square(off).sum())
+            flat_slopes = slopes.reshape(-1, size)
+            both += flat_slopes.T @ flat_slopes
+            right += flat_slopes.T @ off.ravel()
+            cross[rows] += slopes.transpose(0, 2, 1) @ by_node
+            own[rows] += by_node.transpose(0, 2, 1) @ by_node
+            own_right[rows] += (by_node.transpose(0, 2, 1) @ off[..., None])[..., 0]
+    return _Normal(cost, both, right, cross, own, own_right)

@@ -1,0 +1,170 @@
+"""What bent edges add to corners: the lattice shows it, and filtered values do without it."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from stereo_data import gel, grid_of, project, toed_in_rig
+
+from cmp_cl import Detector, DetectorConfig, EdgeLines, EdgeStep
+from cmp_cl.field import PlaneScale, displacement, plane_displacement
+from cmp_cl.grid import filter_positions
+from cmp_cl.grid.filter import bend_shift, bend_shift_of
+from cmp_cl.measure import exact_config
+from cmp_cl.reference import detect, lattice_filter
+from cmp_cl.synthetic import Indenter, Mode, random_scene, render
+
+RADIUS = 8.0  # px
+
+
+def arcs(rows=12, columns=14, cell=10.0, bend=200.0):
+    """Return a lattice whose rows are arcs around (0, 0), (R, C, 2) px, and their radii, (R, 1)."""
+    angle = (np.arange(columns) - columns / 2) * cell / bend
+    radii = bend + cell * np.arange(rows)[:, None]
+    return np.stack([radii * np.sin(angle), radii * np.cos(angle)], axis=-1), radii
+
+
+def rms(error):
+    return float(np.sqrt(np.nanmean(np.square(error))))
+
+
+def test_a_straight_line_through_an_arc_lies_a_sixth_of_curvature_times_radius_squared_inside():
+    xy, radii = arcs()
+    shift = bend_shift(xy, RADIUS)
+    inwards = -(shift * xy).sum(axis=2) / radii
+    np.testing.assert_allclose(inwards, RADIUS**2 / 6 / np.broadcast_to(radii, inwards.shape), 0.02)
+    assert np.abs(np.linalg.norm(shift, axis=2) - inwards).max() < 1e-3
+
+
+def test_the_shift_is_that_of_the_points_of_an_edge():
+    bend, along = 150.0, np.linspace(-RADIUS, RADIUS, 2001)
+    edge = bend - np.sqrt(bend**2 - along**2)
+    xy, _ = arcs(rows=5, bend=bend)
+    first = bend_shift(xy, RADIUS)[0, 7]
+    assert math.hypot(*first) == pytest.approx(np.polyfit(along, edge, 1)[1], rel=0.03)
+
+
+def test_the_fast_form_is_the_oracles():
+    xy = arcs(rows=7, columns=9)[0] + np.random.default_rng(0).normal(0, 0.3, (7, 9, 2))
+    expected = lattice_filter.bend_shift(xy, RADIUS)
+    np.testing.assert_allclose(bend_shift(xy, RADIUS), expected, atol=1e-9)
+
+
+def test_straight_and_stretched_lattices_are_not_shifted():
+    r, c = np.mgrid[:9, :11].astype(float)
+    stretched = np.stack([10 * c + 0.3 * c**2, 12 * r - 2 * c - 0.06 * c**2], axis=-1)
+    assert np.abs(bend_shift(stretched, RADIUS)).max() < 1e-9
+
+
+@pytest.mark.parametrize("shape", [(4, 9), (1, 1), (0, 3)])
+def test_small_lattices_and_unknown_radii_show_no_shift(shape):
+    assert not bend_shift(np.ones((*shape, 2)), RADIUS).any()
+    assert not bend_shift(arcs()[0], math.nan).any()
+    assert not bend_shift_of(grid_of(arcs()[0])).any()
+
+
+def test_a_missing_node_costs_its_neighbours_little():
+    xy, _ = arcs()
+    whole = bend_shift(xy, RADIUS)
+    xy[5, 6] = np.nan
+    shift = bend_shift(xy, RADIUS)
+    assert np.abs(shift - whole).max() < 0.1 * np.abs(whole).max()
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        DetectorConfig(),
+        DetectorConfig.for_cell(40.0),
+        DetectorConfig(refinement=EdgeStep(cell=10.0), scale=0.5),
+        DetectorConfig(refinement=EdgeLines()),
+    ],
+)
+def test_corners_say_the_radius_of_their_refinement_as_the_oracle_does(config):
+    image = np.tile(np.uint8(90), (120, 160))
+    image[:60, :80] = image[60:, 80:] = 200
+    with Detector(shape=image.shape, config=config) as detector:
+        said = detector(image).edge_radius
+    expected = detect(image, config).edge_radius
+    np.testing.assert_allclose(said, expected)
+    assert math.isnan(said) == isinstance(config.refinement, EdgeLines)
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    """Return a perfect print at rest and pressed, as found, and where its nodes are now."""
+    scene = random_scene(
+        970_001,
+        markers=40,
+        severity=1.0,
+        corrosion=0.0,
+        indenter=Indenter.TORUS,
+        mode=Mode.TWIST,
+    )
+    still, shown = render(scene.at_rest()), render(scene)
+    with Detector(shape=scene.shape, config=exact_config(still.cell)) as detector:
+        rest = detector.grid(still.image, shape=(40, 40))[1]
+        now = detector.grid(shown.image, like=rest)[1]
+    turns = [np.rot90(shown.truth.reshape(40, 40, 2), k) for k in range(4)]
+    return rest, now, min(turns, key=lambda turn: np.nanmedian(np.abs(now.xy - turn)))
+
+
+def test_filtered_positions_of_a_bent_perfect_print_err_by_a_third_less(pressed):
+    rest, now, truth = pressed
+    kept = filter_positions(dataclasses.replace(now, edge_radius=math.nan), rest=rest)[0]
+    better, raw = filter_positions(now, rest=rest)
+    assert rms(better.xy - truth) < 0.67 * rms(kept.xy - truth)
+    np.testing.assert_array_equal(raw.xy, now.xy)
+
+
+def test_the_errors_of_positions_on_a_perfect_print_hold(pressed):
+    rest, now, truth = pressed
+    found = filter_positions(now, rest=rest)[0]
+    within = np.abs(found.xy - truth) <= 2 * found.sigma[..., None]
+    assert 0.9 <= within.mean() <= 0.98
+
+
+def test_displacements_lose_the_difference_of_the_shifts(pressed):
+    rest, now, _ = pressed
+    blind = [dataclasses.replace(grid, edge_radius=math.nan) for grid in (rest, now)]
+    scale = PlaneScale.of_pixel(0.1, "mm")
+    kept, better = plane_displacement(*blind, scale), plane_displacement(rest, now, scale)
+    lost = 0.1 * (bend_shift_of(now) - bend_shift_of(rest))
+    np.testing.assert_allclose(better.displacement, kept.displacement - lost, atol=1e-9)
+    np.testing.assert_array_equal(better.raw.displacement, kept.raw.displacement)
+
+
+def test_points_in_space_know_their_shift_and_displacements_lose_it():
+    rig = toed_in_rig()
+    flat = gel(depth=0.0)
+    bulged = gel(depth=3.0)
+    rest, now = (
+        [dataclasses.replace(grid_of(each), edge_radius=RADIUS) for each in project(rig, xyz)]
+        for xyz in (flat, bulged)
+    )
+    straight = [
+        dataclasses.replace(
+            grid, xy=(grid.xy - bend_shift_of(grid)).astype(np.float32), edge_radius=math.nan
+        )
+        for grid in now
+    ]
+    at_rest, points, moved = (rig.triangulate(*pair) for pair in (rest, now, straight))
+    assert np.abs(points.bend_shift).max() > 1e-3
+    np.testing.assert_allclose(points.xyz - moved.xyz, points.bend_shift, atol=2e-4)
+    field = displacement(at_rest, points)
+    blind = displacement(
+        *(dataclasses.replace(each, bend_shift=None) for each in (at_rest, points))
+    )
+    np.testing.assert_allclose(
+        blind.displacement - field.displacement, points.bend_shift - at_rest.bend_shift, atol=1e-9
+    )
+    np.testing.assert_array_equal(field.raw.displacement, blind.raw.displacement)
+
+
+def test_nodes_with_few_neighbours_show_no_shift():
+    xy, _ = arcs()
+    xy[:, 7:12] = np.nan
+    shift = bend_shift(xy, RADIUS)
+    assert not shift[:, 12:].any()
+    assert shift[:, :5].any(axis=2).all()
