@@ -184,7 +184,7 @@ def strain(result: Row) -> str:
             "## Known strains in pictures",
             conditions(result),
             "Noisy images are rendered of a board that is rotated and strained. `cmp-cl run "
-            "--strain --raw` measures the strain from raw positions, the library after the "
+            "--strain` measures the strain from raw positions, the library after the "
             "lattice filter. If sigma is right, 95 % of the errors are within 1.96 sigma.\n",
             table(head, rows),
         ]
