@@ -98,7 +98,8 @@ def run(arguments: argparse.Namespace) -> int:
         save_figure(arguments.picture, residual_figure(found))
         written.append(shown(arguments.picture))
     _report(found, kept, files, arguments.board)
-    print(f"wrote {', '.join(written)}: {counted(len(moments), 'moment')} on {device}")
+    each = " of each camera" if len(files) > 1 else ""
+    print(f"wrote {', '.join(written)}: {counted(len(moments), 'view')}{each} on {device}")
     return 0
 
 
@@ -116,15 +117,17 @@ def _files(cameras: list[list[str]]) -> dict[str, list[Path]]:
         files[name] = media.find_inputs([path, *others])
     if len({len(paths) for paths in files.values()}) > 1:
         counts = ", ".join(f"{name} {len(paths)}" for name, paths in files.items())
-        raise ConfigError(f"--camera: every camera needs a view of each moment, here {counts}")
+        raise ConfigError(
+            f"--camera: all cameras need the same number of views, but here there are: {counts}"
+        )
     return files
 
 
 def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]]) -> None:
     if arguments.images or arguments.left or arguments.right:
-        raise ConfigError("--camera takes the place of IMAGE, --left and --right")
+        raise ConfigError("--camera cannot be combined with IMAGE, --left and --right")
     if arguments.split or arguments.mirror or arguments.region:
-        raise ConfigError("--split, --mirror and --region are not for --camera")
+        raise ConfigError("--split, --mirror and --region cannot be combined with --camera")
     check_cameras(arguments.out)
     if arguments.corners is not None:
         check_corners(arguments.corners)
@@ -161,7 +164,7 @@ def _report(
     files: Mapping[str, list[Path]],
     board: tuple[int, int],
 ) -> None:
-    print("corners used and root mean square reprojection error, px:")
+    print("corners used, and RMS reprojection error, px:")
     for name, grids in views.items():
         for path, grid, error in zip(files[name], grids, found.view_errors[name], strict=True):
             if grid is None:
@@ -180,9 +183,9 @@ def _report(
             angle = np.degrees(np.arccos(np.clip((np.trace(camera.R) - 1) / 2, -1, 1)))
             pose = f"; {away:.3f} {camera.unit} and {angle:.2f} degrees from the first"
         print(
-            f"{name}: {camera.lens.value}, focal lengths {matrix[0, 0]:.1f} and "
-            f"{matrix[1, 1]:.1f} px, centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f}); corners in "
-            f"{found.coverage[name]:.0%} of the image; left out as unseen or uncertain: "
+            f"{name}: {camera.lens.value}, focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} "
+            f"px, centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f}); corners in "
+            f"{found.coverage[name]:.0%} of the image; left out as not detected or uncertain: "
             f"{left_out}{pose}"
         )
     print(f"all views: {found.error:.3f} px")

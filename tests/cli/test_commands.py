@@ -378,7 +378,7 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
         (["frames", "--out", "a.npz", "--split", "halves"], ["--stereo"]),
         (["frames", *STEREO, "--region", "1,2,3"], ["X,Y,WIDTH,HEIGHT"]),
         (["frames", *STEREO, "--region", "1,2,0,3:1,1,2,2"], ["X,Y,WIDTH,HEIGHT"]),
-        (["frames", *STEREO, "--region", "0,0,99,99"], ["a rectangle for each view"]),
+        (["frames", *STEREO, "--region", "0,0,99,99"], ["one rectangle per view"]),
         (["frames", "--out", "a.npz", "--region", "9999,0,9,9"], ["9999,0,9,9", "outside"]),
     ],
 )
@@ -698,7 +698,7 @@ def test_two_cameras_with_files_of_their_own_are_calibrated(run, boards):
         (["0.png", "--out", "rig.txt"], ["yaml"]),
         (["0.png", "--out", "no/rig.yaml"], ["there is no folder", "no'"]),
         (["--left", "0.png", "--right", "1.png", "--split", "halves"], ["--split"]),
-        (["0.png", "--region", "0,0,9,9"], ["a rectangle for each view", "here 2"]),
+        (["0.png", "--region", "0,0,9,9"], ["one rectangle per view", "2 here"]),
         (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["0,0,9,9", "outside"]),
     ],
 )
@@ -901,7 +901,7 @@ def test_what_is_lost_is_named():
         (["0.png", "--grid", "many"], ["many"]),
         (["0.png"], ["no frame shows the pattern"]),
         (["0.png", "1.png"], ["one size"]),
-        (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["a rectangle for each view", "here 1"]),
+        (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["one rectangle per view", "1 here"]),
     ],
 )
 def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
@@ -947,7 +947,7 @@ def test_one_camera_is_calibrated_by_itself(run, opencv_views):
         *("--out", "front.camera_info.yaml", "--corners", "corners.csv", "--picture", "r.png"),
     )
     assert status == 0
-    assert "wrote front.camera_info.yaml, corners.csv, r.png: 4 moments" in out
+    assert "wrote front.camera_info.yaml, corners.csv, r.png: 4 views on " in out
     assert 'camera_name: "front"' in Path("front.camera_info.yaml").read_text()
     error = float(out.split("all views: ")[1].split()[0])
     assert 0.05 < error < 0.3
