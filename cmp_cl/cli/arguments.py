@@ -1,6 +1,7 @@
 """Arguments that commands share, and what they mean for a frame."""
 
 import argparse
+import itertools
 import math
 import os
 import re
@@ -39,6 +40,21 @@ def refuse_to_overwrite(
         if real in written:
             raise ConfigError(f"{shown(path)} is given for two outputs")
         written.add(real)
+
+
+def distinct_inputs(*groups: Sequence[str]) -> list[list[Path]]:
+    """Return the files of each group, as `media.find_inputs` does; raises ConfigError for repeats.
+
+    A view that counts twice makes a calibration look more certain than it is.
+    """
+    found = [media.find_inputs(names) for names in groups]
+    read = set()
+    for path in itertools.chain.from_iterable(found):
+        real = os.path.realpath(path)
+        if real in read:
+            raise ConfigError(f"{shown(path)} is given twice")
+        read.add(real)
+    return found
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:

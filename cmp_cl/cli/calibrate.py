@@ -17,6 +17,7 @@ from cmp_cl.cli.arguments import (
     add_max_pixels,
     add_region,
     add_split,
+    distinct_inputs,
     grid_shape,
     refuse_to_overwrite,
     regions_in,
@@ -196,10 +197,8 @@ def _check_numbers(arguments: argparse.Namespace) -> None:
 def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:
     """Return the file or the two files of each pair of views."""
     if arguments.left:
-        return list(
-            zip(media.find_inputs(arguments.left), media.find_inputs(arguments.right), strict=True)
-        )
-    return [(path,) for path in media.find_inputs(arguments.images)]
+        return list(zip(*distinct_inputs(arguments.left, arguments.right), strict=True))
+    return list(zip(*distinct_inputs(arguments.images), strict=True))
 
 
 def _read(paths: tuple[Path, ...], arguments: argparse.Namespace) -> _Pair:

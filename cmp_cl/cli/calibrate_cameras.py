@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import refuse_to_overwrite
+from cmp_cl.cli.arguments import distinct_inputs, refuse_to_overwrite
 from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
@@ -105,16 +105,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _files(cameras: list[list[str]]) -> dict[str, list[Path]]:
     """Return the files of each camera by its name."""
-    files: dict[str, list[Path]] = {}
+    names: dict[str, list[str]] = {}
     for first, *others in cameras:
         name, equals, path = first.partition("=")
         if not (equals and name.isidentifier()):
             raise ConfigError(
                 f"--camera must begin with NAME=IMAGE, such as left=l1.png: {first!r}"
             )
-        if name in files:
+        if name in names:
             raise ConfigError(f"--camera {name} is given twice")
-        files[name] = media.find_inputs([path, *others])
+        names[name] = [path, *others]
+    files = dict(zip(names, distinct_inputs(*names.values()), strict=True))
     if len({len(paths) for paths in files.values()}) > 1:
         counts = ", ".join(f"{name} {len(paths)}" for name, paths in files.items())
         raise ConfigError(
@@ -184,7 +185,8 @@ def _report(
             pose = f"; {away:.3f} {camera.unit} and {angle:.2f} degrees from the first"
         print(
             f"{name}: {camera.lens.value}, focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} "
-            f"px, centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f}); corners in "
+            f"px (+- {found.focal_sigma[name]:.2g}), centre ({matrix[0, 2]:.1f}, "
+            f"{matrix[1, 2]:.1f}); corners in "
             f"{found.coverage[name]:.0%} of the image; left out as not detected or uncertain: "
             f"{left_out}{pose}"
         )
