@@ -416,7 +416,7 @@ class DetectorConfig:
     def load(cls, path: str | PathLike[str]) -> Self:
         """Read a configuration from TOML; keys that are absent keep their defaults.
 
-        Raises ConfigError where the file cannot be read, is no TOML, or has an unknown
+        Raises ConfigError where the file cannot be read, is not TOML, or has an unknown
         key or a value outside its range.
         """
         try:

@@ -144,7 +144,7 @@ class OverlayFilm(Closing):
         cv2.putText(strip, top, (right + 6, 25), font, size, white, 1, cv2.LINE_AA)
 
     def close(self) -> None:
-        """Finish the film; closing again does nothing. Without a frame no file appears."""
+        """Finish the video; closing again does nothing. Without a frame no file appears."""
         if self._writer is None:
             return
         self._writer.release()
