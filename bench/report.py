@@ -28,19 +28,19 @@ INTRODUCTION = """# What was measured
 `python bench/report.py` makes this page from the JSON files beside it. Each section says on which \
 device, with which versions and at which commit it was measured.
 
-A corner is missed if no detection matches it. A detection is false if it matches no corner. The \
-matching is one to one, nearest first, within 3 px or 0.35 cells. A frame is right if nothing is \
-missed and nothing is false. RMSE and percentiles are of the distance, px, where no other unit is \
-given.
+A corner is missed if no detection matches it. A detection is false if it matches no corner. \
+Matches are one to one, nearest first, within 3 px or 0.35 cells. A frame is right if no corner is \
+missed and none is false. RMSE and percentiles are those of the distance in px, unless another \
+unit is given.
 
-The sections follow these questions:
+The sections answer these questions:
 
-- How fast is it, and how exact at that speed? Time, error against time, cost by size.
+- How fast is it, and how accurate at that speed? Time, error against time, cost by size.
 - Which corners does it find? Rendered scenes, photographs, criteria.
-- How exact are the positions, and the errors that they state?
-- Are the corners numbered rightly? Boards partly out of view, patterns without a border.
-- How exact is the field in space?
-- Does it stay right at the limits of its numbers, and on other implementations of OpenCL?
+- How accurate are the positions, and are their standard deviations right?
+- Are the corners numbered correctly? Boards partly out of view, patterns without a border.
+- How accurate is the field in space?
+- Does float32 suffice, and do implementations of OpenCL agree?
 - Where does it fail?
 """
 
@@ -49,7 +49,7 @@ def durations(result: Row) -> str:
     """Report how long each part took."""
     form = "short" if result["quick"] else "full"
     failed = ", ".join(result["failed"]) or "none"
-    parts = [f"## What the parts took\n\nThe {form} form; parts that failed: {failed}.\n"]
+    parts = [f"## Run time of each part\n\nThe {form} run; parts that failed: {failed}.\n"]
     rows = [*result["seconds"].items(), ("all", sum(result["seconds"].values()))]
     parts.append(table(("part", "seconds"), rows))
     return "\n".join(parts)
@@ -80,12 +80,13 @@ def figures(timed: Row, errors: Row) -> str:
         "frames right, %",
     )
     return (
-        f"{described(timed)}\nMedians of one run, from an image in host memory to positions there, "
-        f"on frames with {timed['scenes'][0]['corners']} and {timed['scenes'][1]['corners']} "
-        "corners. RMSE and missed / false are those of the first. The last column is a separate "
-        f"measurement: the share of {whole[DEFAULT]['frames']} rendered frames, from slightly to "
-        "severely deformed, in which no corner is missed and none is false, with its interval of "
-        "95 %. Rows whose intervals overlap are not told apart.\n\n" + table(head, body)
+        f"{described(timed)}\nTimes are medians of one run, from an image in host memory to "
+        f"positions in host memory, on frames with {timed['scenes'][0]['corners']} and "
+        f"{timed['scenes'][1]['corners']} corners. RMSE, missed and false are those of the smaller "
+        "frame. The last column is a separate measurement: the share of "
+        f"{whole[DEFAULT]['frames']} rendered frames, from slightly to severely deformed, in which "
+        "no corner is missed and none is false, with its 95 % interval. Rows whose intervals "
+        "overlap do not differ significantly.\n\n" + table(head, body)
     )
 
 

@@ -12,7 +12,7 @@ _TO_HOST = ("get", "cpu", "copy_to_host")  # CuPy and pyopencl.array, PyTorch an
 
 
 class OnHostOrDevice(Protocol):
-    """What offers DLPack: arrays of PyTorch, JAX, CuPy, NumPy."""
+    """An array that offers DLPack, as those of PyTorch, JAX, CuPy and NumPy do."""
 
     def __dlpack__(self, *, stream: Any = None) -> Any:
         """Return the capsule."""
@@ -22,7 +22,7 @@ class OnHostOrDevice(Protocol):
 
 
 class OnCuda(Protocol):
-    """What offers the memory of a CUDA device: arrays of CuPy, Numba, PyTorch."""
+    """An array in the memory of a CUDA device, as those of CuPy, Numba and PyTorch."""
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def as_frame(array: Any) -> GreyImage:
     """Return the array as an image (H, W) of uint8 or uint16 that a detector takes.
 
     NumPy arrays come back as they are. Memory of the host is shared by DLPack, without a copy:
-    PyTorch and JAX on the CPU, pinned memory, and what else has `__dlpack__`. Memory of a
+    PyTorch and JAX on the CPU, pinned memory, and anything else with `__dlpack__`. Memory of a
     device (`__cuda_array_interface__`, or DLPack of a device) is staged: the library that owns
     it copies it to the host, after the work that was queued for it there.
 

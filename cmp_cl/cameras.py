@@ -1,6 +1,6 @@
 """Frames with their times from files and cameras, and pairs of them from two.
 
-Files keep the times that are written in them: of a video those of its container where PyAV is
+Files keep the times written in them: a video those of its container where PyAV is
 installed (the extra `video`), else those of its frame rate. Cameras keep the time of arrival.
 """
 

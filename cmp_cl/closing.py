@@ -7,7 +7,7 @@ class Closing:
     """Something with a `close`, which a with statement calls at its end."""
 
     def close(self) -> None:
-        """Release what is held."""
+        """Release the resources."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:

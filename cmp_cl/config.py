@@ -165,9 +165,14 @@ class RingHarmonic:
     def coarse_noise(self) -> int:
         """Return the noise bound of the 5 px ring, in hundredths of the mean noise amplitude.
 
-        334 of them are one standard deviation of the response. The 3 px ring has twice this bound.
+        334 of them are one standard deviation of the response.
         """
         return math.floor(334 * self.noise + 0.5)
+
+    @property
+    def fine_noise(self) -> int:
+        """Return the noise bound of the 3 px ring, in hundredths of the mean noise amplitude."""
+        return 2 * self.coarse_noise
 
     @property
     def coarse_share(self) -> int:
@@ -411,7 +416,7 @@ class DetectorConfig:
     def load(cls, path: str | PathLike[str]) -> Self:
         """Read a configuration from TOML; keys that are absent keep their defaults.
 
-        Raises ConfigError where the file cannot be read, is no TOML, or has an unknown
+        Raises ConfigError where the file cannot be read, is not TOML, or has an unknown
         key or a value outside its range.
         """
         try:

@@ -20,7 +20,7 @@ class Method(enum.IntEnum):
 
 
 class Refusal(enum.IntEnum):
-    """Why the refinement that was asked for was refused; `method` says what is kept instead."""
+    """Why the requested refinement was rejected; `method` says what is kept instead."""
 
     NONE = 0  # it was not refused
     RINGS = 1  # fewer than two rings cross four boundaries

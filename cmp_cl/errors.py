@@ -22,7 +22,7 @@ class FieldError(CmpClError, ValueError):
 
 
 class DeviceError(CmpClError, RuntimeError):
-    """The OpenCL device that was asked for is not there or cannot be used."""
+    """The requested OpenCL device does not exist or cannot be used."""
 
 
 class KernelBuildError(CmpClError, RuntimeError):

@@ -15,7 +15,7 @@ _PIXELS = frozenset({np.dtype(np.uint8), np.dtype(np.uint16)})
 def check_image(image: Any) -> GreyImage:
     """Return the image itself, if it is (H, W) uint8 or uint16 with contiguous rows.
 
-    Raises ImageError that says what came, what is expected and which call converts it.
+    Raises ImageError that says what was given, what is expected and which call converts it.
     """
     if not _is_image(image):
         raise _not_an_image(image)

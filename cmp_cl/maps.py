@@ -56,7 +56,7 @@ class HarmonicMaps:
 
     With a working scale the maps have the size of the scaled image.
 
-    fine: uint16, the image smoothed once, in 1/16 of a grey level of 255.
+    fine: uint16, the image smoothed once, in 1/16 of an 8-bit grey level.
     coarse: uint16, the image smoothed three times, likewise.
     coarse_response: int32, the response of the 5 px ring on `coarse`.
     fine_response: int32, the response of the 3 px ring on `fine`; None without the search for

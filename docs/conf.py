@@ -19,6 +19,7 @@ copyright = author
 version = release = PROJECT["version"]
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx_copybutton"]
+extensions += ["sphinx-mathjax-offline"]  # equations without a network
 exclude_patterns = [
     "conf.py", "pictures.py", "examples", "packaging", "docker", "_build", "**.ipynb_checkpoints",
 ]  # fmt: skip

@@ -301,11 +301,13 @@ def test_wide_cells_get_a_scale_where_they_are_blurred_or_nobody_knows(cell, blu
 
 
 def test_the_bounds_of_the_rule_are_whole_numbers():
-    """2 standard deviations of the noise, 24/128 and 40/128 of the reference."""
+    """2 standard deviations of the noise, twice that for the small ring, 24/128 and 40/128."""
     rule = RingHarmonic()
-    assert (rule.coarse_noise, rule.coarse_share, rule.fine_share) == (668, 24, 40)
+    assert (rule.coarse_noise, rule.fine_noise) == (668, 1336)
+    assert (rule.coarse_share, rule.fine_share) == (24, 40)
     rule = RingHarmonic(noise=0.7, relative=0.5)
-    assert (rule.coarse_noise, rule.coarse_share, rule.fine_share) == (234, 64, 107)
+    assert (rule.coarse_noise, rule.fine_noise) == (234, 468)
+    assert (rule.coarse_share, rule.fine_share) == (64, 107)
 
 
 @pytest.mark.parametrize(("markers", "window"), [(20, 41), (30, 31), (40, 21)])

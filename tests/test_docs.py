@@ -13,8 +13,12 @@ import matplotlib
 import pytest
 
 import cmp_cl
+from cmp_cl import config as settings
 from cmp_cl import field, grid, measure, series, stereo, synthetic, viz
 from cmp_cl.cli.main import main
+from cmp_cl.grid import border, evidence, grow
+from cmp_cl.reference import edge_step
+from cmp_cl.stages import refine
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -152,3 +156,32 @@ def test_the_glossary_is_in_order():
     words = [line.lower() for line in re.findall(r"^(.+)\n: ", text, flags=re.MULTILINE)]
     assert words == sorted(words)
     assert len(words) > 50
+
+
+def test_the_numbers_on_the_page_of_the_algorithm_are_those_of_the_code():
+    rule, gate, rapid = cmp_cl.RingHarmonic(), cmp_cl.SectorContrast(), cmp_cl.RapidCriteria()
+    share, least, most = refine.STEP_RADIUS
+    stated = [
+        rf"${rule.alignment}\, v_3 \cdot v_5 \ge v_5 \cdot v_5$",
+        rf"$R_5 \le {rule.support} R_4$",
+        rf"$R_5 \ge \tfrac{{{rule.coarse_share}}}{{128}} W$",
+        rf"the share $\tfrac{{{rule.fine_share}}}{{128}}$ of $W$",
+        f"at least {gate.minimum:g} grey levels",
+        f"at least {gate.noise:g} standard deviations",
+        rf"\lvert L_1 - L_3\rvert) < {rapid.sector_threshold}$",
+        rf"\operatorname{{popcount}}(g_1 \oplus g_2) < {rapid.ring_threshold}$",
+        f"$C_{{th}}$ is {rapid.corrosion_threshold} instead of 4",
+        f"$s = {edge_step.BLUR:g}$ px",
+        f"between {least:g} and {most:g} px",
+        f"Where the cell is unknown it is {share * cmp_cl.EdgeStep().cell:g} px",
+        f"longer than {edge_step.LARGEST_STEP:g} px",
+        rf"{refine.VARIANCE_OF_EXCESS}\, a^2",
+        f"cells are above {settings._LEAST_CELL} px",
+        f"blur is above {settings._MOST_BLUR:g} px, so that the blur becomes "
+        f"{settings._WORKING_BLUR:g} px",
+        f"within {evidence.USUAL[-1]:g} cells or {evidence.NEAR:g} px",
+        f"at most {border.STEPPED:g} of the contrast",
+        f"within {grow.NEAR:g} cells of the prediction",
+    ]
+    page = (DOCS / "algorithm.md").read_text(encoding="utf-8")
+    assert [text for text in stated if text not in page] == []

@@ -34,12 +34,13 @@ def accuracy(result: Row, folder: Path) -> str:
     count = rows[DEFAULT, "all"]["frames"]
     parts = ["## Detection on rendered scenes", conditions(result), left_out(result)]
     parts.append(
-        f"{count} rendered scenes, every method on each of them. The peers have the settings that "
-        "`search.py` found on other scenes. Rows `+ grid` count the nodes that were measured, not "
-        "the interpolated ones. The print is worn in all of these scenes, and wear causes most of "
-        "every error in px; the section on positions has perfect prints and other wear. "
-        f"{INTERVALS}The rows stand in the order of measurement, and the column `surely better` "
-        "counts the rows whose share is higher beyond both intervals (Wilson's, over frames).\n"
+        f"{count} rendered scenes, with every method on each of them. The peers have the settings "
+        "that `search.py` found on other scenes. Rows with `+ grid` count measured nodes only, "
+        "not interpolated ones. The print is worn in all of these scenes, and wear causes most of "
+        "the error of every method; the section on positions has perfect prints and other degrees "
+        f"of wear. {INTERVALS}The rows are in the order of measurement. `surely better` is the "
+        "number of methods that are significantly better: their interval lies wholly above "
+        "(Wilson's, over frames).\n"
     )
     parts.append("### Frames right, %, by severity\n")
     groups = [f"severity {s:g}" for s in result["severities"]]
@@ -61,7 +62,7 @@ def accuracy(result: Row, folder: Path) -> str:
         each = {f"{kind}_a_frame": row[kind] / row["frames"] for kind in ("missed", "false")}
         body.append({**row, **each, "share": share, "better": better})
     parts.append(table_of(body, f"{head}, ms, ms 95 %", keys))
-    parts.append("### Position error on the corners that both found, px\n")
+    parts.append("### Position error on the corners that both methods found, px\n")
     common = [{"rmse_lines": None, **row} for row in named(result["common"])]
     head = "method, corners, its RMSE, our default, our EDGE_LINES"
     parts.append(table_of(common, head, "name corners rmse rmse_default rmse_lines"))
@@ -79,9 +80,9 @@ def against_time(result: Row, folder: Path) -> str:
     names = list(dict.fromkeys(row["method"] for row in result["rows"]))
     parts = ["## Error against time", conditions(result)]
     parts.append(
-        "The rendered scenes of the section on detection. A row is on a front if no other row was "
-        "both faster and more exact in this run. Times and RMSE have no intervals here: close rows "
-        "are not told apart.\n"
+        "These are the rendered scenes of the section on detection. A method is on a front if no "
+        "other was both faster and more accurate in this run. Times and RMSE have no intervals "
+        "here, so close rows may not differ significantly.\n"
     )
     for markers in result["densities"]:
         group = f"markers {markers}"
@@ -132,7 +133,7 @@ def _right(rows: dict[tuple[str, str], Row], result: Row) -> str:
                     for name in (GRIDDED, ZHANG)
                 ]
                 told = apart(*bounds) or apart(*bounds[::-1])
-                words = "" if told else " (not told apart)"
+                words = "" if told else " (not significant)"
                 lines.append((f"{GRIDDED}, % ahead of {ZHANG} there{words}", ahead, 0, True))
     body = [
         (
@@ -194,12 +195,12 @@ def shortfalls(result: Row) -> str:
 def photographs(result: Row) -> str:
     parts = ["## Real photographs", conditions(result), left_out(result)]
     parts.append(
-        "The truth is a saddle that is fitted to the grey image. It favours methods that fit a "
-        "saddle, and differences below 0.2 px mean nothing. `scatter` needs no truth: it is the "
-        "median distance, px, of a corner from the mean of its four neighbours, divided by the "
-        "root of 5/4. The curvature of the surface adds to it, alike for all methods. False "
-        "corners are counted only where every corner is listed; `outside` are detections "
-        "elsewhere.\n"
+        "The truth is a saddle fitted to the grey image. This favours methods that fit a saddle, "
+        "and differences below 0.2 px are meaningless. `scatter` needs no truth: it is the median "
+        "distance of a corner from the mean of its four neighbours, in px, divided by the square "
+        "root of 5/4. The curvature of the surface adds the same amount to it for all methods. "
+        "False corners are counted only where every corner is listed; `outside` counts the "
+        "detections elsewhere.\n"
     )
     names = list(dict.fromkeys(row["photograph"] for row in result["rows"]))
     for name in names:
@@ -237,14 +238,17 @@ def photographs(result: Row) -> str:
 
 def criteria(result: Row) -> str:
     parts = ["## Thresholds and criteria", conditions(result)]
-    parts.append("A threshold for each ring, or the mean of the window; all else is the same.\n")
+    parts.append(
+        "The image is binarized by a threshold for each ring, or by the mean of a window; all else "
+        "is the same.\n"
+    )
     keys = "threshold frames success missed false rmse p95"
     parts.append(table_of(result["thresholds"], keys.replace(" ", ", "), keys))
     seen, spent = result["decisions"], result["times"]
     parts.append(
         f"Rapid and spectral criteria disagree on {100 * seen['near_disagree']:.2f} % of the "
         f"pixels within 1.5 px of a corner and on {100 * seen['far_disagree']:.3f} % of the "
-        "others. From the binary image to the candidates the rapid form takes "
+        "others. From the binary image to the candidates, the rapid form takes "
         f"{spent['rapid']['ms']:.3f} ms and the spectral one {spent['spectral']['ms']:.3f} ms, "
         f"{spent['ratio']:.1f} times as long (the paper says over 20 and over 10 times for its "
         "two).\n"
@@ -256,9 +260,10 @@ def settings(result: Row) -> str:
     """Report what the search for the peers' settings found, and what it was worth."""
     parts = ["## The peers' settings", described(result)]
     parts.append(
-        f"`search.py` chose them on {result['scenes_a_density']} scenes a density, with seeds from "
-        f"{result['first_seed']} on, which nothing else uses. Success and the number of wrong "
-        "corners are those on these scenes, with the settings found and with the usual ones.\n"
+        f"`search.py` chose these settings on {result['scenes_a_density']} scenes a density, with "
+        f"seeds from {result['first_seed']} on that nothing else uses. Success and the number of "
+        "wrong corners are those on these scenes, with the settings found and with the peer's "
+        "defaults.\n"
     )
     body = []
     for name, found in result["settings"].items():

@@ -11,14 +11,14 @@ def field(result: Row) -> str:
     rows, columns = result["view"]
     parts.append(
         f"Rendered pairs: two views of {columns} x {rows} with {result['markers']} x "
-        f"{result['markers']} corners of a pattern 32 mm wide, through cameras that are known "
-        "exactly. Errors are distances in space, um, over all nodes of all frames: the RMSE of the "
-        "position, the RMSE of the displacement from the frame at rest, and its 95th percentile "
-        "(the median over frames). `raw` is before the lattice filter, the column before it is "
-        "after the filter. `within` is the share of errors within two stated standard deviations. "
-        "The numbering of a frame is right if every corner has the right row and column. The print "
-        f"is worn. {INTERVALS}The frames of one seed share their print and their frame at rest: "
-        "the true intervals are wider.\n"
+        f"{result['markers']} corners of a pattern 32 mm wide, with exactly known cameras. Errors "
+        "are distances in space, um, over all nodes of all frames: the RMSE of the position, the "
+        "RMSE of the displacement from the frame at rest, and the 95th percentile of the latter "
+        "(median over frames). Each `raw` column is before the lattice filter, and the column to "
+        "its left after it. `within` is the percentage of errors within two standard deviations "
+        "as given by sigma. The numbering of a frame is right if every corner has the right row "
+        f"and column. The print is worn. {INTERVALS}Frames with the same seed share the print and "
+        "the frame at rest, so the true intervals are wider.\n"
     )
     head = ("frames", "numbering right %", "nodes placed %", "position", "raw", "displacement")
     head = (*head, "raw", "within %", "raw", "95 %")
@@ -48,9 +48,9 @@ def field(result: Row) -> str:
             body.append([*lead, *figures, *shares, group["moved_p95_um"], group["ms"]])
         parts.append(table(("settings", key, *head, "ms"), body))
     parts.append(
-        "### Time of the numbering\n\nThe time of `detector.grid` after detection. The frames are "
-        "those of a press in any order: complete ones, and ones that leave corners to the second "
-        "look.\n"
+        "### Time of the numbering\n\nThe time that `detector.grid` takes after detection, on "
+        "frames of a press in random order: complete frames, and frames in which the second look "
+        "has to find corners.\n"
     )
     body = [
         [
@@ -68,14 +68,14 @@ def field(result: Row) -> str:
     count = sum(len(run["order"]) for run in result["orders"])
     same = sum(run["same_bytes"] for run in result["orders"])
     parts.append(
-        f"{same} of {count} frames gave the same bytes when the frames came in another order.\n"
+        f"{same} of {count} frames gave the same bytes when they were measured in another order.\n"
     )
     parts.append(
-        "### Boards of known squares\n\nThe sides of squares, mm. The Bumblebee2 pairs are "
-        "measured with their published calibration, each of OpenCV's pairs with a calibration from "
-        "the other pairs. With a free board the calibration finds the nodes of the board too, and "
-        "each side is compared to the same side of the board that the other pairs found, 25 mm on "
-        "the whole.\n"
+        "### Boards with squares of known size\n\nMeasured sides of the squares, mm. The "
+        "Bumblebee2 pairs use their published calibration; each of OpenCV's pairs uses a "
+        "calibration from the other pairs. With a free board, the calibration finds the nodes of the "
+        "board too, and each side is compared with the same side of the board that the other pairs "
+        "found, 25 mm on average.\n"
     )
     if not result["boards"]:
         return "\n".join([*parts, "Left out: there were no photographs.\n"])

@@ -7,11 +7,11 @@ def partial_views(result: Row) -> str:
     """Report boards partly out of view, boards of a wrong size, and an island of corners."""
     parts = ["## Boards partly out of view", conditions(result)]
     parts.append(
-        "Each picture is cut at its four sides. A node is right if it lies within 3 px of a "
-        "corner and its numbers belong to one lattice. It is false if no corner lies within a "
-        "quarter of a cell. A `doubted` view says that its numbers may be wrong. A `silent` one is "
-        "wrong and does not say so; that can happen only to methods that are told the size of the "
-        "board.\n"
+        "Each image is cropped from its four sides. A node is right if it lies within 3 px of a "
+        "corner and its row and column fit a single lattice. It is false if no corner lies within "
+        "a quarter of a cell. In a `doubted` view the method says that the numbering may be "
+        "wrong. In a `silent` one the numbering is wrong without a warning, which can happen only "
+        "to methods that are told the size of the board.\n"
     )
     keys = ("set", "method", "views", "visible", "right", "false", "other", "refused", "doubted")
     keys += ("silent",)
@@ -23,12 +23,13 @@ def partial_views(result: Row) -> str:
         group = counts.setdefault(row["answer"], [0, 0])
         group[tuple(row["asked"]) != (6, 9)] += 1
     parts.append(
-        "Boards of 6 x 9 corners in full view, searched for with that size and with seven others:\n"
+        "Boards of 6 x 9 corners in full view; the method is told this size, or one of seven "
+        "wrong ones:\n"
     )
     head = ("answer", "searched for 6 x 9", "searched for another size")
     parts.append(table(head, [[answer, *group] for answer, group in counts.items()]))
     parts.append(
-        "water/ellipse_10: corners that have a node with the right number within their island:\n"
+        "water/ellipse_10: corners with a node that is numbered correctly within its island:\n"
     )
     rows = [
         [word, row["outside"], row["island"], row["corners"], "yes" if row["ambiguous"] else "no"]
@@ -43,16 +44,17 @@ def open_patterns(result: Row) -> str:
     parts = ["## Patterns without a border in view", conditions(result)]
     parts.append(
         "Every frame is numbered like the frame at rest. It is right if at most one node in 500 "
-        "has a wrong number. It is wrong in silence if more have and the frame does not say that "
-        "its numbers are ambiguous. A perfect print that has moved by a whole period looks like "
-        "one that has not moved: no picture can tell, and every such frame is ambiguous. The "
+        "has a wrong number. It is silently wrong if more have and the grid is not marked "
+        "ambiguous. A perfect print that has moved by a whole period looks like one that has not "
+        "moved: no image can tell them apart, and every such frame is ambiguous. The printing "
         "errors of a worn print move with it, and decide.\n"
     )
     for form, words in (
         ("alone", "Numbered by the frame at rest alone"),
         (
             "followed",
-            "Numbered by the frames before; the pattern moves by at most 0.3 cells between two",
+            "Numbered with the help of the previous frame; the pattern moves by at most 0.3 cells "
+            "between two frames",
         ),
     ):
         counts = result["counts"][form]
@@ -62,9 +64,10 @@ def open_patterns(result: Row) -> str:
         parts.append(f"{words}:\n\n" + table(("frames", *shown), rows))
     peers = result["lattices"]
     parts.append(
-        "No peer takes a frame at rest. Each method gets one frame in fourteen, alone. A frame is "
-        "right if at most one of its nodes in 500 disagrees with one lattice, however few nodes it "
-        "has. A node is false if it lies more than a quarter of a cell from every corner.\n"
+        "The peers cannot use a frame at rest. Each method therefore gets every fourteenth frame "
+        "by itself. A frame is right if at most one of its nodes in 500 does not fit a single "
+        "lattice, however few nodes it has. A node is false if it lies more than a quarter of a "
+        "cell from every corner.\n"
     )
     parts.append(table(list(peers[0]), [list(row.values()) for row in peers]))
     parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]

@@ -12,22 +12,22 @@ KINDS = ("raw position", "position", "raw displacement", "displacement")
 
 def positions(result: Row) -> str:
     """Report the errors before and after the lattice filter, and whether the stated ones hold."""
-    parts = ["## Positions, and their stated errors", conditions(result), left_out(result)]
+    parts = ["## Positions and their standard deviations", conditions(result), left_out(result)]
     parts.append(
-        "Each scene is measured against its frame at rest, on the nodes that are measured and "
-        "numbered rightly. `raw` is EDGE_STEP; the other columns are filtered by the lattice "
-        "filter. Errors are RMSE of the distance over both axes, px. `worse` is the share of "
-        "frames whose displacement has a larger error filtered than raw, %, and `worst ratio` the "
-        "largest ratio of the two. Stated errors are judged by the share of coordinates within one "
-        "and within two stated standard deviations: normal errors give 68 and 95 %. `corner` is "
-        "`corners.sigma`, which covers the noise of the image and no wear.\n"
+        "Each scene is measured against its frame at rest, at the nodes that were measured and "
+        "numbered correctly. `raw` is EDGE_STEP; the other columns are after the lattice filter. "
+        "Errors are RMSEs of the distance, px. `worse` is the percentage of frames in which the "
+        "filter increases the error of the displacement, and `worst ratio` the largest such "
+        "ratio. Standard deviations are judged by the percentage of errors within one and within "
+        "two of them: normal errors give 68 and 95 %. `corner` is `corners.sigma`, which covers "
+        "image noise but not wear.\n"
     )
     parts.append(
-        "Corrosion 0 is a perfect print, 1 is the wear of the other sections. On a worn print most "
-        "of the raw error is the distance of the visible corner from the material point, and an "
-        "average over neighbours reduces it. The intervals of 95 % are over frames, because the "
-        "nodes of a frame depend on each other. Rows and columns whose intervals overlap are not "
-        "told apart.\n"
+        "Corrosion 0 is a perfect print, and 1 is the wear in the other sections. On a worn "
+        "print, most of the raw error is the distance of the visible corner from the material "
+        "point; averaging over neighbours reduces it. The 95 % intervals are over frames, because "
+        "the nodes of a frame are not independent. Rows and columns whose intervals overlap do "
+        "not differ significantly.\n"
     )
     for key in ("severity", "markers", "noise", None):
         others = {"severity", "markers", "noise"} - {key}
@@ -36,7 +36,7 @@ def positions(result: Row) -> str:
             for row in result["groups"]
             if (key is None or key in row) and not others & row.keys()
         ]
-        title = f"by {key}" if key else "in all"
+        title = f"by {key}" if key else "overall"
         head = ("corrosion", *([key] if key else []), "frames")
         labels = [[row["corrosion"], *_label(row, key), row["frames"]] for row in rows]
         body = [
@@ -61,29 +61,29 @@ def positions(result: Row) -> str:
             ]
             for label, row in zip(labels, rows, strict=True)
         ]
-        parts.append(f"### Stated errors {title}: % within one, within two\n")
+        parts.append(f"### Coverage {title}: % within one sigma, within two\n")
         parts.append(table((*head, *KINDS, "corner"), body))
     parts.append(
-        "### Where the truth bends\n\nNodes whose true position or displacement is more than .2 px "
-        "off the cubic through their neighbours. RMSE, px, with wear.\n"
+        "### Where the truth bends\n\nRMSE, px, on a worn print, of the nodes whose true position "
+        "or displacement is more than 0.2 px off the cubic through their neighbours.\n"
     )
     body = [[kind, value["nodes"], value["rms"]] for kind, value in result["bends"].items()]
     parts.append(table(("error", "nodes", "px"), body))
     parts.append(_compared(result["compared"]))
     bound = result["bound"]
     parts.append(
-        "### The bound on a perfect print\n\nNoise alone bounds the error of every method that "
-        f"sees a disc of .75 cell: the Cramer-Rao bound is {bound['bound']:.4f} px. The noise part "
-        f"of EDGE_STEP's error is {bound['noise_part']:.4f} px "
-        f"({100 * (bound['noise_part'] / bound['bound'] - 1):.0f} % above), its whole error "
-        f"{bound['all']:.4f} px; {bound['frames']} frames.\n"
+        "### The bound on a perfect print\n\nImage noise limits the accuracy of any method that "
+        f"uses a disc of radius 0.75 cells: the Cramer-Rao bound is {bound['bound']:.4f} px. The "
+        f"noise part of EDGE_STEP's error is {bound['noise_part']:.4f} px "
+        f"({100 * (bound['noise_part'] / bound['bound'] - 1):.0f} % above the bound) and its total "
+        f"error {bound['all']:.4f} px, over {bound['frames']} frames.\n"
     )
     parts.append(_known(result["strains"]))
     parts.append(_resolution(result["resolution"]))
     parts.append(
         f"The filter takes {result['ms']:.2f} ms for the positions and sigma of 1936 nodes, and "
-        f"{result['ms_bends']:.2f} ms for their displacements. {result['left_out']} scenes were "
-        "not numbered and are left out.\n"
+        f"{result['ms_bends']:.2f} ms for their displacements. {result['left_out']} scenes could "
+        "not be numbered and are left out.\n"
     )
     return "\n".join(parts)
 
@@ -99,8 +99,8 @@ def _label(row: Row, key: str | None) -> list[Any]:
 def _compared(rows: Sequence[Row]) -> str:
     """Tabulate the errors of other methods on the corners that they find too."""
     text = (
-        "### Other methods, on the corners that they find too\n\nRMSE, px. In `order`, `<` means "
-        "smaller beyond both intervals, and a comma means not told apart.\n\n"
+        "### Other methods, on the corners that both find\n\nRMSE, px. In `order`, `<` means "
+        "significantly smaller, and a comma means no significant difference.\n\n"
     )
     names = {"rms": "its", "edge_step": "EDGE_STEP", "filtered": "filtered"}
     body = []
@@ -118,7 +118,7 @@ def _known(rows: Sequence[Row]) -> str:
     text = (
         "### Known strains\n\nUniform stretches of a flat lattice of 40 x 40 nodes, measured in "
         "space and in the plane, with 10 um of wear that travels with the material and 2 um of "
-        "noise in each frame: E11, and the RMSE of the displacement.\n\n"
+        "noise in each frame: The table gives E11 and the RMSE of the displacement.\n\n"
     )
     body = [
         [
@@ -155,8 +155,8 @@ def _resolution(rows: Sequence[Row]) -> str:
     ]
     parts = [
         "### Resolution of the strain\n\nThe strain is a sine over the columns, with the same "
-        "wear and noise. The table has the share of its amplitude that is measured. The "
-        "resolution is the wavelength at which half of the amplitude is left.\n",
+        "wear and noise. The table gives the fraction of its amplitude that is measured. The "
+        "resolution is the wavelength at which this fraction is one half.\n",
         table(head, body),
         "The RMSE of the displacement in the same cases, um:\n",
         table(("displacement", *(f"{wave} nodes" for wave in waves)), errors),
@@ -183,9 +183,9 @@ def strain(result: Row) -> str:
         [
             "## Known strains in pictures",
             conditions(result),
-            "A printed board is rotated, then strained, in pictures with noise. The command "
-            "measures the strain from raw positions, the library after the lattice filter. A right "
-            "sigma has 95 % of the errors within 1.96 of it.\n",
+            "Noisy images are rendered of a board that is rotated and strained. `cmp-cl run "
+            "--strain` measures the strain from raw positions, the library after the "
+            "lattice filter. If sigma is right, 95 % of the errors are within 1.96 sigma.\n",
             table(head, rows),
         ]
     )

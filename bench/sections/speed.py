@@ -12,8 +12,8 @@ def speed(result: Row) -> str:
     parts = ["## Time", conditions(result), left_out(result)]
     parts.append(
         "Wall time from an image in host memory to positions in host memory. The methods take "
-        "turns in one run, and the answers that were timed are the ones that are scored. `times` "
-        f"is the ratio to our default. For context, the paper reports {PAPER_TIMES}.\n"
+        "turns in one run, and the results that were timed are the ones that are scored. `times` "
+        f"is the ratio to our default. For comparison, the paper reports {PAPER_TIMES}.\n"
     )
     for scene in result["scenes"]:
         rows, columns = scene["shape"]
@@ -29,9 +29,9 @@ def speed(result: Row) -> str:
         base = next(row for row in scene["rows"] if row["method"] == DEFAULT)
         stages = sorted(base["stages"].items(), key=lambda stage: -stage[1])
         parts.append(
-            f"Our default with profiling on takes {base['wall_profiled']:.2f} ms: kernels "
-            f"{base['kernels']:.2f} ms, host and transfers {base['host_and_transfers']:.2f} ms. "
-            f"It holds {base['bytes_per_pixel']:.1f} bytes a pixel on the device. Time of the "
+            f"With profiling on, our default takes {base['wall_profiled']:.2f} ms: kernels "
+            f"{base['kernels']:.2f} ms, host and transfers {base['host_and_transfers']:.2f} ms. It "
+            f"uses {base['bytes_per_pixel']:.1f} bytes per pixel on the device. Times of the "
             "kernels, us: " + ", ".join(f"{name} {1e3 * ms:.0f}" for name, ms in stages) + ".\n"
         )
     return "\n".join(parts)
@@ -39,7 +39,10 @@ def speed(result: Row) -> str:
 
 def _paced(scene: Row) -> str:
     """Tabulate the time of a frame at the pace of a camera, beside that in a loop."""
-    text = f"One frame every {scene['pace_ms']:g} ms, and the same frames in a loop:\n\n"
+    text = (
+        f"A frame every {scene['pace_ms']:g} ms, as from a camera, and the same frames in a loop "
+        "without a pause:\n\n"
+    )
     head = ("method", "ms", "99 %", "loop, ms", "loop, 99 %", "times the loop's")
     keys = ("method", "ms", "ms_p99", "loop_ms", "loop_ms_p99", "times_loop")
     return text + table(head, [[row[key] for key in keys] for row in scene["paced"]])
@@ -68,10 +71,10 @@ def _targets(scene: Row) -> str:
     for row in scene["paced"]:
         if row["method"] == DEFAULT:
             ratio = row["times_loop"]
-            goal = f"a frame every {scene['pace_ms']:g} ms, at most 1.4 times as long as in a loop"
+            goal = f"a frame every {scene['pace_ms']:g} ms: at most 1.4 times as long as in a loop"
             lines.append((goal, f"{ratio:.2f}", ratio <= 1.4))
     most = max(row["bytes_per_pixel"] for row in rows.values() if "bytes_per_pixel" in row)
-    goal = "at most 8 bytes of device memory a pixel, in every configuration"
+    goal = "at most 8 bytes of device memory per pixel, in every configuration"
     lines.append((goal, f"{most:.1f}", most <= 8))
     body = [(goal, figure, "yes" if met else "**no**") for goal, figure, met in lines]
     return table(("goal", "this run", "met"), body)
@@ -80,9 +83,9 @@ def _targets(scene: Row) -> str:
 def scaling(result: Row) -> str:
     parts = [f"## Cost by size, frames and process on {result['environment']['device']}"]
     parts.append(conditions(result))
-    parts.append("Bytes are all memory that the detector holds on the device, with the image.\n")
+    parts.append("Bytes are all the device memory of the detector, including the image.\n")
     rows = [{**row, "image": "{1} x {0}".format(*row["shape"])} for row in result["sizes"]]
-    head = "image, corners, ms, ms 95 %, ns a pixel, device bytes a pixel"
+    head = "image, corners, ms, ms 95 %, ns per pixel, device bytes per pixel"
     parts.append(table_of(rows, head, "image corners ms ms_p95 ns_per_pixel bytes_per_pixel"))
     parts.append(table_of(result["corners"], "corners in a VGA frame, ms", "corners ms"))
     rows = [[r["what"], r["ms_per_frame"], 1e3 / r["ms_per_frame"]] for r in result["frames"]]
@@ -97,14 +100,14 @@ def scaling(result: Row) -> str:
 
 def _floor(floor: Row) -> str:
     return (
-        f"A VGA frame moves at least {floor['bytes_a_frame']} bytes, the image and the corners "
-        f"once, and needs {floor['operations_a_frame'] / 1e6:.0f} million operations. This device "
-        f"copies {floor['copy_gb_s']:.1f} GB/s and does "
-        f"{floor['operations_a_second'] / 1e9:.0f} thousand million operations of 32 bits a "
-        f"second: {floor['frames_a_second_at_floor']:.0f} frames a second at most. The best of "
-        f"these rows takes {floor['times_the_floor']:.0f} times as long. A single frame needs an "
+        f"A VGA frame must move at least {floor['bytes_a_frame']} bytes (the image and the "
+        f"corners, once each) and needs {floor['operations_a_frame'] / 1e6:.0f} million "
+        f"operations. This device copies {floor['copy_gb_s']:.1f} GB/s and does "
+        f"{floor['operations_a_second'] / 1e9:.0f} billion 32-bit operations per second, which "
+        f"allows at most {floor['frames_a_second_at_floor']:.0f} frames per second. The fastest "
+        f"row above takes {floor['times_the_floor']:.0f} times as long. A single frame needs an "
         f"upload ({1e3 * floor['upload_ms']:.0f} us), {floor['launches_a_frame']} launches "
-        f"({1e3 * floor['launch_ms']:.1f} us each with empty kernels) and one transfer back "
-        f"({1e3 * floor['answer_ms']:.0f} us), together {floor['alone_ms_at_floor']:.3f} ms. It "
+        f"({1e3 * floor['launch_ms']:.1f} us each if the kernels are empty) and one download "
+        f"({1e3 * floor['answer_ms']:.0f} us), together {floor['alone_ms_at_floor']:.3f} ms. Ours "
         f"takes {floor['alone_times_the_floor']:.1f} times as long.\n"
     )

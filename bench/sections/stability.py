@@ -10,11 +10,12 @@ from sections.tables import Row, conditions, left_out, named, table, table_of
 
 
 def stability(result: Row, folder: Path) -> str:
-    parts = ["## Numbers at their limits", conditions(result)]
+    parts = ["## Numerical limits", conditions(result)]
     oracle = result["against_oracle"]
     parts.append(
-        "The distance of each position from the float32 kernels to the float64 oracle's, px: "
-        "in all, by the sine between the edge lines, by contrast, by the number of valid rings.\n"
+        "The distance in px between the positions of the float32 kernels and those of the float64 "
+        "oracle: overall, by the sine of the angle between the edge lines, by contrast, and by "
+        "the number of valid rings.\n"
     )
     head = "refinement, corners, largest, 99.9 %, near a bound, frames with other corners"
     keys = "name count largest p99_9 near_a_bound_or_other_branch frames_with_other_corners"
@@ -66,11 +67,11 @@ def implementations(result: Row) -> str:
         [pair["one"], pair["other"], None if pair["px"] is None else f"{pair['px']:.1e}"]
         for pair in result["pairs"]
     ]
-    parts = ["## One implementation and another", conditions(result), left_out(result)]
+    parts = ["## Agreement between implementations", conditions(result), left_out(result)]
     parts.append(
-        f"{count} scenes with their configurations. A digest covers all integers, maps and "
-        "corners; it agrees if it is the oracle's. The second table has the largest difference of "
-        "a coordinate between two implementations.\n"
+        f"{count} scenes with their configurations. A digest covers all integer results, maps and "
+        "corners; it agrees if it equals the oracle's. The second table gives the largest "
+        "difference of a coordinate between two implementations.\n"
     )
     parts.append(table(("implementation", "device", "digests that agree"), rows))
     parts.append(table(("one", "other", "largest difference, px"), pairs))
@@ -80,8 +81,8 @@ def implementations(result: Row) -> str:
 def theory(result: Row, folder: Path) -> str:
     parts = ["## Theory", conditions(result)]
     parts.append(
-        "Lines are the closed forms on a continuous ring, dots are rings of 16 samples from ideal "
-        "corners. They differ by the sampling.\n"
+        "Lines are the closed forms for a continuous ring, dots the values for rings of 16 "
+        "samples of ideal corners. The difference is due to sampling.\n"
     )
     parts.append(table(("quantity", "rms difference"), list(result["agreement"].items())))
     figure, axes = plt.subplots(2, 3, figsize=(14, 7.5))

@@ -8,7 +8,9 @@ from positions import interval
 
 Row = dict[str, Any]
 BUSY = 0.2  # cores that others use, above which times are not to be trusted
-INTERVALS = "Brackets hold intervals of 95 %; rows whose intervals overlap are not told apart. "
+INTERVALS = (
+    "Brackets hold 95 % intervals; rows whose intervals overlap do not differ significantly. "
+)
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -80,7 +82,7 @@ def order_of(figures: dict[str, tuple[float, Sequence[float]]]) -> str:
 def conditions(result: Row) -> str:
     """Return the line under a heading: what it was measured with."""
     if (result["environment"].get("others") or 0) > BUSY:
-        busy = "**Other work ran on this machine at the same time: the times are rough.**"
+        busy = "**Other processes ran at the same time, so the times are rough.**"
         return f"{described(result)}\n{busy}\n"
     return described(result)
 

@@ -1,6 +1,7 @@
 """Arguments that commands share, and what they mean for a frame."""
 
 import argparse
+import itertools
 import math
 import os
 import re
@@ -37,16 +38,31 @@ def refuse_to_overwrite(
         if real in read:
             raise ConfigError(f"{shown(path)} is an input and would be overwritten")
         if real in written:
-            raise ConfigError(f"{shown(path)} is named for two outputs")
+            raise ConfigError(f"{shown(path)} is given for two outputs")
         written.add(real)
+
+
+def distinct_inputs(*groups: Sequence[str]) -> list[list[Path]]:
+    """Return the files of each group, as `media.find_inputs` does; raises ConfigError for repeats.
+
+    A view that counts twice makes a calibration look more certain than it is.
+    """
+    found = [media.find_inputs(names) for names in groups]
+    read = set()
+    for path in itertools.chain.from_iterable(found):
+        real = os.path.realpath(path)
+        if real in read:
+            raise ConfigError(f"{shown(path)} is given twice")
+        read.add(real)
+    return found
 
 
 def add_device(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--device",
         metavar="NAME",
-        help="part of a device's or platform's name, an index such as 0:0, gpu or cpu; default: "
-        "the variable CMP_CL_DEVICE, else the first GPU, else the first CPU",
+        help="part of the name of a device or platform, an index such as 0:0, or gpu or cpu; "
+        "default: the variable CMP_CL_DEVICE, else the first GPU, else the first CPU",
     )
 
 
@@ -55,8 +71,8 @@ def add_full_scale(parser: argparse.ArgumentParser) -> None:
         "--full-scale",
         metavar="LEVEL",
         type=int,
-        help="largest grey level of the camera, 4095 for 12 bits in a 16-bit file; default: that "
-        "of the settings, else 255 or 65535",
+        help="largest grey level of the camera, for example 4095 for 12 bits in a 16-bit file; "
+        "default: from the settings, else 255 or 65535",
     )
 
 
@@ -66,8 +82,8 @@ def add_max_pixels(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=positive,
         default=media.MAX_PIXELS,
-        help="largest number of pixels of an image that is decoded; default: "
-        f"{media.MAX_PIXELS}, a square of {math.isqrt(media.MAX_PIXELS)}",
+        help=f"refuse to decode images with more pixels than this; default: {media.MAX_PIXELS}, a "
+        f"square with sides of {math.isqrt(media.MAX_PIXELS)}",
     )
 
 
@@ -76,7 +92,7 @@ def add_split(parser: argparse.ArgumentParser, *, help_: str) -> None:
     parser.add_argument(
         "--mirror",
         choices=("left", "right", "both"),
-        help="the views that an odd number of mirrors shows reversed",
+        help="the views that are seen through an odd number of mirrors, and so reversed",
     )
 
 
@@ -87,7 +103,7 @@ def add_region(parser: argparse.ArgumentParser, *, help_: str) -> None:
 def positive(text: str) -> int:
     """Parse a whole number from 1 on."""
     if re.fullmatch(r"\d{1,18}", text) is None or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 on")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive whole number")
     return int(text)
 
 
@@ -124,8 +140,8 @@ def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | Non
         return (None,) * len(views)
     if len(chosen) != len(views):
         raise ConfigError(
-            f"--region needs a rectangle for each view, here {len(views)}, with a colon between "
-            f"two; it has {len(chosen)}"
+            f"--region needs one rectangle per view, separated by a colon: {len(views)} here, not "
+            f"{len(chosen)}"
         )
     return tuple(
         region_in(view, box, mirror=mirror)

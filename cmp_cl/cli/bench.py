@@ -23,7 +23,7 @@ def add_parser(commands: Any) -> None:
         "bench",
         help="time the detector on this machine's device",
         description="Times the detector on a rendered 640 x 480 frame of 1936 corners, checks the "
-        "answer against the truth, and shows where the time goes.",
+        "answer against the truth, and shows how the time is spent.",
     )
     parser.add_argument(
         "--repeats",

@@ -18,6 +18,7 @@ from cmp_cl.cli.arguments import (
     add_max_pixels,
     add_region,
     add_split,
+    distinct_inputs,
     grid_shape,
     refuse_to_overwrite,
     regions_in,
@@ -88,7 +89,7 @@ def add_parser(commands: Any) -> None:
     )
     add_region(
         parser,
-        help_="which of several patterns is the board: X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, px, in "
+        help_="which of several patterns to use: X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, px, in "
         "the left and in the right view of the frame, or in left and in right images; corners "
         "outside are left out in all of them",
     )
@@ -97,7 +98,7 @@ def add_parser(commands: Any) -> None:
         metavar="PX",
         type=float,
         default=MAX_SIGMA,
-        help=f"largest standard deviation of a corner that is used; default: {MAX_SIGMA:g} px",
+        help=f"use only corners with at most this standard deviation; default: {MAX_SIGMA:g} px",
     )
     parser.add_argument(
         "--free-board",
@@ -139,7 +140,9 @@ def run(arguments: argparse.Namespace) -> int:
             try:
                 pair = _read(name, arguments)
                 if size is not None and pair.left.shape != size:
-                    raise ImageError(f"its views are {pair.left.shape}, the others' are {size}")
+                    raise ImageError(
+                        f"its views have the shape {pair.left.shape}, the others {size}"
+                    )
                 grids = find_boards(
                     (pair.left, pair.right),
                     arguments.board,
@@ -184,7 +187,8 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ConfigError("give frames that show both views, or --left and --right")
     if len(arguments.left) != len(arguments.right):
         raise ConfigError(
-            f"{len(arguments.left)} left and {len(arguments.right)} right views do not make pairs"
+            f"{len(arguments.left)} left views and {len(arguments.right)} right views do not form "
+            "pairs"
         )
     if arguments.left and (arguments.split or arguments.mirror):
         raise ConfigError("--split and --mirror are for frames that show both views")
@@ -213,10 +217,8 @@ def _check_numbers(arguments: argparse.Namespace) -> None:
 def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:
     """Return the file or the two files of each pair of views."""
     if arguments.left:
-        return list(
-            zip(media.find_inputs(arguments.left), media.find_inputs(arguments.right), strict=True)
-        )
-    return [(path,) for path in media.find_inputs(arguments.images)]
+        return list(zip(*distinct_inputs(arguments.left, arguments.right), strict=True))
+    return list(zip(*distinct_inputs(arguments.images), strict=True))
 
 
 def _read(paths: tuple[Path, ...], arguments: argparse.Namespace) -> _Pair:
@@ -240,7 +242,7 @@ def _report(
     names: Sequence[str],
     arguments: argparse.Namespace,
 ) -> None:
-    print("corners used, left and right, and root mean square reprojection error, px:")
+    print("corners used in the left and right view, and RMS reprojection errors, px:")
     for (left, right), errors, name in zip(views, found.view_errors, names, strict=True):
         print(
             f"  {left.valid.sum():4} {right.valid.sum():4}  {errors[0]:.3f} {errors[1]:.3f}  {name}"
@@ -249,14 +251,14 @@ def _report(
     kept = [sum(int(grid.valid.sum()) for grid in side) for side in zip(*views, strict=True)]
     print(
         f"all views: {found.error:.3f} px (left alone {found.left.error:.3f}, right alone "
-        f"{found.right.error:.3f}); left out as unseen or uncertain: "
-        f"{everything - kept[0]} and {everything - kept[1]} of {everything} corners"
+        f"{found.right.error:.3f}); left out as not detected or uncertain: {everything - kept[0]} "
+        f"and {everything - kept[1]} of {everything} corners"
     )
     rig, unit = found.rig, arguments.unit
     for name, matrix, camera in (("left", rig.K1, found.left), ("right", rig.K2, found.right)):
         print(
-            f"{name}: focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} px "
-            f"(+- {camera.focal_sigma:.1f}), centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f})"
+            f"{name}: focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} px (+- "
+            f"{camera.focal_sigma:.2g}), centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f})"
         )
     angle = np.degrees(np.arccos(np.clip((np.trace(rig.R) - 1) / 2, -1, 1)))
     if found.board is not None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import refuse_to_overwrite
+from cmp_cl.cli.arguments import distinct_inputs, refuse_to_overwrite
 from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
@@ -98,33 +98,37 @@ def run(arguments: argparse.Namespace) -> int:
         save_figure(arguments.picture, residual_figure(found))
         written.append(shown(arguments.picture))
     _report(found, kept, files, arguments.board)
-    print(f"wrote {', '.join(written)}: {counted(len(moments), 'moment')} on {device}")
+    each = " of each camera" if len(files) > 1 else ""
+    print(f"wrote {', '.join(written)}: {counted(len(moments), 'view')}{each} on {device}")
     return 0
 
 
 def _files(cameras: list[list[str]]) -> dict[str, list[Path]]:
     """Return the files of each camera by its name."""
-    files: dict[str, list[Path]] = {}
+    names: dict[str, list[str]] = {}
     for first, *others in cameras:
         name, equals, path = first.partition("=")
         if not (equals and name.isidentifier()):
             raise ConfigError(
                 f"--camera must begin with NAME=IMAGE, such as left=l1.png: {first!r}"
             )
-        if name in files:
+        if name in names:
             raise ConfigError(f"--camera {name} is given twice")
-        files[name] = media.find_inputs([path, *others])
+        names[name] = [path, *others]
+    files = dict(zip(names, distinct_inputs(*names.values()), strict=True))
     if len({len(paths) for paths in files.values()}) > 1:
         counts = ", ".join(f"{name} {len(paths)}" for name, paths in files.items())
-        raise ConfigError(f"--camera: every camera needs a view of each moment, here {counts}")
+        raise ConfigError(
+            f"--camera: all cameras need the same number of views, but here there are: {counts}"
+        )
     return files
 
 
 def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]]) -> None:
     if arguments.images or arguments.left or arguments.right:
-        raise ConfigError("--camera takes the place of IMAGE, --left and --right")
+        raise ConfigError("--camera cannot be combined with IMAGE, --left and --right")
     if arguments.split or arguments.mirror or arguments.region:
-        raise ConfigError("--split, --mirror and --region are not for --camera")
+        raise ConfigError("--split, --mirror and --region cannot be combined with --camera")
     check_cameras(arguments.out)
     if arguments.corners is not None:
         check_corners(arguments.corners)
@@ -161,7 +165,7 @@ def _report(
     files: Mapping[str, list[Path]],
     board: tuple[int, int],
 ) -> None:
-    print("corners used and root mean square reprojection error, px:")
+    print("corners used, and RMS reprojection error, px:")
     for name, grids in views.items():
         for path, grid, error in zip(files[name], grids, found.view_errors[name], strict=True):
             if grid is None:
@@ -180,9 +184,10 @@ def _report(
             angle = np.degrees(np.arccos(np.clip((np.trace(camera.R) - 1) / 2, -1, 1)))
             pose = f"; {away:.3f} {camera.unit} and {angle:.2f} degrees from the first"
         print(
-            f"{name}: {camera.lens.value}, focal lengths {matrix[0, 0]:.1f} and "
-            f"{matrix[1, 1]:.1f} px, centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f}); corners in "
-            f"{found.coverage[name]:.0%} of the image; left out as unseen or uncertain: "
+            f"{name}: {camera.lens.value}, focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} "
+            f"px (+- {found.focal_sigma[name]:.2g}), centre ({matrix[0, 2]:.1f}, "
+            f"{matrix[1, 2]:.1f}); corners in "
+            f"{found.coverage[name]:.0%} of the image; left out as not detected or uncertain: "
             f"{left_out}{pose}"
         )
     print(f"all views: {found.error:.3f} px")

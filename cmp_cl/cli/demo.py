@@ -98,14 +98,20 @@ def run(arguments: argparse.Namespace) -> int:
     rest = _Truth(*render_stereo(SCENE.at_rest(), rig))
     now = _Truth(*render_stereo(SCENE, rig))
     rows, columns = rest.frame.shape
-    tell(f"rendered rest and press, {columns} x {rows} px, {shape[0]} x {shape[1]} corners a view")
+    tell(
+        f"rendered a gel at rest and pressed, {columns} x {rows} px, {shape[0]} x {shape[1]} "
+        "corners per view"
+    )
     split = BinocularSplit.halves(columns, rows)
     with TwoViews(rest.frame, rig, split, shape=shape, device=device) as measure:
         tell(f"found and numbered the pattern at rest on {device}")
         start = time.perf_counter()
         measured = measure(now.frame)
         spent = (time.perf_counter() - start) * 1e3
-        tell(f"found, numbered and placed {measured.nodes} nodes of the press in {spent:.0f} ms")
+        tell(
+            f"found, numbered and triangulated {measured.nodes} nodes of the pressed gel in "
+            f"{spent:.0f} ms"
+        )
         table = _table(measured, measure.rest_grids, rest, now)
         left_at_rest = measure.rest_grids[0]
     frames = {"frames/000-rest.png": rest.frame, "frames/001-press.png": now.frame}
@@ -151,7 +157,7 @@ def _table(
         table += [
             (f"{side} view: corners", str(answer.expected), ""),
             (f"{side} view: missed by the detector", str(answer.missed), ""),
-            (f"{side} view: false ones of the detector", str(answer.false), ""),
+            (f"{side} view: false detections", str(answer.false), ""),
             (f"{side} view: error of a corner, RMS", f"{answer.rmse:.3f}", "px"),
             (f"{side} view: after the lattice filter, RMS", f"{filtered:.3f}", "px"),
             (f"{side} view: nodes with a position", str(int(grid.valid.sum())), ""),
@@ -166,9 +172,9 @@ def _table(
         table += [
             (f"{name}: RMS error", f"{np.sqrt(np.mean(size**2)):.1f}", "um"),
             (f"{name}: across and along the view, RMS", _across_and_along(off), "um"),
-            (f"{name}: 95 % of the errors below", f"{np.percentile(size, 95):.1f}", "um"),
+            (f"{name}: 95 % of the errors are below", f"{np.percentile(size, 95):.1f}", "um"),
         ]
-    table.append(("displacement: the largest there is", f"{length.max():.3f}", "mm"))
+    table.append(("displacement: largest", f"{length.max():.3f}", "mm"))
     return table
 
 

@@ -140,7 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
             status = 2 if failures else status
             empty = table is not None and status == 2 and not table.rows and path is paths[-1]
             if empty:
-                failures.append(f"{shown(out)} is not written")
+                failures.append(f"{shown(out)} was not written")
             if failures:
                 progress.say(f"cmp-cl: {'; '.join(failures)}", sys.stderr)
             if tally.broken and tally.counts:
@@ -150,7 +150,7 @@ def run(arguments: argparse.Namespace) -> int:
             if tally.is_dark():
                 progress.say(
                     f"cmp-cl: {shown(path)}: the brightest of its 16-bit pixels is "
-                    f"{tally.brightest}; for a camera of 12 bits say --full-scale 4095",
+                    f"{tally.brightest}; for a 12-bit camera, give --full-scale 4095",
                     sys.stderr,
                 )
             if empty:
@@ -217,8 +217,8 @@ class _Tally:
             line += f"; {_span(self.nodes)} of {self.size} nodes"
         if self.ambiguous:
             line += f"; ambiguous numbers in {counted(len(self.ambiguous), 'frame')}: "
-            line += f"{_some(self.ambiguous)}, which do not show enough of the board's border, "
-            line += "or show a reflection of it"
+            line += f"{_some(self.ambiguous)}, in which too little of the board's border is "
+            line += "visible, or a reflection of it"
         if self.overlays:
             last = f" to {shown(self.overlays[-1])}" if len(self.overlays) > 1 else ""
             line += f"; wrote {shown(self.overlays[0])}{last}"
@@ -333,7 +333,7 @@ def _csv_path(out: str | None) -> Path | None:
     if out is None:
         return None
     if out in ("", "-"):
-        raise ConfigError("--out needs the name of a file, for example corners.csv")
+        raise ConfigError("--out needs a file name, for example corners.csv")
     return Path(out) / "corners.csv" if os.path.isdir(out) else Path(out)
 
 
@@ -342,7 +342,7 @@ def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Pat
     if overlay is None:
         return {}
     if not overlay:
-        raise ConfigError("--overlay needs the name of a picture or of a folder")
+        raise ConfigError("--overlay needs the name of a picture or a folder")
     suffix = Path(overlay).suffix.lower()
     if suffix in media.IMAGE_SUFFIXES and not os.path.isdir(overlay):
         if len(paths) > 1 or media.is_video(paths[0]):
@@ -359,7 +359,7 @@ def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Pat
         )
     folder.mkdir(parents=True, exist_ok=True)
     if any(os.path.realpath(path.parent) == os.path.realpath(folder) for path in paths):
-        raise ConfigError(f"--overlay {shown(overlay)} holds inputs; name another folder")
+        raise ConfigError(f"--overlay {shown(overlay)} contains inputs; choose another folder")
     names: dict[Path, Path] = {}
     for path in dict.fromkeys(paths):
         name = folder / f"{path.stem}-corners.png"

@@ -14,8 +14,8 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "pattern",
         help="draw the checkerboard to print",
-        description="Draws a checkerboard, true to size, with scale bars to check the print. "
-        "Print it at 100 %: 'actual size', not 'fit to page'.",
+        description="Draws a checkerboard to scale, with scale bars to check the print. Print it "
+        "at 100 % ('actual size', not 'fit to page').",
     )
     parser.add_argument(
         "--grid",

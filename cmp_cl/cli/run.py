@@ -52,12 +52,13 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "run",
         help="measure the deformation in every frame of a recording or of a live camera",
-        description="Numbers the pattern in every frame as in the frame at rest and writes the "
-        "series. With --stereo each frame shows two views, and the series holds the "
-        "displacement of every node in space; without it, the positions in the image. "
-        "Each frame is measured against the frame at rest alone, unless --track is given. Frames "
-        "that cannot be read are left out and counted; in frames without the pattern all nodes "
-        "are missing. Ctrl-C ends the run, and what was measured is written.",
+        description="Numbers the corners of the pattern in every frame as in the frame at rest, "
+        "and writes the results as a series. With --stereo each frame shows two "
+        "views, and the series holds the displacement of every node in space; without "
+        "it, the positions in the image. Each frame is compared only with the frame "
+        "at rest, unless --track is given. Frames that cannot be read are left out "
+        "and counted; in frames without the pattern all nodes are missing. Ctrl-C "
+        "ends the run and saves what has been measured.",
     )
     parser.add_argument(
         "source",
@@ -69,24 +70,25 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--left",
         metavar="SOURCE",
-        help="with --stereo and --right: the left view, in place of SOURCE; frames are paired by "
-        "their times, in turn where they have none, and those without a partner are counted",
+        help="with --stereo and --right: the left view, instead of SOURCE; frames are paired by "
+        "their time stamps, or in order if they have none, and those without a partner are "
+        "counted",
     )
     parser.add_argument("--right", metavar="SOURCE", help="the right view")
     parser.add_argument(
         "--pair-within",
         metavar="MS",
         type=float,
-        help="largest difference between the times of a pair, ms; default: half of the time "
-        f"between frames, {PAIR_WITHIN:g} where that is unknown",
+        help="largest difference between the time stamps of a pair, ms; default: half the "
+        f"interval between frames, or {PAIR_WITHIN:g} if that is unknown",
     )
     camera = parser.add_argument_group("settings of a camera, a device or an address")
     camera.add_argument(
-        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of its frames, px"
+        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of the frames, px"
     )
     camera.add_argument("--camera-fps", metavar="FPS", type=float, help="frames per second")
     camera.add_argument(
-        "--exposure", metavar="VALUE", type=float, help="exposure time, as the driver counts it"
+        "--exposure", metavar="VALUE", type=float, help="exposure time, in the driver's units"
     )
     camera.add_argument(
         "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
@@ -95,8 +97,9 @@ def add_parser(commands: Any) -> None:
         "--out",
         metavar="FILE",
         required=True,
-        help="the series: .npz (numpy.load), .h5 (readable while it grows), .parquet, .csv, "
-        ".jsonl, .pvd (ParaView), .mcap (ROS 2), or - for JSON lines on standard output; see below",
+        help="the series: .npz (numpy.load), .h5 (can be read while it is written), .parquet, "
+        ".csv, .jsonl, .pvd (ParaView), .mcap (ROS 2), or - for JSON lines on standard output; "
+        "see below",
     )
     parser.add_argument("--stereo", metavar="YAML", help="the calibration of the two views")
     parser.add_argument(
@@ -110,33 +113,32 @@ def add_parser(commands: Any) -> None:
         metavar="N",
         type=int,
         default=0,
-        help="number of the frame at rest, from 0; of a camera, the frames before are dropped",
+        help="number of the frame at rest, from 0; with a camera, the frames before it are dropped",
     )
     parser.add_argument(
         "--track",
         action="store_true",
-        help="continue the numbers of the frame before where the frame at rest leaves them "
-        "ambiguous, as it does where no border of the pattern is in view; the pattern as a whole "
-        "must move by less than half a cell from the frame at rest to the first, and from frame to "
-        "frame",
+        help="where the numbering is ambiguous, because no border of the pattern is in view, "
+        "continue that of the previous frame; the pattern as a whole must move by less than "
+        "half a cell from the frame at rest to the first, and from frame to frame",
     )
     add_split(
         parser,
-        help_="where the views are with --stereo: halves (the default), or "
+        help_="with --stereo, where the two views are in the frame: halves (the default), or "
         "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
     )
     add_region(
         parser,
-        help_="which of several patterns is meant: X,Y,WIDTH,HEIGHT, px of the frame, or with "
+        help_="which of several patterns to use: X,Y,WIDTH,HEIGHT, px of the frame, or with "
         "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
-        "outside are left out in every frame",
+        "outside are ignored in every frame",
     )
     strain.add_arguments(parser)
     parser.add_argument(
         "--raw",
         action="store_true",
-        help="leave out the lattice filter; default: displacements are filtered over the lattice, "
-        "and the series holds the raw ones beside them",
+        help="do not apply the lattice filter; default: displacements are filtered, and the "
+        "series holds the raw ones too",
     )
     parser.add_argument(
         "--overlay",
@@ -144,35 +146,33 @@ def add_parser(commands: Any) -> None:
         help="write one annotated video, .mp4, .mkv or .avi (the left view)",
     )
     film = parser.add_mutually_exclusive_group()
-    film.add_argument(
-        "--rerun", metavar="RRD", help="record a film for the Rerun viewer (the left view)"
-    )
+    film.add_argument("--rerun", metavar="RRD", help="record for the Rerun viewer (the left view)")
     film.add_argument(
         "--show",
         action="store_true",
-        help="open the Rerun viewer and show there each frame as it is measured (the left view)",
+        help="open the Rerun viewer and show each frame in it as it is measured (the left view)",
     )
     parser.add_argument(
         "--config",
         metavar="TOML",
-        help="settings of the detector, from cmp-cl tune for example; default: the most "
-        "complete ones for the cells seen at rest",
+        help="settings of the detector, for example from cmp-cl tune; default: the most complete "
+        "ones for the cell size at rest",
     )
     add_full_scale(parser)
     add_max_pixels(parser)
     add_device(parser)
     parser.epilog = (
-        "The series holds, with F frames of R x C nodes: index (F,), time_ms (F,) (NaN where "
-        "the source has no clock), ambiguous (F,) (whether the numbers may be those of other "
-        "nodes), sigma and status (F, R, C) and unit; with --stereo rest "
-        "(R, C, 3), displacement (F, R, C, 3), source (F, R, C), and the positions left and "
-        "right (F, R, C, 2), px; without it rest (R, C, 2) and xy (F, R, C, 2), px. filtered says "
-        "whether the lattice filter is on; then raw_rest, raw_displacement or raw_xy, and "
-        "raw_sigma are its input. left and right are never filtered. --strain adds strain "
-        "(R, C, 3: Exx, Eyy, Exy, in space along rows, along columns, and between), of one view "
-        "also principal (R, C, 2), direction, rad, translation, rotation, rad, and zoom, each with "
-        "_sigma. --contact adds depth, depth_sigma, normal, contact, contact_area and "
-        "contact_depth. --cell adds rest_px, homography and displacement (F, R, C, 2)."
+        "For F frames of R x C nodes, the series holds index (F,), time_ms (F,) (NaN where the "
+        "source has no clock), ambiguous (F,) (whether the numbering may be wrong), sigma and "
+        "status (F, R, C) and unit; with --stereo rest (R, C, 3), displacement (F, R, C, 3), "
+        "source (F, R, C), and the positions left and right (F, R, C, 2), px; without it rest (R, "
+        "C, 2) and xy (F, R, C, 2), px. filtered says whether the lattice filter is on; then "
+        "raw_rest, raw_displacement or raw_xy, and raw_sigma are its input. left and right are "
+        "never filtered. --strain adds strain (R, C, 3: Exx, Eyy, Exy, in space along rows, along "
+        "columns, and shear), with one view also principal (R, C, 2), direction, rad, "
+        "translation, rotation, rad, and zoom, each with _sigma. --contact adds depth, "
+        "depth_sigma, normal, contact, contact_area and contact_depth. --cell adds rest_px, "
+        "homography and displacement (F, R, C, 2)."
     )
     parser.set_defaults(run=run)
 
@@ -212,7 +212,7 @@ class _Tally:
         parts = [counted(self.frames, "frame")]
         if self._fewest is not None:
             mean = self._nodes / (self.frames - self.empty)
-            parts.append(f"{mean:.1f} of {nodes} nodes in the mean, at least {self._fewest}")
+            parts.append(f"{mean:.1f} of {nodes} nodes on average, at least {self._fewest}")
             parts.append(f"moved by up to {self._largest:.3g} {unit} (frame {self._where})")
         if self.empty:
             parts.append(f"{self.empty} without the pattern")
@@ -280,7 +280,7 @@ class _Settings:
         )
         if camera != CameraSettings() and not source.live:
             raise ConfigError(
-                f"{shown(source.name)} is not a camera: it takes no camera's settings"
+                f"{shown(source.name)} is not a camera, so it takes no camera settings"
             )
         refuse_to_overwrite(
             [*source.paths, arguments.config, arguments.stereo],
@@ -503,7 +503,7 @@ class _Film(contextlib.AbstractContextManager["_Film"]):
 
 def _why_broken(shot: Shot, rest: GreyImage) -> str:
     if shot.image is None:
-        return f"frame {shot.number} cannot be read and is left out"
+        return f"frame {shot.number} cannot be read and is skipped"
     rows, columns = shot.image.shape
     return (
         f"frame {shot.number} is {columns} x {rows} px of {shot.image.dtype}, the frame at rest is "
@@ -516,7 +516,7 @@ def _check_source(arguments: argparse.Namespace) -> None:
     if two == (arguments.source is not None):
         raise ConfigError("give SOURCE, or --left and --right")
     if two and (arguments.left is None or arguments.right is None or arguments.stereo is None):
-        raise ConfigError("--left, --right and --stereo belong together")
+        raise ConfigError("--left and --right need each other, and --stereo")
     if two and (arguments.split or arguments.mirror):
         raise ConfigError("--split and --mirror are for frames that show both views")
     if arguments.pair_within is not None and not (two and arguments.pair_within >= 0):
@@ -527,7 +527,9 @@ def _check_display() -> None:
     """Raise ConfigError where no window can be opened."""
     displays = "DISPLAY", "WAYLAND_DISPLAY"
     if sys.platform.startswith("linux") and not any(map(os.environ.get, displays)):
-        raise ConfigError("--show needs a display, there is none; --rerun FILE.rrd records")
+        raise ConfigError(
+            "--show needs a display, and there is none; --rerun FILE.rrd records to a file instead"
+        )
 
 
 def _check_suffix(option: str, path: str | None, *suffixes: str) -> None:

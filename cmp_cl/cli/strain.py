@@ -68,9 +68,13 @@ def _length(text: str) -> float:
 def check(arguments: argparse.Namespace) -> None:
     """Raise ConfigError where an option is for the other number of views."""
     if arguments.cell is not None and arguments.stereo is not None:
-        raise ConfigError("--cell is for one view; with --stereo lengths are the calibration's")
+        raise ConfigError(
+            "--cell is for one view; with --stereo, the calibration gives the unit of length"
+        )
     if arguments.unit is not None and arguments.cell is None:
-        raise ConfigError("--unit needs --cell: other lengths are px, or the calibration's")
+        raise ConfigError(
+            "--unit needs --cell: without it, lengths are in px or in the unit of the calibration"
+        )
     if arguments.contact is not None and arguments.stereo is None:
         raise ConfigError("--contact needs --stereo: one view shows no depth")
 

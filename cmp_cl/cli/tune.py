@@ -62,12 +62,13 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "tune",
         help="find the fastest settings that lose nothing on your own frames",
-        description="Measures on your frames how much time each optional stage of the detector "
-        "takes and how many corners it gains, prints a table, and writes the fastest settings "
-        "that find as much as the most complete ones. Missed corners are counted against --grid. "
-        "Extra ones are detections where the grid of the most complete settings has no node. "
-        "Roughness is the RMS distance of the corners from the positions that their neighbours in "
-        "the grid predict: a smaller one means a more exact refinement.",
+        description="Measures, on your frames, how long each optional stage of the detector takes "
+        "and how many corners it gains; prints a table; and writes the fastest "
+        "settings that find as much as the most complete ones. Missed corners are "
+        "counted against --grid. Extra corners are detections where the grid of the "
+        "most complete settings has no node. Roughness is the RMS distance of the "
+        "corners from the positions that their neighbours in the grid predict: a "
+        "smaller one means a more accurate refinement.",
     )
     parser.add_argument(
         "frames", nargs="+", metavar="FRAME", help="images, folders or videos, all of one size"
@@ -89,9 +90,9 @@ def add_parser(commands: Any) -> None:
     )
     add_region(
         parser,
-        help_="which of several patterns is meant: X,Y,WIDTH,HEIGHT, px of the frame, or with "
+        help_="which of several patterns to use: X,Y,WIDTH,HEIGHT, px of the frame, or with "
         "--split X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
-        "outside are left out in every frame",
+        "outside are ignored in every frame",
     )
     add_full_scale(parser)
     add_max_pixels(parser)
@@ -187,7 +188,7 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"{'settings':{WIDTH}}{'missed':>8}{'extra':>7}{'rough, px':>11}{'ms':>8}  loses")
     for row in table:
         print(_line(row, table[0]))
-    print("the cheapest that loses nothing:")
+    print("the fastest settings that lose nothing:")
     print(_line(chosen, table[0]))
     chosen.config.save(arguments.out)
     print(f"wrote {shown(arguments.out)}")
@@ -265,7 +266,7 @@ def _reference(
             if grid.valid.any():
                 frames.append(Frame(view, grid, cell_of(grid), around(grid), region))
     if not frames:
-        raise GridError("no frame shows the pattern with the most complete settings")
+        raise GridError("even with the most complete settings, no frame shows the pattern")
     if len(frames) < len(views):
         print(
             f"cmp-cl: {len(views) - len(frames)} views without the pattern are left out",

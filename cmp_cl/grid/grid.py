@@ -9,7 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, GridError
+from cmp_cl.grid.curves import points_between
+from cmp_cl.grid.limits import check_size
 
 
 class NodeStatus(enum.IntEnum):
@@ -253,13 +255,24 @@ class Grid:
     def with_virtual_markers(self, count: int) -> "Grid":
         """Return the grid with `count` points on every edge between two neighbouring nodes.
 
-        They lie on cubic curves through the nodes. Node (r, c) is at ((count + 1) r,
-        (count + 1) c) of the result, ((R - 1)(count + 1) + 1, (C - 1)(count + 1) + 1), whose
-        nodes inside the cells are MISSING. Raises GridError where count is below 1.
+        They lie on cubic curves through the nodes, with status VIRTUAL. Node (r, c) is at
+        ((count + 1) r, (count + 1) c) of the result, ((R - 1)(count + 1) + 1,
+        (C - 1)(count + 1) + 1), whose nodes inside the cells are MISSING. So two such grids
+        match by equal indices as any two grids do. Raises GridError where count is not an
+        integer of at least 1, or makes a grid too large.
         """
-        from cmp_cl.grid.markers import virtual_markers
-
-        return virtual_markers(self, count)
+        if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
+            raise GridError(f"the number of markers on an edge must be at least 1, not {count!r}")
+        times = int(count) + 1
+        check_size(*(max(n - 1, 0) * times + 1 for n in self.shape))
+        xy = points_between(self.xy.astype(np.float64), int(count)).astype(np.float32)
+        there = ~np.isnan(xy[..., 0])
+        status = np.where(there, NodeStatus.VIRTUAL, NodeStatus.MISSING).astype(np.uint8)
+        status[::times, ::times] = self.status
+        sigma = np.full(status.shape, np.nan, np.float32)
+        sigma[::times, ::times] = self.sigma
+        index = np.where(self.index < 0, -1, self.index * times).astype(np.int32)
+        return Grid(xy=xy, status=status, sigma=sigma, index=index, parity=self.parity)
 
 
 def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:

@@ -1,4 +1,4 @@
-"""Virtual markers: points on the edges between neighbouring nodes (section 4.3 of the paper)."""
+"""Virtual markers moved onto the edges of an image (section 4.3 of the paper)."""
 
 import dataclasses
 from typing import NamedTuple
@@ -9,75 +9,12 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.grid.limits import check_size
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.opencl.program import programs_of
 
-Float = NDArray[np.float64]
-
 SEARCHED = 0.3  # of the edge's length: how far from the curve the edge is looked for
 LONGEST_SEARCH = 6.0  # px
-
-
-def virtual_markers(grid: Grid, count: int) -> Grid:
-    """Return the grid with `count` points on every edge between two neighbours.
-
-    The result is a grid of ((R-1)(count+1)+1, (C-1)(count+1)+1) nodes: node (r, c) is at
-    ((count+1) r, (count+1) c), markers with status VIRTUAL lie between on rows and columns,
-    and the inside of the cells is MISSING. So two such grids match by equal indices as any
-    two grids do. The markers lie on a cubic Hermite curve through the nodes of the row or
-    column, whose slopes are central differences, one-sided at ends and holes.
-
-    Raises GridError where count is not an integer of at least 1, or makes a grid too large.
-    """
-    if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
-        raise GridError(f"the number of markers on an edge must be at least 1, not {count!r}")
-    times = int(count) + 1
-    rows, columns = (max((n - 1) * times + 1, 0) if n else 0 for n in grid.shape)
-    check_size(rows, columns)
-    xy = np.full((rows, columns, 2), np.nan)
-    status = np.zeros((rows, columns), np.uint8)
-    sigma = np.full((rows, columns), np.nan, np.float32)
-    at = grid.xy.astype(np.float64)
-    if at.size:
-        for k in range(1, times):
-            xy[::times, k::times] = _hermite(at, k / times)
-            xy[k::times, ::times] = _hermite(at.swapaxes(0, 1), k / times).swapaxes(0, 1)
-    status[~np.isnan(xy[..., 0])] = NodeStatus.VIRTUAL
-    xy[::times, ::times] = at
-    status[::times, ::times] = grid.status
-    sigma[::times, ::times] = grid.sigma
-    return Grid(
-        xy=xy.astype(np.float32),
-        status=status,
-        sigma=sigma,
-        index=np.where(grid.index < 0, -1, grid.index * times).astype(np.int32),
-        parity=grid.parity,
-    )
-
-
-def _hermite(at: Float, t: float) -> Float:
-    """Return points at t from each node to the next along axis 1: (R, C, 2) -> (R, C - 1, 2)."""
-    slope = _slopes(at)
-    a, b, from_a, to_b = at[:, :-1], at[:, 1:], slope[:, :-1], slope[:, 1:]
-    u = 1 - t
-    return (1 + 2 * t) * u * u * a + t * u * u * from_a + t * t * (3 - 2 * t) * b - t * t * u * to_b
-
-
-def _slopes(at: Float) -> Float:
-    """Return derivatives along axis 1: central, or one-sided by the parabola or line there is."""
-    padded = np.pad(at, ((0, 0), (2, 2), (0, 0)), constant_values=np.nan)
-    ll, left, right, rr = padded[:, :-4], padded[:, 1:-3], padded[:, 3:-1], padded[:, 4:]
-    slope = (right - left) / 2
-    for other in (
-        (4 * right - 3 * at - rr) / 2,
-        (3 * at - 4 * left + ll) / 2,
-        right - at,
-        at - left,
-    ):
-        slope = np.where(np.isnan(slope), other, slope)
-    return slope
 
 
 class Profiles(NamedTuple):

@@ -74,6 +74,7 @@ class CamerasCalibration:
     places, residuals: by camera, for each view (R, C, 2) the measured corners, and measured minus
         projected ones, px, NaN where missing; None where the camera does not see the board.
     coverage: by camera, share of the image's 8 x 8 cells that hold a corner.
+    focal_sigma: by camera, the larger standard deviation of the two focal lengths, px.
     """
 
     cameras: Mapping[str, Camera]
@@ -82,6 +83,7 @@ class CamerasCalibration:
     places: Mapping[str, Sequence[Array | None]]
     residuals: Mapping[str, Sequence[Array | None]]
     coverage: Mapping[str, float]
+    focal_sigma: Mapping[str, float]
 
     def rig(self) -> StereoRig:
         """Return the rig of two cameras; raises CalibrationError for fisheyes or another number."""
@@ -137,6 +139,7 @@ class _Alone:
     matrix: Array
     distortion: Array
     poses: dict[int, Array]
+    focal_sigma: float = math.nan
 
 
 def _seen(grids: Sequence[Grid | None], spacing: float) -> dict[int, tuple[Array, Array]]:
@@ -189,7 +192,7 @@ def _one(
             f"{name}: the views leave the focal length uncertain by {sigma / matrix[0, 0]:.0%}: "
             "show the board tilted, in different directions"
         )
-    return alone
+    return dataclasses.replace(alone, focal_sigma=sigma)
 
 
 def _fisheye(boards: Any, points: Any, size: tuple[int, int]) -> Any:
@@ -416,4 +419,5 @@ def _result(
         },
         residuals=residuals,
         coverage=coverage,
+        focal_sigma={name: alone[name].focal_sigma for name in views},
     )

@@ -212,7 +212,7 @@ def arrow_figure(
 def draw_arrows(
     axes: "Axes", image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
 ) -> None:
-    """Draw what `arrow_figure` shows into axes."""
+    """Draw the content of `arrow_figure` into axes."""
     check_image(image)
     if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
         shapes = [rest.shape, now.shape, *([] if field is None else [field.status.shape])]
@@ -274,7 +274,7 @@ def surface_figure(
 
 
 def draw_surface(axes: "Axes3D", field: DisplacementField) -> None:
-    """Draw what `surface_figure` shows into axes in space."""
+    """Draw the content of `surface_figure` into 3-D axes."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator

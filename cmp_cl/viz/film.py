@@ -38,7 +38,7 @@ class OverlayFilm(Closing):
     def __init__(self, path: str | PathLike[str], *, fps: float = 25.0, unit: str = "px") -> None:
         suffix = Path(path).suffix.lower()
         if suffix not in FILM_SUFFIXES:
-            raise ConfigError(f"{str(path)!r}: a film must end in {', '.join(FILM_SUFFIXES)}")
+            raise ConfigError(f"{str(path)!r}: a video must end in {', '.join(FILM_SUFFIXES)}")
         if not 0 < fps < 1e4:
             raise ConfigError(f"fps must be from 0 to 10000, not {fps!r}")
         self._target = check_target(path)
@@ -144,14 +144,14 @@ class OverlayFilm(Closing):
         cv2.putText(strip, top, (right + 6, 25), font, size, white, 1, cv2.LINE_AA)
 
     def close(self) -> None:
-        """Finish the film; closing again does nothing. Without a frame no file appears."""
+        """Finish the video; closing again does nothing. Without a frame no file appears."""
         if self._writer is None:
             return
         self._writer.release()
         self._writer = None
         if not self._is_whole():
             self._temporary.unlink(missing_ok=True)
-            raise OSError(f"{str(self._target)!r}: the film was not written; is the disk full?")
+            raise OSError(f"{str(self._target)!r}: the video was not written; is the disk full?")
         os.replace(self._temporary, self._target)
 
     def _is_whole(self) -> bool:

@@ -214,7 +214,7 @@ def _figure(size: tuple[float, float]) -> "Figure":
 def draw_map(
     figure: "Figure", axes: "Axes", recorded: Recorded, quantity: Quantity, frame: int
 ) -> None:
-    """Draw what `map_figure` shows into axes; frame: its index in the recording."""
+    """Draw the content of `map_figure` into axes; frame: its index in the recording."""
     from matplotlib.collections import PolyCollection
 
     values, unit = recorded.values(quantity, frame)

@@ -1,4 +1,4 @@
-"""One sheet that shows all that is measured of a press in two views."""
+"""One sheet that shows everything that is measured of a press in two views."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING

@@ -151,7 +151,7 @@ def test_two_patterns_are_not_numbered_as_one(run):
     status, out, err = run("detect", "two.png", "--grid", "6x9", "--out", "n.csv")
     assert status == 2
     assert err.startswith("cmp-cl: two.png: frame 0 is not numbered: ")
-    assert err.endswith("; n.csv is not written\n")
+    assert err.endswith("; n.csv was not written\n")
     assert "wrote" not in out
     assert not Path("n.csv").exists()
 
@@ -293,7 +293,7 @@ def test_a_table_is_kept_where_nothing_could_be_read_or_numbered(run, kind):
         "two.png", np.hstack([board, np.full((len(board), 60), 200, np.uint8), board])
     )
     inputs = {"video": ["cut.avi"], "image": ["cut.png"], "grid": ["two.png", "--grid", "6x9"]}
-    fails_in_one_line(run("detect", *inputs[kind], "--out", "c.csv"), "c.csv is not written")
+    fails_in_one_line(run("detect", *inputs[kind], "--out", "c.csv"), "c.csv was not written")
     assert Path("c.csv").read_text() == "old"
     if kind != "grid":
         assert run("detect", *inputs[kind], BOARD, "--out", "c.csv")[0] == 2
@@ -362,7 +362,7 @@ def test_no_output_goes_over_an_input_or_another_output(run, arguments):
     before = {path.name: path.read_bytes() for path in Path().iterdir()}
     status, _, err = run(*arguments)
     assert status == 2
-    assert re.search("is an input and would be overwritten|is named for two outputs", err)
+    assert re.search("is an input and would be overwritten|is given for two outputs", err)
     assert {path.name: path.read_bytes() for path in Path().iterdir()} == before
 
 
@@ -427,7 +427,7 @@ def test_a_full_disk_behind_standard_output_is_told(tmp_path):
         (("detect", BOARD, BOARD, "--overlay", "o.png"), ["2 inputs", "name a folder"]),
         (("detect", BOARD, "--overlay", BOARD), ["would be overwritten"]),
         (("detect", "text.png", "--out", "text.png"), ["would be overwritten"]),
-        (("detect", "in", "--overlay", "in"), ["holds inputs"]),
+        (("detect", "in", "--overlay", "in"), ["contains inputs"]),
         (("detect", BOARD, "--config", "missing.toml"), ["cannot read", "missing.toml"]),
         (("detect", BOARD, "--config", "bad.toml"), ["bad.toml", "unknown key 'windoww'"]),
         (("detect", BOARD, "--config", "text.png"), ["text.png"]),
