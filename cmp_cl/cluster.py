@@ -109,6 +109,8 @@ class Store:
         with np.load(self._path(number), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         digest = str(arrays.pop("digest"))
+        if arrays.keys() != {*_ARRAYS, "lengths", "device", "edge_radius"}:
+            raise ValueError("it is of another version")
         frames = self._frames(number)
         if digest != _digest(arrays, frames.start) or len(arrays["lengths"]) != len(frames):
             raise ValueError("it is another part, or a damaged one")

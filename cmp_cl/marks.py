@@ -6,6 +6,7 @@ a whole cell away, and there its polarity changes. Edges of marks are shorter, o
 """
 
 import dataclasses
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,10 +67,10 @@ def drop_marks(corners: Corners, image: Frame) -> Corners:
             "the corners have no edges: detect them with refinement EdgeStep or EdgeLines"
         )
     kept = ~inside_cells(corners, grey)
-    changes = {
-        field.name: getattr(corners, field.name)[kept]
+    changes: dict[str, Any] = {
+        field.name: value[kept]
         for field in dataclasses.fields(corners)
-        if field.name != "device"
+        if isinstance(value := getattr(corners, field.name), np.ndarray)
     }
     return dataclasses.replace(corners, **changes)
 

@@ -131,7 +131,7 @@ def stores(folder: Path) -> Iterator[Path]:
             *(("edges", (4,), "f4"), ("doubtful", (), "?")),
         )
     }
-    arrays |= {"lengths": lengths, "device": np.array("none")}
+    arrays |= {"lengths": lengths, "device": np.array("none"), "edge_radius": np.array(6.45)}
     digest = np.array(cluster._digest(arrays, 0))
     np.savez(folder / "part-00000000.npz", digest=digest, **arrays)
     (folder / "about.json").write_text(json.dumps({"count": 2, "part": 2, "config": "0"}))

@@ -73,9 +73,9 @@ def field(result: Row) -> str:
     parts.append(
         "### Boards with squares of known size\n\nMeasured sides of the squares, mm. The "
         "Bumblebee2 pairs use their published calibration; each of OpenCV's pairs uses a "
-        "calibration from the other pairs. With a free board, the calibration finds the nodes of the "
-        "board too, and each side is compared with the same side of the board that the other pairs "
-        "found, 25 mm on average.\n"
+        "calibration from the other pairs. With a free board, the calibration finds the nodes of "
+        "the board too, and each side is compared with the same side of the board that the other "
+        "pairs found, 25 mm on average.\n"
     )
     if not result["boards"]:
         return "\n".join([*parts, "Left out: there were no photographs.\n"])
