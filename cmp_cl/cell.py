@@ -50,7 +50,8 @@ def estimate_cell(image: GreyImage) -> float:
 
     Cells wider than the window fall apart into noise. So the image is halved up to five times. The
     weight of a size is how far the runs of about one cell differ from the window's mean. The
-    largest size counts whose weight is at least 3/4 of the best one's.
+    largest size counts whose weight is at least 3/4 of the best one's, and of whose cells two fit
+    into the image.
 
     The estimate is within 0.95 to 1.15 of the truth on dense patterns, within 0.8 to 1.4 on boards
     of wide cells, and unreliable in clutter. In an image of over 2^24 px only some rows and columns
@@ -77,8 +78,9 @@ def estimate_cells(image: GreyImage) -> Cells:
         level = cv2.resize(level, (columns, rows), interpolation=cv2.INTER_AREA)
         halved = _cells(level)
         sizes.append(halved._replace(side=halved.side * 2**n))
-    best = max(cells.weight for cells in sizes)
-    return next(cells for cells in sizes if cells.weight >= _SHARE * best)
+    seen = [cells for cells in sizes if 2 * cells.side <= min(image.shape)] or sizes[:1]
+    best = max(cells.weight for cells in seen)
+    return next(cells for cells in seen if cells.weight >= _SHARE * best)
 
 
 def estimate_blur(image: GreyImage, cells: Cells) -> float:

@@ -84,6 +84,14 @@ def test_the_blur_of_edges_is_measured(sigma, noise):
     assert 0.7 * sigma <= estimate_blur(image, estimate_cells(image)) <= 1.3 * sigma
 
 
+def test_a_sheet_with_a_faint_dense_pattern_is_no_cell():
+    """The sheet differs more from its surround than the cells of 8 px from one another."""
+    image = np.full((480, 640), 230, np.uint8)
+    y, x = np.mgrid[:360, :400]
+    image[60:420, 120:520] = np.where((x // 8 + y // 8) % 2, 120, 90)
+    assert estimate_cell(image) == 8
+
+
 def test_an_image_without_edges_has_no_blur():
     flat = np.full((40, 50), 7, np.uint8)
     assert estimate_blur(flat, estimate_cells(flat)) == 0
