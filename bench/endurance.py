@@ -51,8 +51,9 @@ def digest(results: list[Corners]) -> str:
     """Return a digest of every byte of the results."""
     hashed = hashlib.sha256()
     for corners in results:
-        for name in (field.name for field in dataclasses.fields(Corners) if field.name != "device"):
-            hashed.update(getattr(corners, name).tobytes())
+        for field in dataclasses.fields(Corners):
+            if field.name != "device":
+                hashed.update(np.asarray(getattr(corners, field.name)).tobytes())
     return hashed.hexdigest()
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 BLUR = 1.2  # px, of the model's edges
 NARROW = 1e-3  # rad: stands for no angle at all
-MOST_SAMPLES = 96  # of a quadrant, along either coordinate
+MOST_RINGS = 32  # of either part of the disc: along a radius the model changes little far out
 
 
 @functools.lru_cache(maxsize=8)
@@ -22,9 +22,9 @@ def moments(radius: float) -> NDArray[np.float32]:
     In polar coordinates: Gauss-Legendre along the radius, equal angles in a quadrant, as P is even
     in s and in t.
     """
-    angles = 256 if radius <= 9 else 64  # as much as float32 shows; wide discs take long
-    count = min(math.ceil(2 * radius) + 8, MOST_SAMPLES)
-    node, part = np.polynomial.legendre.leggauss(count)
+    angles = 256 if radius <= 9 else 128  # as much as float32 shows; wide discs take long
+    count = math.ceil(2 * radius) + 8
+    node, part = np.polynomial.legendre.leggauss(min(count, MOST_RINGS))
     flat = math.sqrt(0.75)  # of the radius: from there on the weight falls
     r = radius * np.concatenate([flat * (node + 1), 1 + flat + (1 - flat) * node]) / 2
     ring = radius * np.concatenate([flat * part, (1 - flat) * part]) / 2 * r
