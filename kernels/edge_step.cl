@@ -33,6 +33,7 @@ __kernel void edge_step(__global const PIXEL *restrict image,
   if (n >= counts[count_offset + p]) return;
   const size_t row = p * capacity + n;
   RESULT_OF_FRAME(counts[count_offset + p])
+  *RESULT_CORRELATION = -INFINITY;
   if (*RESULT_METHOD != METHOD_EDGE_LINES) return;
   const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
   const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);

@@ -17,7 +17,7 @@ RESULT_HEAD = 16  # numbers before the fields of a frame, like the next of kerne
 RESULT_FIELDS = 12
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
 RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
-METHODS = 8  # the field METHOD holds a method, and this many times why another was refused
+METHOD_BITS = 3  # the field METHOD holds a method, and above its bits why another was refused
 START_FIELDS = 2
 LINE_FIELDS = 6
 SHARES = 32  # for each of a device's units, of the corners
@@ -190,7 +190,9 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
         padded = multiple(count, LANES)
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
         decision = fields[METHOD, :count].astype(np.uint8)
-        sigma, doubtful = _deviation(fields[:, :count], plan.config)
+        method = decision & (2**METHOD_BITS - 1)
+        accepted = np.count_nonzero(method == Method.EDGE_STEP)
+        sigma, doubtful = _deviation(fields[:, :count], accepted)
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
             pixel = full_pixels(pixel, plan.shape, plan.scale)
@@ -199,8 +201,8 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
                 xy=fields[POSITION].reshape(-1, 2)[:count],
                 pixel=pixel,
                 response=fields[RESPONSE, :count],
-                method=decision % METHODS,
-                refusal=decision // METHODS,
+                method=method,
+                refusal=decision >> METHOD_BITS,
                 sigma=sigma,
                 edges=fields[EDGES].reshape(-1, 4)[:count],
                 doubtful=doubtful,
@@ -234,19 +236,18 @@ def no_corners(device: str) -> Corners:
 
 
 def _deviation(
-    fields: NDArray[np.float32], config: DetectorConfig
+    fields: NDArray[np.float32], accepted: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the standard deviation of each position, px, and which corners are doubtful.
 
     A corner is doubtful whose residual autocorrelation exceeds the frame's median by
-    DOUBTFUL_EXCESS: its surroundings do not look like the corner model.
+    DOUBTFUL_EXCESS: its surroundings do not look like the corner model. accepted: for how many
+    corners EDGE_STEP was; the others have an autocorrelation of -inf.
     """
-    variance = fields[VARIANCE]
-    accepted = fields[METHOD] == Method.EDGE_STEP
-    excess = np.zeros(len(variance), np.float32)
-    if isinstance(config.refinement, EdgeStep) and accepted.any():
-        correlation = fields[CORRELATION]
-        middle = (np.count_nonzero(accepted) - 1) // 2
-        typical = np.partition(correlation[accepted], middle)[middle]
-        excess[accepted] = np.maximum(correlation[accepted] - typical, 0)
-    return np.sqrt(variance + VARIANCE_OF_EXCESS * excess**2), excess > DOUBTFUL_EXCESS
+    variance, correlation = fields[VARIANCE], fields[CORRELATION]
+    if not accepted:
+        return np.sqrt(variance), np.zeros(len(variance), np.bool_)
+    middle = len(correlation) - 1 - accepted // 2  # the lower one of an even number
+    excess = np.maximum(correlation - np.partition(correlation, middle)[middle], 0)
+    sigma: NDArray[np.float32] = np.sqrt(variance + VARIANCE_OF_EXCESS * excess * excess)
+    return sigma, excess > DOUBTFUL_EXCESS
