@@ -7,7 +7,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from cmp_cl.config import DetectorConfig, EdgeLines, EdgeStep, Fit, Midlines
+from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
 from cmp_cl.corners import Corners, Method
 from cmp_cl.stages.layout import LANES, Launch, PlanBase, multiple
 from cmp_cl.stages.moments import BLUR, moments
@@ -191,7 +191,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
         decision = fields[METHOD, :count].astype(np.uint8)
         method = decision & (2**METHOD_BITS - 1)
-        accepted = np.count_nonzero(method == Method.EDGE_STEP)
+        accepted = int(np.count_nonzero(method == Method.EDGE_STEP))
         sigma, doubtful = _deviation(fields[:, :count], accepted)
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
