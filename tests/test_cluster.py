@@ -97,7 +97,8 @@ def test_what_is_there_is_not_done_again(client, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "damage", ["cut", "bit", "empty", "last part", "next part", "written anew", "directory"]
+    "damage",
+    ["cut", "bit", "empty", "last part", "next part", "written anew", "directory", "older"],
 )
 def test_a_damaged_part_is_done_again(client, tmp_path, damage):
     cluster.detect(client, tmp_path, count=COUNT, read=frame, part=PART)
@@ -110,6 +111,12 @@ def test_a_damaged_part_is_done_again(client, tmp_path, damage):
     moved = io.BytesIO()
     with np.load(part) as arrays:
         np.savez(moved, **{**arrays, "xy": arrays["xy"] + np.float32(1)})
+    older = io.BytesIO()
+    with np.load(part) as arrays:
+        kept = {
+            name: arrays[name] for name in arrays.files if name not in ("digest", "edge_radius")
+        }
+    np.savez(older, digest=np.array(cluster._digest(kept, 2 * PART)), **kept)
     damaged = {
         "cut": whole[: len(whole) // 2],
         "bit": bytes(bit),
@@ -118,6 +125,7 @@ def test_a_damaged_part_is_done_again(client, tmp_path, damage):
         "next part": (tmp_path / "part-00000003.npz").read_bytes(),  # whole, of as many frames
         "written anew": moved.getvalue(),  # whole for a zip
         "directory": bytes(directory),
+        "older": older.getvalue(),  # whole, but written before a field was added
     }
     part.write_bytes(damaged[damage])
     store = cluster.open_store(tmp_path)

@@ -11,6 +11,7 @@ from corner_images import board
 from cmp_cl import EdgeLines, EdgeStep, Method, reference
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.moments import moments
+from cmp_cl.stages.refine import CORRELATION, METHOD, METHOD_BITS, RESULT_FIELDS, RESULT_HEAD
 
 
 @pytest.mark.parametrize("scale", [None, 0.63])
@@ -88,3 +89,15 @@ def test_the_table_of_moments_holds_the_integrals_of_the_model(radius):
     slope, place = np.sqrt(exact[..., 0]), np.sqrt(exact[..., 3])
     size = np.stack([slope * slope, *2 * [slope * place], *3 * [place * place]], axis=-1)
     assert (np.abs(between[..., :6] - exact) < 0.002 * size).all()
+
+
+def test_a_refused_step_has_no_autocorrelation(detector_in_form):
+    """The median that tells doubtful corners is that of the accepted ones."""
+    image = images.texture((120, 150), seed=9)
+    detector = detector_in_form(image, rings(refinement=EdgeStep(), contrast=None))
+    count = len(detector(image))
+    numbers = detector._plan(None).read(detector._queue)[0, RESULT_HEAD:]
+    fields = numbers[: RESULT_FIELDS * -(-count // 8) * 8].reshape(RESULT_FIELDS, -1)[:, :count]
+    accepted = fields[METHOD].astype(int) % 2**METHOD_BITS == Method.EDGE_STEP
+    assert 0 < accepted.sum() < count
+    np.testing.assert_array_equal(accepted, fields[CORRELATION] > -np.inf)
