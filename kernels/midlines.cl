@@ -68,8 +68,9 @@ __kernel void midlines(__global const PIXEL *restrict image, __global const int 
                        __global const uint *restrict counts, const uint rows,
                        const uint columns, const uint step, const uint capacity,
                        const uint count_offset, const uint length, const float max_shift,
+                       const float scale,
 #if SCALED
-                       const float scale, __global const float8 *restrict ring_samples,
+                       __global const float8 *restrict ring_samples,
 #endif
                        __global float *restrict result) {
   CORNER_OF_WORK_ITEM

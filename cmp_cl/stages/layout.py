@@ -88,7 +88,7 @@ class PlanBase:
         if self.form is not Form.CPU:
             return 1
         units = self.device.handle.max_compute_units
-        return max(min(2 * units, self.working[0] // 32), 1)
+        return max(min(units, self.working[0] // 32), 1)
 
     @property
     def lanes(self) -> int:

@@ -128,7 +128,7 @@ class Plan(PlanBase):
         """Return the bytes of the arrays that are needed only in passing, layout by layout. The
         arrays of a layout lie one after the other in the buffer "scratch", which every layout uses
         from its start."""
-        return [*self.detection.scratch(self), refine.scratch(self)]
+        return self.detection.scratch(self)
 
     def _allocate(self) -> None:
         needed = sum(self.sizes.values())
