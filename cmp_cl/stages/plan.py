@@ -68,6 +68,8 @@ class Plan(PlanBase):
         form: Form | None = None,
     ) -> None:
         super().__init__(queue, device, shape, dtype, config, factor, frames, form)
+        profiling = cl.command_queue_properties.PROFILING_ENABLE
+        self._profiled = bool(queue.properties & profiling)
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
         self.uploads: list[cl.Event] = []  # in flight in another queue
@@ -258,13 +260,11 @@ class Plan(PlanBase):
 
     def launch(self, stages: Sequence[Launch]) -> None:
         """Enqueue the stages in order, after the upload."""
-        queue, enqueue = self.queue, cl.enqueue_nd_range_kernel
-        profile = queue.properties & cl.command_queue_properties.PROFILING_ENABLE
-        before = self.uploads
+        queue, before = self.queue, self.uploads
         for stage, kernel, items, group, _ in stages:
-            self._last = enqueue(queue, kernel, items, group, wait_for=before)
+            self._last = cl.enqueue_nd_range_kernel(queue, kernel, items, group, wait_for=before)
             before = []
-            if profile:
+            if self._profiled:
                 self.events.append((stage, self._last))
         queue.flush()
 
@@ -279,8 +279,8 @@ class Plan(PlanBase):
         """
         rows = self._fetch(queue, self._likely)
         self.uploads.clear()
-        head = rows[:, : 1 + self.lists].view(np.uint32)
-        most, listed = int(head[:, 0].max()), int(head[:, 1:].max())
+        heads = rows[:, : 1 + self.lists].view(np.uint32).tolist()
+        most, listed = max(head[0] for head in heads), max(max(head[1:]) for head in heads)
         if listed > self.list_capacity or most > self.corner_capacity:
             raise Overflow(listed, most)
         if most > self._likely:
