@@ -142,8 +142,8 @@ ROW_LOOP void peaks_of_row(__global const short *restrict above,
     for (int k = first; k < first + 32; ++k) {
       const short before = above[k] > left[k] ? above[k] : left[k];
       const short behind = below[k] > right[k] ? below[k] : right[k];
-      const short least = before > LEAST ? before : (short)LEAST, r = response[k];
-      const short peak = r > least && r >= behind ? r : (short)0;
+      const short r = response[k]; /* three comparisons: the larger of two bounds takes 32 bits */
+      const short peak = (r > before) & (r >= behind) & (r > LEAST) ? r : (short)0;
       kept[k] = peak;
       any = (ushort)(any | (ushort)peak);
     }
@@ -410,7 +410,7 @@ int any_near(__global const uint *bits, const int x, const int y, const int heig
  * the reference; a fine one only where no coarse corner is within NMS_RADIUS. `maxima` gets a bit
  * for each coarse corner. One work-item a frame. */
 __kernel void decide(__global const ulong *restrict noise, __global const uint *restrict band_counts,
-                     __global const int *restrict lists, const uint rows, const uint columns,
+                     __global int *restrict lists, const uint rows, const uint columns,
                      const uint step, const uint bands, const uint capacity,
                      const uint full_scale, const uint coarse_noise, const int coarse_share,
                      const int fine_share, const uint corner_capacity, const uint count_offset,
@@ -446,10 +446,22 @@ __kernel void decide(__global const ulong *restrict noise, __global const uint *
   for (uint band = 0; band < bands; ++band) {
     const uint own = band * (1 + FINE);
     __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
-    __global const int *fine = coarse + LIST_COLUMNS * capacity;
     const uint coarse_count = SMALLER(band_counts[own], capacity);
-    const uint fine_count = FINE ? SMALLER(band_counts[own + FINE], capacity) : 0;
     most = LARGER(most, LARGER(band_counts[own], band_counts[own + FINE]));
+    uint fine_count = 0; /* few are kept: the merge seldom has to choose */
+#if FINE
+    __global int *fine = lists + (size_t)(own + 1) * LIST_COLUMNS * capacity;
+    for (uint f = 0; f < SMALLER(band_counts[own + 1], capacity); ++f) {
+      const int r = fine[2 * capacity + f], x = fine[f] + PAD, y = fine[capacity + f];
+      if (r <= fine_bound || 128 * r < fine_share * reference ||
+          any_near(maxima, x, y, (int)rows, width))
+        continue;
+      for (uint k = 0; k < LIST_COLUMNS; ++k) fine[k * capacity + fine_count] = fine[k * capacity + f];
+      ++fine_count;
+    }
+#else
+    __global const int *fine = coarse;
+#endif
     for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
       const int before = f == fine_count ||
                          (c < coarse_count &&
@@ -457,12 +469,7 @@ __kernel void decide(__global const ulong *restrict noise, __global const uint *
                            (coarse[capacity + c] == fine[capacity + f] && coarse[c] < fine[f])));
       __global const int *list = before ? coarse + c++ : fine + f++;
       const int r = list[2 * capacity];
-      if (r <= (before ? coarse_bound : fine_bound) ||
-          128 * r < (before ? coarse_share : fine_share) * reference)
-        continue;
-#if FINE
-      if (!before && any_near(maxima, list[0] + PAD, list[capacity], (int)rows, width)) continue;
-#endif
+      if (before && (r <= coarse_bound || 128 * r < coarse_share * reference)) continue;
       if (total < corner_capacity)
         for (uint k = 0; k < LIST_COLUMNS; ++k)
           corners[(size_t)k * length + p * corner_capacity + total] = list[k * capacity];
