@@ -64,10 +64,11 @@ void list_part(Part *part, const int first, const int reach, const float radius_
 /* The pixels of a part around (x, y). */
 void read_part(const Part *part, __global const PIXEL *image, const size_t p, const uint rows,
                const uint columns, const uint step, const int x, const int y, PIXEL *pixel_of) {
-  for (int k = 0; k < part->end - part->first; ++k) {
+  const int top = y + part->first, count = part->end - part->first;
+  __global const PIXEL *line = image + CLAMPED_ROW(top);
+  for (int k = 0; k < count; line += (uint)(top + k) < rows - 1 ? step : 0, ++k) {
     const int begin = part->begin_of[k], width = part->begin_of[k + 1] - begin;
     const int left = x + part->left_of[k];
-    __global const PIXEL *line = image + CLAMPED_ROW(y + part->first + k);
 #if SCALED
     if (left < 0 || left + width > (int)columns) { /* the padding does not repeat the border here */
       for (int i = 0; i < width; ++i)
