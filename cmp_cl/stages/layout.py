@@ -84,7 +84,7 @@ class PlanBase:
 
     @property
     def bands(self) -> int:
-        """Return how many bands of rows: two for a unit of a CPU, of at least 32 rows; else one."""
+        """Return how many bands of rows: one for a unit of a CPU, of at least 32 rows; else one."""
         if self.form is not Form.CPU:
             return 1
         units = self.device.handle.max_compute_units

@@ -4,6 +4,7 @@ A plan serves one shape, one pixel type and one number of frames. It allocates o
 costs its upload, its launches and the download of its corners.
 """
 
+import functools
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
@@ -68,8 +69,6 @@ class Plan(PlanBase):
         form: Form | None = None,
     ) -> None:
         super().__init__(queue, device, shape, dtype, config, factor, frames, form)
-        profiling = cl.command_queue_properties.PROFILING_ENABLE
-        self._profiled = bool(queue.properties & profiling)
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
         self.uploads: list[cl.Event] = []  # in flight in another queue
@@ -130,7 +129,7 @@ class Plan(PlanBase):
         """Return the bytes of the arrays that are needed only in passing, layout by layout. The
         arrays of a layout lie one after the other in the buffer "scratch", which every layout uses
         from its start."""
-        return self.detection.scratch(self)
+        return list(self.detection.scratch(self))
 
     def _allocate(self) -> None:
         needed = sum(self.sizes.values())
@@ -267,6 +266,11 @@ class Plan(PlanBase):
             if self._profiled:
                 self.events.append((stage, self._last))
         queue.flush()
+
+    @functools.cached_property
+    def _profiled(self) -> bool:
+        """Return whether the queue keeps the times of its commands."""
+        return bool(self.queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
 
     def _wait(self) -> None:
         """Wait until no kernel runs."""

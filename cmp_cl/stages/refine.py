@@ -17,7 +17,6 @@ RESULT_HEAD = 16  # numbers before the fields of a frame, like the next of kerne
 RESULT_FIELDS = 12
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
 RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
-METHOD_BITS = 3  # the field METHOD holds a method, and above its bits why another was refused
 SHARES = 32  # for each of a device's units, of the corners
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
@@ -159,9 +158,9 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
         padded = multiple(count, LANES)
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
-        decision = fields[METHOD, :count].astype(np.uint8)
-        method = decision & (2**METHOD_BITS - 1)
-        accepted = int(np.count_nonzero(method == Method.EDGE_STEP))
+        decisions = fields[METHOD].view(np.uint8)  # methods, then why another was refused
+        method = decisions[:count]
+        accepted = 0 if math.isnan(radius) else int(np.count_nonzero(method == Method.EDGE_STEP))
         sigma, doubtful = _deviation(fields[:, :count], accepted)
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
@@ -172,7 +171,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
                 pixel=pixel,
                 response=fields[RESPONSE, :count],
                 method=method,
-                refusal=decision >> METHOD_BITS,
+                refusal=decisions[padded : padded + count],
                 sigma=sigma,
                 edges=fields[EDGES].reshape(-1, 4)[:count],
                 doubtful=doubtful,

@@ -1,11 +1,11 @@
 #include "cpu/edge_lines.clh"
 #include "corner_model.clh"
 
-/* EDGE_LINES, then EDGE_STEP, for CPUs. The pixels that the disc may contain, wherever in the middle pixel its
- * centre lies, are listed once for all corners, row by row. A vector holds the next eight of
- * the list, so every loop has the same length for every corner. The work from a pixel to the
- * sums is cut into two loops, so that several vectors are in flight at a time. The equations
- * are solved for eight corners at a time. */
+/* EDGE_LINES, then EDGE_STEP, for CPUs. The lines and the equations are solved for eight corners at
+ * a time, the step's sums for one after the other. The pixels that the disc may contain, wherever
+ * in the middle pixel its centre lies, are listed once for all corners, row by row. A vector holds
+ * the next eight of the list, so every loop has the same length for every corner. The work from a
+ * pixel to the sums is cut into two loops, so that several vectors are in flight at a time. */
 
 /* A disc with more rows or pixels is processed in parts of whole rows. */
 #if SCALED
@@ -136,7 +136,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
     EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
     EDGE_FRAME
     for (uint lane = 0; lane < LANES && n + lane < total; ++lane) {
-      if (OF_LANE(method) != METHOD_EDGE_LINES) continue;
+      if (!as_uint(OF_LANE(good))) continue;
       const int near_x = (int)OF_LANE(start_x), near_y = (int)OF_LANE(start_y);
       const float a_x = OF_LANE(n1x) * BY_BLUR, a_y = OF_LANE(n1y) * BY_BLUR;
       const float b_x = OF_LANE(n2x) * BY_BLUR, b_y = OF_LANE(n2y) * BY_BLUR;
