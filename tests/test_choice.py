@@ -22,7 +22,7 @@ def before_rings(width, blur):
     part, truth = board(80, 100, 8.5)
     image[TOP - 8 : TOP + 88, LEFT - 8 : LEFT + 108] = part.max()
     image[TOP : TOP + 80, LEFT : LEFT + 100] = part
-    return image, truth + (LEFT, TOP)
+    return image, truth + np.array([LEFT, TOP])
 
 
 def errors(image, truth, config, device):
