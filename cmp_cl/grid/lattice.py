@@ -51,12 +51,17 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     z = z[order]
     half, other = _links(z, lines.take(order, axis=1), first, second)
     cells = _cells(z, half, other)
-    sure = cells == 2
-    trees = _planted(len(z), half[sure], other[sure])
-    trees = _join(trees, half[sure], other[sure], 0)
-    half, other = half[cells > 0], other[cells > 0]
-    trees = _join(trees, half, other, STRONG)
-    return _arranged(z, bend, order, half, other, trees)
+    closed = np.flatnonzero(cells > 0)
+    sure = cells[closed] == 2
+    half, other = half[closed], other[closed]
+    trees = _spanned(len(z), half, other)
+    agree = _agree(trees, half, other)
+    if not agree.all():  # the numbers depend on the order in which links join
+        trees = _planted(len(z), half[sure], other[sure])
+        trees = _join(trees, half[sure], other[sure], 0)
+        trees = _join(trees, half, other, STRONG)
+        agree = _agree(trees, half, other)
+    return _arranged(z, bend, order, half, other, trees, agree)
 
 
 def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
@@ -140,7 +145,7 @@ def _boundary(
     even, odd = (lines.take(corner, axis=1) * way.conj()).real
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
-    behind = np.where(is_odd, odd, even) < 0
+    behind = np.where(is_odd, odd < 0, even < 0)
     return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
@@ -197,6 +202,32 @@ def _planted(corners: int, half: Index, other: Index) -> _Trees:
     return planted._replace(root=number[planted.root])
 
 
+def _spanned(corners: int, half: Index, other: Index) -> _Trees:
+    """Return one tree for the corners of each component, whatever links join them."""
+    trees = _planted(corners, half, other)
+    while True:
+        half, other = _apart(trees, half, other)
+        if not len(half):
+            return trees
+        trees = _hooked(trees, *_frames(trees, half, other))  # of several hooks the last holds
+
+
+def _apart(trees: _Trees, half: Index, other: Index) -> tuple[Index, Index]:
+    """Return the links between two trees, from that of the lower root."""
+    first, second = trees.root[half >> 2], trees.root[other >> 2]
+    apart = np.flatnonzero(first != second)
+    half, other = half[apart], other[apart]
+    down = first[apart] < second[apart]
+    return np.where(down, half, other), np.where(down, other, half)
+
+
+def _agree(trees: _Trees, half: Index, other: Index) -> Mask:
+    """Return which links lead to the place and the frame that the other corner has."""
+    a, b = half >> 2, other >> 2
+    way = trees.turn[a] * UNITS[half & 3]
+    return (trees.node[a] + way == trees.node[b]) & (trees.turn[b] * UNITS[other & 3] == -way)
+
+
 def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
     """Join trees along links until no link lies between two trees.
 
@@ -205,10 +236,9 @@ def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
     wait. The number of passes grows with the logarithm of the size of the lattice.
     """
     while True:
-        apart = np.flatnonzero(trees.root[half >> 2] != trees.root[other >> 2])
-        if not len(apart):
+        half, other = _apart(trees, half, other)
+        if not len(half):
             return trees
-        half, other = half[apart], other[apart]
         *hooks, votes = _hooks(trees, half, other)
         strong = votes >= share * votes.max()
         child, parent, spin, shift = (values[strong] for values in hooks)
@@ -235,16 +265,21 @@ def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Co
     return _Trees(above[root], offset[root] + turned * trees.node, turned * trees.turn)
 
 
+def _frames(
+    trees: _Trees, half: Index, other: Index
+) -> tuple[Index, Index, Complex, Complex]:
+    """Return, for each link, the tree of the other corner, that of the first, and its frame there."""
+    a, b = half >> 2, other >> 2
+    spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
+    shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
+    return trees.root[b], trees.root[a], spin, shift
+
+
 def _hooks(
     trees: _Trees, half: Index, other: Index
 ) -> tuple[Index, Index, Complex, Complex, Index]:
     """Return each tree with a neighbour of lower root, that root, its frame there, and votes."""
-    down = trees.root[half >> 2] < trees.root[other >> 2]
-    half, other = np.where(down, half, other), np.where(down, other, half)
-    a, b = half >> 2, other >> 2
-    parent, child = trees.root[a], trees.root[b]
-    spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
-    shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
+    child, parent, spin, shift = _frames(trees, half, other)
     quarter = (spin.imag != 0) + 2 * (spin.real + spin.imag < 0)
     reach = int(max(np.abs(shift.real).max(), np.abs(shift.imag).max())) + 1
     key = (child * len(trees.root) + parent) * 4 + quarter
@@ -274,12 +309,11 @@ def _arranged(
     half: Index,
     other: Index,
     trees: _Trees,
+    agree: Mask,
 ) -> Lattice:
     """Return the components by size, in the corners' own order; z is in the sorted order."""
     root, node, turn = trees
     a, b = half >> 2, other >> 2
-    way = turn[a] * UNITS[half & 3]
-    agree = (node[a] + way == node[b]) & (turn[b] * UNITS[other & 3] == -way)
     support = np.bincount(a[agree], minlength=len(z)) + np.bincount(b[agree], minlength=len(z))
     linked = np.zeros(len(z), np.bool_)
     linked[a] = linked[b] = True
@@ -288,10 +322,11 @@ def _arranged(
     label = np.full(len(z), -1)
     label[largest] = np.arange(len(largest))
     label = np.where(linked, label[root], -1)
-    along = (z[b] - z[a]) * way.conj()
-    steps = np.maximum(np.bincount(label[a], minlength=len(largest)), 1)
-    axis = np.bincount(label[a], along.real, len(largest)) / steps + 0j
-    axis.imag = np.bincount(label[a], along.imag, len(largest)) / steps
+    along = (z[b] - z[a]) * (turn[a] * UNITS[half & 3]).conj()
+    part = label[a]
+    steps = np.maximum(np.bincount(part, minlength=len(largest)), 1)
+    axis = np.bincount(part, along.real, len(largest)) / steps + 0j
+    axis.imag = np.bincount(part, along.imag, len(largest)) / steps
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
     return Lattice(
