@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.evidence import grey
 from cmp_cl.grid.grid import NO_SIDES, UNSEEN, Grid, Sides, turned_sides
-from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, median
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
@@ -110,25 +110,22 @@ def border_of(nodes: Nodes, image: GreyImage) -> Border:
     ended = _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
     if not any(ended):
         return Border()
-    at, across = nodes.at, nodes.at.T
-    ways = (at, at[::-1], across, across[::-1])
-    found = iter(_reaches([way for end, way in zip(ended, ways, strict=True) if end], image))
-    top, bottom, left, right = (next(found) if end else math.nan for end in ended)
-    reach = top, bottom, left, right
+    reach = _reaches(nodes.at, ended, image)
     return Border(reach, _past(nodes, image, reach))
 
 
-def _reaches(sides: list[Points], image: GreyImage) -> list[float]:
-    """Return how far the squares before the first row of nodes of each side reach, cells.
+def _reaches(at: Points, ended: Sides, image: GreyImage) -> FourSides:
+    """Return how far the squares before the last nodes of those sides reach, cells.
 
-    sides: (R, C) px each. A square ends where its contrast to the one beside it does. How far
-    the two reach is the sum of that contrast over depths, as a share of that between the first
-    two rows. What is seen of the squares beyond, in which black and white change places,
-    counts too. NaN where they do not reach equally far.
+    at: (R, C) px. A square ends where its contrast to the one beside it does. How far the two
+    reach is the sum of that contrast over depths, as a share of that between the last two lines
+    of nodes. What is seen of the squares beyond, in which black and white change places, counts
+    too. NaN where they do not reach equally far.
     """
-    pairs = [_pairs(at) for at in sides]
-    side = np.repeat(np.arange(len(sides)), [pair.shape[1] for pair in pairs])
-    middle, out, along = np.concatenate(pairs, axis=1)
+    lines = _outer(at)
+    seen = ~np.isnan(lines.real).any(axis=0) & np.array(ended)[:, None]
+    side, first = _sampled(seen[:, :-2] & seen[:, 1:-1] & seen[:, 2:], PAIRS)
+    middle, out, along = _squares(lines, side[:, None], first[:, None] + [0, 1])
     shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
     middle, out, along = (each[shown, :, None] for each in (middle, out, along))
     depths = np.concatenate([[-0.5], DEPTHS])
@@ -143,21 +140,49 @@ def _reaches(sides: list[Points], image: GreyImage) -> list[float]:
     share = np.maximum(share, np.minimum(before, after))  # where black and white change places
     reach = DEPTHS[0] - STEP / 2 + STEP * share.sum(axis=1)
     side = side[shown]
-    return [common_reach(reach[side == number], at.shape[1]) for number, at in enumerate(sides)]
+    rows, columns = at.shape
+    top, bottom, left, right = (
+        common_reach(reach[side == number], size)
+        for number, size in enumerate((columns, columns, rows, rows))
+    )
+    return top, bottom, left, right
 
 
-def _pairs(at: Points) -> Points:
-    """Return some pairs of squares before the first row of nodes, (3, K, 2) px: the middle of
-    their first sides, and the steps out of the pattern and along it."""
-    one, two = at[0], at[1]
-    seen = ~np.isnan(one.real) & ~np.isnan(two.real)
-    column = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:])
-    if len(column) > PAIRS:
-        column = column[np.arange(PAIRS) * len(column) // PAIRS]
-    beside = column[:, None] + [0, 1]
-    middle = (one[beside] + one[beside + 1]) / 2
-    out = middle - (two[beside] + two[beside + 1]) / 2
-    return np.array([middle, out, one[beside + 1] - one[beside]])
+def _outer(at: Points) -> Points:
+    """Return the last line of nodes of each side and the one before it, (2, 4, L), px.
+
+    at: (R, C), at least two of each; L is the larger. Missing nodes are NaN.
+    """
+    lines = np.full((2, 4, max(at.shape)), NOWHERE)
+    for number, way in enumerate((at, at[::-1], at.T, at.T[::-1])):
+        lines[:, number, : way.shape[1]] = way[:2]
+    return lines
+
+
+def _sampled(shown: Mask, most: int) -> tuple[Index, Index]:
+    """Return the sides and the places on them, evenly spread, of some that are True.
+
+    shown: (4, L), by side. most: of each side.
+    """
+    count = np.count_nonzero(shown, axis=1)
+    number = np.minimum(count, most)
+    side = np.repeat(np.arange(4), number)
+    rank = np.arange(len(side)) - (np.cumsum(number) - number)[side]
+    chosen = (np.cumsum(count) - count)[side] + rank * count[side] // number[side]
+    place = np.flatnonzero(shown)[chosen]
+    return side, place - side * shown.shape[1]
+
+
+def _squares(lines: Points, side: Index, first: Index) -> tuple[Points, Points, Points]:
+    """Return the middle of the sides that squares have on the last line, and the steps out of
+    the pattern and along it, px.
+
+    lines: as of `_outer`. first: the node on the line that a square begins at.
+    """
+    one, inner = lines[:, side, first]
+    other, inner_other = lines[:, side, first + 1]
+    middle = (one + other) / 2
+    return middle, middle - (inner + inner_other) / 2, other - one
 
 
 def common_reach(reach: Float, columns: int) -> float:
@@ -208,7 +233,7 @@ def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
     level = grey(image, spots).mean(axis=2)
     step = np.where(shown, (level[:, 1] - level[:, 0]) / contrast, math.nan)
     first, second = step[::2], step[1::2]
-    least = np.clip(0, np.fmin(first, second), np.fmax(first, second))
+    least = np.minimum(np.maximum(0, np.fmin(first, second)), np.fmax(first, second))
     top, bottom, left, right = least.tolist()
     return top, bottom, left, right
 
@@ -221,13 +246,15 @@ def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Side
     at = nodes.at
     if min(at.shape) < 2:
         return NO_SIDES
-    lines = [_squares(way, *rows) for way in (at, at.T) for rows in ((0, 1), (-1, -2))]
-    looked = np.array([len(line.sign) for line in lines])
-    side = np.repeat(np.arange(4), looked)
-    middle: Points = np.concatenate([line.middle for line in lines])
-    out: Points = np.concatenate([line.out for line in lines])
-    along = np.concatenate([line.along for line in lines])
-    sign = np.concatenate([line.sign for line in lines])
+    lines = _outer(at)
+    known = ~np.isnan(lines.real).any(axis=0)
+    square = known[:, 1:] & known[:, :-1]
+    across, down = (np.count_nonzero(nodes.there.any(axis)) for axis in (0, 1))
+    most = np.array([across, across, down, down]) - 1
+    square[2 * np.count_nonzero(square, axis=1) < most] = False  # most lines end elsewhere
+    side, first = _sampled(square, MOST)
+    middle, out, along = _squares(lines, side, first)
+    sign = 1 - 2 * (first % 2)
     far: Points = middle + shown * out
     seen = _inside(far, image)
     spots = np.array([middle + depth * out, middle - out / 2]) + SPOTS[:, None, None] * along
@@ -237,6 +264,7 @@ def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Side
     total = np.stack([np.bincount(group, each, 8) for each in level])
     beyond, inside = np.abs((total / np.maximum(count, 1)).reshape(2, 4, 2).sum(axis=2))
     dark, bright = count.reshape(4, 2).T
+    looked = np.bincount(side, minlength=4)
     both = (2 * (dark + bright) >= looked) & (dark > 0) & (bright > 0)
     return Sides(*(both & (beyond < FLAT * inside)).tolist())
 
@@ -260,37 +288,13 @@ def _inside(at: Points, image: GreyImage) -> Mask:
     return inside
 
 
-class _Squares(NamedTuple):
-    """Squares between the first row of nodes and the second: the middle of their first sides,
-    the steps out of the pattern and along it, px, and 1 or -1 in turn."""
-
-    middle: Points
-    out: Points
-    along: Points
-    sign: Index
-
-
-def _squares(at: Points, first: int, second: int) -> _Squares:
-    """Sample some squares of a side, none where less than half of the lines end there."""
-    one, two = at[first], at[second]
-    seen = ~np.isnan(one.real) & ~np.isnan(two.real)
-    column = np.flatnonzero(seen[1:] & seen[:-1])
-    lines = at.shape[1]
-    if 2 * len(column) < lines - 1:  # perhaps the corners of a pattern that is turned
-        lines = int(np.count_nonzero(~np.isnan(at.real).all(axis=0)))
-    if 2 * len(column) < lines - 1:
-        column = column[:0]
-    if len(column) > MOST:
-        column = column[np.arange(MOST) * len(column) // MOST]
-    middle, inner = (one[column] + one[column + 1]) / 2, (two[column] + two[column + 1]) / 2
-    return _Squares(middle, middle - inner, one[column + 1] - one[column], 1 - 2 * (column % 2))
-
-
 def full_lines(there: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     """Return the first and last row, first and last column with a fair share of the nodes.
 
     there: (R, C), where nodes are; at least one.
     """
+    if there.all():
+        return 0, there.shape[0] - 1, 0, there.shape[1] - 1
     ends: list[int] = []
     for axis in (1, 0):
         count = there.sum(axis=axis)

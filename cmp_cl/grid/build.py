@@ -152,6 +152,7 @@ def _checked(
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
         _check_holds(check_image(image), corners)
+        image = np.ascontiguousarray(image)
     check_finite(corners)
     if shape is not None:
         check_room(shape, len(corners))
@@ -198,7 +199,7 @@ def _numbered(
         border = border_of(nodes, seen.image)
     if like is not None:
         placed = like_rest(nodes, border, like, previous)
-    elif shape is not None:
+    elif shape is not None and placing:
         ends = Ends(border.sides)
         if seen.image is not None and np.less(nodes.at.shape, shape).any():
             ends = Ends(border.sides, cut_of(nodes, seen.image), border.passing)

@@ -50,8 +50,15 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
         if not len(row):
             return dropped
         if usual is None:
-            usual = _usual_contrast(nodes, image)
-        kept = _convincing(nodes, image, edges, row, column, whole, usual)
+            inner = _some_inside(nodes)
+            every = _look(nodes, image, *np.concatenate([(row, column), inner], axis=1))
+            look = _Look(*(values[: len(row)] for values in every))
+            contrast = every.bright - every.dark
+            contrast = contrast[len(row) :][every.known[len(row) :]]
+            usual = median(contrast) if len(contrast) else 0.0
+        else:
+            look = _look(nodes, image, row, column)
+        kept = _convincing(nodes, image, edges, look, whole, usual)
         if kept.all():
             return dropped
         nodes.drop(row[~kept], column[~kept])
@@ -88,42 +95,56 @@ def _hole(seen: Mask) -> Mask:
     return hole
 
 
-def _usual_contrast(nodes: Nodes, image: GreyImage) -> float:
-    """Return the median contrast of some nodes, those inside the grid where there are any."""
+def _some_inside(nodes: Nodes) -> tuple[Index, Index]:
+    """Return some nodes, those inside the grid where there are any."""
     seen = nodes.status != NodeStatus.MISSING
     inner = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
     row, column = np.nonzero(inner)
     row, column = (row + 1, column + 1) if len(row) else np.nonzero(seen)
-    some = np.linspace(0, len(row) - 1, min(SAMPLE, len(row))).astype(np.int64)
-    row, column = row[some], column[some]
-    along, down, _ = mean_steps(nodes.at, row, column)
+    count = min(SAMPLE, len(row))
+    some = np.arange(count) * (len(row) - 1) // max(count - 1, 1)
+    return row[some], column[some]
+
+
+class _Look(NamedTuple):
+    """What some nodes look like, each (M,).
+
+    along, down, cell: as in `mean_steps`, 0 where steps are not known. bright, dark: the grey
+    levels of the darker bright cell and of the brighter dark one. span: of the four cells.
+    """
+
+    row: Index
+    column: Index
+    along: Points
+    down: Points
+    cell: Float
+    known: Mask
+    bright: Float
+    dark: Float
+    span: Float
+
+
+def _look(nodes: Nodes, image: GreyImage, row: Index, column: Index) -> _Look:
+    """Look at the four cells around nodes."""
+    along, down, cell = mean_steps(nodes.at, row, column)
     known = ~np.isnan(along.real + down.real)
-    if not known.any():
-        return 0.0
-    row, column, along, down = row[known], column[known], along[known], down[known]
-    bright, dark, _ = _levels(nodes, image, row, column, along, down)
-    return median(bright - dark)
-
-
-def _levels(
-    nodes: Nodes, image: GreyImage, row: Index, column: Index, along: Points, down: Points
-) -> tuple[Float, Float, Float]:
-    """Return the grey levels of the darker bright cell and the brighter dark cell, and the span."""
+    along[~known] = down[~known] = 0
     step = DIAGONAL.real[:, None] * along + DIAGONAL.imag[:, None] * down
     at = nodes.at[row, column] + WITHIN[:, None, None] * step
     level = grey(image, at).sum(axis=0)
     black = (nodes.parity + row + column) % 2 == 0  # the cells after and before on the diagonal
     level = np.where(black, level, level[[1, 2, 3, 0]])
     dark, bright = np.maximum(level[0], level[2]), np.minimum(level[1], level[3])
-    return bright, dark, level.max(axis=0) - level.min(axis=0)
+    span = level.max(axis=0) - level.min(axis=0)
+    return _Look(row, column, along, down, cell, known, bright, dark, span)
 
 
 def grey(image: GreyImage, at: Points) -> Float:
     """Return the grey levels of the nearest pixels; beyond the image those of its border."""
     rows, columns = image.shape
-    x = np.rint(at.real).clip(0, columns - 1).astype(np.int64)
-    y = np.rint(at.imag).clip(0, rows - 1).astype(np.int64)
-    level: Float = image[y, x].astype(np.float64)
+    x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1)
+    y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1)
+    level: Float = image.take((y * columns + x).astype(np.int64)).astype(np.float64)
     return level
 
 
@@ -131,16 +152,12 @@ def _convincing(
     nodes: Nodes,
     image: GreyImage,
     edges: NDArray[np.float32],
-    row: Index,
-    column: Index,
+    look: _Look,
     in_cell: Mask,
     usual: float,
 ) -> Mask:
     """Return which of those nodes look like corners of the pattern."""
-    along, down, cell = mean_steps(nodes.at, row, column)
-    known = ~np.isnan(along.real + down.real)
-    along[~known] = down[~known] = 0
-    bright, dark, span = _levels(nodes, image, row, column, along, down)
+    row, column, along, down, cell, known, bright, dark, span = look
     contrast = bright - dark
     cosine = _cosine(nodes, edges, row, column, along, down)
     at = nodes.at[row, column]
