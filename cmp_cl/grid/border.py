@@ -22,7 +22,7 @@ DEPTHS = np.arange(0.3, 1.45, STEP)  # cells from the last nodes: where the last
 PARALLEL = 0.16  # cells: so near to one reach are three of four
 ALIKE = 0.12  # cells: between the reach of a side of a pattern and that in another picture
 PAST = np.array([0.3, 0.6, 0.9])  # cells past the pattern, where its border has ended
-OFF_LINE = 0.3  # cells to either side of the border's line
+ACROSS_LINE = np.array([[-0.3], [0.3]])  # cells to either side of the border's line
 ROWS = np.array([0, 0, -1, -1, 0, -1, 0, -1])  # the corners at the ends of the four sides
 COLUMNS = np.array([0, -1, 0, -1, 0, 0, -1, -1])
 INNER_ROWS, INNER_COLUMNS = np.where(ROWS, -2, 1), np.where(COLUMNS, -2, 1)
@@ -107,22 +107,24 @@ def border_of(nodes: Nodes, image: GreyImage) -> Border:
     The last squares must reach as far along all of the side: the edge of what lies in front of
     a pattern cuts them anywhere.
     """
-    ended = _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
+    if min(nodes.at.shape) < 2:
+        return Border()
+    lines = _outer(nodes.at)
+    ended = _ends_at(nodes, lines, image, BEYOND, BEYOND + 0.25)
     if not any(ended):
         return Border()
-    reach = _reaches(nodes.at, ended, image)
+    reach = _reaches(lines, nodes.at.shape, ended, image)
     return Border(reach, _past(nodes, image, reach))
 
 
-def _reaches(at: Points, ended: Sides, image: GreyImage) -> FourSides:
+def _reaches(lines: Points, shape: tuple[int, ...], ended: Sides, image: GreyImage) -> FourSides:
     """Return how far the squares before the last nodes of those sides reach, cells.
 
-    at: (R, C) px. A square ends where its contrast to the one beside it does. How far the two
-    reach is the sum of that contrast over depths, as a share of that between the last two lines
-    of nodes. What is seen of the squares beyond, in which black and white change places, counts
-    too. NaN where they do not reach equally far.
+    lines: as of `_outer`, in a grid of that shape. A square ends where its contrast to the one
+    beside it does. How far the two reach is the sum of that contrast over depths, as a share of
+    that between the last two lines of nodes. What is seen of the squares beyond, in which black
+    and white change places, counts too. NaN where they do not reach equally far.
     """
-    lines = _outer(at)
     seen = ~np.isnan(lines.real).any(axis=0) & np.array(ended)[:, None]
     side, first = _sampled(seen[:, :-2] & seen[:, 1:-1] & seen[:, 2:], PAIRS)
     middle, out, along = _squares(lines, side[:, None], first[:, None] + [0, 1])
@@ -140,7 +142,7 @@ def _reaches(at: Points, ended: Sides, image: GreyImage) -> FourSides:
     share = np.maximum(share, np.minimum(before, after))  # where black and white change places
     reach = DEPTHS[0] - STEP / 2 + STEP * share.sum(axis=1)
     side = side[shown]
-    rows, columns = at.shape
+    rows, columns = shape
     top, bottom, left, right = (
         common_reach(reach[side == number], size)
         for number, size in enumerate((columns, columns, rows, rows))
@@ -202,9 +204,10 @@ def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
     """Return the sides on which the image ends before the next nodes, and shows cells there."""
     at, across = nodes.at, nodes.at.T
     cut = [_cut(way, image) for way in (at, at[::-1], across, across[::-1])]
-    if any(cut):
+    if any(cut) and min(at.shape) > 1:
+        lines = _outer(at)
         for depth in JUST_BEYOND:
-            ended = _ends_at(nodes, image, depth, depth + 0.05)
+            ended = _ends_at(nodes, lines, image, depth, depth + 0.05)
             cut = [hidden and not end for hidden, end in zip(cut, ended, strict=True)]
     return Sides(*cut)
 
@@ -226,7 +229,7 @@ def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
     out = np.concatenate([down[:4], across[4:]])[:, None, None]
     along = np.concatenate([across[:4], down[4:]])[:, None, None]
     reaches = np.array(reach)[:, None, None]
-    depth = reaches.repeat(2, axis=0) + np.array([[-OFF_LINE], [OFF_LINE]])
+    depth = reaches.repeat(2, axis=0) + ACROSS_LINE
     spots = corner[:, None, None] + depth * out + (reaches[ASIDE] + PAST) * along
     shown = _inside(spots, image).all(axis=(1, 2))
     spots[~shown] = 0
@@ -238,20 +241,18 @@ def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
     return top, bottom, left, right
 
 
-def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Sides:
+def _ends_at(nodes: Nodes, lines: Points, image: GreyImage, depth: float, shown: float) -> Sides:
     """Return the sides on which there are no cells that many cells from the last nodes.
 
-    shown: how far the image must reach, cells; else the side is none of them.
+    lines: as of `_outer`. shown: how far the image must reach, cells; else the side is none of
+    them.
     """
-    at = nodes.at
-    if min(at.shape) < 2:
-        return NO_SIDES
-    lines = _outer(at)
     known = ~np.isnan(lines.real).any(axis=0)
     square = known[:, 1:] & known[:, :-1]
-    across, down = (np.count_nonzero(nodes.there.any(axis)) for axis in (0, 1))
-    most = np.array([across, across, down, down]) - 1
-    square[2 * np.count_nonzero(square, axis=1) < most] = False  # most lines end elsewhere
+    if not square.all():
+        across, down = (np.count_nonzero(nodes.there.any(axis)) for axis in (0, 1))
+        most = np.array([across, across, down, down]) - 1
+        square[2 * np.count_nonzero(square, axis=1) < most] = False  # most lines end elsewhere
     side, first = _sampled(square, MOST)
     middle, out, along = _squares(lines, side, first)
     sign = 1 - 2 * (first % 2)

@@ -46,10 +46,10 @@ class Lattice(NamedTuple):
 
 def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad."""
-    order, first, second = near_pairs(z)
+    order, first, second, step = near_pairs(z)
     lines, bend = _lines(edges)
     z = z[order]
-    half, other = _links(z, lines.take(order, axis=1), first, second)
+    half, other = _links(lines.take(order, axis=1), first, second, step)
     cells = _cells(z, half, other)
     closed = np.flatnonzero(cells > 0)
     sure = cells[closed] == 2
@@ -64,11 +64,11 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     return _arranged(z, bend, order, half, other, trees, agree)
 
 
-def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
+def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     """Return the pairs of points that are at most FARTHEST_NEIGHBOUR cells apart.
 
-    Returns an order of the points and the pairs as places in that order, each pair once, the
-    lower place first. The cell is taken from the density of the points, where all but a tenth
+    Returns an order of the points, the pairs as places in that order, each pair once, the lower
+    place first, and the step from the first to the second. The cell is taken from the density of the points, where all but a tenth
     are denser.
     """
     x, y = z.real.astype(np.float64), z.imag.astype(np.float64)
@@ -97,7 +97,7 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
     second = np.arange(len(first)) + np.repeat(begin - np.cumsum(count) + count, count)
     step = z[second] - z[first]
     near = np.flatnonzero(step.real**2 + step.imag**2 < reach**2)
-    return order, first[near], second[near]
+    return order, first[near], second[near], step[near]
 
 
 def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
@@ -113,7 +113,7 @@ def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
     return lines, bend
 
 
-def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Index, Index]:
+def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[Index, Index]:
     """Return the links: pairs of half-edges that choose each other.
 
     A corner looks along that half of its two lines which is nearest to the way to the other
@@ -121,9 +121,8 @@ def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Ind
     other from black to white, so the sum of the boundaries' numbers is odd. The choice is by
     length * (1 + 4 (1 - cos)) of both ends.
     """
-    step = z[second] - z[first]
     length = np.sqrt(step.real**2 + step.imag**2)
-    step *= 1 / np.maximum(length, np.float32(1e-6))
+    step = step * (1 / np.maximum(length, np.float32(1e-6)))
     k, cos_ahead = _boundary(lines, first, step)
     m, cos_back = _boundary(lines, second, -step)
     fits = (cos_ahead > COSINE) & (cos_back > COSINE) & ((k ^ m) & 1 == 1)
@@ -131,7 +130,7 @@ def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Ind
     half = 4 * first[kept] + k[kept]
     other = 4 * second[kept] + m[kept]
     cost = length[kept] * (5 - 4 * cos_ahead[kept]) * (5 - 4 * cos_back[kept])
-    best = np.full(4 * len(z), np.inf, cost.dtype)
+    best = np.full(4 * lines.shape[1], np.inf, cost.dtype)
     np.minimum.at(best, half, cost)
     np.minimum.at(best, other, cost)
     chosen = np.flatnonzero((best[half] == cost) & (best[other] == cost))
@@ -145,7 +144,7 @@ def _boundary(
     even, odd = (lines.take(corner, axis=1) * way.conj()).real
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
-    behind = np.where(is_odd, odd < 0, even < 0)
+    behind = (odd < 0) & is_odd | (even < 0) & ~is_odd
     return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
@@ -265,9 +264,7 @@ def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Co
     return _Trees(above[root], offset[root] + turned * trees.node, turned * trees.turn)
 
 
-def _frames(
-    trees: _Trees, half: Index, other: Index
-) -> tuple[Index, Index, Complex, Complex]:
+def _frames(trees: _Trees, half: Index, other: Index) -> tuple[Index, Index, Complex, Complex]:
     """Return, for each link, the tree of the other corner, that of the first, and its frame there."""
     a, b = half >> 2, other >> 2
     spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()

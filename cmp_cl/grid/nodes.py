@@ -129,21 +129,24 @@ def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     Raises GridError where the box is too large for its corners.
     """
     member = np.flatnonzero(found.component == component)
-    member = member[np.argsort(found.support[member], kind="stable")]
     angle = cmath.phase(complex(found.axis[component]))
     unit = (1, 1j, -1, -1j)[round(angle / (cmath.pi / 2)) % 4]
     node, turn = found.node[member] * unit, found.turn[member] * unit
     row, column = node.imag.astype(np.int64), node.real.astype(np.int64)
     row -= row.min()
     column -= column.min()
-    check_room((int(row.max()) + 1, int(column.max()) + 1), len(z))
+    shape = int(row.max()) + 1, int(column.max()) + 1
+    check_room(shape, len(z))
     odd = ((turn.imag != 0) + row + column) % 2
     free = np.ones(len(z), np.bool_)
     free[member] = False
     parity = int(2 * np.count_nonzero(odd) > len(odd))
-    nodes = Nodes((int(row.max()) + 1, int(column.max()) + 1), parity, free)
-    nodes.owner[row, column] = member  # the best supported is last and stays
+    nodes = Nodes(shape, parity, free)
+    nodes.owner[row, column] = member
     seen = nodes.owner >= 0
+    if np.count_nonzero(seen) < len(member):  # of several at a place the best supported stays
+        best = np.argsort(found.support[member], kind="stable")
+        nodes.owner[row[best], column[best]] = member[best]
     nodes.at = np.where(seen, z[nodes.owner], NOWHERE)
     nodes.status[seen] = NodeStatus.DETECTED
     nodes.changed[:] = True

@@ -47,12 +47,11 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
     width = padded.shape[1]
     near = padded.ravel()[(row + 3) * width + column + 3 + (STEPS @ [width, 1])[:, None]]
     unknown = np.isnan(near.real)
-    near[unknown] = 0
+    np.copyto(near, 0, where=unknown)
     known = USES @ unknown == 0
     weight: Float = WEIGHTS @ known
     factors = WEIGHTED.T @ known
-    with np.errstate(invalid="ignore"):
-        return (factors * near).sum(0) / weight, weight
+    return (factors * near).sum(0) / _counted(weight), weight
 
 
 def predict_within(at: Points) -> Points:
@@ -70,6 +69,11 @@ def _bordered(at: Points) -> Points:
     return padded
 
 
+def _counted(weight: Float) -> Float:
+    """Return the weights, NaN instead of 0: what nothing is known of is divided by nothing."""
+    return np.where(weight == 0, np.nan, weight)
+
+
 def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, Float]:
     """Return the step to the next column, to the next row, and the cell there, each (M,), px.
 
@@ -81,9 +85,8 @@ def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, F
     near = padded.ravel()[(LINES @ [width, 1])[..., None] + place]
     step = (near[:, :, 1:] - near[:, :, :-1]).reshape(TOUCHED.shape[1], len(row))
     known = ~np.isnan(step.real)
-    step[~known] = 0
-    with np.errstate(invalid="ignore"):
-        mean: Points = TOUCHED @ step / (TOUCHED @ known)
+    np.copyto(step, 0, where=~known)
+    mean: Points = TOUCHED @ step / _counted(TOUCHED @ known)
     length = np.abs(mean)
     cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
     return mean[0], mean[1], cell
