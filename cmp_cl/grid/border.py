@@ -1,7 +1,7 @@
 """Where a pattern ends in the view."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,7 +175,7 @@ def _sampled(shown: Mask, most: int) -> tuple[Index, Index]:
     return side, place - side * shown.shape[1]
 
 
-def _squares(lines: Points, side: Index, first: Index) -> tuple[Points, Points, Points]:
+def _squares(lines: Points, side: Index, first: NDArray[Any]) -> tuple[Points, Points, Points]:
     """Return the middle of the sides that squares have on the last line, and the steps out of
     the pattern and along it, px.
 
@@ -247,7 +247,7 @@ def _ends_at(nodes: Nodes, lines: Points, image: GreyImage, depth: float, shown:
     lines: as of `_outer`. shown: how far the image must reach, cells; else the side is none of
     them.
     """
-    known = ~np.isnan(lines.real).any(axis=0)
+    known = np.logical_not(np.isnan(lines.real).any(axis=0))
     square = known[:, 1:] & known[:, :-1]
     if not square.all():
         across, down = (np.count_nonzero(nodes.there.any(axis)) for axis in (0, 1))

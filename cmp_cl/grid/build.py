@@ -152,7 +152,6 @@ def _checked(
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
         _check_holds(check_image(image), corners)
-        image = np.ascontiguousarray(image)
     check_finite(corners)
     if shape is not None:
         check_room(shape, len(corners))

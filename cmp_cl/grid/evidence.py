@@ -52,9 +52,8 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
         if usual is None:
             inner = _some_inside(nodes)
             every = _look(nodes, image, *np.concatenate([(row, column), inner], axis=1))
-            look = _Look(*(values[: len(row)] for values in every))
-            contrast = every.bright - every.dark
-            contrast = contrast[len(row) :][every.known[len(row) :]]
+            look, inside = every.part(slice(len(row))), every.part(slice(len(row), None))
+            contrast = (inside.bright - inside.dark)[inside.known]
             usual = median(contrast) if len(contrast) else 0.0
         else:
             look = _look(nodes, image, row, column)
@@ -123,6 +122,10 @@ class _Look(NamedTuple):
     dark: Float
     span: Float
 
+    def part(self, which: slice) -> "_Look":
+        """Return some of them."""
+        return _Look._make(values[which] for values in self)
+
 
 def _look(nodes: Nodes, image: GreyImage, row: Index, column: Index) -> _Look:
     """Look at the four cells around nodes."""
@@ -144,7 +147,7 @@ def grey(image: GreyImage, at: Points) -> Float:
     rows, columns = image.shape
     x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1)
     y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1)
-    level: Float = image.take((y * columns + x).astype(np.int64)).astype(np.float64)
+    level: Float = image[y.astype(np.int64), x.astype(np.int64)].astype(np.float64)
     return level
 
 

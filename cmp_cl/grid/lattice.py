@@ -48,15 +48,14 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad."""
     order, first, second, step = near_pairs(z)
     lines, bend = _lines(edges)
-    z = z[order]
-    half, other = _links(lines.take(order, axis=1), first, second, step)
+    z, lines = z[order], lines.take(order, axis=1)
+    half, other = _links(lines, first, second, step)
     cells = _cells(z, half, other)
     closed = np.flatnonzero(cells > 0)
-    sure = cells[closed] == 2
     half, other = half[closed], other[closed]
-    trees = _spanned(len(z), half, other)
-    agree = _agree(trees, half, other)
-    if not agree.all():  # the numbers depend on the order in which links join
+    trees, agree = _counted(lines, half, other), np.ones(len(half), np.bool_)
+    if trees is None:
+        sure = cells[closed] == 2
         trees = _planted(len(z), half[sure], other[sure])
         trees = _join(trees, half[sure], other[sure], 0)
         trees = _join(trees, half, other, STRONG)
@@ -68,8 +67,8 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     """Return the pairs of points that are at most FARTHEST_NEIGHBOUR cells apart.
 
     Returns an order of the points, the pairs as places in that order, each pair once, the lower
-    place first, and the step from the first to the second. The cell is taken from the density of the points, where all but a tenth
-    are denser.
+    place first, and the step from the first to the second. The cell is taken from the density
+    of the points, where all but a tenth are denser.
     """
     x, y = z.real.astype(np.float64), z.imag.astype(np.float64)
     x -= x.min()
@@ -184,6 +183,42 @@ class _Trees(NamedTuple):
     turn: Complex
 
 
+def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
+    """Number the corners along any links; None where that is not the same along all of them.
+
+    A corner's frame is that which lies nearest to the mean one. Where all links agree with
+    these frames and with the numbers, no other frames and numbers do.
+    """
+    corners = lines.shape[1]
+    squared = lines[0] * lines[0]
+    axis = np.full(1, complex((squared * squared).mean()) ** 0.25, np.complex64)
+    ahead, _ = _boundary(lines, np.arange(corners), axis)
+    quarter = -ahead & 3
+    a, b = half >> 2, other >> 2
+    way = (quarter[a] + half) & 3
+    if (way ^ (quarter[b] + other) & 3 != 2).any():
+        return None
+    step = UNITS[way]
+    root, node = np.arange(corners), np.zeros(corners, np.complex64)
+    while True:
+        shift = node[a] + step - node[b]
+        one, two = root[a], root[b]
+        apart = np.flatnonzero(one != two)
+        if not len(apart):
+            break
+        one, two, shift = one[apart], two[apart], shift[apart]
+        child = np.maximum(one, two)  # of its several hooks the last holds
+        node[child] = np.where(one < two, shift, -shift)
+        root[child] = np.minimum(one, two)
+        while True:  # pointer jumping
+            higher = root[root]
+            if (higher == root).all():
+                break
+            node += node[root]
+            root = higher
+    return None if shift.any() else _Trees(root, node, UNITS[quarter])
+
+
 def _planted(corners: int, half: Index, other: Index) -> _Trees:
     """Return a first forest: each corner hooks to the lowest earlier one that it is linked to."""
     nothing = 16 * corners
@@ -201,30 +236,13 @@ def _planted(corners: int, half: Index, other: Index) -> _Trees:
     return planted._replace(root=number[planted.root])
 
 
-def _spanned(corners: int, half: Index, other: Index) -> _Trees:
-    """Return one tree for the corners of each component, whatever links join them."""
-    trees = _planted(corners, half, other)
-    while True:
-        half, other = _apart(trees, half, other)
-        if not len(half):
-            return trees
-        trees = _hooked(trees, *_frames(trees, half, other))  # of several hooks the last holds
-
-
-def _apart(trees: _Trees, half: Index, other: Index) -> tuple[Index, Index]:
-    """Return the links between two trees, from that of the lower root."""
-    first, second = trees.root[half >> 2], trees.root[other >> 2]
-    apart = np.flatnonzero(first != second)
-    half, other = half[apart], other[apart]
-    down = first[apart] < second[apart]
-    return np.where(down, half, other), np.where(down, other, half)
-
-
 def _agree(trees: _Trees, half: Index, other: Index) -> Mask:
     """Return which links lead to the place and the frame that the other corner has."""
     a, b = half >> 2, other >> 2
     way = trees.turn[a] * UNITS[half & 3]
-    return (trees.node[a] + way == trees.node[b]) & (trees.turn[b] * UNITS[other & 3] == -way)
+    onward = trees.node[a] + way == trees.node[b]
+    agree: Mask = onward & (trees.turn[b] * UNITS[other & 3] == -way)
+    return agree
 
 
 def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
@@ -235,9 +253,10 @@ def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
     wait. The number of passes grows with the logarithm of the size of the lattice.
     """
     while True:
-        half, other = _apart(trees, half, other)
-        if not len(half):
+        apart = np.flatnonzero(trees.root[half >> 2] != trees.root[other >> 2])
+        if not len(apart):
             return trees
+        half, other = half[apart], other[apart]
         *hooks, votes = _hooks(trees, half, other)
         strong = votes >= share * votes.max()
         child, parent, spin, shift = (values[strong] for values in hooks)
@@ -264,19 +283,16 @@ def _hooked(trees: _Trees, child: Index, parent: Index, spin: Complex, shift: Co
     return _Trees(above[root], offset[root] + turned * trees.node, turned * trees.turn)
 
 
-def _frames(trees: _Trees, half: Index, other: Index) -> tuple[Index, Index, Complex, Complex]:
-    """Return, for each link, the tree of the other corner, that of the first, and its frame there."""
-    a, b = half >> 2, other >> 2
-    spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
-    shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
-    return trees.root[b], trees.root[a], spin, shift
-
-
 def _hooks(
     trees: _Trees, half: Index, other: Index
 ) -> tuple[Index, Index, Complex, Complex, Index]:
     """Return each tree with a neighbour of lower root, that root, its frame there, and votes."""
-    child, parent, spin, shift = _frames(trees, half, other)
+    down = trees.root[half >> 2] < trees.root[other >> 2]
+    half, other = np.where(down, half, other), np.where(down, other, half)
+    a, b = half >> 2, other >> 2
+    parent, child = trees.root[a], trees.root[b]
+    spin = trees.turn[a] * -UNITS[(half - other) & 3] * trees.turn[b].conj()
+    shift = trees.node[a] + trees.turn[a] * UNITS[half & 3] - spin * trees.node[b]
     quarter = (spin.imag != 0) + 2 * (spin.real + spin.imag < 0)
     reach = int(max(np.abs(shift.real).max(), np.abs(shift.imag).max())) + 1
     key = (child * len(trees.root) + parent) * 4 + quarter

@@ -51,7 +51,7 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
     known = USES @ unknown == 0
     weight: Float = WEIGHTS @ known
     factors = WEIGHTED.T @ known
-    return (factors * near).sum(0) / _counted(weight), weight
+    return (factors * near).sum(0) * _inverse(weight), weight
 
 
 def predict_within(at: Points) -> Points:
@@ -69,9 +69,9 @@ def _bordered(at: Points) -> Points:
     return padded
 
 
-def _counted(weight: Float) -> Float:
-    """Return the weights, NaN instead of 0: what nothing is known of is divided by nothing."""
-    return np.where(weight == 0, np.nan, weight)
+def _inverse(weight: Float) -> Float:
+    """Return 1 / weight, NaN for a weight of 0."""
+    return 1 / np.where(weight == 0, np.nan, weight)
 
 
 def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, Float]:
@@ -86,7 +86,7 @@ def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, F
     step = (near[:, :, 1:] - near[:, :, :-1]).reshape(TOUCHED.shape[1], len(row))
     known = ~np.isnan(step.real)
     np.copyto(step, 0, where=~known)
-    mean: Points = TOUCHED @ step / _counted(TOUCHED @ known)
+    mean: Points = TOUCHED @ step * _inverse(TOUCHED @ known)
     length = np.abs(mean)
     cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
     return mean[0], mean[1], cell
