@@ -74,12 +74,16 @@ class Nodes:
         """Return the same nodes with the numbers turned: row 0 is the last column, and so on."""
         if not quarters:
             return self
-        first = (0, self.at.shape[1], sum(self.at.shape), self.at.shape[0])[quarters]
         turned = copy.copy(self)
-        turned.parity = (self.parity + first) % 2
+        turned.parity = self.turned_parity(quarters)
         for name in ("at", "owner", "status", "changed"):
             setattr(turned, name, turned_lines(getattr(self, name), quarters))
         return turned
+
+    def turned_parity(self, quarters: int) -> int:
+        """Return the parity after the numbers are turned."""
+        rows, columns = self.at.shape
+        return (self.parity + (0, columns, rows + columns, rows)[quarters]) % 2
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":
         """Return the nodes from that row and column on."""
