@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.evidence import grey
 from cmp_cl.grid.grid import NO_SIDES, UNSEEN, Grid, Sides, turned_sides
-from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
+from cmp_cl.grid.nodes import NOWHERE, Entry, Float, Index, Mask, Nodes, Points, for_film, median
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
@@ -109,24 +109,25 @@ def border_of(nodes: Nodes, image: GreyImage) -> Border:
     """
     if min(nodes.at.shape) < 2:
         return Border()
-    lines = _outer(nodes.at)
+    lines = _outer(nodes.at, NOWHERE)
     ended = _ends_at(nodes, lines, image, BEYOND, BEYOND + 0.25)
     if not any(ended):
         return Border()
-    reach = _reaches(lines, nodes.at.shape, ended, image)
+    reach = _reaches(nodes, lines, ended, image)
     return Border(reach, _past(nodes, image, reach))
 
 
-def _reaches(lines: Points, shape: tuple[int, ...], ended: Sides, image: GreyImage) -> FourSides:
+def _reaches(nodes: Nodes, lines: Points, ended: Sides, image: GreyImage) -> FourSides:
     """Return how far the squares before the last nodes of those sides reach, cells.
 
-    lines: as of `_outer`, in a grid of that shape. A square ends where its contrast to the one
-    beside it does. How far the two reach is the sum of that contrast over depths, as a share of
-    that between the last two lines of nodes. What is seen of the squares beyond, in which black
-    and white change places, counts too. NaN where they do not reach equally far.
+    lines: as of `_outer`. A square ends where its contrast to the one beside it does. How far
+    the two reach is the sum of that contrast over depths, as a share of that between the last
+    two lines of nodes. What is seen of the squares beyond, in which black and white change
+    places, counts too. NaN where they do not reach equally far.
     """
-    seen = ~np.isnan(lines.real).any(axis=0) & np.array(ended)[:, None]
-    side, first = _sampled(seen[:, :-2] & seen[:, 1:-1] & seen[:, 2:], PAIRS)
+    side, first = _pairs(nodes.there)
+    asked = np.array(ended)[side]
+    side, first = side[asked], first[asked]
     middle, out, along = _squares(lines, side[:, None], first[:, None] + [0, 1])
     shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
     middle, out, along = (each[shown, :, None] for each in (middle, out, along))
@@ -142,7 +143,7 @@ def _reaches(lines: Points, shape: tuple[int, ...], ended: Sides, image: GreyIma
     share = np.maximum(share, np.minimum(before, after))  # where black and white change places
     reach = DEPTHS[0] - STEP / 2 + STEP * share.sum(axis=1)
     side = side[shown]
-    rows, columns = shape
+    rows, columns = nodes.at.shape
     top, bottom, left, right = (
         common_reach(reach[side == number], size)
         for number, size in enumerate((columns, columns, rows, rows))
@@ -150,15 +151,32 @@ def _reaches(lines: Points, shape: tuple[int, ...], ended: Sides, image: GreyIma
     return top, bottom, left, right
 
 
-def _outer(at: Points) -> Points:
-    """Return the last line of nodes of each side and the one before it, (2, 4, L), px.
+def _outer(at: NDArray[Entry], nothing: complex) -> NDArray[Entry]:
+    """Return the last line of nodes of each side and the one before it, (2, 4, L).
 
-    at: (R, C), at least two of each; L is the larger. Missing nodes are NaN.
+    at: (R, C), at least two of each; L is the larger. The shorter lines are filled up.
     """
-    lines = np.full((2, 4, max(at.shape)), NOWHERE)
+    lines = np.full((2, 4, max(at.shape)), nothing, at.dtype)
     for number, way in enumerate((at, at[::-1], at.T, at.T[::-1])):
         lines[:, number, : way.shape[1]] = way[:2]
     return lines
+
+
+@for_film
+def _pairs(there: Mask) -> tuple[Index, Index]:
+    """Return the sides of some pairs of neighbouring squares, and the first nodes on them."""
+    seen = np.logical_and(*_outer(there, False))
+    return _sampled(seen[:, :-2] & seen[:, 1:-1] & seen[:, 2:], PAIRS)
+
+
+@for_film
+def _ends(there: Mask) -> tuple[Index, Index]:
+    """Return the same of some squares; of none where less than half of the lines end there."""
+    seen = np.logical_and(*_outer(there, False))
+    square = seen[:, 1:] & seen[:, :-1]
+    across, down = (np.count_nonzero(there.any(axis)) for axis in (0, 1))
+    square[2 * np.count_nonzero(square, axis=1) < np.repeat([across, down], 2) - 1] = False
+    return _sampled(square, MOST)
 
 
 def _sampled(shown: Mask, most: int) -> tuple[Index, Index]:
@@ -205,7 +223,7 @@ def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
     at, across = nodes.at, nodes.at.T
     cut = [_cut(way, image) for way in (at, at[::-1], across, across[::-1])]
     if any(cut) and min(at.shape) > 1:
-        lines = _outer(at)
+        lines = _outer(at, NOWHERE)
         for depth in JUST_BEYOND:
             ended = _ends_at(nodes, lines, image, depth, depth + 0.05)
             cut = [hidden and not end for hidden, end in zip(cut, ended, strict=True)]
@@ -247,13 +265,7 @@ def _ends_at(nodes: Nodes, lines: Points, image: GreyImage, depth: float, shown:
     lines: as of `_outer`. shown: how far the image must reach, cells; else the side is none of
     them.
     """
-    known = np.logical_not(np.isnan(lines.real).any(axis=0))
-    square = known[:, 1:] & known[:, :-1]
-    if not square.all():
-        across, down = (np.count_nonzero(nodes.there.any(axis)) for axis in (0, 1))
-        most = np.array([across, across, down, down]) - 1
-        square[2 * np.count_nonzero(square, axis=1) < most] = False  # most lines end elsewhere
-    side, first = _sampled(square, MOST)
+    side, first = _ends(nodes.there)
     middle, out, along = _squares(lines, side, first)
     sign = 1 - 2 * (first % 2)
     far: Points = middle + shown * out

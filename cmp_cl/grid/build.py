@@ -163,7 +163,7 @@ def _checked(
             "detect them with a refinement (EdgeLines, EdgeStep or Midlines)"
         )
     z = corners.xy.take(inside, axis=0).astype(np.float64).view(np.complex128)[:, 0]
-    return inside, Seen(z, edges, image)
+    return inside, Seen(z, edges, None if image is None else np.ascontiguousarray(image))
 
 
 def _found(seen: Seen) -> Lattice | None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, median
+from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, for_film, median
 from cmp_cl.grid.predict import mean_steps, predict
 from cmp_cl.image import GreyImage
 
@@ -46,11 +46,11 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
     dropped = False
     usual: float | None = None
     while True:
-        row, column, whole = _rim(nodes)
+        row, column, whole = _rim(nodes.there)
         if not len(row):
             return dropped
         if usual is None:
-            inner = _some_inside(nodes)
+            inner = _some_inside(nodes.there)
             every = _look(nodes, image, *np.concatenate([(row, column), inner], axis=1))
             look, inside = every.part(slice(len(row))), every.part(slice(len(row), None))
             contrast = (inside.bright - inside.dark)[inside.known]
@@ -64,13 +64,13 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
         dropped = True
 
 
-def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
+@for_film
+def _rim(seen: Mask) -> tuple[Index, Index, Mask]:
     """Return the nodes some of whose eight neighbours are neither there nor bracketed, and which
     are in a cell.
 
     A place is bracketed that lies in a small hole: between nodes of its row and of its column.
     """
-    seen = nodes.status != NodeStatus.MISSING
     there = seen if seen.all() else seen | (_hole(seen) & _hole(seen.T).T)
     around = np.zeros(np.add(seen.shape, 2), np.bool_)
     around[1:-1, 1:-1] = there
@@ -94,9 +94,9 @@ def _hole(seen: Mask) -> Mask:
     return hole
 
 
-def _some_inside(nodes: Nodes) -> tuple[Index, Index]:
+@for_film
+def _some_inside(seen: Mask) -> tuple[Index, Index]:
     """Return some nodes, those inside the grid where there are any."""
-    seen = nodes.status != NodeStatus.MISSING
     inner = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
     row, column = np.nonzero(inner)
     row, column = (row + 1, column + 1) if len(row) else np.nonzero(seen)
@@ -143,11 +143,14 @@ def _look(nodes: Nodes, image: GreyImage, row: Index, column: Index) -> _Look:
 
 
 def grey(image: GreyImage, at: Points) -> Float:
-    """Return the grey levels of the nearest pixels; beyond the image those of its border."""
+    """Return the grey levels of the nearest pixels; beyond the image those of its border.
+
+    An image that is not contiguous takes longer: it is copied.
+    """
     rows, columns = image.shape
     x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1)
     y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1)
-    level: Float = image[y.astype(np.int64), x.astype(np.int64)].astype(np.float64)
+    level: Float = image.take((y * columns + x).astype(np.int64)).astype(np.float64)
     return level
 
 

@@ -66,6 +66,11 @@ def _kept(
 def _mean_step(at: Points) -> complex:
     """Return the mean step from a column to the next; 0 where there is none."""
     step = at[:, 1:] - at[:, :-1]
+    if not step.size:
+        return 0j
+    mean = complex(step.mean())
+    if not cmath.isnan(mean):
+        return mean
     known = step[~np.isnan(step.real)]
     return complex(known.mean()) if len(known) else 0j
 
