@@ -163,7 +163,9 @@ def _checked(
             "detect them with a refinement (EdgeLines, EdgeStep or Midlines)"
         )
     z = corners.xy.take(inside, axis=0).astype(np.float64).view(np.complex128)[:, 0]
-    return inside, Seen(z, edges, None if image is None else np.ascontiguousarray(image))
+    if image is not None:
+        image = image if image.flags.c_contiguous else image.copy()
+    return inside, Seen(z, edges, image)
 
 
 def _found(seen: Seen) -> Lattice | None:

@@ -83,20 +83,24 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     reach = max(FARTHEST_NEIGHBOUR * tile / np.sqrt(crowd), extent / 1024)
 
     strip = wide + 2 * reach  # of one strip of that height after the other
-    along = np.floor(y / reach) * strip + x
+    height = y / reach
+    number = np.floor(height)
+    along = number * strip + x
     order = np.argsort(along, kind="stable")
     along, z = along[order], z[order]
+    depth = (number + 1 - height)[order]  # of the next strip
+    width = reach * np.sqrt(1 - depth * depth)  # that is within reach there
     ahead = np.searchsorted(along, along + reach)
-    below = np.searchsorted(along, along + (strip - reach))
-    beyond = np.searchsorted(along, along + (strip + reach))
+    below = np.searchsorted(along, along + (strip - width))
+    beyond = np.searchsorted(along, along + (strip + width))
     here = np.arange(len(z))
     begin, end = np.concatenate([here + 1, below]), np.concatenate([ahead, beyond])
     count = np.minimum(end - begin, CROWD)
     first = np.repeat(np.concatenate([here, here]), count)
     second = np.arange(len(first)) + np.repeat(begin - np.cumsum(count) + count, count)
-    step = z[second] - z[first]
-    near = np.flatnonzero(step.real**2 + step.imag**2 < reach**2)
-    return order, first[near], second[near], step[near]
+    step = z.take(second) - z.take(first)
+    near = np.flatnonzero(np.abs(step) < reach)
+    return order, first.take(near), second.take(near), step.take(near)
 
 
 def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
@@ -120,15 +124,15 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
     other from black to white, so the sum of the boundaries' numbers is odd. The choice is by
     length * (1 + 4 (1 - cos)) of both ends.
     """
-    length = np.sqrt(step.real**2 + step.imag**2)
+    length = np.abs(step)
     step = step * (1 / np.maximum(length, np.float32(1e-6)))
     k, cos_ahead = _boundary(lines, first, step)
     m, cos_back = _boundary(lines, second, -step)
     fits = (cos_ahead > COSINE) & (cos_back > COSINE) & ((k ^ m) & 1 == 1)
     kept = np.flatnonzero(fits)
-    half = 4 * first[kept] + k[kept]
-    other = 4 * second[kept] + m[kept]
-    cost = length[kept] * (5 - 4 * cos_ahead[kept]) * (5 - 4 * cos_back[kept])
+    half = 4 * first.take(kept) + k.take(kept)
+    other = 4 * second.take(kept) + m.take(kept)
+    cost = length.take(kept) * (5 - 4 * cos_ahead.take(kept)) * (5 - 4 * cos_back.take(kept))
     best = np.full(4 * lines.shape[1], np.inf, cost.dtype)
     np.minimum.at(best, half, cost)
     np.minimum.at(best, other, cost)
