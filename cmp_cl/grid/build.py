@@ -343,12 +343,12 @@ def _refuse_rival(found: Lattice, nodes: Nodes, seen: Seen) -> None:
 
 def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Grid:
     nodes = placed.nodes
-    owned = nodes.owner >= 0
+    place = np.flatnonzero(nodes.owner >= 0)
+    owner = inside[nodes.owner.ravel()[place]]
     index = np.full((len(corners), 2), -1, np.int32)
-    owner = inside[nodes.owner[owned]]
-    index[owner, 0], index[owner, 1] = np.nonzero(owned)
+    index[owner] = np.stack(np.divmod(place, nodes.at.shape[1]), axis=1)
     sigma = np.full(nodes.at.shape, np.nan, np.float32)
-    sigma[owned] = corners.sigma[owner]
+    sigma.ravel()[place] = corners.sigma[owner]
     return Grid(
         xy=nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2),
         status=nodes.status,

@@ -204,23 +204,22 @@ def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
         return None
     step = UNITS[way]
     root, node = np.arange(corners), np.zeros(corners, np.complex64)
-    while True:
-        shift = node[a] + step - node[b]
-        one, two = root[a], root[b]
-        apart = np.flatnonzero(one != two)
-        if not len(apart):
-            break
-        one, two, shift = one[apart], two[apart], shift[apart]
-        child = np.maximum(one, two)  # of its several hooks the last holds
-        node[child] = np.where(one < two, shift, -shift)
-        root[child] = np.minimum(one, two)
+    child, parent, place = b, a, step  # a is the lower of the two
+    while len(child):
+        root[child], node[child] = parent, place  # of several parents the last holds
         while True:  # pointer jumping
             higher = root[root]
             if (higher == root).all():
                 break
             node += node[root]
             root = higher
-    return None if shift.any() else _Trees(root, node, UNITS[quarter])
+        off = node[a] + step - node[b]
+        one, two = root[a], root[b]
+        apart = np.flatnonzero(one != two)
+        one, two, place = one[apart], two[apart], off[apart]
+        child, parent = np.maximum(one, two), np.minimum(one, two)
+        place = np.where(one < two, place, -place)
+    return None if len(b) and off.any() else _Trees(root, node, UNITS[quarter])
 
 
 def _planted(corners: int, half: Index, other: Index) -> _Trees:
