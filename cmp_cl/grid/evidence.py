@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
 from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, for_film, median
-from cmp_cl.grid.predict import mean_steps, predict
+from cmp_cl.grid.predict import Stencil, mean_steps
 from cmp_cl.image import GreyImage
 
 DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
@@ -46,7 +46,7 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
     dropped = False
     usual: float | None = None
     while True:
-        row, column, whole = _rim(nodes.there)
+        row, column, whole, stencil = _rim(nodes.there)
         if not len(row):
             return dropped
         if usual is None:
@@ -57,7 +57,7 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
             usual = median(contrast) if len(contrast) else 0.0
         else:
             look = _look(nodes, image, row, column)
-        kept = _convincing(nodes, image, edges, look, whole, usual)
+        kept = _convincing(nodes, image, edges, look, whole, stencil, usual)
         if kept.all():
             return dropped
         nodes.drop(row[~kept], column[~kept])
@@ -65,9 +65,9 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
 
 
 @for_film
-def _rim(seen: Mask) -> tuple[Index, Index, Mask]:
-    """Return the nodes some of whose eight neighbours are neither there nor bracketed, and which
-    are in a cell.
+def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
+    """Return the nodes some of whose eight neighbours are neither there nor bracketed, which are
+    in a cell, and their stencil.
 
     A place is bracketed that lies in a small hole: between nodes of its row and of its column.
     """
@@ -81,7 +81,7 @@ def _rim(seen: Mask) -> tuple[Index, Index, Mask]:
     cell = around[:-1, :-1] & around[1:, :-1] & around[:-1, 1:] & around[1:, 1:]
     inside = cell[row, column] | cell[row + 1, column]
     inside |= cell[row, column + 1] | cell[row + 1, column + 1]
-    return row, column, inside
+    return row, column, inside, Stencil.of(seen, row, column)
 
 
 def _hole(seen: Mask) -> Mask:
@@ -160,6 +160,7 @@ def _convincing(
     edges: NDArray[np.float32],
     look: _Look,
     in_cell: Mask,
+    stencil: Stencil,
     usual: float,
 ) -> Mask:
     """Return which of those nodes look like corners of the pattern."""
@@ -171,7 +172,7 @@ def _convincing(
     inward = np.minimum(
         np.minimum(at.real, far[0] - at.real), np.minimum(at.imag, far[1] - at.imag)
     )
-    expected, _ = predict(nodes.at, row, column)
+    expected = stencil.predict(nodes.at)
     off = np.abs(expected - at)
     off[np.isnan(off)] = np.inf
     typical = _typical(off, cell, row, column, nodes.at.shape)

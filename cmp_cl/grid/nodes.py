@@ -20,7 +20,7 @@ Mask = NDArray[np.bool_]
 
 NOWHERE = complex(np.nan, np.nan)
 Entry = TypeVar("Entry", bound=np.generic)
-Arrays = TypeVar("Arrays", bound=tuple[NDArray[Any], ...])
+Answer = TypeVar("Answer")
 KEPT = 4  # answers of each function that `for_film` keeps
 MOST_NODES, NODES_EACH = 65536, 64  # that any grid may have, and more for each corner
 
@@ -108,21 +108,18 @@ class Nodes:
         return cut
 
 
-def for_film(function: Callable[[Mask], Arrays]) -> Callable[[Mask], Arrays]:
+def for_film(function: Callable[[Mask], Answer]) -> Callable[[Mask], Answer]:
     """Keep the last answers of a function of where nodes are: a film's frames often share it.
 
-    The arrays of an answer cannot be written to.
+    Nothing may write to the arrays of an answer.
     """
 
     @functools.lru_cache(maxsize=KEPT)
-    def of_bytes(shape: tuple[int, ...], there: bytes) -> Arrays:
-        answer = function(np.frombuffer(there, np.bool_).reshape(shape))
-        for values in answer:
-            values.flags.writeable = False
-        return answer
+    def of_bytes(shape: tuple[int, ...], there: bytes) -> Answer:
+        return function(np.frombuffer(there, np.bool_).reshape(shape))
 
     @functools.wraps(function)
-    def kept(there: Mask) -> Arrays:
+    def kept(there: Mask) -> Answer:
         return of_bytes(there.shape, there.tobytes())
 
     return kept
