@@ -346,7 +346,7 @@ def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Gri
     place = np.flatnonzero(nodes.owner >= 0)
     owner = inside[nodes.owner.ravel()[place]]
     index = np.full((len(corners), 2), -1, np.int32)
-    index[owner] = np.stack(np.divmod(place, nodes.at.shape[1]), axis=1)
+    index[owner, 0], index[owner, 1] = np.divmod(place, nodes.at.shape[1])
     sigma = np.full(nodes.at.shape, np.nan, np.float32)
     sigma.ravel()[place] = corners.sigma[owner]
     return Grid(

@@ -330,7 +330,7 @@ def _arranged(
     """Return the components by size, in the corners' own order; z is in the sorted order."""
     root, node, turn = trees
     a, b = half >> 2, other >> 2
-    support = np.bincount(a[agree], minlength=len(z)) + np.bincount(b[agree], minlength=len(z))
+    support = np.bincount(a, agree, len(z)) + np.bincount(b, agree, len(z))
     linked = np.zeros(len(z), np.bool_)
     linked[a] = linked[b] = True
     count = np.bincount(root[linked], minlength=len(z))
@@ -350,7 +350,7 @@ def _arranged(
         size=count[largest],
         node=node[back],
         turn=turn[back],
-        support=support[back],
+        support=support.astype(np.int64)[back],
         bend=bend,
         axis=axis,
     )

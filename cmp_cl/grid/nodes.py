@@ -162,7 +162,7 @@ def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     column -= column.min()
     shape = int(row.max()) + 1, int(column.max()) + 1
     check_room(shape, len(z))
-    odd = ((turn.imag != 0) + row + column) % 2
+    odd = ((turn.imag != 0) + row + column) & 1
     free = np.ones(len(z), np.bool_)
     free[member] = False
     parity = int(2 * np.count_nonzero(odd) > len(odd))
