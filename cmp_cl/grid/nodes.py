@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 NOWHERE = complex(np.nan, np.nan)
 Entry = TypeVar("Entry", bound=np.generic)
 Answer = TypeVar("Answer")
-KEPT = 4  # answers of each function that `for_film` keeps
+KEPT, MOST_KEPT = 4, 1 << 14  # answers that `for_film` keeps, of grids of so many places
 MOST_NODES, NODES_EACH = 65536, 64  # that any grid may have, and more for each corner
 
 
@@ -111,7 +111,7 @@ class Nodes:
 def for_film(function: Callable[[Mask], Answer]) -> Callable[[Mask], Answer]:
     """Keep the last answers of a function of where nodes are: a film's frames often share it.
 
-    Nothing may write to the arrays of an answer.
+    Nothing may write to the arrays of an answer. Those of large grids are not kept.
     """
 
     @functools.lru_cache(maxsize=KEPT)
@@ -120,6 +120,8 @@ def for_film(function: Callable[[Mask], Answer]) -> Callable[[Mask], Answer]:
 
     @functools.wraps(function)
     def kept(there: Mask) -> Answer:
+        if there.size > MOST_KEPT:
+            return function(there)
         return of_bytes(there.shape, there.tobytes())
 
     return kept
