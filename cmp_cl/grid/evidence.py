@@ -208,8 +208,12 @@ def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[in
     reach = np.arange(2 * BESIDE + 1)
     rows = row[asked, None, None] + reach[:, None]
     columns = column[asked, None, None] + reach
-    around = every[rows, columns].reshape(len(asked), -1)
-    typical[asked] = np.nanquantile(around, SHARE, axis=1)
+    around = np.sort(every[rows, columns].reshape(len(asked), -1), axis=1)  # unknown ones are last
+    place = SHARE * (np.count_nonzero(around == around, axis=1) - 1)
+    before = place.astype(np.int64)
+    number = np.arange(len(asked))
+    low, high = around[number, before], around[number, np.ceil(place).astype(np.int64)]
+    typical[asked] = low + (high - low) * (place - before)  # as np.nanquantile, which is slow
     return typical
 
 

@@ -16,6 +16,7 @@ from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, NodeStatus, Sides, build_grid
 from cmp_cl.grid.align import row_direction
 from cmp_cl.grid.border import common_reach
+from cmp_cl.grid.evidence import _typical
 from cmp_cl.grid.fingerprint import Fingerprint, turn_to
 from cmp_cl.grid.nearest import Reference
 from cmp_cl.grid.nodes import for_film, median, turned_lines
@@ -435,6 +436,19 @@ def test_an_edge_that_leaves_as_many_columns_as_a_board_has_rows_does_not_turn_i
     grid = build_grid(seen_in(view), view, shape=(5, 8))
     assert grid.valid.any()
     assert grid.ambiguous
+
+
+def test_nodes_off_their_predictions_are_compared_with_a_quarter_of_those_around():
+    draw = np.random.default_rng(0)
+    row, column = np.nonzero(draw.random((9, 9)) < 0.6)
+    off, cell = draw.uniform(0, 5, len(row)), np.full(len(row), 9.0)
+    around = np.full((13, 13), np.nan)
+    around[row + 2, column + 2] = off
+    expected = [
+        np.nanquantile(around[r : r + 5, c : c + 5], 0.25) if far > 0.12 * 9 else 0
+        for r, c, far in zip(row, column, off, strict=True)
+    ]
+    np.testing.assert_allclose(_typical(off, cell, row, column, (9, 9)), expected, rtol=1e-12)
 
 
 def test_what_follows_from_where_nodes_are_is_kept_for_the_same_places_alone():
