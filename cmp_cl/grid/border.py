@@ -1,14 +1,14 @@
 """Where a pattern ends in the view."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.evidence import grey
 from cmp_cl.grid.grid import NO_SIDES, UNSEEN, Grid, Sides, turned_sides
-from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, median
+from cmp_cl.grid.nodes import NOWHERE, Entry, Float, Index, Mask, Nodes, Points, for_film, median
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
@@ -22,7 +22,7 @@ DEPTHS = np.arange(0.3, 1.45, STEP)  # cells from the last nodes: where the last
 PARALLEL = 0.16  # cells: so near to one reach are three of four
 ALIKE = 0.12  # cells: between the reach of a side of a pattern and that in another picture
 PAST = np.array([0.3, 0.6, 0.9])  # cells past the pattern, where its border has ended
-OFF_LINE = 0.3  # cells to either side of the border's line
+ACROSS_LINE = np.array([[-0.3], [0.3]])  # cells to either side of the border's line
 ROWS = np.array([0, 0, -1, -1, 0, -1, 0, -1])  # the corners at the ends of the four sides
 COLUMNS = np.array([0, -1, 0, -1, 0, 0, -1, -1])
 INNER_ROWS, INNER_COLUMNS = np.where(ROWS, -2, 1), np.where(COLUMNS, -2, 1)
@@ -107,28 +107,28 @@ def border_of(nodes: Nodes, image: GreyImage) -> Border:
     The last squares must reach as far along all of the side: the edge of what lies in front of
     a pattern cuts them anywhere.
     """
-    ended = _ends_at(nodes, image, BEYOND, BEYOND + 0.25)
+    if min(nodes.at.shape) < 2:
+        return Border()
+    lines = _outer(nodes.at, NOWHERE)
+    ended = _ends_at(nodes, lines, image, BEYOND, BEYOND + 0.25)
     if not any(ended):
         return Border()
-    at, across = nodes.at, nodes.at.T
-    ways = (at, at[::-1], across, across[::-1])
-    found = iter(_reaches([way for end, way in zip(ended, ways, strict=True) if end], image))
-    top, bottom, left, right = (next(found) if end else math.nan for end in ended)
-    reach = top, bottom, left, right
+    reach = _reaches(nodes, lines, ended, image)
     return Border(reach, _past(nodes, image, reach))
 
 
-def _reaches(sides: list[Points], image: GreyImage) -> list[float]:
-    """Return how far the squares before the first row of nodes of each side reach, cells.
+def _reaches(nodes: Nodes, lines: Points, ended: Sides, image: GreyImage) -> FourSides:
+    """Return how far the squares before the last nodes of those sides reach, cells.
 
-    sides: (R, C) px each. A square ends where its contrast to the one beside it does. How far
-    the two reach is the sum of that contrast over depths, as a share of that between the first
-    two rows. What is seen of the squares beyond, in which black and white change places,
-    counts too. NaN where they do not reach equally far.
+    lines: as of `_outer`. A square ends where its contrast to the one beside it does. How far
+    the two reach is the sum of that contrast over depths, as a share of that between the last
+    two lines of nodes. What is seen of the squares beyond, in which black and white change
+    places, counts too. NaN where they do not reach equally far.
     """
-    pairs = [_pairs(at) for at in sides]
-    side = np.repeat(np.arange(len(sides)), [pair.shape[1] for pair in pairs])
-    middle, out, along = np.concatenate(pairs, axis=1)
+    side, first = _pairs(nodes.there)
+    asked = np.array(ended)[side]
+    side, first = side[asked], first[asked]
+    middle, out, along = _squares(lines, side[:, None], first[:, None] + [0, 1])
     shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
     middle, out, along = (each[shown, :, None] for each in (middle, out, along))
     depths = np.concatenate([[-0.5], DEPTHS])
@@ -143,21 +143,66 @@ def _reaches(sides: list[Points], image: GreyImage) -> list[float]:
     share = np.maximum(share, np.minimum(before, after))  # where black and white change places
     reach = DEPTHS[0] - STEP / 2 + STEP * share.sum(axis=1)
     side = side[shown]
-    return [common_reach(reach[side == number], at.shape[1]) for number, at in enumerate(sides)]
+    rows, columns = nodes.at.shape
+    top, bottom, left, right = (
+        common_reach(reach[side == number], size)
+        for number, size in enumerate((columns, columns, rows, rows))
+    )
+    return top, bottom, left, right
 
 
-def _pairs(at: Points) -> Points:
-    """Return some pairs of squares before the first row of nodes, (3, K, 2) px: the middle of
-    their first sides, and the steps out of the pattern and along it."""
-    one, two = at[0], at[1]
-    seen = ~np.isnan(one.real) & ~np.isnan(two.real)
-    column = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:])
-    if len(column) > PAIRS:
-        column = column[np.arange(PAIRS) * len(column) // PAIRS]
-    beside = column[:, None] + [0, 1]
-    middle = (one[beside] + one[beside + 1]) / 2
-    out = middle - (two[beside] + two[beside + 1]) / 2
-    return np.array([middle, out, one[beside + 1] - one[beside]])
+def _outer(at: NDArray[Entry], nothing: complex) -> NDArray[Entry]:
+    """Return the last line of nodes of each side and the one before it, (2, 4, L).
+
+    at: (R, C), at least two of each; L is the larger. The shorter lines are filled up.
+    """
+    lines = np.full((2, 4, max(at.shape)), nothing, at.dtype)
+    for number, way in enumerate((at, at[::-1], at.T, at.T[::-1])):
+        lines[:, number, : way.shape[1]] = way[:2]
+    return lines
+
+
+@for_film
+def _pairs(there: Mask) -> tuple[Index, Index]:
+    """Return the sides of some pairs of neighbouring squares, and the first nodes on them."""
+    seen = np.logical_and(*_outer(there, False))
+    return _sampled(seen[:, :-2] & seen[:, 1:-1] & seen[:, 2:], PAIRS)
+
+
+@for_film
+def _ends(there: Mask) -> tuple[Index, Index]:
+    """Return the same of some squares; of none where less than half of the lines end there."""
+    seen = np.logical_and(*_outer(there, False))
+    square = seen[:, 1:] & seen[:, :-1]
+    across, down = (np.count_nonzero(there.any(axis)) for axis in (0, 1))
+    square[2 * np.count_nonzero(square, axis=1) < np.repeat([across, down], 2) - 1] = False
+    return _sampled(square, MOST)
+
+
+def _sampled(shown: Mask, most: int) -> tuple[Index, Index]:
+    """Return the sides and the places on them, evenly spread, of some that are True.
+
+    shown: (4, L), by side. most: of each side.
+    """
+    count = np.count_nonzero(shown, axis=1)
+    number = np.minimum(count, most)
+    side = np.repeat(np.arange(4), number)
+    rank = np.arange(len(side)) - (np.cumsum(number) - number)[side]
+    chosen = (np.cumsum(count) - count)[side] + rank * count[side] // number[side]
+    place = np.flatnonzero(shown)[chosen]
+    return side, place - side * shown.shape[1]
+
+
+def _squares(lines: Points, side: Index, first: NDArray[Any]) -> tuple[Points, Points, Points]:
+    """Return the middle of the sides that squares have on the last line, and the steps out of
+    the pattern and along it, px.
+
+    lines: as of `_outer`. first: the node on the line that a square begins at.
+    """
+    one, inner = lines[:, side, first]
+    other, inner_other = lines[:, side, first + 1]
+    middle = (one + other) / 2
+    return middle, middle - (inner + inner_other) / 2, other - one
 
 
 def common_reach(reach: Float, columns: int) -> float:
@@ -177,9 +222,10 @@ def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
     """Return the sides on which the image ends before the next nodes, and shows cells there."""
     at, across = nodes.at, nodes.at.T
     cut = [_cut(way, image) for way in (at, at[::-1], across, across[::-1])]
-    if any(cut):
+    if any(cut) and min(at.shape) > 1:
+        lines = _outer(at, NOWHERE)
         for depth in JUST_BEYOND:
-            ended = _ends_at(nodes, image, depth, depth + 0.05)
+            ended = _ends_at(nodes, lines, image, depth, depth + 0.05)
             cut = [hidden and not end for hidden, end in zip(cut, ended, strict=True)]
     return Sides(*cut)
 
@@ -201,33 +247,27 @@ def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
     out = np.concatenate([down[:4], across[4:]])[:, None, None]
     along = np.concatenate([across[:4], down[4:]])[:, None, None]
     reaches = np.array(reach)[:, None, None]
-    depth = reaches.repeat(2, axis=0) + np.array([[-OFF_LINE], [OFF_LINE]])
+    depth = reaches.repeat(2, axis=0) + ACROSS_LINE
     spots = corner[:, None, None] + depth * out + (reaches[ASIDE] + PAST) * along
     shown = _inside(spots, image).all(axis=(1, 2))
     spots[~shown] = 0
     level = grey(image, spots).mean(axis=2)
     step = np.where(shown, (level[:, 1] - level[:, 0]) / contrast, math.nan)
     first, second = step[::2], step[1::2]
-    least = np.clip(0, np.fmin(first, second), np.fmax(first, second))
+    least = np.minimum(np.maximum(0, np.fmin(first, second)), np.fmax(first, second))
     top, bottom, left, right = least.tolist()
     return top, bottom, left, right
 
 
-def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Sides:
+def _ends_at(nodes: Nodes, lines: Points, image: GreyImage, depth: float, shown: float) -> Sides:
     """Return the sides on which there are no cells that many cells from the last nodes.
 
-    shown: how far the image must reach, cells; else the side is none of them.
+    lines: as of `_outer`. shown: how far the image must reach, cells; else the side is none of
+    them.
     """
-    at = nodes.at
-    if min(at.shape) < 2:
-        return NO_SIDES
-    lines = [_squares(way, *rows) for way in (at, at.T) for rows in ((0, 1), (-1, -2))]
-    looked = np.array([len(line.sign) for line in lines])
-    side = np.repeat(np.arange(4), looked)
-    middle: Points = np.concatenate([line.middle for line in lines])
-    out: Points = np.concatenate([line.out for line in lines])
-    along = np.concatenate([line.along for line in lines])
-    sign = np.concatenate([line.sign for line in lines])
+    side, first = _ends(nodes.there)
+    middle, out, along = _squares(lines, side, first)
+    sign = 1 - 2 * (first % 2)
     far: Points = middle + shown * out
     seen = _inside(far, image)
     spots = np.array([middle + depth * out, middle - out / 2]) + SPOTS[:, None, None] * along
@@ -237,6 +277,7 @@ def _ends_at(nodes: Nodes, image: GreyImage, depth: float, shown: float) -> Side
     total = np.stack([np.bincount(group, each, 8) for each in level])
     beyond, inside = np.abs((total / np.maximum(count, 1)).reshape(2, 4, 2).sum(axis=2))
     dark, bright = count.reshape(4, 2).T
+    looked = np.bincount(side, minlength=4)
     both = (2 * (dark + bright) >= looked) & (dark > 0) & (bright > 0)
     return Sides(*(both & (beyond < FLAT * inside)).tolist())
 
@@ -260,37 +301,13 @@ def _inside(at: Points, image: GreyImage) -> Mask:
     return inside
 
 
-class _Squares(NamedTuple):
-    """Squares between the first row of nodes and the second: the middle of their first sides,
-    the steps out of the pattern and along it, px, and 1 or -1 in turn."""
-
-    middle: Points
-    out: Points
-    along: Points
-    sign: Index
-
-
-def _squares(at: Points, first: int, second: int) -> _Squares:
-    """Sample some squares of a side, none where less than half of the lines end there."""
-    one, two = at[first], at[second]
-    seen = ~np.isnan(one.real) & ~np.isnan(two.real)
-    column = np.flatnonzero(seen[1:] & seen[:-1])
-    lines = at.shape[1]
-    if 2 * len(column) < lines - 1:  # perhaps the corners of a pattern that is turned
-        lines = int(np.count_nonzero(~np.isnan(at.real).all(axis=0)))
-    if 2 * len(column) < lines - 1:
-        column = column[:0]
-    if len(column) > MOST:
-        column = column[np.arange(MOST) * len(column) // MOST]
-    middle, inner = (one[column] + one[column + 1]) / 2, (two[column] + two[column + 1]) / 2
-    return _Squares(middle, middle - inner, one[column + 1] - one[column], 1 - 2 * (column % 2))
-
-
 def full_lines(there: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     """Return the first and last row, first and last column with a fair share of the nodes.
 
     there: (R, C), where nodes are; at least one.
     """
+    if there.all():
+        return 0, there.shape[0] - 1, 0, there.shape[1] - 1
     ends: list[int] = []
     for axis in (1, 0):
         count = there.sum(axis=axis)

@@ -163,6 +163,8 @@ def _checked(
             "detect them with a refinement (EdgeLines, EdgeStep or Midlines)"
         )
     z = corners.xy.take(inside, axis=0).astype(np.float64).view(np.complex128)[:, 0]
+    if image is not None:
+        image = image if image.flags.c_contiguous else image.copy()
     return inside, Seen(z, edges, image)
 
 
@@ -198,7 +200,7 @@ def _numbered(
         border = border_of(nodes, seen.image)
     if like is not None:
         placed = like_rest(nodes, border, like, previous)
-    elif shape is not None:
+    elif shape is not None and placing:
         ends = Ends(border.sides)
         if seen.image is not None and np.less(nodes.at.shape, shape).any():
             ends = Ends(border.sides, cut_of(nodes, seen.image), border.passing)
@@ -341,12 +343,12 @@ def _refuse_rival(found: Lattice, nodes: Nodes, seen: Seen) -> None:
 
 def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Grid:
     nodes = placed.nodes
-    owned = nodes.owner >= 0
+    place = np.flatnonzero(nodes.owner >= 0)
+    owner = inside[nodes.owner.ravel()[place]]
     index = np.full((len(corners), 2), -1, np.int32)
-    owner = inside[nodes.owner[owned]]
-    index[owner, 0], index[owner, 1] = np.nonzero(owned)
+    index[owner, 0], index[owner, 1] = np.divmod(place, nodes.at.shape[1])
     sigma = np.full(nodes.at.shape, np.nan, np.float32)
-    sigma[owned] = corners.sigma[owner]
+    sigma.ravel()[place] = corners.sigma[owner]
     return Grid(
         xy=nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2),
         status=nodes.status,

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, median
-from cmp_cl.grid.predict import mean_steps, predict
+from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, for_film, median
+from cmp_cl.grid.predict import Stencil, mean_steps
 from cmp_cl.image import GreyImage
 
 DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
@@ -46,25 +46,31 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
     dropped = False
     usual: float | None = None
     while True:
-        row, column, whole = _rim(nodes)
+        row, column, whole, stencil = _rim(nodes.there)
         if not len(row):
             return dropped
         if usual is None:
-            usual = _usual_contrast(nodes, image)
-        kept = _convincing(nodes, image, edges, row, column, whole, usual)
+            inner = _some_inside(nodes.there)
+            every = _look(nodes, image, *np.concatenate([(row, column), inner], axis=1))
+            look, inside = every.part(slice(len(row))), every.part(slice(len(row), None))
+            contrast = (inside.bright - inside.dark)[inside.known]
+            usual = median(contrast) if len(contrast) else 0.0
+        else:
+            look = _look(nodes, image, row, column)
+        kept = _convincing(nodes, image, edges, look, whole, stencil, usual)
         if kept.all():
             return dropped
         nodes.drop(row[~kept], column[~kept])
         dropped = True
 
 
-def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
-    """Return the nodes some of whose eight neighbours are neither there nor bracketed, and which
-    are in a cell.
+@for_film
+def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
+    """Return the nodes some of whose eight neighbours are neither there nor bracketed, which are
+    in a cell, and their stencil.
 
     A place is bracketed that lies in a small hole: between nodes of its row and of its column.
     """
-    seen = nodes.status != NodeStatus.MISSING
     there = seen if seen.all() else seen | (_hole(seen) & _hole(seen.T).T)
     around = np.zeros(np.add(seen.shape, 2), np.bool_)
     around[1:-1, 1:-1] = there
@@ -75,7 +81,7 @@ def _rim(nodes: Nodes) -> tuple[Index, Index, Mask]:
     cell = around[:-1, :-1] & around[1:, :-1] & around[:-1, 1:] & around[1:, 1:]
     inside = cell[row, column] | cell[row + 1, column]
     inside |= cell[row, column + 1] | cell[row + 1, column + 1]
-    return row, column, inside
+    return row, column, inside, Stencil.of(seen, row, column)
 
 
 def _hole(seen: Mask) -> Mask:
@@ -88,42 +94,63 @@ def _hole(seen: Mask) -> Mask:
     return hole
 
 
-def _usual_contrast(nodes: Nodes, image: GreyImage) -> float:
-    """Return the median contrast of some nodes, those inside the grid where there are any."""
-    seen = nodes.status != NodeStatus.MISSING
+@for_film
+def _some_inside(seen: Mask) -> tuple[Index, Index]:
+    """Return some nodes, those inside the grid where there are any."""
     inner = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
     row, column = np.nonzero(inner)
     row, column = (row + 1, column + 1) if len(row) else np.nonzero(seen)
-    some = np.linspace(0, len(row) - 1, min(SAMPLE, len(row))).astype(np.int64)
-    row, column = row[some], column[some]
-    along, down, _ = mean_steps(nodes.at, row, column)
+    count = min(SAMPLE, len(row))
+    some = np.arange(count) * (len(row) - 1) // max(count - 1, 1)
+    return row[some], column[some]
+
+
+class _Look(NamedTuple):
+    """What some nodes look like, each (M,).
+
+    along, down, cell: as in `mean_steps`, 0 where steps are not known. bright, dark: the grey
+    levels of the darker bright cell and of the brighter dark one. span: of the four cells.
+    """
+
+    row: Index
+    column: Index
+    along: Points
+    down: Points
+    cell: Float
+    known: Mask
+    bright: Float
+    dark: Float
+    span: Float
+
+    def part(self, which: slice) -> "_Look":
+        """Return some of them."""
+        return _Look._make(values[which] for values in self)
+
+
+def _look(nodes: Nodes, image: GreyImage, row: Index, column: Index) -> _Look:
+    """Look at the four cells around nodes."""
+    along, down, cell = mean_steps(nodes.at, row, column)
     known = ~np.isnan(along.real + down.real)
-    if not known.any():
-        return 0.0
-    row, column, along, down = row[known], column[known], along[known], down[known]
-    bright, dark, _ = _levels(nodes, image, row, column, along, down)
-    return median(bright - dark)
-
-
-def _levels(
-    nodes: Nodes, image: GreyImage, row: Index, column: Index, along: Points, down: Points
-) -> tuple[Float, Float, Float]:
-    """Return the grey levels of the darker bright cell and the brighter dark cell, and the span."""
+    along[~known] = down[~known] = 0
     step = DIAGONAL.real[:, None] * along + DIAGONAL.imag[:, None] * down
     at = nodes.at[row, column] + WITHIN[:, None, None] * step
     level = grey(image, at).sum(axis=0)
     black = (nodes.parity + row + column) % 2 == 0  # the cells after and before on the diagonal
     level = np.where(black, level, level[[1, 2, 3, 0]])
     dark, bright = np.maximum(level[0], level[2]), np.minimum(level[1], level[3])
-    return bright, dark, level.max(axis=0) - level.min(axis=0)
+    span = level.max(axis=0) - level.min(axis=0)
+    return _Look(row, column, along, down, cell, known, bright, dark, span)
 
 
 def grey(image: GreyImage, at: Points) -> Float:
-    """Return the grey levels of the nearest pixels; beyond the image those of its border."""
+    """Return the grey levels of the nearest pixels; beyond the image those of its border.
+
+    An image that is not contiguous takes longer: it is copied.
+    """
     rows, columns = image.shape
-    x = np.rint(at.real).clip(0, columns - 1).astype(np.int64)
-    y = np.rint(at.imag).clip(0, rows - 1).astype(np.int64)
-    level: Float = image[y, x].astype(np.float64)
+    x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1)
+    y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1)
+    level: Float = image.take((y * columns + x).astype(np.int64)).astype(np.float64)
     return level
 
 
@@ -131,16 +158,13 @@ def _convincing(
     nodes: Nodes,
     image: GreyImage,
     edges: NDArray[np.float32],
-    row: Index,
-    column: Index,
+    look: _Look,
     in_cell: Mask,
+    stencil: Stencil,
     usual: float,
 ) -> Mask:
     """Return which of those nodes look like corners of the pattern."""
-    along, down, cell = mean_steps(nodes.at, row, column)
-    known = ~np.isnan(along.real + down.real)
-    along[~known] = down[~known] = 0
-    bright, dark, span = _levels(nodes, image, row, column, along, down)
+    row, column, along, down, cell, known, bright, dark, span = look
     contrast = bright - dark
     cosine = _cosine(nodes, edges, row, column, along, down)
     at = nodes.at[row, column]
@@ -148,7 +172,7 @@ def _convincing(
     inward = np.minimum(
         np.minimum(at.real, far[0] - at.real), np.minimum(at.imag, far[1] - at.imag)
     )
-    expected, _ = predict(nodes.at, row, column)
+    expected = stencil.predict(nodes.at)
     off = np.abs(expected - at)
     off[np.isnan(off)] = np.inf
     typical = _typical(off, cell, row, column, nodes.at.shape)
@@ -184,8 +208,12 @@ def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[in
     reach = np.arange(2 * BESIDE + 1)
     rows = row[asked, None, None] + reach[:, None]
     columns = column[asked, None, None] + reach
-    around = every[rows, columns].reshape(len(asked), -1)
-    typical[asked] = np.nanquantile(around, SHARE, axis=1)
+    around = np.sort(every[rows, columns].reshape(len(asked), -1), axis=1)  # unknown ones are last
+    place = SHARE * (np.count_nonzero(around == around, axis=1) - 1)
+    before = place.astype(np.int64)
+    number = np.arange(len(asked))
+    low, high = around[number, before], around[number, np.ceil(place).astype(np.int64)]
+    typical[asked] = low + (high - low) * (place - before)  # as np.nanquantile, which is slow
     return typical
 
 

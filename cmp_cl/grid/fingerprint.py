@@ -40,14 +40,17 @@ class Fingerprint(NamedTuple):
     @classmethod
     def of(cls, at: Points) -> "Fingerprint":
         """Take the fingerprint of measured nodes, (R, C) px, NaN where there is none."""
+        error, known = np.zeros(at.shape, np.complex128), np.zeros(at.shape, np.bool_)
         rough, step = _rough(at)
-        known = ~np.isnan(rough.real)
-        if not known.any():
-            return cls(np.zeros(at.shape, np.complex128), known, 0.0)
+        inner = ~np.isnan(rough.real)
+        if not inner.any():
+            return cls(error, known, 0.0)
         size = np.abs(rough)
-        limit = CLIP * median(size[known])
-        error = np.where(known, rough * np.minimum(1, limit / np.maximum(size, 1e-12)), 0)
-        return cls(error, known, median(np.abs(step[known])))
+        limit = CLIP * median(size[inner])
+        rough *= np.minimum(1, limit / np.maximum(size, 1e-12))
+        known[2:-2, 2:-2] = inner
+        error[known] = rough[inner]
+        return cls(error, known, median(np.abs(step[inner])))
 
     @classmethod
     def at_rest(cls, rest: Grid) -> "Fingerprint":
@@ -71,23 +74,21 @@ def _kept(shape: tuple[int, int], kind: DTypeLike, xy: bytes, status: bytes) -> 
 def _rough(at: Points) -> tuple[Points, Points]:
     """Return how far nodes are from the cubics through their neighbours, cells, and the steps, px.
 
-    The mean of x - (4 (L + R) - (LL + RR)) / 6 along the row and along the column, over the
-    step along the row: an independent error of variance 1 leaves GAIN.
+    (R - 4, C - 4) each, without the two outermost lines of each side, or empty. The mean of
+    x - (4 (L + R) - (LL + RR)) / 6 along the row and along the column, over the step along the
+    row: an independent error of variance 1 leaves GAIN.
     """
-    rows, columns = at.shape
-    padded = np.full((rows + 4, columns + 4), NOWHERE)
-    padded[2:-2, 2:-2] = at
+    rows, columns = (max(n - 4, 0) for n in at.shape)
 
     def near(row: int, column: int) -> Points:
-        there: Points = padded[2 + row : 2 + row + rows, 2 + column : 2 + column + columns]
-        return there
+        return at[2 + row : 2 + row + rows, 2 + column : 2 + column + columns]
 
     beside = near(0, -1) + near(0, 1) + near(-1, 0) + near(1, 0)
     beyond = near(0, -2) + near(0, 2) + near(-2, 0) + near(2, 0)
     step = (near(0, 1) - near(0, -1)) / 2
     step[~(np.abs(step) > 1e-6)] = NOWHERE
     with np.errstate(invalid="ignore"):  # NaN over NaN
-        return (at - (4 * beside - beyond) / 12) / step, step
+        return (near(0, 0) - (4 * beside - beyond) / 12) / step, step
 
 
 def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | None:
@@ -100,12 +101,14 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
     scores: list[float] = []
     common: list[float] = []
     square, square_at_rest = (np.abs(each.error) ** 2 for each in (now, rest))  # 0 where unknown
+    share, share_at_rest = (each.known.astype(np.float64) for each in (now, rest))
     for quarters in turns:
-        error = turned_lines(now.error, quarters) * (-1j) ** quarters
-        known = turned_lines(now.known, quarters)
-        count = max(int(np.count_nonzero(known & rest.known)), 1)
-        agreed = float((error.conj() * rest.error).real.sum())
-        power = (turned_lines(square, quarters) * rest.known).sum() * (square_at_rest * known).sum()
+        error, squared, known = (
+            turned_lines(each, quarters) for each in (now.error, square, share)
+        )
+        count = max(float(np.vdot(known, share_at_rest)), 1)
+        agreed = float((np.vdot(error, rest.error) * 1j**quarters).real)
+        power = np.vdot(squared, share_at_rest) * np.vdot(known, square_at_rest)
         scores.append(agreed / math.sqrt(max(float(power), 1e-30) / 2 / count))
         common.append(agreed / count)
     best = int(np.argmax(scores))

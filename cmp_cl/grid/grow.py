@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 from cmp_cl.grid import evidence
 from cmp_cl.grid.grid import NodeStatus
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points
-from cmp_cl.grid.predict import REACHED, mean_steps, predict, predict_within
+from cmp_cl.grid.predict import (
+    REACHED,
+    beside_missing,
+    mean_steps,
+    predict,
+    predict_within,
+)
 from cmp_cl.grid.second_look import second_look
 from cmp_cl.image import GreyImage
 
@@ -118,13 +124,15 @@ def _near_changes(nodes: Nodes) -> tuple[Index, Index]:
 
 def _misfits(at: Points, row: Index, column: Index) -> Float:
     """Return how far those nodes are from well supported predictions, cells; 0 below a pixel."""
-    prediction = np.full(len(row), NOWHERE)
     if len(row) > FEW:
-        prediction = predict_within(at)[row, column]
-    rim = np.flatnonzero(np.isnan(prediction))
-    prediction[rim], weight = predict(at, row[rim], column[rim])
+        place, outer = beside_missing(~np.isnan(at.real))
+        every = predict_within(at)
+        every.ravel()[place] = np.where(outer.weight < STRONG, NOWHERE, outer.predict(at))
+        prediction = every[row, column]
+    else:
+        prediction, weight = predict(at, row, column)
+        prediction[weight < STRONG] = NOWHERE
     gap = np.abs(at[row, column] - prediction)
-    gap[rim[weight < STRONG]] = 0
     far = np.flatnonzero(gap > 1)
     off = np.zeros(len(row))
     off[far] = gap[far] / mean_steps(at, row[far], column[far])[2]

@@ -46,25 +46,29 @@ class Lattice(NamedTuple):
 
 def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad."""
-    order, first, second = near_pairs(z)
+    order, first, second, step = near_pairs(z)
     lines, bend = _lines(edges)
-    z = z[order]
-    half, other = _links(z, lines.take(order, axis=1), first, second)
+    z, lines = z[order], lines.take(order, axis=1)
+    half, other = _links(lines, first, second, step)
     cells = _cells(z, half, other)
-    sure = cells == 2
-    trees = _planted(len(z), half[sure], other[sure])
-    trees = _join(trees, half[sure], other[sure], 0)
-    half, other = half[cells > 0], other[cells > 0]
-    trees = _join(trees, half, other, STRONG)
-    return _arranged(z, bend, order, half, other, trees)
+    closed = np.flatnonzero(cells > 0)
+    half, other = half[closed], other[closed]
+    trees, agree = _counted(lines, half, other), np.ones(len(half), np.bool_)
+    if trees is None:
+        sure = cells[closed] == 2
+        trees = _planted(len(z), half[sure], other[sure])
+        trees = _join(trees, half[sure], other[sure], 0)
+        trees = _join(trees, half, other, STRONG)
+        agree = _agree(trees, half, other)
+    return _arranged(z, bend, order, half, other, trees, agree)
 
 
-def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
+def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     """Return the pairs of points that are at most FARTHEST_NEIGHBOUR cells apart.
 
-    Returns an order of the points and the pairs as places in that order, each pair once, the
-    lower place first. The cell is taken from the density of the points, where all but a tenth
-    are denser.
+    Returns an order of the points, the pairs as places in that order, each pair once, the lower
+    place first, and the step from the first to the second. The cell is taken from the density
+    of the points, where all but a tenth are denser.
     """
     x, y = z.real.astype(np.float64), z.imag.astype(np.float64)
     x -= x.min()
@@ -79,20 +83,24 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index]:
     reach = max(FARTHEST_NEIGHBOUR * tile / np.sqrt(crowd), extent / 1024)
 
     strip = wide + 2 * reach  # of one strip of that height after the other
-    along = np.floor(y / reach) * strip + x
+    height = y / reach
+    number = np.floor(height)
+    along = number * strip + x
     order = np.argsort(along, kind="stable")
     along, z = along[order], z[order]
+    depth = (number + 1 - height)[order]  # of the next strip
+    width = reach * np.sqrt(1 - depth * depth)  # that is within reach there
     ahead = np.searchsorted(along, along + reach)
-    below = np.searchsorted(along, along + (strip - reach))
-    beyond = np.searchsorted(along, along + (strip + reach))
+    below = np.searchsorted(along, along + (strip - width))
+    beyond = np.searchsorted(along, along + (strip + width))
     here = np.arange(len(z))
     begin, end = np.concatenate([here + 1, below]), np.concatenate([ahead, beyond])
     count = np.minimum(end - begin, CROWD)
     first = np.repeat(np.concatenate([here, here]), count)
     second = np.arange(len(first)) + np.repeat(begin - np.cumsum(count) + count, count)
-    step = z[second] - z[first]
-    near = np.flatnonzero(step.real**2 + step.imag**2 < reach**2)
-    return order, first[near], second[near]
+    step = z.take(second) - z.take(first)
+    near = np.flatnonzero(np.abs(step) < reach)
+    return order, first.take(near), second.take(near), step.take(near)
 
 
 def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
@@ -108,7 +116,7 @@ def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
     return lines, bend
 
 
-def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Index, Index]:
+def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[Index, Index]:
     """Return the links: pairs of half-edges that choose each other.
 
     A corner looks along that half of its two lines which is nearest to the way to the other
@@ -116,17 +124,16 @@ def _links(z: Complex, lines: Complex, first: Index, second: Index) -> tuple[Ind
     other from black to white, so the sum of the boundaries' numbers is odd. The choice is by
     length * (1 + 4 (1 - cos)) of both ends.
     """
-    step = z[second] - z[first]
-    length = np.sqrt(step.real**2 + step.imag**2)
-    step *= 1 / np.maximum(length, np.float32(1e-6))
+    length = np.abs(step)
+    step = step * (1 / np.maximum(length, np.float32(1e-6)))
     k, cos_ahead = _boundary(lines, first, step)
     m, cos_back = _boundary(lines, second, -step)
     fits = (cos_ahead > COSINE) & (cos_back > COSINE) & ((k ^ m) & 1 == 1)
     kept = np.flatnonzero(fits)
-    half = 4 * first[kept] + k[kept]
-    other = 4 * second[kept] + m[kept]
-    cost = length[kept] * (5 - 4 * cos_ahead[kept]) * (5 - 4 * cos_back[kept])
-    best = np.full(4 * len(z), np.inf, cost.dtype)
+    half = 4 * first.take(kept) + k.take(kept)
+    other = 4 * second.take(kept) + m.take(kept)
+    cost = length.take(kept) * (5 - 4 * cos_ahead.take(kept)) * (5 - 4 * cos_back.take(kept))
+    best = np.full(4 * lines.shape[1], np.inf, cost.dtype)
     np.minimum.at(best, half, cost)
     np.minimum.at(best, other, cost)
     chosen = np.flatnonzero((best[half] == cost) & (best[other] == cost))
@@ -140,7 +147,7 @@ def _boundary(
     even, odd = (lines.take(corner, axis=1) * way.conj()).real
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
-    behind = np.where(is_odd, odd, even) < 0
+    behind = (odd < 0) & is_odd | (even < 0) & ~is_odd
     return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
@@ -180,6 +187,41 @@ class _Trees(NamedTuple):
     turn: Complex
 
 
+def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
+    """Number the corners along any links; None where that is not the same along all of them.
+
+    A corner's frame is that which lies nearest to the mean one. Where all links agree with
+    these frames and with the numbers, no other frames and numbers do.
+    """
+    corners = lines.shape[1]
+    squared = lines[0] * lines[0]
+    axis = np.full(1, complex((squared * squared).mean()) ** 0.25, np.complex64)
+    ahead, _ = _boundary(lines, np.arange(corners), axis)
+    quarter = -ahead & 3
+    a, b = half >> 2, other >> 2
+    way = (quarter[a] + half) & 3
+    if (way ^ (quarter[b] + other) & 3 != 2).any():
+        return None
+    step = UNITS[way]
+    root, node = np.arange(corners), np.zeros(corners, np.complex64)
+    child, parent, place = b, a, step  # a is the lower of the two
+    while len(child):
+        root[child], node[child] = parent, place  # of several parents the last holds
+        while True:  # pointer jumping
+            higher = root[root]
+            if (higher == root).all():
+                break
+            node += node[root]
+            root = higher
+        off = node[a] + step - node[b]
+        one, two = root[a], root[b]
+        apart = np.flatnonzero(one != two)
+        one, two, place = one[apart], two[apart], off[apart]
+        child, parent = np.maximum(one, two), np.minimum(one, two)
+        place = np.where(one < two, place, -place)
+    return None if len(b) and off.any() else _Trees(root, node, UNITS[quarter])
+
+
 def _planted(corners: int, half: Index, other: Index) -> _Trees:
     """Return a first forest: each corner hooks to the lowest earlier one that it is linked to."""
     nothing = 16 * corners
@@ -195,6 +237,15 @@ def _planted(corners: int, half: Index, other: Index) -> _Trees:
     planted = _hooked(alone, child, half >> 2, -UNITS[(half - other) & 3], UNITS[half & 3])
     number = np.cumsum(lowest == nothing) - 1  # of the trees, which are fewer
     return planted._replace(root=number[planted.root])
+
+
+def _agree(trees: _Trees, half: Index, other: Index) -> Mask:
+    """Return which links lead to the place and the frame that the other corner has."""
+    a, b = half >> 2, other >> 2
+    way = trees.turn[a] * UNITS[half & 3]
+    onward = trees.node[a] + way == trees.node[b]
+    agree: Mask = onward & (trees.turn[b] * UNITS[other & 3] == -way)
+    return agree
 
 
 def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
@@ -274,13 +325,12 @@ def _arranged(
     half: Index,
     other: Index,
     trees: _Trees,
+    agree: Mask,
 ) -> Lattice:
     """Return the components by size, in the corners' own order; z is in the sorted order."""
     root, node, turn = trees
     a, b = half >> 2, other >> 2
-    way = turn[a] * UNITS[half & 3]
-    agree = (node[a] + way == node[b]) & (turn[b] * UNITS[other & 3] == -way)
-    support = np.bincount(a[agree], minlength=len(z)) + np.bincount(b[agree], minlength=len(z))
+    support = np.bincount(a, agree, len(z)) + np.bincount(b, agree, len(z))
     linked = np.zeros(len(z), np.bool_)
     linked[a] = linked[b] = True
     count = np.bincount(root[linked], minlength=len(z))
@@ -288,10 +338,11 @@ def _arranged(
     label = np.full(len(z), -1)
     label[largest] = np.arange(len(largest))
     label = np.where(linked, label[root], -1)
-    along = (z[b] - z[a]) * way.conj()
-    steps = np.maximum(np.bincount(label[a], minlength=len(largest)), 1)
-    axis = np.bincount(label[a], along.real, len(largest)) / steps + 0j
-    axis.imag = np.bincount(label[a], along.imag, len(largest)) / steps
+    along = (z[b] - z[a]) * (turn[a] * UNITS[half & 3]).conj()
+    part = label[a]
+    steps = np.maximum(np.bincount(part, minlength=len(largest)), 1)
+    axis = np.bincount(part, along.real, len(largest)) / steps + 0j
+    axis.imag = np.bincount(part, along.imag, len(largest)) / steps
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
     return Lattice(
@@ -299,7 +350,7 @@ def _arranged(
         size=count[largest],
         node=node[back],
         turn=turn[back],
-        support=support[back],
+        support=support.astype(np.int64)[back],
         bend=bend,
         axis=axis,
     )

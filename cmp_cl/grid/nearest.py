@@ -66,6 +66,11 @@ def _kept(
 def _mean_step(at: Points) -> complex:
     """Return the mean step from a column to the next; 0 where there is none."""
     step = at[:, 1:] - at[:, :-1]
+    if not step.size:
+        return 0j
+    mean = complex(step.mean())
+    if not cmath.isnan(mean):
+        return mean
     known = step[~np.isnan(step.real)]
     return complex(known.mean()) if len(known) else 0j
 
@@ -135,9 +140,12 @@ def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
     return row, column, nodes.at[row, column]
 
 
-def colour(nodes: Nodes, near: Reference) -> int:
-    """Return the sum of the first row's and column's number modulo 2, by the checker colours."""
-    return (sum(near.origin) + near.parity + nodes.parity) % 2
+def colour(parity: int, near: Reference) -> int:
+    """Return the sum of the first row's and column's number modulo 2, by the checker colours.
+
+    parity: of the nodes.
+    """
+    return (sum(near.origin) + near.parity + parity) % 2
 
 
 def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[Choice]:
@@ -153,7 +161,7 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
     start = np.clip(start, (bounds.top, bounds.left), (bounds.last_top, bounds.last_left))
     start = start + np.array([(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)])
     top, left = start.T
-    start = start[((top + left) % 2 == colour(nodes, near)) & bounds.hold(top, left)]
+    start = start[((top + left) % 2 == colour(nodes.parity, near)) & bounds.hold(top, left)]
     if not len(start):
         return []
     here = start[0]

@@ -2,6 +2,8 @@
 
 import cmath
 import copy
+import functools
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,6 +20,8 @@ Mask = NDArray[np.bool_]
 
 NOWHERE = complex(np.nan, np.nan)
 Entry = TypeVar("Entry", bound=np.generic)
+Answer = TypeVar("Answer")
+KEPT, MOST_KEPT = 4, 1 << 14  # answers that `for_film` keeps, of grids of so many places
 MOST_NODES, NODES_EACH = 65536, 64  # that any grid may have, and more for each corner
 
 
@@ -74,12 +78,16 @@ class Nodes:
         """Return the same nodes with the numbers turned: row 0 is the last column, and so on."""
         if not quarters:
             return self
-        first = (0, self.at.shape[1], sum(self.at.shape), self.at.shape[0])[quarters]
         turned = copy.copy(self)
-        turned.parity = (self.parity + first) % 2
+        turned.parity = self.turned_parity(quarters)
         for name in ("at", "owner", "status", "changed"):
             setattr(turned, name, turned_lines(getattr(self, name), quarters))
         return turned
+
+    def turned_parity(self, quarters: int) -> int:
+        """Return the parity after the numbers are turned."""
+        rows, columns = self.at.shape
+        return (self.parity + (0, columns, rows + columns, rows)[quarters]) % 2
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":
         """Return the nodes from that row and column on."""
@@ -100,6 +108,25 @@ class Nodes:
         return cut
 
 
+def for_film(function: Callable[[Mask], Answer]) -> Callable[[Mask], Answer]:
+    """Keep the last answers of a function of where nodes are: a film's frames often share it.
+
+    Nothing may write to the arrays of an answer. Those of large grids are not kept.
+    """
+
+    @functools.lru_cache(maxsize=KEPT)
+    def of_bytes(shape: tuple[int, ...], there: bytes) -> Answer:
+        return function(np.frombuffer(there, np.bool_).reshape(shape))
+
+    @functools.wraps(function)
+    def kept(there: Mask) -> Answer:
+        if there.size > MOST_KEPT:
+            return function(there)
+        return of_bytes(there.shape, there.tobytes())
+
+    return kept
+
+
 def turned_lines(values: NDArray[Entry], quarters: int) -> NDArray[Entry]:
     """Return a view of them, (R, C), as np.rot90 turns them, which is slow; quarters: 0 to 3."""
     if quarters % 2:
@@ -110,7 +137,7 @@ def turned_lines(values: NDArray[Entry], quarters: int) -> NDArray[Entry]:
 def median(values: Float) -> float:
     """Return what np.median does, of one or more values without NaN, in a third of the time."""
     first, second = (len(values) - 1) // 2, len(values) // 2
-    parted = np.partition(values, (first, second))
+    parted = np.partition(values, (first, second) if first < second else first)
     return float(parted[first] + parted[second]) / 2
 
 
@@ -129,21 +156,24 @@ def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     Raises GridError where the box is too large for its corners.
     """
     member = np.flatnonzero(found.component == component)
-    member = member[np.argsort(found.support[member], kind="stable")]
     angle = cmath.phase(complex(found.axis[component]))
     unit = (1, 1j, -1, -1j)[round(angle / (cmath.pi / 2)) % 4]
     node, turn = found.node[member] * unit, found.turn[member] * unit
     row, column = node.imag.astype(np.int64), node.real.astype(np.int64)
     row -= row.min()
     column -= column.min()
-    check_room((int(row.max()) + 1, int(column.max()) + 1), len(z))
-    odd = ((turn.imag != 0) + row + column) % 2
+    shape = int(row.max()) + 1, int(column.max()) + 1
+    check_room(shape, len(z))
+    odd = ((turn.imag != 0) + row + column) & 1
     free = np.ones(len(z), np.bool_)
     free[member] = False
     parity = int(2 * np.count_nonzero(odd) > len(odd))
-    nodes = Nodes((int(row.max()) + 1, int(column.max()) + 1), parity, free)
-    nodes.owner[row, column] = member  # the best supported is last and stays
+    nodes = Nodes(shape, parity, free)
+    nodes.owner[row, column] = member
     seen = nodes.owner >= 0
+    if np.count_nonzero(seen) < len(member):  # of several at a place the best supported stays
+        best = np.argsort(found.support[member], kind="stable")
+        nodes.owner[row[best], column[best]] = member[best]
     nodes.at = np.where(seen, z[nodes.owner], NOWHERE)
     nodes.status[seen] = NodeStatus.DETECTED
     nodes.changed[:] = True

@@ -118,12 +118,12 @@ def _by_turn(
     ordered: all quarter turns.
     """
     top, left = like.origin
+    at_rest = Border.of(like)
     fitting = []
     for quarters, angle in ordered:
-        turned = nodes.turned(quarters)
-        alike = not any(border.turned(quarters).contradicts(Border.of(like)))
-        alike &= turned.at.shape == like.shape
-        if alike and (top + left) % 2 == colour(turned, rest):
+        alike = nodes.at.shape == (like.shape[::-1] if quarters % 2 else like.shape)
+        alike &= (top + left) % 2 == colour(nodes.turned_parity(quarters), rest)
+        if alike and not any(border.turned(quarters).contradicts(at_rest)):
             fitting.append((quarters, angle))
     if not fitting:
         return _by_border(nodes, NO_BORDER, like, rest)
@@ -151,7 +151,7 @@ def _by_border(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Dec
     if len(turns) == 1 and not any(border.sides):
         turned = nodes.turned(turns[0][0])
         number = _bounds(turned, border, like).only
-        if number is not None and sum(number) % 2 == colour(turned, rest):
+        if number is not None and sum(number) % 2 == colour(turned.parity, rest):
             return Decision(Choice(0.0, float("nan"), turns[0][0], *number), None, sure=True)
     left = _nearest(nodes, border, like, rest)
     if len(left) == 1 and any(border.sides):
@@ -183,7 +183,7 @@ def _with_print(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) ->
         if shift is None:
             continue
         top, left = shift[0] + like.origin[0], shift[1] + like.origin[1]
-        if (top + left) % 2 != colour(turned, rest):
+        if (top + left) % 2 != colour(turned.parity, rest):
             return decided
         best = chosen(turned, rest, quarters, top, left)
         others = (decided.best, decided.second)

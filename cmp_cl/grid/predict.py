@@ -1,9 +1,11 @@
 """Where nodes should be by their neighbours, and how long the steps between them are."""
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
-from cmp_cl.grid.nodes import NOWHERE, Float, Index, Points
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Points, for_film
 
 
 # (weight, {(row, column): factor, ...}) of each prediction of a node from its neighbours
@@ -37,22 +39,57 @@ REACHED = np.array(  # where predictions or cells change with the node in the mi
 )
 
 
+class Stencil(NamedTuple):
+    """How neighbours predict M nodes.
+
+    near: (24, M) places of the neighbours in the grid with three missing nodes on every side.
+    missing: (24, M), those that are not there. factors: (24, M) of their positions. weight: (M,)
+    of the predictions.
+    """
+
+    near: Index
+    missing: Mask
+    factors: Float
+    weight: Float
+
+    @classmethod
+    def of(cls, there: Mask, row: Index, column: Index) -> "Stencil":
+        """Take that of some nodes of a grid; there: (R, C), where it has nodes."""
+        rows, columns = there.shape
+        width = columns + 6
+        around = np.ones((rows + 6, width), np.bool_)
+        around[3:-3, 3:-3] = ~there
+        near = (row + 3) * width + column + 3 + (STEPS @ [width, 1])[:, None]
+        missing = around.ravel()[near]
+        known = USES @ missing == 0
+        weight: Float = WEIGHTS @ known
+        return cls(near, missing, WEIGHTED.T @ known, weight)
+
+    def predict(self, at: Points) -> Points:
+        """Return the predictions, NaN where nothing is known; at: (R, C), px."""
+        near = _bordered(at).ravel()[self.near]
+        np.copyto(near, 0, where=self.missing)
+        predicted: Points = (self.factors * near).sum(0) * _inverse(self.weight)
+        return predicted
+
+
 def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
     """Predict nodes from their neighbours; also return the weight of the prediction.
 
     Along a row or column (4 (L + R) - (LL + RR)) / 6 with weight 12 and (L + R) / 2 with 4,
     the parallelograms with 1.5, linear and quadratic extrapolation with 0.7 each.
     """
-    padded = _bordered(at)
-    width = padded.shape[1]
-    near = padded.ravel()[(row + 3) * width + column + 3 + (STEPS @ [width, 1])[:, None]]
-    unknown = np.isnan(near.real)
-    near[unknown] = 0
-    known = USES @ unknown == 0
-    weight: Float = WEIGHTS @ known
-    factors = WEIGHTED.T @ known
-    with np.errstate(invalid="ignore"):
-        return (factors * near).sum(0) / weight, weight
+    stencil = Stencil.of(~np.isnan(at.real), row, column)
+    return stencil.predict(at), stencil.weight
+
+
+@for_film
+def beside_missing(there: Mask) -> tuple[Index, Stencil]:
+    """Return the places, (M,), of the nodes that `predict_within` leaves, and their stencil."""
+    unknown = np.isnan(predict_within(np.where(there, 0, NOWHERE)).real)
+    place = np.flatnonzero(there & unknown)
+    row, column = np.divmod(place, there.shape[1])
+    return place, Stencil.of(there, row, column)
 
 
 def predict_within(at: Points) -> Points:
@@ -70,6 +107,11 @@ def _bordered(at: Points) -> Points:
     return padded
 
 
+def _inverse(weight: Float) -> Float:
+    """Return 1 / weight, NaN for a weight of 0."""
+    return 1 / np.where(weight == 0, np.nan, weight)
+
+
 def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, Float]:
     """Return the step to the next column, to the next row, and the cell there, each (M,), px.
 
@@ -81,9 +123,8 @@ def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, F
     near = padded.ravel()[(LINES @ [width, 1])[..., None] + place]
     step = (near[:, :, 1:] - near[:, :, :-1]).reshape(TOUCHED.shape[1], len(row))
     known = ~np.isnan(step.real)
-    step[~known] = 0
-    with np.errstate(invalid="ignore"):
-        mean: Points = TOUCHED @ step / (TOUCHED @ known)
+    np.copyto(step, 0, where=~known)
+    mean: Points = TOUCHED @ step * _inverse(TOUCHED @ known)
     length = np.abs(mean)
     cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
     return mean[0], mean[1], cell

@@ -18,7 +18,7 @@ from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import Grid, NodeStatus, build_grid
 from cmp_cl.grid.grow import drop_misfits
-from cmp_cl.grid.lattice import lattice
+from cmp_cl.grid.lattice import _counted, lattice
 from cmp_cl.grid.nodes import Nodes
 from cmp_cl.grid.predict import mean_steps, predict, predict_within
 from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
@@ -438,6 +438,73 @@ def test_numbering_is_quick():
         lattice(z, corners.edges)
         times.append(time.perf_counter() - start)
     assert min(times) < 6e-3  # about 1.7 ms; a loop over corners would take 20
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_links_that_agree_give_the_components_that_votes_give(monkeypatch, seed):
+    corners = board(20, 16, lost=0.25, seed=seed).corners
+    z = (corners.xy @ np.array([1, 1j])).astype(np.complex64)
+    answers = []
+
+    def counted(*arguments):
+        answers.append(_counted(*arguments))
+        return answers[-1]
+
+    monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
+    one = lattice(z, corners.edges)
+    assert answers[0] is not None
+    monkeypatch.setattr("cmp_cl.grid.lattice._counted", lambda *_: None)
+    other = lattice(z, corners.edges)
+    assert len(one.size) > 1
+    for name in ("component", "size", "support", "bend"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for component in range(len(one.size)):
+        member = one.component == component
+        turn = one.turn[member] / other.turn[member]
+        assert (turn == turn[0]).all()
+        shift = one.node[member] - turn[0] * other.node[member]
+        assert (shift == shift[0]).all()
+
+
+@pytest.mark.parametrize("back", range(4))
+def test_a_link_that_contradicts_the_frames_of_its_corners_leaves_the_numbers_to_votes(back):
+    lines = np.array([[1, 1], [1j, 1j]], np.complex64)
+    trees = _counted(lines, np.array([0]), np.array([4 + back]))
+    assert (trees is None) == (back != 2)
+    assert trees is None or trees.node.tolist() == [0, 1]
+
+
+def test_numbers_that_contradict_each_other_around_a_tear_are_left_to_votes(monkeypatch):
+    row, column = np.mgrid[0:16, 0:16]
+    place = column - 7.5 + 1j * (row - 7.5)
+    kept = np.abs(place) > 3
+    place, first = place[kept], (row + column)[kept] % 2
+    place += np.angle(-place) / np.pi  # on the right the rows below lie two columns off
+    answers = []
+
+    def counted(*arguments):
+        answers.append(_counted(*arguments))
+        return answers[-1]
+
+    monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
+    edges = (np.arange(4) + first[:, None]) * np.pi / 2
+    found = lattice((100 + 100j + 13 * place).astype(np.complex64), edges.astype(np.float32))
+    assert found.size[0] > 200
+    assert answers == [None]
+
+
+def test_a_pattern_that_is_turned_within_itself_is_numbered_by_votes(monkeypatch):
+    corners, index, _ = board(24, 24, twist=1.1, pull=0)
+    answers = []
+
+    def counted(*arguments):
+        answers.append(_counted(*arguments))
+        return answers[-1]
+
+    monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
+    grid = build_grid(corners)
+    assert answers == [None]
+    np.testing.assert_array_equal(grid.index, index)
 
 
 def test_a_frame_without_holes_is_not_looked_at_again(monkeypatch):

@@ -16,9 +16,10 @@ from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, NodeStatus, Sides, build_grid
 from cmp_cl.grid.align import row_direction
 from cmp_cl.grid.border import common_reach
+from cmp_cl.grid.evidence import _typical
 from cmp_cl.grid.fingerprint import Fingerprint, turn_to
 from cmp_cl.grid.nearest import Reference
-from cmp_cl.grid.nodes import median, turned_lines
+from cmp_cl.grid.nodes import for_film, median, turned_lines
 
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
 PERIODS = ((1, 1), (2, 0), (-1, 3))
@@ -435,6 +436,39 @@ def test_an_edge_that_leaves_as_many_columns_as_a_board_has_rows_does_not_turn_i
     grid = build_grid(seen_in(view), view, shape=(5, 8))
     assert grid.valid.any()
     assert grid.ambiguous
+
+
+def test_nodes_off_their_predictions_are_compared_with_a_quarter_of_those_around():
+    draw = np.random.default_rng(0)
+    row, column = np.nonzero(draw.random((9, 9)) < 0.6)
+    off, cell = draw.uniform(0, 5, len(row)), np.full(len(row), 9.0)
+    around = np.full((13, 13), np.nan)
+    around[row + 2, column + 2] = off
+    expected = [
+        np.nanquantile(around[r : r + 5, c : c + 5], 0.25) if far > 0.12 * 9 else 0
+        for r, c, far in zip(row, column, off, strict=True)
+    ]
+    np.testing.assert_allclose(_typical(off, cell, row, column, (9, 9)), expected, rtol=1e-12)
+
+
+def test_what_follows_from_where_nodes_are_is_kept_for_the_same_places_alone():
+    asked = []
+
+    @for_film
+    def count(there):
+        asked.append(there.shape)
+        return int(there.sum())
+
+    here, there = np.zeros((2, 3), np.bool_), np.zeros((2, 3), np.bool_)
+    there[1, 2] = True
+    assert [count(here), count(there), count(here.copy()), count(there)] == [0, 1, 0, 1]
+    assert count(there.reshape(3, 2)) == 1
+    assert asked == [(2, 3), (2, 3), (3, 2)]
+    assert count(there.T[::-1]) == 1  # not in the order that memory has
+    large = np.zeros((1 << 7, 1 << 8), np.bool_)
+    asked.clear()
+    assert [count(large), count(large)] == [0, 0]
+    assert asked == [large.shape, large.shape]
 
 
 def test_one_pair_of_squares_of_many_does_not_tell_that_an_edge_is_parallel():
