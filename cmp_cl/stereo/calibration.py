@@ -74,7 +74,8 @@ def calibrate_camera(
     """Calibrate a camera on at least three views of a flat board.
 
     A view may show part of the board, and the views may be numbered differently. Each node has
-    the weight 1 / sigma^2.
+    the weight 1 / (sigma^2 + t^2). t^2 is the variance that the residuals have beyond the sigmas of
+    the nodes: on a board that is not exact, certain nodes err as much as uncertain ones.
     spacing: side of a square, in any unit. image_size: (width, height), px.
     free_board: the board is neither exact nor flat; its nodes are found too, on the whole as large
     as the flat board. Then at least four views are needed, and equal indices must be the same node

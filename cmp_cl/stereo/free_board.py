@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
-from cmp_cl.stereo.adjustment import POSE, Adjusted, View, node_weights, seen_by, view_errors
+from cmp_cl.stereo.adjustment import (
+    POSE,
+    ROUNDS,
+    Adjusted,
+    View,
+    freedom,
+    node_weights,
+    residuals,
+    root_mean_squares,
+    seen_by,
+)
 
 Array = NDArray[np.float64]
 Nodes = NDArray[np.int64]
@@ -74,30 +84,36 @@ def adjust_board(
         raise CalibrationError(
             f"{len(views)} views of a free board, at least {LEAST_VIEWS} are needed"
         )
-    loose = _Problem(views, nodes, node_weights(views), board)
+    shown = len(np.unique(np.concatenate(nodes)))
+    unknown = len(start) + 3 * shown - POSE - 1  # the board as a whole does not move or grow
+    free = freedom(views, unknown)
     state = _State(start.copy(), np.array([view.pose for view in views]), board.copy())
-    count = sum(2 * len(view.board) * len(view.seen) for view in views)
-    for _ in range(2):  # the spring is as stiff as the residuals are small
-        rest = _system(loose, state).cost / count
-        problem = dataclasses.replace(loose, spring=rest / (_LOOSE * spacing) ** 2)
-        state, normal = _settled(problem, state)
+    for _ in range(ROUNDS):  # the spring is as stiff as the residuals are small
+        weights = node_weights(views, _residuals(views, nodes, state), unknown)
+        loose = _Problem(views, nodes, weights, board)
+        spring = _system(loose, state).cost / free / (_LOOSE * spacing) ** 2
+        state, normal = _settled(dataclasses.replace(loose, spring=spring), state)
     reduced: Array = _reduced(normal)[0]
     covariance = np.asarray(np.linalg.pinv(reduced, hermitian=True), np.float64)
-    seen = len(np.unique(np.concatenate(nodes)))
-    unknown = len(covariance) + 3 * seen - POSE - 1  # the board as a whole does not move or grow
-    scale = normal.cost / max(count - unknown, 1)
-    moved = [
-        dataclasses.replace(view, board=state.board[rows])
-        for view, rows in zip(views, nodes, strict=True)
-    ]
     return (
         Adjusted(
             state.numbers,
-            covariance[: len(start), : len(start)] * scale,
-            view_errors(moved, state.numbers, list(state.poses)),
+            covariance[: len(start), : len(start)] * normal.cost / free,
+            root_mean_squares(_residuals(views, nodes, state)),
         ),
         state.board,
     )
+
+
+def _residuals(
+    views: Sequence[View], nodes: Sequence[Nodes], state: _State
+) -> list[tuple[Array, ...]]:
+    """Return seen minus projected at a state, px, (N, 2) for each view and camera."""
+    shown = [
+        dataclasses.replace(view, board=state.board[rows])
+        for view, rows in zip(views, nodes, strict=True)
+    ]
+    return residuals(shown, state.numbers, list(state.poses))
 
 
 def _settled(problem: _Problem, state: _State) -> tuple[_State, _Normal]:
