@@ -85,7 +85,7 @@ def test_the_board_itself_is_found():
 def test_the_mean_side_of_a_free_board_is_the_given_one():
     """The views cannot tell how large the board is; the distance of the cameras scales with it."""
     draw = np.random.default_rng(1)
-    truth = cylinder(flat_board()) + draw.normal(0, 0.1, (ROWS, COLUMNS, 3))
+    truth = cylinder(flat_board()) + draw.normal(0, 0.3, (ROWS, COLUMNS, 3))
     truth *= 1.01
     found = calibrated(pairs(truth, count=12), free=True)
     mean, true = (
