@@ -52,6 +52,7 @@ from cmp_cl.measure import (
     square_sides,
     trusted,
 )
+from cmp_cl.stereo.points import sides
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -339,28 +340,30 @@ def lattice_filtered(pair: tuple[Grid, Grid]) -> tuple[Grid, Grid]:
 def left_out(views: Sequence[tuple[Grid, Grid]], *, free_board: bool = False) -> dict[str, Any]:
     """Measure each pair with the calibration of the others.
 
-    With a free board each side is compared to the one that the others found, 25 mm long on the
-    whole.
+    With a free board each side is also compared to the same side of the board that the others
+    found, whose sides are 25 mm long on average: `repeated` is the deviation from it, `board` that
+    of its own sides.
     """
     size = (640, 480)
-    sides = []
+    lengths, off, boards = [], [], []
     for out, pair in enumerate(views):
         others = [view for place, view in enumerate(views) if place != out]
         found = calibrate(others, spacing=25, image_size=size, free_board=free_board)
-        if found.board is None:
-            sides.append(square_sides(found.rig.triangulate(*pair)))
-            continue
         half_turn = 2 if pair[0].parity != others[0][0].parity else 0
-        seen = found.rig.triangulate(*(grid.turned(half_turn) for grid in pair)).xyz
-        off = [
-            np.linalg.norm(np.diff(seen, axis=axis), axis=2)
-            - np.linalg.norm(np.diff(found.board, axis=axis), axis=2)
-            for axis in (0, 1)
-        ]
-        every = np.concatenate([each.ravel() for each in off])
-        sides.append(25 + every[np.isfinite(every)])
+        points = found.rig.triangulate(*(grid.turned(half_turn) for grid in pair))
+        lengths.append(square_sides(points))
+        if found.board is not None:
+            boards.append(every_side(found.board))
+            off.append(every_side(points.xyz) - boards[-1])
     error = calibrate(views, spacing=25, image_size=size, free_board=free_board).error
-    return {"calibration_error_px": error, **spread(sides)}
+    row = {"calibration_error_px": error, **spread(lengths)}
+    if free_board:
+        row["repeated"], row["board"] = (float(np.nanstd(each)) for each in (off, boards))
+    return row
+
+
+def every_side(xyz: np.ndarray) -> np.ndarray:
+    return np.concatenate([each.ravel() for each in sides(xyz)])
 
 
 def spread(sides: Sequence[np.ndarray]) -> dict[str, Any]:
@@ -413,10 +416,18 @@ def show(result: dict[str, Any]) -> None:
         told = "published calibration" if error is None else f"reprojection error {error:.3f} px"
         print(
             f"{row['set']:11}{row['config']:44}{row['mean']:8.3f} +- {row['deviation']:.3f} mm of "
-            f"{row['true']:g}, {told}"
+            f"{row['true']:g}, {told}{free_board_figures(row)}"
         )
     if not result["boards"]:
         print(f"left out: no photographs in {DATA}")
+
+
+def free_board_figures(row: dict[str, Any]) -> str:
+    if "board" not in row:
+        return ""
+    return (
+        f"; {row['repeated']:.3f} from the board of the others, whose sides vary {row['board']:.3f}"
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:

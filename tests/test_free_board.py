@@ -7,6 +7,7 @@ from stereo_data import grid_of, project, toed_in_rig
 
 from cmp_cl import CalibrationError, calibrate, calibrate_camera
 from cmp_cl.measure import find_board, trusted
+from cmp_cl.stereo.points import sides
 
 SQUARE, ROWS, COLUMNS = 3.0, 7, 10
 SIZE = (800, 1200)
@@ -79,6 +80,21 @@ def test_the_board_itself_is_found():
     )
     assert size == pytest.approx(1, abs=2e-3)
     assert np.sqrt(np.square(aligned(found / size, truth) - truth).mean()) < 3e-3
+
+
+def test_the_mean_side_of_a_free_board_is_the_given_one():
+    """The views cannot tell how large the board is; the distance of the cameras scales with it."""
+    draw = np.random.default_rng(1)
+    truth = cylinder(flat_board()) + draw.normal(0, 0.3, (ROWS, COLUMNS, 3))
+    truth *= 1.01
+    found = calibrated(pairs(truth, count=12), free=True)
+    mean, true = (
+        np.concatenate([each.ravel() for each in sides(board)]).mean()
+        for board in (found.board, truth)
+    )
+    assert mean == pytest.approx(SQUARE, rel=1e-12)
+    length = np.linalg.norm(toed_in_rig().T) * SQUARE / true
+    assert np.linalg.norm(found.rig.T) == pytest.approx(length, rel=2e-3)
 
 
 def test_a_flat_board_costs_nothing_to_set_free():

@@ -11,7 +11,7 @@ import cmp_cl
 ROOT = Path(cmp_cl.__file__).parent
 # From the bottom up; a name stands for a module, or for a package and all within it.
 LAYERS = [
-    {"closing", "errors", "image_size", "version"},
+    {"closing", "errors", "image_size", "version", "vtk"},
     {"extras", "files"},
     {"image", "pattern"},
     {"arrays", "config", "media"},

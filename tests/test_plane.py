@@ -331,6 +331,24 @@ def test_strain_counts_the_errors_that_neighbours_share(part, angle):
     np.testing.assert_allclose(np.mean(parts, axis=0), [[0, part], [part, 0]], atol=0.05)
 
 
+@pytest.mark.parametrize("part", [0.0, 0.33])
+def test_raw_sigma_is_that_of_the_errors_where_neighbours_share_a_part(part):
+    row, column = np.mgrid[:20, :20]
+    rest = np.stack([12.0 * column, 12.0 * row], axis=-1)
+    relative = []
+    for seed in range(900000, 900016, 2):
+        before, now = (rest + 0.05 * edge_noise(seed + k, part, np.eye(2)) for k in (0, 1))
+        field = plane_displacement(grid_of(before), grid_of(now), raw=True)
+        relative += [
+            np.mean(np.square(off / sigma[..., None]))
+            for off, sigma in (
+                (field.displacement, field.sigma),
+                (field.position - rest, field.sigma_position),
+            )
+        ]
+    assert math.sqrt(np.mean(relative)) == pytest.approx(1, abs=0.05)
+
+
 def test_the_strain_of_a_filtered_field_counts_the_errors_that_neighbours_share():
     row, column = np.mgrid[:20, :20]
     rest = np.stack([12.0 * column, 12.0 * row], axis=-1)

@@ -131,7 +131,34 @@ def test_two_points_are_no_special_case(count):
 
 def test_points_of_the_wrong_layout_are_refused():
     with pytest.raises(FieldError, match=r"\(N, 2\)"):
-        triangulate_points(np.eye(3, 4), np.eye(3, 4), np.zeros((2, 7)), np.zeros((2, 7)))
+        triangulate_points(np.eye(3), np.ones(3), np.zeros((2, 7)), np.zeros((2, 7)))
+
+
+@pytest.mark.parametrize("depth", [20, 200])
+def test_points_of_noisy_views_have_the_least_reprojection_error(depth):
+    """A change of a point in any direction raises it; at 200 the parallax is 5 px."""
+    rig, draw = parallel_rig(), np.random.default_rng(depth)
+    truth = np.append(draw.uniform(-5, 5, (50, 2)), np.full((50, 1), depth), axis=1)
+    seen = [each + draw.normal(0, 0.002, (50, 2)) for each in ideal_views(rig, truth)]
+    found = triangulate_points(rig.R, rig.T, *seen)
+
+    def error(points):
+        offs = [view - each for view, each in zip(ideal_views(rig, points), seen, strict=True)]
+        return np.square(offs).sum(axis=(0, 2))
+
+    for step in np.vstack([np.eye(3), -np.eye(3)]) * 1e-3:
+        assert (error(found + step * found[:, 2:]) > error(found)).all()
+
+
+def ideal_views(rig, xyz):
+    """Return the points (N, 3) in the planes at distance 1 of both cameras, (N, 2) each."""
+    right = xyz @ rig.R.T + rig.T
+    return xyz[:, :2] / xyz[:, 2:], right[:, :2] / right[:, 2:]
+
+
+def test_parallel_rays_have_no_point():
+    same = np.zeros((1, 2))
+    assert np.isnan(triangulate_points(np.eye(3), np.array([-1.0, 0, 0]), same, same)).all()
 
 
 def one_node(rig, left, right):

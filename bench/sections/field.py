@@ -74,8 +74,9 @@ def field(result: Row) -> str:
         "### Boards with squares of known size\n\nMeasured sides of the squares, mm. The "
         "Bumblebee2 pairs use their published calibration; each of OpenCV's pairs uses a "
         "calibration from the other pairs. With a free board, the calibration finds the nodes of "
-        "the board too, and each side is compared with the same side of the board that the other "
-        "pairs found, 25 mm on average.\n"
+        "the board too, with sides of 25 mm on average: *repeated* is the deviation from the same "
+        "side of the board that the other pairs found, *board* the deviation of that board's own "
+        "sides, which no calibration lowers.\n"
     )
     if not result["boards"]:
         return "\n".join([*parts, "Left out: there were no photographs.\n"])
@@ -87,12 +88,23 @@ def field(result: Row) -> str:
             row["true"],
             f"{row['mean']:.3f}",
             f"{row['deviation']:.3f}",
+            *(f"{row[key]:.3f}" if key in row else "" for key in ("repeated", "board")),
             f"{min(row['pair_means']):.3f} to {max(row['pair_means']):.3f}",
             row.get("calibration_error_px", "published"),
         ]
         for row in sorted(result["boards"], key=lambda row: row["set"])
     ]
-    head = ("pairs", "settings", "sides", "true", "mean", "deviation", "means of pairs")
+    head = (
+        "pairs",
+        "settings",
+        "sides",
+        "true",
+        "mean",
+        "deviation",
+        "repeated",
+        "board",
+        "means of pairs",
+    )
     parts.append(table((*head, "reprojection error px"), body))
     return "\n".join(parts)
 

@@ -1,7 +1,5 @@
 """Files of one field: .npz, .csv, .ply and .vtp."""
 
-import base64
-import struct
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -15,6 +13,7 @@ from cmp_cl.files import whole_file, write_bytes
 from cmp_cl.grid.grid import NodeStatus
 from cmp_cl.media import write_csv
 from cmp_cl.stereo.points import PointStatus
+from cmp_cl.vtk import polydata, quadrilaterals
 
 if TYPE_CHECKING:
     from cmp_cl.field.field import DisplacementField
@@ -121,11 +120,7 @@ def mesh(field: "DisplacementField") -> tuple[dict[str, NDArray[Any]], NDArray[n
         "column": column.astype(np.int32),
         "source": field.source[valid].astype(np.int32),
     }
-    number = np.full(valid.shape, -1, np.int32)
-    number[valid] = np.arange(len(row))
-    corners = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
-    quads = np.stack(corners, axis=-1).reshape(-1, 4)
-    return columns, quads[(quads >= 0).all(axis=1)]
+    return columns, quadrilaterals(valid)
 
 
 def _save_ply(field: "DisplacementField", path: str | PathLike[str]) -> None:
@@ -161,33 +156,5 @@ def _save_ply(field: "DisplacementField", path: str | PathLike[str]) -> None:
 def _save_vtp(field: "DisplacementField", path: str | PathLike[str]) -> None:
     columns, quads = mesh(field)
     position = columns.pop("position")
-    data = "".join(_vtk_array(name, values) for name, values in columns.items())
-    text = f"""<?xml version="1.0"?>
-<!-- lengths in {field.unit} -->
-<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">
-<PolyData>
-<Piece NumberOfPoints="{len(position)}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" \
-NumberOfPolys="{len(quads)}">
-<PointData Vectors="displacement">
-{data}</PointData>
-<Points>
-{_vtk_array("Points", position)}</Points>
-<Polys>
-{_vtk_array("connectivity", quads.reshape(-1))}\
-{_vtk_array("offsets", np.arange(4, 4 * len(quads) + 1, 4, dtype=np.int32))}</Polys>
-</Piece>
-</PolyData>
-</VTKFile>
-"""
-    write_bytes(path, text.encode("utf-8"))
-
-
-def _vtk_array(name: str, values: NDArray[Any]) -> str:
-    kind, dtype = ("Int32", "<i4") if values.dtype.kind == "i" else ("Float64", "<f8")
-    width = values.shape[1] if values.ndim == 2 else 1
-    raw = values.astype(dtype).tobytes()
-    body = base64.b64encode(struct.pack("<Q", len(raw)) + raw).decode("ascii")
-    return (
-        f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{width}" format="binary">'
-        f"\n{body}\n</DataArray>\n"
-    )
+    comment = f"<!-- lengths in {field.unit} -->\n"
+    write_bytes(path, polydata(position, quads, columns, comment=comment).encode())

@@ -21,6 +21,7 @@ from cmp_cl.measure.patterns import (
 )
 from cmp_cl.opencl.device import Device
 from cmp_cl.stereo import Points3D
+from cmp_cl.stereo.points import sides
 
 MAX_SIGMA = 0.2  # px: corners of a board that are less certain are not used
 
@@ -109,6 +110,5 @@ def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
 
 def square_sides(points: Points3D) -> NDArray[np.float64]:
     """Return the distances between neighbouring nodes that were placed, (N,), in their unit."""
-    sides = [np.linalg.norm(np.diff(points.xyz, axis=axis), axis=2).ravel() for axis in (0, 1)]
-    every: NDArray[np.float64] = np.concatenate(sides)
+    every: NDArray[np.float64] = np.concatenate([each.ravel() for each in sides(points.xyz)])
     return every[np.isfinite(every)]

@@ -1,8 +1,6 @@
 """A recording for ParaView: NAME.pvd, and a .vtp for every frame in the folder NAME_frames."""
 
-import base64
 import json
-import struct
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any
@@ -14,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmp_cl.errors import FieldError
 from cmp_cl.files import check_target, write_text
 from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.vtk import polydata, quadrilaterals
 
 _END = "</Collection>\n</VTKFile>\n"
 
@@ -74,13 +73,8 @@ class ParaViewSeries(Series):
 
 def _polydata(rest: NDArray[np.float64], shift: NDArray[np.float64], frame: Frame) -> str:
     """Return the valid nodes as VTK's PolyData; positions are those at rest."""
-    valid = ~(np.isnan(rest).any(axis=2) | np.isnan(shift).any(axis=2))
+    valid = np.isfinite(rest.sum(axis=2) + shift.sum(axis=2))
     row, column = np.nonzero(valid)
-    number = np.full(valid.shape, -1, np.int32)
-    number[valid] = np.arange(len(row))
-    corners = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
-    quads = np.stack(corners, axis=-1).reshape(-1, 4)
-    quads = quads[(quads >= 0).all(axis=1)]
     columns: dict[str, NDArray[Any]] = {
         "displacement": _in_space(shift[valid]),
         "row": row.astype(np.int32),
@@ -89,36 +83,9 @@ def _polydata(rest: NDArray[np.float64], shift: NDArray[np.float64], frame: Fram
     for name, value in frame.items():
         if name != "displacement" and value.shape[:2] == valid.shape and value.ndim in (2, 3):
             columns[name] = value[valid]
-    data = "".join(_array(name, values) for name, values in columns.items())
-    ends = np.arange(4, 4 * len(quads) + 1, 4, dtype=np.int32)
-    return f"""<?xml version="1.0"?>
-<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">
-<PolyData>
-<Piece NumberOfPoints="{len(row)}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" \
-NumberOfPolys="{len(quads)}">
-<PointData Vectors="displacement">
-{data}</PointData>
-<Points>
-{_array("Points", _in_space(rest[valid]))}</Points>
-<Polys>
-{_array("connectivity", quads.reshape(-1))}{_array("offsets", ends)}</Polys>
-</Piece>
-</PolyData>
-</VTKFile>
-"""
+    return polydata(_in_space(rest[valid]), quadrilaterals(valid), columns)
 
 
 def _in_space(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (N, 2) with a third coordinate of 0, or (N, 3) as they are."""
     return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
-
-
-def _array(name: str, values: NDArray[Any]) -> str:
-    kind, dtype = ("Float64", "<f8") if values.dtype.kind == "f" else ("Int32", "<i4")
-    width = values.shape[1] if values.ndim == 2 else 1
-    raw = values.astype(dtype).tobytes()
-    body = base64.b64encode(struct.pack("<Q", len(raw)) + raw).decode("ascii")
-    return (
-        f'<DataArray type="{kind}" Name="{name}" NumberOfComponents="{width}" format="binary">'
-        f"\n{body}\n</DataArray>\n"
-    )

@@ -16,7 +16,8 @@ CAMERA = 8  # fx fy cx cy k1 k2 p1 p2
 POSE = 6  # rotation vector, translation
 _STEPS = 20
 _SMALL = 1e-9  # of the cost, by which the last step must improve it
-_RANGE = 5.0  # a node weighs at most so many times the median, and at least 1 / that
+_RANGE = 5.0  # times the median, at most, and at least 1 / that: the sigma of a node
+ROUNDS = 2  # of the adjustment and the variance of the misfit
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,12 +47,23 @@ class Adjusted:
 def adjust(views: Sequence[View], start: Array) -> Adjusted:
     """Minimize the weighted reprojection error of all views by Gauss-Newton, from a near solution.
 
-    start: as `Adjusted.numbers`. Weights are 1 / sigma^2; nodes of unknown sigma weigh like the
-    median one. The covariance is scaled by the residuals: what makes the sigmas too small or too
-    large together does not matter.
+    start: as `Adjusted.numbers`. Weights are those of `node_weights`. The covariance is scaled by
+    the residuals: what makes the sigmas too small or too large together does not matter.
     """
-    weights = node_weights(views)
-    numbers, poses = start.copy(), [view.pose.copy() for view in views]
+    numbers, poses = start, [view.pose for view in views]
+    for _ in range(ROUNDS):
+        weights = node_weights(views, residuals(views, numbers, poses), len(start))
+        numbers, poses, cost, normal = _settled(views, weights, numbers, poses)
+    covariance = np.linalg.pinv(normal, hermitian=True) * cost / freedom(views, len(start))
+    return Adjusted(numbers, covariance, root_mean_squares(residuals(views, numbers, poses)))
+
+
+def _settled(
+    views: Sequence[View], weights: Sequence[tuple[Array, ...]], numbers: Array, poses: list[Array]
+) -> tuple[Array, list[Array], float, Array]:
+    """Take steps until they lower the cost no more; return the numbers, the poses, the cost and the
+    normal matrix of the numbers alone.
+    """
     cost, step = _system(views, weights, numbers, poses)
     for _ in range(_STEPS):
         by_numbers, by_poses, _ = step()
@@ -63,40 +75,68 @@ def adjust(views: Sequence[View], start: Array) -> Adjusted:
         numbers, poses, cost, step = numbers + by_numbers, moved, lower, next_step
         if done:
             break
-    _, _, normal = step()
+    return numbers, poses, cost, step()[2]
+
+
+def freedom(views: Sequence[View], unknown: int) -> int:
+    """Return how many residuals there are more than numbers and poses, at least 1."""
     count = sum(2 * len(view.board) * len(view.seen) for view in views)
-    freedom = max(count - len(numbers) - POSE * len(views), 1)
-    covariance = np.linalg.pinv(normal, hermitian=True) * cost / freedom
-    return Adjusted(numbers, covariance, view_errors(views, numbers, poses))
+    return max(count - unknown - POSE * len(views), 1)
 
 
-def view_errors(views: Sequence[View], numbers: Array, poses: Sequence[Array]) -> Array:
-    """Return the root mean square reprojection errors, (V, cameras), px."""
+def residuals(
+    views: Sequence[View], numbers: Array, poses: Sequence[Array]
+) -> list[tuple[Array, ...]]:
+    """Return seen minus projected, px, (N, 2) for each view and camera."""
+    return [
+        tuple(off for off, *_ in seen_by(view, numbers, pose))
+        for view, pose in zip(views, poses, strict=True)
+    ]
+
+
+def root_mean_squares(offs: Sequence[tuple[Array, ...]]) -> Array:
+    """Return the root mean square lengths of residuals, (V, cameras), px."""
     return np.array(
-        [
-            [
-                float(np.sqrt(np.square(off).sum(axis=1).mean()))
-                for off, *_ in seen_by(view, numbers, pose)
-            ]
-            for view, pose in zip(views, poses, strict=True)
-        ]
+        [[float(np.sqrt(np.square(off).sum(axis=1).mean())) for off in each] for each in offs]
     )
 
 
-def node_weights(views: Sequence[View]) -> list[tuple[Array, ...]]:
-    """Return 1 / sigma of each node, relative to the median of all."""
-    every = np.concatenate([sigma for view in views for sigma in view.sigma])
-    known = every[np.isfinite(every) & (every > 0)]
-    middle = float(np.median(known)) if len(known) else 1.0
-    return [
-        tuple(
-            np.clip(
-                middle / np.where(np.isfinite(each) & (each > 0), each, middle), 1 / _RANGE, _RANGE
-            )
-            for each in view.sigma
-        )
-        for view in views
-    ]
+def node_weights(
+    views: Sequence[View], offs: Sequence[tuple[Array, ...]], unknown: int
+) -> list[tuple[Array, ...]]:
+    """Return 1 / sqrt(sigma^2 + t^2) of each node, 1 / px.
+
+    offs: residuals near the solution, see `residuals`. unknown: how many numbers are adjusted
+    beside the poses. t is what no image tells: a print that is not exact, a board that is not flat,
+    a lens that the model does not describe. It errs alike at certain nodes and at uncertain ones.
+    Nodes of unknown sigma have the median one.
+    """
+    given = np.concatenate([sigma for view in views for sigma in view.sigma])
+    known = np.isfinite(given) & (given > 0)
+    middle = float(np.median(given[known])) if known.any() else 1.0
+    variance = np.square(np.clip(np.where(known, given, middle), middle / _RANGE, middle * _RANGE))
+    square = np.concatenate([np.square(off).sum(axis=1) for each in offs for off in each])
+    weights = 1 / np.sqrt(variance + misfit(square, variance, freedom(views, unknown)))
+    ends = np.cumsum([len(sigma) for view in views for sigma in view.sigma])
+    parts = iter(np.split(weights, ends))
+    return [tuple(next(parts) for _ in view.sigma) for view in views]
+
+
+def misfit(square: Array, variance: Array, free: float) -> float:
+    """Return the variance t^2 that the residuals have beyond that of their nodes, at least 0.
+
+    square: (N,), squared residuals, over both axes. variance: (N,), of a node per axis. free:
+    degrees of freedom. t^2 solves sum square / (variance + t^2) = free (Paule and Mandel, 1982),
+    by Newton's method, which does not overshoot here.
+    """
+    extra = 0.0
+    for _ in range(_STEPS):
+        each = square / (variance + extra)
+        change = (each.sum() - free) / max(float((each / (variance + extra)).sum()), 1e-300)
+        if not change > _SMALL * extra:
+            break
+        extra += change
+    return extra
 
 
 def _system(

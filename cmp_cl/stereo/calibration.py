@@ -13,6 +13,7 @@ from cmp_cl.errors import CalibrationError, FieldError
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import CAMERA, Adjusted, View, adjust
 from cmp_cl.stereo.free_board import adjust_board
+from cmp_cl.stereo.points import sides
 from cmp_cl.stereo.rig import StereoRig
 from cmp_cl.stereo.threads import one_thread
 
@@ -74,7 +75,8 @@ def calibrate_camera(
     """Calibrate a camera on at least three views of a flat board.
 
     A view may show part of the board, and the views may be numbered differently. Each node has
-    the weight 1 / sigma^2.
+    the weight 1 / (sigma^2 + t^2). t^2 is the variance that the residuals have beyond the sigmas of
+    the nodes: on a board that is not exact, certain nodes err as much as uncertain ones.
     spacing: side of a square, in any unit. image_size: (width, height), px.
     free_board: the board is neither exact nor flat; its nodes are found too, on the whole as large
     as the flat board. Then at least four views are needed, and equal indices must be the same node
@@ -253,13 +255,33 @@ def _numbered_alike(grids: Sequence[Grid]) -> list[Grid]:
 def _with_board(
     views: Sequence[View], seen: Sequence[NDArray[np.bool_]], start: Array, spacing: float
 ) -> tuple[Adjusted, Array]:
-    """Adjust with a free board; return its nodes too, (R, C, 3), NaN where no view shows one."""
+    """Adjust with a free board; return its nodes too, (R, C, 3), NaN where no view shows one.
+
+    The views do not tell how large a board is: the mean of its sides is `spacing`.
+    """
     row, column = np.indices(seen[0].shape)
     flat = np.stack([column, row, np.zeros(row.shape)], axis=-1).reshape(-1, 3) * spacing
     nodes = [np.flatnonzero(each) for each in seen]
     adjusted, found = adjust_board(views, nodes, start, flat, spacing)
     shown = np.any(seen, axis=0)
-    return adjusted, np.where(shown[..., None], found.reshape(*shown.shape, 3), np.nan)
+    shape = np.where(shown[..., None], found.reshape(*shown.shape, 3), np.nan)
+    lengths = np.concatenate([each.ravel() for each in sides(shape)])
+    if not np.isfinite(lengths).any():
+        return adjusted, shape
+    scale = spacing / float(np.nanmean(lengths))
+    centre = np.nanmean(shape, axis=(0, 1))
+    return _scaled(adjusted, scale), centre + (shape - centre) * scale
+
+
+def _scaled(adjusted: Adjusted, scale: float) -> Adjusted:
+    """Return the cameras with the distance between them multiplied."""
+    factors = np.ones(len(adjusted.numbers))
+    factors[2 * CAMERA + 3 :] = scale
+    return dataclasses.replace(
+        adjusted,
+        numbers=adjusted.numbers * factors,
+        covariance=adjusted.covariance * np.outer(factors, factors),
+    )
 
 
 def _view(

@@ -9,11 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
-from cmp_cl.stereo.adjustment import POSE, Adjusted, View, node_weights, seen_by, view_errors
+from cmp_cl.stereo.adjustment import (
+    POSE,
+    ROUNDS,
+    Adjusted,
+    View,
+    freedom,
+    node_weights,
+    residuals,
+    root_mean_squares,
+    seen_by,
+)
 
 Array = NDArray[np.float64]
 Nodes = NDArray[np.int64]
-Weights = Sequence[tuple[Array, ...]]
 
 LEAST_VIEWS = 4
 _STEPS = 30
@@ -29,6 +38,19 @@ class _State:
     numbers: Array
     poses: Array
     board: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Problem:
+    """What the adjustment is given: the views, for each the rows (N,) of the board that it shows
+    and the weights of its nodes, the flat board (P, 3), and the stiffness of the springs to it.
+    """
+
+    views: Sequence[View]
+    nodes: Sequence[Nodes]
+    weights: Sequence[tuple[Array, ...]]
+    flat: Array
+    spring: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,42 +84,41 @@ def adjust_board(
         raise CalibrationError(
             f"{len(views)} views of a free board, at least {LEAST_VIEWS} are needed"
         )
-    weights = node_weights(views)
+    shown = len(np.unique(np.concatenate(nodes)))
+    unknown = len(start) + 3 * shown - POSE - 1  # the board as a whole does not move or grow
+    free = freedom(views, unknown)
     state = _State(start.copy(), np.array([view.pose for view in views]), board.copy())
-    count = sum(2 * len(view.board) * len(view.seen) for view in views)
-    for _ in range(2):  # the spring is as stiff as the residuals are small
-        rest = _system(views, nodes, weights, state, board, 0.0).cost / count
-        spring = rest / (_LOOSE * spacing) ** 2
-        state, normal = _settled(views, nodes, weights, state, board, spring)
+    for _ in range(ROUNDS):  # the spring is as stiff as the residuals are small
+        weights = node_weights(views, _residuals(views, nodes, state), unknown)
+        loose = _Problem(views, nodes, weights, board)
+        spring = _system(loose, state).cost / free / (_LOOSE * spacing) ** 2
+        state, normal = _settled(dataclasses.replace(loose, spring=spring), state)
     reduced: Array = _reduced(normal)[0]
     covariance = np.asarray(np.linalg.pinv(reduced, hermitian=True), np.float64)
-    seen = len(np.unique(np.concatenate(nodes)))
-    unknown = len(covariance) + 3 * seen - POSE - 1  # the board as a whole does not move or grow
-    scale = normal.cost / max(count - unknown, 1)
-    moved = [
-        dataclasses.replace(view, board=state.board[rows])
-        for view, rows in zip(views, nodes, strict=True)
-    ]
     return (
         Adjusted(
             state.numbers,
-            covariance[: len(start), : len(start)] * scale,
-            view_errors(moved, state.numbers, list(state.poses)),
+            covariance[: len(start), : len(start)] * normal.cost / free,
+            root_mean_squares(_residuals(views, nodes, state)),
         ),
         state.board,
     )
 
 
-def _settled(
-    views: Sequence[View],
-    nodes: Sequence[Nodes],
-    weights: Weights,
-    state: _State,
-    flat: Array,
-    spring: float,
-) -> tuple[_State, _Normal]:
+def _residuals(
+    views: Sequence[View], nodes: Sequence[Nodes], state: _State
+) -> list[tuple[Array, ...]]:
+    """Return seen minus projected at a state, px, (N, 2) for each view and camera."""
+    shown = [
+        dataclasses.replace(view, board=state.board[rows])
+        for view, rows in zip(views, nodes, strict=True)
+    ]
+    return residuals(shown, state.numbers, list(state.poses))
+
+
+def _settled(problem: _Problem, state: _State) -> tuple[_State, _Normal]:
     """Take steps until they lower the cost no more; a step that raises it is halved."""
-    normal = _system(views, nodes, weights, state, flat, spring)
+    normal = _system(problem, state)
     for _ in range(_STEPS):
         step = _step(normal, state)
         for halving in range(_HALVINGS):
@@ -107,7 +128,7 @@ def _settled(
                     for one, change in zip(_parts(state), _parts(step), strict=True)
                 )
             )
-            lower = _system(views, nodes, weights, moved, flat, spring)
+            lower = _system(problem, moved)
             if lower.cost < normal.cost:
                 break
         else:
@@ -145,15 +166,9 @@ def _reduced(normal: _Normal) -> tuple[Array, Array, Array]:
     )
 
 
-def _system(
-    views: Sequence[View],
-    nodes: Sequence[Nodes],
-    weights: Weights,
-    state: _State,
-    flat: Array,
-    spring: float,
-) -> _Normal:
+def _system(problem: _Problem, state: _State) -> _Normal:
     """Return the normal equations at a state."""
+    flat, spring = problem.flat, problem.spring
     first = len(state.numbers)
     size, count = first + state.poses.size, len(flat)
     both, right = np.zeros((size, size)), np.zeros(size)
@@ -161,7 +176,9 @@ def _system(
     own = np.zeros((count, 3, 3)) + max(spring, 1e-30) * np.eye(3)
     own_right = spring * (flat - state.board)
     cost = float(spring * np.square(flat - state.board).sum())
-    for number, (view, rows, weight) in enumerate(zip(views, nodes, weights, strict=True)):
+    for number, (view, rows, weight) in enumerate(
+        zip(problem.views, problem.nodes, problem.weights, strict=True)
+    ):
         pose = slice(first + POSE * number, first + POSE * (number + 1))
         shown = dataclasses.replace(view, board=state.board[rows])
         for (off, by_numbers, by_pose, by_node), each in zip(

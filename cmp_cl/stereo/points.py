@@ -76,3 +76,10 @@ def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     angle = np.arccos(np.clip(determinant / 2, -1, 1)) / 3
     deviation: NDArray[np.float64] = np.sqrt(mean + 2 * spread * np.cos(angle))
     return deviation
+
+
+def sides(xyz: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the distances between neighbouring nodes of a lattice (R, C, 3) along its columns,
+    (R - 1, C), and along its rows, (R, C - 1), NaN where a node is missing.
+    """
+    return [np.linalg.norm(np.diff(xyz, axis=axis), axis=2) for axis in (0, 1)]

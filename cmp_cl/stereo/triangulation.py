@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import FieldError
 
 _MAX_ROUND_TRIP = 0.01  # px: between a pixel and itself, undistorted and distorted again
+_TINY = 1e-300
 _UNDISTORT = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 Array = NDArray[np.float64]
 
@@ -32,33 +33,37 @@ def undistort(
     return ideal, error < _MAX_ROUND_TRIP
 
 
-def triangulate_points(
-    left_projection: Array, right_projection: Array, left: Array, right: Array
-) -> Array:
-    """Triangulate by cv2.triangulatePoints, with its arguments checked.
+def triangulate_points(rotation: Array, translation: Array, left: Array, right: Array) -> Array:
+    """Triangulate from two views: move the image points onto each other's epipolar lines, by
+    Sampson's step, and return the middle of where their rays pass.
 
-    OpenCV reads an array (2, 2) either way round; this takes one point a row.
-    left_projection, right_projection: (3, 4). left, right: (N, 2) float64, in the units of the
-    projections. Returns (N, 3) float64, NaN where a point is at infinity.
+    rotation: (3, 3), translation: (3,): X_right = R X_left + T. left, right: (N, 2) float64, in
+    the planes at distance 1. Returns (N, 3) float64 in the frame of the left camera, NaN where the
+    rays are parallel. The result is the least reprojection error's to first order.
 
     Raises FieldError on other shapes.
     """
     if left.ndim != 2 or left.shape[1] != 2 or left.shape != right.shape:
         raise FieldError(f"expected two arrays (N, 2), got {left.shape} and {right.shape}")
-    if not len(left):
-        return np.empty((0, 3))
-    homogeneous = cv2.triangulatePoints(
-        np.ascontiguousarray(left_projection, np.float64),
-        np.ascontiguousarray(right_projection, np.float64),
-        np.ascontiguousarray(left.T, np.float64),
-        np.ascontiguousarray(right.T, np.float64),
+    essential = np.cross(np.eye(3), translation) @ rotation
+    one, two = rays_through(left), rays_through(right)
+    line_one, line_two = two @ essential, one @ essential.T
+    square = np.square(line_one[:, :2]).sum(axis=1) + np.square(line_two[:, :2]).sum(axis=1)
+    step = ((line_one * one).sum(axis=1) / np.maximum(square, _TINY))[:, None]
+    one[:, :2] -= step * line_one[:, :2]
+    two[:, :2] -= step * line_two[:, :2]
+    two = two @ rotation
+    centre = -translation @ rotation
+    own, both, other = (
+        np.einsum("ni,ni->n", *pair) for pair in ((one, one), (one, two), (two, two))
     )
-    if homogeneous.shape != (4, len(left)):
-        raise FieldError(f"cv2.triangulatePoints returned {homogeneous.shape}, not (4, N)")
-    scale = homogeneous[3]
-    scale = np.where(np.abs(scale) < 1e-12, np.nan, scale)
-    points: Array = (homogeneous[:3] / scale).T
-    return points
+    ahead_one, ahead_two = one @ centre, two @ centre
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shared = own * other - np.square(both)
+        depth_one = (ahead_one * other - both * ahead_two) / shared
+        depth_two = (both * ahead_one - own * ahead_two) / shared
+        points = (depth_one[:, None] * one + depth_two[:, None] * two + centre) / 2
+    return np.where(np.isfinite(points), points, np.nan)
 
 
 def rays_through(points: Array) -> Array:
