@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.corners import Corners
+from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
@@ -23,6 +23,7 @@ SMALL = 0.1  # least share of the corners that the pattern must hold
 RIVAL = 0.5  # a second component of this share of the first is a second pattern
 RIVAL_AREA = 1 / 16  # of the first pattern's: cells a quarter as wide are texture
 LEAST_BOARD = 9  # corners of a board among several
+TORN = 0.15  # px: a corner whose sigma is not below it is torn, as is one not refined as asked
 
 Region = tuple[float, float, float, float]
 
@@ -163,7 +164,8 @@ def _checked(
             "detect them with a refinement (EdgeLines, EdgeStep or Midlines)"
         )
     z = corners.xy.take(inside, axis=0).astype(np.float64).view(np.complex128)[:, 0]
-    return inside, Seen(z, edges, image)
+    torn = ~(corners.sigma < TORN) | (corners.refusal != Refusal.NONE)
+    return inside, Seen(z, edges, image, torn[inside])
 
 
 def _found(seen: Seen) -> Lattice | None:
