@@ -5,7 +5,6 @@ the visible corner lies off its place. Towards the next nodes the edges are whol
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Nodes, Points
 from cmp_cl.grid.predict import mean_steps
@@ -64,10 +63,21 @@ def _profiles(image: GreyImage, start: Points, ends: Points, cell: Float) -> Flo
     tangent = half + 2 * _ON * bend
     across = 1j * cell * tangent / np.maximum(np.abs(tangent), 1e-6)
     at = start + _ON * half + _ON**2 * bend + _ACROSS * across
+    return _between_pixels(image, at.real, at.imag)
+
+
+def _between_pixels(image: GreyImage, x: Float, y: Float) -> Float:
+    """Return the grey levels at x, y, bilinear; beyond the image its border is repeated."""
     rows, columns = image.shape
-    x = np.minimum(np.maximum(at.real + 0.5, 0), columns - 1).astype(np.int64)
-    y = np.minimum(np.maximum(at.imag + 0.5, 0), rows - 1).astype(np.int64)
-    levels: Float = image[y, x].astype(np.float64)
+    x = np.minimum(np.maximum(x, 0), columns - 1)
+    y = np.minimum(np.maximum(y, 0), rows - 1)
+    left, top = x.astype(np.int64), y.astype(np.int64)
+    right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
+    x -= left
+    y -= top
+    upper = (1 - x) * image[top, left] + x * image[top, right]
+    lower = (1 - x) * image[bottom, left] + x * image[bottom, right]
+    levels: Float = (1 - y) * upper + y * lower
     return levels
 
 
