@@ -52,9 +52,10 @@ def build_grid(
 ) -> Grid:
     """Number the corners of a checkerboard by row and column (section 4.3 of the paper).
 
-    image: the view, (H, W) uint8 or uint16. There missing nodes are looked for again, nodes
-        at the rim must look like corners of the pattern, and the pattern's border is seen;
-        without it nothing of this is done.
+    image: the view, (H, W) uint8 or uint16. There missing nodes are looked for again, as are
+        torn ones that lie far from where their neighbours say; nodes at the rim must look like
+        corners of the pattern, and the pattern's border is seen. Without it nothing of this is
+        done.
     shape: rows and columns of the pattern's inner corners. The grid then has this shape. Where
         less is seen, the borders in view say which part it is; where more is seen, it is the
         fullest such window. Without it, the grid has the shape of what is seen.

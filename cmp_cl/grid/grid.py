@@ -20,7 +20,7 @@ class NodeStatus(enum.IntEnum):
     MISSING = 0
     DETECTED = 1
     ATTACHED = 2  # a free detection near the place that its neighbours predict
-    SECOND_LOOK = 3  # found by a second look at the image
+    SECOND_LOOK = 3  # found by a second look at the image: by other rings, or along the edges
     INTERPOLATED = 4
     VIRTUAL = 5  # a marker on the edge between two neighbours
 
