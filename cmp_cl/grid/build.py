@@ -166,7 +166,7 @@ def _checked(
         )
     z = corners.xy.take(inside, axis=0).astype(np.float64).view(np.complex128)[:, 0]
     torn = ~(corners.sigma < TORN) | (corners.refusal != Refusal.NONE)
-    return inside, Seen(z, edges, image, torn[inside])
+    return inside, Seen(z, edges, image, np.append(torn[inside], True))
 
 
 def _found(seen: Seen) -> Lattice | None:

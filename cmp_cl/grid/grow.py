@@ -26,8 +26,8 @@ class Seen(NamedTuple):
     """What a grid is made of.
 
     z: (N,) positions of the corners. edges: (N, 4) rad, as in `Corners`. image: or None, where
-    neither a second look nor a look at the cells is taken. torn: (N,) bool, corners whose own
-    image does not tell where they are.
+    neither a second look nor a look at the cells is taken. torn: (N + 1,) bool, corners whose
+    own image does not tell where they are, and True at the end, for nodes without a corner.
     """
 
     z: Points
@@ -94,11 +94,14 @@ def _refuse(nodes: Nodes, seen: Seen) -> None:
 def drop_misfits(nodes: Nodes) -> None:
     """Drop nodes far from a well supported prediction, the worst of each neighbourhood first.
 
-    Only those are looked at around which something has changed since the last time.
+    Only those are looked at around which something has changed since the last time. Corners that
+    are far enough from their prediction to be astray are marked.
     """
     while nodes.changed.any():
         row, column = _near_changes(nodes)
         off = _misfits(nodes.at, row, column)
+        far = np.flatnonzero(off > ASTRAY)
+        nodes.astray[nodes.owner[row[far], column[far]]] = True
         bad = off > NEAR
         nodes.changed[:] = False
         if not bad.any():
@@ -229,18 +232,18 @@ def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> 
 def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
     """Put nodes where their whole edges meet: those that are missing, and torn ones that are far
     from a well supported prediction. Return whether any was missing."""
-    kind = np.append(torn, True)[nodes.owner]  # missing nodes and those of a second look too
-    row, column = np.divmod(np.flatnonzero(kind), nodes.at.shape[1])
+    asked = (torn & nodes.astray)[nodes.owner]  # missing nodes and those of a second look too
+    row, column = np.divmod(np.flatnonzero(asked), nodes.at.shape[1])
     if not len(row):
         return False
     expected, weight = predict(nodes.at, row, column)
     cell = mean_steps(nodes.at, row, column)[2]
     off = np.abs(nodes.at[row, column] - expected)
     settled = (off <= ASTRAY * cell) | ((cell > WIDEST) & ~np.isnan(off))
-    asked = np.flatnonzero((weight >= STRONG) & ~settled)
-    if not len(asked):
+    left = np.flatnonzero((weight >= STRONG) & ~settled)
+    if not len(left):
         return False
-    row, column, expected, cell = row[asked], column[asked], expected[asked], cell[asked]
+    row, column, expected, cell = row[left], column[left], expected[left], cell[left]
     found = along_edges(nodes, image, row, column, expected)
     kept = np.abs(found - expected) < ALONG * cell
     row, column, found, cell = row[kept], column[kept], found[kept], cell[kept]

@@ -12,8 +12,8 @@ from cmp_cl.image import GreyImage
 
 SHARES = np.linspace(0.2, 0.7, 6)  # of the way to the neighbours: where an edge is looked for
 WIDE = 0.33  # cells, how far on either side
-SAMPLES = 13  # of a profile across an edge
-OUTER = 4  # samples at each end of a profile, which show the two cells
+SAMPLES = 9  # of a profile across an edge
+OUTER = 3  # samples at each end of a profile, which show the two cells
 LEAST_STEP = 0.1  # between these cells, of the contrast around the node: at each edge
 LEAST_MEAN_STEP = 0.3  # and in the mean of the four
 MOVED = 0.7  # share of the distances from the curves: neighbours err about as much as edges do
