@@ -27,7 +27,7 @@ class NodeStatus(enum.IntEnum):
 
 T = TypeVar("T")
 
-# what an image shows, and no neighbour has told
+# what the image shows; torn nodes are in part where their neighbours say
 MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 
