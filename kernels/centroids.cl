@@ -6,5 +6,5 @@ __kernel void centroids(__global const int *restrict corners, __global const uin
                         const uint count_offset, const uint length, const float scale,
                         __global float *restrict result) {
   CORNER_OF_WORK_ITEM
-  STORE_CENTROID(METHOD_CENTROID)
+  STORE_CENTROID(METHOD_CENTROID, REFUSED_NONE)
 }

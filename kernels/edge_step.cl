@@ -1,6 +1,6 @@
 #include "corner_model.clh"
 
-/* One work-item per corner, eight pixels of a row at a time. */
+/* EDGE_LINES, then EDGE_STEP. One work-item per corner, eight pixels of a row at a time. */
 
 /* Grey levels of eight pixels from offset (i, j) of the start on, with the border repeated. */
 #define GREY_NEAR(i, j) \
@@ -21,24 +21,22 @@
   while ((float)(16 * eights * eights) < radius_2 - uy_2) ++eights;                 \
   const int left = (int)floor(x) + 1 - 4 * eights, right = left + 8 * eights;
 
-__kernel void edge_step(__global const PIXEL *restrict image,
-                        __global const float *restrict start,
-                        __global const float *restrict lines,
+__kernel void edge_step(__global const PIXEL *restrict image, __global const int *restrict corners,
                         __global const uint *restrict counts, const uint rows,
                         const uint columns, const uint step, const uint capacity,
-                        const uint count_offset, const uint length, const float radius,
-                        const float scale, __global const float8 *restrict moments,
+                        const uint count_offset, const uint length, const float max_shift,
+                        const float scale,
+#if SCALED
+                        __global const float8 *restrict ring_samples,
+#endif
+                        const float radius, __global const float8 *restrict moments,
                         __global float *restrict result) {
-  const size_t n = get_global_id(0), p = get_global_id(1);
-  if (n >= counts[count_offset + p]) return;
-  const size_t row = p * capacity + n;
-  RESULT_OF_FRAME(counts[count_offset + p])
+  CORNER_OF_WORK_ITEM
+  EDGES_OF_CORNER
+  const float start_x = (float)from_x, start_y = (float)from_y;
+  EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
   *RESULT_CORRELATION = -INFINITY;
-  if (*RESULT_METHOD != METHOD_EDGE_LINES) return;
-  const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
-  const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
-  const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
-  const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
+  if (!good) return;
   const float radius_2 = radius * radius, rim = 4 / radius_2;
   const float a_x = n1x * BY_BLUR, a_y = n1y * BY_BLUR, b_x = n2x * BY_BLUR, b_y = n2y * BY_BLUR;
   const int top = (int)ceil(y - radius), bottom = (int)floor(y + radius);

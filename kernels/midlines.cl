@@ -68,12 +68,13 @@ __kernel void midlines(__global const PIXEL *restrict image, __global const int 
                        __global const uint *restrict counts, const uint rows,
                        const uint columns, const uint step, const uint capacity,
                        const uint count_offset, const uint length, const float max_shift,
+                       const float scale,
 #if SCALED
-                       const float scale, __global const float8 *restrict ring_samples,
+                       __global const float8 *restrict ring_samples,
 #endif
                        __global float *restrict result) {
   CORNER_OF_WORK_ITEM
-  STORE_CENTROID(METHOD_KEPT + REFUSED_RINGS)
+  STORE_CENTROID(METHOD_KEPT, REFUSED_RINGS)
   EDGES_OF_CORNER
   EDGE_ANGLES
   if (valid_rings < 2) return;
@@ -106,19 +107,19 @@ __kernel void midlines(__global const PIXEL *restrict image, __global const int 
     position = on_parabola(first, &centre[0], u, &a);
   }
 #endif
-  int method = METHOD_MIDLINE;
+  int method = METHOD_MIDLINE, refused = REFUSED_NONE;
   const int meet = fabs(cross_product(centre[0].direction, centre[1].direction)) > 0.17f;
   if (!(meet && dot(position, position) <= max_shift * max_shift)) {
-    const int refused = meet ? REFUSED_SHIFT : REFUSED_ANGLE;
-    STORE(RESULT_METHOD, METHOD_KEPT + refused)
+    refused = meet ? REFUSED_SHIFT : REFUSED_ANGLE;
+    STORE_DECISION(METHOD_KEPT, refused)
     for (int e = 0; e < 4; ++e) side[e] = fit_line(edge[e], valid);
     position = (intersection(&side[0], &side[1]) + intersection(&side[2], &side[3])) / 2;
     const int open = fabs(cross_product(side[0].direction, side[1].direction)) > 0.17f &&
                      fabs(cross_product(side[2].direction, side[3].direction)) > 0.17f;
     if (!(open && dot(position, position) <= max_shift * max_shift)) return;
-    method = METHOD_CUSP + refused;
+    method = METHOD_CUSP;
   }
   position += (float2)((float)from_x, (float)from_y);
   STORE_PAIRS(RESULT_POSITION, position.x, position.y)
-  STORE(RESULT_METHOD, method)
+  STORE_DECISION(method, refused)
 }

@@ -80,12 +80,10 @@ def test_without_the_gate_its_kernels_and_buffers_are_left_out(detector_for):
 
 @pytest.mark.parametrize("base", [FULL, HARMONIC], ids=["rings", "harmonic"])
 def test_without_refinement_its_kernels_and_buffers_are_left_out(detector_for, form, base):
-    lines, step = ("refine_eight", "edge_step_eight"), ("edge_lines", "edge_step")
     left_out(
         detector_for,
         base.replace(refinement=None),
-        launches=lines if form is Form.CPU else step,
-        buffers=["start", "lines"],
+        launches=["edge_step_eight" if form is Form.CPU else "edge_step"],
         than=base,
     )
 
@@ -113,7 +111,7 @@ def test_without_a_working_scale_nothing_is_resampled(detector_for):
 def test_the_kernels_of_the_other_rule_are_left_out(detector_for):
     harmonic, _, harmonic_kernels = plan_of(detector_for, HARMONIC)
     binary, _, binary_kernels = plan_of(detector_for, rings(refinement=EdgeStep()))
-    shared = {"border", "noise", "edge_lines", "edge_step", "cpu/refine", "cpu/edge_step"}
+    shared = {"border", "noise", "edge_step", "cpu/edge_step"}
     assert set(harmonic.stages) & set(binary.stages) <= shared
     assert not any("harmonic" in name for name in binary.stages)
     assert not any(
@@ -155,10 +153,11 @@ def test_the_kernels_of_the_other_refinements_are_left_out(detector_for):
         kind: plan_of(detector_for, DetectorConfig(refinement=kind()))[2]
         for kind in (EdgeLines, EdgeStep, Midlines)
     }
-    lines, step = {"edge_lines", "refine_eight"}, {"edge_step", "edge_step_eight"}
+    lines, step = {"edge_lines", "edge_lines_eight"}, {"edge_step", "edge_step_eight"}
     assert kernels[EdgeLines] & lines
     assert kernels[EdgeStep] & step
     assert not kernels[EdgeLines] & step
+    assert not kernels[EdgeStep] & lines
     assert "midlines" not in kernels[EdgeLines] | kernels[EdgeStep]
     assert not (lines | step) & kernels[Midlines]
 

@@ -54,9 +54,18 @@ class Device:
 
 
 class _Started:
-    """The process that first used OpenCL here; None before that."""
+    """Whether OpenCL was used in this process, and in the parent that this one was forked from."""
 
-    process: int | None = None
+    here = False
+    in_parent = False
+
+
+def _note_fork() -> None:
+    _Started.in_parent = _Started.here
+
+
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    os.register_at_fork(after_in_child=_note_fork)
 
 
 def is_forked() -> bool:
@@ -64,7 +73,7 @@ def is_forked() -> bool:
 
     Threads do not survive a fork, and an OpenCL implementation would wait for its own forever.
     """
-    return _Started.process not in (None, os.getpid())
+    return _Started.in_parent
 
 
 def check_process() -> None:
@@ -86,7 +95,7 @@ def list_devices() -> list[Device]:
     check_process()
     _check_workers()
     caches.guard_pocl()
-    _Started.process = os.getpid()
+    _Started.here = True
     with _workers_on_own_cores():
         return [
             _describe(handle, f"{p}:{d}")

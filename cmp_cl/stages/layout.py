@@ -84,11 +84,11 @@ class PlanBase:
 
     @property
     def bands(self) -> int:
-        """Return how many bands of rows: two for a unit of a CPU, of at least 32 rows; else one."""
+        """Return how many bands of rows: one for a unit of a CPU, of at least 32 rows; else one."""
         if self.form is not Form.CPU:
             return 1
         units = self.device.handle.max_compute_units
-        return max(min(2 * units, self.working[0] // 32), 1)
+        return max(min(units, self.working[0] // 32), 1)
 
     @property
     def lanes(self) -> int:

@@ -4,6 +4,7 @@ A plan serves one shape, one pixel type and one number of frames. It allocates o
 costs its upload, its launches and the download of its corners.
 """
 
+import functools
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
@@ -128,7 +129,7 @@ class Plan(PlanBase):
         """Return the bytes of the arrays that are needed only in passing, layout by layout. The
         arrays of a layout lie one after the other in the buffer "scratch", which every layout uses
         from its start."""
-        return [*self.detection.scratch(self), refine.scratch(self)]
+        return list(self.detection.scratch(self))
 
     def _allocate(self) -> None:
         needed = sum(self.sizes.values())
@@ -258,15 +259,18 @@ class Plan(PlanBase):
 
     def launch(self, stages: Sequence[Launch]) -> None:
         """Enqueue the stages in order, after the upload."""
-        queue, enqueue = self.queue, cl.enqueue_nd_range_kernel
-        profile = queue.properties & cl.command_queue_properties.PROFILING_ENABLE
-        before = self.uploads
+        queue, before = self.queue, self.uploads
         for stage, kernel, items, group, _ in stages:
-            self._last = enqueue(queue, kernel, items, group, wait_for=before)
+            self._last = cl.enqueue_nd_range_kernel(queue, kernel, items, group, wait_for=before)
             before = []
-            if profile:
+            if self._profiled:
                 self.events.append((stage, self._last))
         queue.flush()
+
+    @functools.cached_property
+    def _profiled(self) -> bool:
+        """Return whether the queue keeps the times of its commands."""
+        return bool(self.queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
 
     def _wait(self) -> None:
         """Wait until no kernel runs."""
@@ -279,8 +283,8 @@ class Plan(PlanBase):
         """
         rows = self._fetch(queue, self._likely)
         self.uploads.clear()
-        head = rows[:, : 1 + self.lists].view(np.uint32)
-        most, listed = int(head[:, 0].max()), int(head[:, 1:].max())
+        heads = rows[:, : 1 + self.lists].view(np.uint32).tolist()
+        most, listed = max(head[0] for head in heads), max(max(head[1:]) for head in heads)
         if listed > self.list_capacity or most > self.corner_capacity:
             raise Overflow(listed, most)
         if most > self._likely:

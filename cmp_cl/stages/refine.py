@@ -17,9 +17,6 @@ RESULT_HEAD = 16  # numbers before the fields of a frame, like the next of kerne
 RESULT_FIELDS = 12
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
 RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
-METHOD_BITS = 3  # the field METHOD holds a method, and above its bits why another was refused
-START_FIELDS = 2
-LINE_FIELDS = 6
 SHARES = 32  # for each of a device's units, of the corners
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
@@ -33,11 +30,15 @@ def files(plan: PlanBase) -> list[str]:
     refinement = plan.config.refinement
     if refinement is None:
         return ["centroids"]
+    name = _name(refinement)
+    return [f"cpu/{name}" if plan.lanes == LANES else name]
+
+
+def _name(refinement: EdgeLines | EdgeStep | Midlines) -> str:
+    """Return the name of the kernel that takes a corner at a time."""
     if isinstance(refinement, Midlines):
-        return ["midlines"]
-    step = ["edge_step"] if isinstance(refinement, EdgeStep) else []
-    names = ["refine" if plan.lanes == LANES else "edge_lines", *step]
-    return [f"cpu/{name}" for name in names] if plan.lanes == LANES else names
+        return "midlines"
+    return "edge_step" if isinstance(refinement, EdgeStep) else "edge_lines"
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
@@ -53,19 +54,10 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
         "LANES": plan.lanes,
         "LISTS": plan.lists,
         "SCALED": int(plan.scale is not None),
-        "EDGE_STEP": int(isinstance(refinement, EdgeStep)),
         "ANGLES": len(table) - 1,
         "BLUR": f"{BLUR}f",
         "QUADRATIC": int(quadratic),
     }
-
-
-def scratch(plan: PlanBase) -> dict[str, int]:
-    """Return the bytes of what the kernels leave to one another, see `Plan`."""
-    fields = {"start": START_FIELDS, "lines": LINE_FIELDS}
-    if not isinstance(plan.config.refinement, EdgeStep):
-        fields = {}
-    return {name: 4 * n * plan.frames * plan.corner_capacity for name, n in fields.items()}
 
 
 def result_size(plan: PlanBase) -> int:
@@ -76,12 +68,7 @@ def result_size(plan: PlanBase) -> int:
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the list of corners to positions."""
     refinement = plan.config.refinement
-    if refinement is None:
-        return [_centroids(plan)]
-    stages = [_lines(plan, refinement)]
-    if isinstance(refinement, EdgeStep):
-        stages.append(_step(plan, refinement))
-    return stages
+    return [_centroids(plan) if refinement is None else _refined(plan, refinement)]
 
 
 def _of_corners(plan: PlanBase, name: str, **arguments: Any) -> Launch:
@@ -111,29 +98,30 @@ def _centroids(plan: PlanBase) -> Launch:
     )
 
 
-def _lines(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Launch:
-    """Return the launch from the corners to where the lines through the edge points meet."""
-    b = plan.arrays
-    scaled: dict[str, Any] = {}
+def _refined(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Launch:
+    """Return the launch from the corners to their refined positions."""
+    b, name, factor = plan.arrays, _name(refinement), plan.scale or 1.0
+    rings: dict[str, Any] = {}
     if plan.scale is not None:
-        scaled["scale"] = np.float32(plan.scale)
         if plan.lanes == LANES:
-            scaled["reach"] = np.uint32(math.ceil(RADII[-1] / plan.scale) + 1)
-        scaled["ring_samples"] = _ring_samples(plan, plan.scale)
-    step = isinstance(refinement, EdgeStep)
-    between = {"start": b["start"], "lines": b["lines"]} if step else {}
-    name = "refine_eight" if plan.lanes == LANES else "edge_lines"
+            rings["ring_reach"] = np.uint32(math.ceil(RADII[-1] / plan.scale) + 1)
+        rings["ring_samples"] = _ring_samples(plan, plan.scale)
+    disc: dict[str, Any] = {}
+    if isinstance(refinement, EdgeStep):
+        radius = _step_radius(refinement, factor)
+        disc = {"radius": np.float32(radius), "moments": plan.constant(moments(radius))}
     return _of_corners(
         plan,
-        "midlines" if isinstance(refinement, Midlines) else name,
+        f"{name}_eight" if plan.lanes == LANES else name,
         image=b["image"],
         corners=b["corners"],
         counts=b["counts"],
         **_full_size(plan),
         **plan.corner_list,
         max_shift=_largest_shift(plan),
-        **scaled,
-        **between,
+        scale=np.float32(factor),
+        **rings,
+        **disc,
         result=b["result"],
     )
 
@@ -146,25 +134,6 @@ def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:
     pixel = np.floor(offset)
     parts = (offset, np.roll(offset, -1, axis=1) - offset, pixel, offset - pixel)
     return plan.constant(np.concatenate(parts, axis=2))
-
-
-def _step(plan: PlanBase, refinement: EdgeStep) -> Launch:
-    b, factor = plan.arrays, plan.scale or 1.0
-    radius = _step_radius(refinement, factor)
-    return _of_corners(
-        plan,
-        "edge_step_eight" if plan.lanes == LANES else "edge_step",
-        image=b["image"],
-        start=b["start"],
-        lines=b["lines"],
-        counts=b["counts"],
-        **_full_size(plan),
-        **plan.corner_list,
-        radius=np.float32(radius),
-        scale=np.float32(factor),
-        moments=plan.constant(moments(radius)),
-        result=b["result"],
-    )
 
 
 def _step_radius(refinement: EdgeStep, scale: float) -> float:
@@ -189,9 +158,9 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
         padded = multiple(count, LANES)
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
-        decision = fields[METHOD, :count].astype(np.uint8)
-        method = decision & (2**METHOD_BITS - 1)
-        accepted = int(np.count_nonzero(method == Method.EDGE_STEP))
+        decisions = fields[METHOD].view(np.uint8)  # methods, then why another was refused
+        method = decisions[:count]
+        accepted = 0 if math.isnan(radius) else int(np.count_nonzero(method == Method.EDGE_STEP))
         sigma, doubtful = _deviation(fields[:, :count], accepted)
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
@@ -202,7 +171,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
                 pixel=pixel,
                 response=fields[RESPONSE, :count],
                 method=method,
-                refusal=decision >> METHOD_BITS,
+                refusal=decisions[padded : padded + count],
                 sigma=sigma,
                 edges=fields[EDGES].reshape(-1, 4)[:count],
                 doubtful=doubtful,

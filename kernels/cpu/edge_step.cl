@@ -1,15 +1,11 @@
-#include "cpu/vectors.clh"
+#include "cpu/edge_lines.clh"
 #include "corner_model.clh"
 
-/* EDGE_STEP for CPUs. The pixels that the disc may contain, wherever in the middle pixel its
- * centre lies, are listed once for all corners, row by row. A vector holds the next eight of
- * the list, so every loop has the same length for every corner. The work from a pixel to the
- * sums is cut into two loops, so that several vectors are in flight at a time. The equations
- * are solved for eight corners at a time. */
-
-#if LANES != 8
-#error "LANES must be 8"
-#endif
+/* EDGE_LINES, then EDGE_STEP, for CPUs. The lines and the equations are solved for eight corners at
+ * a time, the step's sums for one after the other. The pixels that the disc may contain, wherever
+ * in the middle pixel its centre lies, are listed once for all corners, row by row. A vector holds
+ * the next eight of the list, so every loop has the same length for every corner. The work from a
+ * pixel to the sums is cut into two loops, so that several vectors are in flight at a time. */
 
 /* A disc with more rows or pixels is processed in parts of whole rows. */
 #if SCALED
@@ -68,10 +64,11 @@ void list_part(Part *part, const int first, const int reach, const float radius_
 /* The pixels of a part around (x, y). */
 void read_part(const Part *part, __global const PIXEL *image, const size_t p, const uint rows,
                const uint columns, const uint step, const int x, const int y, PIXEL *pixel_of) {
-  for (int k = 0; k < part->end - part->first; ++k) {
+  const int top = y + part->first, count = part->end - part->first;
+  __global const PIXEL *line = image + CLAMPED_ROW(top);
+  for (int k = 0; k < count; line += (uint)(top + k) < rows - 1 ? step : 0, ++k) {
     const int begin = part->begin_of[k], width = part->begin_of[k + 1] - begin;
     const int left = x + part->left_of[k];
-    __global const PIXEL *line = image + CLAMPED_ROW(y + part->first + k);
 #if SCALED
     if (left < 0 || left + width > (int)columns) { /* the padding does not repeat the border here */
       for (int i = 0; i < width; ++i)
@@ -85,29 +82,33 @@ void read_part(const Part *part, __global const PIXEL *image, const size_t p, co
   }
 }
 
-/* What SOLVE_STEP needs of eight corners. */
+/* What SOLVE_STEP needs of the pixels of eight corners. */
 typedef struct {
-  float angle[LANES], c[LANES], middle[LANES], varied[LANES], s1[LANES];
+  float c[LANES], middle[LANES], varied[LANES], sum_1[LANES];
   float rr[LANES], ra[LANES], rb[LANES], rx[LANES], ry[LANES], px[LANES], py[LANES], rn[LANES];
   float8 of_s[LANES], of_t[LANES];
 } Sums;
 
+/* The number of one corner in a vector of eight. */
+#define OF_LANE(v) ((const float *)&(v))[lane]
+
 __kernel void edge_step_eight(__global const PIXEL *restrict image,
-                              __global const float *restrict start,
-                              __global const float *restrict lines,
+                              __global const int *restrict corners,
                               __global const uint *restrict counts, const uint rows,
                               const uint columns, const uint step, const uint capacity,
-                              const uint count_offset, const uint length, const float radius,
-                              const float scale, __global const float8 *restrict moments,
+                              const uint count_offset, const uint length,
+                              const float max_shift, const float scale,
+#if SCALED
+                              const uint ring_reach, __global const float8 *restrict ring_samples,
+#endif
+                              const float radius, __global const float8 *restrict moments,
                               __global float *restrict result) {
-  const size_t p = get_global_id(1);
-  const uint total = SMALLER(counts[count_offset + p], capacity);
+  FRAME_OF_WORK_ITEM
   if (get_global_id(0) * LANES >= total) return;
   const float radius_2 = radius * radius;
   const float rim = 4 / radius_2;
   const int reach = (int)(radius + 0.5f);
 
-  RESULT_OF_FRAME(total)
   Part part;
   Values values;
   Sums sums;
@@ -116,7 +117,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
 
 #define TAKE_PART(first_row)                                                        \
   if (!whole) list_part(&part, first_row, reach, radius_2);                         \
-  read_part(&part, image, p, rows, columns, step, from_x + middle_x, from_y + middle_y, \
+  read_part(&part, image, p, rows, columns, step, near_x + middle_x, near_y + middle_y, \
             values.pixel_of);                                                       \
   for (int k = 0; k < part.count; k += 8) {                                         \
     const float8 ux = LOAD_8(part.dx_of, k) - part_x, uy = LOAD_8(part.dy_of, k) - part_y; \
@@ -130,26 +131,20 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
     STORE_8(values.grey_of, k, I);                                                  \
   }
 
-  for (size_t n = get_global_id(0) * LANES; n < total; n += get_global_size(0) * LANES) {
-    const size_t row = p * capacity + n;
-    const REAL n1x = LANE(lines, 0), n1y = LANE(lines, 1), n2x = LANE(lines, 2);
-    const REAL n2y = LANE(lines, 3), x = LANE(lines, 4), y = LANE(lines, 5);
-    const REAL from_x = LANE(start, 0), from_y = LANE(start, 1);
+  FOR_EACH_EIGHT {
+    EDGES_OF_EIGHT
+    EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
     EDGE_FRAME
-    STORE_8(sums.angle, 0, angle);
     for (uint lane = 0; lane < LANES && n + lane < total; ++lane) {
-      if (RESULT_METHOD[lane] != METHOD_EDGE_LINES) continue;
-      const size_t row = p * capacity + n + lane;
-      const int from_x = (int)COLUMN_OF(start, 0), from_y = (int)COLUMN_OF(start, 1);
-      const float n1x = COLUMN_OF(lines, 0), n1y = COLUMN_OF(lines, 1);
-      const float n2x = COLUMN_OF(lines, 2), n2y = COLUMN_OF(lines, 3);
-      const float x = COLUMN_OF(lines, 4), y = COLUMN_OF(lines, 5);
-      const float a_x = n1x * BY_BLUR, a_y = n1y * BY_BLUR;
-      const float b_x = n2x * BY_BLUR, b_y = n2y * BY_BLUR;
+      if (!as_uint(OF_LANE(good))) continue;
+      const int near_x = (int)OF_LANE(start_x), near_y = (int)OF_LANE(start_y);
+      const float a_x = OF_LANE(n1x) * BY_BLUR, a_y = OF_LANE(n1y) * BY_BLUR;
+      const float b_x = OF_LANE(n2x) * BY_BLUR, b_y = OF_LANE(n2y) * BY_BLUR;
       /* The middle pixel, and the corner relative to it. */
-      const int middle_x = ROUNDED(x), middle_y = ROUNDED(y);
-      const float part_x = x - (float)middle_x, part_y = y - (float)middle_y;
-      const float centre = (float)image[CLAMPED_ROW(from_y) + from_x];
+      const int middle_x = ROUNDED(OF_LANE(x)), middle_y = ROUNDED(OF_LANE(y));
+      const float part_x = OF_LANE(x) - (float)middle_x;
+      const float part_y = OF_LANE(y) - (float)middle_y;
+      const float centre = (float)image[CLAMPED_ROW(near_y) + near_x];
 
       LEVEL_SUMS
       for (int dy = -reach; dy <= reach; dy = part.end) {
@@ -178,15 +173,15 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
       }
 #define PUT(name, value) sums.name[lane] = value;
 #define PUT_SUM(name) PUT(name, sum_of_eight(v##name))
-      PUT(c, c) PUT(middle, middle) PUT(varied, varied) PUT(s1, s1)
+      PUT(c, c) PUT(middle, middle) PUT(varied, varied) PUT(sum_1, sum_1)
       PUT_SUM(rr) PUT_SUM(ra) PUT_SUM(rb) PUT_SUM(rn)
       PUT_SUM(rx) PUT_SUM(ry) PUT_SUM(px) PUT_SUM(py)
-      MOMENTS_AT(sums.angle[lane])
+      MOMENTS_AT(OF_LANE(angle))
       PUT(of_s, of_s) PUT(of_t, of_t)
     }
 
 #define TAKE(name) const REAL name = LOAD_8(sums.name, 0);
-    TAKE(c) TAKE(middle) TAKE(varied) TAKE(s1)
+    TAKE(c) TAKE(middle) TAKE(varied) TAKE(sum_1)
     TAKE(rr) TAKE(ra) TAKE(rb) TAKE(rn) TAKE(rx) TAKE(ry) TAKE(px) TAKE(py)
 #define MOMENT_OF(axis, i, lane) sums.of_##axis[lane].s##i
 #define MOMENT(axis, i)                                                             \

@@ -129,29 +129,33 @@ ROW_LOOP void coarse_response_of_row RESPONSE_OF_ROW((short)(o - QUARTER(o)) +
                                             (short)(QUARTER(e) + EIGHTH(e)))
 ROW_LOOP void fine_response_of_row RESPONSE_OF_ROW((short)(o + e) - QUARTER((short)(o + e)))
 
-/* A bit for each response of a row that is above its neighbours before it and not below those
- * behind it, of the four that touch it. Few pixels are left for the whole window. */
-ROW_LOOP void peaks_of_row(__global const short *restrict above,
-                           __global const short *restrict left,
-                           __global const short *restrict response,
-                           __global const short *restrict right,
-                           __global const short *restrict below, __global short *restrict kept,
-                           __global uint *restrict bits, const int width) {
+/* The columns of the responses of a row that are above their neighbours before them and not below
+ * those behind them, of the four that touch them, and how many they are. Few pixels are left for
+ * the whole window. */
+ROW_LOOP int peaks_of_row(__global const short *restrict above,
+                          __global const short *restrict left,
+                          __global const short *restrict response,
+                          __global const short *restrict right,
+                          __global const short *restrict below, __global short *restrict kept,
+                          __global ushort *restrict places, const int width) {
+  int count = 0;
   for (int first = 0; first < width; first += 32) {
     ushort any = 0;
     for (int k = first; k < first + 32; ++k) {
       const short before = above[k] > left[k] ? above[k] : left[k];
       const short behind = below[k] > right[k] ? below[k] : right[k];
-      const short least = before > LEAST ? before : (short)LEAST, r = response[k];
-      const short peak = r > least && r >= behind ? r : (short)0;
+      const short r = response[k]; /* three comparisons: the larger of two bounds takes 32 bits */
+      const short peak = (r > before) & (r >= behind) & (r > LEAST) ? r : (short)0;
       kept[k] = peak;
       any = (ushort)(any | (ushort)peak);
     }
+    if (!any) continue;
     uint word = 0;
-    if (any)
-      for (int k = 0; k < 32; ++k) word |= kept[first + k] ? 1u << k : 0;
-    bits[first / 32] = first + 32 > width ? word & ((1u << (width - first)) - 1) : word;
+    for (int k = 0; k < 32; ++k) word |= kept[first + k] ? 1u << k : 0;
+    if (first + 32 > width) word &= (1u << (width - first)) - 1;
+    for (; word; word &= word - 1) places[count++] = (ushort)(first + (int)lowest_bit(word));
   }
+  return count;
 }
 
 /* Eight responses from any place of a row on. */
@@ -248,7 +252,6 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
   __global ushort *s3 = s2 + 4 * step, *column = s3 + SMOOTH_ROWS * step;
   __global short *nothing = (__global short *)(column + 2 * step) + PAD;
   __global short *first_response = (__global short *)(column + 3 * step);
-  __global uint *bits = (__global uint *)column;
   __global short *kept = (__global short *)(column + step);
   const size_t kind = (size_t)RESPONSE_ROWS * step;
   ulong noise_of_band = 0;
@@ -310,37 +313,36 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
       for (int dy = -BESIDE_MAXIMUM; dy <= BESIDE_MAXIMUM; ++dy)
         rows_of[BESIDE_MAXIMUM + dy] =
             y + dy < 0 || y + dy >= height ? nothing : responses + RESPONSE_AT(y + dy);
-      peaks_of_row(row[-1], row[0] - 1, row[0], row[0] + 1, row[1], kept, bits, width);
+      const int peaks = peaks_of_row(row[-1], row[0] - 1, row[0], row[0] + 1, row[1], kept, column, width);
       const Ring inner = fine ? ring_of(s1, y, 2, 1, height, step)
                               : ring_of(s1, y, 3, 2, height, step);
       const Ring outer = fine ? ring_of(s1, y, 3, 2, height, step)
                               : ring_of(s3, y, 5, 4, height, step);
       const Ring between = ring_of(s3, y, 4, 3, height, step);
       __global int *list = lists + (own * (1 + FINE) + fine) * LIST_COLUMNS * capacity;
-      for (int word = 0; 32 * word < width; ++word)
-        for (uint left = bits[word]; left; left &= left - 1) {
-          const int x = 32 * word + (int)lowest_bit(left);
-          const uint at = (uint)y * step + PAD + (uint)x;
-          if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, kept[x])) continue;
-          if (fine) {
-            const int2 v2 = harmonics_of(&inner, x, 2, 1).second;
-            const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
-            if (4 * dot_of(v2, v3) < dot_of(v3, v3)) continue;
-          } else {
-            const Harmonics h5 = harmonics_of(&outer, x, 5, 4);
-            const Harmonics h4 = harmonics_of(&between, x, 4, 3);
-            const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
-            const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
-            if (alignment && (long)alignment * along < all) continue;
-            const int r = kept[x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
-                                        ((h4.centre >> 2) + (h4.centre >> 3));
-            if (support && (support * r4 < r || r4 > 2 * r)) continue;
-            if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
-              continue;
-          }
-          if (found[fine] < capacity) append(list, found[fine], capacity, x, y, row - 2);
-          ++found[fine];
+      for (int k = 0; k < peaks; ++k) {
+        const int x = column[k];
+        const uint at = (uint)y * step + PAD + (uint)x;
+        if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, kept[x])) continue;
+        if (fine) {
+          const int2 v2 = harmonics_of(&inner, x, 2, 1).second;
+          const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
+          if (4 * dot_of(v2, v3) < dot_of(v3, v3)) continue;
+        } else {
+          const Harmonics h5 = harmonics_of(&outer, x, 5, 4);
+          const Harmonics h4 = harmonics_of(&between, x, 4, 3);
+          const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
+          const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
+          if (alignment && (long)alignment * along < all) continue;
+          const int r = kept[x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
+                                      ((h4.centre >> 2) + (h4.centre >> 3));
+          if (support && (support * r4 < r || r4 > 2 * r)) continue;
+          if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
+            continue;
         }
+        if (found[fine] < capacity) append(list, found[fine], capacity, x, y, row - 2);
+        ++found[fine];
+      }
     }
   }
   noise[own] = noise_of_band;
@@ -410,7 +412,7 @@ int any_near(__global const uint *bits, const int x, const int y, const int heig
  * the reference; a fine one only where no coarse corner is within NMS_RADIUS. `maxima` gets a bit
  * for each coarse corner. One work-item a frame. */
 __kernel void decide(__global const ulong *restrict noise, __global const uint *restrict band_counts,
-                     __global const int *restrict lists, const uint rows, const uint columns,
+                     __global int *restrict lists, const uint rows, const uint columns,
                      const uint step, const uint bands, const uint capacity,
                      const uint full_scale, const uint coarse_noise, const int coarse_share,
                      const int fine_share, const uint corner_capacity, const uint count_offset,
@@ -446,10 +448,22 @@ __kernel void decide(__global const ulong *restrict noise, __global const uint *
   for (uint band = 0; band < bands; ++band) {
     const uint own = band * (1 + FINE);
     __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
-    __global const int *fine = coarse + LIST_COLUMNS * capacity;
     const uint coarse_count = SMALLER(band_counts[own], capacity);
-    const uint fine_count = FINE ? SMALLER(band_counts[own + FINE], capacity) : 0;
     most = LARGER(most, LARGER(band_counts[own], band_counts[own + FINE]));
+    uint fine_count = 0; /* few are kept: the merge seldom has to choose */
+#if FINE
+    __global int *fine = lists + (size_t)(own + 1) * LIST_COLUMNS * capacity;
+    for (uint f = 0; f < SMALLER(band_counts[own + 1], capacity); ++f) {
+      const int r = fine[2 * capacity + f], x = fine[f] + PAD, y = fine[capacity + f];
+      if (r <= fine_bound || 128 * r < fine_share * reference ||
+          any_near(maxima, x, y, (int)rows, width))
+        continue;
+      for (uint k = 0; k < LIST_COLUMNS; ++k) fine[k * capacity + fine_count] = fine[k * capacity + f];
+      ++fine_count;
+    }
+#else
+    __global const int *fine = coarse;
+#endif
     for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
       const int before = f == fine_count ||
                          (c < coarse_count &&
@@ -457,12 +471,7 @@ __kernel void decide(__global const ulong *restrict noise, __global const uint *
                            (coarse[capacity + c] == fine[capacity + f] && coarse[c] < fine[f])));
       __global const int *list = before ? coarse + c++ : fine + f++;
       const int r = list[2 * capacity];
-      if (r <= (before ? coarse_bound : fine_bound) ||
-          128 * r < (before ? coarse_share : fine_share) * reference)
-        continue;
-#if FINE
-      if (!before && any_near(maxima, list[0] + PAD, list[capacity], (int)rows, width)) continue;
-#endif
+      if (before && (r <= coarse_bound || 128 * r < coarse_share * reference)) continue;
       if (total < corner_capacity)
         for (uint k = 0; k < LIST_COLUMNS; ++k)
           corners[(size_t)k * length + p * corner_capacity + total] = list[k * capacity];

@@ -1,4 +1,4 @@
-"""kernels/edge_lines.cl and kernels/cpu/refine.cl: one corner at a time, and eight."""
+"""kernels/edge_lines.cl and kernels/cpu/edge_lines.cl: one corner at a time, and eight."""
 
 import images
 import numpy as np
@@ -45,7 +45,7 @@ def test_which_form_is_taken(detector_in_form, form, rule, scale):
         detector = detector_in_form(image, config)
         launched = {launch.stage for launch in detector._plan(scale).launches}
         eight = form is Form.CPU and isinstance(refinement, EdgeLines | EdgeStep)
-        assert ("refine_eight" in launched) is eight
+        assert bool(launched & {"edge_lines_eight", "edge_step_eight"}) is eight
 
 
 @LINES
