@@ -13,7 +13,15 @@ from accuracy import unpacked
 from environment import RESULTS
 from field import grouped
 from methods import DEFAULT
-from sections.detection import accuracy, against_time, criteria, photographs, settings, shortfalls
+from sections.detection import (
+    accuracy,
+    against_time,
+    criteria,
+    marks,
+    photographs,
+    settings,
+    shortfalls,
+)
 from sections.field import field, wrong_indices
 from sections.grid import open_patterns, partial_views
 from sections.plots import SHOWN
@@ -36,7 +44,7 @@ unit is given.
 The sections answer these questions:
 
 - How fast is it, and how accurate at that speed? Time, error against time, cost by size.
-- Which corners does it find? Rendered scenes, photographs, criteria.
+- Which corners does it find? Rendered scenes, photographs, marks in cells, criteria.
 - How accurate are the positions, and are their standard deviations right?
 - Are the corners numbered correctly? Boards partly out of view, patterns without a border.
 - How accurate is the field in space?
@@ -145,6 +153,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         ("scaling-gpu", scaling),
         ("accuracy", lambda result: accuracy(result, folder)),
         ("photographs", photographs),
+        ("marks", marks),
         ("criteria", criteria),
         ("positions", positions),
         ("strain", strain),

@@ -23,6 +23,7 @@ PARTS = (
     "theory",
     "criteria",
     "photographs",
+    "marks",
     "partial_views",
     "open_patterns",
     "field",

@@ -1,4 +1,4 @@
-"""Which corners are found: rendered scenes, photographs, criteria, the peers' settings."""
+"""Which corners are found: rendered scenes, photographs, marks, criteria, the peers' settings."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -233,6 +233,21 @@ def photographs(result: Row) -> str:
             }
             body.append([shares.get(key, row.get(key)) for key in keys])
         parts.append(table(keys, body))
+    return "\n".join(parts)
+
+
+def marks(result: Row) -> str:
+    parts = ["## Marks in the cells", conditions(result)]
+    cells = ", ".join(map(str, result["cells"]))
+    parts.append(
+        f"Rendered boards with cells of {cells} px, a mark in most of "
+        "them, and worn gels without marks. A mark has junctions that look like corners; "
+        "`drop_marks` takes out the corners inside another corner's cell, and the last two columns "
+        "are what it leaves.\n"
+    )
+    keys = "images frames corners missed false missed_after false_after"
+    names = "marks, images, corners, missed, false, missed then, false then"
+    parts.append(table_of(result["rows"], names, keys))
     return "\n".join(parts)
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.corners import Corners
+from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
@@ -23,6 +23,7 @@ SMALL = 0.1  # least share of the corners that the pattern must hold
 RIVAL = 0.5  # a second component of this share of the first is a second pattern
 RIVAL_AREA = 1 / 16  # of the first pattern's: cells a quarter as wide are texture
 LEAST_BOARD = 9  # corners of a board among several
+TORN = 0.15  # px: a corner whose sigma is not below it is torn, as is one not refined as asked
 
 Region = tuple[float, float, float, float]
 
@@ -51,9 +52,10 @@ def build_grid(
 ) -> Grid:
     """Number the corners of a checkerboard by row and column (section 4.3 of the paper).
 
-    image: the view, (H, W) uint8 or uint16. There missing nodes are looked for again, nodes
-        at the rim must look like corners of the pattern, and the pattern's border is seen;
-        without it nothing of this is done.
+    image: the view, (H, W) uint8 or uint16. There missing nodes are looked for again, as are
+        torn ones that lie far from where their neighbours say; nodes at the rim must look like
+        corners of the pattern, and the pattern's border is seen. Without it nothing of this is
+        done.
     shape: rows and columns of the pattern's inner corners. The grid then has this shape. Where
         less is seen, the borders in view say which part it is; where more is seen, it is the
         fullest such window. Without it, the grid has the shape of what is seen.
@@ -165,7 +167,8 @@ def _checked(
     z = corners.xy.take(inside, axis=0).astype(np.float64).view(np.complex128)[:, 0]
     if image is not None:
         image = image if image.flags.c_contiguous else image.copy()
-    return inside, Seen(z, edges, image)
+    torn = ~(corners.sigma < TORN) | (corners.refusal != Refusal.NONE)
+    return inside, Seen(z, edges, image, np.append(torn[inside], True))
 
 
 def _found(seen: Seen) -> Lattice | None:

@@ -20,14 +20,14 @@ class NodeStatus(enum.IntEnum):
     MISSING = 0
     DETECTED = 1
     ATTACHED = 2  # a free detection near the place that its neighbours predict
-    SECOND_LOOK = 3  # found by a second look at the image
+    SECOND_LOOK = 3  # found by a second look at the image: by other rings, or along the edges
     INTERPOLATED = 4
     VIRTUAL = 5  # a marker on the edge between two neighbours
 
 
 T = TypeVar("T")
 
-# what an image shows, and no neighbour has told
+# what the image shows; torn nodes are in part where their neighbours say
 MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 

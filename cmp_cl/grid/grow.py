@@ -16,9 +16,13 @@ from cmp_cl.grid.predict import (
     predict_within,
 )
 from cmp_cl.grid.second_look import second_look
+from cmp_cl.grid.whole_edges import along_edges
 from cmp_cl.image import GreyImage
 
 NEAR = 0.3  # cells: how far from its prediction a node may be
+ASTRAY = 0.1  # cells: a torn node that is farther from its prediction is looked for again
+WIDEST = 18.0  # px: in wider cells a torn corner's own image is worth more than its neighbours
+ALONG = 0.25  # cells: how far from its prediction its edges may put it
 APART = 0.4  # cells: nearer than that a second look has found a corner twice
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
 FEW = 400  # nodes that are quicker predicted one by one
@@ -28,12 +32,14 @@ class Seen(NamedTuple):
     """What a grid is made of.
 
     z: (N,) positions of the corners. edges: (N, 4) rad, as in `Corners`. image: or None, where
-    neither a second look nor a look at the cells is taken.
+    neither a second look nor a look at the cells is taken. torn: (N + 1,) bool, corners whose
+    own image does not tell where they are, and True at the end, for nodes without a corner.
     """
 
     z: Points
     edges: NDArray[np.float32]
     image: GreyImage | None
+    torn: Mask
 
 
 def grow(nodes: Nodes, seen: Seen) -> None:
@@ -71,14 +77,17 @@ def attach(nodes: Nodes, seen: Seen) -> None:
 
 
 def fill(nodes: Nodes, seen: Seen, least: float) -> None:
-    """Look again where predictions have at least that weight, attach, and interpolate."""
-    if nodes.there.all():
-        return
-    looked = np.zeros(nodes.at.shape)
-    while seen.image is not None and _look_again(nodes, looked, seen.image, least):
-        drop_misfits(nodes)
-        _refuse(nodes, seen)
-        attach(nodes, seen)
+    """Look again where predictions have at least that weight, attach, follow the edges of what is
+    torn, and interpolate."""
+    if seen.image is not None:
+        looked = np.zeros(nodes.at.shape)
+        while not nodes.there.all() and _look_again(nodes, looked, seen.image, least):
+            drop_misfits(nodes)
+            _refuse(nodes, seen)
+            attach(nodes, seen)
+        if _follow_edges(nodes, seen.torn, seen.image):
+            drop_misfits(nodes)
+            _refuse(nodes, seen)
     _interpolate(nodes)
 
 
@@ -91,11 +100,14 @@ def _refuse(nodes: Nodes, seen: Seen) -> None:
 def drop_misfits(nodes: Nodes) -> None:
     """Drop nodes far from a well supported prediction, the worst of each neighbourhood first.
 
-    Only those are looked at around which something has changed since the last time.
+    Only those are looked at around which something has changed since the last time. Corners that
+    are far enough from their prediction to be astray are marked.
     """
     while nodes.changed.any():
         row, column = _near_changes(nodes)
         off = _misfits(nodes.at, row, column)
+        far = np.flatnonzero(off > ASTRAY)
+        nodes.astray[nodes.owner[row[far], column[far]]] = True
         bad = off > NEAR
         nodes.changed[:] = False
         if not bad.any():
@@ -223,6 +235,30 @@ def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> 
     twice = _beside_another(nodes.at, row, column, APART * cell)
     nodes.drop(row[twice], column[twice])
     return not twice.all()
+
+
+def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
+    """Put nodes where their whole edges meet: those that are missing, and torn ones that are far
+    from a well supported prediction. Return whether any was missing."""
+    asked = (torn & nodes.astray)[nodes.owner]  # missing nodes and those of a second look too
+    row, column = np.divmod(np.flatnonzero(asked), nodes.at.shape[1])
+    if not len(row):
+        return False
+    expected, weight = predict(nodes.at, row, column)
+    cell = mean_steps(nodes.at, row, column)[2]
+    off = np.abs(nodes.at[row, column] - expected)
+    settled = (off <= ASTRAY * cell) | ((cell > WIDEST) & ~np.isnan(off))
+    left = np.flatnonzero((weight >= STRONG) & ~settled)
+    if not len(left):
+        return False
+    row, column, expected, cell = row[left], column[left], expected[left], cell[left]
+    found = along_edges(nodes, image, row, column, expected)
+    kept = np.abs(found - expected) < ALONG * cell
+    row, column, found, cell = row[kept], column[kept], found[kept], cell[kept]
+    missing = nodes.status[row, column] == NodeStatus.MISSING
+    nodes.put(row, column, found, NodeStatus.SECOND_LOOK)
+    nodes.owner[row, column] = -1
+    return bool(missing.any())
 
 
 def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask:

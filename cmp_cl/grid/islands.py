@@ -57,6 +57,7 @@ def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
     owner = turned.owner[row, column]
     nodes.owner[here] = owner
     nodes.free[owner[owner >= 0]] = False
+    nodes.astray |= island.astray
     return True
 
 

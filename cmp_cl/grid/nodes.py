@@ -31,7 +31,8 @@ class Nodes:
     at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
     status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, where a node was put or dropped
     since misfits were looked for; parity: as in Grid; free: (N,) bool, corners that have not
-    been in the grid.
+    been in the grid; astray: (N + 1,) bool, corners that were seen far from where their
+    neighbours say, and True at the end, for nodes without a corner.
     """
 
     def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
@@ -41,6 +42,7 @@ class Nodes:
         self.changed: Mask = np.zeros(shape, np.bool_)
         self.parity = parity
         self.free = free
+        self.astray: Mask = np.arange(len(free) + 1) == len(free)
 
     @property
     def there(self) -> Mask:
@@ -103,6 +105,7 @@ class Nodes:
             max(-top, 0) : max(min(rows - top, shape[0]), 0),
             max(-left, 0) : max(min(columns - left, shape[1]), 0),
         ]
+        cut.astray = self.astray
         for name in ("at", "owner", "status"):
             getattr(cut, name)[there] = getattr(self, name)[here]
         return cut

@@ -1,0 +1,132 @@
+"""Torn nodes, by the edges to the nodes around them."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+import cmp_cl
+from cmp_cl import NodeStatus
+from cmp_cl.grid import build_grid
+from cmp_cl.grid.nodes import Nodes
+from cmp_cl.grid.whole_edges import along_edges
+
+SIZE = 9  # inner corners a side
+TORN = (4, 5)  # row, column
+
+
+def picture(cell, tear=0):
+    """Return a blurred checkerboard with SIZE x SIZE corners, a white disc torn into one of them,
+    and the corners (SIZE, SIZE), complex px."""
+    fine, side = 4, cell * (SIZE + 1)
+    y, x = (np.mgrid[: fine * side, : fine * side] + 0.5) / (fine * cell)
+    grey = np.where((np.floor(x) + np.floor(y)) % 2 == 0, 40.0, 200.0)
+    row, column = np.array(TORN) + 1
+    grey[np.hypot(x - column, y - row) * cell < tear] = 200
+    small = cv2.resize(grey, (side, side), interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(np.pad(small, cell, constant_values=120), (0, 0), 0.8)
+    column, row = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
+    return np.rint(small).astype(np.uint8), (column + 1j * row + 2 + 2j) * cell - 0.5 - 0.5j
+
+
+def nodes_at(corners):
+    nodes = Nodes(corners.shape, 0, np.ones(corners.size, np.bool_))
+    nodes.at[:] = corners
+    nodes.status[:] = NodeStatus.DETECTED
+    return nodes
+
+
+def asked(image, corners, expected, parity=0):
+    nodes = nodes_at(corners)
+    nodes.parity = parity
+    row, column = (np.array([each]) for each in TORN)
+    nodes.drop(row, column)
+    return along_edges(nodes, image, row, column, np.array([expected]))[0]
+
+
+@pytest.mark.parametrize("wide", [1.5, -1.5, 1.5j, 1 - 1j])
+def test_a_node_moves_towards_where_its_edges_meet(wide):
+    image, corners = picture(12, tear=3.5)
+    found = asked(image, corners, corners[TORN] + wide)
+    assert abs(found - corners[TORN]) < 0.6 * abs(wide)
+
+
+def test_a_node_that_lies_on_its_edges_stays():
+    image, corners = picture(12, tear=3.5)
+    assert abs(asked(image, corners, corners[TORN]) - corners[TORN]) < 0.15
+
+
+def test_edges_of_the_other_polarity_are_not_taken():
+    image, corners = picture(12)
+    assert not np.isnan(asked(image, corners, corners[TORN]))
+    assert np.isnan(asked(image, corners, corners[TORN], parity=1))
+
+
+def test_one_edge_that_does_not_show_refuses_the_node():
+    image, corners = picture(12)
+    x, y = round(corners[TORN].real), round(corners[TORN].imag)
+    hidden = np.random.default_rng(1).integers(118, 123, (13, 13))
+    image[y - 6 : y + 7, x + 1 : x + 14] = hidden
+    assert np.isnan(asked(image, corners, corners[TORN]))
+
+
+def test_faint_edges_beside_a_much_brighter_spot_refuse_the_node():
+    image, corners = picture(12)
+    faint = (100 + image / 10).astype(np.uint8)
+    assert not np.isnan(asked(faint, corners, corners[TORN]))
+    faint[round(corners[TORN].imag) + 4, round(corners[TORN].real) + 4] = 255
+    assert np.isnan(asked(faint, corners, corners[TORN]))
+
+
+def test_noise_has_no_edges():
+    noise = np.random.default_rng(3).integers(0, 256, (144, 144)).astype(np.uint8)
+    _, corners = picture(12)
+    row, column = (each.ravel() for each in np.mgrid[1 : SIZE - 1, 1 : SIZE - 1])
+    assert np.isnan(along_edges(nodes_at(corners), noise, row, column, corners[row, column])).all()
+
+
+def test_a_corner_that_is_torn_open_is_measured():
+    image, corners = picture(16, tear=8)
+    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
+    assert np.abs(found.xy @ [1, 1j] - corners[TORN]).min() > 3
+    grid = build_grid(found, image, shape=(SIZE, SIZE))
+    assert grid.status[TORN] == NodeStatus.SECOND_LOOK
+    assert abs(grid.xy[TORN] @ [1, 1j] - corners[TORN]) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("cell", "sigma", "status"),
+    [
+        (12, np.nan, NodeStatus.SECOND_LOOK),
+        (12, 0.5, NodeStatus.SECOND_LOOK),
+        (12, 0.05, NodeStatus.DETECTED),
+        (24, np.nan, NodeStatus.DETECTED),
+    ],
+)
+def test_a_corner_far_from_where_its_neighbours_say_is_moved_if_its_own_image_is_torn(
+    cell, sigma, status
+):
+    image, corners = picture(cell)
+    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
+    moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
+    xy, sigmas = found.xy.copy(), found.sigma.copy()
+    xy[moved] += 0.14 * cell, 0.14 * cell
+    sigmas[moved] = sigma
+    grid = build_grid(dataclasses.replace(found, xy=xy, sigma=sigmas), image, shape=(SIZE, SIZE))
+    off = abs(grid.xy[TORN] @ [1, 1j] - corners[TORN])
+    assert grid.status[TORN] == status
+    assert off < 0.2 if status == NodeStatus.SECOND_LOOK else off > 0.18 * cell
+    others = np.delete(grid.status.ravel(), np.ravel_multi_index(TORN, grid.shape))
+    assert (others == NodeStatus.DETECTED).all()
+
+
+def test_a_corner_whose_refinement_was_refused_counts_as_torn():
+    image, corners = picture(12)
+    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
+    moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
+    xy, refusal = found.xy.copy(), found.refusal.copy()
+    xy[moved] += 1.7
+    refusal[moved] = cmp_cl.Refusal.SHIFT
+    torn = dataclasses.replace(found, xy=xy, refusal=refusal)
+    assert build_grid(torn, image, shape=(SIZE, SIZE)).status[TORN] == NodeStatus.SECOND_LOOK
