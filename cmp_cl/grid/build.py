@@ -11,6 +11,7 @@ from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
+from cmp_cl.grid.joints import cut
 from cmp_cl.grid.lattice import Lattice, lattice
 from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
@@ -98,7 +99,7 @@ def build_grid(
             f"the largest lattice has {found.size[0]} of {len(inside)} corners, "
             f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
         )
-    nodes = boxed(seen.z, found)
+    found, nodes = _whole(seen, found)
     grow(nodes, seen)
     placed, ends = _numbered(nodes, seen, found, shape=shape, like=like, previous=previous)
     if placed is None:
@@ -131,8 +132,9 @@ def build_grids(
     least = LEAST_BOARD if shape is None else max(shape[0] * shape[1] / 2, 1)
     grids: list[Grid] = []
     taken = np.zeros(len(inside), np.bool_)
-    for component in range(int(np.count_nonzero(found.size >= min(least, LEAST_BOARD)))):
-        nodes = boxed(seen.z, found, component)
+    component = -1
+    while (component := component + 1) < np.count_nonzero(found.size >= min(least, LEAST_BOARD)):
+        found, nodes = _whole(seen, found, component)
         small = found.component >= np.count_nonzero(found.size >= LEAST_BOARD)
         nodes.free &= ~taken & ((found.component < 0) | small)
         grow(nodes, seen)
@@ -172,6 +174,16 @@ def _found(seen: Seen) -> Lattice | None:
         return None
     found = lattice(seen.z.astype(np.complex64), seen.edges)
     return found if len(found.size) else None
+
+
+def _whole(seen: Seen, found: Lattice, component: int = 0) -> tuple[Lattice, Nodes]:
+    """Return the lattice with that component cut until it is one pattern, and that in its box."""
+    while True:
+        nodes = boxed(seen.z, found, component)
+        parts = cut(found, nodes, component)
+        if parts is None:
+            return found, nodes
+        found = parts
 
 
 def _numbered(
