@@ -20,7 +20,7 @@ Steps = NDArray[np.complex64]
 ALIKE = 0.25  # of the steps: how much those of two cells of one pattern differ at most
 OFF = 0.15  # of the steps: how far a cell may be from where they lead from the other
 BENT = 0.3  # of the steps: how much their change may differ from that on either side
-CONTACTS = 3  # pairs of cells that show a bend between two parts, and half of all
+CONTACTS = 3  # pairs of cells that show a bend between two parts
 REACH = 2  # cells to every side, some of which may be lost
 LEAST = 4  # cells that may be another pattern
 AROUND = np.array(
@@ -142,8 +142,7 @@ def _bends(cells: _Cells, part: Index, r: int, c: int) -> Index:
     bent = off < BENT**2 * np.minimum(size[one], size[other])
     low, high = np.minimum(part[one], part[other]), np.maximum(part[one], part[other])
     contacts, pair = np.unique(low * len(part) + high, return_inverse=True)
-    count, every = np.bincount(pair, bent), np.bincount(pair)
-    joined = contacts[(count >= CONTACTS) & (2 * count >= every)]
+    joined = contacts[np.bincount(pair, bent) >= CONTACTS]
     return np.stack(np.divmod(joined, len(part)))
 
 
@@ -161,8 +160,11 @@ def _components(count: int, pairs: Index, lowest: Index | None = None) -> Index:
 
 def _relabelled(
     found: Lattice, nodes: Nodes, component: int, parts: list[tuple[Index, Index]]
-) -> Lattice:
-    """Return the lattice with those cells' corners, the larger part's first, as components."""
+) -> Lattice | None:
+    """Return the lattice with those cells' corners, the larger part's first, as components.
+
+    None where the first part holds all of them.
+    """
     label = found.component.copy()
     label[label == component] = -1
     unit = upright(complex(found.axis[component]))
@@ -180,11 +182,13 @@ def _relabelled(
         here, ahead = (row, column), (row, column + 1)
         if unit.imag:
             ahead = (row + 1, column)
+        if not number and not free.any():
+            return None
         step = (nodes.at[ahead] - nodes.at[here]).mean()
         axes.append(step * (unit.real + unit.imag))
     size = np.concatenate([found.size, sizes])
     size[component] = 0
-    order = np.argsort(-size, kind="stable")[:-1]
+    order = np.argsort(-size, kind="stable")[: np.count_nonzero(size)]
     rank = np.full(len(size) + 1, -1)  # the last is that of corners in no component
     rank[order] = np.arange(len(order))
     return found._replace(

@@ -161,3 +161,17 @@ def test_a_floor_of_many_squares_is_a_second_pattern(square):
     own = [on_board(grid).mean() for grid in build_grids(corners, image)]
     assert own.count(1.0) == 1
     assert own.count(0.0) == len(own) - 1
+
+
+def test_cells_between_the_corners_of_a_part_are_not_cut_again_and_again():
+    at = plane(9, 9, 10)
+    row, column = np.indices(at.shape)
+    at[(row % 3 == 1) & (column % 3 == 1)] += 30
+    z, found = linked(at)
+    for _ in range(len(z)):
+        parts = cut(found, boxed(z, found))
+        if parts is None:
+            break
+        assert parts.size[0] < found.size[0]
+        found = parts
+    assert parts is None
