@@ -15,7 +15,7 @@ from field import grouped
 from methods import DEFAULT
 from sections.detection import accuracy, against_time, criteria, photographs, settings, shortfalls
 from sections.field import field, wrong_indices
-from sections.grid import open_patterns, partial_views
+from sections.grid import open_patterns, partial_views, surroundings
 from sections.plots import SHOWN
 from sections.positions import positions, strain
 from sections.speed import scaling, speed
@@ -150,6 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         ("strain", strain),
         ("partial_views", partial_views),
         ("open_patterns", open_patterns),
+        ("surroundings", surroundings),
         ("field", field),
         ("stability", lambda result: stability(result, folder)),
         ("implementations", implementations),

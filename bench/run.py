@@ -25,6 +25,7 @@ PARTS = (
     "photographs",
     "partial_views",
     "open_patterns",
+    "surroundings",
     "field",
     "positions",
     "accuracy",
