@@ -163,6 +163,21 @@ def test_a_floor_of_many_squares_is_a_second_pattern(square):
     assert own.count(0.0) == len(own) - 1
 
 
+def test_a_board_that_is_the_smaller_pattern_is_told():
+    image = before_squares(turn=0.45, square=19)
+    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
+        corners = detector(image)
+    grid = build_grid(corners, image)
+    assert not on_board(grid).any()
+    assert 60 <= grid.others <= BOARD[0] * BOARD[1]
+    assert grid.doubts[0].startswith(f"another pattern of {grid.others} corners is seen")
+    with pytest.raises(GridError, match="another pattern"):
+        build_grid(corners, image, strict=True)
+    board = build_grid(corners, image, region=(75, 65, 300, 245))
+    assert on_board(board).all()
+    assert not board.doubts
+
+
 def test_cells_between_the_corners_of_a_part_are_not_cut_again_and_again():
     at = plane(9, 9, 10)
     row, column = np.indices(at.shape)
