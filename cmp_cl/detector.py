@@ -10,6 +10,7 @@ import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.arrays import Frame, as_frame
+from cmp_cl.choice import choose_by_corners
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig, Pyramid
 from cmp_cl.corners import Corners
@@ -410,15 +411,35 @@ def detect(
 
     It makes a Detector, runs it and releases it. For many images of one shape make a Detector
     yourself.
-    config: the settings; None means DetectorConfig.for_image(image).
+    config: the settings; None means choose_config(image, device=device).
 
     Raises what Detector raises.
     """
     frame = as_frame(image)
+    device = device if isinstance(device, Device) else select_device(device)
     if config is None:
-        config = DetectorConfig.for_image(frame)
+        config = choose_config(frame, device=device)
     with Detector(shape=frame.shape, dtype=frame.dtype, config=config, device=device) as detector:
         return detector(frame)
+
+
+def choose_config(
+    image: Frame, *, full_scale: int | None = None, device: Device | str | None = None
+) -> DetectorConfig:
+    """Choose the settings for an image, (H, W) uint8 or uint16, by what they find in it.
+
+    They are `DetectorConfig.for_image`, whose radius and working scale suit the cells, where they
+    find the corners that `DetectorConfig()` finds. Else they are `DetectorConfig()`, which needs
+    no size: a small board before a background of wide shapes is an example. If the corners lie
+    closer together than the estimated cells, the refinement's radius is that for corners so near.
+
+    full_scale: as in DetectorConfig. device: as Detector takes it.
+
+    Raises what Detector raises.
+    """
+    frame = as_frame(image)
+    device = device if isinstance(device, Device) else select_device(device)
+    return choose_by_corners(frame, full_scale, lambda config: detect(frame, config, device))
 
 
 def _checked_shape(shape: Any) -> tuple[int, int]:
