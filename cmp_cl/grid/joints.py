@@ -53,13 +53,16 @@ def _hang_together(along: Steps, down: Steps) -> bool:
     """Return whether all but a few cells agree with one beside them that does so too, and on."""
     size = _square(along) + _square(down)
     least = ALIKE**2 * size
+    apart = _square(along[:, 1:] - along[:, :-1]) + _square(down[:, 1:] - down[:, :-1])
+    beside = apart < np.minimum(least[:, 1:], least[:, :-1])
+    apart = _square(along[1:] - along[:-1]) + _square(down[1:] - down[:-1])
+    below = apart < np.minimum(least[1:], least[:-1])
+    if beside.all() and below.all():
+        return True
     rows, columns = size.shape
     shown = np.zeros((2 * rows - 1, 2 * columns - 1), np.uint8)  # cells, and what joins them
     shown[::2, ::2] = size == size
-    apart = _square(along[:, 1:] - along[:, :-1]) + _square(down[:, 1:] - down[:, :-1])
-    shown[::2, 1::2] = apart < np.minimum(least[:, 1:], least[:, :-1])
-    apart = _square(along[1:] - along[:-1]) + _square(down[1:] - down[:-1])
-    shown[1::2, ::2] = apart < np.minimum(least[1:], least[:-1])
+    shown[::2, 1::2], shown[1::2, ::2] = beside, below
     count, label = cv2.connectedComponents(shown, connectivity=4)
     if count < 3:
         return True
