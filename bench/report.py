@@ -23,7 +23,7 @@ from sections.detection import (
     shortfalls,
 )
 from sections.field import field, wrong_indices
-from sections.grid import open_patterns, partial_views
+from sections.grid import open_patterns, partial_views, surroundings
 from sections.plots import SHOWN
 from sections.positions import positions, strain
 from sections.speed import scaling, speed
@@ -159,6 +159,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         ("strain", strain),
         ("partial_views", partial_views),
         ("open_patterns", open_patterns),
+        ("surroundings", surroundings),
         ("field", field),
         ("stability", lambda result: stability(result, folder)),
         ("implementations", implementations),

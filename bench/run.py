@@ -26,6 +26,7 @@ PARTS = (
     "marks",
     "partial_views",
     "open_patterns",
+    "surroundings",
     "field",
     "positions",
     "accuracy",

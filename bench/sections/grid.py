@@ -1,4 +1,4 @@
-"""Numbering: boards partly out of view, patterns without a border."""
+"""Numbering: boards partly out of view, patterns without a border, backgrounds, mirrors."""
 
 from sections.tables import Row, conditions, table
 
@@ -71,4 +71,32 @@ def open_patterns(result: Row) -> str:
     )
     parts.append(table(list(peers[0]), [list(row.values()) for row in peers]))
     parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]
+    return "\n".join(parts)
+
+
+def surroundings(result: Row) -> str:
+    """Report boards before busy backgrounds, and patterns with a mirror in the view."""
+    parts = ["## Busy backgrounds and mirrors", conditions(result)]
+    parts.append(
+        "Rendered boards before five kinds of background. The paper around a board is none, 0.3, 1 "
+        "or 2 cells wide. An answer is right if each of its nodes is a corner of the board and the "
+        "numbers fit a single lattice. `told` answers carry a warning. `background` answers hold "
+        "no corner of the board: they are another pattern, and carry none. The last column holds "
+        "what is silently wrong.\n"
+    )
+    words = ("right", "right, told", "refused", "wrong, told", "background", "wrong")
+    shown = [*words[:-1], "in silence"]
+    head = ("background", "method", *shown)
+    rows = [[row[key] for key in ("background", "method", *words)] for row in result["boards"]]
+    parts.append(table(head, rows))
+    parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]
+    parts.append(
+        "Rendered patterns without a border, a part of which is a reflection. An answer is right "
+        "if it holds at most three nodes of the reflection and at least 98 % of the other nodes "
+        "have the right numbers. The rows without a mirror show false alarms.\n"
+    )
+    words = tuple(word for word in words if word != "background")
+    keys = ("mirror", "print", "numbered", *words)
+    head = (*keys[:3], *words[:-1], "in silence")
+    parts.append(table(head, [[row[key] for key in keys] for row in result["mirrors"]]))
     return "\n".join(parts)

@@ -4,6 +4,7 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError
@@ -11,6 +12,7 @@ from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
+from cmp_cl.grid.joints import cut
 from cmp_cl.grid.lattice import Lattice, lattice
 from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
@@ -22,6 +24,7 @@ from cmp_cl.image import GreyImage, check_image
 SMALL = 0.1  # least share of the corners that the pattern must hold
 RIVAL = 0.5  # a second component of this share of the first is a second pattern
 RIVAL_AREA = 1 / 16  # of the first pattern's: cells a quarter as wide are texture
+OTHER = 12  # corners: a lattice of so many may be the pattern that is meant
 LEAST_BOARD = 9  # corners of a board among several
 TORN = 0.15  # px: a corner whose sigma is not below it is torn, as is one not refined as asked
 
@@ -100,13 +103,15 @@ def build_grid(
             f"the largest lattice has {found.size[0]} of {len(inside)} corners, "
             f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
         )
-    nodes = boxed(seen.z, found)
+    found, nodes = _whole(seen, found)
     grow(nodes, seen)
     placed, ends = _numbered(nodes, seen, found, shape=shape, like=like, previous=previous)
     if placed is None:
         return _empty(len(corners), shape, like)
-    _refuse_rival(found, placed.nodes, seen)
+    others = _others(found, placed.nodes, seen)
     grid = _result(corners, inside, placed, ends)
+    if shape is None:
+        grid = dataclasses.replace(grid, others=others)
     if strict and grid.doubts:
         raise GridError("; ".join(grid.doubts))
     return grid
@@ -133,8 +138,9 @@ def build_grids(
     least = LEAST_BOARD if shape is None else max(shape[0] * shape[1] / 2, 1)
     grids: list[Grid] = []
     taken = np.zeros(len(inside), np.bool_)
-    for component in range(int(np.count_nonzero(found.size >= min(least, LEAST_BOARD)))):
-        nodes = boxed(seen.z, found, component)
+    component = -1
+    while (component := component + 1) < np.count_nonzero(found.size >= min(least, LEAST_BOARD)):
+        found, nodes = _whole(seen, found, component)
         small = found.component >= np.count_nonzero(found.size >= LEAST_BOARD)
         nodes.free &= ~taken & ((found.component < 0) | small)
         grow(nodes, seen)
@@ -177,6 +183,16 @@ def _found(seen: Seen) -> Lattice | None:
         return None
     found = lattice(seen.z.astype(np.complex64), seen.edges)
     return found if len(found.size) else None
+
+
+def _whole(seen: Seen, found: Lattice, component: int = 0) -> tuple[Lattice, Nodes]:
+    """Return the lattice with that component cut until it is one pattern, and that in its box."""
+    while True:
+        nodes = boxed(seen.z, found, component)
+        parts = cut(found, nodes, component)
+        if parts is None:
+            return found, nodes
+        found = parts
 
 
 def _numbered(
@@ -318,30 +334,39 @@ def _empty(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None
     )
 
 
-def _refuse_rival(found: Lattice, nodes: Nodes, seen: Seen) -> None:
-    """Raise GridError where another component is comparable and was not joined.
+def _others(found: Lattice, nodes: Nodes, seen: Seen) -> int:
+    """Return the corners of the largest other lattice that was not joined, 0 where it is small.
 
-    It is comparable in its corners and in the area that they cover: fine texture in a room's
-    background forms lattices too.
+    Raises GridError where it is comparable. What counts are its corners and the area that they
+    cover: fine texture in a room's background forms lattices too.
     """
-    if len(found.size) < 2 or found.size[1] < RIVAL * found.size[0]:
-        return
+    if len(found.size) < 2 or found.size[1] < OTHER:
+        return 0
     free = np.ones(len(seen.z), np.bool_)
     free[nodes.owner[nodes.owner >= 0]] = False
-    second = (found.component == 1) & free
-    if np.count_nonzero(second) < RIVAL * found.size[0]:
-        return
-    boxes, areas = [], []
-    for member in (found.component == 0, second):
-        x, y = seen.z[member].real, seen.z[member].imag
-        boxes.append(f"({x.min():.0f}, {y.min():.0f}, {x.max():.0f}, {y.max():.0f})")
-        areas.append(np.ptp(x) * np.ptp(y))
-    if areas[1] < RIVAL_AREA * areas[0]:
-        return
-    raise GridError(
-        f"two patterns are seen, of {found.size[0]} and {found.size[1]} corners, within "
-        f"{boxes[0]} and {boxes[1]}; say which is meant with a region (x0, y0, x1, y1)"
-    )
+    first, area = _box(seen.z[found.component == 0])
+    for component in range(1, int(np.count_nonzero(found.size >= OTHER))):
+        other = (found.component == component) & free
+        count = int(np.count_nonzero(other))
+        if count < OTHER or 2 * count < found.size[component]:
+            continue
+        second, covered = _box(seen.z[other])
+        if covered < RIVAL_AREA * area:
+            continue
+        if count >= RIVAL * found.size[0]:
+            raise GridError(
+                f"two patterns are seen, of {found.size[0]} and {found.size[component]} corners, "
+                f"within {first} and {second}; say which is meant with a region (x0, y0, x1, y1)"
+            )
+        return count
+    return 0
+
+
+def _box(z: NDArray[np.complex128]) -> tuple[str, float]:
+    """Return the box around points in words, and its area, px^2."""
+    x, y = z.real, z.imag
+    words = f"({x.min():.0f}, {y.min():.0f}, {x.max():.0f}, {y.max():.0f})"
+    return words, float(np.ptp(x) * np.ptp(y))
 
 
 def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Grid:

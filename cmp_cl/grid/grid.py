@@ -95,6 +95,9 @@ class Grid:
     rival: the second best numbering, None where there is no other.
     reflected: whether a part of the pattern may be the reflection of another part. It is
         ambiguous then.
+    others: corners of the largest other lattice in view that may be the pattern that is meant,
+        0 where none is: a board before squares, or a part of a torn pattern that has no place.
+        It is not looked for where the shape is known.
     margin: by how much further the middle of the pattern has moved by the rival, cells; NaN
         without one, or where too few nodes say it.
     edge_radius: that of the corners, px: where edges bend, the filters of positions and
@@ -117,6 +120,7 @@ class Grid:
     rival: Rival | None = None
     margin: float = float("nan")
     reflected: bool = False
+    others: int = 0
     edge_radius: float = float("nan")
 
     def __post_init__(self) -> None:
@@ -147,6 +151,11 @@ class Grid:
         if self.seen_shape is not None:
             seen = " x ".join(map(str, self.seen_shape))
             found.append(f"the board looks like {seen} corners; {rows} x {columns} were asked for")
+        if self.others:
+            found.append(
+                f"another pattern of {self.others} corners is seen; give a region without it, or "
+                "the number of rows and columns"
+            )
         if self.reflected:
             found.append(
                 "a part of the pattern may be a reflection, or another pattern: its steps, or its "

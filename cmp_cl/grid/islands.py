@@ -10,6 +10,7 @@ from cmp_cl.grid.nodes import Nodes, Points, boxed
 
 LEAST = 9  # corners of an island
 OFF = 0.25  # cells: how far the middle of an island may be from its place
+TURNED = 0.25  # of the steps: how much its own may differ from those of its place
 MOST = 16  # islands
 
 
@@ -19,7 +20,8 @@ def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) ->
     rest: the grid at rest on the rows and columns of the nodes, or None. An island's place is
     where the grid at rest has it after the affine motion of the other nodes; without that grid
     it is where their rows and columns meet, and they must lie on all sides of it. An island
-    whose middle is more than a quarter of a cell from its place has none.
+    whose middle is more than a quarter of a cell from its place, or whose steps differ by more
+    than a quarter, has none.
     """
     count = int(np.count_nonzero(found.size >= LEAST))
     joined = False
@@ -39,7 +41,8 @@ def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) ->
 
 def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
     """Put an island into the grid; whether it has a place there."""
-    expected = Reference.at_places(_expected(nodes, rest), nodes.parity, (0, 0))
+    places = _expected(nodes, rest)
+    expected = Reference.at_places(places, nodes.parity, (0, 0))
     quarters, _ = quarter_turns(island.at, expected)[0]
     turned = island.turned(quarters)
     (rows, columns), (high, wide) = nodes.at.shape, turned.at.shape
@@ -52,6 +55,8 @@ def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
     row, column = np.nonzero(turned.there)
     here = row + top, column + left
     if nodes.there[here].any() or (rest is None and not _surrounded(nodes, *here)):
+        return False
+    if not _same_steps(turned.at, places[top : top + high, left : left + wide]):
         return False
     nodes.put(*here, turned.at[row, column], turned.status[row, column])
     owner = turned.owner[row, column]
@@ -74,6 +79,19 @@ def _expected(nodes: Nodes, rest: Grid | None) -> Points:
     motion = np.linalg.lstsq(model[known], nodes.at[known], rcond=None)[0]
     expected: Points = model @ motion
     return expected
+
+
+def _same_steps(at: Points, places: Points) -> bool:
+    """Return whether the mean steps of those nodes are nearly those of their places."""
+    off, size = 0.0, 0.0
+    for axis in (0, 1):
+        step, expected = np.diff(at, axis=axis), np.diff(places, axis=axis)
+        known = ~np.isnan(step.real + expected.real)
+        if not known.any():
+            return False
+        step, expected = step[known].mean(), expected[known].mean()
+        off, size = off + abs(step - expected) ** 2, size + abs(expected) ** 2
+    return bool(off <= TURNED**2 * size)
 
 
 def _surrounded(nodes: Nodes, row: np.ndarray, column: np.ndarray) -> bool:

@@ -153,14 +153,18 @@ def check_room(shape: tuple[int, int], corners: int) -> None:
         )
 
 
+def upright(axis: complex) -> complex:
+    """Return the unit that turns a lattice with that step along +1 so that its rows run right."""
+    return (1, 1j, -1, -1j)[round(cmath.phase(axis) / (cmath.pi / 2)) % 4]
+
+
 def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     """Return a component in the box that holds it, rows down and columns right.
 
     Raises GridError where the box is too large for its corners.
     """
     member = np.flatnonzero(found.component == component)
-    angle = cmath.phase(complex(found.axis[component]))
-    unit = (1, 1j, -1, -1j)[round(angle / (cmath.pi / 2)) % 4]
+    unit = upright(complex(found.axis[component]))
     node, turn = found.node[member] * unit, found.turn[member] * unit
     row, column = node.imag.astype(np.int64), node.real.astype(np.int64)
     row -= row.min()

@@ -115,3 +115,18 @@ def test_a_frame_like_one_with_a_reflection_is_doubted_too():
     grid = numbered(picture(wear=0.03), like=rest)
     assert (grid.status == NodeStatus.DETECTED).any()
     assert grid.reflected
+
+
+def test_errors_that_come_again_and_again_are_the_printer_s():
+    at = nodes(20, 32, wear=0.002)
+    row, column = np.indices(at.shape)
+    ripple = np.random.default_rng(4).normal(0, 1, 20)[row] * np.sin((column - 15.5) * np.pi / 4)
+    assert not repeats_reversed(at + 12 * 0.06 * ripple)
+
+
+@pytest.mark.parametrize(("share", "is_one"), [(0.6, False), (0.85, True)])
+def test_most_of_the_errors_come_again_in_a_reflection(share, is_one):
+    own, common = nodes(44, 44, seed=1), nodes(44, 44, seed=2)
+    common[:, 22:] = 12 * 43 - common[:, 21::-1].conj()
+    at = np.sqrt(1 - share**2) * own + share * common
+    assert repeats_reversed(at) == is_one

@@ -585,6 +585,17 @@ def test_an_island_gets_the_numbers_that_its_surroundings_give():
     assert (grid.component[grid.status == NodeStatus.MISSING] == -1).all()
 
 
+@pytest.mark.parametrize("zoom", [1.35, 0.65 * np.exp(0.4j)])
+def test_an_island_of_other_steps_is_another_pattern(zoom):
+    seen, inside = island(0)
+    xy = seen.corners.xy[inside] @ [1, 1j]
+    xy = zoom * (xy - xy.mean()) + xy.mean()
+    seen.corners.xy[inside] = np.stack([xy.real, xy.imag], axis=1)
+    grid = build_grid(seen.corners)
+    np.testing.assert_array_equal(grid.index[~inside], seen.index[~inside])
+    assert (grid.index[inside] == -1).all()
+
+
 def test_an_island_between_two_places_is_left_out():
     seen, inside = island(0.5 * 13 + 0.4 * 13j)
     grid = build_grid(seen.corners)

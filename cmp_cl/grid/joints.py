@@ -1,0 +1,201 @@
+"""Where a lattice runs on from one pattern into another: the cut there.
+
+A cell that closes by chance can link a board to squares behind it, or two parts of a torn
+pattern by wrong numbers. The steps tell: on one pattern they change little from one cell to the
+next, and where it is bent they go on changing as they did. So cells whose steps agree with those
+of a cell near by belong together; what hangs on them by other cells alone is another lattice.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid.lattice import Index, Lattice, Mask
+from cmp_cl.grid.nodes import Nodes, upright
+
+Steps = NDArray[np.complex64]
+
+ALIKE = 0.25  # of the steps: how much those of two cells of one pattern differ at most
+OFF = 0.15  # of the steps: how far a cell may be from where they lead from the other
+BENT = 0.3  # of the steps: how much their change may differ from that on either side
+CONTACTS = 3  # pairs of cells that show a bend between two parts
+REACH = 2  # cells to every side, some of which may be lost
+LEAST = 4  # cells that may be another pattern
+AROUND = np.array(
+    [(r, c) for r in range(REACH + 1) for c in range(-REACH, REACH + 1) if (r, c) > (0, 0)]
+)
+
+
+def cut(found: Lattice, nodes: Nodes, component: int = 0) -> Lattice | None:
+    """Return the lattice with that component cut into its parts, None where it is one.
+
+    nodes: the component in its box, untouched. Corners in no large part belong to no component.
+    """
+    lines = nodes.at.astype(np.complex64)
+    along, down = lines[:, 1:] - lines[:, :-1], lines[1:] - lines[:-1]
+    along, down = along[1:] + along[:-1], down[:, 1:] + down[:, :-1]  # twice the steps of a cell
+    if _hang_together(along, down):
+        return None
+    cells = _whole_cells(lines, along, down)
+    part = _parts(cells)
+    size = np.bincount(part)
+    large = np.flatnonzero(size >= LEAST)
+    if len(large) < 2:
+        return None
+    large = large[np.argsort(-size[large], kind="stable")]
+    places = [(cells.row[part == k], cells.column[part == k]) for k in large]
+    return _relabelled(found, nodes, component, places)
+
+
+def _hang_together(along: Steps, down: Steps) -> bool:
+    """Return whether all but a few cells agree with one beside them that does so too, and on."""
+    size = _square(along) + _square(down)
+    least = ALIKE**2 * size
+    apart = _square(along[:, 1:] - along[:, :-1]) + _square(down[:, 1:] - down[:, :-1])
+    beside = apart < np.minimum(least[:, 1:], least[:, :-1])
+    apart = _square(along[1:] - along[:-1]) + _square(down[1:] - down[:-1])
+    below = apart < np.minimum(least[1:], least[:-1])
+    if beside.all() and below.all():
+        return True
+    rows, columns = size.shape
+    shown = np.zeros((2 * rows - 1, 2 * columns - 1), np.uint8)  # cells, and what joins them
+    shown[::2, ::2] = size == size
+    shown[::2, 1::2], shown[1::2, ::2] = beside, below
+    count, label = cv2.connectedComponents(shown, connectivity=4)
+    if count < 3:
+        return True
+    sizes = np.bincount(label[::2, ::2].ravel())[1:]
+    return bool(np.count_nonzero(sizes >= LEAST) < 2)
+
+
+def _square(step: Steps) -> NDArray[np.float32]:
+    return step.real**2 + step.imag**2
+
+
+class _Cells(NamedTuple):
+    """Whole cells, (K,): row, column, the middle and the steps, and the number of each place."""
+
+    row: Index
+    column: Index
+    middle: Steps
+    along: Steps
+    down: Steps
+    number: Index
+
+    def beside(self, cell: Index | slice, r: int, c: int) -> Index:
+        """Return the numbers of the cells so far from those, -1 where there is none."""
+        beside: Index = self.number[self.row[cell] + r + REACH, self.column[cell] + c + REACH]
+        return beside
+
+    def size(self) -> NDArray[np.float32]:
+        return _square(self.along) + _square(self.down)
+
+
+def _whole_cells(at: Steps, along: Steps, down: Steps) -> _Cells:
+    """Return the cells; along, down: twice the steps of each place."""
+    row, column = np.nonzero(~np.isnan(along.real + down.real))
+    number = np.full(np.add(along.shape, 2 * REACH), -1)
+    number[row + REACH, column + REACH] = np.arange(len(row))
+    corners = [at[row + r, column + c] for r in (0, 1) for c in (0, 1)]
+    along, down = along[row, column] / 2, down[row, column] / 2
+    return _Cells(row, column, np.mean(corners, axis=0), along, down, number)
+
+
+def _parts(cells: _Cells) -> Index:
+    """Return the part of each cell, numbered by one of its cells.
+
+    Cells agree with some near by of their part. Where cells are lost between two, each must
+    also lie where the steps lead from the other.
+    """
+    size = cells.size()
+    pairs = []
+    for r, c in AROUND:
+        other = cells.beside(slice(None), r, c)
+        one = np.flatnonzero(other >= 0)
+        other = other[one]
+        along, down = cells.along[[one, other]], cells.down[[one, other]]
+        way = cells.middle[other] - cells.middle[one] - (c * along.sum(0) + r * down.sum(0)) / 2
+        least = np.minimum(size[one], size[other])
+        apart = _square(along[1] - along[0]) + _square(down[1] - down[0])
+        agree = (apart < ALIKE**2 * least) & (_square(way) < OFF**2 * least)
+        pairs.append(np.stack([one[agree], other[agree]]))
+    part = _components(len(size), np.concatenate(pairs, axis=1))
+    bent = np.concatenate([_bends(cells, part, r, c) for r, c in ((0, 1), (1, 0))], axis=1)
+    return part if not bent.size else _components(len(size), bent, part)
+
+
+def _bends(cells: _Cells, part: Index, r: int, c: int) -> Index:
+    """Return the pairs of parts that a bend parts, (2, P).
+
+    The steps change from one cell to the next by more than ALIKE, but as much before and after.
+    """
+    other = cells.beside(slice(None), r, c)
+    one = np.flatnonzero((other >= 0) & (part != part[other]))
+    other = other[one]
+    before, after = cells.beside(one, -r, -c), cells.beside(other, r, c)
+    known = np.stack([before >= 0, after >= 0])
+    off = np.zeros(len(one), np.float32)
+    for step in (cells.along, cells.down):
+        change = np.stack([step[one] - step[before], step[after] - step[other]])
+        usual = np.where(known, change, 0).sum(0) / np.maximum(known.sum(0), 1)
+        off += _square(step[other] - step[one] - usual)
+    size = cells.size()
+    bent = off < BENT**2 * np.minimum(size[one], size[other])
+    low, high = np.minimum(part[one], part[other]), np.maximum(part[one], part[other])
+    contacts, pair = np.unique(low * len(part) + high, return_inverse=True)
+    joined = contacts[np.bincount(pair, bent) >= CONTACTS]
+    return np.stack(np.divmod(joined, len(part)))
+
+
+def _components(count: int, pairs: Index, lowest: Index | None = None) -> Index:
+    """Return the lowest number of what (2, P) pairs join to each of that many things."""
+    lowest = np.arange(count) if lowest is None else lowest
+    while True:
+        one, other = lowest[pairs]
+        if (one == other).all():
+            return lowest
+        np.minimum.at(lowest, np.maximum(one, other), np.minimum(one, other))
+        while (lowest[lowest] != lowest).any():
+            lowest = lowest[lowest]
+
+
+def _relabelled(
+    found: Lattice, nodes: Nodes, component: int, parts: list[tuple[Index, Index]]
+) -> Lattice | None:
+    """Return the lattice with those cells' corners, the larger part's first, as components.
+
+    None where the first part holds all of them.
+    """
+    label = found.component.copy()
+    label[label == component] = -1
+    unit = upright(complex(found.axis[component]))
+    free: Mask = nodes.owner >= 0
+    sizes, axes = [], []
+    for number, (row, column) in enumerate(parts):
+        mine = np.zeros_like(free)
+        for r in (0, 1):
+            for c in (0, 1):
+                mine[row + r, column + c] = True
+        mine &= free
+        free &= ~mine
+        label[nodes.owner[mine]] = len(found.size) + number
+        sizes.append(np.count_nonzero(mine))
+        here, ahead = (row, column), (row, column + 1)
+        if unit.imag:
+            ahead = (row + 1, column)
+        if not number and not free.any():
+            return None
+        step = (nodes.at[ahead] - nodes.at[here]).mean()
+        axes.append(step * (unit.real + unit.imag))
+    size = np.concatenate([found.size, sizes])
+    size[component] = 0
+    order = np.argsort(-size, kind="stable")[: np.count_nonzero(size)]
+    rank = np.full(len(size) + 1, -1)  # the last is that of corners in no component
+    rank[order] = np.arange(len(order))
+    return found._replace(
+        component=rank[label],
+        size=size[order],
+        axis=np.concatenate([found.axis, axes])[order],
+    )

@@ -1,0 +1,192 @@
+"""A lattice that runs on into another one is cut there."""
+
+import cmath
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_cl import Detector, DetectorConfig, build_grid, build_grids
+from cmp_cl.errors import GridError
+from cmp_cl.grid.joints import cut
+from cmp_cl.grid.lattice import Lattice
+from cmp_cl.grid.nodes import boxed
+
+BOARD = (7, 9)  # inner corners
+CELL = 24  # px
+
+
+def linked(at: np.ndarray, *, unit: complex = 1) -> tuple[np.ndarray, Lattice]:
+    """Return positions, and the lattice that has them all in one component, turned by a unit."""
+    row, column = np.nonzero(~np.isnan(at.real))
+    z = at[row, column]
+    steps = at[:, 1:] - at[:, :-1]
+    down = at[1:] - at[:-1]
+    axis = {1: steps, -1: -steps, 1j: down, -1j: -down}[unit]
+    found = Lattice(
+        component=np.zeros(len(z), np.int64),
+        size=np.array([len(z)]),
+        node=((column + 1j * row) / unit).astype(np.complex64),
+        turn=np.ones(len(z), np.complex64),
+        support=np.zeros(len(z), np.int64),
+        bend=np.zeros(len(z), np.float32),
+        axis=np.array([np.nanmean(axis)]),
+    )
+    return z, found
+
+
+def cut_of(at: np.ndarray, *, unit: complex = 1) -> tuple[Lattice | None, np.ndarray]:
+    z, found = linked(at, unit=unit)
+    return cut(found, boxed(z, found)), z
+
+
+def plane(rows: int, columns: int, step: complex) -> np.ndarray:
+    row, column = np.indices((rows, columns))
+    return step * (column + 1j * row)
+
+
+def two_boards() -> tuple[np.ndarray, np.ndarray]:
+    """Return 8 x 9 nodes and 8 x 5 larger, turned ones beyond, and which are the second's."""
+    jitter = np.random.default_rng(5).normal(0, 0.2, (2, 8, 14))
+    second = 110 - 20j + plane(8, 5, 16 * cmath.exp(0.5j))
+    at = np.hstack([plane(8, 9, 10), second]) + jitter[0] + 1j * jitter[1]
+    return at, np.indices(at.shape)[1] >= 9
+
+
+@pytest.mark.parametrize("unit", [1, 1j, -1, -1j])
+def test_two_boards_that_false_cells_link_are_two(unit):
+    at, second = two_boards()
+    found, z = cut_of(at, unit=unit)
+    np.testing.assert_array_equal(found.size, [72, 40])
+    np.testing.assert_array_equal(found.component, second.ravel())
+    nodes = boxed(z, found, 1)
+    np.testing.assert_allclose(nodes.at, at[:, 9:])
+
+
+def test_a_larger_component_stays_before_the_parts():
+    at, _ = two_boards()
+    z, found = linked(at)
+    other = plane(9, 9, 12) + 1000
+    every = Lattice(
+        component=np.append(found.component, np.full(81, 1)),
+        size=np.append(found.size, 81),
+        node=np.append(found.node, plane(9, 9, 1).ravel()),
+        turn=np.append(found.turn, np.ones(81)),
+        support=np.zeros(len(z) + 81, np.int64),
+        bend=np.zeros(len(z) + 81, np.float32),
+        axis=np.append(found.axis, 12),
+    )
+    z = np.append(z, other.ravel())
+    parts = cut(every, boxed(z, every))
+    np.testing.assert_array_equal(parts.size, [81, 72, 40])
+    assert (parts.component[len(found.node) :] == 0).all()
+    assert cut(parts, boxed(z, parts)) is None
+
+
+def test_a_cell_or_two_that_do_not_agree_are_left_to_the_image():
+    at = plane(8, 9, 10)
+    odd = at.copy()
+    odd[3, 8] += 6 + 5j
+    assert cut_of(odd)[0] is None
+
+
+def test_a_hole_does_not_cut():
+    at = plane(9, 12, 10) + np.random.default_rng(2).normal(0, 0.3, (9, 12))
+    at[:3, 5] = at[5:, 5] = np.nan
+    assert cut_of(at)[0] is None
+    at[5, 4] = np.nan  # one row of cells goes across, one of which is lost
+    assert cut_of(at)[0] is None
+
+
+@pytest.mark.parametrize("radius", [2.6, 3.2])
+def test_a_bend_is_no_joint(radius):
+    row, column = np.indices((8, 7))
+    angle = (column - 2.0) / radius
+    at = 20 * (radius * np.sin(angle) + 1j * (row - 0.7 * radius * (1 - np.cos(angle))))
+    steps = np.abs(np.diff(at, 2, axis=1)).max()
+    assert steps > 0.27 * 20
+    assert cut_of(at)[0] is None
+
+
+def test_parts_with_the_same_steps_but_another_place_are_two():
+    at = plane(8, 14, 10)
+    at[:, 7:] += 5 + 4j
+    at[[0, 1, 2, 4, 5, 6, 7], 7] = np.nan
+    found, _ = cut_of(at)
+    np.testing.assert_array_equal(found.size, [56, 48])
+
+
+def before_squares(seed: int = 0, *, turn: float = 0.45, square: float = 19.0) -> np.ndarray:
+    """Draw a board on white paper before a floor of grey squares."""
+    high, wide = 330, 400
+    y, x = np.indices((4 * high, 4 * wide)) / 4
+    u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    level = np.where((np.floor(u / square) + np.floor(v / square)) % 2 == 0, 85.0, 150.0)
+    across, down = (x - 70) / CELL, (y - 60) / CELL
+    rows, columns = BOARD[0] + 1, BOARD[1] + 1
+    paper = (across > -0.3) & (across < columns + 0.3) & (down > -0.3) & (down < rows + 0.3)
+    on = (across > 0) & (across < columns) & (down > 0) & (down < rows)
+    level[paper] = 220
+    level[on & ((np.floor(across) + np.floor(down)) % 2 == 0)] = 30
+    small = cv2.resize(level.astype(np.float32), (wide, high), interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), 0.7)
+    small += np.random.default_rng(seed).normal(0, 2, small.shape)
+    return np.clip(np.rint(small), 0, 255).astype(np.uint8)
+
+
+def on_board(grid) -> np.ndarray:
+    """Return which nodes are corners of the drawn board."""
+    at = grid.xy[grid.valid] - np.array([70, 60]) + 0.5
+    number = np.rint(at / CELL)
+    near = np.abs(at - number * CELL).max(axis=1) < 2
+    return near & (number >= 1).all(axis=1) & (number <= BOARD[::-1]).all(axis=1)
+
+
+@pytest.mark.parametrize(("turn", "square"), [(0.25, 30), (0.45, 30)])
+def test_a_board_before_a_floor_of_squares_is_numbered_alone(turn, square):
+    image = before_squares(turn=turn, square=square)
+    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
+        grid = build_grid(detector(image), image)
+    assert grid.shape in (BOARD, BOARD[::-1])
+    assert on_board(grid).all()
+
+
+@pytest.mark.parametrize("square", [22, 26])
+def test_a_floor_of_many_squares_is_a_second_pattern(square):
+    image = before_squares(turn=0.15, square=square)
+    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
+        corners = detector(image)
+    with pytest.raises(GridError, match="two patterns"):
+        build_grid(corners, image)
+    own = [on_board(grid).mean() for grid in build_grids(corners, image)]
+    assert own.count(1.0) == 1
+    assert own.count(0.0) == len(own) - 1
+
+
+def test_a_board_that_is_the_smaller_pattern_is_told():
+    image = before_squares(turn=0.45, square=19)
+    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
+        corners = detector(image)
+    grid = build_grid(corners, image)
+    assert not on_board(grid).any()
+    assert 60 <= grid.others <= BOARD[0] * BOARD[1]
+    assert grid.doubts[0].startswith(f"another pattern of {grid.others} corners is seen")
+    with pytest.raises(GridError, match="another pattern"):
+        build_grid(corners, image, strict=True)
+    board = build_grid(corners, image, region=(75, 65, 300, 245))
+    assert on_board(board).all()
+    assert not board.doubts
+
+
+def test_cells_between_the_corners_of_a_part_are_not_cut_again_and_again():
+    at = plane(9, 9, 10)
+    row, column = np.indices(at.shape)
+    at[(row % 3 == 1) & (column % 3 == 1)] += 30
+    z, found = linked(at)
+    for _ in range(len(z)):
+        parts = cut(found, boxed(z, found))
+        if parts is None:
+            break
+        assert parts.size[0] < found.size[0]
+        found = parts
+    assert parts is None
