@@ -40,7 +40,7 @@ def as_frame(array: Any) -> GreyImage:
     device (`__cuda_array_interface__`, or DLPack of a device) is staged: the library that owns
     it copies it to the host, after the work that was queued for it there.
 
-    Raises ImageError where the array offers neither, or is not an image.
+    Raises ImageError if the array offers neither, or is not an image.
     """
     if isinstance(array, np.ndarray):
         return check_image(array)

@@ -102,7 +102,7 @@ class Source:
     def frames(self) -> Generator[Timed, None, None]:
         """Yield all frames in turn; a live source ends after 10 s without a frame.
 
-        Raises ImageError where the source cannot be read.
+        Raises ImageError if the source cannot be read.
         """
         return self._live_frames() if self.live else self._file_frames()
 

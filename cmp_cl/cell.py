@@ -57,7 +57,7 @@ def estimate_cell(image: GreyImage) -> float:
     of wide cells, and unreliable in clutter. In an image of over 2^24 px only some rows and columns
     are counted.
 
-    Raises ImageError where the image is not (H, W) uint8 or uint16.
+    Raises ImageError if the image is not (H, W) uint8 or uint16.
     """
     return estimate_cells(image).side
 

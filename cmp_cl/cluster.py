@@ -62,8 +62,8 @@ class Store:
     def __getitem__(self, frame: int) -> Corners:
         """Return the corners of one frame.
 
-        Raises IndexError, FileNotFoundError where its part has not been written, ConfigError
-        where that is damaged.
+        Raises IndexError, FileNotFoundError if its part has not been written, ConfigError
+        if that is damaged.
         """
         if not 0 <= frame < self.count:
             raise IndexError(f"frame {frame} of {self.count}")
@@ -124,7 +124,7 @@ class Store:
 
 
 def open_store(folder: str | PathLike[str]) -> Store:
-    """Open the store in a folder; raises ConfigError where there is none."""
+    """Open the store in a folder; raises ConfigError if there is none."""
     try:
         about = json.loads((Path(folder) / _ABOUT).read_text(encoding="utf-8"))
         count, part = about["count"], about["part"]
@@ -155,7 +155,7 @@ def detect(
         worker; None is the default there. part: frames of a file.
 
     Parts that are there already are kept, and damaged ones are computed again. Raises ConfigError
-    where the folder holds those of another count, part or configuration, and what `read` or the
+    if the folder holds those of another count, part or configuration, and what `read` or the
     detector raise on a worker.
     """
     import distributed

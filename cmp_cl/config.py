@@ -369,7 +369,7 @@ class DetectorConfig:
     def for_image(cls, image: "GreyImage") -> Self:
         """Choose the configuration for the cells of an image, and for their blur.
 
-        `estimate_cell` says how the cells are found. Raises ImageError where the image is not
+        `estimate_cell` says how the cells are found. Raises ImageError if the image is not
         (H, W) uint8 or uint16.
         """
         from cmp_cl.cell import estimate_blur, estimate_cells
@@ -416,7 +416,7 @@ class DetectorConfig:
     def load(cls, path: str | PathLike[str]) -> Self:
         """Read a configuration from TOML; keys that are absent keep their defaults.
 
-        Raises ConfigError where the file cannot be read, is not TOML, or has an unknown
+        Raises ConfigError if the file cannot be read, is not TOML, or has an unknown
         key or a value outside its range.
         """
         try:

@@ -128,8 +128,8 @@ class Detector(Closing):
         Frames of other libraries are taken too, here and in all that follows: see
         `cmp_cl.arrays.as_frame`, which copies those on a CUDA device to the host.
 
-        Raises ImageError where the frame does not fit, CapacityError where the device is full,
-        DeviceError where the detector is closed or of another process.
+        Raises ImageError if the frame does not fit, CapacityError if the device is full,
+        DeviceError if the detector is closed or of another process.
         """
         image = self._checked(frame)
         if not image.size:
@@ -178,8 +178,8 @@ class Detector(Closing):
         Frames that are already on the device are passed as one pyopencl.Buffer without gaps, in the
         context of this detector's `queue`. They are read in the order of that queue, so commands
         enqueued there later may overwrite them. The results share one block of memory: copy a
-        result to keep it without the others. Raises what a call raises, ImageError where the buffer
-        does not hold whole frames, DeviceError where it is of another context.
+        result to keep it without the others. Raises what a call raises, ImageError if the buffer
+        does not hold whole frames, DeviceError if it is of another context.
         """
         if isinstance(stack, cl.Buffer):
             frames: cl.Buffer | list[GreyImage] = stack

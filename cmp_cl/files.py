@@ -23,7 +23,7 @@ def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[
     The data go to a temporary file in the same folder, which is renamed at the end. An older file
     stays until then, and its mode and owner are kept. Devices and pipes are written directly.
     durable: flush to the disk before the rename, so that a power cut leaves either the old or the
-    new file. Raises OSError where the folder is missing, not writable or full, or the file is
+    new file. Raises OSError if the folder is missing, not writable or full, or the file is
     read-only.
     """
     target = check_target(path)
@@ -49,7 +49,7 @@ def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[
 def check_target(path: str | PathLike[str]) -> Path:
     """Return the file that a path to write to names, with links resolved.
 
-    Raises OSError where it is empty, a folder or a read-only file, or lies in a folder that is
+    Raises OSError if it is empty, a folder or a read-only file, or lies in a folder that is
     not there or cannot be written.
     """
     if not os.fspath(path):
@@ -69,7 +69,7 @@ def check_target(path: str | PathLike[str]) -> Path:
 def temporary_beside(target: Path, suffix: str = ".tmp") -> Path:
     """Make an empty file in the folder of a target, with its mode and owner, to be renamed to it.
 
-    suffix: of its name. Raises OSError, also where the target is a device or a pipe.
+    suffix: of its name. Raises OSError, also if the target is a device or a pipe.
     """
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, "only a regular file can hold this format", str(target))
@@ -124,7 +124,7 @@ def write_text(path: str | PathLike[str], text: str) -> None:
 def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
     """Read settings in TOML; a byte order mark is skipped.
 
-    Raises OSError where the file cannot be read, ValueError where it is no TOML in UTF-8, or over
+    Raises OSError if the file cannot be read, ValueError if it is no TOML in UTF-8, or over
     64 KiB, or nested too deeply to parse in bounded memory.
     """
     with open(path, "rb") as file:

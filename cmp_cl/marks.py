@@ -53,8 +53,8 @@ def drop_marks(corners: Corners, image: Frame) -> Corners:
     corners: as a detector returns them, with edges. image: (H, W) uint8 or uint16 that they were
     found in.
 
-    Raises ImageError where the image is no grey image, or smaller than the corners say; ConfigError
-    where they were refined by Midlines, or not at all.
+    Raises ImageError if the image is no grey image, or smaller than the corners say; ConfigError
+    if they were refined by Midlines, or not at all.
     """
     grey = as_frame(image)
     if not len(corners):

@@ -52,7 +52,7 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
     """Write an image in the format of the suffix, whole or not at all.
 
     image: (H, W) or (H, W, 3) BGR. Raises ImageError for a suffix that is not an image's or
-    holds no such pixels, OSError where the folder is missing or not writable.
+    holds no such pixels, OSError if the folder is missing or not writable.
     """
     known = IMAGE_SUFFIXES if image.dtype == np.uint8 else SUFFIXES_OF_16_BITS
     written = Path(path).suffix.lower() in known
@@ -107,7 +107,7 @@ def is_video(path: str | PathLike[str]) -> bool:
 def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> GreyImage:
     """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
-    Of a file with several pages it is the first. Raises ImageError where the file cannot be
+    Of a file with several pages it is the first. Raises ImageError if the file cannot be
     read, is damaged, has more pixels than that, or is not an image of 8 or 16 bits.
     """
     return next(read_pages(path, max_pixels=max_pixels))
@@ -250,7 +250,7 @@ def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> I
     Frames of more than 8 bits are uint16 with the levels of the file, 0 to 4095 of 12 bits
     (those of colour models other than grey and YUV are stretched to 16 bits), with PyAV.
     A video ends before its stated number of frames where `LONGEST_GAP` of them in a row
-    cannot be read. Raises ImageError where the file cannot be read, is neither an image nor a
+    cannot be read. Raises ImageError if the file cannot be read, is neither an image nor a
     video, or has more pixels in a frame than that.
     """
     if not is_video(path):
@@ -409,7 +409,7 @@ def frame_rate(path: str | PathLike[str]) -> float | None:
 def read_camera(number: int) -> Iterator[Frame]:
     """Yield the frames of the camera of that number as they come; colour becomes grey.
 
-    Ends where `LONGEST_GAP` frames in a row do not come. Raises ImageError where there is no
+    Ends where `LONGEST_GAP` frames in a row do not come. Raises ImageError if there is no
     such camera.
     """
     capture = cv2.VideoCapture(number)

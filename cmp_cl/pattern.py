@@ -130,7 +130,7 @@ class Checkerboard:
         file says; a pixel on an edge is as grey as it is covered.
 
         Raises ConfigError on another suffix, a dpi outside 10 to 10 000 or more than 400
-        million pixels, OSError where the file cannot be written.
+        million pixels, OSError if the file cannot be written.
         """
         suffix = Path(path).suffix.lower()
         writers: dict[str, Callable[[], bytes]] = {

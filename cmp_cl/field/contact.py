@@ -45,7 +45,7 @@ def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
     contact only as far as the user has chosen the depth for the gel. A node stands for a
     quarter of each of its whole cells.
 
-    Raises FieldError where the depth is not a finite number.
+    Raises FieldError if the depth is not a finite number.
     """
     if not math.isfinite(deeper_than):
         raise FieldError(f"a depth must be a finite number, not {deeper_than!r}")

@@ -68,7 +68,7 @@ class DisplacementField:
         """Return the same field with its in-plane strain, fitted over 2 radius + 1 nodes a side.
 
         The raw field gets its own strain. See `cmp_cl.field.green_lagrange` and
-        `cmp_cl.field.strain_deviation`. Raises ConfigError where radius is not 1 to 50.
+        `cmp_cl.field.strain_deviation`. Raises ConfigError if radius is not 1 to 50.
         """
         now = self.position + self.displacement
         strain = green_lagrange(self.position, now, radius=radius)
@@ -91,7 +91,7 @@ class DisplacementField:
         """Write the field as .npz, .csv, .ply or .vtp, by suffix, whole or not at all.
 
         The raw field is written beside a filtered one; the names of its arrays begin with raw_.
-        Raises ConfigError on another suffix, OSError where the file cannot be written.
+        Raises ConfigError on another suffix, OSError if the file cannot be written.
         """
         save(self, path)
 
@@ -121,7 +121,7 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
     from the lattice, wear of the print included. Where the lattice is too small for that, those of
     the points are taken, and the two moments are assumed independent.
 
-    Raises FieldError where the shapes or the units differ.
+    Raises FieldError if the shapes or the units differ.
     """
     if rest.status.shape != now.status.shape or rest.unit != now.unit:
         raise FieldError(

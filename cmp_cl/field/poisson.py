@@ -71,7 +71,7 @@ def surface_height(
     a = 1 - 1/index (Moisy, Rabaud, Salsac 2009, Eqs. 10 and 11): for small slopes, small
     heights beside the depth, and no crossing rays. mask, boundary: see `integrate`.
 
-    Raises ConfigError where a length or the index is out of range, FieldError.
+    Raises ConfigError if a length or the index is out of range, FieldError.
     """
     if not (0 < depth < math.inf and 1 < index < 10 and camera > 0):
         raise ConfigError(
@@ -99,7 +99,7 @@ def projected_density(
     the middle of the gas to the background, mm. gladstone_dale: m3/kg. index: of the gas at
     rest. u = -distance grad(integral of n) / index, and n - 1 = gladstone_dale density.
 
-    Raises ConfigError where a number is out of range, FieldError where the unit is not mm.
+    Raises ConfigError if a number is out of range, FieldError if the unit is not mm.
     """
     if displaced.unit != "mm":
         raise FieldError(f"a density needs the displacement in mm, not in {displaced.unit}")
@@ -132,7 +132,7 @@ def integrate(
     where phi is wanted; None means everywhere. Points of unknown gradient are left out.
 
     The solver is conjugate gradients, preconditioned by the cosine transform's solution on the
-    whole rectangle. Raises FieldError where the shapes differ or nothing is left in the mask.
+    whole rectangle. Raises FieldError if the shapes differ or nothing is left in the mask.
     """
     known = np.asarray(np.isfinite(gradient).all(axis=2), np.bool_)
     if gradient.shape != (len(raster.y), len(raster.x), 2):
@@ -226,7 +226,7 @@ class _Poisson:
         return self._centred(np.asarray(solved, np.float64))
 
     def solve(self, goal: Array) -> Array:
-        """Solve by conjugate gradients. Raises FieldError where they do not converge."""
+        """Solve by conjugate gradients. Raises FieldError if they do not converge."""
         value = np.zeros_like(goal)
         residual = self._centred(goal)
         target = _TOLERANCE * float(np.linalg.norm(residual))

@@ -23,7 +23,7 @@ def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
     Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN where the node is
     missing, or fewer than 6 of the window are there, or all of those on a line.
 
-    Raises ConfigError where radius is not a whole number from 1 to 50.
+    Raises ConfigError if radius is not a whole number from 1 to 50.
     """
     if type(radius) is not int or not 1 <= radius <= 50:
         raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")

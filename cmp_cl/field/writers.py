@@ -28,7 +28,7 @@ def save(field: "DisplacementField", path: str | PathLike[str]) -> None:
     .ply: the valid nodes and the quadrilaterals between them, little-endian.
     .vtp: the same for VTK and ParaView; "Warp By Vector" shows the surface as it is now.
 
-    Raises ConfigError on another suffix, OSError where the file cannot be written.
+    Raises ConfigError on another suffix, OSError if the file cannot be written.
     """
     writers = {".npz": _save_npz, ".csv": _save_csv, ".ply": _save_ply, ".vtp": _save_vtp}
     suffix = Path(path).suffix.lower()

@@ -18,7 +18,7 @@ def align(grids: Sequence[Grid]) -> list[Grid]:
     (0, 0) and (1, 1) is then of one colour in all views. Where several turns have the same
     colours, it is the one that leaves the rows most parallel to those of the first view.
 
-    Raises GridError where a grid has no node, where shapes or colours do not agree, or where
+    Raises GridError if a grid has no node, if shapes or colours do not agree, or if
     several turns have the same colours and none leaves the rows within 60 degrees.
     """
     grids = list(grids)

@@ -65,7 +65,7 @@ def build_grid(
     previous: the grid of the frame before, with the numbers of `like`, or `like` itself for the
         first frame. Its numbers go on where `like` alone leaves them ambiguous, as long as the
         pattern as a whole moves by less than half a cell from frame to frame.
-    strict: raise GridError where the result has doubts, see `Grid.doubts`.
+    strict: raise GridError if the result has doubts, see `Grid.doubts`.
 
     Nodes that are not seen are NaN and MISSING; those that measured nodes bracket, in holes
     of the pattern, are INTERPOLATED. Islands, which no neighbour links to the others, are
@@ -82,9 +82,9 @@ def build_grid(
     it leaves as much of the last squares as at rest, and does not go on past the pattern.
     Where no closed cell is found the grid is empty, (0, 0) or of the known shape.
 
-    Raises GridError where corners have no finite position or no edge angles, where two
-    patterns are seen, where the largest lattice is small against the number of corners, where
-    a shape is far larger than the number of corners, where `like` is empty or contradicts
+    Raises GridError if corners have no finite position or no edge angles, if two
+    patterns are seen, if the largest lattice is small against the number of corners, if
+    a shape is far larger than the number of corners, if `like` is empty or contradicts
     `shape`; ImageError for an image that is not one, or not the corners' own.
     """
     shape = _known_shape(shape, like)
@@ -247,7 +247,7 @@ def _declared(placed: Placed, border: Sides, shape: tuple[int, int] | None) -> S
 
 
 def _check_holds(image: GreyImage, corners: Corners) -> None:
-    """Raise ImageError where a corner lies outside the image: it comes from another one."""
+    """Raise ImageError if a corner lies outside the image: it comes from another one."""
     columns, rows = (int(line.max(initial=-1)) + 1 for line in corners.pixel.T)
     if rows > image.shape[0] or columns > image.shape[1]:
         raise ImageError(
@@ -314,7 +314,7 @@ def _empty(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None
 
 
 def _refuse_rival(found: Lattice, nodes: Nodes, seen: Seen) -> None:
-    """Raise GridError where another component is comparable and was not joined.
+    """Raise GridError if another component is comparable and was not joined.
 
     It is comparable in its corners and in the area that they cover: fine texture in a room's
     background forms lattices too.

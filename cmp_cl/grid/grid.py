@@ -243,7 +243,7 @@ class Grid:
         """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
 
         spacing: side of a square, any unit. Returns (N, 1, 3) float32, x by column, y by row and
-        z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError where spacing is not
+        z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError if spacing is not
         positive.
         """
         if not 0 < spacing < math.inf:
@@ -258,7 +258,7 @@ class Grid:
         They lie on cubic curves through the nodes, with status VIRTUAL. Node (r, c) is at
         ((count + 1) r, (count + 1) c) of the result, ((R - 1)(count + 1) + 1,
         (C - 1)(count + 1) + 1), whose nodes inside the cells are MISSING. So two such grids
-        match by equal indices as any two grids do. Raises GridError where count is not an
+        match by equal indices as any two grids do. Raises GridError if count is not an
         integer of at least 1, or makes a grid too large.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:

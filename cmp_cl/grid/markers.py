@@ -74,7 +74,7 @@ def refine_markers(
     levels by which the two sides of an edge must differ; where they do not, the marker stays.
 
     On soft or worn edges the curve through the nodes is the better estimate, as it is on
-    rendered gels. Raises GridError where the grid is not of that count, ImageError,
+    rendered gels. Raises GridError if the grid is not of that count, ImageError,
     DeviceError, KernelBuildError.
     """
     check_image(image)
@@ -91,7 +91,7 @@ def refine_markers(
 
 
 def _check_count(dense: Grid, count: int) -> None:
-    """Raise GridError where these are not the nodes and markers of that many on each edge."""
+    """Raise GridError if these are not the nodes and markers of that many on each edge."""
     times = count + 1
     nodes = dense.status[::times, ::times]
     if any(max(n - 1, 0) % times for n in dense.shape) or (nodes == NodeStatus.VIRTUAL).any():

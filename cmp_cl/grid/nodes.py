@@ -115,7 +115,7 @@ def median(values: Float) -> float:
 
 
 def check_room(shape: tuple[int, int], corners: int) -> None:
-    """Raise GridError where a grid of that shape is far too large for that many corners."""
+    """Raise GridError if a grid of that shape is far too large for that many corners."""
     if shape[0] * shape[1] > MOST_NODES + NODES_EACH * corners:
         raise GridError(
             f"a grid of {shape[0]} x {shape[1]} nodes is too large for {corners} corners, "
@@ -126,7 +126,7 @@ def check_room(shape: tuple[int, int], corners: int) -> None:
 def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     """Return a component in the box that holds it, rows down and columns right.
 
-    Raises GridError where the box is too large for its corners.
+    Raises GridError if the box is too large for its corners.
     """
     member = np.flatnonzero(found.component == component)
     member = member[np.argsort(found.support[member], kind="stable")]

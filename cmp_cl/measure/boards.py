@@ -40,7 +40,7 @@ def find_boards(
     the board's inner corners. max_sigma: the largest standard deviation of a corner that is
     used, px. The other arguments are those of `TwoViews`.
 
-    Raises GridError where a view does not show all four sides of the board, because its corners
+    Raises GridError if a view does not show all four sides of the board, because its corners
     cannot be told apart then.
     """
     device = selected(device)
@@ -69,7 +69,7 @@ def find_board(
     found there. Else they are refined at full size too: there the rings are smaller in terms of
     the board, and do not extend past narrow outer squares. The scale with more corners counts.
 
-    Raises GridError where the view does not show corners of all four sides of the board.
+    Raises GridError if the view does not show corners of all four sides of the board.
     """
     device = selected(device)
     cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)

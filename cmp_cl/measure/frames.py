@@ -122,7 +122,7 @@ class OneView(Measurement):
     device: a Device, a text for `select_device`, or None for the default device.
     raw: leave out the lattice filter, see `cmp_cl.grid.filter_positions`.
 
-    Raises GridError where the frame at rest shows no such pattern, and what `Detector` raises.
+    Raises GridError if the frame at rest shows no such pattern, and what `Detector` raises.
     """
 
     def __init__(
@@ -192,8 +192,8 @@ class TwoViews(Measurement):
     split: the rectangles of the two views in a frame. regions: regions of the left and of the right
     view, see `OneView`. The other arguments are those of `OneView`.
 
-    Raises GridError where a view of the frame at rest shows no such pattern, or the rig does
-    not fit three quarters of its nodes to 1 px; ImageError where a view extends past the frame; and
+    Raises GridError if a view of the frame at rest shows no such pattern, or the rig does
+    not fit three quarters of its nodes to 1 px; ImageError if a view extends past the frame; and
     what `Detector` raises.
     """
 
@@ -308,7 +308,7 @@ class _Search:
 class _Pattern:
     """The pattern at rest in a view, and the detector that finds it in others.
 
-    Raises GridError where the view shows no pattern.
+    Raises GridError if the view shows no pattern.
     """
 
     def __init__(self, view: GreyImage, search: _Search, region: Region | None) -> None:

@@ -32,7 +32,7 @@ def find_pattern(
     first that shows all nodes of a known shape, or a grid of most corners, ends the search;
     else the one with the most detected nodes wins.
 
-    Raises GridError where no cell shows a pattern or it seems to have another size, and what
+    Raises GridError if no cell shows a pattern or it seems to have another size, and what
     `Detector` raises.
     """
     device = selected(device)
@@ -61,7 +61,7 @@ def find_pattern(
 
 
 def check_size(grid: Grid) -> None:
-    """Raise GridError where the pattern seems to have another number of corners."""
+    """Raise GridError if the pattern seems to have another number of corners."""
     if grid.seen_shape is not None:
         raise GridError(grid.doubts[0])
 
@@ -93,7 +93,7 @@ def align_views(left: Grid, right: Grid) -> Grid:
     The two cameras of a rig have nearly the same side up. If the rows of the two views differ by
     more than 60 degrees, one of the views is numbered wrongly.
 
-    Raises GridError where shapes, colours or the directions of the rows do not agree.
+    Raises GridError if shapes, colours or the directions of the rows do not agree.
     """
     aligned = align([left, right])[1]
     if not abs(np.angle(row_direction(aligned) / row_direction(left))) <= _MOST_ROTATED:

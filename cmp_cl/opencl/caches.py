@@ -60,7 +60,7 @@ def is_ours(status: os.stat_result) -> bool:
 
 
 def read_ours(path: Path) -> bytes:
-    """Read a file that is this user's; raises OSError, PermissionError where it is not."""
+    """Read a file that is this user's; raises OSError, PermissionError if it is not."""
     with open(path, "rb") as file:
         if not is_ours(os.fstat(file.fileno())):
             raise PermissionError(f"{str(path)!r} is not ours alone")

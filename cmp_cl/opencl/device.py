@@ -68,7 +68,7 @@ def is_forked() -> bool:
 
 
 def check_process() -> None:
-    """Raise DeviceError where `is_forked`."""
+    """Raise DeviceError if `is_forked`."""
     if is_forked():
         raise DeviceError(
             "this process was forked after OpenCL had started in its parent, and OpenCL does not "
@@ -80,7 +80,7 @@ def check_process() -> None:
 def list_devices() -> list[Device]:
     """Return all OpenCL devices, in the order of the platforms; empty where there is none.
 
-    Raises DeviceError in a forked child of a process that has used OpenCL, and where
+    Raises DeviceError in a forked child of a process that has used OpenCL, and if
     POCL_MAX_PTHREAD_COUNT would end the process.
     """
     check_process()
@@ -102,7 +102,7 @@ def select_device(text: str | None = None) -> Device:
     None means the variable CMP_CL_DEVICE if it is set, else the first GPU, else the first
     CPU, else the first device.
 
-    Raises DeviceError, which lists what there is, where nothing matches.
+    Raises DeviceError, which lists what there is, if nothing matches.
     """
     if text is not None and not isinstance(text, str):
         raise DeviceError(f"a device is named by a text such as '0:0' or 'cpu', not {text!r}")

@@ -178,7 +178,7 @@ def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) ->
 
 
 def _check_compiler(context: cl.Context, stage: str) -> None:
-    """Raise KernelBuildError where the compiler is known to end the process instead."""
+    """Raise KernelBuildError if the compiler is known to end the process instead."""
     stuck = caches.pocl_is_stuck() if any(is_pocl(device) for device in context.devices) else ""
     if stuck:
         raise KernelBuildError(f"the kernels of {stage} are not compiled: {stuck}")

@@ -65,7 +65,7 @@ def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = 
     config: None stands for DetectorConfig.for_image(image).
     mask: (H, W) bool, where candidates may be centred; pixels outside are still sampled.
 
-    Raises ImageError where image or mask is anything else.
+    Raises ImageError if image or mask is anything else.
     """
     return detect_with_margin(image, config, mask)[0]
 

@@ -56,7 +56,7 @@ class Series(Closing):
     def append(self, *, index: int, time_ms: float, **arrays: ArrayLike) -> None:
         """Add a frame: its number, its time stamp in ms (NaN if unknown), and its arrays.
 
-        Raises FieldError where the names, shapes or types differ from the first frame's, a
+        Raises FieldError if the names, shapes or types differ from the first frame's, a
         name is one of the constants', or the series is closed; then nothing is added.
         Raises OSError.
         """

@@ -58,7 +58,7 @@ class Reserve:
         self._size = 0
 
     def grow(self, size: int) -> None:
-        """Hold back at least so many bytes; raises OSError where the disk has no more."""
+        """Hold back at least so many bytes; raises OSError if the disk has no more."""
         if self._folder is None:
             return
         if self._file is None:
@@ -111,12 +111,12 @@ class Finishable:
                 self._full(error)
 
     def check(self) -> None:
-        """Raise OSError where the disk is full."""
+        """Raise OSError if the disk is full."""
         if self._error is not None:
             raise self._error
 
     def check_whole(self) -> None:
-        """Raise OSError where the disk has refused what was written."""
+        """Raise OSError if the disk has refused what was written."""
         if self._cut:
             self.check()
 

@@ -173,7 +173,7 @@ def mcap_images(
     grey. The stamp is the header's, the log time where that is 0; the image is None where it
     cannot be decoded or has more pixels than that.
 
-    Raises ConfigError without the packages, ImageError where the file cannot be read, has no
+    Raises ConfigError without the packages, ImageError if the file cannot be read, has no
     such topic, or has several and none is chosen.
     """
     with extra("mcap", "MCAP"):

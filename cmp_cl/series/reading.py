@@ -30,7 +30,7 @@ def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
 
     Of an HDF5 file that still grows, or whose writer was killed, it is what is there so far.
 
-    Raises ConfigError on a suffix other than .npz, .h5 and .hdf5, FieldError where the file
+    Raises ConfigError on a suffix other than .npz, .h5 and .hdf5, FieldError if the file
     cannot be read or is no recording.
     """
     suffix = Path(path).suffix.lower()
@@ -74,7 +74,7 @@ def _beside_writer(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def _try_beside_writer(path: str | PathLike[str]) -> None:
-    """Raise ValueError where the file cannot be read beside its writer within a time.
+    """Raise ValueError if the file cannot be read beside its writer within a time.
 
     HDF5 waits there for damaged parts to become whole, without end and where no signal reaches
     it. So another process tries first.

@@ -32,7 +32,7 @@ def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, 
     (R, C) is one column; (R, C, 2) and (R, C, 3) have _x, _y, _z, strains _xx, _yy, _xy; others
     numbers. Numbers and vectors of the whole frame come last.
 
-    Raises FieldError where no array is of nodes.
+    Raises FieldError if no array is of nodes.
     """
     shapes = [value.shape[:2] for value in frame.values() if value.ndim in (2, 3)]
     if not shapes:

@@ -81,8 +81,8 @@ def calibrate_camera(
     in all of them; those of a board with an odd number of rows and columns together are turned
     alike.
 
-    Raises CalibrationError where there are too few views or nodes, where the views do not
-    determine the focal length (the board faces the camera in all of them), or where the views of a
+    Raises CalibrationError if there are too few views or nodes, if the views do not
+    determine the focal length (the board faces the camera in all of them), or if the views of a
     free board are numbered differently.
     """
     _check_spacing(spacing)
@@ -151,8 +151,8 @@ def calibrate(
     spacing: side of a square, in `unit`. image_size: (width, height) of each view, px.
     free_board: see `calibrate_camera`.
 
-    Raises CalibrationError as `calibrate_camera` does, and where no pose between the cameras
-    fits all views. Raises FieldError where the grids of a view have different shapes.
+    Raises CalibrationError as `calibrate_camera` does, and if no pose between the cameras
+    fits all views. Raises FieldError if the grids of a view have different shapes.
     """
     for view, (left, right) in enumerate(views):
         if left.shape != right.shape:
@@ -236,7 +236,7 @@ def _numbered_alike(grids: Sequence[Grid]) -> list[Grid]:
     """Return the grids of a free board, turned so that equal indices are the same node.
 
     Where a half turn swaps black and white the squares say which way up the board is. Raises
-    CalibrationError where the grids have different rows or columns.
+    CalibrationError if the grids have different rows or columns.
     """
     for view, grid in enumerate(grids):
         if grid.shape != grids[0].shape:

@@ -113,8 +113,8 @@ def calibrate_cameras(
     that both see; the pairs with the most common moments come first. Then all poses of cameras and
     boards are fitted together, with the lenses fixed.
 
-    Raises CalibrationError where a camera has too few views or nodes, where its views do not
-    determine the focal length, or where it shares no moment with the others.
+    Raises CalibrationError if a camera has too few views or nodes, if its views do not
+    determine the focal length, or if it shares no moment with the others.
     """
     if not 0 < spacing < math.inf:
         raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")

@@ -45,7 +45,7 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
         `name`, `object_points` (N, 3) and `image_points` (N, 2).
     .csv: a row for each node: image, row, column, x_px, y_px, sigma_px.
 
-    Raises ConfigError on another suffix or without any view, CalibrationError where shapes
+    Raises ConfigError on another suffix or without any view, CalibrationError if shapes
     differ or a name has white space that .vnl cannot hold, OSError.
     """
     check_corners(path)
@@ -58,7 +58,7 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
 
 
 def check_corners(path: str | PathLike[str]) -> None:
-    """Raise ConfigError where `save_corners` knows no such suffix."""
+    """Raise ConfigError if `save_corners` knows no such suffix."""
     if Path(path).suffix.lower() not in _CORNER_WRITERS:
         known = ", ".join(_CORNER_WRITERS)
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {known}")
@@ -144,7 +144,7 @@ _CORNER_WRITERS: dict[str, Callable[[Views, float], str]] = {
 def cameras_of(rig: StereoRig, size: tuple[int, int]) -> dict[str, Camera]:
     """Return the two cameras of a rig, `left` and `right`; size: (width, height) of a view, px.
 
-    Raises CalibrationError where a lens has other than 4, 5 or 8 coefficients.
+    Raises CalibrationError if a lens has other than 4, 5 or 8 coefficients.
     """
     cameras = {}
     poses = (np.eye(3), np.zeros(3)), (rig.R, rig.T)
@@ -245,7 +245,7 @@ def _number(value: float) -> str:
 def save_kalibr(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write cameras as Kalibr's camchain YAML; T_cn_cnm1 in m, whole or not at all.
 
-    The topic of each is /NAME/image_raw. Raises CalibrationError where a lens has no such
+    The topic of each is /NAME/image_raw. Raises CalibrationError if a lens has no such
     model (rational, or k3 other than 0) or the unit is not m, cm, mm or um; OSError.
     """
     text, before = [], np.eye(4)

@@ -56,7 +56,7 @@ def adjust_board(
     in the unit of the board. Each node is drawn to its place by a spring of a tenth of a square;
     against many residuals of a tenth of a pixel it only decides what the views do not: the nodes
     keep the size, the place and the orientation of the flat board. Returns the cameras and the
-    nodes (P, 3). Raises CalibrationError where fewer than four views are given.
+    nodes (P, 3). Raises CalibrationError if fewer than four views are given.
     """
     if len(views) < LEAST_VIEWS:
         raise CalibrationError(

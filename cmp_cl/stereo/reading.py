@@ -16,7 +16,7 @@ _OPENING = (b"[", b"{", b"<", b"- ", b"-\t", b"-\n")
 
 
 def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
-    """Open a file of OpenCV's FileStorage; raises CalibrationError where that fails."""
+    """Open a file of OpenCV's FileStorage; raises CalibrationError if that fails."""
     try:
         with Path(path).open("rb") as file:
             data = file.read(_MAX_FILE + 1)
@@ -42,7 +42,7 @@ def read_matrix(
 ) -> NDArray[np.float64] | None:
     """Read a matrix of at most _MAX_NUMBERS entries; None where the key is missing.
 
-    Raises CalibrationError where it is no matrix, damaged or larger.
+    Raises CalibrationError if it is no matrix, damaged or larger.
     """
     node = storage.getNode(key)
     if node.empty():
@@ -57,7 +57,7 @@ def read_matrix(
 
 
 def check_nesting(data: bytes, path: str | PathLike[str]) -> None:
-    """Raise CalibrationError where a YAML, JSON or XML file may be nested too deeply to parse.
+    """Raise CalibrationError if a YAML, JSON or XML file may be nested too deeply to parse.
 
     It counts everything that may open a level, even in strings. A rig has about a dozen.
     """

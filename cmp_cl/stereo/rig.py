@@ -51,7 +51,7 @@ class StereoRig:
 
     Arrays are kept as read-only float64.
 
-    Raises CalibrationError where a parameter is malformed or the cameras coincide.
+    Raises CalibrationError if a parameter is malformed or the cameras coincide.
     """
 
     K1: Array
@@ -92,7 +92,7 @@ class StereoRig:
         OpenCV's stereo_calib writes two files, intrinsics.yml and extrinsics.yml.
         unit: name of the unit of T; None means the file's key `unit`, or mm.
 
-        Raises CalibrationError where a file cannot be read, or a parameter is missing,
+        Raises CalibrationError if a file cannot be read, or a parameter is missing,
         malformed or given twice with different values.
         """
         found: dict[str, Array] = {}
@@ -131,7 +131,7 @@ class StereoRig:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the rig as YAML that OpenCV reads. The file is replaced whole or not at all.
 
-        Raises OSError where the file cannot be written.
+        Raises OSError if the file cannot be written.
         """
         mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
         storage = cv2.FileStorage(".yml", mode)
@@ -155,7 +155,7 @@ class StereoRig:
         A node without a position is NaN, and `Points3D.status` says why: the rays must enclose
         at least MIN_PARALLAX px, and the point must lie in front of both cameras.
 
-        Raises FieldError where the grids have different rows or columns.
+        Raises FieldError if the grids have different rows or columns.
         """
         if (left.origin, left.shape) != (right.origin, right.shape):
             raise FieldError(

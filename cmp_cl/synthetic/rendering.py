@@ -49,7 +49,7 @@ class Rendered:
 def render(scene: Scene) -> Rendered:
     """Render the scene with a camera without distortion, 45 mm in front of the gel.
 
-    Raises ConfigError where the surface would fold over in the image.
+    Raises ConfigError if the surface would fold over in the image.
     """
     rows, columns = scene.shape
     focal = FILL * min(scene.shape) / scene.side * DISTANCE
@@ -69,7 +69,7 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
     Returns the left view, the right view and the nodes (N, N, 3) float64, mm, in the left camera's
     frame. The rig projects these nodes to both truths.
 
-    Raises ConfigError where the surface would fold over in one of the images.
+    Raises ConfigError if the surface would fold over in one of the images.
     """
     rotation, translation = np.asarray(rig.R, float), np.asarray(rig.T, float).reshape(3)
     left = PinholeCamera(rig.K1, rig.D1, np.eye(3), np.zeros(3))

@@ -65,7 +65,7 @@ class Scene:
     tilt: rotations of the gel about the image's x and y axes, rad, -0.5 to 0.5.
     seed: seed of the tears, the light's direction and the noise, from 0.
 
-    Raises ConfigError where a field is outside its range.
+    Raises ConfigError if a field is outside its range.
     """
 
     markers: int = 40

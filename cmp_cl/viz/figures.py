@@ -144,7 +144,7 @@ def grid_overlay(
 
     image: (H, W) uint8 or uint16. corners: those that the grid was built from. Corners off the grid
     are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like `corner_overlay`. The
-    first row is drawn in red and the first column in blue. Raises ImageError, and FieldError where
+    first row is drawn in red and the first column in blue. Raises ImageError, and FieldError if
     there are not as many corners as the grid was built from.
     """
     check_image(image)
@@ -199,7 +199,7 @@ def arrow_figure(
     image: (H, W), the frame now. The colour is the arrow's length in px, or, with `field`, the
     length of the displacement in space. Needs matplotlib. `save_figure` writes it.
 
-    Raises FieldError where the grids or the field have different shapes, ImageError.
+    Raises FieldError if the grids or the field have different shapes, ImageError.
     """
     from matplotlib.figure import Figure
 
@@ -261,7 +261,7 @@ def surface_figure(
     fits the positions at rest best. The height is stretched to a fifth of the width; the label
     gives the factor. Needs matplotlib.
 
-    Raises FieldError where fewer than three nodes are valid.
+    Raises FieldError if fewer than three nodes are valid.
     """
     from matplotlib.figure import Figure
 
@@ -333,7 +333,7 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
     The first axis runs along the rows, the second along the columns, the third towards the
     cameras (a left-handed frame, as on a picture with y down and height towards the viewer).
 
-    Raises FieldError where fewer than three nodes are valid, or all lie on a line.
+    Raises FieldError if fewer than three nodes are valid, or all lie on a line.
     """
     points = field.position[field.valid]
     if len(points) < 3:
@@ -371,8 +371,8 @@ class RerunLog(Closing):
     path: the file; None opens the viewer. Needs rerun-sdk 0.23 or newer. The file appears when the
     `with` block ends, even by an exception or Ctrl-C.
 
-    Raises ImportError without rerun-sdk, RuntimeError where its viewer is not found on the
-    PATH, OSError where the file cannot be written.
+    Raises ImportError without rerun-sdk, RuntimeError if its viewer is not found on the
+    PATH, OSError if the file cannot be written.
     """
 
     def __init__(self, path: str | PathLike[str] | None = None) -> None:
@@ -401,7 +401,7 @@ class RerunLog(Closing):
         image: kept as JPEG with 8 bits, as PNG with 16.
         time_ms: NaN leaves it out of the clock's timeline.
 
-        Raises OSError where an earlier frame could not be written.
+        Raises OSError if an earlier frame could not be written.
         """
         if self._file is not None:
             self._file.check()
@@ -445,7 +445,7 @@ class RerunLog(Closing):
     def close(self) -> None:
         """Finish the recording; closing again does nothing.
 
-        Raises OSError where it could not be written whole; an older file is then kept.
+        Raises OSError if it could not be written whole; an older file is then kept.
         """
         self._stream.disconnect()
         file, self._file = self._file, None

@@ -31,7 +31,7 @@ class OverlayFilm(Closing):
     ends at the largest displacement so far, which the bar shows. The file replaces an older one
     when the block ends.
 
-    Raises ConfigError on another suffix, OSError where the folder is missing, not writable or
+    Raises ConfigError on another suffix, OSError if the folder is missing, not writable or
     full, or OpenCV cannot write such a video.
     """
 
@@ -61,7 +61,7 @@ class OverlayFilm(Closing):
     ) -> None:
         """Add a frame: the image (H, W), its nodes, and how far each has moved, (R, C).
 
-        A node without a displacement is grey. Raises FieldError where the image differs in size
+        A node without a displacement is grey. Raises FieldError if the image differs in size
         from the first one, or `moved` in shape from the grid. Raises OSError.
         """
         if moved.shape != grid.shape:

@@ -83,7 +83,7 @@ class Recorded:
     def frame_of(self, index: int | None) -> int:
         """Return the index of the frame of that number; None means the one displaced most.
 
-        Raises FieldError where there is no such frame.
+        Raises FieldError if there is no such frame.
         """
         if index is None:
             length = np.linalg.norm(self.shift, axis=3).reshape(len(self.index), -1)
@@ -110,7 +110,7 @@ class Recorded:
     def plane(self) -> tuple[Array, Array]:
         """Return the positions at rest (R, C, 2) to draw on, and (3, 3) axes of that plane.
 
-        Raises FieldError where fewer than three nodes are valid, or all lie on a line.
+        Raises FieldError if fewer than three nodes are valid, or all lie on a line.
         """
         if self.rest.shape[2] == 2:
             return self.rest, np.eye(3)

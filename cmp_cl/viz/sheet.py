@@ -31,7 +31,7 @@ def press_sheet(
     image: (H, W), the left view now; rest, now: its grids. field: of the nodes in space.
     rows: of the table, what and value.
 
-    Raises FieldError where fewer than three nodes are valid, ConfigError without matplotlib.
+    Raises FieldError if fewer than three nodes are valid, ConfigError without matplotlib.
     """
     with extra("plot", "A figure"):
         from matplotlib.figure import Figure

@@ -31,7 +31,7 @@ class PlaneScale:
 
     matrix: (3, 3), from (x, y, 1), px, to the plane. unit: name of the unit of length there.
 
-    Raises FieldError where the matrix is not finite or has no inverse.
+    Raises FieldError if the matrix is not finite or has no inverse.
     """
 
     matrix: Array
@@ -61,7 +61,7 @@ class PlaneScale:
         """Return the homography that maps the cells of a flat pattern to squares of that side.
 
         The homography fits all nodes by least squares. x runs along the rows of the pattern, y
-        along its columns. Raises FieldError where fewer than 4 nodes are there, or all on a line.
+        along its columns. Raises FieldError if fewer than 4 nodes are there, or all on a line.
         """
         if not 0 < side < math.inf:
             raise FieldError(f"the side of a cell must be positive, not {side!r}")
@@ -138,7 +138,7 @@ def plane_displacement(
     too small to tell; what neighbours share of them is in `raw.shared`, see `with_measured_noise`.
     The field has the rows and columns of the grid at rest: a node beyond them has no displacement.
 
-    Raises FieldError where now has not all rows and columns of the grid at rest.
+    Raises FieldError if now has not all rows and columns of the grid at rest.
     """
     if not now.covers(rest):
         raise FieldError(f"rest has {rest.extent}, now has {now.extent}")
@@ -210,7 +210,7 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
     four nodes, or are the same at rest and now, are not seen. A field that bends within four nodes
     counts as noise.
 
-    Raises FieldError where no 4 x 4 nodes are valid.
+    Raises FieldError if no 4 x 4 nodes are valid.
     """
     field = field if field.raw is None else field.raw
     shown = _shown_by_neighbours(field)

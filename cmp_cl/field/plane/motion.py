@@ -36,7 +36,7 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
 
     zoom: whether lengths may change; False fits a rigid motion, with a zoom of 1.
 
-    Raises FieldError where fewer than two nodes are valid.
+    Raises FieldError if fewer than two nodes are valid.
     """
     valid = field.valid
     if np.count_nonzero(valid) < 2:

@@ -46,7 +46,7 @@ def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float
     by cubic convolution (R. G. Keys, IEEE Trans. ASSP 29, 1981), and continued past the border by
     quadratic extrapolation.
 
-    Raises FieldError where no cell is valid or covers a point, ConfigError where step is not
+    Raises FieldError if no cell is valid or covers a point, ConfigError if step is not
     positive or asks for over 1e8 points.
     """
     numbers = field.displacement if values is None else np.asarray(values, np.float64)

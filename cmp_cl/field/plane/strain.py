@@ -89,7 +89,7 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
     certain than their sigma says.
 
     Returns NaN where the node is missing, or fewer than 6 of its window are there, or all of
-    these on a line. Raises ConfigError where radius is not a whole number from 1 to 50.
+    these on a line. Raises ConfigError if radius is not a whole number from 1 to 50.
     """
     if type(radius) is not int or not 1 <= radius <= 50:
         raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")

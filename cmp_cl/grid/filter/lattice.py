@@ -65,7 +65,7 @@ class Filtered:
         stencil: (R, C, S, S), S odd, the weights of the filtered neighbours, the node itself in
         the middle; weights of what lies beyond the lattice or is NaN must be 0. Neighbours
         share much of their noise: a slope between them is more certain than their own sigma
-        says. NaN where sigma is. Raises GridError where the stencil has another shape.
+        says. NaN where sigma is. Raises GridError if the stencil has another shape.
         """
         weights = np.asarray(stencil, np.float64)
         if weights.ndim != 4 or weights.shape[:2] != self.sigma.shape or weights.shape[2] % 2 == 0:
@@ -101,7 +101,7 @@ def filter_grid(
     the unit of the values, NaN where nobody knows, as `filter_positions` knows it from the images
     and from the wear at rest. What is more than that is shape, and is kept.
 
-    Raises GridError where the arrays have other shapes.
+    Raises GridError if the arrays have other shapes.
     """
     given = np.array(values, np.float64)
     if given.ndim != 3 or not given.shape[2]:

@@ -28,7 +28,7 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
     What bent edges add to the positions is taken off the filtered ones. Interpolated nodes follow
     their neighbours. Where the lattice is too small to tell, sigma is that of the corners.
 
-    Raises GridError where the grid has not all rows and columns of the one at rest.
+    Raises GridError if the grid has not all rows and columns of the one at rest.
     """
     if rest is None:
         found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
