@@ -464,7 +464,7 @@ def _check_part(part: str, field: str, value: object, *kinds: type) -> None:
 
 
 def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
-    """Return the entries of a TOML table as field values; false means None where it is no bool."""
+    """Return the entries of a TOML table as field values; false means None if it is no bool."""
     types = {field.name: field.type for field in dataclasses.fields(kind)}
     for key in data:
         if key not in types:

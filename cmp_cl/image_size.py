@@ -11,7 +11,7 @@ _TIFF_PAGES = 1 << 20  # more pages than this are a cycle
 
 
 def page_sizes(data: memoryview) -> list[Size] | None:
-    """Return the sizes of the pages of an image file, None where the format is not known.
+    """Return the sizes of the pages of an image file, None if the format is not known.
 
     Raises ValueError if the file is cut off or contradicts itself.
     """

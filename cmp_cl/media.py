@@ -165,7 +165,7 @@ def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
 
 
 def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, str]:
-    """Decode a page, None where that fails; return the codec's messages too."""
+    """Decode a page, None if that fails; return the codec's messages too."""
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     pages: Sequence[NDArray[Any]] = ()
     with _codec_messages() as said:
@@ -235,7 +235,7 @@ class Frame:
     """One picture of a file.
 
     index: its number in the file, from 0.
-    image: (H, W) uint8 or uint16, or None where a frame of a video is broken.
+    image: (H, W) uint8 or uint16, or None if a frame of a video is broken.
     time_ms: as a video says it, by its frame rate where PyAV is not installed; NaN if unknown.
     """
 
@@ -276,7 +276,7 @@ def has_pyav() -> bool:
     return importlib.util.find_spec("av") is not None
 
 
-_Timed = tuple[GreyImage | None, float]  # a frame, None where it is broken, and its time in ms
+_Timed = tuple[GreyImage | None, float]  # a frame, None if it is broken, and its time in ms
 
 
 def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:

@@ -29,11 +29,11 @@ class DisplacementField:
     source: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12 in the tangent plane of
         the surface at rest, axis 1 along the rows; NaN where too few neighbours are valid;
-        None where it was not asked for (`with_strain`).
+        None if it was not asked for (`with_strain`).
     strain_sigma: (R, C, 3) float64, standard deviations of the strain; None without a strain.
     unit: name of the unit of length.
-    raw: the field before the lattice filter; None where this one is not filtered.
-    filtered: the filter's results for the position and the displacement; None where this field is
+    raw: the field before the lattice filter; None if this one is not filtered.
+    filtered: the filter's results for the position and the displacement; None if this field is
         not filtered.
     """
 

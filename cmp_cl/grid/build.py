@@ -167,7 +167,7 @@ def _checked(
 
 
 def _found(seen: Seen) -> Lattice | None:
-    """Return the lattice of the corners; None where no closed cell is seen."""
+    """Return the lattice of the corners; None if no closed cell is seen."""
     if len(seen.z) < 4:
         return None
     found = lattice(seen.z.astype(np.complex64), seen.edges)
@@ -184,7 +184,7 @@ def _numbered(
     previous: Grid | None = None,
     alone: bool = False,
 ) -> tuple[Placed | None, Ended]:
-    """Return the nodes, numbered and with holes filled, and the borders; None where none is left.
+    """Return the nodes, numbered and with holes filled, and the borders; None if none is left.
 
     alone: whether other components are other boards.
     """

@@ -92,7 +92,7 @@ class Grid:
     seen_shape: rows and columns of what is seen where that contradicts a known shape.
     ambiguous: whether another numbering explains the frame too. The numbers are then those of
         the least motion, and may be wrong by `rival`.
-    rival: the second best numbering, None where there is no other.
+    rival: the second best numbering, None if there is no other.
     reflected: whether a part of the pattern may be the reflection of another part. It is
         ambiguous then.
     margin: by how much further the middle of the pattern has moved by the rival, cells; NaN

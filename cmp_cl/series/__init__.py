@@ -53,7 +53,8 @@ def open_series(
 ) -> Series:
     """Open a recording to write, in the format of the suffix; `-` is JSON lines on standard output.
 
-    constants: arrays that hold for all frames, such as the positions at rest.
+    path: the file, or `-`. description: stored with the arrays, or None. constants: arrays that
+    hold for all frames, such as the positions at rest.
 
     Raises ConfigError on another suffix or if the format's package is missing, OSError
     if the folder is missing or not writable.

@@ -34,7 +34,7 @@ class CameraCalibration:
     error: root mean square reprojection error, px.
     view_errors: (V,), the same for each view.
     board: (R, C, 3), the nodes of a free board, in the unit of spacing, z towards the back of the
-        board, NaN where no view shows the node; None where the board was taken to be flat.
+        board, NaN where no view shows the node; None if the board was taken to be flat.
     """
 
     matrix: Array

@@ -72,7 +72,7 @@ class CamerasCalibration:
     cameras: by name, the first at the origin. error: root mean square reprojection error with
     one board pose a view, px. view_errors: by camera (V,), NaN where a camera does not see it.
     places, residuals: by camera, for each view (R, C, 2) the measured corners, and measured minus
-        projected ones, px, NaN where missing; None where the camera does not see the board.
+        projected ones, px, NaN where missing; None if the camera does not see the board.
     coverage: by camera, share of the image's 8 x 8 cells that hold a corner.
     focal_sigma: by camera, the larger standard deviation of the two focal lengths, px.
     """
@@ -106,7 +106,7 @@ def calibrate_cameras(
 ) -> CamerasCalibration:
     """Calibrate cameras on views of one flat board; all cameras number it alike at one moment.
 
-    views: by camera, the grid at every moment, None where it does not see the board.
+    views: by camera, the grid at every moment, None if it does not see the board.
     spacing: side of a square, in `unit`. sizes: (width, height) of each camera's images, px.
 
     Each camera is calibrated alone. Its pose relative to an earlier camera comes from the moments

@@ -35,7 +35,7 @@ def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDA
 def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = math.nan) -> None:
     """Write the corners of a board in many images, by suffix, whole or not at all.
 
-    views: the grid, by file name of the image; None where the board is not seen. All grids have one
+    views: the grid, by file name of the image; None if the board is not seen. All grids have one
     shape. spacing: side of a square, for the formats that say it.
 
     .vnl: mrcal's corners.vnl, `# filename x y level`, rows first, `- -` where missing and for

@@ -28,9 +28,9 @@ class Points3D:
         standard deviations alone; NaN where those are unknown.
     calibration_covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared, from the error of
         the calibration. All nodes share that error, so that it nearly cancels in displacements.
-        None where the rig has no covariance.
+        None if the rig has no covariance.
     bend_shift: (R, C, 3) float64, in `unit`: how far bent edges have moved the points, see
-        `cmp_cl.grid.filter.bend_shift`. `displacement` takes it off what it filters. None where
+        `cmp_cl.grid.filter.bend_shift`. `displacement` takes it off what it filters. None if
         it is not known.
     status: (R, C) uint8 of `PointStatus`.
     source: (R, C) uint8 of `NodeStatus`, the less direct one of the two views.

@@ -40,7 +40,7 @@ def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
 def read_matrix(
     storage: cv2.FileStorage, key: str, path: str | PathLike[str]
 ) -> NDArray[np.float64] | None:
-    """Read a matrix of at most _MAX_NUMBERS entries; None where the key is missing.
+    """Read a matrix of at most _MAX_NUMBERS entries; None if the key is missing.
 
     Raises CalibrationError if it is no matrix, damaged or larger.
     """

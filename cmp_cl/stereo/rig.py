@@ -45,7 +45,7 @@ class StereoRig:
     R: (3, 3) rotation matrix.
     T: (3,) translation, in `unit`.
     unit: name of the unit of length.
-    covariance: (22, 22), or None where unknown. The parameters are fx fy cx cy k1 k2 p1 p2 of
+    covariance: (22, 22), or None if unknown. The parameters are fx fy cx cy k1 k2 p1 p2 of
         the left camera, the same of the right camera, the rotation vector, the translation.
         `calibrate` estimates it.
 

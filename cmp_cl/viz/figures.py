@@ -40,13 +40,13 @@ STATUS_COLOURS = {  # BGR
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
 JPEG_QUALITY = 80  # JPEG quality of the images in a recording
-_OFF_GRID = (150, 150, 190)  # BGR, of corners that no grid holds
+_OFF_GRID = (150, 150, 190)  # BGR, of corners off the grid
 NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
 _FRACTION_BITS = 4
 
 
 def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
-    """Draw a mark on every corner, coloured by how it was refined, and a legend.
+    """Draw a mark on every corner, coloured by its method, and a legend.
 
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
     factor, each pixel to a block, until a cell is about 32 px wide and the longer side at least
@@ -194,10 +194,10 @@ def _polyline(
 def arrow_figure(
     image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
 ) -> "Figure":
-    """Draw arrows from where each node was to where it is, to scale, both px.
+    """Draw arrows from the position of each node at rest to its position now, to scale, px.
 
     image: (H, W), the frame now. The colour is the arrow's length in px, or, with `field`, the
-    length of the displacement in space. Needs matplotlib. `save_figure` writes it.
+    length of the displacement in space. It needs matplotlib. `save_figure` writes the figure.
 
     Raises FieldError if the grids or the field have different shapes, ImageError.
     """
@@ -259,7 +259,7 @@ def surface_figure(
 
     The axes run along the rows, along the columns, and towards the cameras out of the plane that
     fits the positions at rest best. The height is stretched to a fifth of the width; the label
-    gives the factor. Needs matplotlib.
+    gives the factor. It needs matplotlib.
 
     Raises FieldError if fewer than three nodes are valid.
     """
@@ -368,8 +368,8 @@ def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) 
 class RerunLog(Closing):
     """Shows frames in Rerun's viewer, or records them to a .rrd file for it.
 
-    path: the file; None opens the viewer. Needs rerun-sdk 0.23 or newer. The file appears when the
-    `with` block ends, even by an exception or Ctrl-C.
+    path: the file; None opens the viewer. It needs rerun-sdk 0.23 or newer. The file appears when
+    the `with` block ends, even by an exception or Ctrl-C.
 
     Raises ImportError without rerun-sdk, RuntimeError if its viewer is not found on the
     PATH, OSError if the file cannot be written.
@@ -398,7 +398,8 @@ class RerunLog(Closing):
     ) -> None:
         """Show a frame: its picture, its grid on it, its surface with the displacements.
 
-        image: kept as JPEG with 8 bits, as PNG with 16.
+        index: its number. image: (H, W), stored as JPEG if it has 8 bits, as PNG if it has 16.
+        field: the displacement of the nodes, or None.
         time_ms: NaN leaves it out of the clock's timeline.
 
         Raises OSError if an earlier frame could not be written.

@@ -18,7 +18,7 @@ from cmp_cl.image import GreyImage
 FILM_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
 _STRIP = 40  # px below the image for the text and the colour bar
 _WIDEST = 1920  # px, the widest film; wider images are reduced by a whole factor
-_NARROWEST = 480  # px, so that the strip holds its text
+_NARROWEST = 480  # px, the narrowest film, so that its text fits
 _DISC = [(y, x) for y in range(-2, 3) for x in range(-2, 3) if y * y + x * x <= 5]
 _LINE = (150, 110, 50)  # BGR
 _NO_VALUE = (150, 150, 150)
@@ -159,7 +159,7 @@ class OverlayFilm(Closing):
         written = cv2.VideoCapture(str(self._temporary))
         try:
             counted = round(written.get(cv2.CAP_PROP_FRAME_COUNT))
-            return abs(counted - self._frames) <= 1  # Matroska says how long it is
+            return abs(counted - self._frames) <= 1  # Matroska states only the duration
         finally:
             written.release()
 

@@ -96,12 +96,12 @@ class PlaneField:
         the position, in `unit`; NaN where unknown. Wear of the print counts in the position.
     status: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     unit: name of the unit of length.
-    raw: the field before the lattice filter; None where this one is not filtered.
-    filtered: the filter's results for the position and the displacement; None where this field
+    raw: the field before the lattice filter; None if this one is not filtered.
+    filtered: the filter's results for the position and the displacement; None if this field
         is not filtered.
     shared: (2, 2, 2, 2) float64, covariances of x and y, in `unit` squared, of the errors at rest
         and now: of a node with the next one of its row, and of its column. The displacement has
-        their sum. None where nothing is known of it, and of a filtered field, whose raw one has it.
+        their sum. None if nothing is known of it, and of a filtered field, whose raw one has it.
     """
 
     position: Array
