@@ -20,9 +20,9 @@ class Method(enum.IntEnum):
 
 
 class Refusal(enum.IntEnum):
-    """Why the requested refinement was rejected; `method` says what is kept instead."""
+    """The reason why the requested refinement was rejected; `method` says what is kept instead."""
 
-    NONE = 0  # it was not refused
+    NONE = 0  # the refinement was accepted
     RINGS = 1  # fewer than two rings cross four boundaries
     ANGLE = 2  # the lines enclose less than 10 degrees
     SHIFT = 3  # the result lies too far from the start, or EDGE_STEP's from EDGE_LINES'
@@ -44,8 +44,8 @@ class Corners:
         screen, the first from white to black; NaN where unknown.
     doubtful: (N,) bool, corners whose surroundings do not fit the corner model (EdgeStep only,
         False otherwise).
-    edge_radius: px around a corner within which its refinement takes the edges to be straight, NaN
-        where it is not known (only EdgeStep says it).
+    edge_radius: the radius around a corner, px, within which its refinement takes the edges to be
+        straight; NaN if unknown (only EdgeStep has one).
     device: the device that ran, for example "pthread-... (Portable Computing Language)".
     """
 
