@@ -1,4 +1,5 @@
-"""Growing a grid: what fits is attached or looked for again, what does not is dropped."""
+"""Growing a grid: corners that fit are attached, missing ones are searched for again, others
+dropped."""
 
 from typing import NamedTuple
 
@@ -12,17 +13,17 @@ from cmp_cl.grid.predict import REACHED, mean_steps, predict, predict_within
 from cmp_cl.grid.second_look import second_look
 from cmp_cl.image import GreyImage
 
-NEAR = 0.3  # cells: how far from its prediction a node may be
-APART = 0.4  # cells: nearer than that a second look has found a corner twice
+NEAR = 0.3  # cells: largest distance of a node from its prediction
+APART = 0.4  # cells: if a node is nearer to another, the second look found a corner twice
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
-FEW = 400  # nodes that are quicker predicted one by one
+FEW = 400  # up to so many nodes are predicted one by one, which is faster
 
 
 class Seen(NamedTuple):
-    """What a grid is made of.
+    """The data that a grid is built from.
 
-    z: (N,) positions of the corners. edges: (N, 4) rad, as in `Corners`. image: or None, where
-    neither a second look nor a look at the cells is taken.
+    z: (N,) positions of the corners, x + 1j y, px. edges: (N, 4) rad, as in `Corners`. image: (H,
+        W), or None; without it there is no second look and no check of the rim.
     """
 
     z: Points
@@ -46,7 +47,7 @@ def grow(nodes: Nodes, seen: Seen) -> None:
 
 
 def extend(nodes: Nodes, seen: Seen) -> None:
-    """Look for further rows and columns around the grid, as long as some are found."""
+    """Search for further rows and columns around the grid until no more are found."""
     while seen.image is not None:
         nodes.pad()
         found = _look_again(nodes, np.zeros(nodes.at.shape), seen.image, WEAK)
@@ -58,14 +59,14 @@ def extend(nodes: Nodes, seen: Seen) -> None:
 
 
 def attach(nodes: Nodes, seen: Seen) -> None:
-    """Attach free corners within the box, as long as there are any."""
+    """Attach free corners within the box until none fits."""
     while _attach(nodes, seen):
         drop_misfits(nodes)
         _refuse(nodes, seen)
 
 
 def fill(nodes: Nodes, seen: Seen, least: float) -> None:
-    """Look again where predictions have at least that weight, attach, and interpolate."""
+    """Look again at predictions of at least the weight `least`, attach corners, and interpolate."""
     if nodes.there.all():
         return
     looked = np.zeros(nodes.at.shape)
@@ -77,7 +78,7 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
 
 
 def _refuse(nodes: Nodes, seen: Seen) -> None:
-    """Drop what does not look like a node at the rim."""
+    """Drop nodes at the rim that do not look like corners of the pattern."""
     if seen.image is not None:
         evidence.refuse(nodes, seen.image, seen.edges)
 
@@ -85,7 +86,7 @@ def _refuse(nodes: Nodes, seen: Seen) -> None:
 def drop_misfits(nodes: Nodes) -> None:
     """Drop nodes far from a well supported prediction, the worst of each neighbourhood first.
 
-    Only those are looked at around which something has changed since the last time.
+    It examines only nodes near a change since the last call.
     """
     while nodes.changed.any():
         row, column = _near_changes(nodes)
@@ -117,7 +118,7 @@ def _near_changes(nodes: Nodes) -> tuple[Index, Index]:
 
 
 def _misfits(at: Points, row: Index, column: Index) -> Float:
-    """Return how far those nodes are from well supported predictions, cells; 0 below a pixel."""
+    """Return the distances of nodes from well supported predictions, cells; 0 below a pixel."""
     prediction = np.full(len(row), NOWHERE)
     if len(row) > FEW:
         prediction = predict_within(at)[row, column]
@@ -153,7 +154,7 @@ def _expected(nodes: Nodes, least: float) -> tuple[Index, Index, Points, Float, 
 
 
 def _attach(nodes: Nodes, seen: Seen) -> bool:
-    """Take free corners near the predictions of missing nodes; whether there were any.
+    """Attach free corners near the predictions of missing nodes; return whether there were any.
 
     A corner whose boundaries lie the other way round is another one.
     """
@@ -198,8 +199,8 @@ def _nearest(at: Points, z: Points, reach: Float) -> tuple[Index, Index]:
 def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> bool:
     """Refine at the predictions of missing nodes; return whether any was found.
 
-    looked: (R, C), the weight of the prediction at the last look; where it is as high, none is
-    taken again.
+    looked: (R, C), the weight of the prediction at the last look; another look is taken only if the
+        weight has increased.
     """
     row, column, at, weight, cell, line = _expected(nodes, least)
     new = weight > looked[row, column]
@@ -218,7 +219,7 @@ def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> 
 
 
 def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask:
-    """Return which of those nodes are nearer than that to one of their eight neighbours."""
+    """Return a mask of the nodes that are nearer than `apart` to one of their eight neighbours."""
     padded = np.pad(at, 1, constant_values=NOWHERE)
     around = [padded[row + r, column + c] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
     away = np.abs(np.stack(around) - at[row, column])
@@ -227,7 +228,7 @@ def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask
 
 
 def _interpolate(nodes: Nodes) -> None:
-    """Fill missing nodes that measured neighbours bracket, inside the pattern only."""
+    """Fill missing nodes between measured neighbours, inside the pattern only."""
     seen = nodes.status != NodeStatus.MISSING
     if seen.all():
         return

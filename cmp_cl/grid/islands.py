@@ -1,4 +1,4 @@
-"""Nodes that no neighbour links to the others: islands, and how they get their numbers."""
+"""Islands get their numbers here: groups of nodes that no neighbour links to the others."""
 
 import numpy as np
 
@@ -8,18 +8,18 @@ from cmp_cl.grid.lattice import Lattice
 from cmp_cl.grid.nearest import Bounds, Reference, climb, quarter_turns
 from cmp_cl.grid.nodes import Nodes, Points, boxed
 
-LEAST = 9  # corners of an island
-OFF = 0.25  # cells: how far the middle of an island may be from its place
-MOST = 16  # islands
+LEAST = 9  # fewest corners of an island
+OFF = 0.25  # cells: largest distance of an island's middle from its prediction
+MOST = 16  # islands that are tried
 
 
 def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) -> None:
-    """Put the islands into the grid that have one place there.
+    """Put those islands into the grid whose numbers are certain.
 
-    rest: the grid at rest on the rows and columns of the nodes, or None. An island's place is
-    where the grid at rest has it after the affine motion of the other nodes; without that grid
-    it is where their rows and columns meet, and they must lie on all sides of it. An island
-    whose middle is more than a quarter of a cell from its place has none.
+    rest: the grid at rest on the rows and columns of the nodes, or None. With it the prediction for
+        an island is its position at rest after the affine motion of the other nodes. Without it the
+        prediction is the intersection of their rows and columns, and they must lie on all sides. An
+        island whose middle is more than a quarter of a cell from its prediction is left out.
     """
     count = int(np.count_nonzero(found.size >= LEAST))
     joined = False
@@ -38,7 +38,7 @@ def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) ->
 
 
 def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
-    """Put an island into the grid; whether it has a place there."""
+    """Put an island into the grid; return whether its numbers are certain."""
     expected = Reference.at_places(_expected(nodes, rest), nodes.parity, (0, 0))
     quarters, _ = quarter_turns(island.at, expected)[0]
     turned = island.turned(quarters)
@@ -76,7 +76,7 @@ def _expected(nodes: Nodes, rest: Grid | None) -> Points:
 
 
 def _surrounded(nodes: Nodes, row: np.ndarray, column: np.ndarray) -> bool:
-    """Return whether most of those indices lie between nodes, on their row and column."""
+    """Return whether most of the indices lie between nodes, on their row and column."""
     sides = []
     for axis in (0, 1):
         before = np.logical_or.accumulate(nodes.there, axis)[row, column]

@@ -1,4 +1,4 @@
-"""A grid in the making."""
+"""The nodes of a grid that is being built."""
 
 import cmath
 import copy
@@ -18,16 +18,16 @@ Mask = NDArray[np.bool_]
 
 NOWHERE = complex(np.nan, np.nan)
 Entry = TypeVar("Entry", bound=np.generic)
-MOST_NODES, NODES_EACH = 65536, 64  # that any grid may have, and more for each corner
+MOST_NODES, NODES_EACH = 65536, 64  # the most of any grid, and the most for each corner
 
 
 class Nodes:
-    """A grid in the making.
+    """The nodes of a grid that is being built.
 
     at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
-    status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, where a node was put or dropped
-    since misfits were looked for; parity: as in Grid; free: (N,) bool, corners that have not
-    been in the grid.
+    status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, True if the node was put or dropped
+        since the last search for misfits; parity: as in Grid; free: (N,) bool, corners that have
+        not been in the grid.
     """
 
     def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
@@ -82,7 +82,8 @@ class Nodes:
         return turned
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":
-        """Return the nodes from that row and column on."""
+        """Return the nodes in a window of that shape, whose first row and column are top and
+        left."""
         if (top, left, *shape) == (0, 0, *self.at.shape):
             return self
         cut = Nodes(shape, (self.parity + top + left) % 2, self.free)
@@ -108,7 +109,7 @@ def turned_lines(values: NDArray[Entry], quarters: int) -> NDArray[Entry]:
 
 
 def median(values: Float) -> float:
-    """Return what np.median does, of one or more values without NaN, in a third of the time."""
+    """Return the median of one or more values without NaN, in a third of np.median's time."""
     first, second = (len(values) - 1) // 2, len(values) // 2
     parted = np.partition(values, (first, second))
     return float(parted[first] + parted[second]) / 2
