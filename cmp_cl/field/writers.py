@@ -1,4 +1,4 @@
-"""Files of one field: .npz, .csv, .ply and .vtp."""
+"""Writes one field as .npz, .csv, .ply or .vtp."""
 
 import base64
 import struct
@@ -112,7 +112,8 @@ def _columns(arrays: dict[str, NDArray[Any]], names: Sequence[str], unit: str) -
 
 
 def mesh(field: "DisplacementField") -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
-    """Return columns of the valid nodes, and quadrilaterals between them, (Q, 4) node numbers."""
+    """Return columns of the valid nodes of a field, and the quadrilaterals between them, (Q, 4)
+    indices."""
     valid = field.valid
     row, column = np.nonzero(valid)
     columns: dict[str, NDArray[Any]] = {

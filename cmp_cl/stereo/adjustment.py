@@ -1,6 +1,5 @@
-"""The last step of a calibration: every view at once, each node by its own certainty, and the
-covariance of what comes out.
-"""
+"""The last step of a calibration: all views are adjusted together, each node weighted by its own
+sigma. It also gives the covariance of the result."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -15,15 +14,16 @@ Array = NDArray[np.float64]
 CAMERA = 8  # fx fy cx cy k1 k2 p1 p2
 POSE = 6  # rotation vector, translation
 _STEPS = 20
-_SMALL = 1e-9  # of the cost, by which the last step must improve it
-_RANGE = 5.0  # a node weighs at most so many times the median, and at least 1 / that
+_SMALL = 1e-9  # relative decrease of the cost at which the iteration ends
+_RANGE = 5.0  # the largest weight over the median one; the smallest is the median over it
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """A view of a board: nodes on the board (N, 3), in the images of one or two cameras (N, 2)
-    each, px, their standard deviations (N,) each, px, NaN where unknown, and the board's pose in
-    the first camera, (6,).
+    """A view of a board by one or two cameras.
+
+    It holds the nodes on the board (N, 3), their positions in each image (N, 2), px, the standard
+    deviations of these (N,), px, NaN where unknown, and the board's pose in the first camera, (6,).
     """
 
     board: NDArray[np.floating[Any]]
@@ -34,8 +34,10 @@ class View:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Adjusted:
-    """cameras: 8 numbers for each camera, and with two cameras the pose of the second, 6.
-    covariance: of these numbers. errors: (V, cameras), root mean square distances by view, px.
+    """The result of an adjustment.
+
+    numbers: 8 for each camera, and with two cameras the pose of the second, 6. covariance: of these
+    numbers. errors: (V, cameras), root mean square reprojection errors by view, px.
     """
 
     numbers: Array
@@ -46,9 +48,9 @@ class Adjusted:
 def adjust(views: Sequence[View], start: Array) -> Adjusted:
     """Minimize the weighted reprojection error of all views by Gauss-Newton, from a near solution.
 
-    start: as `Adjusted.numbers`. Weights are 1 / sigma^2; nodes of unknown sigma weigh like the
-    median one. The covariance is scaled by the residuals: what makes the sigmas too small or too
-    large together does not matter.
+    views: the views. start: like `Adjusted.numbers`. Weights are 1 / sigma^2; nodes of unknown
+        sigma have the median weight. The covariance is scaled by the residuals, so that a common
+        factor on all sigmas does not matter.
     """
     weights = node_weights(views)
     numbers, poses = start.copy(), [view.pose.copy() for view in views]
@@ -71,7 +73,10 @@ def adjust(views: Sequence[View], start: Array) -> Adjusted:
 
 
 def view_errors(views: Sequence[View], numbers: Array, poses: Sequence[Array]) -> Array:
-    """Return the root mean square reprojection errors, (V, cameras), px."""
+    """Return the root mean square reprojection errors, (V, cameras), px.
+
+    numbers: like `Adjusted.numbers`. poses: of the board in each view, (V, 6).
+    """
     return np.array(
         [
             [
@@ -84,7 +89,8 @@ def view_errors(views: Sequence[View], numbers: Array, poses: Sequence[Array]) -
 
 
 def node_weights(views: Sequence[View]) -> list[tuple[Array, ...]]:
-    """Return 1 / sigma of each node, relative to the median of all."""
+    """Return 1 / sigma of each node, relative to the median of all, (N,) for each view and
+    camera."""
     every = np.concatenate([sigma for view in views for sigma in view.sigma])
     known = every[np.isfinite(every) & (every > 0)]
     middle = float(np.median(known)) if len(known) else 1.0
@@ -102,9 +108,8 @@ def node_weights(views: Sequence[View]) -> list[tuple[Array, ...]]:
 def _system(
     views: Sequence[View], weights: Sequence[tuple[Array, ...]], numbers: Array, poses: list[Array]
 ) -> tuple[float, Any]:
-    """Return the cost, and a function that gives the step of the numbers, of each pose, and the
-    normal matrix of the numbers alone.
-    """
+    """Return the cost, and a function that returns the step of the numbers, the step of each pose,
+    and the normal matrix of the numbers alone."""
     cost = 0.0
     parts = []
     for view, weight, pose in zip(views, weights, poses, strict=True):
@@ -139,8 +144,10 @@ def _system(
 
 
 def seen_by(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, Array, Array]]:
-    """Return, for each camera, seen minus projected (N, 2), and the slopes of the projection: (2 N,
-    ...) by the numbers and by the pose, (N, 2, 3) by the node on the board.
+    """Return the residuals of a view in each camera, and the derivatives of its projection.
+
+    A residual is measured minus projected, (N, 2), px. The derivatives are (2 N, ...) by the
+    numbers and by the pose, and (N, 2, 3) by the node on the board.
     """
     found: list[tuple[Array, Array, Array, Array]] = []
     for camera, seen in enumerate(view.seen):
@@ -166,7 +173,8 @@ def seen_by(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array,
 
 
 def composed(first: Array, second: Array) -> tuple[Array, tuple[Array, Array]]:
-    """Return the pose that applies `first`, then `second`, (6,), and its slopes by both, (6, 6)."""
+    """Return the pose that applies `first`, then `second`, (6,), and its derivatives, (6, 6)
+    each."""
     turn, shift, *slopes = cv2.composeRT(first[:3], first[3:], second[:3], second[3:])
     by = [np.asarray(each, np.float64) for each in slopes]
     return np.concatenate([turn.ravel(), shift.ravel()]), (

@@ -1,6 +1,5 @@
-"""The last step of a calibration on a board that is neither flat nor exact: the nodes of the board
-are found with the cameras.
-"""
+"""The last step of a calibration on a board that is bent or inexact: the nodes of the board are
+found together with the cameras."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -18,8 +17,8 @@ Weights = Sequence[tuple[Array, ...]]
 LEAST_VIEWS = 4
 _STEPS = 30
 _HALVINGS = 6
-_SMALL = 1e-7  # of the cost, by which the last step must improve it
-_LOOSE = 0.1  # of a square: standard deviation that a node is expected to have from its place
+_SMALL = 1e-7  # relative decrease of the cost at which the iteration ends
+_LOOSE = 0.1  # share of a square: expected standard deviation of a node from its nominal position
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -35,7 +34,7 @@ class _State:
 class _Normal:
     """The normal equations, of cameras and poses (n) and of P nodes, whose blocks are 3 x 3.
 
-    cost: of all weighted residuals, and what nodes off their places add.
+    cost: sum of all weighted squared residuals and of the springs.
     """
 
     cost: float
@@ -52,11 +51,12 @@ def adjust_board(
     """Minimize the weighted reprojection error over cameras, poses and the nodes of the board, by
     Gauss-Newton from a near solution.
 
-    nodes: for each view, the rows (N,) of `board` (P, 3) that it shows. spacing: side of a square,
-    in the unit of the board. Each node is drawn to its place by a spring of a tenth of a square;
-    against many residuals of a tenth of a pixel it only decides what the views do not: the nodes
-    keep the size, the place and the orientation of the flat board. Returns the cameras and the
-    nodes (P, 3). Raises CalibrationError if fewer than four views are given.
+    nodes: for each view, the indices (N,) into `board` (P, 3) of its nodes. start: like
+        `Adjusted.numbers`. spacing: side of a square, in the unit of the board. A spring draws each
+        node to its nominal position, with a standard deviation of a tenth of a square. Against many
+        residuals of a tenth of a pixel it only determines what the views leave open: the size, the
+        position and the orientation of the board. Returns the cameras and the nodes (P, 3). Raises
+        CalibrationError if fewer than four views are given.
     """
     if len(views) < LEAST_VIEWS:
         raise CalibrationError(
@@ -65,14 +65,15 @@ def adjust_board(
     weights = node_weights(views)
     state = _State(start.copy(), np.array([view.pose for view in views]), board.copy())
     count = sum(2 * len(view.board) * len(view.seen) for view in views)
-    for _ in range(2):  # the spring is as stiff as the residuals are small
+    for _ in range(2):  # the stiffness of the spring depends on the residuals
         rest = _system(views, nodes, weights, state, board, 0.0).cost / count
         spring = rest / (_LOOSE * spacing) ** 2
         state, normal = _settled(views, nodes, weights, state, board, spring)
     reduced: Array = _reduced(normal)[0]
     covariance = np.asarray(np.linalg.pinv(reduced, hermitian=True), np.float64)
     seen = len(np.unique(np.concatenate(nodes)))
-    unknown = len(covariance) + 3 * seen - POSE - 1  # the board as a whole does not move or grow
+    # The position and the size of the board are fixed.
+    unknown = len(covariance) + 3 * seen - POSE - 1
     scale = normal.cost / max(count - unknown, 1)
     moved = [
         dataclasses.replace(view, board=state.board[rows])
@@ -96,7 +97,7 @@ def _settled(
     flat: Array,
     spring: float,
 ) -> tuple[_State, _Normal]:
-    """Take steps until they lower the cost no more; a step that raises it is halved."""
+    """Take steps until the cost no longer falls; a step that raises it is halved."""
     normal = _system(views, nodes, weights, state, flat, spring)
     for _ in range(_STEPS):
         step = _step(normal, state)

@@ -1,4 +1,4 @@
-"""Points in space that two views show."""
+"""Points in space from two views."""
 
 import dataclasses
 import enum
@@ -29,9 +29,9 @@ class Points3D:
     calibration_covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared, from the error of
         the calibration. All nodes share that error, so that it nearly cancels in displacements.
         None if the rig has no covariance.
-    bend_shift: (R, C, 3) float64, in `unit`: how far bent edges have moved the points, see
-        `cmp_cl.grid.filter.bend_shift`. `displacement` takes it off what it filters. None if
-        it is not known.
+    bend_shift: (R, C, 3) float64, in `unit`: the shift of the points by bent edges, see
+        `cmp_cl.grid.filter.bend_shift`. `displacement` subtracts it from the points that it
+        filters. None if unknown.
     status: (R, C) uint8 of `PointStatus`.
     source: (R, C) uint8 of `NodeStatus`, the less direct one of the two views.
     unit: name of the unit of length.
@@ -55,7 +55,7 @@ class Points3D:
     def sigma(self) -> NDArray[np.float64]:
         """Return the standard deviation along the most uncertain axis, (R, C) float64, in `unit`.
 
-        It includes the error of the calibration where that is known.
+        It includes the error of the calibration if that is known.
         """
         if self.calibration_covariance is None:
             return largest_deviation(self.covariance)
@@ -63,7 +63,7 @@ class Points3D:
 
 
 def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the root of the largest eigenvalue: (..., 3, 3) -> (...). NaN stays NaN.
+    """Return the root of the largest eigenvalue of covariances (..., 3, 3), (...); NaN stays NaN.
 
     With C = m I + s B, trace B = 0 and |B|^2 = 6, it is m + 2 s cos(acos(det B / 2) / 3).
     """

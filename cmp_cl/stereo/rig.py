@@ -23,7 +23,7 @@ from cmp_cl.stereo.triangulation import (
     undistort,
 )
 
-MIN_PARALLAX = 1.0  # px: under it, depth is noise
+MIN_PARALLAX = 1.0  # px; with less parallax, depth is only noise
 _COVARIANCE = "covariance"
 _ALIASES = {
     "K1": ("K1", "M1", "cameraMatrix1"),
@@ -148,6 +148,8 @@ class StereoRig:
     ) -> Points3D:
         """Triangulate the nodes that both grids have, in the frame of the left camera.
 
+        left, right: the grids of the two views.
+
         Nodes with equal indices are matched.
         sigma: standard deviation of a position, px, for nodes whose own is unknown.
         max_error: largest reprojection error, px.
@@ -219,9 +221,9 @@ class StereoRig:
         """Take one Gauss-Newton step on the reprojection error, weighted by 1 / sigma^2.
 
         xyz: (N, 3). seen: (N, 4) px, left and right. sigma: (N, 2) px; NaN weights both alike.
-        bent: (N, 4) px, shifts in the image. Returns points (N, 3), reprojection errors (N,), px,
-        covariances (N, 3, 3), that of the positions in the image and that of the rig, NaN where it
-        is unknown, and by how much the shifts move the points, (N, 3).
+        bent: (N, 4) px, shifts by bent edges. Returns the points (N, 3); the reprojection errors
+            (N,), px; two covariances (N, 3, 3), from the positions in the image and from the rig,
+            NaN if unknown; and the motion of the points by the shifts, (N, 3).
         """
         if not len(xyz):
             return xyz, np.empty(0), np.empty((0, 3, 3)), np.empty((0, 3, 3)), xyz
@@ -238,7 +240,7 @@ class StereoRig:
         own = np.where(known[:, None, None], inverse, np.nan)
         shared = np.full_like(own, np.nan)
         if self.covariance is not None:
-            # as the rig moves the points at fixed positions in the image
+            # derivatives of the points by the rig, at fixed positions in the image
             by_rig = by_image @ by_rig
             shared = by_rig @ self.covariance @ by_rig.transpose(0, 2, 1)
         return xyz + step[..., 0], error, own, shared, (by_image @ bent[..., None])[..., 0]

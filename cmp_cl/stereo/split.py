@@ -12,8 +12,8 @@ class BinocularSplit:
     """The rectangles of the two views in a frame that shows both.
 
     left, right: rectangles (x, y, width, height), px.
-    mirror_left, mirror_right: flip that view left to right. It is reversed where the camera
-        sees it through an odd number of mirrors.
+    mirror_left, mirror_right: flip that view left to right. A view is reversed if the camera sees
+        it through an odd number of mirrors.
 
     Calibrate the rig on views that were split in the same way.
 
