@@ -85,7 +85,7 @@ void read_part(const Part *part, __global const PIXEL *image, const size_t p, co
   }
 }
 
-/* What SOLVE_STEP needs of eight corners. */
+/* The input of SOLVE_STEP for eight corners. */
 typedef struct {
   float angle[LANES], c[LANES], middle[LANES], varied[LANES], s1[LANES];
   float rr[LANES], ra[LANES], rb[LANES], rx[LANES], ry[LANES], px[LANES], py[LANES], rn[LANES];
