@@ -1,7 +1,8 @@
 #include "plane.clh"
 
-/* The grey-level rule: the second harmonic of eight samples on a ring, minus quantities that are small
- * at a corner. Shifts are arithmetic; every number is whole, so every device has the same result.
+/* The grey-level rule: the second harmonic of eight samples on a ring, minus quantities that are
+ * small at a corner. Shifts are arithmetic; every number is whole, so every device has the same
+ * result.
  *
  *   S1 = [1 2 1]^T [1 2 1] * I, S2 and S3 the same of the one before, divided by 16
  *   s0 .. s7 the samples of ring (a, d), clockwise: (0, -a) (d, -d) (a, 0) (d, d) ...
