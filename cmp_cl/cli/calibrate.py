@@ -104,7 +104,7 @@ def add_parser(commands: Any) -> None:
         "--free-board",
         action="store_true",
         help="find the nodes of the board too, for a print that is bent or not exact; at least "
-        "four pairs of views, of a board with an odd number of rows and columns together, such as "
+        "four pairs of views, of a board whose rows and columns add up to an odd number, such as "
         "9x6",
     )
     calibrate_cameras.add_arguments(parser)
@@ -162,10 +162,10 @@ def run(arguments: argparse.Namespace) -> int:
         hint = ""
         if not arguments.left:
             hint = (
-                "; IMAGE is a frame that shows both views side by side: for views of one camera "
-                "say --camera NAME=IMAGE..., for those of two --left and --right"
+                "; IMAGE is a frame that shows both views side by side: for the views of one "
+                "camera give --camera NAME=IMAGE..., for those of two --left and --right"
             )
-        raise CalibrationError(f"none of the {len(names)} views shows the board{hint}")
+        raise CalibrationError(f"no view shows the board, of {len(names)} given{hint}")
     found = calibrate(
         views,
         spacing=arguments.square,

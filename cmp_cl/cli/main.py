@@ -101,7 +101,9 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
-        prog="cmp-cl", description="Corners of deformed checkerboards on any OpenCL device."
+        prog="cmp-cl",
+        description="Finds the corners of deformed checkerboards on any OpenCL device, and "
+        "measures the deformation.",
     )
     parser.add_argument("--version", action="version", version=f"cmp-cl {cmp_cl.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

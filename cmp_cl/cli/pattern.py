@@ -42,7 +42,7 @@ def add_parser(commands: Any) -> None:
         type=float,
         default=0.0,
         help="how far black grows beyond its edge in print; cells are drawn smaller by as much on "
-        "each side; negative where black shrinks; default: 0",
+        "each side; negative if black shrinks; default: 0",
     )
     parser.add_argument(
         "--stretch",

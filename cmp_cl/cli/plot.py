@@ -20,10 +20,10 @@ def add_parser(commands: Any) -> None:
         "plot",
         help="draw what a recording shows: displacement, strain, height, sigma, a node's curve",
         description="Draws a recording of cmp-cl run: by default one sheet with the maps of the "
-        "frame of the largest displacement and the curve of the node that moves most. Of one "
-        "view lengths are px, or in the unit of --cell, and strain is in the plane; of two views "
-        "they are in the rig's unit and strain is in the surface. A recording that still grows "
-        "can be drawn too.",
+        "frame of the largest displacement and the curve of the node that moves most. With "
+        "one view, lengths are in px or in the unit of --cell, and strain is in the plane; with "
+        "two views, lengths are in the rig's unit, and strain is in the surface. A recording that "
+        "still grows can be drawn too.",
     )
     parser.add_argument("series", metavar="SERIES", help="the recording, .npz or .h5")
     parser.add_argument("--out", metavar="PNG", required=True, help="the picture to write")

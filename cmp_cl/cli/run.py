@@ -363,7 +363,7 @@ class _Settings:
                 TwoViews(rest, self.rig, split, regions=(left, right), **search)
             )
         except GridError as error:
-            raise GridError(f"the frame at rest, {self.rest_frame}: {error}{hint}") from error
+            raise GridError(f"frame {self.rest_frame}, the frame at rest: {error}{hint}") from error
 
     def _with_added(self, measure: OneView | TwoViews) -> Measurement:
         try:
@@ -536,4 +536,6 @@ def _check_display() -> None:
 
 def _check_suffix(option: str, path: str | None, *suffixes: str) -> None:
     if path is not None and Path(path).suffix.lower() not in suffixes:
-        raise ConfigError(f"{option} {shown(path)} must end in {' or '.join(suffixes)}")
+        *others, last = suffixes
+        endings = f"{', '.join(others)} or {last}" if others else last
+        raise ConfigError(f"{option} {shown(path)} must end in {endings}")

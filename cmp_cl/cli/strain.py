@@ -46,16 +46,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--strain",
         action="store_true",
-        help="add the Green-Lagrange strain of each node with its sigma: in the plane of one view, "
-        "with principal strains and their direction, and translation, rotation and zoom of the "
-        "whole; in the surface of two views",
+        help="add the Green-Lagrange strain of each node with its sigma; with one view, in the "
+        "plane, with principal strains, their direction, and the translation, rotation and zoom of "
+        "the whole pattern; with two views, in the surface",
     )
     group.add_argument(
         "--contact",
         metavar="DEPTH",
         type=_length,
         help="with --stereo: add depth and normals of the nodes, and the area that is pressed in "
-        "by more than this, in the unit of the calibration",
+        "deeper than this, in the unit of the calibration",
     )
 
 

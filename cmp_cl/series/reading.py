@@ -35,7 +35,7 @@ def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (".npz", ".h5", ".hdf5"):
-        raise ConfigError(f"{str(path)!r}: a series to read must end in .npz, .h5 or .hdf5")
+        raise ConfigError(f"{str(path)!r}: the name of a series must end in .npz, .h5 or .hdf5")
     if not Path(path).is_file():
         raise FieldError(f"there is no file {str(path)!r}")
     try:
