@@ -31,7 +31,7 @@ from cmp_cl.image import GreyImage
 SIDE = 400  # px, of the pictures
 SAMPLES = 3  # of a pixel, along each axis
 NOISE = 2.0  # grey levels
-PERIOD = 256  # cells, after which the errors of a print come again
+PERIOD = 256  # cells, after which the printing errors repeat
 WEAR = 0.03  # cells: standard deviation of the errors of a worn print
 EACH = 14  # one frame in so many is given to the peers
 NEAR = 0.25  # cells: a node farther from all corners is false
@@ -41,7 +41,7 @@ MEASURED = (1, 2, 3)  # statuses of nodes that are no interpolation
 class Case(NamedTuple):
     """A frame: cell at rest, px; zoom; rotation, degrees; shift, cells of the frame at rest; wave,
     cells; hole: 6 cells wide, none, of the print or in front of it; wear: standard deviation of
-    the print's errors, cells; noise: grey levels; print_seed: of the print's errors."""
+    the printing errors, cells; noise: grey levels; print_seed: of the printing errors."""
 
     cell: float = 10.0
     zoom: float = 1.0

@@ -278,5 +278,5 @@ def _report_board(board: NDArray[np.float64], arguments: argparse.Namespace) -> 
     print(
         f"the board: its nodes lie up to {np.nanmax(height):.3f} {arguments.unit} off its plane "
         f"({np.sqrt(np.nanmean(height**2)):.3f} RMS), and up to {np.nanmax(inside):.3f} off their "
-        f"places in it ({np.sqrt(np.nanmean(inside**2)):.3f} RMS)"
+        f"nominal positions in it ({np.sqrt(np.nanmean(inside**2)):.3f} RMS)"
     )

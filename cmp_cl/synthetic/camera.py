@@ -1,4 +1,4 @@
-"""The cameras that look at the gel, and where the gel stands in front of them."""
+"""The cameras that look at the gel, and the pose of the gel in front of them."""
 
 import math
 from typing import NamedTuple, Protocol

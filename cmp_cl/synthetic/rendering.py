@@ -34,10 +34,10 @@ class Rendered:
     """A rendered view and its truth.
 
     image: (H, W) uint8, or uint16 with 12 bits.
-    truth: (N, N, 2) float64, px: where each inner corner is, [row, column] = (x, y).
+    truth: (N, N, 2) float64, px: the true position of each inner corner, [row, column] = (x, y).
     cell: median side of a cell in the image, px.
-    junctions: (4 (N+1), 2) float64, px: where cell edges and the pattern's corners meet the
-        surroundings. A detection there is neither true nor false.
+    junctions: (4 (N+1), 2) float64, px: the points at which cell edges and the pattern's corners
+        meet the surround. A detection there is neither true nor false.
     """
 
     image: GreyImage

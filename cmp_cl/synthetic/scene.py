@@ -10,7 +10,7 @@ from cmp_cl.errors import ConfigError
 
 
 class Indenter(enum.Enum):
-    """What presses on the gel; NONE leaves it flat."""
+    """The object that presses on the gel; NONE leaves it flat."""
 
     NONE = "none"
     BALL = "ball"
@@ -21,7 +21,7 @@ class Indenter(enum.Enum):
 
 
 class Mode(enum.Enum):
-    """How the indenter moves: at severity 1 by 2 mm, by 1.2 mm, by 20 degrees.
+    """The motion of the indenter; at severity 1 it is 2 mm, 1.2 mm or 20 degrees.
 
     A shear and a twist include a press of half the depth.
     """
@@ -152,7 +152,7 @@ def random_scene(
     """Draw a scene from the seed; arguments that are given are kept.
 
     The contact is within 5 mm of the centre, in any direction. Blur is 0.7 to 1.1 px, noise 2 to
-    4.5, light 0.2 to 1, vignetting 1 to 1.5. The surroundings are any. The position is within
+    4.5, light 0.2 to 1, vignetting 1 to 1.5. The surround is random. The position is within
     6 px (at VGA), the rotation within 3 degrees, the tilt within 2.
     """
     draw = np.random.default_rng([seed, 1])
