@@ -135,8 +135,9 @@ def pocl_is_stuck() -> str:
     folder = pocl_folder()
     there = next((each for each in (folder, *folder.parents) if each.exists()), None)
     if there is None or not there.is_dir() or not os.access(there, os.W_OK):
-        return f"PoCL cannot write to its cache {str(folder)!r}; XDG_CACHE_HOME names another
-        folder"
+        return (
+            f"PoCL cannot write to its cache {str(folder)!r}; XDG_CACHE_HOME names another folder"
+        )
     largest = _largest_file()
     if largest < _LEAST_LARGEST:
         return (
