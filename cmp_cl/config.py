@@ -23,8 +23,8 @@ Part = TypeVar("Part")
 class Fit(enum.Enum):
     """How `Midlines` fits the centreline of a black sector."""
 
-    LINEAR = "linear"
-    QUADRATIC = "quadratic"
+    LINEAR = "linear"  #: a straight line
+    QUADRATIC = "quadratic"  #: a parabola
 
 
 def _check(

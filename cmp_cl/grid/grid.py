@@ -17,12 +17,12 @@ from cmp_cl.grid.limits import check_size
 class NodeStatus(enum.IntEnum):
     """The source of a node's position."""
 
-    MISSING = 0
-    DETECTED = 1
-    ATTACHED = 2  # a free corner near the position that its neighbours predict
-    SECOND_LOOK = 3  # found by a second look at the image
-    INTERPOLATED = 4
-    VIRTUAL = 5  # a marker on the edge between two neighbours
+    MISSING = 0  #: no position
+    DETECTED = 1  #: a corner that the detector found
+    ATTACHED = 2  #: a free corner near the position that its neighbours predict
+    SECOND_LOOK = 3  #: found by a second look at the image
+    INTERPOLATED = 4  #: predicted from measured nodes around it
+    VIRTUAL = 5  #: a marker on the edge between two neighbours
 
 
 T = TypeVar("T")

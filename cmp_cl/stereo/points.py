@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 class PointStatus(enum.IntEnum):
     """Whether a node was triangulated, and if not, why."""
 
-    MISSING = 0  # a view does not show the node
-    VALID = 1
-    PARALLEL = 2  # the rays enclose too small an angle: no disparity, or along the baseline
-    BEHIND = 3  # the point lies behind a camera
-    INCONSISTENT = 4  # the reprojection error is too large, or the lens cannot be inverted there
+    MISSING = 0  #: a view does not show the node
+    VALID = 1  #: the node has a position
+    PARALLEL = 2  #: the rays enclose too small an angle: no disparity, or along the baseline
+    BEHIND = 3  #: the point lies behind a camera
+    INCONSISTENT = 4  #: the reprojection error is too large, or the lens cannot be inverted
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

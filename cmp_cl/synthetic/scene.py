@@ -26,9 +26,9 @@ class Mode(enum.Enum):
     A shear and a twist include a press of half the depth.
     """
 
-    PRESS = "press"
-    SHEAR = "shear"
-    TWIST = "twist"
+    PRESS = "press"  #: along the normal of the gel
+    SHEAR = "shear"  #: along the gel
+    TWIST = "twist"  #: about the normal of the gel
 
 
 class Surround(enum.Enum):
