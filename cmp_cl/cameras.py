@@ -31,7 +31,10 @@ _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Timed:
-    """A frame: number in its source, time in ms (NaN where unknown), image (None if broken)."""
+    """A frame of a source.
+
+    index: its number there. time_ms: its time, NaN if unknown. image: (H, W), None if broken.
+    """
 
     index: int
     time_ms: float
@@ -72,6 +75,7 @@ class Source:
     name: a file (.mcap too), a folder of images, the number of a camera, a device such as
     /dev/video0, or an address such as rtsp://camera/stream.
 
+    settings: those to request of a camera, or None.
     live: whether it is a camera or a stream, whose frames arrive whether or not they are read.
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
     max_pixels: the largest size of a frame, see `cmp_cl.media.read_frames`.
@@ -194,7 +198,7 @@ def _grey(picture: Any) -> GreyImage:
 
 @dataclasses.dataclass
 class PairCount:
-    """Counts of the pairs, and of the frames of either side without a partner."""
+    """The number of pairs, and of frames without a partner, left_alone and right_alone."""
 
     pairs: int = 0
     left_alone: int = 0

@@ -172,7 +172,9 @@ class Detector(Closing):
                 waiting.awaited = False
 
     def batch(self, stack: NDArray[Any] | Sequence[Frame] | cl.Buffer) -> list[Corners]:
-        """Find the corners of each frame of (B, H, W), with one launch per stage for all of them.
+        """Find the corners of each frame of a stack, with one launch per stage for all of them.
+
+        stack: (B, H, W), a sequence of frames, or a pyopencl.Buffer.
 
         Frames that are already on the device are passed as one pyopencl.Buffer without gaps, in the
         context of this detector's `queue`. They are read in the order of that queue, so commands

@@ -115,7 +115,8 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Gr
 
 
 def read_pages(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[GreyImage]:
-    """Read the pages of an image file (a TIFF stack, say) one by one, each as `read_image`."""
+    """Read the pages of an image file, such as a TIFF stack, one by one; the arguments are those of
+    `read_image`."""
     return decoded_pages(_bytes_of(path), path, max_pixels=max_pixels)
 
 

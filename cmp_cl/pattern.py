@@ -362,5 +362,8 @@ def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:
 
 
 def cell_for(size: float, shape: Sequence[int]) -> float:
-    """Return the side of a cell, mm, for which the longer side of all cells is `size` mm."""
+    """Return the side of a cell, mm, for which the longer side of all cells is `size` mm.
+
+    shape: rows and columns of inner corners.
+    """
     return size / (max(shape) + 1)

@@ -32,7 +32,8 @@ MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 
 class Sides(NamedTuple):
-    """A set of sides of a grid: True for the sides in the set."""
+    """A set of the sides top, bottom, left and right of a grid; each is True if it is in the
+    set."""
 
     top: bool = False
     bottom: bool = False
@@ -165,7 +166,8 @@ class Grid:
         return found
 
     def turned(self, quarters: int) -> "Grid":
-        """Return the grid after quarter turns: after one, row 0 is the former last column."""
+        """Return the grid after `quarters` quarter turns: after one, row 0 is the former last
+        column."""
         quarters %= 4
         if not quarters:
             return self

@@ -59,6 +59,7 @@ class Measured:
 class MeasuredInSpace(Measured):
     """A frame of two views, measured in space against the frame at rest.
 
+    nodes, largest, ambiguous, views, corners, grids: as in `Measured`.
     points: the positions of the nodes now. field: their displacement.
     arrays: displacement, sigma, status and source of the field; with the lattice filter,
         raw_displacement and raw_sigma before it; and the detected positions left and right,

@@ -36,6 +36,9 @@ class Description:
 class Series(Closing):
     """Writes a recording frame by frame; use it in a with statement.
 
+    description: stored with the arrays, or None. constants: arrays that hold for all frames.
+
+
         with open_series("press.h5", constants={"rest": rest.xyz}) as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)
 

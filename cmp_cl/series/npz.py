@@ -105,7 +105,7 @@ class SeriesWriter(NpzSeries):
         with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)
 
-    Raises OSError if the folder is missing or not writable.
+    path: the file, with the suffix .npz. Raises OSError if the folder is missing or not writable.
     """
 
     def __init__(self, path: str | PathLike[str], **constants: ArrayLike) -> None:

@@ -25,7 +25,10 @@ Views = Mapping[str, Grid | None]
 
 
 def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the valid nodes as cv2.calibrateCamera takes a view, see `Grid.to_opencv`."""
+    """Return the valid nodes of a grid as cv2.calibrateCamera takes a view, see `Grid.to_opencv`.
+
+    spacing: side of a square.
+    """
     return grid.to_opencv(spacing)
 
 

@@ -85,7 +85,8 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
 
 
 def binocular_frame(left: Rendered, right: Rendered) -> GreyImage:
-    """Put both views side by side, (H, 2 W), as one camera sees them through mirrors."""
+    """Put the left and the right view side by side, (H, 2 W), as one camera sees them through
+    mirrors."""
     frame: Image = np.concatenate([left.image, right.image], axis=1)
     return frame
 

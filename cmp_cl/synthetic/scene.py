@@ -149,7 +149,10 @@ def random_scene(
     shape: tuple[int, int] = (480, 640),
     corrosion: float = 1.0,
 ) -> Scene:
-    """Draw a scene from the seed; arguments that are given are kept.
+    """Draw a random scene from the seed.
+
+    markers, severity, indenter, mode, shape, corrosion: as in `Scene`; an indenter or a mode of
+        None is drawn at random.
 
     The contact is within 5 mm of the centre, in any direction. Blur is 0.7 to 1.1 px, noise 2 to
     4.5, light 0.2 to 1, vignetting 1 to 1.5. The surround is random. The position is within

@@ -46,7 +46,7 @@ _FRACTION_BITS = 4
 
 
 def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
-    """Draw a mark on every corner, coloured by its method, and a legend.
+    """Draw a mark on each of the corners, coloured by its method, and a legend.
 
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
     factor, each pixel to a block, until a cell is about 32 px wide and the longer side at least
@@ -255,7 +255,10 @@ class Projection(enum.Enum):
 def surface_figure(
     field: DisplacementField, *, projection: Projection = Projection.PERSPECTIVE
 ) -> "Figure":
-    """Draw the surface now, coloured by displacement, with arrows from the positions at rest.
+    """Draw the surface of a field now, coloured by displacement, with arrows from the positions at
+        rest.
+
+    projection: a perspective or an orthographic one.
 
     The axes run along the rows, along the columns, and towards the cameras out of the plane that
     fits the positions at rest best. The height is stretched to a fifth of the width; the label
@@ -328,7 +331,7 @@ def draw_surface(axes: "Axes3D", field: DisplacementField) -> None:
 
 
 def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a plane to the positions at rest: (3, 3) axes as rows, (3,) origin.
+    """Fit a plane to the positions of a field at rest: (3, 3) axes as rows, (3,) origin.
 
     The first axis runs along the rows, the second along the columns, the third towards the
     cameras (a left-handed frame, as on a picture with y down and height towards the viewer).
@@ -357,7 +360,7 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) -> None:
-    """Write a figure as PNG, whole or not at all; raises OSError."""
+    """Write a figure as PNG, whole or not at all; dpi: pixels per inch; raises OSError."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     FigureCanvasAgg(figure)

@@ -79,7 +79,8 @@ class PrincipalStrain:
 
 
 def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
-    """Return the Green-Lagrange strain E = (F'F - 1) / 2 of every node, with its covariance.
+    """Return the Green-Lagrange strain E = (F'F - 1) / 2 of every node of a field, with its
+        covariance.
 
     Around each node a plane in (column, row) is fitted to the positions at rest and now by least
     squares, over the (2 radius + 1)^2 nodes, which gives the gradient F of the positions now with
