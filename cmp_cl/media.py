@@ -1,6 +1,6 @@
 """Images and videos are read here, as grey; images and tables are written whole or not at all.
 
-Videos are read by PyAV where it is installed (the extra `video`), else by OpenCV. PyAV knows the
+Videos are read by PyAV if it is installed (the extra `video`), else by OpenCV. PyAV knows the
 time of each frame and its size, keeps the levels of 10 to 16 bits, and refuses damaged frames.
 OpenCV reduces all videos to 8 bits, and scales frames of another size to that of the first.
 """

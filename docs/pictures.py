@@ -167,7 +167,7 @@ def gallery_of_two_views(folder: Path, mode: Mode) -> None:
 
 
 def main() -> int:
-    """Draw the pictures of algorithm.md; returns the exit status."""
+    """Draw the pictures of algorithm.md; return the exit status."""
     folder = HERE / "pictures"
     folder.mkdir(exist_ok=True)
     for draw in (rings, response, edges, grid):

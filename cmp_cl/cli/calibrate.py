@@ -124,7 +124,7 @@ class _Pair(NamedTuple):
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     if arguments.camera:
         _check_numbers(arguments)
         return calibrate_cameras.run(arguments)

@@ -84,7 +84,7 @@ class _Truth(NamedTuple):
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     begin = time.perf_counter()
     device = select_device(arguments.device)
     folder = Path(arguments.out)
@@ -191,7 +191,7 @@ def _files(
     field: DisplacementField,
     table: Sequence[Sequence[str]],
 ) -> list[str]:
-    """Write the frames, the rig, the field with its strain, and the table; returns the names."""
+    """Write the frames, the rig, the field with its strain, and the table; return the names."""
     for name, frame in frames.items():
         media.write_image(folder / name, frame)
     rig.save(folder / "rig.yaml")

@@ -84,7 +84,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Find the corners of every input; the exit status."""
+    """Find the corners of every input; return the exit status."""
     config = None if arguments.config is None else DetectorConfig.load(arguments.config)
     if config is not None and arguments.full_scale is not None:
         config = config.replace(full_scale=arguments.full_scale)

@@ -66,7 +66,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the pattern that the arguments describe; returns the exit status."""
+    """Write the pattern that the arguments describe; return the exit status."""
     cell = arguments.cell
     board = Checkerboard(
         shape=arguments.grid,

@@ -52,7 +52,7 @@ def _node(text: str) -> tuple[int, int]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     if Path(arguments.out).suffix.lower() != ".png":
         raise ConfigError(f"--out {shown(arguments.out)} must end in .png")
     if os.path.realpath(arguments.out) == os.path.realpath(arguments.series):

@@ -71,7 +71,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Render what the arguments describe; the exit status."""
+    """Render the scene that the arguments describe; return the exit status."""
     scene = Scene(
         markers=arguments.markers,
         shape=tuple(arguments.shape),

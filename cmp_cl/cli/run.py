@@ -374,7 +374,7 @@ class _Settings:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     settings = _Settings.of(arguments)
     source = settings.source
     rest, shots = source.rest(settings.rest_frame)

@@ -47,7 +47,7 @@ class Source:
 
     @property
     def total(self) -> int | None:
-        """Return how many frames or pairs there are, None if nobody knows."""
+        """Return how many frames or pairs there are, None if unknown."""
         if self.live:
             return None
         if len(self.paths) == 1:
@@ -144,7 +144,7 @@ class Pairs(Source):
 
     @property
     def total(self) -> int | None:
-        """Return how many frames or pairs there are, None if nobody knows."""
+        """Return how many frames or pairs there are, None if unknown."""
         return None
 
     def shots(self) -> Generator[Shot, None, None]:

@@ -166,7 +166,7 @@ def _harmonic(config: DetectorConfig, **changes: Any) -> DetectorConfig:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     if arguments.split is None and arguments.mirror is not None:
         raise ConfigError("--mirror needs --split")
     if Path(arguments.out).suffix.lower() != ".toml":

@@ -37,7 +37,8 @@ PRINTED = 0.05  # px per axis: smaller errors may be the camera's
 GAIN = 9 / 4  # factor on an error's variance, see `_errors`
 MEDIAN = 1.18  # median length of errors, over their standard deviation per axis
 BESIDE = 4  # half cells: lines so near to the best share its errors
-# by what the product of an error, along rows plus 1j down columns, and its reflection is real
+# factors that make the product of an error, along rows plus 1j along columns, and its reflection
+# real
 COLUMNS, ROWS, FALLING, RISING = -1, 1, 1j, -1j
 
 

@@ -141,14 +141,14 @@ def pocl_is_stuck() -> str:
     largest = _largest_file()
     if largest < _LEAST_LARGEST:
         return (
-            f"no file may have more than {largest} bytes here, and PoCL ends the process where one "
-            "of its cache would; ulimit -f unlimited, or a larger limit, lets it"
+            f"no file may have more than {largest} bytes here, and PoCL ends the process if a "
+            "file of its cache would; raise the limit, for example by ulimit -f unlimited"
         )
     free = shutil.disk_usage(there).free
     if free < _LEAST_FREE:
         return (
             f"PoCL's cache {str(folder)!r} is on a disk with {free} bytes left, and PoCL ends the "
-            "process where it is full; free some space, or name another folder in XDG_CACHE_HOME"
+            "process if it is full; free some space, or name another folder in XDG_CACHE_HOME"
         )
     return ""
 

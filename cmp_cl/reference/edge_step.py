@@ -243,7 +243,7 @@ def _gradient(left: Floats, right: Floats, scales: Floats) -> tuple[Floats, Floa
     that of the noise, (N, 2).
 
     left, right: (N, 2), left e = right once the offsets are eliminated.
-    scales: (N, 4), level, mean square of what edges alone leave, sum of weights, |c|.
+    scales: (N, 4), level, mean square of the residual of the edges alone, sum of weights, |c|.
 
     It is a ridge estimate. It expects GRADIENT, or a larger gradient if the one that fits best
     exceeds the noise by SIGNIFICANT.

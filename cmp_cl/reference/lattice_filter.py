@@ -1,6 +1,6 @@
 """The adaptive lattice filter, node by node, in float64.
 
-1. Nodes that nobody measured, and those refused below, have no vote. Components are the votes
+1. Nodes that were not measured, and those refused below, have no vote. Components are the votes
    grown by a node, connected along rows, columns and diagonals; each is filtered by itself in
    the smallest rectangle around its votes.
 2. A hole gets the value of the quadratic surface through the votes within 3 nodes (6 where

@@ -27,7 +27,7 @@ class Refined:
     """Refined corners; fields as in `cmp_cl.corners.Corners`, all float64, and
 
     margin: (N,) the smallest relative distance of a guard's quantity from its bound. A
-        float32 implementation may decide otherwise where it is below about 1e-4.
+        float32 implementation may decide otherwise if it is below about 1e-4.
     """
 
     xy: Floats

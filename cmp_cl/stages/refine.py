@@ -1,4 +1,4 @@
-"""The stages from the list of corners to positions, and what the host reads of them."""
+"""The stages from the list of corners to positions, and the reading of their result."""
 
 import math
 from typing import Any
@@ -25,7 +25,7 @@ RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
 DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
-VARIANCE_OF_EXCESS = 1000  # px^2: what bends the residual moves the corner, fitted on renders
+VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes
 
 
 def files(plan: PlanBase) -> list[str]:

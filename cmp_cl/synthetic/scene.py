@@ -46,7 +46,7 @@ class Scene:
     markers: N inner corners a side, 3 to 100: N x N corners between (N+1) x (N+1) cells.
     shape: (rows, columns) of the image, or of each view of a stereo pair, px, 64 to 8192.
     side: side of the whole pattern, mm, 16 to 64; the indenters keep their size.
-    indenter, mode: what touches the gel, and how it moves.
+    indenter, mode: the object that touches the gel, and its motion.
     severity: 0 to 2; 1 is a press of 2 mm, a shear of 1.2 mm or a twist of 20 degrees.
     contact: (x, y) of the indenter's centre from the pattern's, mm, -32 to 32.
     direction: rotation of the indenter and direction of the shear, rad, -7 to 7.
