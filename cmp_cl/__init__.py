@@ -20,7 +20,7 @@ from cmp_cl.config import (
     SpectralCriteria,
 )
 from cmp_cl.corners import Corners, Method, Refusal
-from cmp_cl.detector import Detector, detect
+from cmp_cl.detector import Detector, choose_config, detect
 from cmp_cl.errors import (
     CalibrationError,
     CapacityError,
@@ -107,6 +107,7 @@ __all__ = [
     "calibrate",
     "calibrate_camera",
     "cameras",
+    "choose_config",
     "detect",
     "displacement",
     "drop_marks",

@@ -110,6 +110,12 @@ def estimate_blur(image: GreyImage, cells: Cells) -> float:
     return math.sqrt(max(blur**2 - _OWN_BLUR, 0))
 
 
+def cell_and_blur(image: GreyImage) -> tuple[float, float]:
+    """Estimate the side of the cells and the blur of their edges, px, as `for_cell` takes them."""
+    cells = estimate_cells(image)
+    return min(max(cells.side, 4), 1000), min(estimate_blur(image, cells), 1000)
+
+
 def _cells(image: GreyImage) -> Cells:
     """Estimate the cells of an image at this size."""
     longest = max(image.shape)

@@ -23,8 +23,8 @@ Part = TypeVar("Part")
 class Fit(enum.Enum):
     """How `Midlines` fits the centreline of a black sector."""
 
-    LINEAR = "linear"  #: a straight line
-    QUADRATIC = "quadratic"  #: a parabola
+    LINEAR = "linear"
+    QUADRATIC = "quadratic"
 
 
 def _check(
@@ -371,15 +371,14 @@ class DetectorConfig:
     def for_image(cls, image: "GreyImage") -> Self:
         """Choose the configuration for the cells of an image, and for their blur.
 
-        `estimate_cell` describes the estimate. Raises ImageError if the image is not
-        (H, W) uint8 or uint16.
+        `estimate_cell` says how the cells are found. What surrounds a small board can look like
+        wide cells: `choose_config` checks the settings by what they find. Raises ImageError if
+        the image is not (H, W) uint8 or uint16.
         """
-        from cmp_cl.cell import estimate_blur, estimate_cells
+        from cmp_cl.cell import cell_and_blur
 
-        cells = estimate_cells(image)
-        side = min(max(cells.side, 4), 1000)
-        blur = estimate_blur(image, cells) if side > _LEAST_CELL else 0
-        return cls.for_cell(side, blur=min(blur, 1000))
+        cell, blur = cell_and_blur(image)
+        return cls.for_cell(cell, blur=blur)
 
     @classmethod
     def paper(cls, markers: int) -> Self:

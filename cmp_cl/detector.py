@@ -10,6 +10,7 @@ import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.arrays import Frame, as_frame
+from cmp_cl.choice import choose_by_corners
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig, Pyramid
 from cmp_cl.corners import Corners
@@ -226,8 +227,7 @@ class Detector(Closing):
     def maps(self, frame: Frame) -> Maps | HarmonicMaps:
         """Return every intermediate image of a frame; with a Pyramid those of its first factor.
 
-        Raises the errors of a call.
-        """
+        Raises the errors of a call."""
         from cmp_cl.stages.maps import no_maps, read_maps
 
         image = self._checked(frame)
@@ -410,17 +410,37 @@ def detect(
 ) -> Corners:
     """Find the corners of one image, (H, W) uint8 or uint16, which may be of another array library.
 
-    It makes a Detector, runs it and releases it. For many images of one shape, make a Detector
-    yourself. config: the settings; None means DetectorConfig.for_image(image). device: as for a
-    Detector.
+    It makes a Detector, runs it and releases it. For many images of one shape make a Detector
+    yourself.
+    config: the settings; None means choose_config(image, device=device).
 
     Raises the errors of Detector.
     """
     frame = as_frame(image)
+    device = device if isinstance(device, Device) else select_device(device)
     if config is None:
-        config = DetectorConfig.for_image(frame)
+        config = choose_config(frame, device=device)
     with Detector(shape=frame.shape, dtype=frame.dtype, config=config, device=device) as detector:
         return detector(frame)
+
+
+def choose_config(
+    image: Frame, *, full_scale: int | None = None, device: Device | str | None = None
+) -> DetectorConfig:
+    """Choose the settings for an image, (H, W) uint8 or uint16, by what they find in it.
+
+    They are `DetectorConfig.for_image`, whose radius and working scale suit the cells, where they
+    find the corners that `DetectorConfig()` finds. Else they are `DetectorConfig()`, which needs
+    no size: a small board before a background of wide shapes is an example. If the corners lie
+    closer together than the estimated cells, the refinement's radius is that for corners so near.
+
+    full_scale: as in DetectorConfig. device: as Detector takes it.
+
+    Raises the errors of Detector.
+    """
+    frame = as_frame(image)
+    device = device if isinstance(device, Device) else select_device(device)
+    return choose_by_corners(frame, full_scale, lambda config: detect(frame, config, device))
 
 
 def _checked_shape(shape: Any) -> tuple[int, int]:

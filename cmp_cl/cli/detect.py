@@ -26,7 +26,7 @@ from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.tables import CORNER_COLUMNS, NODE_COLUMNS, Table, corner_rows, node_rows
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
-from cmp_cl.detector import Detector
+from cmp_cl.detector import Detector, choose_config
 from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import whole_file
 from cmp_cl.grid import Grid, build_grid
@@ -285,7 +285,7 @@ class _Finder:
             if frame.image is None:
                 tally.broken.append(frame.index)
                 continue
-            chosen = config or DetectorConfig.for_image(frame.image).replace(full_scale=scale)
+            chosen = config or choose_config(frame.image, full_scale=scale, device=self._device)
             self._fit(frame.image, chosen)
             start = time.perf_counter()
             corners = self._detector(frame.image)

@@ -1,0 +1,65 @@
+"""Settings for an image, chosen by what they find in it."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.cell import cell_and_blur
+from cmp_cl.config import DetectorConfig, EdgeStep
+from cmp_cl.corners import Corners
+from cmp_cl.image import GreyImage
+
+_NEAR = 0.25  # of the refinement's radius: the same corner
+_SHARE = 0.9  # of the corners that settings for any cell find
+_CLOSE = (0.1, 0.6)  # corners closer than that many cells: this share of them
+_SAMPLE = 256  # corners that are looked at
+
+
+def choose_by_corners(
+    image: GreyImage, full_scale: int | None, find: Callable[[DetectorConfig], Corners]
+) -> DetectorConfig:
+    """Choose between the settings for any cell and `DetectorConfig.for_image`.
+
+    What surrounds a small board can look like wide cells. So the estimated settings count only if
+    they find the corners that the others find, and their cell only if the corners lie that far
+    apart.
+
+    find: returns the corners of the image for a configuration.
+    """
+    cell, blur = cell_and_blur(image)
+    for_any = DetectorConfig(full_scale=full_scale)
+    estimated = DetectorConfig.for_cell(cell, blur=blur).replace(full_scale=full_scale)
+    found, told = find(for_any), find(estimated)
+    lost = _nearest(_some(found.xy), told.xy) > _NEAR * told.edge_radius
+    if np.count_nonzero(lost) > (1 - _SHARE) * len(lost):
+        return for_any
+    if not len(told):
+        return estimated
+    apart = np.quantile(_nearest(_some(told.xy), told.xy, itself=True), _CLOSE[0])
+    if apart >= _CLOSE[1] * cell:
+        return estimated
+    narrow = EdgeStep(cell=min(cell, max(float(apart), EdgeStep().cell)))
+    return estimated.replace(refinement=narrow)
+
+
+def _some(xy: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return positions spread over the list."""
+    chosen = np.linspace(0, len(xy) - 1, min(len(xy), _SAMPLE)).astype(int)
+    return np.take(xy, chosen, axis=0)
+
+
+def _nearest(
+    xy: NDArray[np.float32], others: NDArray[np.float32], *, itself: bool = False
+) -> NDArray[np.float64]:
+    """Return the distance of each position to the nearest of the others, px; inf without one.
+
+    itself: each position is one of the others, too.
+    """
+    distances = np.full(len(xy), np.inf)
+    for n, position in enumerate(xy):
+        squared = np.square(others - position).sum(axis=1)
+        if itself:
+            squared[squared == 0] = np.inf
+        distances[n] = np.sqrt(squared.min(initial=np.inf))
+    return distances
