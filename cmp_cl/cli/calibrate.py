@@ -165,7 +165,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "; IMAGE is a frame that shows both views side by side: for the views of one "
                 "camera give --camera NAME=IMAGE..., for those of two --left and --right"
             )
-        raise CalibrationError(f"no view shows the board, of {len(names)} given{hint}")
+        raise CalibrationError(f"no view shows the board ({len(names)} given){hint}")
     found = calibrate(
         views,
         spacing=arguments.square,

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from cmp_cl.cli.messages import shown
+from cmp_cl.cli.messages import counted, shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import check_target
 from cmp_cl.series import read_series
@@ -71,5 +71,5 @@ def run(arguments: argparse.Namespace) -> int:
     what = "" if arguments.what == "curve" else f"frame {index}"
     curve = f"node {node[0]},{node[1]}" if arguments.what in (None, "curve") else ""
     parts = ", ".join(part for part in (what, curve) if part)
-    print(f"wrote {shown(arguments.out)}: {parts} of {len(recorded.index)} frames")
+    print(f"wrote {shown(arguments.out)}: {parts} of {counted(len(recorded.index), 'frame')}")
     return 0
