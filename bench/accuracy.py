@@ -1,11 +1,11 @@
-"""What is missed, what is invented and how far off the rest is, by object, density, severity.
+"""Measures missed and false corners and position errors, by object, density and severity.
 
     python bench/accuracy.py --quick    30 scenes, about two minutes
     python bench/accuracy.py            360 scenes, about an hour; writes
                                         results/accuracy.json
 
 Every method sees the same rendered frames. A frame fails if one corner is missed or one is
-false. Times are those of the same calls, one frame at a time, after one call to warm up.
+false. Times are those of the same calls, one frame at a time, after one warm-up call.
 """
 
 import argparse
@@ -128,7 +128,7 @@ class Tables:
 
 
 def _kept(summary: dict[str, Any]) -> dict[str, Any]:
-    """Remove what follows from the counts."""
+    """Remove the entries that follow from the counts."""
     return {name: summary[name] for name in summary if name not in ("recall", "precision")}
 
 

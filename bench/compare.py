@@ -1,4 +1,4 @@
-"""What got worse between two result files of the same kind.
+"""Lists what got worse between two result files of the same kind.
 
     python bench/compare.py old/speed.json results/speed.json
 

@@ -1,11 +1,11 @@
-"""Hours of frames: constant memory, the same answers at the end as at the start.
+"""Processes frames for hours; memory must stay constant, and answers the same.
 
     python bench/endurance.py --minutes 20 [--device TEXT] [--json results/endurance.json]
 
 Frames of several sizes and kinds go through stream and batch in turns, and through streams that
 are begun and dropped. Every round hashes every result and compares it with the first round's.
 Then Detectors are opened and closed, each for devices that are listed anew. The last line is
-PASSED, or FAILED with a status of 1 where a result changed, memory grew by more than the limit
+PASSED, or FAILED with a status of 1 if a result changed, memory grew by more than the limit
 after the first tenth, or files stayed open.
 """
 
@@ -33,7 +33,7 @@ from cmp_cl import (
     synthetic,
 )
 
-GROWTH = 16.0  # MB that the process may grow: allocators keep some pieces
+GROWTH = 16.0  # MB by which the process may grow, because allocators keep some memory
 
 
 def resident() -> float:

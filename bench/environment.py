@@ -1,4 +1,4 @@
-"""What a result was measured with: device, driver, versions, commit, and what else ran there."""
+"""The environment of a measurement: device, driver, versions, commit, and the load by others."""
 
 import datetime
 import os
@@ -18,7 +18,7 @@ _PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "chess_corners", "
 
 
 def environment() -> dict[str, Any]:
-    """Return all that a reader needs to judge a figure, as plain values for JSON."""
+    """Return the environment of a measurement, as plain values for JSON."""
     device = cmp_cl.select_device()
     packages = {"opencv": cv2.__version__, "python": platform.python_version()}
     for name in _PACKAGES:

@@ -1,15 +1,15 @@
-"""Numbers against the frame at rest where no border of the pattern is in view.
+"""Numbering by the frame at rest, without a border of the pattern in view.
 
     python bench/open_patterns.py           writes results/open_patterns.json
     python bench/open_patterns.py --drawn 200 --seed 900000         other frames, drawn by chance
 
-Rendered checkerboards that go on beyond all four edges of the picture: zoomed, turned, shifted,
-waved, with a hole in the print or something in front of it. Half of the prints are perfect; the
-others have errors, as real ones do, which show where the pattern has moved. Each frame is
-numbered like the frame at rest, alone and after the frame before. A frame is wrong if more than
-one measured node in 500 has a wrong number, and wrong in silence if the grid does not say that it
-may be. No peer takes a frame at rest. On some frames the peers are compared in what they do give:
-whether their nodes are corners, and whether the numbers of these fit one lattice.
+The rendered checkerboards continue beyond all four edges of the image. They are zoomed, rotated,
+moved or bent by a wave, with a hole in the print or an object in front of it. Half of the prints
+are perfect; the others have printing errors, which move with the pattern. Each frame is numbered
+like the frame at rest, alone and with the help of the previous frame. A frame is wrong if more than
+one measured node in 500 has a wrong number, and silently wrong if the grid is not marked ambiguous.
+No peer can use a frame at rest. On some frames two results of the peers are compared: whether their
+nodes are corners, and whether their numbers fit one lattice.
 """
 
 import argparse
@@ -31,17 +31,17 @@ from cmp_cl.image import GreyImage
 SIDE = 400  # px, of the pictures
 SAMPLES = 3  # of a pixel, along each axis
 NOISE = 2.0  # grey levels
-PERIOD = 256  # cells, after which the errors of a print come again
+PERIOD = 256  # cells, after which the printing errors repeat
 WEAR = 0.03  # cells: standard deviation of the errors of a worn print
-EACH = 14  # one frame in so many is given to the peers
-NEAR = 0.25  # cells: a node farther from all corners is false
-MEASURED = (1, 2, 3)  # statuses of nodes that are no interpolation
+EACH = 14  # the peers get one frame in so many
+NEAR = 0.25  # cells: a node that is farther from all corners is false
+MEASURED = (1, 2, 3)  # statuses of measured nodes
 
 
 class Case(NamedTuple):
     """A frame: cell at rest, px; zoom; rotation, degrees; shift, cells of the frame at rest; wave,
     cells; hole: 6 cells wide, none, of the print or in front of it; wear: standard deviation of
-    the print's errors, cells; noise: grey levels; print_seed: of the print's errors."""
+    the printing errors, cells; noise: grey levels; print_seed: of the printing errors."""
 
     cell: float = 10.0
     zoom: float = 1.0
@@ -123,7 +123,8 @@ class Print:
         self._perfect = wear == 0
 
     def printed(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the ink of (u, v) is: off by a field that is linear within cells."""
+        """Return the position of the ink of (u, v), moved by printing errors that are linear within
+        cells."""
         if self._perfect:
             return u, v
         around = u - PERIOD * np.floor(u / PERIOD), v - PERIOD * np.floor(v / PERIOD)
@@ -194,7 +195,7 @@ def true_numbers(grid: Grid, case: Case) -> tuple[np.ndarray, np.ndarray]:
 
 
 def verdict(rest: Grid, rest_case: Case, grid: Grid | None, case: Case) -> str:
-    """Return right or wrong, and whether it says that it may be wrong; refused without a grid."""
+    """Return right or wrong, and whether the grid is ambiguous; refused without a grid."""
     if grid is None or not grid.valid.any():
         return "refused"
     number, corner = true_numbers(rest, rest_case)
@@ -284,8 +285,7 @@ def visible(case: Case) -> int:
 
 
 def lattices(every: Sequence[Case]) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """Return what each method makes of single frames, without a frame at rest, and why some did not
-    run."""
+    """Return the answer of each method to single frames, and why some methods did not run."""
     totals: dict[str, dict[str, int]] = {}
     reasons: dict[str, str] = {}
     for number, case in enumerate(every):

@@ -1,13 +1,14 @@
-"""Boards partly out of view, boards of a wrong size, and an island: what is a node, and which.
+"""Boards partly out of view, boards of a wrong size, and an island: which nodes are found, and how
+they are numbered.
 
     python bench/partial_views.py           writes results/partial_views.json
 
 Photographs are cut at each of their four sides, so that a part of the board is missing, and given
 to each method. A node is right if it lies within 3 px of a corner and its number fits the
-lattice of the others, false if no corner lies within a quarter of a cell. "In silence" counts views
+lattice of the others, false if no corner lies within a quarter of a cell. "Silent" counts views
 whose numbers are not those of the whole board, without a warning; only methods that are told the
-size of the board give such numbers.
-The photographs lie in ../shared/data beside the repository and are not part of it.
+size of the board give such numbers. The photographs lie in ../shared/data beside the repository and
+are not part of it.
 """
 
 import argparse
@@ -59,7 +60,7 @@ class View(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a method answers: positions (M, 2), numbers (M, 2) (row, column), and doubts."""
+    """The answer of a method: positions (M, 2), numbers (M, 2) (row, column), and doubts."""
 
     xy: np.ndarray
     number: np.ndarray

@@ -1,11 +1,10 @@
 """The methods that cmp_cl is compared with, one small adapter each.
 
-A peer is told what its own documentation asks for: how many corners the pattern has.
-Everything else is in its settings, which `search.py` finds on scenes of their own and keeps
-in results/peer_settings.json.
+A peer is told the number of corners of the pattern, as its documentation asks. All else is in its
+settings, which `search.py` finds on separate scenes and keeps in results/peer_settings.json.
 
 `PEERS[name].make(settings, pattern)` gives a function image -> (N, 2) positions, px; it
-raises Unavailable with the reason where what it needs is not installed.
+raises Unavailable with the reason if a package that it needs is not installed.
 """
 
 import ctypes
@@ -531,11 +530,11 @@ NAMES = {peer.label: name for name, peer in PEERS.items()}
 
 
 def keep_freed_memory() -> None:
-    """Make freed memory stay with the process from now on, where malloc is glibc's.
+    """Keep freed memory in the process from now on, if malloc is glibc's.
 
-    OpenCV makes its images anew for every frame. Whether malloc gives them back to the system
-    each time hangs on what else lies in memory, and goodFeaturesToTrack at 1600 x 1200 takes
-    twice as long if it does: so every peer has the faster of both, in every run.
+    OpenCV makes its images anew for every frame. Whether malloc returns their memory to the system
+    each time depends on the rest of the memory, and goodFeaturesToTrack at 1600 x 1200 takes twice
+    as long if it does. So every peer gets the faster behaviour, in every run.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
     if mallopt is not None:

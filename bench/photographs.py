@@ -2,8 +2,8 @@
 
     python bench/photographs.py         writes results/photographs.json
 
-The pictures lie in ../shared/data beside the repository and are not part of it. Their truth
-is a saddle fit to the grey image: differences below 0.2 px between methods say nothing.
+The pictures lie in ../shared/data beside the repository and are not part of it. Their truth is a
+saddle fitted to the grey image, so that differences below 0.2 px between methods are meaningless.
 Peers have the settings of the density with the nearest cell, found on rendered scenes.
 """
 
@@ -83,7 +83,7 @@ class Photograph(NamedTuple):
 
 
 def uneven(xy: np.ndarray) -> np.ndarray:
-    """Return how far corners lie from the middle of their four neighbours, px; no truth is asked.
+    """Return the distances of corners from the mean of their four neighbours, px, without a truth.
 
     Only corners whose four neighbours lie around them, at distances within a third of each other.
     Divided by the root of 5/4: errors of the neighbours count too.

@@ -1,5 +1,4 @@
-"""Positions and displacements before and after the lattice filter, and whether the errors that
-they state hold.
+"""Positions and displacements before and after the lattice filter, and whether sigma is right.
 
     python bench/positions.py --quick   30 scenes, two minutes
     python bench/positions.py           every scene of accuracy.py with its frame at rest, and
@@ -42,7 +41,7 @@ from cmp_cl.synthetic import Scene, random_scene
 CORROSIONS = (0.0, 0.3, 2.0)  # beside the 1 of accuracy.py
 REPEATS = 3  # prints of each of these, density and severity
 NOISES = (0.5, 8.0)  # beside the 2 to 4.5
-BEND = 0.2  # px by which the truth of a node is off the cubic through its neighbours
+BEND = 0.2  # px, least distance of a node's true position from the cubic through its neighbours
 RIVALS = (
     "find_chessboard_sb",
     "spectrum_opencl",
@@ -312,7 +311,7 @@ def compared(nodes: Sequence[Node]) -> list[dict[str, Any]]:
 def bound(frames: int) -> dict[str, Any]:
     """Return the noise-only Cramer-Rao bound of a disc of .75 cell on perfect prints at rest.
 
-    The picture without noise is known but for its place: F = sum of grad grad^T / noise^2.
+    The image without noise is known except for its position: F = sum of grad grad^T / noise^2.
     The noise part of EDGE_STEP is the distance between its answers with and without noise.
     """
     bounds, parts, whole = [], [], []

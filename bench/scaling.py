@@ -1,4 +1,4 @@
-"""How cost grows with pixels and frames, what threads gain, and how long a start takes.
+"""Measures how cost grows with pixels and frames, the gain by threads, and the time of a start.
 
     python bench/scaling.py --quick         small sizes, half a minute
     python bench/scaling.py                 160 x 120 to 8192 x 8192, batches up to 256 frames;

@@ -1,5 +1,5 @@
-"""Numbers and images at their limits: float32 kernels against the float64 oracle, where each
-method breaks, and whether `corners.sigma` tells the truth.
+"""Numerical limits: float32 kernels against the float64 oracle, the images on which each method
+fails, and whether `corners.sigma` is right.
 
     python bench/stability.py --quick   few levels, two minutes
     python bench/stability.py           writes results/stability.json, about fifteen minutes
@@ -29,7 +29,7 @@ from cmp_cl.synthetic import Scene, Surround, random_scene
 from cmp_cl.synthetic.scoring import match, reach, total
 
 SEED = TEST_SEED + 700_000
-CLOSE = 1e-4  # a guard this near to its bound may fall either way in float32
+CLOSE = 1e-4  # a guard so near to its bound may decide either way in float32
 MARKERS = 30
 CELL = 0.92 * 480 / (MARKERS + 1)
 REFINEMENTS = {"EDGE_LINES": EdgeLines(), "EDGE_STEP": EdgeStep(cell=CELL), "MIDLINE": Midlines()}
@@ -154,7 +154,8 @@ def along_position(offsets: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def sweeps(quick: bool) -> dict[str, tuple[list[float], Callable[[float, int], Scene]]]:
-    """Return what is made worse, at which levels, and the scene at a level for a seed."""
+    """Return, for each sweep, its levels and a function that returns the scene at a level for a
+    seed."""
     mild = {"severity": 0.25, "corrosion": 0.3}
 
     def base(seed: int, **changes: Any) -> Scene:
@@ -328,7 +329,7 @@ def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def cases() -> list[dict[str, Any]]:
-    """Run inputs that must not upset anything, and return each with what came out."""
+    """Run unusual inputs, and return each with its result."""
     draw = np.random.default_rng(SEED)
     frame = rendered(random_scene(SEED, markers=MARKERS, severity=0.5))
     image = frame.image

@@ -7,7 +7,7 @@ import numpy as np
 from cmp_cl.errors import ImageError
 from cmp_cl.image import GreyImage, check_image
 
-_HOST = (1, 3)  # kDLCPU and kDLCUDAHost of dlpack.h: memory that the host reads
+_HOST = (1, 3)  # kDLCPU and kDLCUDAHost of dlpack.h: the host can read this memory
 _TO_HOST = ("get", "cpu", "copy_to_host")  # CuPy and pyopencl.array, PyTorch and JAX, Numba
 
 
@@ -15,10 +15,10 @@ class OnHostOrDevice(Protocol):
     """An array that offers DLPack, as those of PyTorch, JAX, CuPy and NumPy do."""
 
     def __dlpack__(self, *, stream: Any = None) -> Any:
-        """Return the capsule."""
+        """Return a DLPack capsule of the array."""
 
     def __dlpack_device__(self) -> tuple[int, int]:
-        """Return the kind of device, and its number."""
+        """Return the type of the device in dlpack.h, and its number."""
 
 
 class OnCuda(Protocol):
@@ -26,7 +26,7 @@ class OnCuda(Protocol):
 
     @property
     def __cuda_array_interface__(self) -> dict[str, Any]:
-        """Return the shape, type and address."""
+        """Return the shape, the type and the address of the array."""
 
 
 Frame: TypeAlias = GreyImage | OnHostOrDevice | OnCuda
@@ -40,7 +40,7 @@ def as_frame(array: Any) -> GreyImage:
     device (`__cuda_array_interface__`, or DLPack of a device) is staged: the library that owns
     it copies it to the host, after the work that was queued for it there.
 
-    Raises ImageError where the array offers neither, or is not an image.
+    Raises ImageError if the array offers neither, or is not an image.
     """
     if isinstance(array, np.ndarray):
         return check_image(array)

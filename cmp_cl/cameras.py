@@ -1,7 +1,7 @@
-"""Frames with their times from files and cameras, and pairs of them from two.
+"""Frames with their times from files and cameras, and pairs of frames from two of these.
 
-Files keep the times written in them: a video those of its container where PyAV is
-installed (the extra `video`), else those of its frame rate. Cameras keep the time of arrival.
+The time of a frame of a video is that in its container if PyAV is installed (the extra `video`),
+else it comes from the frame rate. The time of a camera's frame is that of its arrival.
 """
 
 import collections
@@ -25,13 +25,16 @@ from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.series.mcap import mcap_images
 
-_WAITING = 64  # frames of a camera that may wait to be measured
-_LONGEST_WAIT = 10.0  # s, for a frame of a camera
+_WAITING = 64  # the most frames of a camera that wait to be measured
+_LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Timed:
-    """A frame: number in its source, time in ms (NaN where unknown), image (None if broken)."""
+    """A frame of a source.
+
+    index: its number there. time_ms: its time, NaN if unknown. image: (H, W), None if broken.
+    """
 
     index: int
     time_ms: float
@@ -43,7 +46,7 @@ class CameraSettings:
     """The settings requested of a camera; None leaves a setting as it is.
 
     size: (width, height), px. fps: frames per second. exposure: in the driver's own unit.
-    fourcc: pixel format of four letters, GREY, Y16 with a blank, MJPG, YUYV.
+    fourcc: pixel format of four letters, such as GREY, MJPG, YUYV, or Y16 and a space.
     """
 
     size: tuple[int, int] | None = None
@@ -72,9 +75,10 @@ class Source:
     name: a file (.mcap too), a folder of images, the number of a camera, a device such as
     /dev/video0, or an address such as rtsp://camera/stream.
 
-    live: whether it is a camera or a stream, whose frames come whether or not they are taken.
-    paths: the files, () of a live one. period_ms: between frames, NaN where nobody knows.
-    max_pixels: of a frame, see `cmp_cl.media.read_frames`.
+    settings: those to request of a camera, or None.
+    live: whether it is a camera or a stream, whose frames arrive whether or not they are read.
+    paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
+    max_pixels: the largest size of a frame, see `cmp_cl.media.read_frames`.
 
     Raises FileNotFoundError and ImageError as `cmp_cl.media` does.
     """
@@ -102,7 +106,7 @@ class Source:
     def frames(self) -> Generator[Timed, None, None]:
         """Yield all frames in turn; a live source ends after 10 s without a frame.
 
-        Raises ImageError where the source cannot be read.
+        Raises ImageError if the source cannot be read.
         """
         return self._live_frames() if self.live else self._file_frames()
 
@@ -165,9 +169,9 @@ class Source:
 
 
 def _read(capture: Any, waiting: "queue.Queue[Timed | None]", done: threading.Event) -> None:
-    """Take every frame of a camera as it comes; None at its end.
+    """Queue every frame of a camera as it arrives; None marks the end.
 
-    Where too many wait, the oldest is dropped: its number is then missing.
+    If too many wait, the oldest is dropped, and its number is missing.
     """
     index = gap = 0
     while not done.is_set() and gap < media.LONGEST_GAP:
@@ -194,7 +198,7 @@ def _grey(picture: Any) -> GreyImage:
 
 @dataclasses.dataclass
 class PairCount:
-    """How many pairs were made, and how many frames of either side had no partner."""
+    """The number of pairs, and of frames without a partner, left_alone and right_alone."""
 
     pairs: int = 0
     left_alone: int = 0
@@ -211,10 +215,11 @@ def paired(
 ) -> Iterator[tuple[Timed, Timed]]:
     """Yield pairs of frames from two sources, matched by time; each frame is used at most once.
 
-    Two frames are a pair where their times differ by at most tolerance_ms and no next frame
-    of either side is nearer. Frames without a time, or a tolerance of NaN, are paired in turn.
-    count: is kept up to date. Frames after the end of the other side are counted too, unless
-    the sources are endless.
+    left, right: the frames of each source. Two frames are a pair if their times differ by at most
+        tolerance_ms and no next frame of either side is nearer. Frames without a time are paired in
+        order; so are all if the tolerance is NaN. count: it is updated with every frame. endless:
+        whether the sources are live; if not, frames after the end of the other side are counted
+        too.
     """
     ahead: tuple[collections.deque[Timed], collections.deque[Timed]]
     ahead = collections.deque(), collections.deque()

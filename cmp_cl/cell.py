@@ -12,28 +12,28 @@ from cmp_cl.image import GreyImage, check_image
 _WINDOW = 63
 _NONE_FOUND = 24.0
 _HALVINGS = 5
-_LEAST_SIDE = 32  # px, of a halved image
-_SHARE = 0.75  # of the largest contrast, chosen on rendered boards with cells of 8 to 110 px
-_NEAR = (0.7, 1.4)  # lengths that count as one cell, in cells
-_STEEPEST = 0.3  # px beside each edge of a cell that count as steep
-_STEP = 2.1  # of an edge, over the mean contrast of the runs on both its sides
-_OWN_BLUR = 0.4  # px^2, variance of the pixels and of the derivative's kernel
-_MOST_PIXELS = 1 << 24  # of what is looked at in either direction
-_BAND = 16  # rows
+_LEAST_SIDE = 32  # px, the shortest side of a halved image
+_SHARE = 0.75  # share of the largest contrast; chosen on rendered boards with cells of 8 to 110 px
+_NEAR = (0.7, 1.4)  # cells; runs of these lengths count as one cell
+_STEEPEST = 0.3  # px of steep pixels for each edge of a cell
+_STEP = 2.1  # step of an edge, over the mean contrast of the runs on its two sides
+_OWN_BLUR = 0.4  # px^2, variance that the pixels and the derivative's kernel add
+_MOST_PIXELS = 1 << 24  # the most pixels that are examined in either direction
+_BAND = 16  # rows of a band
 
 
 class _Runs(NamedTuple):
-    """Runs of one colour by length: how many, and their summed contrast, per pixel looked at."""
+    """Runs of one colour, by length: their number and their summed contrast, per examined pixel."""
 
     number: NDArray[np.float64]
     contrast: NDArray[np.float64]
 
 
 class Cells(NamedTuple):
-    """What an image shows of the cells of a pattern.
+    """The size and the contrast of the cells that an image shows.
 
-    side: px. contrast: mean difference from the window's mean, grey levels. weight: its sum over
-    the runs of about one cell, per pixel of the image.
+    side: side of a cell, px. contrast: mean difference from the window's mean, grey levels. weight:
+        sum of that difference over the runs of about one cell, per pixel of the image.
     """
 
     side: float
@@ -42,29 +42,31 @@ class Cells(NamedTuple):
 
 
 def estimate_cell(image: GreyImage) -> float:
-    """Estimate the side of the pattern's cells, px; 24 where the image shows none.
+    """Estimate the side of the pattern's cells, px; 24 if the image shows none.
+
+    image: (H, W) uint8 or uint16.
 
     The image is binarized against the mean of a 63 px window. Runs of 3 px and more between two
     transitions are counted over all rows and columns. The cell is the length at which half of the
     pixels of those runs are in runs of that length or shorter.
 
-    Cells wider than the window fall apart into noise. So the image is halved up to five times. The
-    weight of a size is how far the runs of about one cell differ from the window's mean. The
-    largest size counts whose weight is at least 3/4 of the best one's, and of whose cells two fit
-    into the image.
+    A window smaller than a cell sees only noise inside it. So the image is halved up to five times,
+    and a cell is estimated at each size. The weight of an estimate is the difference of the runs of
+    about one cell from the window's mean. Of the estimates with at least 3/4 of the best weight and
+    of which two cells fit into the image, the largest is taken.
 
     The estimate is within 0.95 to 1.15 of the truth on dense patterns, within 0.8 to 1.4 on boards
     of wide cells, and unreliable in clutter. In an image of over 2^24 px only some rows and columns
     are counted.
 
-    Raises ImageError where the image is not (H, W) uint8 or uint16.
+    Raises ImageError if the image is not (H, W) uint8 or uint16.
     """
     return estimate_cells(image).side
 
 
 def estimate_cells(image: GreyImage) -> Cells:
-    """Estimate side and contrast of the cells, see `estimate_cell`."""
-    import cv2  # here, since it takes longer than a plan's first frame
+    """Estimate side and contrast of the cells of an image, see `estimate_cell`."""
+    import cv2  # imported here: its import takes longer than a plan's first frame
 
     image = check_image(image)
     if not image.size:
@@ -86,8 +88,11 @@ def estimate_cells(image: GreyImage) -> Cells:
 def estimate_blur(image: GreyImage, cells: Cells) -> float:
     """Estimate the standard deviation of the blur of the cells' edges, px; 0 without contrast.
 
-    The steepest pixels are on edges. A step C that is blurred by sigma is C / (sqrt(2 pi) sigma)
-    steep. Noise, and a pattern in a part of the image, make edges look sharper than they are.
+    image: (H, W). cells: as estimated from it.
+
+    The steepest pixels are on edges. A step C that is blurred by sigma has the slope C / (sqrt(2
+    pi) sigma). Noise makes edges look sharper than they are, and so does a pattern that fills only
+    a part of the image.
     """
     import cv2
 
@@ -112,7 +117,7 @@ def cell_and_blur(image: GreyImage) -> tuple[float, float]:
 
 
 def _cells(image: GreyImage) -> Cells:
-    """Return what an image shows at its size."""
+    """Estimate the cells of an image at this size."""
     longest = max(image.shape)
     along, across = _row_runs(image, longest), _row_runs(image.T, longest)
     covered = (along.number + across.number) * np.arange(longest + 1)
@@ -127,8 +132,8 @@ def _cells(image: GreyImage) -> Cells:
 
 
 def _bands(image: GreyImage) -> Iterator[tuple[GreyImage, slice]]:
-    """Yield the image, or bands of a large one: with the rows that a window needs, and which
-    rows are the band's."""
+    """Yield the image, or bands of a large one with the rows that a window needs, and the slice of
+    the band's own rows."""
     rows, columns = image.shape
     if rows * columns <= _MOST_PIXELS:
         yield image, slice(None)
@@ -150,9 +155,9 @@ def _row_runs(image: GreyImage, longest: int) -> _Runs:
 
 
 def _differences(image: GreyImage) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
-    """Return where the image is darker than its mean over a window, and how far it is from it.
+    """Return a mask of the pixels darker than the mean over a window, and their distance from it.
 
-    The latter is of the image smoothed over 3 x 3 px, in 1/63^2 grey levels, without its sign.
+    The distance is that of the image smoothed over 3 x 3 px, in 1/63^2 grey levels, absolute.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""Settings for an image, chosen by what they find in it."""
+"""Chooses the settings for an image by the corners that they find."""
 
 from collections.abc import Callable
 
@@ -10,10 +10,10 @@ from cmp_cl.config import DetectorConfig, EdgeStep
 from cmp_cl.corners import Corners
 from cmp_cl.image import GreyImage
 
-_NEAR = 0.25  # of the refinement's radius: the same corner
-_SHARE = 0.9  # of the corners that settings for any cell find
-_CLOSE = (0.1, 0.6)  # corners closer than that many cells: this share of them
-_SAMPLE = 256  # corners that are looked at
+_NEAR = 0.25  # share of the refinement's radius: positions so near are the same corner
+_SHARE = 0.9  # least share of the corners of the settings for any cell
+_CLOSE = (0.1, 0.6)  # quantile of the distances to the nearest corner, and its least value, cells
+_SAMPLE = 256  # the most corners that are compared
 
 
 def choose_by_corners(
@@ -21,11 +21,12 @@ def choose_by_corners(
 ) -> DetectorConfig:
     """Choose between the settings for any cell and `DetectorConfig.for_image`.
 
-    What surrounds a small board can look like wide cells. So the estimated settings count only if
-    they find the corners that the others find, and their cell only if the corners lie that far
-    apart.
+    The surround of a small board can look like wide cells. So the estimated settings are used only
+    if they find the corners that the settings for any cell find, and the estimated cell only if the
+    corners are so far apart.
 
-    find: returns the corners of the image for a configuration.
+    image: (H, W). full_scale: as in `DetectorConfig`. find: returns the corners of the image for a
+        configuration.
     """
     cell, blur = cell_and_blur(image)
     for_any = DetectorConfig(full_scale=full_scale)
@@ -44,7 +45,7 @@ def choose_by_corners(
 
 
 def _some(xy: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return positions spread over the list."""
+    """Return at most _SAMPLE positions, spread over the list."""
     chosen = np.linspace(0, len(xy) - 1, min(len(xy), _SAMPLE)).astype(int)
     return np.take(xy, chosen, axis=0)
 
@@ -54,7 +55,7 @@ def _nearest(
 ) -> NDArray[np.float64]:
     """Return the distance of each position to the nearest of the others, px; inf without one.
 
-    itself: each position is one of the others, too.
+    itself: whether each position is also one of the others.
     """
     distances = np.full(len(xy), np.inf)
     for n, position in enumerate(xy):

@@ -1,10 +1,10 @@
-"""What a with statement closes."""
+"""A base for classes that a with statement closes."""
 
 from typing import Self
 
 
 class Closing:
-    """Something with a `close`, which a with statement calls at its end."""
+    """A class with a method `close`, which a with statement calls at its end."""
 
     def close(self) -> None:
         """Release the resources."""

@@ -1,14 +1,14 @@
-"""A recording over a Dask cluster: one Detector per worker process, results in a folder.
+"""Detection on a Dask cluster: one Detector per worker process, results in a folder.
 
     from dask.distributed import Client
     store = cmp_cl.cluster.detect(Client("tcp://scheduler:8786"), "press.avi.corners",
                                   count=1_000_000, read=read_frame, config=config)
     corners = store[123_456]
 
-The frames are cut into parts of consecutive frames. A part is a file, part-00000012.npz, that
-appears whole or not at all, so that a worker that dies costs the time of a part and no frame:
-Dask gives its part to another worker, and whoever writes last writes the same bytes. Called
-again with the same folder, it does what is missing.
+The recording is cut into parts of consecutive frames. A part is a file, part-00000012.npz, that
+appears whole or not at all. If a worker dies, Dask gives its part to another worker, so that time
+is lost but no frame; if both write the part, they write the same bytes. A second call with the same
+folder computes the missing parts.
 """
 
 import dataclasses
@@ -38,7 +38,7 @@ from cmp_cl.image import GreyImage, check_image
 
 _ABOUT = "about.json"
 _MOST_FRAMES = 1 << 40
-_DAMAGE = (  # what reading a damaged zip or .npy raises
+_DAMAGE = (  # raised on reading a damaged zip or .npy
     *(OSError, ValueError, KeyError, EOFError, OverflowError, MemoryError),
     *(RuntimeError, struct.error, zipfile.BadZipFile, zlib.error),
 )
@@ -49,7 +49,8 @@ _ARRAYS = ("xy", "pixel", "response", "method", "refusal", "sigma", "edges", "do
 class Store:
     """The corners of a recording, part by part in a folder.
 
-    folder: where the parts are. count: frames of the recording. part: frames of a part.
+    folder: the folder of the parts. count: number of frames of the recording. part: number of
+        frames of a part.
     """
 
     folder: Path
@@ -62,8 +63,8 @@ class Store:
     def __getitem__(self, frame: int) -> Corners:
         """Return the corners of one frame.
 
-        Raises IndexError, FileNotFoundError where its part has not been written, ConfigError
-        where that is damaged.
+        Raises IndexError, FileNotFoundError if its part has not been written, ConfigError
+        if that is damaged.
         """
         if not 0 <= frame < self.count:
             raise IndexError(f"frame {frame} of {self.count}")
@@ -76,11 +77,11 @@ class Store:
 
     @property
     def parts(self) -> int:
-        """Number of parts, of which the last may be shorter."""
+        """The number of parts; the last part may be shorter."""
         return -(-self.count // self.part)
 
     def missing(self) -> list[int]:
-        """Return the parts that are not written, or are damaged. Every byte is checked."""
+        """Return the numbers of the parts that are missing or damaged; every byte is checked."""
         return [number for number in range(self.parts) if not self._is_whole(number)]
 
     def _is_whole(self, number: int) -> bool:
@@ -124,7 +125,7 @@ class Store:
 
 
 def open_store(folder: str | PathLike[str]) -> Store:
-    """Open the store in a folder; raises ConfigError where there is none."""
+    """Open the store in a folder; raises ConfigError if there is none or its index is damaged."""
     try:
         about = json.loads((Path(folder) / _ABOUT).read_text(encoding="utf-8"))
         count, part = about["count"], about["part"]
@@ -148,15 +149,16 @@ def detect(
     """Detect the corners of frames 0 .. count - 1 on a cluster, and return when all are stored.
 
     client: a dask.distributed.Client. Run one worker process per device, with one thread.
-    folder: where the parts go, made if it is not there; workers must see it under this name.
+    folder: the folder of the parts, made if missing; workers must see it under this name.
     read: read(n) gives frame n, (H, W) uint8 or uint16, on a worker; it travels there by
         pickle, so it is a function of a module that workers can import, or a closure.
-    config: the defaults of DetectorConfig where None. device: as `select_device` takes it on a
-        worker; None is the default there. part: frames of a file.
+    config: None means DetectorConfig(). device: a text for `select_device` on the worker; None is
+        the worker's default device. count: number of frames of the recording. part: number of
+        frames of a file.
 
-    Parts that are there already are kept, and damaged ones are computed again. Raises ConfigError
-    where the folder holds those of another count, part or configuration, and what `read` or the
-    detector raise on a worker.
+    Existing parts are kept, and damaged ones are computed again. Raises ConfigError if the folder
+    holds parts of another count, length or configuration, and the errors of `read` and of the
+    detector on a worker.
     """
     import distributed
 
@@ -179,7 +181,7 @@ def detect(
 
 
 def _claim(store: Store, config: DetectorConfig) -> None:
-    """Note what the folder is for, or check that it is for that."""
+    """Store the description of the recording in the folder, or check that it is the same."""
     digest = hashlib.sha256(to_toml(config).encode()).hexdigest()
     about = {"count": store.count, "part": store.part, "config": digest}
     store.folder.mkdir(parents=True, exist_ok=True)
@@ -225,7 +227,7 @@ def _work(
 
 
 class _Own:
-    """What a worker process keeps: one detector, made anew for another kind of frame."""
+    """The detector that a worker process keeps; it is replaced for another kind of frame."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()

@@ -136,8 +136,8 @@ class RingHarmonic:
 
     noise: least response of a corner, standard deviations of the noise, 0 to 100; cells
         squeezed under 6 px need twice that.
-    relative: least response of a corner as a share of the reference response of the frame,
-        0 to 1; squeezed cells need 5/3 of it.
+    relative: least response of a corner as a share of the reference response of the frame, 0 to 1;
+        the share for squeezed cells is 5/3 as large.
     fine: whether a ring of 3 px searches for cells squeezed under 6 px.
     alignment: factor of the check that the harmonics of a small and of a large ring point
         alike, 1 to 64; a smaller one is stricter, None leaves the check out.
@@ -237,10 +237,10 @@ class EdgeStep:
     """EDGE_LINES, then one least-squares step of a corner model in uneven light (section 6,
     EDGE_STEP).
 
-    cell: side of a cell, px, 4 to 1000; the model sees min(9, max(4.5, 0.75 cell)) px around.
-        The default is for cells of unknown side: its 6.45 px reach over no more than the next
-        edges of cells of 6 px; on wider cells its errors are up to a fifth larger than with the
-        right size.
+    cell: side of a cell, px, 4 to 1000; the model is fitted within a radius of min(9, max(4.5, 0.75
+        cell)) px. The default is for cells of unknown side: its radius of 6.45 px reaches only the
+        next edges of cells of 6 px. On wider cells its errors are up to a fifth larger than with
+        the right size.
     """
 
     cell: float = 8.6
@@ -290,13 +290,13 @@ class Pyramid:
 
 _MOST_FACTORS = 32
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
-_WIDE_CELL = 20  # px; cells this wide are not squeezed under 6 px
-# px, of what is found at a working scale: chosen on rendered boards and gels with cells of 8 to
-# 280 px, sharp and blurred
+_WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px
+# px, for detection at a working scale; chosen on rendered boards and gels with cells of 8 to 280
+# px, sharp and blurred
 _LEAST_CELL = 30
 _LEAST_WORKING_CELL = 24
 _MOST_BLUR, _WORKING_BLUR = 0.7, 0.6
-_WIDEST_CELL, _WIDE_SCALE = 60, 0.45  # where the blur is not known
+_WIDEST_CELL, _WIDE_SCALE = 60, 0.45  # used if the blur is not known
 _MOST_WORKING_CELL = 100
 _DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
@@ -310,7 +310,7 @@ _REFINEMENTS: dict[str, type] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DetectorConfig:
-    """Everything that decides which corners are found in an image.
+    """All settings that decide which corners are found in an image.
 
     detection: the detection rule, RingHarmonic or BinaryRings.
     nms_radius: radius of the window of non-maximum suppression, px, 1 to 15.
@@ -343,12 +343,14 @@ class DetectorConfig:
     def for_cell(cls, cell: float, *, blur: float | None = None) -> Self:
         """Choose the configuration for cells of that side, px (4 to 1000).
 
-        blur: standard deviation of the blur of their edges, px (0 to 1000), where it is known.
+        cell: side of a cell, px. blur: standard deviation of the blur of the edges, px (0 to 1000),
+            or None if it is unknown.
 
-        Squeezed cells are searched for where cells are under 20 px wide. Cells above 30 px with a
-        blur above 0.7 px are found at a working scale: there they have a blur of 0.6 px, and at
-        least 24 px. Where the blur is not known, cells above 60 px are found at 45 % of their size.
-        At the working scale they have at most 100 px. Raises ConfigError for another cell or blur.
+        If cells are under 20 px wide, squeezed cells are searched for. Cells above 30 px with a
+        blur above 0.7 px are detected at a working scale, at which their blur is 0.6 px and their
+        side at least 24 px. If the blur is unknown, cells above 60 px are detected at 45 % of their
+        size. At the working scale cells have at most 100 px. Raises ConfigError if cell or blur is
+        out of range.
         """
         _check("DetectorConfig", "for_cell(cell)", cell, 4, 1000, kind=float)
         scale = 1.0
@@ -370,7 +372,7 @@ class DetectorConfig:
         """Choose the configuration for the cells of an image, and for their blur.
 
         `estimate_cell` says how the cells are found. What surrounds a small board can look like
-        wide cells: `choose_config` checks the settings by what they find. Raises ImageError where
+        wide cells: `choose_config` checks the settings by what they find. Raises ImageError if
         the image is not (H, W) uint8 or uint16.
         """
         from cmp_cl.cell import cell_and_blur
@@ -415,7 +417,7 @@ class DetectorConfig:
     def load(cls, path: str | PathLike[str]) -> Self:
         """Read a configuration from TOML; keys that are absent keep their defaults.
 
-        Raises ConfigError where the file cannot be read, is not TOML, or has an unknown
+        Raises ConfigError if the file cannot be read, is not TOML, or has an unknown
         key or a value outside its range.
         """
         try:
@@ -463,7 +465,8 @@ def _check_part(part: str, field: str, value: object, *kinds: type) -> None:
 
 
 def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
-    """Return the entries of a TOML table as field values; false means None where it is no bool."""
+    """Return the entries of a TOML table as field values; false means None unless the field is a
+    bool."""
     types = {field.name: field.type for field in dataclasses.fields(kind)}
     for key in data:
         if key not in types:
@@ -475,7 +478,7 @@ def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
 
 
 def _moved(key: str, value: object) -> str:
-    """Return what to write instead of a key that belongs in the table [detection]."""
+    """Return a message that says how to write a key that belongs in the table [detection]."""
     moved = f"[{key}] as [detection.{key}]"
     if not isinstance(value, Mapping):
         moved = f"{key} = {_toml(None if value is False else value)} in that table"

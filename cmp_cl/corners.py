@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 class Method(enum.IntEnum):
     """How the position of a corner was found."""
 
-    CENTROID = 0  # no refinement was asked for
-    EDGE_LINES = 1
-    EDGE_STEP = 2
-    MIDLINE = 3
-    CUSP = 4
-    KEPT = 5  # refinement refused, the centroid was kept
+    CENTROID = 0  #: the centroid of the response; no refinement was requested
+    EDGE_LINES = 1  #: the intersection of the two edge lines
+    EDGE_STEP = 2  #: a least-squares step of the corner model after EDGE_LINES
+    MIDLINE = 3  #: the intersection of the centrelines of the black sectors
+    CUSP = 4  #: the midpoint between the tips of the black sectors
+    KEPT = 5  #: the centroid, because the refinement was rejected
 
 
 class Refusal(enum.IntEnum):
-    """Why the requested refinement was rejected; `method` says what is kept instead."""
+    """The reason why the requested refinement was rejected; `method` says what is kept instead."""
 
-    NONE = 0  # it was not refused
-    RINGS = 1  # fewer than two rings cross four boundaries
-    ANGLE = 2  # the lines enclose less than 10 degrees
-    SHIFT = 3  # the result lies too far from the start, or EDGE_STEP's from EDGE_LINES'
-    RESIDUAL = 4  # the edge points lie off their lines: the corner is torn
-    FLAT = 5  # EDGE_STEP: too little contrast
+    NONE = 0  #: the refinement was accepted
+    RINGS = 1  #: fewer than two rings cross four boundaries
+    ANGLE = 2  #: the lines enclose less than 10 degrees
+    SHIFT = 3  #: the result is too far from the start, or EDGE_STEP's from EDGE_LINES'
+    RESIDUAL = 4  #: the edge points are too far from their lines: the corner is torn
+    FLAT = 5  #: the disc of EDGE_STEP has too little contrast
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,8 +44,8 @@ class Corners:
         screen, the first from white to black; NaN where unknown.
     doubtful: (N,) bool, corners whose surroundings do not fit the corner model (EdgeStep only,
         False otherwise).
-    edge_radius: px around a corner within which its refinement takes the edges to be straight, NaN
-        where it is not known (only EdgeStep says it).
+    edge_radius: the radius around a corner, px, within which its refinement takes the edges to be
+        straight; NaN if unknown (only EdgeStep has one).
     device: the device that ran, for example "pthread-... (Portable Computing Language)".
     """
 

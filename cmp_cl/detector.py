@@ -30,15 +30,14 @@ class Detector(Closing):
 
     Use it in a with statement, or call `close`. Buffers and kernels are made once, so that a frame
     allocates nothing on the device. One thread at a time may use it; a second one waits.
-    Detectors of one process and device share a context and what is compiled in it.
+    Detectors of one process and device share a context and its compiled kernels.
 
     shape: (H, W) of every frame. dtype: uint8 or uint16.
     config: the settings; None means DetectorConfig().
     device: a Device, a text for `select_device`, or None for the default device.
-    queue: a pyopencl queue to use instead of one of its own, one that runs its commands in
-        order; then `device` must be None.
+    queue: an in-order pyopencl queue to use instead of an own one; then `device` must be None.
     mask: (H, W) bool, where corners may be centred; pixels outside are still sampled.
-    profile: keep the times of the stages of the last frame, see `times`.
+    profile: record the times of the stages of the last frame, see `times`.
 
     Raises ImageError (shape, dtype, mask), ConfigError, DeviceError, KernelBuildError and
     CapacityError.
@@ -87,17 +86,18 @@ class Detector(Closing):
         context = self._programs.context
         flags: Any = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self._queue = queue or cl.CommandQueue(context, properties=flags)
-        self._transfers = cl.CommandQueue(context)  # for streams, beside the kernels
+        # Of streams, so that transfers run beside the kernels.
+        self._transfers = cl.CommandQueue(context)
         self._lock = threading.RLock()
         self._plans: dict[tuple[int, int, float | None], Plan] = {}
         self._closed = False
-        self.regrown = 0  # how often a list was too short and a frame was redone
+        self.regrown = 0  # how often a list was too short and a frame was processed again
         if self.shape[0] and self.shape[1]:
             for factor in self._factors:
                 self._plan(factor)
 
     def close(self) -> None:
-        """Give the device's memory back; the detector cannot be used afterwards."""
+        """Release the device's memory; the detector cannot be used afterwards."""
         if is_forked():  # the memory belongs to the parent process
             return
         with self._lock:
@@ -113,8 +113,7 @@ class Detector(Closing):
 
     @property
     def times(self) -> dict[str, float]:
-        """Return the milliseconds of each stage of the last frame: none unless made with
-        profile=True."""
+        """Return the milliseconds of each stage of the last frame; empty without profile=True."""
         spent: dict[str, float] = {}
         for plan in self._plans.values():
             for stage, event in plan.events:
@@ -124,13 +123,13 @@ class Detector(Closing):
         return spent
 
     def __call__(self, frame: Frame) -> Corners:
-        """Find the corners of one frame, (H, W).
+        """Find the corners of one frame, (H, W), of the shape and dtype of this detector.
 
-        Frames of other libraries are taken too, here and in all that follows: see
+        This and the other methods also accept frames of other array libraries: see
         `cmp_cl.arrays.as_frame`, which copies those on a CUDA device to the host.
 
-        Raises ImageError where the frame does not fit, CapacityError where the device is full,
-        DeviceError where the detector is closed or of another process.
+        Raises ImageError if the frame does not fit, CapacityError if the device is full,
+        DeviceError if the detector is closed or of another process.
         """
         image = self._checked(frame)
         if not image.size:
@@ -143,8 +142,8 @@ class Detector(Closing):
         """Yield the corners of each frame, in order.
 
         The next frame is uploaded while the kernels of this one run. A frame may be overwritten as
-        soon as the next one is asked for. Calls and other streams may be interleaved. Raises what a
-        call raises, at the frame that it concerns.
+        soon as the next one is asked for. Calls and other streams may be interleaved. Raises the
+        errors of a call, at the frame that causes them.
         """
         if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
             yield from map(self, frames)
@@ -174,13 +173,15 @@ class Detector(Closing):
                 waiting.awaited = False
 
     def batch(self, stack: NDArray[Any] | Sequence[Frame] | cl.Buffer) -> list[Corners]:
-        """Find the corners of each frame of (B, H, W), with one launch per stage for all of them.
+        """Find the corners of each frame of a stack, with one launch per stage for all of them.
+
+        stack: (B, H, W), a sequence of frames, or a pyopencl.Buffer.
 
         Frames that are already on the device are passed as one pyopencl.Buffer without gaps, in the
         context of this detector's `queue`. They are read in the order of that queue, so commands
         enqueued there later may overwrite them. The results share one block of memory: copy a
-        result to keep it without the others. Raises what a call raises, ImageError where the buffer
-        does not hold whole frames, DeviceError where it is of another context.
+        result to keep it without the others. Raises the errors of a call, ImageError if the buffer
+        does not hold whole frames, DeviceError if it is of another context.
         """
         if isinstance(stack, cl.Buffer):
             frames: cl.Buffer | list[GreyImage] = stack
@@ -195,14 +196,14 @@ class Detector(Closing):
             return self._best(self._each_factor(frames, count))
 
     def on_device(self, frame: Frame | cl.Buffer) -> tuple[Corners, cl.Buffer]:
-        """Find the corners of one frame, and leave their positions on the device too.
+        """Find the corners of one frame, and also leave their positions on the device.
 
-        frame: as a call takes it, or the pyopencl.Buffer that holds it, see `batch`.
+        frame: an image as for a call, or a pyopencl.Buffer that holds one, see `batch`.
 
-        Returns the corners, and a buffer of (N, 2) float32, px, of their `xy`, which is the
-        caller's (8 bytes where N is 0). It is written through the detector's queue: other
-        queues wait for that one to finish.
-        Raises what `batch` raises, ConfigError with a Pyramid.
+        Returns the corners, and a buffer with their `xy`, (N, 2) float32, px, which belongs to the
+        caller (8 bytes if N is 0). The buffer is written through the detector's queue; other queues
+        must wait for that queue to finish. Raises the errors of `batch`, and ConfigError with a
+        Pyramid.
         """
         if isinstance(self.config.scale, Pyramid):
             raise ConfigError("positions stay on the device at one scale alone, not with a Pyramid")
@@ -226,8 +227,7 @@ class Detector(Closing):
     def maps(self, frame: Frame) -> Maps | HarmonicMaps:
         """Return every intermediate image of a frame; with a Pyramid those of its first factor.
 
-        Raises what a call raises.
-        """
+        Raises the errors of a call."""
         from cmp_cl.stages.maps import no_maps, read_maps
 
         image = self._checked(frame)
@@ -256,7 +256,8 @@ class Detector(Closing):
 
         The corners are those of the whole frame; `region` limits the numbering alone.
 
-        Raises what a call and `build_grid` raise.
+        frame, region: (H, W), and (x0, y0, x1, y1), px. The other arguments are those of
+            `build_grid`. Raises the errors of a call and of `build_grid`.
         """
         from cmp_cl.grid.build import build_grid
 
@@ -280,7 +281,7 @@ class Detector(Closing):
         return [scale]
 
     def _plan(self, factor: float | None, frames: int = 1) -> Plan:
-        """Return a plan that no stream is waiting for."""
+        """Return a plan that no stream is using."""
         slot = 0
         while (frames, slot, factor) in self._plans and self._plans[frames, slot, factor].awaited:
             slot += 1
@@ -289,7 +290,7 @@ class Detector(Closing):
             for key, plan in self._plans.items()
             if (key[0], key[2]) == (frames, factor) and key[1] > max(slot, 1) and not plan.awaited
         ]
-        for key in dropped:  # of abandoned streams
+        for key in dropped:  # plans of abandoned streams
             self._plans.pop(key).release()
         key = (frames, slot, factor)
         if key not in self._plans:
@@ -349,7 +350,7 @@ class Detector(Closing):
         return self._finish(plan, self._queue)
 
     def _grow(self, plan: Plan, overflow: Overflow) -> None:
-        """Lengthen the lists and restart on the frames that are on the device."""
+        """Enlarge the lists and restart with the frames that are on the device."""
         self.regrown += 1
         try:
             plan.grow(overflow)
@@ -382,7 +383,7 @@ class Detector(Closing):
         return image
 
     def _frames_in(self, buffer: cl.Buffer) -> int:
-        """Return how many frames a buffer on the device holds."""
+        """Return the number of frames that a buffer on the device holds."""
         check_process()
         if buffer.context != self._queue.context:
             raise DeviceError(
@@ -392,7 +393,7 @@ class Detector(Closing):
         frame = self.shape[0] * self.shape[1] * self.dtype.itemsize
         if not frame or buffer.size % frame:
             raise ImageError(
-                f"the buffer holds {buffer.size} bytes, which are no whole frames of {self.shape} "
+                f"the buffer holds {buffer.size} bytes, which are not whole frames of {self.shape} "
                 f"{self.dtype}, {frame} bytes each"
             )
         return buffer.size // frame
@@ -407,13 +408,13 @@ def detect(
     config: DetectorConfig | None = None,
     device: Device | str | None = None,
 ) -> Corners:
-    """Find the corners of one image, (H, W) uint8 or uint16, also of another array library.
+    """Find the corners of one image, (H, W) uint8 or uint16, which may be of another array library.
 
     It makes a Detector, runs it and releases it. For many images of one shape make a Detector
     yourself.
     config: the settings; None means choose_config(image, device=device).
 
-    Raises what Detector raises.
+    Raises the errors of Detector.
     """
     frame = as_frame(image)
     device = device if isinstance(device, Device) else select_device(device)
@@ -435,7 +436,7 @@ def choose_config(
 
     full_scale: as in DetectorConfig. device: as Detector takes it.
 
-    Raises what Detector raises.
+    Raises the errors of Detector.
     """
     frame = as_frame(image)
     device = device if isinstance(device, Device) else select_device(device)

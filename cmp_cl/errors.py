@@ -2,7 +2,7 @@
 
 
 class CmpClError(Exception):
-    """Root of every error that cmp_cl raises on purpose."""
+    """The base class of every error that cmp_cl raises on purpose."""
 
 
 class ConfigError(CmpClError, ValueError):
@@ -34,4 +34,5 @@ class CapacityError(CmpClError, RuntimeError):
 
 
 class GridError(CmpClError, ValueError):
-    """The corners do not form one grid: no closed cell, two patterns, or hardly a pattern."""
+    """The corners do not form one grid: no closed cell, two patterns, or too few corners in a
+    grid."""

@@ -8,7 +8,7 @@ from cmp_cl.errors import ConfigError
 
 @contextlib.contextmanager
 def extra(name: str, what: str) -> Iterator[None]:
-    """Import in this block; where that fails, a ConfigError names the extra that `what` needs."""
+    """Import in this block; if that fails, raise ConfigError, which names the extra to install."""
     try:
         yield
     except ImportError as error:

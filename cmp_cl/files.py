@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 _MOST_TOML = 1 << 16  # bytes
-_MOST_BRACKETS = 500  # of a TOML file: tables and arrays within one another
-_MOST_DOTS = 100  # of a line: keys within one another
-_WRITABLE = 0o222  # a mode in which somebody may write
+_MOST_BRACKETS = 500  # in a TOML file, which limits the nesting of tables and arrays
+_MOST_DOTS = 100  # in a line, which limits the nesting of keys
+_WRITABLE = 0o222  # mode bits that allow writing
 
 
 @contextlib.contextmanager
@@ -23,7 +23,7 @@ def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[
     The data go to a temporary file in the same folder, which is renamed at the end. An older file
     stays until then, and its mode and owner are kept. Devices and pipes are written directly.
     durable: flush to the disk before the rename, so that a power cut leaves either the old or the
-    new file. Raises OSError where the folder is missing, not writable or full, or the file is
+    new file. Raises OSError if the folder is missing, not writable or full, or the file is
     read-only.
     """
     target = check_target(path)
@@ -47,10 +47,10 @@ def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[
 
 
 def check_target(path: str | PathLike[str]) -> Path:
-    """Return the file that a path to write to names, with links resolved.
+    """Return the file that an output path names, with links resolved.
 
-    Raises OSError where it is empty, a folder or a read-only file, or lies in a folder that is
-    not there or cannot be written.
+    Raises OSError if the path is empty, is a folder or a read-only file, or lies in a folder that
+    does not exist or cannot be written.
     """
     if not os.fspath(path):
         raise FileNotFoundError("'' is not the name of a file")
@@ -69,7 +69,7 @@ def check_target(path: str | PathLike[str]) -> Path:
 def temporary_beside(target: Path, suffix: str = ".tmp") -> Path:
     """Make an empty file in the folder of a target, with its mode and owner, to be renamed to it.
 
-    suffix: of its name. Raises OSError, also where the target is a device or a pipe.
+    suffix: the suffix of its name. Raises OSError, also if the target is a device or a pipe.
     """
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, "only a regular file can hold this format", str(target))
@@ -88,7 +88,7 @@ def _temporary_name(target: Path, suffix: str = ".tmp") -> Path:
 
 
 def _keep_rights(old: Path, new: Path) -> None:
-    """Give a file the mode of another, and its owner where that is allowed."""
+    """Give a file the mode of another one, and its owner if that is allowed."""
     with contextlib.suppress(FileNotFoundError):
         stat = old.stat()
         if hasattr(os, "chown"):
@@ -99,7 +99,8 @@ def _keep_rights(old: Path, new: Path) -> None:
 
 @contextlib.contextmanager
 def _named(path: str | PathLike[str], temporary: Path | None = None) -> Iterator[None]:
-    """Put the path into errors that name a temporary file, or a full disk without a file."""
+    """Put the path into errors that name a temporary file, or that report a full disk without a
+    name."""
     full = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     try:
         yield
@@ -111,7 +112,7 @@ def _named(path: str | PathLike[str], temporary: Path | None = None) -> Iterator
 
 
 def write_bytes(path: str | PathLike[str], data: bytes, *, durable: bool = False) -> None:
-    """Write a file whole or not at all, see `whole_file`; raises OSError."""
+    """Write data to a file whole or not at all, see `whole_file`; raises OSError."""
     with whole_file(path, durable=durable) as file:
         file.write(data)
 
@@ -124,8 +125,8 @@ def write_text(path: str | PathLike[str], text: str) -> None:
 def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
     """Read settings in TOML; a byte order mark is skipped.
 
-    Raises OSError where the file cannot be read, ValueError where it is no TOML in UTF-8, or over
-    64 KiB, or nested too deeply to parse in bounded memory.
+    Raises OSError if the file cannot be read, ValueError if it is not TOML in UTF-8, is larger than
+    64 KiB, or is nested too deeply to parse in bounded memory.
     """
     with open(path, "rb") as file:
         data = file.read(_MOST_TOML + 1)

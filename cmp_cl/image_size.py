@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 Size = tuple[int, int]  # width and height, px
 
 _PNM = re.compile(rb"P[1-6](?:\s|#.*\n)+(\d{1,9})(?:\s|#.*\n)+(\d{1,9})\s")
-_TIFF_PAGES = 1 << 20  # more pages than this are a cycle
+_TIFF_PAGES = 1 << 20  # more pages than this mean that the pages form a cycle
 
 
 def page_sizes(data: memoryview) -> list[Size] | None:
-    """Return the sizes of the pages of an image file, None where the format is not known.
+    """Return the sizes of the pages of an image file, None if the format is not known.
 
-    Raises ValueError where the file is cut off or contradicts itself.
+    Raises ValueError if the file is cut off or contradicts itself.
     """
     try:
         start = bytes(data[:12])
@@ -39,7 +39,7 @@ def _jpeg(data: memoryview) -> Size:
         marker = data[offset]
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
             return _pair(">HH", data, offset + 4)[::-1]
-        if 0xD0 <= marker <= 0xD8 or marker == 1:  # without a length
+        if 0xD0 <= marker <= 0xD8 or marker == 1:  # markers without a length
             offset += 1
         else:
             offset += 1 + int(struct.unpack_from(">H", data, offset + 1)[0])

@@ -17,7 +17,7 @@ class Maps:
     binary: bool, True where black.
     inner, outer: uint16 ring bits, bit i is sample i, clockwise from twelve o'clock.
     inner_transitions, outer_transitions: uint8 (Eqs. 19 and 20).
-    sector_difference: uint8, d2 of Eq. 21; 255 where the inner ring has not four runs.
+    sector_difference: uint8, d2 of Eq. 21; 255 where the inner ring does not have four runs.
     ring_difference: uint8, popcount(inner ^ outer) (Eq. 22).
     corrosion: int8, Cd of Eq. 23.
     spectrum_12, spectrum_23: float32, the smaller of |F2| - |F1| and of |F2| - |F3| over

@@ -1,8 +1,9 @@
-"""Corners that marks in the cells look like, told from the pattern's by the length of their edges.
+"""False corners on marks in the cells, told from the pattern's corners by the length of their
+    edges.
 
-A dot, a ring or a code in a cell has points where black and white meet four times, and close by
-they look like corners. But an edge of a checkerboard's corner runs straight on to the next corner,
-a whole cell away, and there its polarity changes. Edges of marks are shorter, or bend away.
+A dot, a ring or a code in a cell has points around which black and white alternate four times, so
+that they look like corners. But an edge at a corner of a checkerboard runs straight to the next
+corner, a whole cell away, and its polarity changes there. Edges of marks are shorter, or bend away.
 """
 
 import dataclasses
@@ -23,38 +24,37 @@ Flags = NDArray[np.bool_]
 
 # Chosen on rendered boards of 10 to 60 px cells, plain and with dots, rings, crosses, squares,
 # codes, and on pressed gels of severity 0.25 to 1.75.
-FIRST_STEP, LONGEST = 2.5, 128.0  # px, of the walk along an edge
-LEAST_SIDE, SIDE = 1.25, 0.12  # px, and share of the way: how far beside the edge levels are read
-CONTRAST = 0.35  # share of the edge's own contrast close to the corner
-MOST = 1.5  # the other end of an edge lies at most that many times as far as it could be followed
-LEAST_BACK = 0.35  # share of the way that the edge of the other end must come back
-ASIDE = 0.2  # share of the way by which the other end may lie beside the edge
+FIRST_STEP, LONGEST = 2.5, 128.0  # px, the first and the last distance along an edge
+LEAST_SIDE, SIDE = 1.25, 0.12  # px, and share of the distance: how far beside an edge it is read
+CONTRAST = 0.35  # least contrast, as a share of that close to the corner
+MOST = 1.5  # greatest distance of an edge's other end, over the distance to which it was followed
+LEAST_BACK = 0.35  # share of the distance over which the edge of the other end must lead back
+ASIDE = 0.2  # share of the distance by which the other end may lie beside the edge
 OPPOSITE = -0.85  # largest cosine between the edges of both ends
 INSIDE = 0.8  # share of a cell's side that is inside it
-BESIDE = 0.08  # of a cell's side: a corner this far outside still counts as inside
+BESIDE = 0.08  # share of a cell's side: a corner that far outside still counts as inside
 # times INSIDE of the cell's sides over the edges of a corner in it, where two or one of them end
 LONGER, MUCH_LONGER = 1.2, 2.0
-LEAST_SINE = 0.3  # between two edges that span a cell
-LEAST_CELL = 9.0  # px; in smaller ones torn corners are like marks
-ROW = 16.0  # px, of the bins in which pairs are searched
+LEAST_SINE = 0.3  # of the angle between two edges that span a cell
+LEAST_CELL = 9.0  # px; in smaller cells torn corners look like marks
+ROW = 16.0  # px, height of the bins in which pairs are searched
 
 
 def drop_marks(corners: Corners, image: Frame) -> Corners:
     """Return the corners without those inside another corner's cell.
 
     It is for boards whose cells hold dots, rings or codes. Two successive edges of a corner span
-    its cell. A corner inside goes if at least one of the two edges ends at a corner whose own edge
-    comes back, and both are longer than its edges: by half where both end so, else two and a half
-    times. Cells under 9 px are left alone. On a plain pattern no cell holds a corner; but where its
-    cells are under 10 px and its print is torn, up to one corner in a thousand goes. So ask for it
-    where cells have marks. A smaller board that lies within one cell of a larger one is taken for
-    its marks.
+    its cell. A corner inside that cell is dropped if at least one of the two edges ends at a corner
+    whose own edge leads back, and both edges are longer than its own edges: by half if both end so,
+    else two and a half times. Cells under 9 px are left alone. Use it only for boards with marks:
+    on a plain pattern with torn edges and cells under 10 px it drops up to one corner in a
+    thousand. A smaller board within one cell of a larger one is taken for marks.
 
-    corners: as a detector returns them, with edges. image: (H, W) uint8 or uint16 that they were
-    found in.
+    corners: the result of a detector, with edges. image: the image that they were found in, (H, W)
+        uint8 or uint16.
 
-    Raises ImageError where the image is no grey image, or smaller than the corners say; ConfigError
-    where they were refined by Midlines, or not at all.
+    Raises ImageError if the image is not grey, or a corner lies outside it; ConfigError if the
+    corners were refined by Midlines, or not at all.
     """
     grey = as_frame(image)
     if not len(corners):
@@ -76,7 +76,7 @@ def drop_marks(corners: Corners, image: Frame) -> Corners:
 
 
 def inside_cells(corners: Corners, image: GreyImage) -> Flags:
-    """Return (N,): whether a corner lies inside another one's cell."""
+    """Return (N,) bool, True for corners that lie inside another corner's cell."""
     xy = corners.xy.astype(np.float64)
     known: Flags = np.all(np.isfinite(corners.edges), axis=1)
     angle = np.where(known[:, None], corners.edges, 0).astype(np.float64)
@@ -110,10 +110,11 @@ def inside_cells(corners: Corners, image: GreyImage) -> Flags:
 
 
 def edge_lengths(image: GreyImage, xy: Reals, ahead: Reals, known: Flags) -> Reals:
-    """Return (N, 4): how far each edge runs straight on with the polarity it has at the corner, px.
+    """Return (N, 4): the distance over which each edge keeps its direction and polarity, px.
 
-    Grey levels are compared on both sides of it, further apart with the distance, so that it may
-    bend a little. ahead: (N, 4, 2), unit vectors. known: (N,), the others get 0.
+    Grey levels on both sides of the edge are compared; they are taken further apart with the
+    distance, so that the edge may bend a little. xy: (N, 2). ahead: (N, 4, 2), unit vectors along
+    the edges. known: (N,), which corners to follow; the others get 0.
     """
     grey = cv2.GaussianBlur(image, (3, 3), 0).astype(np.float32)
     rows, columns = grey.shape
@@ -143,10 +144,11 @@ def edge_lengths(image: GreyImage, xy: Reals, ahead: Reals, known: Flags) -> Rea
 
 
 def edge_ends(xy: Reals, ahead: Reals, length: Reals, one: Whole, other: Whole) -> Whole:
-    """Return (N, 4): the corner at the end of each edge, -1 where it has none.
+    """Return (N, 4): the index of the corner at the end of each edge, -1 if there is none.
 
-    one, other: (P,), pairs of corners that are looked at. The other corner's edge comes back along
-    this one, and has the other polarity.
+    xy, ahead: as in `edge_lengths`, which gives `length`. one, other: (P,), the pairs of corners to
+        examine. The other corner has an edge that leads back along this one with the opposite
+        polarity.
     """
     away = xy[other] - xy[one]
     apart = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
@@ -161,7 +163,8 @@ def edge_ends(xy: Reals, ahead: Reals, length: Reals, one: Whole, other: Whole) 
     fits &= (seen > 0) & (along > 0.85 * seen) & (along < MOST * seen + 2)
     fits &= (returned > LEAST_BACK * along) & (seen > LEAST_BACK * along)
     chosen = np.flatnonzero(fits)
-    chosen = chosen[np.argsort(-apart[chosen], kind="stable")]  # the nearest is written last
+    # The nearest is written last, and stays.
+    chosen = chosen[np.argsort(-apart[chosen], kind="stable")]
     ends = np.full(length.shape, -1, np.int64)
     ends[one[chosen], edge[chosen]] = other[chosen]
     return ends
@@ -173,10 +176,10 @@ def _cross(first: Reals, second: Reals) -> Reals:
 
 
 def _pairs_within(xy: Reals, reach: Reals) -> tuple[Whole, Whole]:
-    """Return two (P,): each corner with those that lie in its square of half side `reach`, px, and
-    a little above and below."""
+    """Return two (P,): the pairs of a corner and the corners in the square of half side `reach`,
+    px, around it; some lie a little above or below the square."""
     row = np.floor(xy[:, 1] / ROW)
-    stride = 4 * (xy[:, 0].max() + reach.max() + 1)  # more than any x that is searched for
+    stride = 4 * (xy[:, 0].max() + reach.max() + 1)  # more than any x of a search
     key = row * stride + xy[:, 0]
     order = np.argsort(key, kind="stable")
     key = key[order]

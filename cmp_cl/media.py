@@ -1,8 +1,8 @@
-"""Images, videos and tables: read as grey, written whole or not at all.
+"""Images and videos are read here, as grey; images and tables are written whole or not at all.
 
-Videos are read by PyAV where it is installed (the extra `video`), else by OpenCV. PyAV knows the
+Videos are read by PyAV if it is installed (the extra `video`), else by OpenCV. PyAV knows the
 time of each frame and its size, keeps the levels of 10 to 16 bits, and refuses damaged frames.
-OpenCV makes 8 bits of all, and frames of another size it scales to that of the first.
+OpenCV reduces all videos to 8 bits, and scales frames of another size to that of the first.
 """
 
 import contextlib
@@ -39,9 +39,9 @@ VIDEO_SUFFIXES = frozenset(
     {".3gp", ".asf", ".avi", ".flv", ".m4v", ".mjpeg", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg"}
     | {".mpg", ".mts", ".mxf", ".ogv", ".ts", ".webm", ".wmv", ".y4m"}
 )
-MAX_PIXELS = 1 << 28  # of an image, unless a caller says more
+MAX_PIXELS = 1 << 28  # of an image, unless the caller allows more
 _MAX_PIPED = 1 << 28  # bytes of an image that comes through a pipe
-_MAX_SAID = 1 << 12  # bytes of what a codec says
+_MAX_SAID = 1 << 12  # bytes of a codec's messages
 
 _PLANAR = ("gray", "yuv")  # pixel formats of PyAV whose first plane is the grey levels
 
@@ -51,8 +51,8 @@ LONGEST_GAP = 250  # frames
 def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
     """Write an image in the format of the suffix, whole or not at all.
 
-    image: (H, W) or (H, W, 3) BGR. Raises ImageError for a suffix that is not an image's or
-    holds no such pixels, OSError where the folder is missing or not writable.
+    image: (H, W) or (H, W, 3) BGR. Raises ImageError if the suffix is not that of an image format,
+        or the format cannot hold such pixels; OSError if the folder is missing or not writable.
     """
     known = IMAGE_SUFFIXES if image.dtype == np.uint8 else SUFFIXES_OF_16_BITS
     written = Path(path).suffix.lower() in known
@@ -72,9 +72,10 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """Return the files to read: folders are replaced by the images and videos in them, by name.
 
-    A name with `*`, `?` or `[` that is no file is a pattern, which some shells leave as it is.
+    A name with `*`, `?` or `[` that is not a file is a pattern, because some shells do not expand
+    it.
 
-    Raises FileNotFoundError for a path that is not there and for a folder without any.
+    Raises FileNotFoundError if a path does not exist, or a folder holds no image and no video.
     """
     found: list[Path] = []
     for name in paths:
@@ -100,21 +101,22 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
 
 
 def is_video(path: str | PathLike[str]) -> bool:
-    """Return whether the name is one of a video."""
+    """Return whether the suffix of a path is that of a video."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES
 
 
 def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> GreyImage:
     """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
-    Of a file with several pages it is the first. Raises ImageError where the file cannot be
-    read, is damaged, has more pixels than that, or is not an image of 8 or 16 bits.
+    It reads the first of several pages. Raises ImageError if the file cannot be read, is damaged,
+    has more than `max_pixels` pixels, or is not an image of 8 or 16 bits.
     """
     return next(read_pages(path, max_pixels=max_pixels))
 
 
 def read_pages(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[GreyImage]:
-    """Read the pages of an image file (a TIFF stack, say) one by one, each as `read_image`."""
+    """Read the pages of an image file, such as a TIFF stack, one by one; the arguments are those of
+    `read_image`."""
     return decoded_pages(_bytes_of(path), path, max_pixels=max_pixels)
 
 
@@ -147,7 +149,7 @@ def decoded_pages(
 
 
 def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
-    """Return the bytes of a file, read on demand, or those that come through a pipe."""
+    """Return the bytes of a file, mapped into memory, or those that come through a pipe."""
     try:
         kind = os.stat(path).st_mode
         if stat.S_ISREG(kind):
@@ -165,7 +167,7 @@ def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
 
 
 def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, str]:
-    """Decode a page, None where that fails; return the codec's messages too."""
+    """Decode a page, None if that fails; return the codec's messages too."""
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     pages: Sequence[NDArray[Any]] = ()
     with _codec_messages() as said:
@@ -176,7 +178,7 @@ def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, s
 
 
 def _tells_damage(said: str) -> bool:
-    """Return whether a codec reports damage though it gave an image, as libjpeg does."""
+    """Return whether a codec reports damage although it gave an image, as libjpeg does."""
     return "Corrupt JPEG data" in said or "Premature end of JPEG" in said
 
 
@@ -194,10 +196,10 @@ _catching = False
 
 @contextlib.contextmanager
 def codec_messages_caught() -> Iterator[None]:
-    """Catch what codecs write to stderr, and take damage that they tell for an error.
+    """Catch the messages of codecs on stderr, and treat reported damage as an error.
 
-    It is for a process that has stderr to itself, a command: while an image is decoded,
-    whatever is written there is caught.
+    It is for a command, whose process owns stderr: everything written there while an image is
+    decoded is caught.
     """
     global _catching
     before, _catching = _catching, True
@@ -209,7 +211,7 @@ def codec_messages_caught() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _codec_messages() -> Iterator[list[str]]:
-    """Catch the lines that codecs write to stderr within the block, where that is possible."""
+    """Catch the lines that codecs write to stderr within the block, if the system allows it."""
     lines: list[str] = []
     if not _catching:
         yield lines
@@ -235,8 +237,8 @@ class Frame:
     """One picture of a file.
 
     index: its number in the file, from 0.
-    image: (H, W) uint8 or uint16, or None where a frame of a video is broken.
-    time_ms: as a video says it, by its frame rate where PyAV is not installed; NaN if unknown.
+    image: (H, W) uint8 or uint16, or None if a frame of a video is broken.
+    time_ms: the time in the video, or from its frame rate if PyAV is not installed; NaN if unknown.
     """
 
     index: int
@@ -247,11 +249,10 @@ class Frame:
 def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[Frame]:
     """Read the frames of a video, or the pages of an image; colour becomes grey.
 
-    Frames of more than 8 bits are uint16 with the levels of the file, 0 to 4095 of 12 bits
-    (those of colour models other than grey and YUV are stretched to 16 bits), with PyAV.
-    A video ends before its stated number of frames where `LONGEST_GAP` of them in a row
-    cannot be read. Raises ImageError where the file cannot be read, is neither an image nor a
-    video, or has more pixels in a frame than that.
+    With PyAV, frames of more than 8 bits are uint16 with the levels of the file, such as 0 to 4095
+    for 12 bits (colour models other than grey and YUV are stretched to 16 bits). A video ends early
+    if `LONGEST_GAP` frames in a row cannot be read. Raises ImageError if the file cannot be read,
+    is neither an image nor a video, or has more than `max_pixels` pixels in a frame.
     """
     if not is_video(path):
         for index, page in enumerate(read_pages(path, max_pixels=max_pixels)):
@@ -276,11 +277,11 @@ def has_pyav() -> bool:
     return importlib.util.find_spec("av") is not None
 
 
-_Timed = tuple[GreyImage | None, float]  # a frame, None where it is broken, and its time in ms
+_Timed = tuple[GreyImage | None, float]  # a frame, None if it is broken, and its time in ms
 
 
 def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
-    """Yield the frames up to the last that can be read; those between that cannot are None."""
+    """Yield the frames up to the last readable one; unreadable ones before it are None."""
     rate = frame_rate(path)
     with _opened(path) as capture:
         width, height = (
@@ -303,7 +304,7 @@ def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
 
 
 def _by_pyav(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
-    """Yield the frames of all packets that can be read; of one that cannot, None."""
+    """Yield the frames of all packets; an unreadable packet gives None."""
     import av
 
     with _container(path) as (container, stream):
@@ -311,7 +312,7 @@ def _by_pyav(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
         _check_size(path, (context.width, context.height), max_pixels)
         most = 2 * max_pixels + (1 << 16)  # decoders count whole blocks
         context.options = {"err_detect": "crccheck+explode", "max_pixels": str(most)}
-        stream.thread_type = "SLICE"  # threads that have a frame each tell its damage late
+        stream.thread_type = "SLICE"  # with a thread per frame, damage would be reported late
         packets = container.demux(stream)
         while True:
             try:
@@ -341,7 +342,7 @@ def _luma(frame: Any) -> GreyImage:
         return np.asarray(frame.reformat(format="gray").to_ndarray(), np.uint8, order="C")
     if not (name.startswith(_PLANAR) and name.endswith("le")):
         return np.asarray(frame.reformat(format="gray16le").to_ndarray(), np.uint16, order="C")
-    plane = frame.planes[0]  # as it is: a conversion would dither
+    plane = frame.planes[0]  # unconverted, because a conversion would dither
     rows = np.frombuffer(plane, "<u2").reshape(plane.height, plane.line_size // 2)
     return rows[:, : plane.width].astype(np.uint16)
 
@@ -358,7 +359,7 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
 
     _check_readable(path)
     try:
-        container = av.open(os.path.abspath(path))  # never taken for an address
+        container = av.open(os.path.abspath(path))  # so that it is not taken for an address
     except (av.FFmpegError, OSError, ValueError) as error:
         raise ImageError(f"{str(path)!r} is not a video that PyAV can read") from error
     with container:
@@ -368,9 +369,9 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
 
 
 def full_scale(path: str | PathLike[str]) -> int | None:
-    """Return the largest grey level of a video of 9 to 15 bits, 4095 of 12; None of others.
+    """Return the largest grey level of a video of 9 to 15 bits, such as 4095; None for all others.
 
-    It is known with PyAV alone.
+    Only PyAV knows it.
     """
     if not (is_video(path) and has_pyav()):
         return None
@@ -382,7 +383,7 @@ def full_scale(path: str | PathLike[str]) -> int | None:
 
 
 def count_frames(path: str | PathLike[str]) -> int | None:
-    """Return how many frames a video states; None for an image, or where it states none."""
+    """Return the number of frames that a video states; None for an image, or if it states none."""
     if not is_video(path):
         return None
     if has_pyav():
@@ -394,7 +395,7 @@ def count_frames(path: str | PathLike[str]) -> int | None:
 
 
 def frame_rate(path: str | PathLike[str]) -> float | None:
-    """Return the frames per second of a video; None for an image, or where it states none."""
+    """Return the frames per second of a video; None for an image, or if it states none."""
     if not is_video(path):
         return None
     if has_pyav():
@@ -409,7 +410,7 @@ def frame_rate(path: str | PathLike[str]) -> float | None:
 def read_camera(number: int) -> Iterator[Frame]:
     """Yield the frames of the camera of that number as they come; colour becomes grey.
 
-    Ends where `LONGEST_GAP` frames in a row do not come. Raises ImageError where there is no
+    It ends when `LONGEST_GAP` frames in a row are missing. Raises ImageError if there is no
     such camera.
     """
     capture = cv2.VideoCapture(number)
@@ -454,7 +455,7 @@ def _grey(frame: NDArray[Any]) -> GreyImage:
 def write_csv(
     path: str | PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]
 ) -> None:
-    """Write a table with its header, whole or not at all; raises OSError."""
+    """Write rows as CSV under a header of `columns`, whole or not at all; raises OSError."""
     write_bytes(path, csv_bytes([columns, *rows]))
 
 

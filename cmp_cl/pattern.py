@@ -32,8 +32,8 @@ _BAR = 0.4  # mm, thickness of a scale bar
 _TICK = 2.0  # mm, height of the bars' ends
 _GAP = 0.6  # mm between cells, bar and label
 _LETTER = 2.5  # mm, size of the labels' letters
-_WIDTH = 0.5  # of the letters, as a share of their size
-_LENGTHS = (200, 100, 50, 20, 10, 5, 2, 1)  # mm, of a scale bar
+_WIDTH = 0.5  # mean width of a letter, as a share of its size
+_LENGTHS = (200, 100, 50, 20, 10, 5, 2, 1)  # mm, possible lengths of a scale bar
 _MOST_PIXELS = 4 * 10**8
 _MOST_CELLS = 10**6
 _LONGEST_SIDE = 5080.0  # mm, the largest page of a PDF
@@ -130,7 +130,7 @@ class Checkerboard:
         file says; a pixel on an edge is as grey as it is covered.
 
         Raises ConfigError on another suffix, a dpi outside 10 to 10 000 or more than 400
-        million pixels, OSError where the file cannot be written.
+        million pixels, OSError if the file cannot be written.
         """
         suffix = Path(path).suffix.lower()
         writers: dict[str, Callable[[], bytes]] = {
@@ -144,11 +144,11 @@ class Checkerboard:
         write_bytes(path, writers[suffix]())
 
     def _board(self) -> tuple[float, float]:
-        """Return the width and height of all cells, mm, not stretched."""
+        """Return the width and height of all cells together, mm, not stretched."""
         return (self.shape[1] + 1) * self.cell, (self.shape[0] + 1) * self.cell
 
     def _around(self) -> tuple[float, float]:
-        """Return the width of the border, and that of the border with a scale bar, mm."""
+        """Return the widths of the border without and with a scale bar, mm."""
         border = self.cell if self.border is None else self.border
         return border, border + _STRIP if self.scale_bar else border
 
@@ -189,7 +189,8 @@ class Checkerboard:
         )
 
     def _bars(self) -> tuple[NDArray[np.float64], tuple[_Label, ...]]:
-        """Scale bars below and right of the cells, and their labels, as `_cells` has them."""
+        """Return the scale bars below and right of the cells, and their labels, in the frame of
+        `_cells`."""
         width, height = self._board()
         border = self._around()[0]
         lengths = [next((x for x in _LENGTHS if x <= side), 1) for side in (width, height)]
@@ -245,7 +246,8 @@ def _svg(drawing: _Drawing) -> bytes:
 
 
 def _pdf(drawing: _Drawing) -> bytes:
-    """Return one page of PDF, its content in mm with y down. Every viewer has Helvetica."""
+    """Return one page of PDF, its content in mm with y down. The font is Helvetica, which every
+    viewer has."""
     width, height = (side * _POINTS_PER_MM for side in drawing.size)
     rectangles = "\n".join(
         f"{x0:.5f} {y0:.5f} {x1 - x0:.5f} {y1 - y0:.5f} re" for x0, y0, x1, y1 in drawing.black
@@ -301,7 +303,7 @@ def _png(drawing: _Drawing, dpi: float) -> bytes:
     image = np.rint(255 * (1 - black.clip(0, 1))).astype(np.uint8)
     for x, y, text in drawing.labels:
         font, origin = cv2.FONT_HERSHEY_SIMPLEX, (round(x * scale), round(y * scale))
-        wide = cv2.getTextSize(text, font, 10, 1)[0][0] / 10  # OpenCV 4 and 5 have other fonts
+        wide = cv2.getTextSize(text, font, 10, 1)[0][0] / 10  # the fonts of OpenCV 4 and 5 differ
         size = _WIDTH * _LETTER * scale * len(text) / wide
         cv2.putText(image, text, origin, font, size, 0, 1, cv2.LINE_AA)
     data: bytes = cv2.imencode(".png", image)[1].tobytes()
@@ -350,12 +352,18 @@ def _dxf(drawing: _Drawing, *, cells: NDArray[np.float64]) -> bytes:
 
 
 def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:
-    """Return the paper of that name, a key of PAPERS, rotated to the pattern's longer side."""
+    """Return the (width, height) of a paper, mm, rotated to fit the longer side of a board.
+
+    name: a key of PAPERS.
+    """
     width, height = PAPERS[name]
     upright = board.size[1] >= board.size[0]
     return (width, height) if upright else (height, width)
 
 
 def cell_for(size: float, shape: Sequence[int]) -> float:
-    """Return the side of a cell, mm, for which the longer side of all cells is `size` mm."""
+    """Return the side of a cell, mm, for which the longer side of all cells is `size` mm.
+
+    shape: rows and columns of inner corners.
+    """
     return size / (max(shape) + 1)

@@ -4,7 +4,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 
 def package_version() -> str:
-    """Return the version; `unknown` where the package is on the path and not installed."""
+    """Return the version of the installed package, or `unknown` if it is not installed."""
     try:
         return version("cmp-cl")
     except PackageNotFoundError:

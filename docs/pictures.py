@@ -110,18 +110,18 @@ def edges() -> Figure:
 
 
 def grid() -> Figure:
-    """Draw the grid of a strongly deformed gel: where each node comes from."""
-    scene = gel(markers=30, severity=1.3, seed=SEED + 3)
+    """Draw the grid of a torn gel, whose nodes have four sources of their position."""
+    scene = gel(markers=30, severity=1.5, seed=SEED + 11)
     found = cmp_cl.build_grid(detect(scene.image), scene.image, shape=(30, 30))
     figure, axes = plt.subplots(figsize=(4.6, 4.6), layout="constrained")
-    shown(axes, scene.image, "nodes by where they come from")
+    shown(axes, scene.image, "nodes by the source of their position")
     for line in (*found.xy, *found.xy.swapaxes(0, 1)):
         axes.plot(*line.T, color="tab:cyan", linewidth=0.4)
     styles = {
         cmp_cl.NodeStatus.DETECTED: ("tab:green", 2),
-        cmp_cl.NodeStatus.ATTACHED: ("tab:blue", 4),
-        cmp_cl.NodeStatus.SECOND_LOOK: ("yellow", 4),
-        cmp_cl.NodeStatus.INTERPOLATED: ("tab:red", 4),
+        cmp_cl.NodeStatus.ATTACHED: ("tab:blue", 7),
+        cmp_cl.NodeStatus.SECOND_LOOK: ("yellow", 7),
+        cmp_cl.NodeStatus.INTERPOLATED: ("tab:red", 7),
     }
     for status, (colour, size) in styles.items():
         at = found.xy[found.status == status]
@@ -167,7 +167,7 @@ def gallery_of_two_views(folder: Path, mode: Mode) -> None:
 
 
 def main() -> int:
-    """Draw the pictures of algorithm.md; returns the exit status."""
+    """Draw the pictures of algorithm.md; return the exit status."""
     folder = HERE / "pictures"
     folder.mkdir(exist_ok=True)
     for draw in (rings, response, edges, grid):

@@ -1,7 +1,8 @@
 #include "plane.clh"
 
-/* The grey-level rule: the second harmonic of eight samples on a ring, less what a corner does not
- * have. Shifts are arithmetic; every number is whole, so every device has the same result.
+/* The grey-level rule: the second harmonic of eight samples on a ring, minus quantities that are
+ * small at a corner. Shifts are arithmetic; every number is whole, so every device has the same
+ * result.
  *
  *   S1 = [1 2 1]^T [1 2 1] * I, S2 and S3 the same of the one before, divided by 16
  *   s0 .. s7 the samples of ring (a, d), clockwise: (0, -a) (d, -d) (a, 0) (d, d) ...
@@ -107,13 +108,13 @@ __kernel void fine_response DENSE(fine_response_of, 3, 2)
 
 int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
-/* Check 1: the second harmonics of a small and of a large ring point alike. */
+/* Check 1: the second harmonics of a small and of a large ring point in the same direction. */
 bool aligned(const int alignment, const Harmonics inner, const Harmonics outer) {
   return alignment == 0 ||
          (long)alignment * dot_of(inner.second, outer.second) >= dot_of(outer.second, outer.second);
 }
 
-/* Check 3: no stripe. Around the middle of a stripe the grey level also goes up and down twice,
+/* Check 3: no stripe. Around the middle of a stripe the grey level also rises and falls twice,
  * but there the centre differs from its ring, and the small ring, inside the stripe, has a weak
  * second harmonic. */
 bool no_stripe(const Harmonics inner, const Harmonics outer) {

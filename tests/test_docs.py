@@ -2,8 +2,11 @@
 
 import contextlib
 import doctest
+import enum
 import glob
 import importlib.util
+import inspect
+import pkgutil
 import re
 import shlex
 import shutil
@@ -134,6 +137,34 @@ def test_every_block_of_a_page_runs_in_order(page, folder):
             for line in text.splitlines():
                 assert line.startswith("$ "), line
                 command(line.removeprefix("$ "))
+
+
+def described():
+    """Return what the reference describes: name, arguments, and all text that may name them."""
+    found = []
+    for name in sorted({name for page in API for name in FOUND.findall(page.read_text())}):
+        thing = pkgutil.resolve_name(f"cmp_cl.{name}")
+        if not (inspect.isclass(thing) or inspect.isfunction(thing)) or name == "synthetic.Rig":
+            continue  # a constant, or a protocol
+        if not inspect.isclass(thing):
+            found.append((name, thing, inspect.getdoc(thing)))
+        elif not issubclass(thing, (enum.Enum, Exception)):
+            text = " ".join(kind.__doc__ or "" for kind in thing.__mro__)
+            found.append((name, thing, text))
+            for member, value in vars(thing).items():
+                if not member.startswith("_") and callable(value := getattr(thing, member)):
+                    found.append((f"{name}.{member}", value, f"{inspect.getdoc(value)} {text}"))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "thing", "text"), [pytest.param(*d, id=d[0]) for d in described()]
+)
+def test_a_docstring_names_every_argument_or_says_where_it_is_described(name, thing, text):
+    assert text
+    arguments = set(inspect.signature(thing).parameters) - {"self", "path", "paths", "changes"}
+    unnamed = {a for a in arguments if a[0] != "_" and not re.search(rf"\b{a}\b", text)}
+    assert not unnamed or re.search(r"arguments are\s+those\s+of\s+`", text), unnamed
 
 
 def test_links_between_pages_lead_somewhere():

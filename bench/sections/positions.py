@@ -116,9 +116,9 @@ def _compared(rows: Sequence[Row]) -> str:
 def _known(rows: Sequence[Row]) -> str:
     """Tabulate uniform stretches, in space and in the plane."""
     text = (
-        "### Known strains\n\nUniform stretches of a flat lattice of 40 x 40 nodes, measured in "
-        "space and in the plane, with 10 um of wear that travels with the material and 2 um of "
-        "noise in each frame: The table gives E11 and the RMSE of the displacement.\n\n"
+        "### Known strains\n\nA flat lattice of 40 x 40 nodes is stretched uniformly, and "
+        "measured in space and in the plane, with 10 um of wear that travels with the material "
+        "and 2 um of noise in each frame. The table gives E11 and the RMSE of the displacement.\n\n"
     )
     body = [
         [

@@ -19,13 +19,13 @@ from cmp_cl.stereo import BinocularSplit
 _BOX = r"(\d+),(\d+),(\d+),(\d+)"
 
 Box = tuple[int, int, int, int]  # x, y, width, height, px
-View = tuple[Box, bool]  # where it is in the frame, and whether it is mirrored
+View = tuple[Box, bool]  # its rectangle in the frame, and whether it is mirrored
 
 
 def refuse_to_overwrite(
     inputs: Iterable[str | Path | None], outputs: Iterable[str | Path | None]
 ) -> None:
-    """Raise ConfigError where an output is an input, or two outputs are one file.
+    """Raise ConfigError if an output is an input, or two outputs are one file.
 
     None stands for a file that was not asked for. Devices and pipes may be named twice.
     """
@@ -43,7 +43,9 @@ def refuse_to_overwrite(
 
 
 def distinct_inputs(*groups: Sequence[str]) -> list[list[Path]]:
-    """Return the files of each group, as `media.find_inputs` does; raises ConfigError for repeats.
+    """Return the files of each group, as `media.find_inputs` does.
+
+    Raises ConfigError if a file is given twice.
 
     A view that counts twice makes a calibration look more certain than it is.
     """
@@ -101,14 +103,14 @@ def add_region(parser: argparse.ArgumentParser, *, help_: str) -> None:
 
 
 def positive(text: str) -> int:
-    """Parse a whole number from 1 on."""
+    """Parse a positive whole number; raises ArgumentTypeError."""
     if re.fullmatch(r"\d{1,18}", text) is None or not int(text):
         raise argparse.ArgumentTypeError(f"{text!r} is not a positive whole number")
     return int(text)
 
 
 def grid_shape(text: str) -> tuple[int, int]:
-    """Parse rows and columns from a text such as 40x40."""
+    """Parse rows and columns from a text such as 40x40; raises ArgumentTypeError."""
     match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", text)
     if match is None or min(int(match[1]), int(match[2])) < 2:
         raise argparse.ArgumentTypeError(f"{text!r} is not a pair of counts such as 40x40")
@@ -119,7 +121,10 @@ def grid_shape(text: str) -> tuple[int, int]:
 
 
 def boxes(text: str) -> tuple[Box, ...]:
-    """Parse one or two rectangles from a text such as 0,0,320,480 or 0,0,320,480:400,0,320,480."""
+    """Parse one or two rectangles from a text such as 0,0,320,480 or 0,0,320,480:400,0,320,480.
+
+    Raises ArgumentTypeError.
+    """
     match = re.fullmatch(f"{_BOX}(?::{_BOX})?", text)
     numbers = [] if match is None else [int(number) for number in match.groups() if number]
     found = [(x, y, w, h) for x, y, w, h in zip(*[iter(numbers)] * 4, strict=True)]
@@ -132,9 +137,9 @@ def boxes(text: str) -> tuple[Box, ...]:
 
 
 def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | None, ...]:
-    """Return, for each view, the region that --region chooses in its frame, None without it.
+    """Return the region that --region chooses in each view; all are None without the option.
 
-    Raises ConfigError where there are not as many rectangles as views, or one lies outside.
+    Raises ConfigError if there are not as many rectangles as views, or one lies outside.
     """
     if chosen is None:
         return (None,) * len(views)
@@ -150,19 +155,19 @@ def regions_in(chosen: Sequence[Box] | None, *views: View) -> tuple[Region | Non
 
 
 def whole(image: GreyImage) -> View:
-    """Return the view that is all of the frame."""
+    """Return the view that covers the whole frame."""
     return (0, 0, image.shape[1], image.shape[0]), False
 
 
 def views_of(split: BinocularSplit) -> tuple[View, View]:
-    """Return the left and the right view."""
+    """Return the left and the right view of a split."""
     return (split.left, split.mirror_left), (split.right, split.mirror_right)
 
 
 def region_in(view: Box, box: Box, *, mirror: bool) -> Region:
-    """Return where a rectangle of a frame lies in a view that was cut from it.
+    """Map a rectangle from the frame to a view that was cut from it.
 
-    Raises ConfigError where it lies outside.
+    Raises ConfigError if it lies outside.
     """
     x, y, width, height = view
     x0, y0 = box[0] - x, box[1] - y

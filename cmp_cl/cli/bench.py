@@ -1,4 +1,4 @@
-"""A quick measurement of this machine's device: `cmp-cl bench`."""
+"""`cmp-cl bench`: time the detector on this machine's device."""
 
 import argparse
 import statistics
@@ -39,7 +39,7 @@ def add_parser(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Time a few configurations on a rendered VGA frame, and check their answers.
 
-    Raises ConfigError where there is nothing to repeat, and what Detector raises.
+    Raises ConfigError if --repeats is under 1, and the errors of `Detector`.
     """
     if arguments.repeats < 1:
         raise ConfigError(f"--repeats must be 1 or more, not {arguments.repeats}")
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def measure(device: Device, repeats: int) -> None:
-    """Print the table for a device, and the stages of the default configuration."""
+    """Print a table of configurations for a device, and the times of the default one's kernels."""
     scene = render(random_scene(1000, markers=44, severity=0.25, corrosion=0.3))
     default = DetectorConfig()
     configs = {

@@ -104,7 +104,7 @@ def add_parser(commands: Any) -> None:
         "--free-board",
         action="store_true",
         help="find the nodes of the board too, for a print that is bent or not exact; at least "
-        "four pairs of views, of a board with an odd number of rows and columns together, such as "
+        "four pairs of views, of a board whose rows and columns add up to an odd number, such as "
         "9x6",
     )
     calibrate_cameras.add_arguments(parser)
@@ -124,7 +124,7 @@ class _Pair(NamedTuple):
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     if arguments.camera:
         _check_numbers(arguments)
         return calibrate_cameras.run(arguments)
@@ -162,10 +162,10 @@ def run(arguments: argparse.Namespace) -> int:
         hint = ""
         if not arguments.left:
             hint = (
-                "; IMAGE is a frame that shows both views side by side: for views of one camera "
-                "say --camera NAME=IMAGE..., for those of two --left and --right"
+                "; IMAGE is a frame that shows both views side by side: for the views of one "
+                "camera give --camera NAME=IMAGE..., for those of two --left and --right"
             )
-        raise CalibrationError(f"none of the {len(names)} views shows the board{hint}")
+        raise CalibrationError(f"no view shows the board ({len(names)} given){hint}")
     found = calibrate(
         views,
         spacing=arguments.square,
@@ -278,5 +278,5 @@ def _report_board(board: NDArray[np.float64], arguments: argparse.Namespace) -> 
     print(
         f"the board: its nodes lie up to {np.nanmax(height):.3f} {arguments.unit} off its plane "
         f"({np.sqrt(np.nanmean(height**2)):.3f} RMS), and up to {np.nanmax(inside):.3f} off their "
-        f"places in it ({np.sqrt(np.nanmean(inside**2)):.3f} RMS)"
+        f"nominal positions in it ({np.sqrt(np.nanmean(inside**2)):.3f} RMS)"
     )

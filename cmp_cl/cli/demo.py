@@ -84,7 +84,7 @@ class _Truth(NamedTuple):
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     begin = time.perf_counter()
     device = select_device(arguments.device)
     folder = Path(arguments.out)
@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def wrongly_numbered(grid: Grid, view: Rendered) -> int:
-    """Count the nodes that are over half a cell from their own corner, and nearer to another."""
+    """Count the nodes that are more than half a cell from their true position."""
     off = np.linalg.norm(grid.xy - view.truth, axis=2)
     return int(np.count_nonzero(off > 0.5 * view.cell))
 
@@ -145,7 +145,7 @@ def wrongly_numbered(grid: Grid, view: Rendered) -> int:
 def _table(
     measured: MeasuredInSpace, at_rest: tuple[Grid, Grid], rest: _Truth, now: _Truth
 ) -> list[tuple[str, str, str]]:
-    """Return the errors against the exact truth: what, value, unit."""
+    """Return the rows of a table of errors against the exact truth: name, value, unit."""
     table = []
     for side, view, corners, grid, first in zip(
         *(("left", "right"), (now.left, now.right), measured.corners, measured.grids, at_rest),
@@ -191,7 +191,7 @@ def _files(
     field: DisplacementField,
     table: Sequence[Sequence[str]],
 ) -> list[str]:
-    """Write the frames, the rig, the field with its strain, and the table; returns the names."""
+    """Write the frames, the rig, the field with its strain, and the table; return the names."""
     for name, frame in frames.items():
         media.write_image(folder / name, frame)
     rig.save(folder / "rig.yaml")
@@ -217,7 +217,7 @@ def _pictures(
     left_at_rest: Grid,
     table: Sequence[tuple[str, str, str]],
 ) -> list[str]:
-    """Draw the left view; where matplotlib is installed the surface and one sheet of all.
+    """Draw the left view and, if matplotlib is installed, the surface and one sheet of everything.
 
     Returns the names.
     """

@@ -84,7 +84,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Find the corners of every input; the exit status."""
+    """Find the corners of every input; return the exit status."""
     config = None if arguments.config is None else DetectorConfig.load(arguments.config)
     if config is not None and arguments.full_scale is not None:
         config = config.replace(full_scale=arguments.full_scale)
@@ -162,7 +162,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class _NothingToWrite(Exception):
-    """Nothing was found and something failed: an older table is kept."""
+    """Nothing was found and something failed, so that an older table is kept."""
 
 
 class _Tally:
@@ -188,9 +188,9 @@ class _Tally:
     def numbered(
         self, frame: int, image: GreyImage, corners: Corners, shape: tuple[int, int]
     ) -> Grid | None:
-        """Number the corners of a frame by row and column; None where that is refused.
+        """Number the corners of a frame by row and column; return None if that fails.
 
-        A board of another size is refused: nobody knows which of its corners were meant.
+        A board of another size is refused, because the wanted part of it is unknown.
         """
         try:
             grid = build_grid(corners, image, shape=shape)
@@ -225,7 +225,7 @@ class _Tally:
         return line
 
     def is_dark(self) -> bool:
-        """Return whether a 16-bit file holds less than 16 bits, and nothing was found in it."""
+        """Return whether a 16-bit file uses fewer than 16 bits, and nothing was found in it."""
         return 0 < self.brightest < 2**14 and not any(self.counts)
 
     def refused_line(self) -> str:
@@ -252,7 +252,7 @@ def _span(counts: Sequence[int]) -> str:
 
 
 class _Finder:
-    """Finds corners in images as they come; a detector is kept while it fits."""
+    """Finds corners in a sequence of images, and keeps its detector as long as it fits them."""
 
     def __init__(
         self,
@@ -302,7 +302,7 @@ class _Finder:
             raise ImageError(f"{str(path)!r} has no frame that can be read")
 
     def _fit(self, image: GreyImage, config: DetectorConfig) -> None:
-        """Make a detector for such an image, and run it once: some devices compile only then."""
+        """Make a detector for such images, and run it once: some devices compile only then."""
         key = (image.shape, image.dtype, config)
         if key == self._key:
             return
@@ -319,7 +319,7 @@ class _Finder:
 
 
 def _frames_in(paths: Sequence[Path]) -> int | None:
-    """Return how many frames there are, None where nobody watches."""
+    """Return the number of frames, None if no terminal shows progress."""
     if not sys.stderr.isatty():
         return None
     total = 0
@@ -338,7 +338,7 @@ def _csv_path(out: str | None) -> Path | None:
 
 
 def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Path]:
-    """Return where the overlay of each input goes; a missing folder is made."""
+    """Return the path of each input's overlay; a missing folder is made."""
     if overlay is None:
         return {}
     if not overlay:

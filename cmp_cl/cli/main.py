@@ -1,6 +1,6 @@
 """The command line: `cmp-cl COMMAND`.
 
-Exit status: 0 done, 1 `devices` has found no device, 2 something asked for could not be done
+Exit status: 0 done, 1 `devices` has found no device, 2 the command failed
 (one line on stderr says what), 130 stopped by Ctrl-C, SIGTERM or SIGHUP.
 """
 
@@ -26,24 +26,28 @@ from cmp_cl.opencl.device import DEVICE_VARIABLE
 
 INSTALL = """\
 What to install for a device:
-  Linux, x86-64      pip install "pyopencl[pocl]": PoCL, which runs on every such CPU; it links what
-                     it compiles: apt install gcc libc6-dev, or dnf install gcc glibc-devel
+  Linux, x86-64      pip install "pyopencl[pocl]": PoCL, which runs on every such CPU and needs a
+                     linker: apt install gcc libc6-dev, or dnf install gcc glibc-devel
   Linux, other CPUs  apt install pocl-opencl-icd (Debian, Ubuntu) or dnf install pocl (Fedora)
   Windows            the graphics driver of NVIDIA, AMD or Intel, or Intel's CPU Runtime for OpenCL
   macOS              conda install -c conda-forge pyopencl pocl; for Apple's own OpenCL
                      ocl_icd_wrapper_apple instead of pocl
-  Jetson             NVIDIA ships no OpenCL there: apt install pocl-opencl-icd, for its CPU
+  Jetson             NVIDIA ships no OpenCL for it; apt install pocl-opencl-icd uses its CPU
   NVIDIA             the driver; on Debian also nvidia-opencl-icd; in a container
                      NVIDIA_DRIVER_CAPABILITIES=compute,utility and a file
                      /etc/OpenCL/vendors/nvidia.icd that says libnvidia-opencl.so.1
   Intel              GPU: apt install intel-opencl-icd; CPU: Intel's CPU Runtime for OpenCL
   AMD                ROCm's rocm-opencl-runtime, or apt install mesa-opencl-icd and
                      RUSTICL_ENABLE=radeonsi
-PoCL is not found where it cannot write its cache: XDG_CACHE_HOME names another folder."""
+If PoCL cannot write its cache, it is not found; set XDG_CACHE_HOME to a folder that it can
+write."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; argv without the program's name, sys.argv where None."""
+    """Run one command and return its exit status.
+
+    argv: the arguments without the program's name; None means those of the process.
+    """
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     # OpenCV 4 and 5 call it differently; 0 is silent.
     set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
@@ -55,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             arguments = _parser().parse_args(argv)
             run: Callable[[argparse.Namespace], int] = arguments.run
             status = run(arguments)
-            sys.stdout.flush()  # a full disk is told now
+            sys.stdout.flush()  # a full disk is reported now
         return status
     except KernelBuildError as error:
         return _fail(str(error))
@@ -71,12 +75,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _open_streams() -> None:
-    """Give closed streams a sink, or the next file that is opened takes their number."""
+    """Open a sink for each closed standard stream, or the next open file takes its number."""
     for number, mode in ((0, "r"), (1, "w"), (2, "w")):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
             name = ("stdin", "stdout", "stderr")[number]
             setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115, for good
     for stream in (sys.stdout, sys.stderr):
@@ -85,7 +89,7 @@ def _open_streams() -> None:
 
 
 def _silence(stream: TextIO) -> None:
-    """Send what a stream still holds nowhere, or Python complains at the end."""
+    """Discard what a stream still buffers, or Python complains at its end."""
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
@@ -97,7 +101,9 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
-        prog="cmp-cl", description="Corners of deformed checkerboards on any OpenCL device."
+        prog="cmp-cl",
+        description="Finds the corners of deformed checkerboards on any OpenCL device, and "
+        "measures the deformation.",
     )
     parser.add_argument("--version", action="version", version=f"cmp-cl {cmp_cl.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")

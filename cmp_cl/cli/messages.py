@@ -1,4 +1,4 @@
-"""Names, errors and counts as they stand in one line of a message."""
+"""How names, errors and counts are written in a one-line message."""
 
 import os
 import sys
@@ -7,11 +7,11 @@ from pathlib import Path
 
 from cmp_cl import media
 
-_LONGEST = 1000  # letters of a message: a value that is refused may be of any length
+_LONGEST = 1000  # characters of a message; a refused value may have any length
 
 
 def shown(name: object) -> str:
-    """Return a file name as one line shows it: itself, or quoted with odd characters escaped."""
+    """Return a file name for one line: as it is, or quoted with unprintable characters escaped."""
     text = os.fspath(name) if isinstance(name, Path) else str(name)
     return text if text.isprintable() else repr(text)
 
@@ -25,7 +25,7 @@ def one_line(error: Exception) -> str:
 
 
 def shortened(line: str) -> str:
-    """Return a line without its middle where it is longer than anyone reads."""
+    """Cut out the middle of a line that is longer than _LONGEST."""
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST - 100]} ... {line[-90:]}"
 
 
@@ -35,7 +35,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def tell_what_opencv_hides(paths: Iterable[Path]) -> None:
-    """Say on stderr what is lost where a video is read without PyAV."""
+    """Warn on stderr of what is lost if a video is read without PyAV."""
     if not media.has_pyav() and any(map(media.is_video, paths)):
         print(
             "cmp-cl: PyAV is not installed: OpenCV reads videos with 8 bits, and scales frames of "

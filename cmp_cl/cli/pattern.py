@@ -42,7 +42,7 @@ def add_parser(commands: Any) -> None:
         type=float,
         default=0.0,
         help="how far black grows beyond its edge in print; cells are drawn smaller by as much on "
-        "each side; negative where black shrinks; default: 0",
+        "each side; negative if black shrinks; default: 0",
     )
     parser.add_argument(
         "--stretch",
@@ -66,7 +66,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the pattern that the arguments describe; returns the exit status."""
+    """Write the pattern that the arguments describe; return the exit status."""
     cell = arguments.cell
     board = Checkerboard(
         shape=arguments.grid,

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from cmp_cl.cli.messages import shown
+from cmp_cl.cli.messages import counted, shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import check_target
 from cmp_cl.series import read_series
@@ -20,10 +20,10 @@ def add_parser(commands: Any) -> None:
         "plot",
         help="draw what a recording shows: displacement, strain, height, sigma, a node's curve",
         description="Draws a recording of cmp-cl run: by default one sheet with the maps of the "
-        "frame of the largest displacement and the curve of the node that moves most. Of one "
-        "view lengths are px, or in the unit of --cell, and strain is in the plane; of two views "
-        "they are in the rig's unit and strain is in the surface. A recording that still grows "
-        "can be drawn too.",
+        "frame of the largest displacement and the curve of the node that moves most. With "
+        "one view, lengths are in px or in the unit of --cell, and strain is in the plane; with "
+        "two views, lengths are in the rig's unit, and strain is in the surface. A recording that "
+        "still grows can be drawn too.",
     )
     parser.add_argument("series", metavar="SERIES", help="the recording, .npz or .h5")
     parser.add_argument("--out", metavar="PNG", required=True, help="the picture to write")
@@ -52,7 +52,7 @@ def _node(text: str) -> tuple[int, int]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     if Path(arguments.out).suffix.lower() != ".png":
         raise ConfigError(f"--out {shown(arguments.out)} must end in .png")
     if os.path.realpath(arguments.out) == os.path.realpath(arguments.series):
@@ -71,5 +71,5 @@ def run(arguments: argparse.Namespace) -> int:
     what = "" if arguments.what == "curve" else f"frame {index}"
     curve = f"node {node[0]},{node[1]}" if arguments.what in (None, "curve") else ""
     parts = ", ".join(part for part in (what, curve) if part)
-    print(f"wrote {shown(arguments.out)}: {parts} of {len(recorded.index)} frames")
+    print(f"wrote {shown(arguments.out)}: {parts} of {counted(len(recorded.index), 'frame')}")
     return 0

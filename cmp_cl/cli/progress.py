@@ -8,9 +8,9 @@ from cmp_cl.closing import Closing
 
 
 class Progress(Closing):
-    """A progress bar, where tqdm is installed and stderr is a terminal; else nothing.
+    """A progress bar if tqdm is installed and stderr is a terminal, else nothing.
 
-    total: how many steps, None where nobody knows. unit: what is counted.
+    total: number of steps, None if unknown. unit: what is counted.
     """
 
     def __init__(self, total: int | None, unit: str) -> None:
@@ -25,7 +25,7 @@ class Progress(Closing):
             self._bar.update()
 
     def say(self, line: str, stream: TextIO | None = None) -> None:
-        """Print a line above the bar, on stdout where no stream is named."""
+        """Print a line above the bar, on stdout unless another stream is named."""
         if self._bar is not None:
             self._bar.clear()
         print(line, file=stream or sys.stdout, flush=True)

@@ -17,8 +17,8 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "render",
         help="draw a frame of a pressed gel with known corners",
-        description="Draws one frame of a pressed gel that carries a checkerboard, and where "
-        "its corners are. The same options give the same picture.",
+        description="Draws one frame of a pressed gel that carries a checkerboard, and writes "
+        "the true corners with --truth. The same options give the same picture.",
     )
     parser.add_argument("--out", metavar="PNG", required=True, help="the picture to write")
     parser.add_argument("--truth", metavar="CSV", help="write the true corners, px")
@@ -43,8 +43,8 @@ def add_parser(commands: Any) -> None:
             help=f"{what}; default: {default:g}",
         )
     for name, member, what in (
-        ("indenter", usual.indenter, "what presses"),
-        ("mode", usual.mode, "how it moves"),
+        ("indenter", usual.indenter, "object that presses on the gel"),
+        ("mode", usual.mode, "motion of this object"),
     ):
         parser.add_argument(
             f"--{name}",
@@ -71,7 +71,7 @@ def add_parser(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Render what the arguments describe; the exit status."""
+    """Render the scene that the arguments describe; return the exit status."""
     scene = Scene(
         markers=arguments.markers,
         shape=tuple(arguments.shape),

@@ -44,7 +44,7 @@ from cmp_cl.stereo import StereoRig
 from cmp_cl.viz import RerunLog
 from cmp_cl.viz.film import FILM_SUFFIXES, OverlayFilm
 
-_LINES_OF_BROKEN = 8  # a recording full of broken frames is told in a number
+_LINES_OF_BROKEN = 8  # broken frames that are reported one by one; the others are only counted
 
 
 def add_parser(commands: Any) -> None:
@@ -208,7 +208,7 @@ class _Tally:
             self._largest, self._where = measured.largest, number
 
     def line(self, nodes: int, unit: str, device: str) -> str:
-        """Return the line for the frame; nodes: of the pattern, unit: of the displacement."""
+        """Return the line. nodes: of the pattern. unit: of the displacement. device: its name."""
         parts = [counted(self.frames, "frame")]
         if self._fewest is not None:
             mean = self._nodes / (self.frames - self.empty)
@@ -228,7 +228,7 @@ class _Tally:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Settings:
-    """What the arguments ask for, checked and loaded."""
+    """The settings that the arguments ask for, checked and loaded."""
 
     source: Source
     rest_frame: int
@@ -312,7 +312,7 @@ class _Settings:
         )
 
     def description(self, measure: Measurement) -> Description:
-        """Return what the series says of itself."""
+        """Return the description that is stored in the series."""
         lengths = ["rest", "displacement", "sigma"]
         pixels = ["left", "right", "left_rest", "right_rest"] if self.rig else ["xy", "rest_px"]
         (lengths if self.rig else pixels).extend(
@@ -336,8 +336,10 @@ class _Settings:
         return Description(units=units, settings=settings)
 
     def measurement(self, rest: GreyImage) -> Measurement:
-        """Return the measurement of frames against this one at rest; raises GridError where it has
-        no pattern."""
+        """Return the measurement of frames against this frame at rest.
+
+        Raises GridError if it shows no pattern.
+        """
         search: Any = {
             "shape": self.shape,
             "config": self.config,
@@ -361,7 +363,7 @@ class _Settings:
                 TwoViews(rest, self.rig, split, regions=(left, right), **search)
             )
         except GridError as error:
-            raise GridError(f"the frame at rest, {self.rest_frame}: {error}{hint}") from error
+            raise GridError(f"frame {self.rest_frame}, the frame at rest: {error}{hint}") from error
 
     def _with_added(self, measure: OneView | TwoViews) -> Measurement:
         try:
@@ -372,7 +374,7 @@ class _Settings:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     settings = _Settings.of(arguments)
     source = settings.source
     rest, shots = source.rest(settings.rest_frame)
@@ -386,7 +388,7 @@ def run(arguments: argparse.Namespace) -> int:
         series = stack.enter_context(
             open_series(settings.out, settings.description(measure), measure.constants)
         )
-        stack.callback(ignore)  # while it is written
+        stack.callback(ignore)  # no signal stops the closing of the series
         progress = stack.enter_context(Progress(source.total, "frames"))
         for shot in stack.enter_context(contextlib.closing(shots)):
             if stop.name:
@@ -409,7 +411,7 @@ def run(arguments: argparse.Namespace) -> int:
                     ambiguous=measured.ambiguous,
                     **measured.arrays,
                 )
-            except BrokenPipeError:  # nobody reads on
+            except BrokenPipeError:  # the reader has gone
                 raise
             except OSError as error:
                 full = error
@@ -435,16 +437,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _full_scale(asked: int | None, source: Source, config: DetectorConfig | None) -> int | None:
-    """Return the full scale that is asked for, else the source's where the settings say none."""
+    """Return the full scale asked for; if neither it nor the settings have one, the source's."""
     if asked is not None or (config is not None and config.full_scale is not None):
         return asked
     return source.full_scale
 
 
 class _Film(contextlib.AbstractContextManager["_Film"]):
-    """The recording, the viewer and the annotated video, those that are asked for.
+    """Writes the Rerun recording and the annotated video, and feeds the viewer, as asked for.
 
-    A run goes on where one cannot be written. error: why it could not, None else.
+    If one of them cannot be written, the run continues. error: the reason, else None.
     """
 
     def __init__(self, settings: _Settings) -> None:
@@ -524,7 +526,7 @@ def _check_source(arguments: argparse.Namespace) -> None:
 
 
 def _check_display() -> None:
-    """Raise ConfigError where no window can be opened."""
+    """Raise ConfigError if no window can be opened."""
     displays = "DISPLAY", "WAYLAND_DISPLAY"
     if sys.platform.startswith("linux") and not any(map(os.environ.get, displays)):
         raise ConfigError(
@@ -534,4 +536,6 @@ def _check_display() -> None:
 
 def _check_suffix(option: str, path: str | None, *suffixes: str) -> None:
     if path is not None and Path(path).suffix.lower() not in suffixes:
-        raise ConfigError(f"{option} {shown(path)} must end in {' or '.join(suffixes)}")
+        *others, last = suffixes
+        endings = f"{', '.join(others)} or {last}" if others else last
+        raise ConfigError(f"{option} {shown(path)} must end in {endings}")

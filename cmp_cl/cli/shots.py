@@ -1,4 +1,4 @@
-"""Where the frames of `cmp-cl run` come from: files, cameras, or two of them side by side."""
+"""The sources of frames for `cmp-cl run`: files, cameras, or two of them side by side."""
 
 import argparse
 import contextlib
@@ -20,7 +20,7 @@ PAIR_WITHIN = 20.0  # ms
 
 
 class Shot(NamedTuple):
-    """A frame of the source; image is None where it cannot be read, time_ms NaN if unknown."""
+    """A frame of the source; image is None if it cannot be read, time_ms NaN if unknown."""
 
     number: int
     time_ms: float
@@ -30,7 +30,7 @@ class Shot(NamedTuple):
 class Source:
     """Where the frames come from.
 
-    rate: frames per second, full_scale: largest grey level; None where nobody knows.
+    rate: frames per second. full_scale: largest grey level. Both are None if unknown.
     """
 
     def __init__(self, name: str, max_pixels: int, camera: CameraSettings) -> None:
@@ -38,7 +38,7 @@ class Source:
         self.live = is_live(name)
         self._number = int(name) if name.isdigit() and camera == CameraSettings() else None
         self._camera = cameras.Source(name, camera) if self.live else None
-        self.start_ns: int | None = None  # since 1970, of an MCAP
+        self.start_ns: int | None = None  # since 1970, of an MCAP recording
         self.paths: list[Path] = [] if self.live else media.find_inputs([name])
         self.name = name
         single = self.paths[0] if len(self.paths) == 1 else None
@@ -47,7 +47,7 @@ class Source:
 
     @property
     def total(self) -> int | None:
-        """Return how many frames or pairs there are, None where nobody knows."""
+        """Return how many frames or pairs there are, None if unknown."""
         if self.live:
             return None
         if len(self.paths) == 1:
@@ -94,7 +94,11 @@ class Source:
                 index += 1
 
     def rest(self, number: int) -> tuple[GreyImage, Generator[Shot, None, None]]:
-        """Return the frame at rest, and the frames to measure: of a camera from it on, else all."""
+        """Return the frame at rest of that number, and the frames to measure.
+
+        Those of a camera begin with the frame at rest; those of a file are all its frames. Raises
+        ConfigError if the frame cannot be read or does not exist.
+        """
         shots = self.shots()
         for shot in shots:
             if shot.number < number:
@@ -140,7 +144,7 @@ class Pairs(Source):
 
     @property
     def total(self) -> int | None:
-        """Return how many frames or pairs there are, None where nobody knows."""
+        """Return how many frames or pairs there are, None if unknown."""
         return None
 
     def shots(self) -> Generator[Shot, None, None]:
@@ -156,7 +160,7 @@ class Pairs(Source):
                 yield Shot(number, left.time_ms - start, _side_by_side(left.image, right.image))
 
     def alone(self) -> str:
-        """Say how many frames had no partner, "" where all had one."""
+        """Return how many frames had no partner, as text; "" if all had one."""
         if not (self.count.left_alone or self.count.right_alone):
             return ""
         return (

@@ -1,7 +1,7 @@
 """Ctrl-C, SIGTERM and SIGHUP while a command's modules are imported: one line, status 130.
 
-This is imported before all else. Importing takes most of a second, in which Python would answer
-Ctrl-C with a traceback and the others with a status of its own. `main` has handlers of its own.
+This is imported before all else. Importing takes most of a second. During it, Python would answer
+Ctrl-C with a traceback and the others with another status. `main` installs its own handlers.
 """
 
 import os

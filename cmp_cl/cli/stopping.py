@@ -14,9 +14,9 @@ _STOPPING = [
 
 @contextlib.contextmanager
 def handled(handler: Any) -> Iterator[None]:
-    """Let a handler have the stopping signals, but those that are ignored, by nohup say.
+    """Handle the stopping signals by a function, except those that are ignored, as under nohup.
 
-    Only the main thread of a process has signals; in another one nothing changes.
+    Only the main thread of a process can handle signals; in any other, nothing changes.
     """
     before: dict[signal.Signals, Any] = {}
     try:
@@ -44,9 +44,9 @@ def interrupt(_: int, __: FrameType | None) -> None:
 
 
 class Stop:
-    """Notes the first signal, so that a frame is finished; a second one interrupts.
+    """Notes the first signal, so that the frame is finished; a second signal interrupts.
 
-    name: what the user did, "" before.
+    name: the signal that came, such as Ctrl-C; "" before.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What `cmp-cl run` adds to each frame on request: lengths in the plane, strain, contact."""
+"""Results that `cmp-cl run` adds on request: lengths in the plane, strain, contact."""
 
 import argparse
 import dataclasses
@@ -22,7 +22,7 @@ from cmp_cl.field.contact import contact_of
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
 
-_NODE_ARRAYS = {  # of one view, with what follows the nodes' axes
+_NODE_ARRAYS = {  # of one view, with the shape after the axes of the nodes
     "strain": (3,),
     "strain_sigma": (3,),
     "principal": (2,),
@@ -33,7 +33,7 @@ _NODE_ARRAYS = {  # of one view, with what follows the nodes' axes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options."""
+    """Add the options --cell, --unit, --strain and --contact to an argparse parser."""
     group = parser.add_argument_group("results computed from the positions")
     group.add_argument(
         "--cell",
@@ -46,16 +46,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--strain",
         action="store_true",
-        help="add the Green-Lagrange strain of each node with its sigma: in the plane of one view, "
-        "with principal strains and their direction, and translation, rotation and zoom of the "
-        "whole; in the surface of two views",
+        help="add the Green-Lagrange strain of each node with its sigma; with one view, in the "
+        "plane, with principal strains, their direction, and the translation, rotation and zoom of "
+        "the whole pattern; with two views, in the surface",
     )
     group.add_argument(
         "--contact",
         metavar="DEPTH",
         type=_length,
         help="with --stereo: add depth and normals of the nodes, and the area that is pressed in "
-        "by more than this, in the unit of the calibration",
+        "deeper than this, in the unit of the calibration",
     )
 
 
@@ -66,7 +66,7 @@ def _length(text: str) -> float:
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Raise ConfigError where an option is for the other number of views."""
+    """Raise ConfigError if an option is for the other number of views."""
     if arguments.cell is not None and arguments.stereo is not None:
         raise ConfigError(
             "--cell is for one view; with --stereo, the calibration gives the unit of length"
@@ -81,10 +81,10 @@ def check(arguments: argparse.Namespace) -> None:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Added:
-    """What is added to the frames of a recording.
+    """The results to add to the frames of a recording.
 
-    side: of the cells, None for px. unit: of it. strain: whether that is asked for. depth: of the
-    contact, None where that is not.
+    side: side of the cells, None for px. unit: its unit. strain: whether strain is asked for.
+    depth: the least depth of a contact, None if contact is not asked for.
     """
 
     side: float | None
@@ -94,7 +94,7 @@ class Added:
 
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> "Added":
-        """Take what the arguments ask for."""
+        """Take the results that the arguments ask for; raises ConfigError as `check` does."""
         check(arguments)
         return cls(
             side=arguments.cell,
@@ -104,9 +104,9 @@ class Added:
         )
 
     def to(self, measure: OneView | TwoViews) -> Measurement:
-        """Return the measurement with it.
+        """Return the measurement with these results added.
 
-        Raises FieldError where the cells of the frame at rest give no scale.
+        Raises FieldError if the cells of the frame at rest give no scale.
         """
         if isinstance(measure, TwoViews):
             if self.strain or self.depth is not None:
@@ -117,10 +117,10 @@ class Added:
 
 
 class _InThePlane(Measurement):
-    """Frames of one view, with what was asked for.
+    """Measures frames of one view, and adds the results asked for.
 
-    Strain is that of the raw positions, with the noise that the field itself shows and what
-    neighbours share of it.
+    Strain comes from the raw positions. Its sigma comes from the noise that the field itself shows,
+    and from the part of it that neighbours share.
     """
 
     def __init__(self, measure: OneView, added: Added) -> None:
@@ -168,7 +168,7 @@ def _strain_arrays(field: PlaneField) -> dict[str, NDArray[Any]]:
     arrays |= {"translation": np.full(2, math.nan), "translation_sigma": np.array(math.nan)}
     try:
         noisy = with_measured_noise(field)
-    except FieldError:  # too few nodes to show any
+    except FieldError:  # too few nodes for an estimate
         noisy = field
     try:
         motion = motion_of(noisy)
@@ -196,7 +196,7 @@ _ENDS = ("", "_sigma")
 
 
 class _InSpace(Measurement):
-    """Frames of two views, with what was asked for."""
+    """Measures frames of two views, and adds the results asked for."""
 
     def __init__(self, measure: TwoViews, added: Added) -> None:
         super().__init__()
@@ -233,7 +233,7 @@ def _there(array: NDArray[np.float64] | None) -> NDArray[np.float64]:
 
 
 def units(measure: Measurement) -> dict[str, str]:
-    """Return the units of what is added, by name."""
+    """Return the units of the added results, by name."""
     length = measure.unit
     return {
         **dict.fromkeys(("depth", "depth_sigma", "contact_depth", "deeper_than"), length),

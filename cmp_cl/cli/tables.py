@@ -19,7 +19,8 @@ NODE_COLUMNS = ("row", "column", "x_px", "y_px", "sigma_px", "status")
 class Table:
     """Writes rows of frames as CSV: a header with units, then a row for each corner or node.
 
-    columns: the names of what follows the image and its frame. rows: how many were written.
+    columns: the names of the columns after those of the image and the frame. rows: how many were
+    written.
     """
 
     def __init__(self, file: BinaryIO, columns: Sequence[str]) -> None:
@@ -28,14 +29,14 @@ class Table:
         file.write(csv_bytes([("image", "frame", *columns)]))
 
     def write(self, name: str, frame: int, rows: Iterable[Sequence[object]]) -> None:
-        """Append the rows of one frame of the file of that name."""
+        """Append the rows of one frame; name: the file that holds the frame."""
         full = [(name, frame, *row) for row in rows]
         self._file.write(csv_bytes(full))
         self.rows += len(full)
 
 
 def corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
-    """Return CORNER_COLUMNS of every corner."""
+    """Return a row of CORNER_COLUMNS for every corner."""
     arrays = (
         *(corners.xy, corners.pixel, corners.response, corners.method),
         *(corners.sigma, corners.edges, corners.doubtful, corners.refusal),
@@ -46,7 +47,7 @@ def corner_rows(corners: Corners) -> Iterator[Sequence[object]]:
 
 
 def node_rows(grid: Grid) -> Iterator[Sequence[object]]:
-    """Return NODE_COLUMNS of every node, missing ones with NaN."""
+    """Return a row of NODE_COLUMNS for every node; missing positions are NaN."""
     for index in np.ndindex(grid.shape):
         status = NodeStatus(int(grid.status[index])).name
         yield (*index, *grid.xy[index], grid.sigma[index], status)

@@ -1,4 +1,4 @@
-"""`cmp-cl tune`: what each stage of the detector costs and buys on the user's own frames."""
+"""`cmp-cl tune`: the cost and the gain of each stage of the detector on the user's own frames."""
 
 import argparse
 import contextlib
@@ -51,10 +51,10 @@ Change = Callable[[DetectorConfig], DetectorConfig]
 FULL = "everything"
 STRONG = 8.0  # weight of a prediction from both sides
 WIDTH = 28
-MOST_VIEWS = 8  # that are measured, spread over what is given
-ROUNDS = 5  # times that each configuration sees each view
-WORTHWHILE = 0.97  # of the time: what saves less is not worth a stage
-ROUGHER = 1.02  # how much less smooth the positions may be, to count as equal
+MOST_VIEWS = 8  # the most that are measured, spread over all that are given
+ROUNDS = 5  # runs of each configuration on each view
+WORTHWHILE = 0.97  # the largest share of the time after a change that is worth making
+ROUGHER = 1.02  # the largest ratio of two roughnesses that count as equal
 
 
 def add_parser(commands: Any) -> None:
@@ -101,9 +101,10 @@ def add_parser(commands: Any) -> None:
 
 
 class Frame(NamedTuple):
-    """A view, its reference grid, and where detections count for nothing.
+    """A view, its reference grid, and the regions in which detections do not count.
 
-    ignored: (K, 2) places, px. region: (x0, y0, x1, y1), px, outside of which all do, or None.
+    ignored: (K, 2) points, px; detections near them do not count. region: (x0, y0, x1, y1), px;
+    detections outside do not count. None is the whole view.
     """
 
     image: GreyImage
@@ -114,7 +115,7 @@ class Frame(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What a configuration does: over all frames, and the median time of one, ms."""
+    """The results of a configuration over all frames, and its median time for one, ms."""
 
     name: str
     config: DetectorConfig
@@ -124,7 +125,7 @@ class Row(NamedTuple):
     ms: float
 
     def loses(self, full: "Row") -> str:
-        """Return what it loses against the most complete row, "" where nothing."""
+        """Return what it loses against the most complete row `full`; "" if nothing."""
         lost = []
         if self.missed > full.missed:
             lost.append("corners")
@@ -138,7 +139,10 @@ class Row(NamedTuple):
 
 
 def changes(full: DetectorConfig, cell: float) -> dict[str, Change]:
-    """Return, by name, the ways to leave out or replace one stage of a configuration."""
+    """Return, by name, the ways to leave out or replace one stage of a configuration.
+
+    full: the most complete configuration. cell: side of a cell, px.
+    """
     found: dict[str, Change] = {
         "binary rings": lambda c: c.replace(detection=BinaryRings.for_cell(cell)),
         "no alignment check": lambda c: _harmonic(c, alignment=None),
@@ -155,14 +159,14 @@ def changes(full: DetectorConfig, cell: float) -> dict[str, Change]:
 
 
 def _harmonic(config: DetectorConfig, **changes: Any) -> DetectorConfig:
-    """Return the configuration with changes to its RingHarmonic, as it is where it has none."""
+    """Return the configuration with changes to its RingHarmonic, if it has one."""
     if not isinstance(config.detection, RingHarmonic):
         return config
     return config.replace(detection=dataclasses.replace(config.detection, **changes))
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the command; returns its exit status."""
+    """Run the command; return its exit status."""
     if arguments.split is None and arguments.mirror is not None:
         raise ConfigError("--mirror needs --split")
     if Path(arguments.out).suffix.lower() != ".toml":
@@ -203,7 +207,10 @@ def _line(row: Row, full: Row) -> str:
 
 
 def _views(arguments: argparse.Namespace) -> list[tuple[GreyImage, Region | None]]:
-    """Return some of the given views, of one size, spread over all of them."""
+    """Return at most MOST_VIEWS of the given views, spread over all of them.
+
+    Raises ImageError if their sizes or types differ.
+    """
     kept: list[tuple[GreyImage, Region | None]] = []
     step = 1
     for number, (view, region) in enumerate(_every_view(arguments)):
@@ -217,8 +224,8 @@ def _views(arguments: argparse.Namespace) -> list[tuple[GreyImage, Region | None
             kept.append((view, region))
         if len(kept) == 2 * MOST_VIEWS:
             kept, step = kept[::2], 2 * step
-    places = np.linspace(0, len(kept) - 1, min(len(kept), MOST_VIEWS)).round().astype(int)
-    return [kept[place] for place in places]
+    chosen = np.linspace(0, len(kept) - 1, min(len(kept), MOST_VIEWS)).round().astype(int)
+    return [kept[index] for index in chosen]
 
 
 def _every_view(arguments: argparse.Namespace) -> Iterator[tuple[GreyImage, Region | None]]:
@@ -276,16 +283,16 @@ def _reference(
 
 
 def around(grid: Grid) -> NDArray[np.float64]:
-    """Return where cell edges meet the surroundings: a ring of nodes beyond the grid, (K, 2) px."""
+    """Return the points where cell edges meet the surround, one cell beyond the grid, (K, 2) px."""
     xy = grid.xy.astype(np.float64)
     for axis in (0, 1):
         lines = np.moveaxis(xy, axis, 0)
         before, after = 2 * lines[:1] - lines[1:2], 2 * lines[-1:] - lines[-2:-1]
         xy = np.moveaxis(np.concatenate([before, lines, after]), 0, axis)
-    ring = np.ones(xy.shape[:2], np.bool_)
-    ring[1:-1, 1:-1] = False
-    places = xy[ring]
-    return places[np.isfinite(places).all(axis=1)]
+    outer = np.ones(xy.shape[:2], np.bool_)
+    outer[1:-1, 1:-1] = False
+    points = xy[outer]
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def measure(
@@ -323,7 +330,10 @@ def measure(
 
 
 def judge(xy: NDArray[np.float32], frame: Frame) -> tuple[int, int, NDArray[np.float64]]:
-    """Return the missed corners, the extra ones, and the others' distances from predictions, px."""
+    """Count the missed and the extra corners of a frame; return the others' distances, (K,) px.
+
+    xy: (N, 2) detections, px. A distance is from the position that the neighbours predict.
+    """
     if frame.region is not None:
         low, high = frame.region[:2], frame.region[2:]
         xy = xy[((xy >= low) & (xy <= high)).all(axis=1)]

@@ -1,4 +1,4 @@
-"""Where and how deep something presses on a surface, and which way the surface looks."""
+"""The contact on a surface: its area and depth, and the normals of the surface."""
 
 import dataclasses
 import math
@@ -12,19 +12,19 @@ from cmp_cl.field.strain import slope_weights
 
 Array = NDArray[np.float64]
 
-_NORMAL_RADIUS = 2  # nodes: a normal is that of a plane through 5 x 5 nodes, as a strain is
+_NORMAL_RADIUS = 2  # nodes: a normal comes from a plane through 5 x 5 nodes, as a strain does
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Contact:
-    """What presses on a surface, as far as its displacement shows it.
+    """The contact on a surface, as its displacement shows it.
 
     depth: (R, C) float64, the displacement along the normal at rest, towards the cameras, in
         `unit`; NaN where the normal or the displacement is missing.
     sigma: (R, C) float64, its standard deviation, NaN where unknown.
     normal: (R, C, 3) float64, unit normals of the surface now, towards the cameras, or NaN.
-    inside: (R, C) bool, nodes deeper than the depth that was asked for.
-    area: of the surface at rest that they stand for, in `unit` squared.
+    inside: (R, C) bool, nodes deeper than the depth asked for.
+    area: area of these nodes on the surface at rest, in `unit` squared.
     deepest: the largest depth in `unit`, NaN where no depth is known.
     """
 
@@ -38,14 +38,14 @@ class Contact:
 
 
 def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
-    """Return where the surface is pressed in by more than a depth, in the field's unit.
+    """Return the part of the surface that is pressed in by more than a depth.
 
-    A gel that is pressed at one place bulges beside it and follows within a soft rim: what is
-    deeper than `deeper_than` is the area of the indentation at that depth, which is the area of
-    contact only as far as the user has chosen the depth for the gel. A node stands for a
-    quarter of each of its whole cells.
+    field: the displacement. deeper_than: the depth, in the field's unit. A gel is indented beside
+        the contact too, and bulges further out. So the area is that of the indentation at that
+        depth; it is the area of the contact only if the depth was chosen for the gel. A node counts
+        for a quarter of each of its whole cells.
 
-    Raises FieldError where the depth is not a finite number.
+    Raises FieldError if the depth is not a finite number.
     """
     if not math.isfinite(deeper_than):
         raise FieldError(f"a depth must be a finite number, not {deeper_than!r}")
@@ -71,8 +71,9 @@ def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
 def surface_normals(positions: Array) -> Array:
     """Return the unit normals of a surface (R, C, 3) in the frame of the left camera.
 
-    They are those of the plane through the 5 x 5 nodes around, and point to the side of the
-    origin; NaN where fewer than 6 of these are there, or all of them on a line.
+    positions: (R, C, 3), NaN where missing. A normal is that of the plane through the 5 x 5 nodes
+        around, and points to the side of the origin. It is NaN if fewer than 6 of these are valid,
+        or if all lie on a line.
     """
     valid: NDArray[np.bool_] = np.all(np.isfinite(positions), axis=2)
     filled = np.where(valid[..., None], positions, 0)
@@ -93,7 +94,8 @@ def surface_normals(positions: Array) -> Array:
 
 
 def _cell_areas(positions: Array) -> Array:
-    """Return the areas of the cells (R - 1, C - 1), by their diagonals; NaN where one is cut."""
+    """Return the areas of the cells, (R - 1, C - 1), from their diagonals; NaN if a node is
+    missing."""
     one = positions[1:, 1:] - positions[:-1, :-1]
     other = positions[1:, :-1] - positions[:-1, 1:]
     return np.asarray(np.linalg.norm(np.cross(one, other), axis=2) / 2, np.float64)

@@ -25,15 +25,15 @@ class DisplacementField:
     displacement: (R, C, 3) float64, in `unit`, NaN unless the node is valid.
     covariance: (R, C, 3, 3) float64, of the displacement, in `unit` squared; NaN where unknown.
     position_covariance: (R, C, 3, 3) float64, the same of `position`.
-    status: (R, C) uint8 of `PointStatus`: that of now, or that at rest where it is not VALID.
+    status: (R, C) uint8 of `PointStatus`: the status now, or that at rest if that is not VALID.
     source: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12 in the tangent plane of
         the surface at rest, axis 1 along the rows; NaN where too few neighbours are valid;
-        None where it was not asked for (`with_strain`).
+        None if it was not asked for (`with_strain`).
     strain_sigma: (R, C, 3) float64, standard deviations of the strain; None without a strain.
     unit: name of the unit of length.
-    raw: the field before the lattice filter; None where this one is not filtered.
-    filtered: the filter's results for the position and the displacement; None where this field is
+    raw: the field before the lattice filter; None if this one is not filtered.
+    filtered: the filter's results for the position and the displacement; None if this field is
         not filtered.
     """
 
@@ -56,19 +56,20 @@ class DisplacementField:
 
     @property
     def sigma(self) -> Array:
-        """Return (R, C): the standard deviation along the most uncertain axis, `unit`, or NaN."""
+        """Return the standard deviation along the most uncertain axis, (R, C), in `unit`, or
+        NaN."""
         return largest_deviation(self.covariance)
 
     @property
     def position_sigma(self) -> Array:
-        """Return (R, C) float64: the same of the position at rest."""
+        """Return the same for the position at rest, (R, C) float64."""
         return largest_deviation(self.position_covariance)
 
     def with_strain(self, radius: int = 2) -> "DisplacementField":
-        """Return the same field with its in-plane strain, fitted over 2 radius + 1 nodes a side.
+        """Return the same field with its in-plane strain, fitted over (2 radius + 1)^2 nodes.
 
         The raw field gets its own strain. See `cmp_cl.field.green_lagrange` and
-        `cmp_cl.field.strain_deviation`. Raises ConfigError where radius is not 1 to 50.
+        `cmp_cl.field.strain_deviation`. Raises ConfigError if radius is not 1 to 50.
         """
         now = self.position + self.displacement
         strain = green_lagrange(self.position, now, radius=radius)
@@ -91,7 +92,7 @@ class DisplacementField:
         """Write the field as .npz, .csv, .ply or .vtp, by suffix, whole or not at all.
 
         The raw field is written beside a filtered one; the names of its arrays begin with raw_.
-        Raises ConfigError on another suffix, OSError where the file cannot be written.
+        Raises ConfigError on another suffix, OSError if the file cannot be written.
         """
         save(self, path)
 
@@ -115,13 +116,13 @@ def _independent_slopes(weights: tuple[Array, Array], covariance: Array) -> Slop
 def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> DisplacementField:
     """Return the displacement of each node between two moments, now - rest, by index.
 
-    The displacement and the position at rest are filtered over the lattice, see
-    `cmp_cl.grid.filter_grid`, and what bent edges add to points is taken off them; `raw` leaves
-    both out. The standard deviations are estimated
-    from the lattice, wear of the print included. Where the lattice is too small for that, those of
-    the points are taken, and the two moments are assumed independent.
+    rest, now: the points at the two moments. The displacement and the position at rest are filtered
+        over the lattice, see `cmp_cl.grid.filter_grid`, and the shift by bent edges is subtracted;
+        raw=True does neither. The standard deviations are estimated from the lattice, and include
+        wear. If the lattice is too small, they are those of the points, and the two moments are
+        assumed independent.
 
-    Raises FieldError where the shapes or the units differ.
+    Raises FieldError if the shapes or the units differ.
     """
     if rest.status.shape != now.status.shape or rest.unit != now.unit:
         raise FieldError(
@@ -171,13 +172,13 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
 
 
 def _per_axis(points: Points3D) -> Array:
-    """Return (R, C): the standard deviation per axis that the points' own images tell."""
+    """Return the standard deviation per axis of the points from their own images, (R, C)."""
     variance: Array = np.trace(points.covariance, axis1=2, axis2=3) / 3
     return np.sqrt(variance)
 
 
 def _either(lattice: Array, points: Array, valid: NDArray[np.bool_]) -> Array:
-    """Return the covariance that the lattice shows, or that of the points where it shows none."""
+    """Return the covariance from the lattice, or that of the points where the lattice has none."""
     known = np.isfinite(lattice).all(axis=(2, 3), keepdims=True)
     chosen: Array = np.where(known, lattice, points)
     return np.where(valid[..., None, None], chosen, np.nan)

@@ -1,4 +1,4 @@
-"""Heights and densities from gradients: waves on a surface, schlieren in a gas.
+"""Heights and densities from gradients, for waves on a surface and schlieren in a gas.
 
 A pattern seen through a medium appears displaced by u = -length grad(phi): through a free
 surface phi is its height (F. Moisy, M. Rabaud, K. Salsac, Exp. Fluids 46, 2009), in a gas the
@@ -20,7 +20,7 @@ from cmp_cl.field.plane import Raster
 Array = NDArray[np.float64]
 
 _GLADSTONE_DALE = 2.26e-4  # m3/kg, air in visible light
-_TOLERANCE = 1e-8  # of the residual, where the iteration ends
+_TOLERANCE = 1e-8  # relative residual at which the iteration ends
 _MOST_STEPS = 2000
 
 
@@ -62,16 +62,18 @@ def surface_height(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """Return the height of a liquid's surface over its level at rest, seen through it.
+    """Return the height of a liquid's surface above its level at rest, from a pattern seen through
+        it.
 
-    displaced: displacement of the pattern, its rest being the flat surface. depth: from the
-    surface to the pattern, within the liquid (layers of other media: their thickness times
-    index over theirs), camera: from the surface to the camera in air, both in the raster's
-    unit. index: refractive index of the liquid. u = -h* grad(h), 1/h* = 1/(a depth) - 1/camera,
-    a = 1 - 1/index (Moisy, Rabaud, Salsac 2009, Eqs. 10 and 11): for small slopes, small
-    heights beside the depth, and no crossing rays. mask, boundary: see `integrate`.
+    displaced: displacement of the pattern; at rest the surface is flat. depth: distance from the
+    surface to the pattern within the liquid (for a layer of another medium, its thickness times
+    index over the index of that medium). camera: distance from the surface to the camera, in air.
+    Both are in the raster's unit. index: refractive index of the liquid. u = -h* grad(h), 1/h* =
+    1/(a depth) - 1/camera, a = 1 - 1/index (Moisy, Rabaud, Salsac 2009, Eqs. 10 and 11). It holds
+    for small slopes, heights that are small compared with the depth, and rays that do not cross.
+    mask, boundary: see `integrate`.
 
-    Raises ConfigError where a length or the index is out of range, FieldError.
+    Raises ConfigError if a length or the index is out of range, and FieldError as `integrate` does.
     """
     if not (0 < depth < math.inf and 1 < index < 10 and camera > 0):
         raise ConfigError(
@@ -93,13 +95,14 @@ def projected_density(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """Return the density of a gas summed along the view, kg/m2, over that at rest.
+    """Return the density of a gas summed along the view, kg/m2, minus that at rest.
 
     displaced: displacement of the background, mm in the background's plane. distance: from
-    the middle of the gas to the background, mm. gladstone_dale: m3/kg. index: of the gas at
-    rest. u = -distance grad(integral of n) / index, and n - 1 = gladstone_dale density.
+    the middle of the gas to the background, mm. gladstone_dale: m3/kg. index: refractive index of
+    the gas at rest. mask, boundary: see `integrate`. u = -distance grad(integral of n) / index, and
+    n - 1 = gladstone_dale density.
 
-    Raises ConfigError where a number is out of range, FieldError where the unit is not mm.
+    Raises ConfigError if a number is out of range, FieldError if the unit is not mm.
     """
     if displaced.unit != "mm":
         raise FieldError(f"a density needs the displacement in mm, not in {displaced.unit}")
@@ -126,13 +129,15 @@ def integrate(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """Return the function whose gradient is nearest, by least squares over neighbouring points.
+    """Return the function with a given gradient, by least squares over neighbouring points.
 
-    raster: gives the coordinates. gradient: (H, W, 2) by x and y, NaN where unknown. mask: (H, W),
-    where phi is wanted; None means everywhere. Points of unknown gradient are left out.
+    raster: gives the coordinates. gradient: (H, W, 2) by x and y, NaN where unknown. mask: (H, W)
+        bool, the points at which phi is wanted; None means all. Points of unknown gradient are left
+        out. boundary: the condition at the border of the mask.
 
     The solver is conjugate gradients, preconditioned by the cosine transform's solution on the
-    whole rectangle. Raises FieldError where the shapes differ or nothing is left in the mask.
+    whole rectangle. Raises FieldError if the shapes differ, no point is left in the mask, or the
+    iteration does not converge.
     """
     known = np.asarray(np.isfinite(gradient).all(axis=2), np.bool_)
     if gradient.shape != (len(raster.y), len(raster.x), 2):
@@ -145,7 +150,7 @@ def integrate(
         known = np.asarray(known & mask, np.bool_)
     if not known.any():
         raise FieldError("no gradient is known within the mask")
-    # A rim of one point holds the zeros; it is no part of the mask.
+    # A rim of one point holds the zeros; it does not belong to the mask.
     inside = np.pad(known, 1)
     slopes = np.pad(np.where(known[..., None], gradient, 0) * raster.step, ((1, 1), (1, 1), (0, 0)))
     problem = _Poisson(inside, boundary)
@@ -181,7 +186,8 @@ class _Poisson:
         self._spectrum[0, 0] = np.inf if self._parts is not None else self._spectrum[0, 1] / 4
 
     def divergence(self, slopes: Array) -> Array:
-        """Return A'g: the mean slope of both points where both are inside, else that of the one."""
+        """Return A'g, from the mean slope of two points that are both inside, else from one
+        slope."""
         return self._spread(self._means(slopes))
 
     def _means(self, slopes: Array) -> list[Array]:
@@ -211,14 +217,14 @@ class _Poisson:
         ]
 
     def _centred(self, value: Array) -> Array:
-        """Subtract the mean of each part, where nothing else determines it."""
+        """Subtract the mean of each part, if nothing else determines it."""
         if self._parts is None:
             return np.where(self._inside, value, 0)
         sums = np.bincount(self._parts.ravel(), weights=value.ravel())
         return np.where(self._inside, value - (sums / self._sizes)[self._parts], 0)
 
     def _roughly(self, residual: Array) -> Array:
-        """Solve on the whole rectangle."""
+        """Solve approximately, on the whole rectangle."""
         padded = np.zeros(self._spectrum.shape)
         padded[: residual.shape[0], : residual.shape[1]] = residual
         waves = cv2.dct(padded) / self._spectrum
@@ -226,7 +232,7 @@ class _Poisson:
         return self._centred(np.asarray(solved, np.float64))
 
     def solve(self, goal: Array) -> Array:
-        """Solve by conjugate gradients. Raises FieldError where they do not converge."""
+        """Solve by conjugate gradients. Raises FieldError if they do not converge."""
         value = np.zeros_like(goal)
         residual = self._centred(goal)
         target = _TOLERANCE * float(np.linalg.norm(residual))

@@ -20,10 +20,10 @@ def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
     the plane at rest, axis 1 along a1 and axis 2 towards a2, with A = Q U:
     E = (U^-T B^T B U^-1 - I) / 2. A rigid motion of the surface gives 0.
 
-    Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN where the node is
-    missing, or fewer than 6 of the window are there, or all of those on a line.
+    Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN if the node is missing, if its
+    window has fewer than 6 nodes, or if these lie on a line.
 
-    Raises ConfigError where radius is not a whole number from 1 to 50.
+    Raises ConfigError if radius is not a whole number from 1 to 50.
     """
     if type(radius) is not int or not 1 <= radius <= 50:
         raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
@@ -74,7 +74,7 @@ class Slopes:
     """The covariance of the slopes of positions or displacements over the lattice.
 
     by_column, by_row: (R, C), their variances per node step and coordinate. covariance: (R, C, 3,
-    3), of the values; how the coordinates vary together is taken from it.
+        3), of the values; the correlation of the coordinates is taken from it.
     """
 
     by_column: Array
@@ -91,7 +91,8 @@ def strain_deviation(
     errors of the slopes of the displacement and of the position at rest along the same axes, to
     first order dE = sym(F^T dG + (F - Q F^T F)^T dA), and the effect of the rotation of axis 1 by
     Q2 . dA1 on the components. rest, now: (R, C, 3). rest_slopes, slopes: of the position and of
-    the displacement. NaN where the strain is NaN or the error is unknown.
+    the displacement. radius: as in `green_lagrange`. The result is NaN if the strain is NaN or an
+    error is unknown.
     """
     both = np.concatenate([rest, now], axis=2)
     valid = ~np.isnan(both).any(axis=2)
@@ -100,7 +101,7 @@ def strain_deviation(
     good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
     first, second = tangents[good, :, :3], tangents[good, :, 3:]
     lower = np.linalg.cholesky(first @ first.transpose(0, 2, 1))
-    inverse = np.linalg.inv(lower)  # from steps of a node to the axes
+    inverse = np.linalg.inv(lower)  # from steps between nodes to the axes
     axes, along = inverse @ first, inverse @ second
     strain = (along @ along.transpose(0, 2, 1) - np.eye(2)) / 2
     e11, e22, e12 = (strain[:, i, j, None] for i, j in ((0, 0), (1, 1), (0, 1)))

@@ -1,4 +1,4 @@
-"""Files of one field: .npz, .csv, .ply and .vtp."""
+"""Writes one field as .npz, .csv, .ply or .vtp."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -27,7 +27,7 @@ def save(field: "DisplacementField", path: str | PathLike[str]) -> None:
     .ply: the valid nodes and the quadrilaterals between them, little-endian.
     .vtp: the same for VTK and ParaView; "Warp By Vector" shows the surface as it is now.
 
-    Raises ConfigError on another suffix, OSError where the file cannot be written.
+    Raises ConfigError on another suffix, OSError if the file cannot be written.
     """
     writers = {".npz": _save_npz, ".csv": _save_csv, ".ply": _save_ply, ".vtp": _save_vtp}
     suffix = Path(path).suffix.lower()
@@ -111,7 +111,8 @@ def _columns(arrays: dict[str, NDArray[Any]], names: Sequence[str], unit: str) -
 
 
 def mesh(field: "DisplacementField") -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
-    """Return columns of the valid nodes, and quadrilaterals between them, (Q, 4) node numbers."""
+    """Return columns of the valid nodes of a field, and the quadrilaterals between them, (Q, 4)
+    indices."""
     valid = field.valid
     row, column = np.nonzero(valid)
     columns: dict[str, NDArray[Any]] = {

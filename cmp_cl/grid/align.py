@@ -1,4 +1,4 @@
-"""One numbering for several views of the same pattern."""
+"""Views of the same pattern are numbered alike here."""
 
 from collections.abc import Sequence
 
@@ -7,18 +7,18 @@ import numpy as np
 from cmp_cl.errors import GridError
 from cmp_cl.grid.grid import Grid
 
-MOST_TURNED = 60  # degrees between the rows of two views that no colour tells apart
+MOST_TURNED = 60  # degrees between the rows of two views, if colours do not decide
 
 
 def align(grids: Sequence[Grid]) -> list[Grid]:
-    """Number the grids of several views of one board as the first one is.
+    """Return the grids of several views of one board with the numbers of the first view.
 
-    Where a quarter or half turn of the board changes the colours, as it does for 9 x 6 corners,
-    colours decide, however the cameras are turned: of 9 x 6 corners the cell between nodes
-    (0, 0) and (1, 1) is then of one colour in all views. Where several turns have the same
-    colours, it is the one that leaves the rows most parallel to those of the first view.
+    If a quarter or half turn of the board changes its colours, the colours decide, however the
+    cameras are rotated: with 9 x 6 corners the cell between nodes (0, 0) and (1, 1) has the same
+    colour in all views. If several turns have the same colours, the one that leaves the rows most
+    parallel to those of the first view is taken.
 
-    Raises GridError where a grid has no node, where shapes or colours do not agree, or where
+    Raises GridError if a grid has no node, if shapes or colours do not agree, or if
     several turns have the same colours and none leaves the rows within 60 degrees.
     """
     grids = list(grids)
@@ -47,7 +47,8 @@ def _like(first: Grid, grid: Grid) -> Grid:
 
 
 def row_direction(grid: Grid) -> complex:
-    """Return the mean step from a column to the next, x + 1j y, px; NaN where there is none."""
+    """Return the mean step of a grid from one column to the next, x + 1j y, px; NaN if it has
+    none."""
     step = np.diff(grid.xy.astype(np.float64), axis=1)
     known = step[np.isfinite(step).all(axis=2)]
     return complex(*known.mean(axis=0)) if len(known) else complex(np.nan, np.nan)

@@ -1,4 +1,4 @@
-"""Where a pattern ends in the view."""
+"""The border of a pattern: the sides on which it ends in the view."""
 
 import math
 from typing import Any, NamedTuple
@@ -13,33 +13,35 @@ from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
 JUST_BEYOND = (0.8, 1.1, 1.2)  # cells: late in the first squares beyond, early in the second
-HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the picture may not be seen
-FLAT = 0.3  # of the contrast of the cells before: below it those beyond are no cells
-SPOTS = np.array([-0.15, 0.0, 0.15])  # cells: where a square's grey level is taken
-MOST = 23  # squares of a side that are looked at; odd, so that of equal steps both colours come
+HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the image may be missed
+FLAT = 0.3  # share of the contrast of the cells before; with less there are no cells beyond
+# Cells from a square's middle: points at which its grey level is sampled.
+SPOTS = np.array([-0.15, 0.0, 0.15])
+MOST = 23  # most squares of a side that are examined; odd, so that equal steps reach both colours
 STEP = 0.1  # cells
-DEPTHS = np.arange(0.3, 1.45, STEP)  # cells from the last nodes: where the last squares may end
-PARALLEL = 0.16  # cells: so near to one reach are three of four
-ALIKE = 0.12  # cells: between the reach of a side of a pattern and that in another picture
-PAST = np.array([0.3, 0.6, 0.9])  # cells past the pattern, where its border has ended
+# Cells from the last nodes: depths at which the last squares may end.
+DEPTHS = np.arange(0.3, 1.45, STEP)
+PARALLEL = 0.16  # cells: three of four reaches must be as near to their median
+ALIKE = 0.12  # cells: greatest difference between the reach of a side in two images
+PAST = np.array([0.3, 0.6, 0.9])  # cells past the pattern, where its border line has ended
 ACROSS_LINE = np.array([[-0.3], [0.3]])  # cells to either side of the border's line
 ROWS = np.array([0, 0, -1, -1, 0, -1, 0, -1])  # the corners at the ends of the four sides
 COLUMNS = np.array([0, -1, 0, -1, 0, 0, -1, -1])
 INNER_ROWS, INNER_COLUMNS = np.where(ROWS, -2, 1), np.where(COLUMNS, -2, 1)
 ASIDE = np.array([2, 3, 2, 3, 0, 1, 0, 1])  # the sides that meet them there
-STEPPED = 0.2  # of the contrast of two squares: a step between the sides of that line
-PAIRS = 16  # neighbouring squares of a side that are looked at for where they end
+STEPPED = 0.2  # share of the contrast of two squares: least step between the sides of that line
+PAIRS = 16  # pairs of neighbouring squares of a side whose ends are searched
 
 
 FourSides = tuple[float, float, float, float]  # top, bottom, left, right; NaN where unknown
 
 
 class Border(NamedTuple):
-    """Where a pattern ends in the view, by side.
+    """The border of a pattern in the view, by side.
 
     reach: how far its last squares reach beyond its last nodes, cells, NaN where it does not
-    end. past: by how much the picture differs between the two sides of that line past the
-    pattern, as a share of the pattern's contrast; NaN where that is not in view.
+    end. past: the difference of the image between the two sides of that line past the pattern, as a
+    share of the pattern's contrast; NaN where that is not in view.
     """
 
     reach: FourSides = UNSEEN
@@ -56,16 +58,17 @@ class Border(NamedTuple):
 
     @property
     def passing(self) -> Sides:
-        """Return the sides whose line goes on past the pattern.
+        """Return the sides whose line continues past the pattern.
 
-        The edge of what hides a part of a pattern does not know where the pattern ends. Nor
-        does the edge of a sheet that was cut along its squares.
+        The edge of an object that hides a part of the pattern continues past its end. So does the
+        edge of a sheet that was cut along its squares.
         """
         return Sides(*(abs(step) > STEPPED for step in self.past))
 
     @property
     def lone(self) -> Sides:
-        """Return the sides whose line goes on past the pattern, and that face no border."""
+        """Return the sides whose line continues past the pattern, and whose opposite side is no
+        border."""
         facing = (self.reach[number] for number in (1, 0, 3, 2))
         sides = zip(self.passing, facing, strict=True)
         return Sides(*(passes and math.isnan(across) for passes, across in sides))
@@ -75,21 +78,22 @@ class Border(NamedTuple):
         return Border(turned_sides(self.reach, quarters), turned_sides(self.past, quarters))
 
     def contradicts(self, other: "Border") -> Sides:
-        """Return the sides on which one of the two is the edge of what hides the pattern.
+        """Return the sides on which one of the two borders is the edge of an object that hides the
+            pattern.
 
-        Both end there, and the squares do not reach as far, or the line goes on past the
-        pattern in one of the two alone.
+        Both patterns end there, but their squares do not reach equally far, or the line continues
+        past the pattern in only one of the two.
         """
         sides = zip(self.reach, other.reach, self.past, other.past, strict=True)
         return Sides(*(abs(a - b) > ALIKE or abs(c - d) > STEPPED for a, b, c, d in sides))
 
 
 class Ends(NamedTuple):
-    """How a pattern ends in the view.
+    """The ends of a pattern in the view.
 
-    border: the sides on which nodes end in the picture, and what lies beyond is no cell.
-    cut: the sides on which the picture ends before the next nodes.
-    passing: the sides of a border whose line goes on past the pattern.
+    border: the sides on which nodes end inside the image, with no cell beyond. cut: the sides on
+        which the image ends before the next nodes. passing: the sides of a border whose line
+        continues past the pattern.
     """
 
     border: Sides = NO_SIDES
@@ -102,10 +106,10 @@ class Ends(NamedTuple):
 
 
 def border_of(nodes: Nodes, image: GreyImage) -> Border:
-    """Return where nodes end in the image, and no cell follows.
+    """Return the border: the sides on which nodes end in the image and no cell follows.
 
-    The last squares must reach as far along all of the side: the edge of what lies in front of
-    a pattern cuts them anywhere.
+    The last squares must reach equally far along the whole side, because the edge of an object in
+    front of the pattern cuts squares at any depth.
     """
     if min(nodes.at.shape) < 2:
         return Border()
@@ -206,9 +210,9 @@ def _squares(lines: Points, side: Index, first: NDArray[Any]) -> tuple[Points, P
 
 
 def common_reach(reach: Float, columns: int) -> float:
-    """Return the median of how far pairs reach; NaN unless three of four are near.
+    """Return the median reach of pairs, (columns,); NaN unless three of four are near it.
 
-    One of several pairs cannot tell whether they reach equally far.
+    A single pair cannot show whether squares reach equally far.
     """
     count = len(reach)
     if count < max(min(2, columns - 2), 1):
@@ -219,7 +223,7 @@ def common_reach(reach: Float, columns: int) -> float:
 
 
 def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
-    """Return the sides on which the image ends before the next nodes, and shows cells there."""
+    """Return the sides on which the image ends before the next nodes but shows their cells."""
     at, across = nodes.at, nodes.at.T
     cut = [_cut(way, image) for way in (at, at[::-1], across, across[::-1])]
     if any(cut) and min(at.shape) > 1:
@@ -231,10 +235,11 @@ def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
 
 
 def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
-    """Return by how much the picture differs between the sides of the lines, past the pattern.
+    """Return the difference of the image between the two sides of each border line, past the
+        pattern.
 
-    Seen past both corners of a side it is the smaller of the two, and none if they differ in
-    sign: an edge that hides the pattern goes on at both.
+    If both corners of a side are in view it is the smaller of two differences, or 0 if their signs
+    differ: the edge of an object that hides the pattern continues past both.
     """
     at, middle = nodes.at, len(nodes.at) // 2
     squares = (at[middle - 1, 1:] + at[middle, :-1]) / 2
@@ -262,8 +267,8 @@ def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
 def _ends_at(nodes: Nodes, lines: Points, image: GreyImage, depth: float, shown: float) -> Sides:
     """Return the sides on which there are no cells that many cells from the last nodes.
 
-    lines: as of `_outer`. shown: how far the image must reach, cells; else the side is none of
-    them.
+    lines: as of `_outer`. depth: cells. shown: the image must reach that far, cells, or the side is
+        left out.
     """
     side, first = _ends(nodes.there)
     middle, out, along = _squares(lines, side, first)
@@ -295,7 +300,7 @@ def _cut(at: Points, image: GreyImage) -> bool:
 
 
 def _inside(at: Points, image: GreyImage) -> Mask:
-    """Return which of those points the image shows."""
+    """Return a mask of the points that lie in the image."""
     rows, columns = image.shape
     inside: Mask = (at.real >= 0) & (at.real < columns) & (at.imag >= 0) & (at.imag < rows)
     return inside

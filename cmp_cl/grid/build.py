@@ -1,4 +1,4 @@
-"""Corners to rows and columns: numbering, orientation, holes, second look."""
+"""Corners are arranged by row and column here: numbers, orientation, holes, second look."""
 
 import dataclasses
 from typing import NamedTuple
@@ -23,7 +23,8 @@ from cmp_cl.image import GreyImage, check_image
 
 SMALL = 0.1  # least share of the corners that the pattern must hold
 RIVAL = 0.5  # a second component of this share of the first is a second pattern
-RIVAL_AREA = 1 / 16  # of the first pattern's: cells a quarter as wide are texture
+# Of the area of the first pattern; a pattern of cells a quarter as wide is texture.
+RIVAL_AREA = 1 / 16
 OTHER = 12  # corners: a lattice of so many may be the pattern that is meant
 LEAST_BOARD = 9  # corners of a board among several
 TORN = 0.15  # px: a corner whose sigma is not below it is torn, as is one not refined as asked
@@ -32,9 +33,9 @@ Region = tuple[float, float, float, float]
 
 
 class Ended(NamedTuple):
-    """What is known of the pattern beside its numbers.
+    """Properties of the pattern besides its numbers.
 
-    sides: on which it ends. border: how far its last squares reach where that is seen.
+    sides: the sides on which it ends. border: the reach of its last squares.
     reflected: as in `Grid`.
     """
 
@@ -59,37 +60,39 @@ def build_grid(
         torn ones that lie far from where their neighbours say; nodes at the rim must look like
         corners of the pattern, and the pattern's border is seen. Without it nothing of this is
         done.
-    shape: rows and columns of the pattern's inner corners. The grid then has this shape. Where
-        less is seen, the borders in view say which part it is; where more is seen, it is the
-        fullest such window. Without it, the grid has the shape of what is seen.
+    shape: rows and columns of the pattern's inner corners. The grid then has this shape. If fewer
+        are seen, the borders in view decide which part it is; if more are seen, the grid is the
+        fullest window of this shape. Without it, the grid has the rows and columns that are seen.
     like: a grid of the same pattern, usually at rest. The result has its orientation and
         numbers, and at least its rows and columns: nodes beyond a side on which that grid
         shows no border are kept, see `Grid.origin`. Without it row 0 is at the top and column
         0 at the left of the image.
     region: (x0, y0, x1, y1), px; corners outside belong to no node.
     previous: the grid of the frame before, with the numbers of `like`, or `like` itself for the
-        first frame. Its numbers go on where `like` alone leaves them ambiguous, as long as the
+        first frame. Its numbers are continued if `like` alone leaves them ambiguous, as long as the
         pattern as a whole moves by less than half a cell from frame to frame.
-    strict: raise GridError where the result has doubts, see `Grid.doubts`.
+    strict: raise GridError if the result has doubts, see `Grid.doubts`.
 
-    Nodes that are not seen are NaN and MISSING; those that measured nodes bracket, in holes
-    of the pattern, are INTERPOLATED. Islands, which no neighbour links to the others, are
-    numbered where their place among the others, or at rest, leaves one number; else they are
-    left out.
-    A pattern without a border in view that moved as a whole so that its cells come to lie on
-    other cells looks as if it had not moved. What `like` decides by is the border, the errors
-    of the print, which are the same in both frames, and `previous`. Without them the grid is
-    ambiguous, and has the numbers by which the middle of the view has moved least: right as
-    long as it moved by less than half a cell. A pattern that turned by more than 40 degrees
-    needs a border or a print that tell; one that is seen whole and looks the same after a
-    quarter turn has turned by the least angle, and is ambiguous from 40 to 50 degrees.
-    The edge of something that hides the pattern along a row passes for its border only where
-    it leaves as much of the last squares as at rest, and does not go on past the pattern.
-    Where no closed cell is found the grid is empty, (0, 0) or of the known shape.
+    Nodes that are not seen are NaN and MISSING; those in holes, between measured nodes, are
+    INTERPOLATED. Islands, which no neighbour links to the other nodes, get a number if their
+    position among the others, or at rest, allows only one; else they are left out.
 
-    Raises GridError where corners have no finite position or no edge angles, where two
-    patterns are seen, where the largest lattice is small against the number of corners, where
-    a shape is far larger than the number of corners, where `like` is empty or contradicts
+    If a pattern without a border in view moves as a whole until its cells lie on other cells, it
+    looks as if it had not moved. With `like`, three things decide: the border, the printing errors,
+    which are the same in both frames, and `previous`. If none of them does, the grid is ambiguous.
+    It then has the numbers by which the middle of the view has moved least, which are right if it
+    moved by less than half a cell.
+
+    A pattern that rotated by more than 40 degrees needs a border or printing errors to decide. A
+    pattern that is seen whole and looks the same after a quarter turn gets the smallest rotation,
+    and is ambiguous from 40 to 50 degrees. The edge of an object that hides the pattern along a row
+    is taken for its border only if it leaves as much of the last squares as at rest and does not
+    continue past the pattern. If no closed cell is found the grid is empty, (0, 0) or of the known
+    shape.
+
+    Raises GridError if corners have no finite position or no edge angles, if two
+    patterns are seen, if the largest lattice holds few of the corners, if
+    a shape is far larger than the number of corners, if `like` is empty or contradicts
     `shape`; ImageError for an image that is not one, or not the corners' own.
     """
     shape = _known_shape(shape, like)
@@ -125,10 +128,11 @@ def build_grids(
 ) -> list[Grid]:
     """Number the corners of every checkerboard in a view, the one with the most nodes first.
 
-    The arguments are those of `build_grid`. A corner belongs to one grid at most. Lattices of
-    fewer than nine corners, or with a known shape of less than half its nodes, are no boards.
+    corners, image, shape, region: as in `build_grid`. A corner belongs to one grid at most. A
+    lattice of fewer than nine corners is not a board, nor is one that has less than half the nodes
+    of a known shape.
 
-    Raises what `build_grid` raises for its arguments.
+    Raises the errors of `build_grid` for its arguments.
     """
     shape = _known_shape(shape, None)
     inside, seen = _checked(corners, image, shape, region)
@@ -155,7 +159,7 @@ def build_grids(
 def _checked(
     corners: Corners, image: GreyImage | None, shape: tuple[int, int] | None, region: Region | None
 ) -> tuple[Index, Seen]:
-    """Number the corners in the region, and return what is known of them."""
+    """Check the arguments; return the mask of the corners in the region, and their data."""
     if not isinstance(corners, Corners):
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
@@ -178,7 +182,7 @@ def _checked(
 
 
 def _found(seen: Seen) -> Lattice | None:
-    """Return the lattice of the corners; None where no closed cell is seen."""
+    """Return the lattice of the corners; None if no closed cell is seen."""
     if len(seen.z) < 4:
         return None
     found = lattice(seen.z.astype(np.complex64), seen.edges)
@@ -205,7 +209,7 @@ def _numbered(
     previous: Grid | None = None,
     alone: bool = False,
 ) -> tuple[Placed | None, Ended]:
-    """Return the nodes, numbered and with holes filled, and the borders; None where none is left.
+    """Return the nodes, numbered and with holes filled, and the borders; None if none is left.
 
     alone: whether other components are other boards.
     """
@@ -213,7 +217,7 @@ def _numbered(
         return None, Ended()
     if shape is not None and seen.image is not None and np.less(nodes.at.shape, shape).any():
         extend(nodes, seen)
-    border = Border()  # which places nodes that do not fill a known shape, and those like others
+    border = Border()  # it decides the numbers in a known shape, or those of a frame at rest
     placing = like is not None or shape not in (None, nodes.at.shape)
     if seen.image is not None and placing:
         border = border_of(nodes, seen.image)
@@ -253,12 +257,12 @@ def _reflected(nodes: Nodes, like: Grid | None, *, whole: bool) -> bool:
 
 
 def _framed(placed: Placed) -> Grid:
-    """Return rows, columns and numbers of that grid, without a node."""
+    """Return the grid without its nodes: its rows, columns and numbers."""
     return dataclasses.replace(_empty(0, placed.nodes.at.shape), origin=placed.origin)
 
 
 def _declared(placed: Placed, border: Sides, shape: tuple[int, int] | None) -> Sides:
-    """Return the borders of a pattern, all four where it is seen whole in a known shape."""
+    """Return the borders of a pattern: all four if it is seen whole in a known shape."""
     there = placed.nodes.there
     if shape is None or placed.seen_shape is not None or not there.any():
         return border
@@ -268,7 +272,7 @@ def _declared(placed: Placed, border: Sides, shape: tuple[int, int] | None) -> S
 
 
 def _check_holds(image: GreyImage, corners: Corners) -> None:
-    """Raise ImageError where a corner lies outside the image: it comes from another one."""
+    """Raise ImageError if a corner lies outside the image, because it is from another image."""
     columns, rows = (int(line.max(initial=-1)) + 1 for line in corners.pixel.T)
     if rows > image.shape[0] or columns > image.shape[1]:
         raise ImageError(
@@ -337,7 +341,7 @@ def _empty(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None
 def _others(found: Lattice, nodes: Nodes, seen: Seen) -> int:
     """Return the corners of the largest other lattice that was not joined, 0 where it is small.
 
-    Raises GridError where it is comparable. What counts are its corners and the area that they
+    Raises GridError if it is comparable. What counts are its corners and the area that they
     cover: fine texture in a room's background forms lattices too.
     """
     if len(found.size) < 2 or found.size[1] < OTHER:

@@ -33,7 +33,7 @@ def _hermite(at: Float, t: float) -> Float:
 
 
 def _slopes(at: Float) -> Float:
-    """Return derivatives along axis 1: central, or one-sided by the parabola or line there is."""
+    """Return derivatives along axis 1: central, or one-sided by a parabola or a line."""
     padded = np.pad(at, ((0, 0), (2, 2), (0, 0)), constant_values=np.nan)
     ll, left, right, rr = padded[:, :-4], padded[:, 1:-3], padded[:, 3:-1], padded[:, 4:]
     slope = (right - left) / 2

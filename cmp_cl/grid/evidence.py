@@ -1,4 +1,4 @@
-"""What a node at the rim of a grid must show: four sectors, edges that run on, a place."""
+"""Nodes at the rim of a grid are checked here: four sectors, edges in line, and the position."""
 
 from typing import NamedTuple
 
@@ -11,14 +11,16 @@ from cmp_cl.grid.predict import Stencil, mean_steps
 from cmp_cl.image import GreyImage
 
 DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
-WITHIN = np.array([0.2, 0.3])  # of the diagonal of a cell: where its grey level is taken
-HOLE = 6  # places: nodes at the rim of a larger hole are at a rim
-SAMPLE = 64  # inner nodes that say what contrast the pattern has
+# Shares of a cell's diagonal: points at which its grey level is sampled.
+WITHIN = np.array([0.2, 0.3])
+HOLE = 6  # nodes: those beside a larger hole count as nodes at the rim
+SAMPLE = 64  # inner nodes whose contrast is that of the pattern
 
 
 class Least(NamedTuple):
-    """What a node needs: shares of the span of its four cells and of the pattern's contrast,
-    the cosine between its edges and the lattice's steps, cells from its prediction."""
+    """The least evidence for a node: shares of the span of its four cells and of the pattern's
+    contrast, the cosine between its edges and the lattice's steps, and the cells from its
+    prediction."""
 
     span: float
     contrast: float
@@ -27,21 +29,22 @@ class Least(NamedTuple):
 
 
 USUAL = Least(0.4, 0.2, 0.85, 0.12)
-ALONE = Least(0.8, 0.7, 0.95, 0.12)  # of a node that is in no whole cell
-NEAR = 1.5  # px: a node in a whole cell may be so far from its prediction however small cells are
-BESIDE = 2  # nodes to every side, whose distances from their predictions are compared
-SHARE, ALIKE = 0.25, 4.0  # quantile of these distances, and how many of it a node may be off
-BENT = 0.25  # cells: farther no node is off because the surface bends
-EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the picture's edge, and from the prediction there
+ALONE = Least(0.8, 0.7, 0.95, 0.12)  # for a node without a whole cell
+# px: a node in a whole cell may be so far from its prediction, however small the cells are.
+NEAR = 1.5
+BESIDE = 2  # nodes to each side whose distances from their predictions are compared
+SHARE, ALIKE = 0.25, 4.0  # quantile of these distances, and the largest multiple of it
+BENT = 0.25  # cells: largest distance that a bend of the surface explains
+EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the edge of the image, and from the prediction there
 EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
 
 
 def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
-    """Drop nodes at the rim that do not look like corners of the pattern; whether any was.
+    """Drop nodes at the rim that do not look like corners of the pattern; return whether any was.
 
-    Junctions of the outermost squares with the surround, dots and codes in cells, T junctions
-    and corners of a room have no four sectors in turn black and white as their number says,
-    or edges that do not run on into their neighbours.
+    Junctions with the surround, dots and codes in cells, T junctions and the corners of a room fail
+    in one of two ways: they do not have four sectors with the colours of their number, or their
+    edges do not lead to their neighbours. edges: (N, 4) rad, as in `Corners`.
     """
     dropped = False
     usual: float | None = None
@@ -69,7 +72,7 @@ def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
     """Return the nodes some of whose eight neighbours are neither there nor bracketed, which are
     in a cell, and their stencil.
 
-    A place is bracketed that lies in a small hole: between nodes of its row and of its column.
+    An index is bracketed if it lies in a small hole, between nodes of its row and of its column.
     """
     there = seen if seen.all() else seen | (_hole(seen) & _hole(seen.T).T)
     around = np.zeros(np.add(seen.shape, 2), np.bool_)
@@ -85,7 +88,7 @@ def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
 
 
 def _hole(seen: Mask) -> Mask:
-    """Return (R, C): between nodes before and after on the row, at most HOLE nodes apart."""
+    """Return (R, C) bool: True between two nodes of a row that are at most HOLE nodes apart."""
     columns = seen.shape[1]
     place = np.arange(columns)
     before = np.maximum.accumulate(np.where(seen, place, -columns), axis=1)
@@ -163,7 +166,7 @@ def _convincing(
     stencil: Stencil,
     usual: float,
 ) -> Mask:
-    """Return which of those nodes look like corners of the pattern."""
+    """Return a mask of the nodes that look like corners of the pattern."""
     row, column, along, down, cell, known, bright, dark, span = look
     contrast = bright - dark
     cosine = _cosine(nodes, edges, row, column, along, down)
@@ -186,7 +189,8 @@ def _convincing(
             & (off <= np.maximum(least.off * cell, near))
         )
 
-    guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK  # on rings that reach outside
+    # Its rings reach outside the image.
+    guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK
     beside = (inward < 0) | ((inward < EDGE_PIXELS) & (guessed | (off > EDGE_OFF)))
     beside |= (inward < EDGE_CELLS * cell) & (off > EDGE_OFF_CELLS * cell)
     kept: Mask = known & np.where(in_cell, fits(USUAL, near), fits(ALONE, np.zeros(1))) & ~beside
@@ -194,10 +198,10 @@ def _convincing(
 
 
 def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[int, ...]) -> Float:
-    """Return how far most nodes around are from their predictions, px.
+    """Return the typical distance of the nodes around from their predictions, px.
 
-    Where a surface bends away all nodes of a rim are off. Only nodes that are off by USUAL.off
-    get one; 0 for the others.
+    Where the surface bends away, all nodes at the rim are far from their predictions. It is
+    computed only for nodes that are farther than USUAL.off; the others get 0.
     """
     typical = np.zeros(len(off))
     asked = np.flatnonzero((off > USUAL.off * cell) & np.isfinite(off))
@@ -220,7 +224,7 @@ def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[in
 def _cosine(
     nodes: Nodes, edges: NDArray[np.float32], row: Index, column: Index, along: Points, down: Points
 ) -> Float:
-    """Return the smaller |cos| between a corner's two lines and the steps; NaN where unknown."""
+    """Return the smaller |cos| of the angles between a corner's two lines and the steps, or NaN."""
     owner = nodes.owner[row, column]
     angle = edges[owner].astype(np.float64)
     lines = np.exp(1j * angle)

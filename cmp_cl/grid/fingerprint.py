@@ -1,8 +1,8 @@
-"""The errors of a print, which go where the pattern goes.
+"""The fingerprint of a pattern: its printing errors, which move with it.
 
-No print is perfect: each of its corners is off its place by some hundredths of a cell. What is
-left of positions without all that is smooth is those errors and noise. Between two frames the
-errors agree under the right numbers and under no others.
+No print is perfect: each of its corners is misplaced by some hundredths of a cell. Without their
+smooth part, the positions leave these errors and noise. The errors of two frames agree under the
+right numbers, and under no others.
 """
 
 import functools
@@ -17,20 +17,20 @@ from numpy.typing import DTypeLike, NDArray
 from cmp_cl.grid.grid import MEASURED, Grid
 from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points, median, turned_lines
 
-CLIP = 2.5  # times the median: a larger error counts as that
-PRINTED = 0.1  # px per axis: smaller errors may be the camera's, which stay in their places
-ABOVE_CHANCE = 6.0  # standard deviations of the correlations under all numbers
+CLIP = 2.5  # times the median: larger errors are clipped to it
+PRINTED = 0.1  # px per axis: smaller errors may be the camera's, which do not move with the pattern
+ABOVE_CHANCE = 6.0  # standard deviations of the correlations under all numberings
 ABOVE_SECOND = 2.0  # times the second best correlation
-LEAST_COMMON = 0.25  # share of the errors that must have a counterpart
-LEAST_COUNT = 100  # errors that must have one
-GAIN = 1 + 68 / 144  # of an error's variance, see `_rough`
+LEAST_COMMON = 0.25  # least share of the errors with a counterpart
+LEAST_COUNT = 100  # least number of errors with a counterpart
+GAIN = 1 + 68 / 144  # factor on an error's variance, see `_rough`
 
 
 class Fingerprint(NamedTuple):
-    """The errors of a print.
+    """The printing errors of a pattern.
 
-    error: (R, C), cells, along rows plus 1j along columns, 0 where unknown. known: (R, C).
-    cell: px.
+    error: (R, C) complex, cells, along rows plus 1j along columns, 0 where unknown. known: (R, C)
+        bool. cell: side of a cell, px.
     """
 
     error: Points
@@ -39,7 +39,7 @@ class Fingerprint(NamedTuple):
 
     @classmethod
     def of(cls, at: Points) -> "Fingerprint":
-        """Take the fingerprint of measured nodes, (R, C) px, NaN where there is none."""
+        """Take the fingerprint of measured nodes; at: (R, C), x + 1j y, px, NaN where missing."""
         error, known = np.zeros(at.shape, np.complex128), np.zeros(at.shape, np.bool_)
         rough, step = _rough(at)
         inner = ~np.isnan(rough.real)
@@ -54,7 +54,8 @@ class Fingerprint(NamedTuple):
 
     @classmethod
     def at_rest(cls, rest: Grid) -> "Fingerprint":
-        """Take the same of a grid at rest. The last few are kept: a film's frames share it."""
+        """Take the fingerprint of a grid at rest. The last few are kept for the other frames of a
+        film."""
         return _kept(rest.shape, rest.xy.dtype, rest.xy.tobytes(), rest.status.tobytes())
 
     @property
@@ -72,11 +73,12 @@ def _kept(shape: tuple[int, int], kind: DTypeLike, xy: bytes, status: bytes) -> 
 
 
 def _rough(at: Points) -> tuple[Points, Points]:
-    """Return how far nodes are from the cubics through their neighbours, cells, and the steps, px.
+    """Return the distances of nodes from the cubics through their neighbours, cells, and the steps,
+        px.
 
-    (R - 4, C - 4) each, without the two outermost lines of each side, or empty. The mean of
-    x - (4 (L + R) - (LL + RR)) / 6 along the row and along the column, over the step along the
-    row: an independent error of variance 1 leaves GAIN.
+    (R - 4, C - 4) each, without the two outermost lines of each side, or empty. A distance is the
+    mean of x - (4 (L + R) - (LL + RR)) / 6 along the row and along the column, divided by the step
+    along the row. Independent errors of variance 1 give it the variance GAIN.
     """
     rows, columns = (max(n - 4, 0) for n in at.shape)
 
@@ -92,11 +94,11 @@ def _rough(at: Points) -> tuple[Points, Points]:
 
 
 def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | None:
-    """Return which of those quarter turns takes the errors to those at rest; None if unclear.
+    """Return the quarter turn that takes the errors now to those at rest; None if unclear.
 
-    For patterns that are seen whole, in the same rows and columns after any of the turns. It
-    stands out as in `shift_to`. The errors of a camera's grid of pixels may look the same
-    after a turn; they are too small.
+    turns: the quarter turns to compare, after each of which the whole pattern has the rows and
+        columns at rest. Its correlation must stand out as in `shift_to`. Errors from the pixel grid
+        of the camera may look the same after a turn, but they are too small.
     """
     scores: list[float] = []
     common: list[float] = []
@@ -120,9 +122,9 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
 def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
     """Return the rows and columns from a node's index now to its index at rest; None if unclear.
 
-    It stands out if the correlation there is six times the standard deviation of all and twice
-    the second best, and if the common errors are larger than those that a camera makes at the
-    same place of every picture.
+    It is clear if its correlation is six times the standard deviation of all correlations and twice
+    the second best, and if the common errors are larger than those that a camera makes at the same
+    pixels of every image.
     """
     if min(now.pixels, rest.pixels) < PRINTED:
         return None
@@ -147,7 +149,7 @@ def shift_to(rest: Fingerprint, now: Fingerprint) -> tuple[int, int] | None:
 
 
 def _printed(common: float, now: Fingerprint, rest: Fingerprint) -> bool:
-    """Return whether common errors, a mean product, are larger than a camera makes them."""
+    """Return whether the common errors, a mean product, are larger than errors of a camera."""
     return bool(common / GAIN / 2 * now.cell * rest.cell >= PRINTED**2)
 
 

@@ -1,4 +1,4 @@
-"""The grid of nodes: corners by row and column of the pattern."""
+"""The grid: corners arranged by row and column of the pattern."""
 
 import dataclasses
 import enum
@@ -15,14 +15,14 @@ from cmp_cl.grid.limits import check_size
 
 
 class NodeStatus(enum.IntEnum):
-    """Where the position of a grid node comes from."""
+    """The source of a node's position."""
 
-    MISSING = 0
-    DETECTED = 1
-    ATTACHED = 2  # a free detection near the place that its neighbours predict
-    SECOND_LOOK = 3  # found by a second look at the image: by other rings, or along the edges
-    INTERPOLATED = 4
-    VIRTUAL = 5  # a marker on the edge between two neighbours
+    MISSING = 0  #: no position
+    DETECTED = 1  #: a corner that the detector found
+    ATTACHED = 2  #: a free corner near the position that its neighbours predict
+    SECOND_LOOK = 3  #: found by a second look at the image
+    INTERPOLATED = 4  #: predicted from measured nodes around it
+    VIRTUAL = 5  #: a marker on the edge between two neighbours
 
 
 T = TypeVar("T")
@@ -32,7 +32,8 @@ MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 
 class Sides(NamedTuple):
-    """The sides of a grid that something holds for."""
+    """A set of the sides top, bottom, left and right of a grid; each is True if it is in the
+    set."""
 
     top: bool = False
     bottom: bool = False
@@ -40,12 +41,12 @@ class Sides(NamedTuple):
     right: bool = False
 
     def turned(self, quarters: int) -> "Sides":
-        """Return the same sides after the numbers are turned as in `Grid.turned`."""
+        """Return the same sides after `Grid.turned(quarters)`."""
         return Sides(*turned_sides(self, quarters))
 
 
 def turned_sides(sides: tuple[T, T, T, T], quarters: int) -> tuple[T, T, T, T]:
-    """Return what (top, bottom, left, right) have after the numbers are turned."""
+    """Return values of (top, bottom, left, right) after `Grid.turned(quarters)`."""
     for _ in range(quarters % 4):
         top, bottom, left, right = sides
         sides = right, left, top, bottom
@@ -78,30 +79,31 @@ class Grid:
         from, -1 where unassigned.
     parity: 0 where the cell between the first node and its diagonal neighbour, indices (0, 0)
         and (1, 1), is black, 1 where it is white.
-    origin: number (row, column) of index (0, 0). It is not (0, 0) where nodes lie above or
-        left of the first row or column at rest; index + origin is the number.
+    origin: number (row, column) of index (0, 0). It is not (0, 0) if nodes lie above or left of the
+        first row or column at rest. The number of a node is its index + origin.
     component: (R, C) int32, 0 for the nodes of the largest connected part, then 1, 2, ...; -1 where
         missing. It is computed if it is left out.
     border: sides on which the pattern ends in the view.
-    reach: how far its last squares reach beyond the last nodes there, cells: 1 where they are
-        whole; top, bottom, left, right, NaN where it is not seen.
-    past: by how much the picture differs between the two sides of a border's line past the
-        pattern, as a share of its contrast; NaN where it is not seen. The edge of something
-        that hides a part of the pattern goes on there.
-    continues: sides on which the pattern goes on beyond a known shape: the shape is wrong.
-    seen_shape: rows and columns of what is seen where that contradicts a known shape.
+    reach: the reach of its last squares beyond the last nodes, cells, 1 if they are whole: top,
+        bottom, left, right, NaN where it is not seen.
+    past: the difference of the image between the two sides of a border's line past the pattern, as
+        a share of the pattern's contrast; NaN where it is not seen. It is large at the edge of an
+        object that hides a part of the pattern.
+    continues: sides on which the pattern continues beyond a known shape, so that the shape is
+        wrong.
+    seen_shape: the rows and columns that are seen, if they contradict a known shape, else None.
     ambiguous: whether another numbering explains the frame too. The numbers are then those of
         the least motion, and may be wrong by `rival`.
-    rival: the second best numbering, None where there is no other.
-    reflected: whether a part of the pattern may be the reflection of another part. It is
-        ambiguous then.
+    rival: the second best numbering, None if there is no other.
+    reflected: whether a part of the pattern may be the reflection of another part. The grid is then
+        ambiguous.
     others: corners of the largest other lattice in view that may be the pattern that is meant,
         0 where none is: a board before squares, or a part of a torn pattern that has no place.
         It is not looked for where the shape is known.
-    margin: by how much further the middle of the pattern has moved by the rival, cells; NaN
-        without one, or where too few nodes say it.
-    edge_radius: that of the corners, px: where edges bend, the filters of positions and
-        displacements take off what they add within it. NaN where it is not known.
+    margin: the motion of the pattern's middle according to the rival, minus that according to these
+        numbers, cells; NaN without a rival, or if too few nodes show it.
+    edge_radius: the `edge_radius` of the corners, px. The filters of positions and displacements
+        use it to remove the effect of bent edges. NaN if unknown.
     """
 
     xy: NDArray[np.float32]
@@ -145,7 +147,7 @@ class Grid:
 
     @property
     def doubts(self) -> list[str]:
-        """Return what speaks against the numbers, a sentence each; empty where nothing does."""
+        """Return the reasons to doubt the numbers, one sentence each; empty if there are none."""
         rows, columns = self.shape
         found = []
         if self.seen_shape is not None:
@@ -159,7 +161,7 @@ class Grid:
         if self.reflected:
             found.append(
                 "a part of the pattern may be a reflection, or another pattern: its steps, or its "
-                "print, change at a line; give a region without it"
+                "printing errors, change at a line; give a region without it"
             )
         elif self.ambiguous:
             other = ""
@@ -168,12 +170,13 @@ class Grid:
                 other = f" by ({self.rival.rows}, {self.rival.columns}){turn}"
             found.append(
                 f"the numbers are ambiguous: they may be wrong{other}; the view shows too little "
-                "of the pattern's border, and the print is too perfect, to decide"
+                "of the pattern's border, and its printing errors are too small, to decide"
             )
         return found
 
     def turned(self, quarters: int) -> "Grid":
-        """Return the same nodes with the numbers turned: row 0 is the last column, and so on."""
+        """Return the grid after `quarters` quarter turns: after one, row 0 is the former last
+        column."""
         quarters %= 4
         if not quarters:
             return self
@@ -204,20 +207,20 @@ class Grid:
 
     @property
     def extent(self) -> str:
-        """Return its rows and columns by their numbers, in words."""
+        """Return the numbers of its rows and columns as text."""
         (top, left), (rows, columns) = self.origin, self.shape
         return f"rows {top} to {top + rows - 1} and columns {left} to {left + columns - 1}"
 
     def covers(self, rest: "Grid") -> bool:
-        """Return whether it has all rows and columns of another grid, by their numbers."""
+        """Return whether the grid has all rows and columns of the grid `rest`, by their numbers."""
         first = np.subtract(rest.origin, self.origin)
         last = first + rest.shape
         return bool((first >= 0).all() and (last <= self.shape).all())
 
     def cut_to(self, rest: "Grid") -> "Grid":
-        """Return the nodes on the rows and columns of another grid with the same numbers.
+        """Return the grid cut to the rows and columns of the grid `rest`, by their numbers.
 
-        Equal indices of the two then have equal numbers. Corners beyond belong to no node.
+        Equal indices of the two grids then have equal numbers. Corners beyond belong to no node.
         """
         if (self.origin, self.shape) == (rest.origin, rest.shape):
             return self
@@ -252,7 +255,7 @@ class Grid:
         """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
 
         spacing: side of a square, any unit. Returns (N, 1, 3) float32, x by column, y by row and
-        z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError where spacing is not
+        z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError if spacing is not
         positive.
         """
         if not 0 < spacing < math.inf:
@@ -267,7 +270,7 @@ class Grid:
         They lie on cubic curves through the nodes, with status VIRTUAL. Node (r, c) is at
         ((count + 1) r, (count + 1) c) of the result, ((R - 1)(count + 1) + 1,
         (C - 1)(count + 1) + 1), whose nodes inside the cells are MISSING. So two such grids
-        match by equal indices as any two grids do. Raises GridError where count is not an
+        match by equal indices as any two grids do. Raises GridError if count is not an
         integer of at least 1, or makes a grid too large.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
@@ -287,7 +290,7 @@ class Grid:
 def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Label the nodes connected by steps along rows and columns, the largest part first: (R, C).
 
-    there: (R, C), where there is a node. -1 where there is none.
+    there: (R, C) bool, True at a node. The label of an entry without a node is -1.
     """
     if not there.size or there.all():
         return np.where(there, 0, -1).astype(np.int32)

@@ -1,4 +1,5 @@
-"""Growing a grid: what fits is attached or looked for again, what does not is dropped."""
+"""Growing a grid: corners that fit are attached, missing ones are searched for again, others
+dropped."""
 
 from typing import NamedTuple
 
@@ -19,21 +20,22 @@ from cmp_cl.grid.second_look import second_look
 from cmp_cl.grid.whole_edges import along_edges
 from cmp_cl.image import GreyImage
 
-NEAR = 0.3  # cells: how far from its prediction a node may be
+NEAR = 0.3  # cells: largest distance of a node from its prediction
 ASTRAY = 0.1  # cells: a torn node that is farther from its prediction is looked for again
 WIDEST = 18.0  # px: in wider cells a torn corner's own image is worth more than its neighbours
 ALONG = 0.25  # cells: how far from its prediction its edges may put it
-APART = 0.4  # cells: nearer than that a second look has found a corner twice
+APART = 0.4  # cells: if a node is nearer to another, the second look found a corner twice
 WEAK, BRACKETED, STRONG = 1.4, 4.0, 8.0  # weights of predictions
-FEW = 400  # nodes that are quicker predicted one by one
+FEW = 400  # up to so many nodes are predicted one by one, which is faster
 
 
 class Seen(NamedTuple):
-    """What a grid is made of.
+    """The data that a grid is built from.
 
-    z: (N,) positions of the corners. edges: (N, 4) rad, as in `Corners`. image: or None, where
-    neither a second look nor a look at the cells is taken. torn: (N + 1,) bool, corners whose
-    own image does not tell where they are, and True at the end, for nodes without a corner.
+    z: (N,) positions of the corners, x + 1j y, px. edges: (N, 4) rad, as in `Corners`. image: (H,
+    W), or None; without it there is no second look and no check of the rim. torn: (N + 1,) bool,
+    corners whose own image does not tell where they are, and True at the end, for nodes without a
+    corner.
     """
 
     z: Points
@@ -58,7 +60,7 @@ def grow(nodes: Nodes, seen: Seen) -> None:
 
 
 def extend(nodes: Nodes, seen: Seen) -> None:
-    """Look for further rows and columns around the grid, as long as some are found."""
+    """Search for further rows and columns around the grid until no more are found."""
     while seen.image is not None:
         nodes.pad()
         found = _look_again(nodes, np.zeros(nodes.at.shape), seen.image, WEAK)
@@ -70,7 +72,7 @@ def extend(nodes: Nodes, seen: Seen) -> None:
 
 
 def attach(nodes: Nodes, seen: Seen) -> None:
-    """Attach free corners within the box, as long as there are any."""
+    """Attach free corners within the box until none fits."""
     while _attach(nodes, seen):
         drop_misfits(nodes)
         _refuse(nodes, seen)
@@ -92,7 +94,7 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
 
 
 def _refuse(nodes: Nodes, seen: Seen) -> None:
-    """Drop what does not look like a node at the rim."""
+    """Drop nodes at the rim that do not look like corners of the pattern."""
     if seen.image is not None:
         evidence.refuse(nodes, seen.image, seen.edges)
 
@@ -100,7 +102,7 @@ def _refuse(nodes: Nodes, seen: Seen) -> None:
 def drop_misfits(nodes: Nodes) -> None:
     """Drop nodes far from a well supported prediction, the worst of each neighbourhood first.
 
-    Only those are looked at around which something has changed since the last time. Corners that
+    It examines only nodes near a change since the last call. Corners that
     are far enough from their prediction to be astray are marked.
     """
     while nodes.changed.any():
@@ -135,7 +137,7 @@ def _near_changes(nodes: Nodes) -> tuple[Index, Index]:
 
 
 def _misfits(at: Points, row: Index, column: Index) -> Float:
-    """Return how far those nodes are from well supported predictions, cells; 0 below a pixel."""
+    """Return the distances of nodes from well supported predictions, cells; 0 below a pixel."""
     if len(row) > FEW:
         place, outer = beside_missing(~np.isnan(at.real))
         every = predict_within(at)
@@ -173,7 +175,7 @@ def _expected(nodes: Nodes, least: float) -> tuple[Index, Index, Points, Float, 
 
 
 def _attach(nodes: Nodes, seen: Seen) -> bool:
-    """Take free corners near the predictions of missing nodes; whether there were any.
+    """Attach free corners near the predictions of missing nodes; return whether there were any.
 
     A corner whose boundaries lie the other way round is another one.
     """
@@ -218,8 +220,8 @@ def _nearest(at: Points, z: Points, reach: Float) -> tuple[Index, Index]:
 def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> bool:
     """Refine at the predictions of missing nodes; return whether any was found.
 
-    looked: (R, C), the weight of the prediction at the last look; where it is as high, none is
-    taken again.
+    looked: (R, C), the weight of the prediction at the last look; another look is taken only if the
+        weight has increased.
     """
     row, column, at, weight, cell, line = _expected(nodes, least)
     new = weight > looked[row, column]
@@ -262,7 +264,7 @@ def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
 
 
 def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask:
-    """Return which of those nodes are nearer than that to one of their eight neighbours."""
+    """Return a mask of the nodes that are nearer than `apart` to one of their eight neighbours."""
     padded = np.pad(at, 1, constant_values=NOWHERE)
     around = [padded[row + r, column + c] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
     away = np.abs(np.stack(around) - at[row, column])
@@ -271,7 +273,7 @@ def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask
 
 
 def _interpolate(nodes: Nodes) -> None:
-    """Fill missing nodes that measured neighbours bracket, inside the pattern only."""
+    """Fill missing nodes between measured neighbours, inside the pattern only."""
     seen = nodes.status != NodeStatus.MISSING
     if seen.all():
         return

@@ -1,4 +1,4 @@
-"""Nodes that no neighbour links to the others: islands, and how they get their numbers."""
+"""Islands get their numbers here: groups of nodes that no neighbour links to the others."""
 
 import numpy as np
 
@@ -8,14 +8,14 @@ from cmp_cl.grid.lattice import Lattice
 from cmp_cl.grid.nearest import Bounds, Reference, climb, quarter_turns
 from cmp_cl.grid.nodes import Nodes, Points, boxed
 
-LEAST = 9  # corners of an island
-OFF = 0.25  # cells: how far the middle of an island may be from its place
+LEAST = 9  # fewest corners of an island
+OFF = 0.25  # cells: largest distance of an island's middle from its prediction
 TURNED = 0.25  # of the steps: how much its own may differ from those of its place
-MOST = 16  # islands
+MOST = 16  # islands that are tried
 
 
 def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) -> None:
-    """Put the islands into the grid that have one place there.
+    """Put those islands into the grid whose numbers are certain.
 
     rest: the grid at rest on the rows and columns of the nodes, or None. An island's place is
     where the grid at rest has it after the affine motion of the other nodes; without that grid
@@ -40,7 +40,7 @@ def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) ->
 
 
 def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
-    """Put an island into the grid; whether it has a place there."""
+    """Put an island into the grid; return whether its numbers are certain."""
     places = _expected(nodes, rest)
     expected = Reference.at_places(places, nodes.parity, (0, 0))
     quarters, _ = quarter_turns(island.at, expected)[0]
@@ -95,7 +95,7 @@ def _same_steps(at: Points, places: Points) -> bool:
 
 
 def _surrounded(nodes: Nodes, row: np.ndarray, column: np.ndarray) -> bool:
-    """Return whether most of those indices lie between nodes, on their row and column."""
+    """Return whether most of the indices lie between nodes, on their row and column."""
     sides = []
     for axis in (0, 1):
         before = np.logical_or.accumulate(nodes.there, axis)[row, column]

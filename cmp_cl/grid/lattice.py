@@ -15,23 +15,24 @@ Complex = NDArray[np.complexfloating[Any, Any]]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-FARTHEST_NEIGHBOUR = 1.6  # cells: how far a neighbour may be; the cell is that of the sparser parts
-CROWD = 64  # more points than that within reach on one side are no lattice
-COSINE = 0.75  # least cosine between a boundary and the way to the neighbour
-SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, of the squares of its diagonals
-STRONG = 0.5  # share of the most votes that a join on less certain links needs
+# Cells: largest distance of a neighbour; the cell is that of the sparser parts.
+FARTHEST_NEIGHBOUR = 1.6
+CROWD = 64  # most points within reach on one side of a point of a lattice
+COSINE = 0.75  # least cosine between a boundary and the direction to the neighbour
+SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, over the squares of its diagonals
+STRONG = 0.5  # share of the largest number of votes that a join on less certain links needs
 UNITS = np.array([1, 1j, -1, -1j], np.complex64)
 
 
 class Lattice(NamedTuple):
-    """Every corner's place in the lattice of its component.
+    """The position of every corner in the lattice of its component.
 
     component: (N,) int64, 0 for the largest, then by size; -1 for corners in no closed cell.
     size: (K,) int64, corners of each component.
     node: (N,) complex64, column + 1j row, whole numbers, from an arbitrary origin.
     turn: (N,) complex64, boundary e0 points along this unit of the lattice.
     support: (N,) int64, consistent links of the corner.
-    bend: (N,) float32, how far opposite boundaries are from one line, 0 to 2; NaN if unknown.
+    bend: (N,) float32, deviation of opposite boundaries from one line, 0 to 2; NaN if unknown.
     axis: (K,) complex, mean step of the image along +1 of each component, px.
     """
 
@@ -119,10 +120,10 @@ def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
 def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[Index, Index]:
     """Return the links: pairs of half-edges that choose each other.
 
-    A corner looks along that half of its two lines which is nearest to the way to the other
-    corner. On a checkerboard one of two neighbours crosses from white to black there and the
-    other from black to white, so the sum of the boundaries' numbers is odd. The choice is by
-    length * (1 + 4 (1 - cos)) of both ends.
+    A corner looks along that half of its two lines which is nearest to the direction of the other
+    corner. On a checkerboard one of two neighbours crosses from white to black there and the other
+    from black to white, so the sum of the boundaries' numbers is odd. The choice is by length * (1
+    + 4 (1 - cos)) of both ends.
     """
     length = np.abs(step)
     step = step * (1 / np.maximum(length, np.float32(1e-6)))
@@ -143,7 +144,8 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
 def _boundary(
     lines: Complex, corner: Index, way: Complex
 ) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Return the number of the boundary nearest to that direction, and the cosine between."""
+    """Return the number of the boundary nearest to the direction `way`, and the cosine between
+    them."""
     even, odd = (lines.take(corner, axis=1) * way.conj()).real
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
@@ -158,7 +160,7 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
     near enough to a parallelogram.
     """
     nowhere = 4 * len(z)
-    across = np.full(nowhere + 4, nowhere)  # the boundaries of one corner more lead nowhere
+    across = np.full(nowhere + 4, nowhere)  # the boundaries of one additional corner lead nowhere
     across[half] = other
     across[other] = half
     onward = (across & ~3) | ((across + 3) & 3)
@@ -173,14 +175,15 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
     near = skew < SKEW * (first + second)
     for step in steps:
         cell[step] = near
-    # a later link of the same cost may have taken the place of an earlier one
+    # a later link of the same cost may have replaced an earlier one
     held = (across[half] == other) & (across[other] == half)
     count: NDArray[np.int8] = held * (cell[half].view(np.int8) + cell[other].view(np.int8))
     return count
 
 
 class _Trees(NamedTuple):
-    """A forest over the corners: the number of each one's root and its place in that frame."""
+    """A forest over the corners: the number of each corner's root, and its position in that
+    frame."""
 
     root: Index
     node: Complex
@@ -188,7 +191,7 @@ class _Trees(NamedTuple):
 
 
 def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
-    """Number the corners along any links; None where that is not the same along all of them.
+    """Number the corners along any links; None if that is not the same along all of them.
 
     A corner's frame is that which lies nearest to the mean one. Where all links agree with
     these frames and with the numbers, no other frames and numbers do.
@@ -223,7 +226,8 @@ def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
 
 
 def _planted(corners: int, half: Index, other: Index) -> _Trees:
-    """Return a first forest: each corner hooks to the lowest earlier one that it is linked to."""
+    """Return a first forest, in which each corner hooks to the lowest earlier one with a link to
+    it."""
     nothing = 16 * corners
     lowest = np.full(corners, nothing)
     np.minimum.at(lowest, other >> 2, half << 2 | other & 3)
@@ -251,8 +255,8 @@ def _agree(trees: _Trees, half: Index, other: Index) -> Mask:
 def _join(trees: _Trees, half: Index, other: Index, share: float) -> _Trees:
     """Join trees along links until no link lies between two trees.
 
-    In every pass each tree hooks to that tree of a lower root for which most links agree on
-    how the two frames lie to each other; those with less than that share of the most votes
+    In every pass each tree hooks to a tree of a lower root: the one for which most links agree on
+    the relation of the two frames. Hooks with less than `share` of the largest number of votes
     wait. The number of passes grows with the logarithm of the size of the lattice.
     """
     while True:
@@ -312,7 +316,7 @@ def _hooks(
 
 
 def starts(values: Index) -> Index:
-    """Return where each run of equal values starts."""
+    """Return the indices at which runs of equal values start."""
     new = np.ones(len(values), np.bool_)
     np.not_equal(values[1:], values[:-1], out=new[1:])
     return np.flatnonzero(new)

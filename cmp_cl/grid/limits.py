@@ -1,4 +1,4 @@
-"""What a grid is built from must keep to, before anything is allocated."""
+"""Limits of a grid and its corners, checked before anything is allocated."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ def check_size(rows: int, columns: int) -> None:
 
 
 def check_finite(corners: Corners) -> None:
-    """Raise GridError for corners without a position that an image can have."""
+    """Raise GridError if a corner has no finite position, or one that no image has."""
     near = np.abs(corners.xy) < FARTHEST
     if not near.all():
         lost = int(np.count_nonzero(~near.all(axis=1)))

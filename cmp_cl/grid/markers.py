@@ -1,4 +1,4 @@
-"""Virtual markers moved onto the edges of an image (section 4.3 of the paper)."""
+"""Virtual markers are moved onto the edges of an image here (section 4.3 of the paper)."""
 
 import dataclasses
 from typing import NamedTuple
@@ -13,12 +13,12 @@ from cmp_cl.image import GreyImage, check_image
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.opencl.program import programs_of
 
-SEARCHED = 0.3  # of the edge's length: how far from the curve the edge is looked for
+SEARCHED = 0.3  # share of the edge's length: the edge is searched so far from the curve
 LONGEST_SEARCH = 6.0  # px
 
 
 class Profiles(NamedTuple):
-    """Where each virtual marker's edge is looked for.
+    """The grey profiles in which the edges at virtual markers are searched.
 
     place: (M, 2) int64, (row, column) of the marker in the dense grid.
     pixel: (M, 2) int32, the pixel nearest to the marker, (x, y).
@@ -34,7 +34,7 @@ class Profiles(NamedTuple):
 
 
 def profiles(dense: Grid, count: int) -> Profiles:
-    """Return the grey profiles across the edges at a grid's virtual markers, `count` an edge."""
+    """Return the profiles across the edges of a dense grid, at `count` virtual markers per edge."""
     row, column = np.nonzero(dense.status == NodeStatus.VIRTUAL)
     padded = np.pad(dense.xy.astype(np.float64), ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
     # markers of a row have neighbours left and right, those of a column above and below
@@ -44,7 +44,7 @@ def profiles(dense: Grid, count: int) -> Profiles:
         padded[row + 1 + down, column + 1 + right] - padded[row + 1 - down, column + 1 - right]
     )
     length = np.hypot(*tangent.T)
-    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)  # right of the way, clockwise
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)  # right of the tangent, clockwise
     normal /= np.maximum(length, 1e-6)[:, None]
     times = count + 1
     # right of a row's edge is the cell below, right of a column's edge the cell to the left
@@ -70,12 +70,12 @@ def refine_markers(
     """Refine the virtual markers of a dense grid: move them across their edges to the edge itself.
 
     dense: the result of `grid.with_virtual_markers(count)`. image: (H, W) uint8 or uint16.
-    device: a Device, a text for `select_device`, or None for the default device. contrast: grey
-    levels by which the two sides of an edge must differ; where they do not, the marker stays.
+    device: a Device, a text for `select_device`, or None for the default device. contrast: least
+        difference of the two sides of an edge, grey levels; with less, the marker stays.
 
-    On soft or worn edges the curve through the nodes is the better estimate, as it is on
-    rendered gels. Raises GridError where the grid is not of that count, ImageError,
-    DeviceError, KernelBuildError.
+    On soft or worn edges, such as those of rendered gels, the curve through the nodes is the better
+    estimate. Raises GridError if the grid does not have that count, ImageError, DeviceError,
+    KernelBuildError.
     """
     check_image(image)
     _check_count(dense, count)
@@ -91,7 +91,7 @@ def refine_markers(
 
 
 def _check_count(dense: Grid, count: int) -> None:
-    """Raise GridError where these are not the nodes and markers of that many on each edge."""
+    """Raise GridError if the grid is not one of nodes and `count` markers on each edge."""
     times = count + 1
     nodes = dense.status[::times, ::times]
     if any(max(n - 1, 0) % times for n in dense.shape) or (nodes == NodeStatus.VIRTUAL).any():

@@ -1,16 +1,16 @@
-"""Whether a part of a grid is the reflection of another part.
+"""Tests whether a part of a grid is the reflection of another part.
 
 A mirror whose edge falls on a line of cells continues the pattern: the reflection has the right
-colours and no border. Two things tell.
+colours and no border. Two things reveal it.
 
-The seam. The edge of a mirror lies in the middle of a line of cells only by chance, and a
-reflected row goes on in another direction. So the steps across that line differ from those
-before and after, more than across any other line. Two patterns side by side, and a pattern that
-was torn from edge to edge, have such a seam too, and their numbers are as doubtful.
+The seam. The edge of a mirror lies in the middle of a line of cells only by chance, and a reflected
+row continues in another direction. So the steps across that line differ from those before and
+after, more than across any other line. Two patterns side by side, or a pattern torn from edge to
+edge, have such a seam too, and their numbers are equally doubtful.
 
-The print. Its errors come again beyond the edge, reversed, see `fingerprint`.
+The printing errors, see `fingerprint`. They are repeated beyond the edge, reversed.
 
-A perfect print whose mirror leaves no seam looks like a larger pattern.
+A perfect print in a mirror without a seam looks like a larger pattern.
 """
 
 from typing import Any
@@ -20,24 +20,25 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.nodes import NOWHERE, Float, Points
 
-LINES = 16  # rows or columns that are looked at
-CROSSING = 4  # of them that must cross a seam, and a quarter of all, half where nodes are lost
-LOST = 2  # nodes in succession that may be lost at a seam
-SHARE = 0.4  # of the rows may cross a seam without a step
+LINES = 16  # most rows or columns that are examined
+CROSSING = 4  # of them that must cross a seam, besides a quarter of all, or half if nodes are lost
+LOST = 2  # successive nodes that may be lost at a seam
+SHARE = 0.4  # share of the rows that may cross a seam without a step
 SEAM, SEAM_PIXELS = 0.03, 0.6  # cells and px: least step at a seam; drawn edges may step by .5 px
 ABOVE_OTHERS = 2.5  # times the step at any other line
-APART = 1.5  # lines: those nearer to a seam have a part of its step
-OTHERS = 3  # lines that say what is usual
+APART = 1.5  # lines: nearer ones show a part of the seam's step
+OTHERS = 3  # least number of other lines to compare with
 CLIP = 2.5  # times the median: a larger error counts as that
-ABOVE_CHANCE = 6.0  # correlation of errors, in errors that have a counterpart to the power of .5
-ABOVE_SECOND = 1.6  # times the second best, of any direction
+ABOVE_CHANCE = 6.0  # correlation of errors, over the root of the number of pairs
+ABOVE_SECOND = 1.6  # times the second best correlation, in any direction
 ALIKE = 0.5  # least share of the errors that is common
-LEAST_COUNT = 16  # errors that must have a counterpart
+LEAST_COUNT = 16  # least number of errors with a counterpart
 PRINTED = 0.05  # px per axis: smaller errors may be the camera's
-GAIN = 9 / 4  # of an error's variance, see `_errors`
-MEDIAN = 1.18  # of the length of errors, by the standard deviation per axis
-BESIDE = 4  # half cells: places so near to the best share its errors
-# by what the product of an error, along rows plus 1j down columns, and its reflection is real
+GAIN = 9 / 4  # factor on an error's variance, see `_errors`
+MEDIAN = 1.18  # median length of errors, over their standard deviation per axis
+BESIDE = 4  # half cells: lines so near to the best share its errors
+# factors that make the product of an error, along rows plus 1j along columns, and its reflection
+# real
 COLUMNS, ROWS, FALLING, RISING = -1, 1, 1j, -1j
 
 
@@ -68,9 +69,9 @@ def _has_seam(at: Points) -> bool:
 
 
 def _off(at: Points, step: Points, lost: int) -> Float:
-    """Return how far the way across that many lost nodes is from the steps beside it, px.
+    """Return the deviation of the step across `lost` missing nodes from the steps beside it, px.
 
-    A quantile of the rows that cross each line, 0 where few do.
+    It is a quantile over the rows that cross each line, 0 if few do.
     """
     ahead = lost + 1
     before, after = step[:, : -1 - ahead], step[:, 1 + ahead :]
@@ -86,7 +87,7 @@ def _off(at: Points, step: Points, lost: int) -> Float:
 
 
 def repeats_reversed(at: Points) -> bool:
-    """Return whether the errors of the print come again beyond a line, reversed.
+    """Return whether the printing errors are repeated beyond a line, reversed.
 
     at: (R, C) measured nodes, px, NaN where there is none. The lines are the middles of cells
     along rows or columns, and the diagonals.
@@ -106,12 +107,13 @@ def repeats_reversed(at: Points) -> bool:
 
 
 def _errors(at: Points) -> tuple[Points, float]:
-    """Return how far nodes are from what the 3 x 3 around say, cells, (R - 2, C - 2), and the cell.
+    """Return the errors of nodes against the 3 x 3 nodes around, cells, (R - 2, C - 2), and the
+        cell, px.
 
-    What is left of x without the mean of its neighbours on the row, and of that without the same
-    on the column: zero where x is a function of the row plus one of the column. An independent
-    error of variance 1 leaves GAIN. 0 where one is unknown; empty where few are known or they
-    are small.
+    An error is x minus the mean of its neighbours on the row, and the result minus the same mean on
+    the column. It is zero if x is a function of the row plus a function of the column. Independent
+    errors of variance 1 give it the variance GAIN. It is 0 if a node is unknown; the array is empty
+    if few are known or all are small.
     """
     nothing = np.zeros((0, 0), np.complex128), 0.0
     if min(at.shape) < 3:
@@ -134,7 +136,7 @@ def _errors(at: Points) -> tuple[Points, float]:
 
 
 def _some(lines: NDArray[Any]) -> NDArray[Any]:
-    """Return at most LINES of those lines, evenly spread."""
+    """Return at most LINES of the lines, evenly spread."""
     return lines[:: max(-(-len(lines) // LINES), 1)]
 
 
@@ -157,10 +159,10 @@ def _diagonals(error: Points) -> list[Points]:
 
 
 def _scores(lines: list[Points], way: complex, cell: float) -> tuple[float, float, bool]:
-    """Return how well errors agree with those on the other side of a place on the lines.
+    """Return the agreement of errors with those on the other side of a point on the lines.
 
-    The best score of all places and the second best, some places away, in standard deviations of
-    what independent errors would have; and whether what agrees there is enough.
+    Returns the best score of all points and the second best, some points away, in standard
+    deviations of independent errors; and whether enough errors agree.
     """
     size = 1 << (2 * lines[0].shape[1] - 1).bit_length()
     agreed, power = np.zeros(size), np.zeros(size)
@@ -180,7 +182,7 @@ def _scores(lines: list[Points], way: complex, cell: float) -> tuple[float, floa
     variance = float((errors.real**2 + errors.imag**2).mean())
     met = power >= LEAST_COUNT * variance
     if way in (COLUMNS, ROWS):
-        met[::2] = False  # lines of nodes: a reflection there has the wrong colours
+        met[::2] = False  # a reflection in a line of nodes has the wrong colours
     score = np.where(met, agreed / np.sqrt(np.maximum(power, variance) * variance), 0)
     best = int(score.argmax())
     highest, common = float(score[best]), float(agreed[best]) / max(float(power[best]), variance)

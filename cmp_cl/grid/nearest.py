@@ -1,4 +1,5 @@
-"""The numbers that leave nodes nearest to a reference: the frame at rest, or the one before."""
+"""Finds the numbers that leave nodes nearest to a reference: the frame at rest, or the previous
+one."""
 
 import cmath
 import functools
@@ -12,9 +13,9 @@ from cmp_cl.grid.lattice import Complex
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 
 VOTERS = 384  # nodes that are compared with the reference
-ALONE = 0.5  # cells: cost of a node without a counterpart in the reference
-MOST_ALONE = 0.75  # share of the nodes
-TURNED = np.deg2rad(30)  # from here on the next quarter turn is compared too
+ALONE = 0.5  # cells: the cost of a node without a counterpart in the reference
+MOST_ALONE = 0.75  # largest share of such nodes
+TURNED = np.deg2rad(30)  # from this angle on, the next quarter turn is compared too
 NEIGHBOURS = np.array(
     [(0, 0), *((r, c) for r in range(-2, 3) for c in range(-2, 3) if abs(r) + abs(c) == 2)]
 )
@@ -37,12 +38,12 @@ class Reference(NamedTuple):
 
     @classmethod
     def of(cls, grid: Grid) -> "Reference":
-        """Take a grid's nodes. The last few are kept: a film's frames share the one at rest."""
+        """Take the nodes of a grid. The last few are kept for the other frames of a film."""
         return _kept(grid.xy.dtype, grid.xy.tobytes(), grid.shape, grid.parity, grid.origin)
 
     @classmethod
     def at_places(cls, at: Points, parity: int, origin: tuple[int, int]) -> "Reference":
-        """Take the nodes from positions by row and column."""
+        """Take nodes from their positions, (R, C), and the parity and origin of their grid."""
         along, down = _mean_step(at), _mean_step(at.T)
         known = [abs(step) for step in (along, down) if step]
         return cls(
@@ -64,7 +65,7 @@ def _kept(
 
 
 def _mean_step(at: Points) -> complex:
-    """Return the mean step from a column to the next; 0 where there is none."""
+    """Return the mean step from one column to the next; 0 if there is none."""
     step = at[:, 1:] - at[:, :-1]
     if not step.size:
         return 0j
@@ -85,7 +86,7 @@ class Bounds(NamedTuple):
 
     @property
     def only(self) -> tuple[int, int] | None:
-        """Return the only number that they leave, None if there are others or none."""
+        """Return the number within the bounds if there is exactly one, else None."""
         one = (self.top, self.left) == (self.last_top, self.last_left)
         return (self.top, self.left) if one else None
 
@@ -101,8 +102,8 @@ class Bounds(NamedTuple):
 class Choice(NamedTuple):
     """A numbering: quarter turns, then the number of the first row and column.
 
-    motion: by how much the middle of the pattern has moved from the reference, cells. cost: the
-    same, and a little for nodes without a counterpart there.
+    motion: the motion of the pattern's middle from the reference, cells. cost: the motion,
+        increased by nodes without a counterpart there.
     """
 
     cost: float
@@ -119,7 +120,8 @@ class Choice(NamedTuple):
 def quarter_turns(
     at: Points, reference: Reference, *, every: bool = False
 ) -> list[tuple[int, float]]:
-    """Return the quarter turns that keep rows most parallel to the reference's, and angles, rad.
+    """Return the quarter turns that keep rows most parallel to the reference's, and their angles,
+        rad.
 
     The second is there if it is nearly as good as the first. every: return all four.
     """
@@ -133,7 +135,7 @@ def quarter_turns(
 
 
 def _voters(nodes: Nodes) -> tuple[Index, Index, Points]:
-    """Return rows, columns and positions of some nodes all over the grid."""
+    """Return rows, columns and positions of some nodes, spread over the grid."""
     places = np.flatnonzero(nodes.there)
     some = np.linspace(0, len(places) - 1, min(VOTERS, len(places))).astype(np.int64)
     row, column = np.divmod(places[some], nodes.at.shape[1])
@@ -151,7 +153,8 @@ def colour(parity: int, near: Reference) -> int:
 def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[Choice]:
     """Return the numbers of the right colour around the least mean displacement, the nearest first.
 
-    nodes: turned already, by that many quarters. Empty where no number is within the bounds.
+    nodes: already turned by `quarters` quarter turns. The result is empty if no number is within
+        the bounds.
     """
     row, column, at = _voters(nodes)
     middle = int(np.argmin(np.abs(at - at.mean())))
@@ -177,7 +180,7 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
             break
         here = around[best]
     motion = np.abs(_motion(at, near.cell, moved[0]) + _differences(moved))
-    if len(around) > 1:  # nobody knows by how much those have moved that hardly meet the reference
+    if len(around) > 1:  # the motion is unknown for numbers that hardly overlap the reference
         motion[alone > MOST_ALONE] = np.inf
     choices = [
         Choice(float(off + ALONE * lost), float(off), quarters, int(top), int(left))
@@ -187,7 +190,7 @@ def climb(nodes: Nodes, near: Reference, bounds: Bounds, quarters: int) -> list[
 
 
 def chosen(nodes: Nodes, near: Reference, quarters: int, top: int, left: int) -> Choice:
-    """Return that numbering of nodes that are turned already, with its motion."""
+    """Return a numbering of nodes that are already turned, with its motion."""
     (choice,) = climb(nodes, near, Bounds(top, top, left, left), quarters)
     return choice
 

@@ -1,4 +1,4 @@
-"""A grid in the making."""
+"""The nodes of a grid that is being built."""
 
 import cmath
 import copy
@@ -22,11 +22,11 @@ NOWHERE = complex(np.nan, np.nan)
 Entry = TypeVar("Entry", bound=np.generic)
 Answer = TypeVar("Answer")
 KEPT, MOST_KEPT = 4, 1 << 14  # answers that `for_film` keeps, of grids of so many places
-MOST_NODES, NODES_EACH = 65536, 64  # that any grid may have, and more for each corner
+MOST_NODES, NODES_EACH = 65536, 64  # the most of any grid, and the most for each corner
 
 
 class Nodes:
-    """A grid in the making.
+    """The nodes of a grid that is being built.
 
     at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
     status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, where a node was put or dropped
@@ -92,7 +92,8 @@ class Nodes:
         return (self.parity + (0, columns, rows + columns, rows)[quarters]) % 2
 
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":
-        """Return the nodes from that row and column on."""
+        """Return the nodes in a window of that shape, whose first row and column are top and
+        left."""
         if (top, left, *shape) == (0, 0, *self.at.shape):
             return self
         cut = Nodes(shape, (self.parity + top + left) % 2, self.free)
@@ -138,14 +139,14 @@ def turned_lines(values: NDArray[Entry], quarters: int) -> NDArray[Entry]:
 
 
 def median(values: Float) -> float:
-    """Return what np.median does, of one or more values without NaN, in a third of the time."""
+    """Return the median of one or more values without NaN, in a third of np.median's time."""
     first, second = (len(values) - 1) // 2, len(values) // 2
     parted = np.partition(values, (first, second) if first < second else first)
     return float(parted[first] + parted[second]) / 2
 
 
 def check_room(shape: tuple[int, int], corners: int) -> None:
-    """Raise GridError where a grid of that shape is far too large for that many corners."""
+    """Raise GridError if a grid of that shape is far too large for that many corners."""
     if shape[0] * shape[1] > MOST_NODES + NODES_EACH * corners:
         raise GridError(
             f"a grid of {shape[0]} x {shape[1]} nodes is too large for {corners} corners, "
@@ -161,7 +162,7 @@ def upright(axis: complex) -> complex:
 def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     """Return a component in the box that holds it, rows down and columns right.
 
-    Raises GridError where the box is too large for its corners.
+    Raises GridError if the box is too large for its corners.
     """
     member = np.flatnonzero(found.component == component)
     unit = upright(complex(found.axis[component]))

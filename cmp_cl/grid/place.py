@@ -1,26 +1,27 @@
-"""Which numbers a grid has: those of the grid at rest.
+"""A grid gets the numbers of the grid at rest here.
 
-A checkerboard repeats itself, so a frame has many numberings: four rotations, and all shifts by
-whole cells that keep the colours. Four things speak for one of them, in this order.
+A checkerboard repeats itself, so a frame has many numberings: four quarter turns, and all shifts by
+whole cells that keep the colours. Four things decide between them, in this order.
 
-The border. Where the pattern ends at rest and now, a row is the first or the last one, and what
-lies beyond a border at rest is none of the pattern. That leaves few numberings, often one. The
-edge of something that hides the pattern ends it too. A side is such an edge, and decides
-nothing, where it differs between the frames: in how far the last squares reach, or in whether
-its line goes on past the pattern. So is one whose line goes on and that faces no border. Where
-a side differs, the other sides are sure only of motions by less than half a cell.
+The border. If the pattern ends on the same side at rest and now, its last rows have the same
+number, and nothing beyond a border at rest belongs to the pattern. That leaves few numberings,
+often one. But the edge of an object that hides the pattern looks like a border too. A side is taken
+for such an edge, and decides nothing, if it differs between the frames: in the reach of the last
+squares, or in whether its line continues past the pattern. It is also taken for one if its line
+continues and the opposite side is no border. If a side differs, the other sides are sure only of
+motions by less than half a cell.
 
-The print. Its errors go where the pattern goes, see `fingerprint`.
+The printing errors, which move with the pattern, see `fingerprint`.
 
-The frame before, where one is given whose own numbers are sure: they go on as long as the
+The previous frame, if it is given and its own numbers are sure. They are continued as long as the
 pattern as a whole moves by less than half a cell from frame to frame.
 
-The least motion from rest. It says which numbering is most likely, and never that it is the
-right one: a pattern without a border that moved by a whole period looks as if it had not moved.
+The least motion from rest. It shows which numbering is the most likely, but never that it is right:
+a pattern without a border that moved by a whole period looks as if it had not moved.
 
-The best numbering is kept with the second best and the difference of their motions. It is sure
-if one of the first three decides; else, and where the frame before contradicts what the grid
-at rest says for sure, it is ambiguous.
+The best numbering is kept with the second best and the difference of their motions. It is sure if
+one of the first three decides. Otherwise it is ambiguous, as it is if the previous frame
+contradicts a sure numbering by the grid at rest.
 """
 
 from collections.abc import Sequence
@@ -43,17 +44,17 @@ from cmp_cl.grid.nearest import (
 )
 from cmp_cl.grid.nodes import Nodes, Points, check_room
 
-STILL = 0.125  # cells: a pattern that moved less as a whole is where it was
-FOLLOWED = 0.5  # cells: how far the pattern as a whole may move from one frame to the next
+STILL = 0.125  # cells: a pattern that moved less as a whole has not moved
+FOLLOWED = 0.5  # cells: largest motion of the pattern as a whole from one frame to the next
 NO_BORDER = Border()
-UNSURE = np.deg2rad(40)  # a pattern that turned so far may have turned the other way
-UNDECIDED = np.deg2rad(10)  # a rotation that is larger by less than that is as likely
+UNSURE = np.deg2rad(40)  # a pattern that rotated so far may have rotated the other way
+UNDECIDED = np.deg2rad(10)  # rotations that differ by less than that are equally likely
 
 
 class Placed(NamedTuple):
-    """A grid with its numbers, and what speaks against them, as in `Grid`.
+    """A grid with its numbers, and the reasons to doubt them, as in `Grid`.
 
-    quarters: by how many it was turned.
+    quarters: the number of quarter turns that were applied to it.
     """
 
     nodes: Nodes
@@ -69,7 +70,7 @@ class Placed(NamedTuple):
 class Decision(NamedTuple):
     """The best numbering, the second best, and whether the best is sure.
 
-    usual: whether it is sure only because a pattern usually turns by less than half a quarter.
+    usual: whether it is sure only because a pattern usually rotates by less than 45 degrees.
     """
 
     best: Choice
@@ -84,8 +85,8 @@ class Decision(NamedTuple):
 def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -> Placed:
     """Return the nodes with the numbers of the grid at rest.
 
-    border: the sides on which the pattern ends in the view. previous: the frame before, with
-    the numbers of the grid at rest, or None.
+    border: the sides on which the pattern ends in the view. like: the grid at rest. previous: the
+        previous frame with the numbers of the grid at rest, or None.
     """
     rest = Reference.of(like)
     turns = quarter_turns(nodes.at, rest, every=True)
@@ -111,9 +112,9 @@ def _by_turn(
 ) -> Decision:
     """Choose the rotation of a pattern that is seen whole, now and at rest.
 
-    Colours, shape and the reach of the last squares leave one, two or four. Of several the
-    print tells one, if it has errors; else it is the least, as long as the next is clearly
-    larger: up to 40 degrees where a quarter turn leaves the pattern as it was.
+    Colours, shape and the reach of the last squares leave one, two or four rotations. Of several
+    the printing errors choose one, if they are large enough. Otherwise the smallest is chosen, if
+    the next is clearly larger: up to 40 degrees if the pattern looks the same after a quarter turn.
 
     ordered: all quarter turns.
     """
@@ -140,12 +141,12 @@ def _by_turn(
 
 
 def _by_border(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Decision:
-    """Choose the nearest of the numberings that borders allow; sure where they allow one.
+    """Choose the nearest of the numberings that borders allow; it is sure if they allow only one.
 
-    Lines that are lost look like a border. So it is not sure where the pattern lies in its
-    place at rest by other numbers. Where a side contradicts the frame at rest, something hides
-    the pattern and may end it on other sides too: then it is sure only if it is also where the
-    pattern has moved by less than half a cell.
+    Rows that are not detected look like a border. So the numbering is not sure if other numbers
+    leave the pattern at its position at rest. If a side contradicts the frame at rest, an object
+    hides the pattern, perhaps on other sides too. Then the numbering is sure only if it also moves
+    the pattern by less than half a cell.
     """
     turns = quarter_turns(nodes.at, rest)
     if len(turns) == 1 and not any(border.sides):
@@ -163,17 +164,17 @@ def _by_border(nodes: Nodes, border: Border, like: Grid, rest: Reference) -> Dec
         hidden = any(border.turned(left[0].quarters).contradicts(Border.of(like)))
         sure = len(left) == 1 and not (hidden and left[0].motion > FOLLOWED)
         return Decision(left[0], left[1] if len(left) > 1 else None, sure=sure)
-    # lines are lost, or there are false ones
+    # rows are missing, or there are false ones
     freely = _nearest(nodes, NO_BORDER, like, rest)
     freely = freely or climb(nodes.turned(turns[0][0]), rest, Bounds(), turns[0][0])
     return Decision(freely[0], freely[1] if len(freely) > 1 else None, sure=False)
 
 
 def _with_print(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) -> Decision:
-    """Choose the numbering under which the errors of the print agree, if there is one.
+    """Choose the numbering under which the printing errors agree, if there is one.
 
-    It is sure unless the border is sure of another: the edge of what hides a part of the
-    pattern along a row may look like its border.
+    It is sure unless the border is sure of another: the edge of an object that hides the pattern
+    along a row may look like its border.
     """
     at_rest = Fingerprint.at_rest(like)
     turns = [quarters for quarters, _ in quarter_turns(nodes.at, rest, every=True)]
@@ -194,7 +195,8 @@ def _with_print(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) ->
 
 
 def _by_frame_before(nodes: Nodes, border: Border, like: Grid, previous: Grid) -> Decision:
-    """Choose the numbering nearest to the frame before; sure where it moved under half a cell."""
+    """Choose the numbering nearest to the previous frame; it is sure if it moved under half a
+    cell."""
     before = Reference.of(previous)
     turns = quarter_turns(nodes.at, before)
     found = _nearest(nodes, border, like, before) or _nearest(nodes, NO_BORDER, like, before)
@@ -218,9 +220,9 @@ def _nearest(nodes: Nodes, border: Border, like: Grid, near: Reference) -> list[
 def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
     """Return the numbers that borders allow for the first row and column.
 
-    What lies beyond a border of the grid at rest is none of its nodes, and nodes that end at a
-    border of the pattern end where the grid at rest does. A side that is the edge of what hides
-    the pattern is no border, now or at rest.
+    No node lies beyond a border of the grid at rest, and nodes that end at a border of the pattern
+    end at that border of the grid at rest. A side that is the edge of an object in front of the
+    pattern, now or at rest, is no border.
     """
     here, rest = full_lines(nodes.there), _lines(like)
     at_rest = like.border if any(like.border) else _known_ends(like, nodes.at)
@@ -233,7 +235,7 @@ def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
 
 
 def _hidden(border: Border, like: Grid) -> Sides:
-    """Return the sides that are the edge of what hides the pattern, now or at rest."""
+    """Return the sides that are the edge of an object in front of the pattern, now or at rest."""
     rest = Border.of(like)
     doubts = border.contradicts(rest), border.lone, rest.lone
     return Sides(*(any(side) for side in zip(*doubts, strict=True)))
@@ -252,7 +254,7 @@ def _axis_bounds(
     rest_ends: Sequence[bool],
     ends: Sequence[bool],
 ) -> tuple[int, int]:
-    """Return the numbers that line 0 of the nodes can have on one axis.
+    """Return the numbers that row 0, or column 0, of the nodes can have.
 
     here, rest: the first and the last line, of the nodes and at rest.
     """
@@ -263,9 +265,9 @@ def _axis_bounds(
 
 
 def _known_ends(like: Grid, at: Points) -> Sides:
-    """Return where the grid at rest ends within what the nodes show of the image.
+    """Return the sides on which the grid at rest ends inside the part of the image with nodes.
 
-    For grids at rest that were built without their image, which do not know their borders.
+    It is for grids at rest that were built without their image, so that their borders are unknown.
     """
     rest = like.xy[..., 0] + 1j * like.xy[..., 1].astype(np.float64)
     every = np.concatenate([rest.ravel(), at.ravel()])
@@ -305,7 +307,7 @@ def _placed(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Plac
             margin = second.motion - best.motion
         turn = (second.quarters - best.quarters) % 4
         rows, columns = turned.at.shape
-        skipped = (  # from the first node of the turned grid to that of the turned nodes
+        skipped = (  # steps from the first entry of the turned grid to that of the turned nodes
             (-top, -left),
             (shape[1] + left - columns, -top),
             (shape[0] + top - rows, shape[1] + left - columns),

@@ -1,4 +1,4 @@
-"""Where nodes should be by their neighbours, and how long the steps between them are."""
+"""Predictions of nodes from their neighbours, and the mean steps between nodes."""
 
 from typing import NamedTuple
 
@@ -31,10 +31,10 @@ USES = (FACTORS != 0).astype(np.float64)
 WEIGHTED = WEIGHTS[:, None] * FACTORS
 KERNEL = np.zeros((7, 7))  # the mean of all predictions
 KERNEL[tuple(STEPS.T + 3)] = WEIGHTED.sum(axis=0) / WEIGHTS.sum()
-ALONG = np.array([[(r, c) for c in range(-2, 3)] for r in (-1, 0, 1)])  # three parts of rows
+ALONG = np.array([[(r, c) for c in range(-2, 3)] for r in (-1, 0, 1)])  # parts of three rows
 LINES = np.stack([ALONG, ALONG[..., ::-1]])  # and of columns, whose steps are taken
-TOUCHED = np.kron(np.eye(2), [1, 2, 2, 1] * 3)  # how many of the 3 x 3 nodes a step touches
-REACHED = np.array(  # where predictions or cells change with the node in the middle
+TOUCHED = np.kron(np.eye(2), [1, 2, 2, 1] * 3)  # how many of the 3 x 3 nodes touch each step
+REACHED = np.array(  # nodes whose prediction or cell changes with the node in the middle
     [(r, c) for r in range(-3, 4) for c in range(-3, 4) if 0 in (r, c) or max(abs(r), abs(c)) < 3]
 )
 
@@ -93,7 +93,7 @@ def beside_missing(there: Mask) -> tuple[Index, Stencil]:
 
 
 def predict_within(at: Points) -> Points:
-    """Return the same for every node, (R, C); NaN where one of those around is missing."""
+    """Return the predictions of all nodes, (R, C); NaN where one of the nodes around is missing."""
     padded = _bordered(at).view(np.float64).reshape(*np.add(at.shape, 6), 2)
     filtered = cv2.filter2D(padded, -1, KERNEL)[3:-3, 3:-3]  # leaves out factors that are 0
     return np.ascontiguousarray(filtered).view(np.complex128)[..., 0]
@@ -115,7 +115,7 @@ def _inverse(weight: Float) -> Float:
 def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, Float]:
     """Return the step to the next column, to the next row, and the cell there, each (M,), px.
 
-    Means of the steps to and from the 3 x 3 nodes around; NaN where there are none.
+    They are means of the steps to and from the 3 x 3 nodes around; NaN if there are none.
     """
     padded = _bordered(at)
     width = padded.shape[1]

@@ -1,4 +1,4 @@
-"""A second look at places where a corner should be: edge lines on several sets of rings."""
+"""The second look: edge lines on several sets of rings around the prediction of a missing node."""
 
 import math
 
@@ -11,14 +11,14 @@ Points = NDArray[np.complex128]
 Float = NDArray[np.float64]
 
 RADII = (3, 4, 5, 6)
-RINGS = np.array(  # which of the radii each look uses
+RINGS = np.array(  # the radii that each look uses
     [[1, 1, 1, 0], [0, 1, 1, 0], [0, 0, 1, 1], [0, 1, 1, 1], [1, 1, 0, 0]], np.bool_
 )
 STARTS = np.array([0, 1.5, -1.5, 1.5j, -1.5j])  # px from the prediction
-LOOKS = 3  # the last may move by less than STILL
+LOOKS = 3  # iterations; the last step must be shorter than STILL
 STILL = 0.5  # px
 NEAR = 0.25  # cells from the prediction
-LEAST_SINE = 0.17  # below it two edge lines have no intersection worth the name
+LEAST_SINE = 0.17  # of the angle between two edge lines; with less their intersection is uncertain
 SINE = 0.3  # least |sin| of the angle between the edge lines
 ALONG = 0.7  # least |cos| between the line of e0 and e2 and its expected direction
 
@@ -26,9 +26,10 @@ ALONG = 0.7  # least |cos| between the line of e0 and e2 and its expected direct
 def second_look(image: GreyImage, at: Points, cell: Float, line: Points) -> Points:
     """Return the corners at these predictions, (M,) complex px; NaN where none is accepted.
 
-    cell: (M,) px, how large cells are there. line: (M,) unit, along the boundaries e0 and e2.
+    image: (H, W). at: (M,) the predictions. cell: (M,), side of a cell there, px. line: (M,) unit
+        numbers along the boundaries e0 and e2.
 
-    The first accepted look counts, in the order of the sets of rings, then of the starts.
+    The first accepted look is taken, in the order of the sets of rings, then of the starts.
     """
     found = _look(image, at, at, RINGS[:1].repeat(len(at), 0), cell, line)
     left = np.flatnonzero(np.isnan(found.real))
@@ -63,7 +64,7 @@ def _look(
     for _ in range(1, LOOKS):
         moved = np.flatnonzero(np.abs(np.rint(here) - np.rint(before)) > 0)
         before = here.copy()
-        if len(moved):  # from the same pixel the answer is the same
+        if len(moved):  # from the same pixel the result is the same
             here[moved], along[moved], sine[moved] = edge_lines(image, here[moved], rings[moved])
     good = (
         (np.abs(here - at) < NEAR * cell)
@@ -107,10 +108,10 @@ AFTER, BEFORE = (
 def edge_lines(
     image: GreyImage, at: Points, rings: NDArray[np.bool_]
 ) -> tuple[Points, Points, Float]:
-    """Return where the two edge lines around each start meet (EDGE_LINES).
+    """Return the intersection of the two edge lines around each start (EDGE_LINES).
 
-    at: (M,) complex, px. rings: (M, 4), which of RADII to use. The threshold comes from the
-    smallest ring used.
+    image: (H, W). at: (M,) complex, px. rings: (M, 4) bool, the RADII to use. The threshold comes
+        from the smallest ring used.
 
     Returns the intersection, the direction of the line through e0 and e2, and the sine of the
     angle between the lines; NaN where fewer than two rings have four boundaries.
@@ -160,9 +161,10 @@ def _threshold(samples: GreyImage, ring_of: NDArray[np.int64]) -> Float:
 def _edge_points(
     samples: GreyImage, threshold: Float, rings: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], Points]:
-    """Return which of the rings (M, 4) have four boundaries, and e0..e3 of those around the middle.
+    """Return a mask (M, 4) of the rings with four boundaries, and their edge points e0 to e3,
+    relative to the middle.
 
-    A ring without four boundaries gets one majority of three.
+    A ring without four boundaries is smoothed once by the majority of three samples.
     """
     black = samples < threshold[:, None]
     odd = (_transitions(black) != 4).take(RING_OF, axis=1)

@@ -1,4 +1,4 @@
-"""Which part of a known shape the nodes are."""
+"""The nodes are placed in a grid of known shape here."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,13 @@ STRAIGHT = 0.5  # largest bend of a corner that is no junction with the surround
 def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], ends: Ends) -> Placed:
     """Return the nodes in a grid of that shape.
 
-    A shape that fits better across is taken so, by the quarter turn that leaves the columns
-    nearest to the image's x axis. Where less is seen, the borders in view say which part it
-    is; not for sure where its line goes on past the pattern. Such a line may also leave as many
-    rows as the shape has columns. Where more is seen, it is the fullest window, nearest to the
-    top left.
+    If the shape fits better with rows and columns exchanged, the grid is turned so that its columns
+    stay nearest to the image's x axis. If fewer nodes are seen, the borders in view decide which
+    part it is. That is not sure if a border's line continues past the pattern: such an edge may
+    also leave as many rows as the shape has columns. If more nodes are seen, the fullest window is
+    taken, the one nearest to the top left.
 
-    bend: of every corner.
+    bend: (N,), as in `Lattice`. ends: the sides on which the pattern ends.
     """
     turns = [0]
     if shape[0] != shape[1]:
@@ -56,7 +56,7 @@ def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], en
 
 
 def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int:
-    """Count the lines that are seen too many, or are missing between two borders."""
+    """Count the rows and columns that exceed the shape, or are missing between two borders."""
     both = border.top and border.bottom, border.left and border.right
     off = 0
     for axis in (0, 1):
@@ -66,7 +66,7 @@ def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int
 
 
 def _straight(nodes: Nodes, bend: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return (R, C), corners whose boundaries are straight, as at no junction with the surround."""
+    """Return (R, C) bool, True at corners with straight boundaries, which junctions do not have."""
     return (nodes.owner >= 0) & ~(bend[nodes.owner] > STRAIGHT)
 
 
@@ -75,8 +75,8 @@ def _fullest(
 ) -> tuple[int, int, int]:
     """Return weight, first row and first column of the fullest window of that shape.
 
-    A node weighs less the less the corner's boundaries are straight, as they are not where the
-    outermost cells meet the surroundings. Of several it is the nearest to the top left.
+    The weight of a node decreases with the bend of its corner's boundaries, because those of
+    junctions are bent. Of equal windows the one nearest to the top left is taken.
     """
     weight = WHOLE - (WHOLE / 4 * np.where(np.isnan(bend), 1, bend)).astype(np.int64)
     total = np.zeros(np.add(nodes.at.shape, 1), np.int64)
@@ -97,10 +97,11 @@ def _seen_shape(
     start: tuple[int, int],
     border: Sides,
 ) -> tuple[tuple[int, int] | None, Sides]:
-    """Return the shape that the pattern seems to have, None for the given one; where it goes on.
+    """Return the shape that the pattern seems to have, None for the given one, and the sides on
+    which it continues.
 
-    start: first row and column of the window of that shape. Lines beyond it count that hold
-    half as many straight corners as lines usually do.
+    start: first row and column of the window of that shape. A line beyond it counts if it holds at
+        least half the usual number of straight corners.
     """
     straight = _straight(nodes, bend)
     seen, goes_on = list(shape), []

@@ -8,7 +8,7 @@ A field for every frame of a film that shows two views side by side, for example
     frames = cmp_cl.media.read_frames("press.mp4")
     rest = next(frames).image
     split = cmp_cl.BinocularSplit.halves(width=rest.shape[1], height=rest.shape[0])
-    with cmp_cl.measure.TwoViews(rest, rig, split, shape=(12, 12)) as measure:
+    with cmp_cl.measure.TwoViews(rest, rig, split, shape=(40, 40)) as measure:
         for frame in frames:
             if frame.image is not None:
                 measure(frame.image).field.save(f"press-{frame.index:04}.vtp")

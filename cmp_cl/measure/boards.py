@@ -23,7 +23,7 @@ from cmp_cl.opencl.device import Device
 from cmp_cl.stereo import Points3D
 from cmp_cl.stereo.points import sides
 
-MAX_SIGMA = 0.2  # px: corners of a board that are less certain are not used
+MAX_SIGMA = 0.2  # px; less certain corners of a board are not used
 
 
 def find_boards(
@@ -35,13 +35,13 @@ def find_boards(
     regions: tuple[Region | None, ...] = (None, None),
     device: Device | str | None = None,
 ) -> tuple[Grid, Grid]:
-    """Find a rigid board in two views; return grids numbered alike, of trusted corners alone.
+    """Find a rigid board in two views; return grids of trusted corners that are numbered alike.
 
     The result is one of the pairs that `cmp_cl.calibrate` takes. shape: (rows, columns) of
     the board's inner corners. max_sigma: the largest standard deviation of a corner that is
-    used, px. The other arguments are those of `TwoViews`.
+    used, px. regions, full_scale, device: as in `TwoViews`.
 
-    Raises GridError where a view does not show all four sides of the board, because its corners
+    Raises GridError if a view does not show all four sides of the board, because its corners
     cannot be told apart then.
     """
     device = selected(device)
@@ -64,13 +64,16 @@ def find_board(
     full_scale: int | None = None,
     device: Device | str | None = None,
 ) -> Grid:
-    """Find a rigid board of (rows, columns) inner corners; return its grid.
+    """Find a rigid board in a view; return its grid.
 
-    Corners are refined at the scale that `DetectorConfig.for_image` chooses, if all of them are
-    found there. Else they are refined at full size too: there the rings are smaller in terms of
-    the board, and do not extend past narrow outer squares. The scale with more corners counts.
+    view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners. region,
+        full_scale, device: as in `OneView`.
 
-    Raises GridError where the view does not show corners of all four sides of the board.
+    The corners are detected at the scale that `DetectorConfig.for_image` chooses. If some are
+    missing, they are detected at full size too, where the rings are smaller relative to the board
+    and do not extend past narrow outer squares. The result with more corners is used.
+
+    Raises GridError if the view does not show corners of all four sides of the board.
     """
     device = selected(device)
     cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
@@ -93,10 +96,10 @@ def find_board(
 
 
 def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
-    """Return the filtered grid of a board, of the nodes that calibration may use.
+    """Return the filtered grid of a board with only the nodes that calibration may use.
 
-    Left out are nodes that were not detected, or whose own image is less certain than max_sigma,
-    px. The sigma of the others is that of their filtered positions.
+    It leaves out nodes that were not detected, and nodes whose raw sigma exceeds max_sigma, px. The
+    sigma of the others is that of their filtered positions.
     """
     good = (grid.status == NodeStatus.DETECTED) & (grid.sigma <= max_sigma)
     kept = dataclasses.replace(
@@ -109,6 +112,6 @@ def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
 
 
 def square_sides(points: Points3D) -> NDArray[np.float64]:
-    """Return the distances between neighbouring nodes that were placed, (N,), in their unit."""
+    """Return the distances between neighbouring valid points, (N,), in their unit."""
     every: NDArray[np.float64] = np.concatenate([each.ravel() for each in sides(points.xyz)])
     return every[np.isfinite(every)]

@@ -26,8 +26,9 @@ from cmp_cl.measure.patterns import (
 from cmp_cl.opencl.device import Device
 from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 
-BRIDGED = 1  # frames without a grid over which numbers are continued: after more, a motion of
-# half a cell a frame can reach the next place that looks alike
+# Frames without a grid over which numbers are continued. After more of them, a motion of half a
+# cell per frame could reach the next position that looks the same.
+BRIDGED = 1
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
 
@@ -37,9 +38,9 @@ class Measured:
     """A frame, measured against the frame at rest.
 
     arrays: the arrays for `SeriesWriter.append`, by name: xy (R, C, 2) float32, px, sigma (R, C)
-        float32, px, and status (R, C) uint8 of `NodeStatus`; raw_xy and raw_sigma are those before
-        the lattice filter, where that is on.
-    nodes: number of nodes that are measured in both frames.
+        float32, px, and status (R, C) uint8 of `NodeStatus`; with the lattice filter, raw_xy and
+        raw_sigma are those before it.
+    nodes: number of nodes that are measured both at rest and now.
     largest: the largest displacement, px or the rig's unit, 0 without nodes.
     ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
     views, corners, grids: of the one view, or of the left and of the right one.
@@ -58,10 +59,11 @@ class Measured:
 class MeasuredInSpace(Measured):
     """A frame of two views, measured in space against the frame at rest.
 
+    nodes, largest, ambiguous, views, corners, grids: as in `Measured`.
     points: the positions of the nodes now. field: their displacement.
-    arrays: displacement, sigma, status and source of the field, raw_displacement and raw_sigma
-        of the raw one where the lattice filter is on, and the positions left and right, as
-        they were detected, (R, C, 2) float32, px.
+    arrays: displacement, sigma, status and source of the field; with the lattice filter,
+        raw_displacement and raw_sigma before it; and the detected positions left and right,
+        (R, C, 2) float32, px.
     """
 
     points: Points3D
@@ -72,8 +74,8 @@ class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
     constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
-        whether the lattice filter is on; raw_rest is then the rest before it), and with two views
-        left_rest and right_rest (R, C, 2), as they were detected.
+    whether the lattice filter is on), raw_rest (rest before that filter, if it is on), and with two
+    views the detected positions left_rest and right_rest (R, C, 2), px.
     unit: unit of the displacements, "px" or the rig's.
     nodes: number of nodes of the pattern.
     """
@@ -88,13 +90,14 @@ class Measurement(Closing):
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, of the size and the type of the frame at rest.
 
-        Nodes that are not found are NaN; a frame without the pattern has none.
+        frame: (H, W). Nodes that are not found are NaN; in a frame without the pattern all are.
         Raises ImageError, CapacityError and DeviceError as a `Detector` does.
         """
         raise NotImplementedError
 
     def skip(self) -> None:
-        """Say that a frame is missing here, for numbers that are continued from frame to frame."""
+        """Note that a frame is missing here; `track` continues numbers over few missing frames
+        only."""
         for pattern in self._patterns():
             pattern.lost()
 
@@ -111,18 +114,18 @@ class OneView(Measurement):
 
     rest: the frame at rest, (H, W) uint8 or uint16.
     shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
-    region: (x0, y0, x1, y1), px, where the pattern is in every frame; None is everywhere.
-    config: of the detector; None is `exact_config` for the cells seen at rest.
-    track: continue the numbers of the frame before where the frame at rest leaves them
-        ambiguous. Frames then come in order, and the pattern as a whole moves by less than
-        half a cell from the frame at rest to the first and from each to the next. After two
-        frames without a grid, or one that is ambiguous, those that follow are ambiguous too,
-        until a border or the errors of the print decide.
-    full_scale: the camera's largest grey level; None is that of the settings or of the type.
+    region: (x0, y0, x1, y1), px, holds the pattern in every frame; None is the whole frame.
+    config: configuration of the detector; None is `exact_config` for the cells seen at rest.
+    track: continue the numbers of the previous frame if the frame at rest leaves them ambiguous.
+        Frames then come in order, and the pattern as a whole moves by less than half a cell from
+        the frame at rest to the first and from each to the next. After two frames without a grid,
+        or one that is ambiguous, those that follow are ambiguous too, until a border or the
+        printing errors decide.
+    full_scale: the camera's largest grey level; None is that of the configuration or of the type.
     device: a Device, a text for `select_device`, or None for the default device.
     raw: leave out the lattice filter, see `cmp_cl.grid.filter_positions`.
 
-    Raises GridError where the frame at rest shows no such pattern, and what `Detector` raises.
+    Raises GridError if the frame at rest shows no such pattern, and the errors of `Detector`.
     """
 
     def __init__(
@@ -192,9 +195,9 @@ class TwoViews(Measurement):
     split: the rectangles of the two views in a frame. regions: regions of the left and of the right
     view, see `OneView`. The other arguments are those of `OneView`.
 
-    Raises GridError where a view of the frame at rest shows no such pattern, or the rig does
-    not fit three quarters of its nodes to 1 px; ImageError where a view extends past the frame; and
-    what `Detector` raises.
+    Raises GridError if a view of the frame at rest shows no such pattern, or the rig does
+    not fit three quarters of its nodes to 1 px; ImageError if a view extends past the frame; and
+    the errors of `Detector`.
     """
 
     def __init__(
@@ -308,7 +311,7 @@ class _Search:
 class _Pattern:
     """The pattern at rest in a view, and the detector that finds it in others.
 
-    Raises GridError where the view shows no pattern.
+    Raises GridError if the view shows no pattern.
     """
 
     def __init__(self, view: GreyImage, search: _Search, region: Region | None) -> None:
@@ -335,9 +338,10 @@ class _Pattern:
             stack.pop_all()
 
     def find(self, view: GreyImage) -> tuple[Corners, Grid]:
-        """Find the corners of another view and number them; the grid is empty without a pattern.
+        """Find the corners of another view and number them; without a pattern the grid is empty.
 
-        The grid has the rows and columns at rest: nodes beyond have no displacement.
+        The grid has the rows and columns of the grid at rest; nodes beyond them have no
+        displacement.
         """
         corners = self.detector(view)
         before = (self._previous or self.rest) if self._track else None

@@ -1,4 +1,4 @@
-"""Patterns of unknown cells in a view, and two views of one pattern."""
+"""Patterns of unknown cell size in a view, and two views of one pattern."""
 
 from typing import TypeAlias
 
@@ -15,7 +15,7 @@ from cmp_cl.opencl.device import Device, select_device
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
-_USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried where the estimate does not find the pattern
+_USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried if the estimated cell does not find the pattern
 
 
 def find_pattern(
@@ -26,14 +26,14 @@ def find_pattern(
     full_scale: int | None = None,
     device: Device | str | None = None,
 ) -> tuple[float, Grid]:
-    """Find a pattern whose cell size nobody has given; return its cell, px, and its grid.
+    """Find a pattern of unknown cell size; return the side of its cells, px, and its grid.
 
-    The arguments are those of `OneView`. The estimated cell and some usual ones are tried. The
-    first that shows all nodes of a known shape, or a grid of most corners, ends the search;
-    else the one with the most detected nodes wins.
+    view, shape, region, full_scale, device: as in `OneView`. The estimated cell and some usual ones
+    are tried in turn. The search ends with the first that shows all nodes of a known shape, or a
+    grid of most corners. Otherwise the cell with the most detected nodes is chosen.
 
-    Raises GridError where no cell shows a pattern or it seems to have another size, and what
-    `Detector` raises.
+    Raises GridError if no cell size shows a pattern or the pattern seems to have another number of
+    corners, and the errors of `Detector`.
     """
     device = selected(device)
     best: Grid | None = None
@@ -61,18 +61,18 @@ def find_pattern(
 
 
 def check_size(grid: Grid) -> None:
-    """Raise GridError where the pattern seems to have another number of corners."""
+    """Raise GridError if the pattern seems to have another number of corners."""
     if grid.seen_shape is not None:
         raise GridError(grid.doubts[0])
 
 
 def detected(grid: Grid) -> int:
-    """Count the nodes that the detector itself has found."""
+    """Count the nodes of a grid that the detector itself has found."""
     return int(np.count_nonzero(grid.status == NodeStatus.DETECTED))
 
 
 def cell_of(grid: Grid) -> float:
-    """Return the median side of a grid's cells, px, NaN where there is none."""
+    """Return the median side of a grid's cells, px, NaN if it has none."""
     sides = [np.linalg.norm(np.diff(grid.xy, axis=axis), axis=2).ravel() for axis in (0, 1)]
     known = np.concatenate(sides)
     known = known[np.isfinite(known)]
@@ -80,20 +80,20 @@ def cell_of(grid: Grid) -> float:
 
 
 def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
-    """Return the most complete and exact settings for a deformed pattern of such cells, px.
+    """Return the most complete and exact configuration for a deformed pattern.
 
-    They are those of `DetectorConfig.for_cell`.
+    cell: side of its cells, px. full_scale: see `OneView`. It is that of `DetectorConfig.for_cell`.
     """
     return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
 
 
 def align_views(left: Grid, right: Grid) -> Grid:
-    """Return the right grid numbered as the left one is, see `cmp_cl.align`.
+    """Return the right grid with the numbers of the left one, see `cmp_cl.align`.
 
     The two cameras of a rig have nearly the same side up. If the rows of the two views differ by
     more than 60 degrees, one of the views is numbered wrongly.
 
-    Raises GridError where shapes, colours or the directions of the rows do not agree.
+    Raises GridError if shapes, colours or the directions of the rows do not agree.
     """
     aligned = align([left, right])[1]
     if not abs(np.angle(row_direction(aligned) / row_direction(left))) <= _MOST_ROTATED:

@@ -1,7 +1,7 @@
 """The folders in which compiled kernels are kept: PoCL's, and cmp_cl's for others.
 
-What lies in them is run, so a folder that others may write to is not used. pyopencl's own is not
-used at all.
+Their contents are executed, so a folder that others may write to is not used. pyopencl's own cache
+is not used at all.
 """
 
 import atexit
@@ -21,8 +21,8 @@ import platformdirs
 import pyopencl as cl
 
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-_LEAST_LARGEST = 1 << 20  # bytes: the largest file there has about 250 kB
-_LEAST_FREE = 32 << 20  # bytes: a plan's kernels take some 10 MB in PoCL's cache
+_LEAST_LARGEST = 1 << 20  # bytes; the largest file in the cache has about 250 kB
+_LEAST_FREE = 32 << 20  # bytes; a plan's kernels take some 10 MB in PoCL's cache
 
 
 def own_folder() -> Path | None:
@@ -53,14 +53,15 @@ def _warn(folder: Path) -> None:
 
 
 def is_ours(status: os.stat_result) -> bool:
-    """Return whether a file or folder is this user's, and nobody else may write to it."""
+    """Return whether a file or folder belongs to this user, and no one else may write to it."""
     if not hasattr(os, "getuid"):  # Windows has a folder for each user
         return True
     return status.st_uid == os.getuid() and not status.st_mode & _OTHERS_WRITE
 
 
 def read_ours(path: Path) -> bytes:
-    """Read a file that is this user's; raises OSError, PermissionError where it is not."""
+    """Read a file of this user; raises PermissionError if it is not this user's alone, and
+    OSError."""
     with open(path, "rb") as file:
         if not is_ours(os.fstat(file.fileno())):
             raise PermissionError(f"{str(path)!r} is not ours alone")
@@ -78,11 +79,11 @@ def pocl_folder() -> Path:
 def guard_pocl() -> None:
     """Give PoCL a temporary folder in place of one that is not this user's alone.
 
-    PoCL asks nobody whose its kernels are. The folder goes with the process; a warning says so.
-    It is for the time before PoCL starts.
+    PoCL does not check the owner of its kernels. The folder is removed with the process, and a
+    warning says so. This must be called before PoCL starts.
     """
     folder = pocl_folder()
-    with contextlib.suppress(OSError):  # what cannot be looked at PoCL cannot read
+    with contextlib.suppress(OSError):  # PoCL cannot read what cannot be inspected
         if folder.exists() and not is_ours(folder.stat()):
             _warn(folder)
             temporary = tempfile.mkdtemp(prefix="cmp_cl-")
@@ -110,13 +111,13 @@ _INVOKERS = _InMemory()
 def guard_invokers() -> None:
     """Let pyopencl make the functions that call kernels in each process, not load them.
 
-    In the user's cache they are pickles, which are code; pyopencl asks nobody whose they are, and
-    ends with an error of SQLite where the file is damaged or the disk full.
+    In the user's cache they are pickles, which are code. pyopencl does not check their owner, and
+    fails with an error of SQLite if the file is damaged or the disk is full.
     """
     name, switch = "pyopencl.invoker", "_PYOPENCL_NO_CACHE"
     if name not in sys.modules:
         before = getattr(cl, switch, None)
-        setattr(cl, switch, True)  # while it is imported, or it would open the cache
+        setattr(cl, switch, True)  # during the import, or it would open the cache
         try:
             importlib.import_module(name)
         finally:
@@ -126,32 +127,34 @@ def guard_invokers() -> None:
 
 
 def pocl_is_stuck() -> str:
-    """Return why PoCL cannot start or compile with its cache as it is; "" where it can.
+    """Return the reason why PoCL cannot start or compile with its cache; "" if it can.
 
-    Without a folder to write to it is not even listed; on a full disk it ends the process,
-    and so it does where its files may not be as large as they get (ulimit -f).
+    Without a writable folder PoCL is not even listed. On a full disk, or if `ulimit -f` is too
+    small for its files, it ends the process.
     """
     folder = pocl_folder()
     there = next((each for each in (folder, *folder.parents) if each.exists()), None)
     if there is None or not there.is_dir() or not os.access(there, os.W_OK):
-        return f"PoCL cannot write to its cache {str(folder)!r}; XDG_CACHE_HOME names another place"
+        return (
+            f"PoCL cannot write to its cache {str(folder)!r}; XDG_CACHE_HOME names another folder"
+        )
     largest = _largest_file()
     if largest < _LEAST_LARGEST:
         return (
-            f"no file may have more than {largest} bytes here, and PoCL ends the process where one "
-            "of its cache would; ulimit -f unlimited, or a larger limit, lets it"
+            f"no file may have more than {largest} bytes here, and PoCL ends the process if a "
+            "file of its cache would; raise the limit, for example by ulimit -f unlimited"
         )
     free = shutil.disk_usage(there).free
     if free < _LEAST_FREE:
         return (
             f"PoCL's cache {str(folder)!r} is on a disk with {free} bytes left, and PoCL ends the "
-            "process where it is full; free some space, or name another folder in XDG_CACHE_HOME"
+            "process if it is full; free some space, or name another folder in XDG_CACHE_HOME"
         )
     return ""
 
 
 def _largest_file() -> float:
-    """Return how many bytes a file of this process may have."""
+    """Return the largest number of bytes that a file of this process may have."""
     try:
         import resource
     except ImportError:  # Windows has no such limit

@@ -77,7 +77,7 @@ def is_forked() -> bool:
 
 
 def check_process() -> None:
-    """Raise DeviceError where `is_forked`."""
+    """Raise DeviceError if `is_forked`."""
     if is_forked():
         raise DeviceError(
             "this process was forked after OpenCL had started in its parent, and OpenCL does not "
@@ -87,9 +87,9 @@ def check_process() -> None:
 
 
 def list_devices() -> list[Device]:
-    """Return all OpenCL devices, in the order of the platforms; empty where there is none.
+    """Return all OpenCL devices, in the order of the platforms; empty if there is none.
 
-    Raises DeviceError in a forked child of a process that has used OpenCL, and where
+    Raises DeviceError in a forked child of a process that has used OpenCL, and if
     POCL_MAX_PTHREAD_COUNT would end the process.
     """
     check_process()
@@ -105,13 +105,14 @@ def list_devices() -> list[Device]:
 
 
 def select_device(text: str | None = None) -> Device:
-    """Return the device that a text means: "0:0" (platform:device), "cpu", "gpu", or a part of its
-    name or of its platform's name, case ignored. Of several the first in `list_devices` is taken.
+    """Return the device that a text names: "0:0" (platform:device), "cpu", "gpu", or a part of its
+    name or of its platform's name, case ignored. If several match, it is the first in
+    `list_devices`.
 
     None means the variable CMP_CL_DEVICE if it is set, else the first GPU, else the first
     CPU, else the first device.
 
-    Raises DeviceError, which lists what there is, where nothing matches.
+    Raises DeviceError, which lists what there is, if nothing matches.
     """
     if text is not None and not isinstance(text, str):
         raise DeviceError(f"a device is named by a text such as '0:0' or 'cpu', not {text!r}")
@@ -140,7 +141,7 @@ def describe_handle(handle: cl.Device) -> Device:
 
 
 def is_pocl(handle: cl.Device) -> bool:
-    """Return whether a device is one of PoCL."""
+    """Return whether a pyopencl device belongs to PoCL."""
     return handle.platform.name == "Portable Computing Language"
 
 
@@ -153,7 +154,7 @@ def _matches(device: Device, wanted: str) -> bool:
 
 
 def _check_workers() -> None:
-    """Raise DeviceError for a number of workers with which PoCL ends the process."""
+    """Raise DeviceError if the number of workers is one with which PoCL ends the process."""
     text = os.environ.get("POCL_MAX_PTHREAD_COUNT", "")
     if re.fullmatch(r"\s*[+-]?\d+\s*", text) and not 0 <= int(text) <= _MOST_WORKERS:
         raise DeviceError(
@@ -163,11 +164,11 @@ def _check_workers() -> None:
 
 @contextlib.contextmanager
 def _workers_on_own_cores() -> Iterator[None]:
-    """Make PoCL, where it starts here, pin each of its workers to a core of its own.
+    """Make PoCL, if this process starts it, pin each of its workers to its own core.
 
     Otherwise the system often puts two of them on one core for the life of the process, and a frame
-    takes half as long again. It does nothing where the user has set a variable of the workers, or
-    where the process may not use every core.
+    takes one and a half times as long. It does nothing if the user has set a variable of the
+    workers, or if the process may not use every core.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None
     if cores != os.cpu_count() or any(name in os.environ for name in _POCL_WORKERS):

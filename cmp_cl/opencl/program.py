@@ -1,14 +1,14 @@
-"""The kernels are found, assembled and compiled here, and nowhere else.
+"""The kernels are found, assembled and compiled only here.
 
 `Programs.kernels(stages, defines)` compiles some of the files in kernels/, each into a program of
-its own; `Kernels.bind(name, *arguments)` gives a kernel with its arguments set, ready to be
-launched. `programs_of(device)` are the programs that all detectors of a process share.
+its own. `Kernels.bind(name, *arguments)` returns a kernel with its arguments set, ready to be
+launched. `programs_of(device)` returns the programs that all detectors of a process share.
 
-Compilers take seconds. So a file is compiled with only those macros that it names, and the binaries
-are cached: another configuration compiles only the stages that it changes. PoCL has a cache of its
-own, and compiles everything twice when asked for a binary. Binaries of other implementations are
-kept in the user's cache folder, one file each. A file appears whole or not at all, is checked
-before use, and is rewritten where the device refuses it. Without a writable folder every start
+A compilation takes seconds. So a file is compiled with only the macros that it names, and the
+binaries are cached: another configuration compiles only the stages that it changes. PoCL has its
+own cache, and compiles everything twice when asked for a binary. Binaries of other implementations
+are kept in the user's cache folder, one file each. A file appears whole or not at all, is checked
+before use, and is replaced if the device refuses it. Without a writable folder every start
 compiles.
 """
 
@@ -33,7 +33,7 @@ from cmp_cl.opencl.device import check_process, is_pocl
 _OPTIONS = ("-cl-std=CL1.2", "-cl-kernel-arg-info")
 _INCLUDE = re.compile(r'#include "(.+)"')
 _NO_CACHE_VARIABLE = "PYOPENCL_NO_CACHE"
-_WARNINGS = threading.Lock()  # the filters of warnings belong to the whole process
+_WARNINGS = threading.Lock()  # the whole process shares the filters of warnings
 
 
 def kernel_folder() -> Path:
@@ -49,10 +49,10 @@ def kernel_folder() -> Path:
 
 
 def source(stage: str, macros: Mapping[str, str] | None = None) -> str:
-    """Return the text of kernels/STAGE.cl; each header that it includes comes once.
+    """Return the text of kernels/STAGE.cl with its headers, each of them once.
 
-    macros: function-like macros, "NAME(ARGUMENTS)" to text. Those that the source names are put
-    before it.
+    macros: function-like macros, "NAME(ARGUMENTS)" to text. Those that the source names are
+        inserted before it.
     """
     text = "\n".join(_with_headers(f"{stage}.cl", set()))
     named = {name: body for name, body in (macros or {}).items() if _names(text, name)}
@@ -98,7 +98,7 @@ class Kernels:
         return set(self._programs)
 
     def bind(self, name: str, *arguments: Any) -> cl.Kernel:
-        """Return a kernel of its own with these arguments, NumPy scalars and buffers."""
+        """Return a new kernel of that name with these arguments, NumPy scalars and buffers."""
         kernel = cl.Kernel(self._programs[name], name)
         kernel.set_args(*arguments)
         return kernel
@@ -138,7 +138,7 @@ class Programs:
 def programs_of(device: cl.Device) -> Programs:
     """Return the programs of a device, in a context of their own.
 
-    They are kept as long as the process: to load a program that is compiled already takes tens of
+    They are kept as long as the process, because loading a compiled program takes tens of
     milliseconds, and a detector has six. Raises DeviceError in a forked child.
     """
     check_process()
@@ -156,7 +156,7 @@ def build(
     defines: Mapping[str, str | int],
     macros: Mapping[str, str] | None = None,
 ) -> Kernels:
-    """Compile the stages for once, see `Programs.kernels`."""
+    """Compile the stages for a single use, see `Programs.kernels`."""
     return Programs(context).kernels(stages, defines, macros)
 
 
@@ -178,23 +178,24 @@ def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) ->
 
 
 def _check_compiler(context: cl.Context, stage: str) -> None:
-    """Raise KernelBuildError where the compiler is known to end the process instead."""
+    """Raise KernelBuildError if the compiler is known to end the process instead."""
     stuck = caches.pocl_is_stuck() if any(is_pocl(device) for device in context.devices) else ""
     if stuck:
         raise KernelBuildError(f"the kernels of {stage} are not compiled: {stuck}")
 
 
 def _built(program: cl.Program, options: list[str]) -> cl.Program:
-    """Compile or link; what a compiler says about what it could do is not the user's concern."""
+    """Compile or link a program, without the compiler's warnings."""
     with _WARNINGS, warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        build: Any = program.build  # its stub does not know that False means no cache
+        build: Any = program.build  # its stub does not know that False turns the cache off
         build(options=options, cache_dir=False)
     return program
 
 
 def _place(context: cl.Context, text: str, options: list[str]) -> Path | None:
-    """Return where a program's binary is kept; None if that is switched off or left to PoCL."""
+    """Return the path of a program's binary; None if there is no folder, or PoCL caches it
+    itself."""
     device = context.devices[0]
     switched_off = os.environ.get(_NO_CACHE_VARIABLE, "").lower() in ("1", "true", "on", "yes")
     if switched_off or len(context.devices) > 1 or _keeps_by_itself(device):
@@ -210,7 +211,7 @@ def _keeps_by_itself(device: cl.Device) -> bool:
 
 
 def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:
-    """Load the program kept there, if it is whole and the device takes it."""
+    """Load a stored program, if the file is whole and the device accepts it."""
     with contextlib.suppress(OSError, cl.Error):
         data = caches.read_ours(path)
         digest, binary = data[:32], data[32:]
@@ -222,12 +223,12 @@ def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program |
 def _keep(path: Path, program: cl.Program) -> None:
     with contextlib.suppress(OSError, cl.Error):
         (binary,) = program.binaries
-        path.unlink(missing_ok=True)  # an old file's mode would let others go on writing to it
+        path.unlink(missing_ok=True)  # the mode of an old file might let others write to it
         write_bytes(path, hashlib.sha256(binary).digest() + binary)
 
 
 def sum_of_terms(terms: Sequence[str], kind: str) -> str:
-    """Return the sum of the terms in a type, nested three at a time as SUM3 in plane.clh."""
+    """Return the sum of terms in the type `kind`, nested three at a time like SUM3 in plane.clh."""
     if len(terms) == 1:
         return terms[0]
     third = -(-len(terms) // 3)

@@ -1,8 +1,8 @@
-"""The detector in NumPy, one module per kernel file: slow and plain. Tests compare the kernels with
+"""The detector in NumPy, with one module per stage, slow and simple. Tests compare the kernels with
 it.
 
-It is an oracle: call it on purpose. The library never falls back to it. It shares no constant with
-the kernels, so that a wrong one shows.
+It is an oracle. The library never falls back to it. It shares no constant with the kernels, so that
+a wrong constant shows.
 """
 
 import dataclasses
@@ -65,7 +65,7 @@ def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = 
     config: None stands for DetectorConfig.for_image(image).
     mask: (H, W) bool, where candidates may be centred; pixels outside are still sampled.
 
-    Raises ImageError where image or mask is anything else.
+    Raises ImageError if image or mask is anything else.
     """
     return detect_with_margin(image, config, mask)[0]
 
@@ -73,10 +73,11 @@ def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = 
 def detect_with_margin(
     image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None
 ) -> tuple[Corners, NDArray[np.float64]]:
-    """Find the corners; also return (N,) float64, how near refinement was to deciding otherwise.
+    """Find the corners; also return the margins of the decisions of refinement, (N,) float64.
 
-    The margin is the smallest relative distance of a guard's quantity from its bound; where
-    it is tiny, float32 may take the other branch. It is infinite without refinement.
+    image, config, mask: as in `detect`. A margin is the smallest relative distance of a guard's
+        quantity from its bound. If it is tiny, float32 may decide otherwise. It is infinite without
+        refinement.
     """
     image = check_image(image)
     config = config or DetectorConfig.for_image(image)

@@ -20,7 +20,7 @@ def binarize(image: GreyImage, threshold: AdaptiveMean) -> NDArray[np.bool_]:
     mean_mask = (grey + threshold.offset) * n < total
     if threshold.masks == 1:
         return mean_mask[None]
-    # n Q, S^2 and d^2 reach 1.82e19: they fit 64 bits without a sign, and no others.
+    # n Q, S^2 and d^2 reach 1.82e19, which only unsigned numbers of 64 bits hold.
     squares = window_sum(grey * grey, threshold.window).astype(np.uint64)
     variance = np.uint64(n) * squares - total.astype(np.uint64) ** 2
     below = grey * n < total

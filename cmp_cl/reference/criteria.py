@@ -70,7 +70,8 @@ def outer_transitions(mask: NDArray[np.uint16]) -> NDArray[np.uint8]:
 
 
 def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[np.int8]:
-    """Return Cd of Eq. 23: the ring and the region must have about as much black, and white.
+    """Return Cd of Eq. 23, which compares black and white on the outer ring with the corrosion
+        region.
 
     With n1 black of 16 samples and nR black of 21 pixels, max(n1 - nR, (16 - n1) - (21 - nR)).
     """

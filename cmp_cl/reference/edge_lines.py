@@ -29,9 +29,9 @@ def edge_lines(
 
     Returns shift (N, 2), method, refusal and margin (N,).
 
-    The edge points of a torn corner, and of rings that extend past a squeezed cell, are not on two
-    lines. The centroid is nearer there, and is kept where the mean squared distances of both lines
-    add up to more than LARGEST_RESIDUAL squared.
+    The edge points of a torn corner, and of rings that extend past a squeezed cell, do not lie on
+    two lines. The centroid is more accurate there. It is kept if the mean squared distances from
+    both lines add up to more than LARGEST_RESIDUAL squared.
     """
     first, second = both_lines(points)
     crossing = intersect(first, second)
@@ -69,7 +69,7 @@ def lines_sigma(points: EdgePoints) -> Floats:
 
 
 def _straight(meeting: Meeting, first: Lines, second: Lines, scale: float) -> Meeting:
-    """Return the meeting, accepted only where the points are near both lines."""
+    """Return the intersection, accepted only if the points are near both lines."""
     largest = (LARGEST_RESIDUAL / scale) ** 2
     residual = first.residual + second.residual
     near = np.abs(residual - largest) / largest

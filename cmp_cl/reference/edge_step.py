@@ -19,8 +19,8 @@ LARGEST_STEP = 0.3  # px
 BLUR = 1.2  # px, of the model's edges
 LEAST_CONTRAST = 1e-3  # grey levels
 LEAST_SPREAD = 1e-3  # of the model, relative to its weighted mean square
-GRADIENT = 1e-3  # 1/px, of the light: what is expected where the image does not say more
-SIGNIFICANT = 9.0  # squared standard deviations from which on the image's own gradient counts
+GRADIENT = 1e-3  # 1/px, expected gradient of the light, unless the image shows a larger one
+SIGNIFICANT = 9.0  # squared standard deviations: from here on the gradient in the image counts
 DOUBT = 0.010  # excess autocorrelation of the residual
 # px: what bent edges, shading and sampling add to the noise of a position on perfect prints
 STEP_ERROR = 0.01
@@ -50,8 +50,9 @@ def edge_step(
 
     The model of the grey around x is (m + c f(n1.u) g(n2.u)) (1 + e.u), f and g smooth steps of
     1.2 px, e the relative gradient of the light. Its radius is clamp(0.75 cell s, 4.5, 9) / s with
-    the working scale s. In the normal equations, what depends on the model alone is integrated
-    over the disc; in the frame of the edges they fall apart into two of two unknowns each.
+    the working scale s. The terms of the normal equations that depend only on the model are
+    integrated over the disc. In the frame of the edges the equations separate into two systems of
+    two unknowns.
     """
     radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
     n1, n2 = (normal_of(line) for line in both_lines(points))
@@ -94,7 +95,7 @@ def edge_step(
 
 
 def lower_median(values: Floats) -> float:
-    """Return the value of rank (n - 1) // 2, from 0: one that occurs."""
+    """Return the value of rank (n - 1) // 2, from 0, which is one of the values."""
     return float(np.sort(values)[(len(values) - 1) // 2])
 
 
@@ -106,11 +107,12 @@ def _step_terms(
     n2: Floats,
     radius: float,
 ) -> tuple[Floats, Bools, Floats, Floats, Floats]:
-    """Return per corner: step (N, 2), whether the system is sound, tr rho^2, ac, and a margin.
+    """Return for each corner the step (N, 2), whether the system is regular, tr rho^2, ac, and a
+        margin.
 
     ac is the mean of r(q) r(q + (1, 0)), weighted by w(q), over the pixels q that are, like
-    their right neighbours, within the radius, less what the light's gradient adds to it. rho^2 is
-    what mean r^2 has beyond that product: noise, which is not alike in neighbours.
+    their right neighbours, within the radius, minus the part that comes from the light's gradient.
+    rho^2 is mean r^2 minus that product: the noise, which neighbours do not share.
     """
     height, width = image.shape
     reach = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
@@ -211,8 +213,9 @@ def moments(half: Floats, radius: float) -> Floats:
     half: (N, 2) from `edge_frame`. For the axes s and t, with D the slope of P along the axis and k
     the coordinate: the integrals of w D D, w D k, w D k P, w k k, w k k P, w k k P P.
 
-    In polar coordinates: Gauss-Legendre up to the distance from which on the weight falls and on
-    from there, trapezoids of equal angles. P is even in s and in t, so a quadrant is enough.
+    The integration is in polar coordinates: Gauss-Legendre along the radius, separately before and
+    after the radius at which the weight begins to fall, and trapezoids of equal angles. P is even
+    in s and in t, so a quadrant is enough.
     """
     count = math.ceil(3 * radius) + 8
     node, weight = np.polynomial.legendre.leggauss(count)
@@ -236,14 +239,14 @@ def moments(half: Floats, radius: float) -> Floats:
 
 
 def _gradient(left: Floats, right: Floats, scales: Floats) -> tuple[Floats, Floats]:
-    """Return the light's gradient in grey levels a px along s and t (N, 2), and its variance by
-    that of the noise (N, 2).
+    """Return the light's gradient along s and t, (N, 2), grey levels per px, and its variance over
+    that of the noise, (N, 2).
 
     left, right: (N, 2), left e = right once the offsets are eliminated.
-    scales: (N, 4), level, mean square of what edges alone leave, sum of weights, |c|.
+    scales: (N, 4), level, mean square of the residual of the edges alone, sum of weights, |c|.
 
-    It is a ridge estimate: GRADIENT is expected of the light, or more where the gradient that fits
-    best is more than SIGNIFICANT says that noise alone would give.
+    It is a ridge estimate. It expects GRADIENT, or a larger gradient if the one that fits best
+    exceeds the noise by SIGNIFICANT.
     """
     level, noise, weights, contrast = scales.T
     best = right / left

@@ -18,12 +18,12 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 RADII = (3, 4, 5)  # px
-LEAST_SIN = 0.17  # of the angle between two lines that meet
+LEAST_SIN = 0.17  # least sine of the angle between two lines
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class EdgePoints:
-    """Where the rings around N starts meet their four boundaries.
+    """The points at which the rings around N starts cross their four boundaries.
 
     point: (N, 3, 4, 2) per ring and boundary, (x, y) from the start.
     valid: (N, 3) rings that have four boundaries.
@@ -86,7 +86,7 @@ def bilinear(image: GreyImage, x: Floats, y: Floats) -> Floats:
 
 
 def threshold(grey: Floats) -> Floats:
-    """Return (N,): halfway between the means of the lowest and the highest quarter of a ring."""
+    """Return the middle between the means of the lowest and the highest quarter of a ring, (N,)."""
     ordered = np.sort(grey, axis=1)
     quarter = grey.shape[1] // 4
     low, high = ordered[:, :quarter].mean(axis=1), ordered[:, -quarter:].mean(axis=1)
@@ -122,8 +122,8 @@ def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> Edg
 def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
     """Return (N, 4, 2) edge points, (N,) whether there are four, (N,) smallest |d| that decided.
 
-    d: (N, samples) grey minus threshold, black where negative. A ring without four
-    boundaries gets one majority-of-three pass.
+    d: (N, samples) grey minus threshold, black where negative. A ring without four boundaries is
+        smoothed once by the majority of three samples.
     """
     black = d < 0
     four = _changes(black).sum(axis=1) == 4
@@ -154,7 +154,7 @@ def _changes(black: Bools) -> Bools:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Lines:
-    """N lines: a point on each (N, 2), its angle (N,), and how far it is from a round blob.
+    """N lines: a point on each (N, 2), its angle (N,), its residual and its margin.
 
     residual: (N,) mean of the squared distances of the points from the line.
     margin: (N,) in 0..1, 0 where the points have no direction.
@@ -168,7 +168,8 @@ class Lines:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Meeting:
-    """Where N pairs of lines meet: position (N, 2) from the start, accepted (N,), margin (N,)."""
+    """The intersections of N pairs of lines: position (N, 2) from the start, accepted, margin
+    (N,)."""
 
     position: Floats
     accepted: Bools
@@ -200,14 +201,16 @@ def both_lines(points: EdgePoints) -> tuple[Lines, Lines]:
 
 
 def boundary_points(points: EdgePoints, boundaries: tuple[int, ...]) -> tuple[Floats, Bools]:
-    """Return (N, K, 2) points of some boundaries on all rings, and (N, K) which are valid."""
+    """Return the points of some boundaries on all rings, (N, K, 2), and a mask of valid ones, (N,
+    K)."""
     chosen = points.point[:, :, list(boundaries)]
     valid = np.repeat(points.valid, len(boundaries), axis=1)
     return chosen.reshape(len(chosen), -1, 2), valid
 
 
 def intersect(first: Lines, second: Lines) -> Meeting:
-    """Return the intersections, accepted where |sin| of the angle between the lines is > 0.17."""
+    """Return the intersections, accepted if |sin| of the angle between the lines exceeds
+    LEAST_SIN."""
     sin = np.sin(second.angle - first.angle)
     accepted = np.abs(sin) > LEAST_SIN
     a, b = along_of(first), along_of(second)
@@ -221,7 +224,7 @@ def intersect(first: Lines, second: Lines) -> Meeting:
 
 
 def within(meeting: Meeting, max_shift: float) -> Meeting:
-    """Return the meeting, accepted only within a distance of the start."""
+    """Return the intersection, accepted only within max_shift of the start."""
     shift = norm(meeting.position)
     near = np.abs(shift - max_shift) / max(max_shift, 1e-12)
     return Meeting(

@@ -1,4 +1,5 @@
-"""The contrast gate: a candidate's four sectors must differ in grey level, not only in sign."""
+"""The contrast gate: a candidate's four sectors must differ clearly in grey level, not only in
+sign."""
 
 import math
 
@@ -19,7 +20,8 @@ def gate(
     full_scale: int,
     masks: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Return the contrast min(sc1, sc2), (H, W), 0 off candidates, and what is kept, (H, W) bool.
+    """Return the contrast min(sc1, sc2), (H, W), 0 off candidates, and the kept candidates, (H, W)
+        bool.
 
     candidate: (H, W) bool, the maxima of the response that are candidates of this binary image.
     masks: number of threshold layers, 1 or 3. The inner ring of a candidate is never constant: both
@@ -90,7 +92,7 @@ def contrast_bound(sc1: NDArray[np.int64], contrast: SectorContrast, full_scale:
 def noise_amplitude(image: GreyImage) -> tuple[int, int]:
     """Return A and N: the sum of |[1 -2 1]^T [1 -2 1] * I| over the N interior pixels (Immerkaer).
 
-    Both are 0 where the image has fewer than three rows or columns.
+    Both are 0 if the image has fewer than three rows or columns.
     """
     if min(image.shape) < 3:
         return 0, 0

@@ -1,8 +1,8 @@
-"""Corners by the second harmonic of eight grey levels on a ring, in whole numbers.
+"""Corners by the second harmonic of eight grey levels on a ring, in integers.
 
-On a ring around a corner the grey level goes up and down twice: its second harmonic is large. Two
-quantities that are small at a corner are subtracted: differences between opposite samples (the odd
-harmonics), and the difference of the centre from the mean of its ring.
+On a ring around a corner the grey level rises and falls twice, so that its second harmonic is
+large. Two quantities that are small at a corner are subtracted: differences between opposite
+samples (the odd harmonics), and the difference of the centre from the mean of its ring.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ Whole = NDArray[np.int64]
 Ring = tuple[int, int]
 
 LARGEST = 4080  # 255 grey levels in sixteenths
-LEAST = 80  # response that a step of two grey levels of 255 may have
+LEAST = 80  # a step of two grey levels of 255 may have this response
 COARSE: Ring = (5, 4)  # distance along the axes and along the diagonals, px
 MIDDLE: Ring = (4, 3)
 FINE: Ring = (3, 2)
@@ -45,7 +45,7 @@ class Harmonics:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Corners:
-    """The corners of a frame in raster order, and how they were found.
+    """The corners of a frame in raster order, with their responses and bounds.
 
     x, y: (N,) pixels. fine: (N,) bool, found by the 3 px ring. response: (N,) of the ring that
     found them. bounds: least responses by noise of the 5 px and of the 3 px ring.
@@ -187,7 +187,8 @@ def harmonics(values: Whole, y: Whole, x: Whole, ring: Ring) -> Harmonics:
 
 
 def coarse_measure(seen: Harmonics) -> Whole:
-    """Return R: the second harmonic less 3/4 of the odd ones and 3/8 of the centre's difference."""
+    """Return R, the second harmonic minus 3/4 of the odd ones and 3/8 of the centre's
+    difference."""
     response: Whole = (
         seen.length - (seen.odd - (seen.odd >> 2)) - ((seen.centre >> 2) + (seen.centre >> 3))
     )
@@ -195,7 +196,7 @@ def coarse_measure(seen: Harmonics) -> Whole:
 
 
 def fine_measure(seen: Harmonics) -> Whole:
-    """Return R': the second harmonic less 3/4 of the odd ones and of the centre's difference."""
+    """Return R', the second harmonic minus 3/4 of the odd ones and of the centre's difference."""
     other = seen.odd + seen.centre
     response: Whole = seen.length - (other - (other >> 2))
     return response
@@ -210,7 +211,7 @@ def _dot(one: Harmonics, other: Harmonics) -> Whole:
 
 
 def noise_bounds(image: GreyImage, rule: RingHarmonic, full_scale: int) -> tuple[int, int]:
-    """Return the least responses of the 5 px and of the 3 px ring by the image's noise, exactly."""
+    """Return the least responses of the 5 px and of the 3 px ring from the noise of the image."""
     amplitude, pixels = gate.noise_amplitude(image)
     if not pixels:
         return LEAST, LEAST
@@ -237,11 +238,12 @@ def maxima(response: Whole, bound: int, radius: int) -> NDArray[np.bool_]:
 def looks_alike(
     once: Whole, thrice: Whole, y: Whole, x: Whole, response: Whole, rule: RingHarmonic
 ) -> NDArray[np.bool_]:
-    """Return (N,): the maxima of the 5 px ring that smaller rings confirm, and that are no stripes.
+    """Return (N,) bool: True for maxima of the 5 px ring that smaller rings confirm and no stripe
+        causes.
 
-    Around the middle of a stripe the grey level also goes up and down twice. But there the centre
+    Around the middle of a stripe the grey level also rises and falls twice. But there the centre
     differs from the mean of its ring, and the small ring, inside the stripe, has a weak second
-    harmonic. So the centre may differ by 11/8 of the length, and by more where the small ring's
+    harmonic. So the centre may differ by 11/8 of the length, and by more if the small ring's
     harmonic is strong.
     """
     small, large = harmonics(once, y, x, FINE), harmonics(thrice, y, x, COARSE)
@@ -263,7 +265,7 @@ def looks_alike_when_squeezed(once: Whole, y: Whole, x: Whole) -> NDArray[np.boo
 
 
 def reference(responses: Whole) -> int:
-    """Return W: sorted downwards, the response at which the sum of squares reaches half.
+    """Return W: in descending order, the response at which the sum of squares reaches half.
 
     Without responses it is 0. Many weak maxima in texture hardly lower it.
     """

@@ -1,6 +1,6 @@
 """The adaptive lattice filter, node by node, in float64.
 
-1. Nodes that nobody measured, and those refused below, have no vote. Components are the votes
+1. Nodes that were not measured, and those refused below, have no vote. Components are the votes
    grown by a node, connected along rows, columns and diagonals; each is filtered by itself in
    the smallest rectangle around its votes.
 2. A hole gets the value of the quadratic surface through the votes within 3 nodes (6 where
@@ -50,10 +50,10 @@ PAIRED_BENDING = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Filtered:
-    """As `cmp_cl.grid.Filtered`, and
+    """The fields of `cmp_cl.grid.Filtered`, and a margin.
 
     margin: (R, C), the smallest relative distance from its bound of a quantity that refuses or
-        accepts a node of the component. float32 may decide otherwise where it is tiny.
+        accepts a node of the component. If it is tiny, float32 may decide otherwise.
     """
 
     values: Floats
@@ -279,7 +279,7 @@ def _mixture(
 
 
 def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:
-    """Return the variance of the noise that the choice of the pairs takes for granted."""
+    """Return the variance of the noise with which the pairs are chosen."""
     rows, columns, _ = data.shape
     least = s2
     for axis in (0, 1):
@@ -335,7 +335,8 @@ def _filled(data: Floats, votes: Bools) -> Floats:
 
 
 def bend_shift(xy: Floats, radius: float) -> Floats:
-    """Return (R, C, 2): how far bent edges move each corner of a lattice without holes, see 9."""
+    """Return the shift of each corner of a lattice without holes by bent edges, (R, C, 2), see
+    9."""
     rows, columns = xy.shape[:2]
     shift = np.zeros_like(xy)
     for r, c in np.ndindex(rows, columns):

@@ -22,8 +22,8 @@ def refine_markers(
     contrast: grey levels by which the white side must be brighter than the black side.
 
     The profile has 17 samples from -reach to reach, each the mean of three bilinear samples
-    one pixel apart along the edge. The edge is where it crosses the middle between the means
-    of its first and its last four samples, the crossing nearest to the marker.
+    one pixel apart along the edge. The edge is the crossing, nearest to the marker, of the middle
+    between the means of its first and its last four samples.
     """
     at, normal = line[:, :2].astype(np.float64), line[:, 2:].astype(np.float64)
     spacing = reach.astype(np.float64)[:, None] / HALF

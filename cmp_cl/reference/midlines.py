@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 def midlines(
     points: EdgePoints, fit: Fit, max_shift: float
 ) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8], Floats]:
-    """Apply MIDLINE: the centrelines of the two black sectors meet; where they do not, CUSP.
+    """Apply MIDLINE, the intersection of the centrelines of the two black sectors, or else CUSP.
 
     Returns shift (N, 2), method (N,), refusal (N,), of MIDLINE, and margin (N,).
     """

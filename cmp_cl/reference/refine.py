@@ -27,7 +27,7 @@ class Refined:
     """Refined corners; fields as in `cmp_cl.corners.Corners`, all float64, and
 
     margin: (N,) the smallest relative distance of a guard's quantity from its bound. A
-        float32 implementation may decide otherwise where it is below about 1e-4.
+        float32 implementation may decide otherwise if it is below about 1e-4.
     """
 
     xy: Floats
@@ -48,8 +48,9 @@ def refine(
 ) -> Refined:
     """Refine the positions of N corners.
 
-    start: (N, 2) (x, y), the rounded centroids; centroid: (N, 2), what is kept where a guard
-    refuses; both in the full image, scale being the working scale they come from.
+    start: (N, 2) (x, y), the rounded centroids; centroid: (N, 2), the positions that are kept if a
+        guard refuses the refinement; both in the full image. scale: the working scale that they
+        come from.
     """
     count = len(start)
     unknown = np.full(count, np.nan)
@@ -102,7 +103,7 @@ def refine(
 
 def edge_radius(refinement: EdgeLines | EdgeStep | Midlines | None, scale: float) -> float:
     """Return the radius within which the refinement takes edges to be straight, px of the image;
-    NaN where only EDGE_STEP would say."""
+    NaN without EDGE_STEP."""
     if not isinstance(refinement, EdgeStep):
         return math.nan
     return min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale

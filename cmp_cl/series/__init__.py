@@ -53,10 +53,11 @@ def open_series(
 ) -> Series:
     """Open a recording to write, in the format of the suffix; `-` is JSON lines on standard output.
 
-    constants: arrays that hold for all frames, such as the positions at rest.
+    path: the file, or `-`. description: stored with the arrays, or None. constants: arrays that
+    hold for all frames, such as the positions at rest.
 
-    Raises ConfigError on another suffix or where the format's package is missing, OSError
-    where the folder is missing or not writable.
+    Raises ConfigError on another suffix or if the format's package is missing, OSError
+    if the folder is missing or not writable.
     """
     suffix = ".jsonl" if os.fspath(path) == "-" else Path(path).suffix.lower()
     if suffix not in _WRITERS:

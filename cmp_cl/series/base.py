@@ -1,4 +1,4 @@
-"""What every format of a recording has in common."""
+"""The part that all formats of a recording share."""
 
 import dataclasses
 import datetime
@@ -17,17 +17,18 @@ Frame = dict[str, NDArray[Any]]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Description:
-    """What a recording says of itself.
+    """The description that is stored with a recording.
 
-    units: of the arrays, by name; those left out have none. settings: configuration, device
-    and source, as texts by name.
+    units: units of the arrays, by name; arrays without an entry have no unit. settings:
+    configuration, device and source, as texts by name.
     """
 
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     settings: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def entries(self) -> dict[str, str]:
-        """Return cmp_cl's version, time of writing (UTC, ISO 8601), settings; without the units."""
+        """Return cmp_cl's version, the time of writing (UTC, ISO 8601) and the settings, by
+        name."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         return {"cmp_cl": package_version(), "written": now, **self.settings}
 
@@ -35,11 +36,14 @@ class Description:
 class Series(Closing):
     """Writes a recording frame by frame; use it in a with statement.
 
+    description: stored with the arrays, or None. constants: arrays that hold for all frames.
+
+
         with open_series("press.h5", constants={"rest": rest.xyz}) as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)
 
-    Every frame has the same arrays, of the same shapes and types; those of the nodes begin
-    with (R, C). What was written before an exception or Ctrl-C is kept.
+    Every frame has the same arrays, of the same shapes and types; those of the nodes begin with (R,
+    C). The frames written before an exception or Ctrl-C are kept.
     """
 
     def __init__(self, description: Description, constants: Mapping[str, ArrayLike]) -> None:
@@ -54,9 +58,11 @@ class Series(Closing):
         return self._count
 
     def append(self, *, index: int, time_ms: float, **arrays: ArrayLike) -> None:
-        """Add a frame: its number, its time stamp in ms (NaN if unknown), and its arrays.
+        """Add a frame.
 
-        Raises FieldError where the names, shapes or types differ from the first frame's, a
+        index: its number. time_ms: its time stamp, ms, NaN if unknown. arrays: by name.
+
+        Raises FieldError if the names, shapes or types differ from the first frame's, a
         name is one of the constants', or the series is closed; then nothing is added.
         Raises OSError.
         """

@@ -1,7 +1,7 @@
 """Numbers as text, many at a time.
 
-A text is made of words of four letters, looked up by three digits of a number each. A letter that
-is not needed is 0, and all of those are deleted at the end.
+A text is put together from words of four letters. Each word is looked up by three digits of a
+number. Unused letters are 0, and are deleted at the end.
 """
 
 import functools
@@ -18,17 +18,19 @@ Array = NDArray[np.float64]
 
 _WORD = np.dtype("<u4")
 _SIGN = np.uint32(ord("-") << 24)  # as the last letter of a word
-_LEAST, _MOST = 1e-2, 999_999.0  # of the largest number: all then have 7 to 15 digits
-_TINY = 1e-90  # of the largest number: below it, and from _MOST on, each is written alone
-_ALONE = 6  # words of a number that is written alone
+# If the largest number lies between these, all numbers have 7 to 15 digits. If it is below _TINY,
+# or from _MOST on, each number is formatted by itself, in _ALONE words.
+_LEAST, _MOST = 1e-2, 999_999.0
+_TINY = 1e-90
+_ALONE = 6
 
 
 def rows_of(begin: str, columns: Sequence[NDArray[np.generic]]) -> bytes:
     """Return the lines `begin,number,...` of a table in CSV.
 
-    columns: (N,) each. Numbers have 9 decimals without the zeros at their end. In columns whose
-    largest number is below .01 they end in a power of a thousand, 12.5e-6; where it is not
-    below 999 999 they have 9 digits, %.9g. Whole numbers are as they are.
+    columns: (N,) each. Numbers have 9 decimals without trailing zeros. In a column whose largest
+    number is below .01 they end in a power of a thousand, 12.5e-6; if it is not below 999 999 they
+    have 9 digits, %.9g. Integers are written as they are.
     """
     count = len(columns[0])
     first = _words(f"\n{begin}")
@@ -44,9 +46,9 @@ def rows_of(begin: str, columns: Sequence[NDArray[np.generic]]) -> bytes:
 
 
 def nested(values: NDArray[np.generic]) -> bytes:
-    """Return an array of numbers as JSON, lists within lists, null where a number is not finite.
+    """Return an array of numbers as JSON: nested lists, with null for numbers that are not finite.
 
-    The numbers are written as those of one column of `rows_of` are.
+    The numbers are formatted like one column of `rows_of`.
     """
     if values.dtype.kind not in "iuf" or not values.ndim or not values.size:
         return json.dumps(plain(values)).encode()
@@ -56,7 +58,7 @@ def nested(values: NDArray[np.generic]) -> bytes:
 
 
 def plain(value: NDArray[np.generic]) -> Any:
-    """Return an array as lists of numbers that JSON has, null for NaN."""
+    """Return an array as nested lists for JSON, with None for NaN."""
     finite = np.isfinite(value) if value.dtype.kind == "f" else np.True_
     if np.all(finite):
         return value.tolist()
@@ -77,10 +79,10 @@ def _words(text: str, count: int = 0) -> Words:
 
 @functools.lru_cache(maxsize=16)
 def _brackets(shape: tuple[int, ...]) -> Words:
-    """Return what stands before each number of an array as nested lists, (1, N, W)."""
+    """Return the brackets and commas before each number of nested lists, (1, N, W)."""
     size, depth = math.prod(shape), len(shape)
     words = np.empty((1, size, (2 * depth - 1) // 4 + 1), _WORD)
-    for closed in range(depth):  # lists that end before a number
+    for closed in range(depth):  # number of lists that end before a number
         step = math.prod(shape[depth - closed :])
         words[:, ::step] = _words("]" * closed + "," + "[" * closed, words.shape[2])
     words[:, 0] = _words("[" * depth, words.shape[2])
@@ -88,10 +90,10 @@ def _brackets(shape: tuple[int, ...]) -> Words:
 
 
 def _numbers(values: Array, exact: bool, before: Words, unknown: tuple[str, str, str]) -> Words:
-    """Return the letters of numbers (K, N), those of a row written alike: (K, N, W) words.
+    """Return numbers (K, N) as words (K, N, W); the numbers of a row have one format.
 
-    exact: whether they are whole numbers. before: what stands before each, the last letter
-    free, (K, N, B) or what broadcasts to it. unknown: what stands for NaN, inf and -inf.
+    exact: whether they are integers. before: the words before each number, the last letter free,
+    (K, N, B) or an array that broadcasts to it. unknown: the texts for NaN, inf and -inf.
     """
     finite = np.isfinite(values)
     size = np.where(finite, np.abs(values), 0)
@@ -123,7 +125,8 @@ def _numbers(values: Array, exact: bool, before: Words, unknown: tuple[str, str,
 
 
 def _digits(size: Array) -> tuple[list[Words], NDArray[np.bool_]]:
-    """Return the words of numbers from 0 to a million, and where all their digits are 0."""
+    """Return the words of the numbers from 0 to a million, and a mask of those whose digits are all
+    0."""
     tables = _tables()
     units = size.astype(np.int64)
     decimals = np.rint((size - units) * 10.0**9).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Recordings on a disk that fills up: what was measured before stays."""
+"""Files that keep what was written when the disk fills up."""
 
 import contextlib
 import errno
@@ -14,42 +14,42 @@ _ZEROS = bytes(1 << 16)
 
 
 class Appended:
-    """A file that appears when it is closed, with the parts that were written whole.
+    """A file that appears when it is closed, with all parts that were written completely.
 
-    On a full disk these are kept; without any, an older file stays.
+    On a full disk it keeps those parts. If there is none, an older file stays.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
         self._files = contextlib.ExitStack()
         buffered: Any = self._files.enter_context(whole_file(path))
-        self._file = buffered.raw  # a buffer would keep the bytes that a full disk has refused
+        self._file = buffered.raw  # a buffer would keep the bytes that a full disk refused
         self._path = path
         self._end = 0
         self.error: OSError | None = None
 
     def append(self, part: bytes) -> None:
-        """Write a part, or nothing of it; raises OSError."""
+        """Write a part completely or not at all; raises OSError."""
         try:
             _write_all(self._file, part)
         except OSError as error:
             self.error = OSError(error.errno, error.strerror, str(self._path))
-            with contextlib.suppress(OSError):  # of a device or a pipe
+            with contextlib.suppress(OSError):  # a device or a pipe cannot be truncated
                 self._file.truncate(self._end)
                 self._file.seek(self._end)
             raise self.error from error
         self._end += len(part)
 
     def close(self) -> None:
-        """Let the file appear; raises OSError."""
+        """Make the file appear under its name; raises OSError."""
         with self._files:
             if self.error is not None and not self._end:
                 raise self.error
 
 
 class Reserve:
-    """Disk space that is held back for what must be written at the end.
+    """Disk space that is reserved for the last parts of a file.
 
-    folder: on the disk; None holds nothing back.
+    folder: a folder on that disk; None reserves nothing.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -58,7 +58,7 @@ class Reserve:
         self._size = 0
 
     def grow(self, size: int) -> None:
-        """Hold back at least so many bytes; raises OSError where the disk has no more."""
+        """Reserve at least `size` bytes; raises OSError if the disk is full."""
         if self._folder is None:
             return
         if self._file is None:
@@ -72,7 +72,7 @@ class Reserve:
             self._size += written
 
     def free(self) -> None:
-        """Give the space back, for good."""
+        """Release the space for good."""
         self._folder = None
         if self._file is not None:
             self._file.close()
@@ -81,14 +81,15 @@ class Reserve:
 class Finishable:
     """A file that appears when it is finished, and can be finished on a full disk.
 
-    It is for writers of other packages, whose files cannot be read without an end. Before more
-    waits in memory, `expect` holds back disk space for it. Once the disk is full, that space is
-    freed and what waits is written there. `check` raises from then on: nothing more is to be added.
+    It is for writers of other packages, whose files cannot be read without their last part.
+    `expect` reserves disk space for the data that wait in memory. When the disk is full, that space
+    is released and the data are written there. From then on `check` raises an error, so that
+    nothing more is added.
 
-    files: leaving this context lets the file appear, or removes it where an error is raised.
+    files: on leaving this context the file appears, or is removed if an error was raised.
     """
 
-    closed = False  # as files say it
+    closed = False  # the attribute that a file has
 
     def __init__(self, path: str | PathLike[str]) -> None:
         target = check_target(path)
@@ -103,7 +104,7 @@ class Finishable:
         self._cut = False
 
     def expect(self, size: int) -> None:
-        """Hold back so many bytes, or note that the disk is full and free what was held."""
+        """Reserve `size` bytes; if the disk is full, note it and release the reserve."""
         if self._error is None:
             try:
                 self._reserve.grow(size)
@@ -111,12 +112,12 @@ class Finishable:
                 self._full(error)
 
     def check(self) -> None:
-        """Raise OSError where the disk is full."""
+        """Raise OSError if the disk is full."""
         if self._error is not None:
             raise self._error
 
     def check_whole(self) -> None:
-        """Raise OSError where the disk has refused what was written."""
+        """Raise OSError if the disk has refused what was written."""
         if self._cut:
             self.check()
 
@@ -125,7 +126,7 @@ class Finishable:
         self._reserve.free()
 
     def write(self, data: bytes | memoryview) -> int:
-        """Write all of it, into the space held back if need be; raises OSError."""
+        """Write all data, into the reserved space if necessary; raises OSError."""
         part = memoryview(data).cast("B")
         try:
             done = 0

@@ -14,22 +14,22 @@ from cmp_cl.files import check_target, temporary_beside
 from cmp_cl.series.base import Description, Frame, Series
 from cmp_cl.series.disk import Reserve
 
-_CHUNK = 1 << 16  # bytes of several small frames
-_RESERVE = 1 << 21  # bytes, and two chunks of every dataset
+_CHUNK = 1 << 16  # bytes of a chunk of several small frames
+_RESERVE = 1 << 21  # bytes held in reserve besides two chunks of every dataset
 
 
 class Hdf5Series(Series):
     """HDF5 with the datasets index (F,), time_ms (F,), every array (F, ...) and the constants.
 
-    Attributes: those of the file say version, time and settings, those of a dataset its
-    `unit`. Every frame is flushed, so a killed program loses none. The file appears under its
-    name with the first frame, and can be read from then on by h5py.File(path, swmr=True); that
-    is also how a file is opened whose writer was killed.
+    The attributes of the file are the version, the time and the settings; the attribute `unit` of a
+    dataset is its unit. Every frame is flushed, so a killed program loses none. The file appears
+    under its name with the first frame. From then on h5py.File(path, swmr=True) reads it, even if
+    its writer was killed.
 
-    HDF5 crashes where it cannot write what it must at the end. So some disk space is held back
-    until the file is closed or the disk is full.
+    HDF5 crashes if it cannot write the last parts of a file. So some disk space is reserved until
+    the file is closed or the disk is full.
 
-    Raises ConfigError without h5py, OSError.
+    Raises ConfigError without h5py, and OSError.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Hdf5Series(Series):
         full: Frame = {
             **frame,
             "time_ms": np.asarray(time_ms, np.float64),
-            "index": np.asarray(index, np.int64),  # the last: it says how many are whole
+            "index": np.asarray(index, np.int64),  # written last: it counts complete frames
         }
         try:
             if not self._count:
@@ -76,7 +76,7 @@ class Hdf5Series(Series):
             os.replace(self._temporary, self._target)
 
     def _failed(self, error: Exception) -> OSError:
-        """Return HDF5's error as that of the file."""
+        """Return HDF5's error as an OSError of the file."""
         if isinstance(error, OSError) and error.errno is not None:
             return OSError(error.errno, error.strerror, str(self._target))
         said = re.search(r"errno = (\d+)", str(error))
@@ -85,7 +85,7 @@ class Hdf5Series(Series):
         return OSError(int(said[1]), os.strerror(int(said[1])), str(self._target))
 
     def _begin(self, frame: Frame) -> None:
-        """Make the datasets; none can be added once others read the file."""
+        """Make the datasets; none can be added while others read the file."""
         size = _RESERVE + 2 * sum(max(value.nbytes, _CHUNK) for value in frame.values())
         self._reserve.grow(size)
         for name, value in frame.items():
@@ -121,7 +121,7 @@ class Hdf5Series(Series):
 def _add_frame(dataset: Any, number: int, value: NDArray[Any]) -> None:
     """Append a frame to a dataset and flush it, as resize, an assignment and flush would.
 
-    h5py's functions for these take three times as long as HDF5's own.
+    h5py's functions for this take three times as long as HDF5's own.
     """
     import h5py
 

@@ -1,4 +1,4 @@
-"""Recordings of robots: images from MCAP, and nodes as ROS 2 point clouds to MCAP.
+"""Robot recordings: images are read from MCAP, nodes are written to MCAP as ROS 2 point clouds.
 
 Neither needs ROS: the packages mcap and mcap-ros2-support (the extra `mcap`) read and write
 the files.
@@ -71,10 +71,12 @@ _TO_GREY = {
 def point_cloud(
     rest: NDArray[Any], shift: NDArray[Any], sigma: NDArray[Any], stamp_ns: int, frame_id: str
 ) -> dict[str, Any]:
-    """Return the nodes as a message sensor_msgs/PointCloud2: x y z now, dx dy dz from rest.
+    """Return the nodes as a message sensor_msgs/PointCloud2: position x y z now, displacement dx dy
+    dz.
 
-    rest, shift: (R, C, 2 or 3), in the recording's unit, z and dz 0 of a plane. sigma: (R, C).
-    All fields are FLOAT32; the cloud is organised, height R and width C, NaN where missing.
+    rest, shift: positions at rest and displacements, (R, C, 2 or 3), in the recording's unit; z and
+    dz are 0 in a plane. sigma: (R, C). stamp_ns: time stamp, ns. All fields are FLOAT32. The cloud
+    is organised, of height R and width C; missing nodes are NaN.
     """
     rows, columns = rest.shape[:2]
     points = np.full((rows, columns, len(POINT_FIELDS)), np.nan, "<f4")
@@ -104,11 +106,11 @@ def point_cloud(
 
 
 class McapSeries(Series):
-    """MCAP with a PointCloud2 a frame on /cmp_cl/nodes, for ROS 2, Foxglove and rosbags.
+    """MCAP with one PointCloud2 per frame on /cmp_cl/nodes, for ROS 2, Foxglove and rosbags.
 
-    It needs the constant `rest`, and of each frame `displacement` or `xy`. Lengths are in the
-    recording's unit, not in m. Stamps are the frames' times, from the setting `start_ns` on
-    where there is one; a frame without a time has its number in ms. The description is a
+    It needs the constant `rest`, and `displacement` or `xy` in each frame. Lengths are in the
+    recording's unit, not in m. Stamps are the times of the frames, added to the setting `start_ns`
+    if there is one; the stamp of a frame without a time is its number in ms. The description is the
     metadata record `cmp_cl`. The file appears when the series is closed.
 
     Raises ConfigError without the packages, FieldError without `rest`.
@@ -169,11 +171,11 @@ def mcap_images(
 ) -> Iterator[tuple[int, GreyImage | None]]:
     """Yield the images of a recording: stamp in ns since 1970, (H, W) uint8 or uint16.
 
-    topic: of sensor_msgs/Image or CompressedImage; None means the only one. Colour becomes
-    grey. The stamp is the header's, the log time where that is 0; the image is None where it
-    cannot be decoded or has more pixels than that.
+    topic: a topic of sensor_msgs/Image or CompressedImage; None means the only one. Colour becomes
+    grey. The stamp is the header's, or the log time if that is 0. The image is None if it cannot be
+    decoded or has more than `max_pixels` pixels.
 
-    Raises ConfigError without the packages, ImageError where the file cannot be read, has no
+    Raises ConfigError without the packages, ImageError if the file cannot be read, has no
     such topic, or has several and none is chosen.
     """
     with extra("mcap", "MCAP"):
@@ -189,7 +191,7 @@ def mcap_images(
                 yield stamp.sec * 10**9 + stamp.nanosec or record.log_time, image
     except ImageError:
         raise
-    except Exception as error:  # damaged bytes lead to any, in the packages and in codecs
+    except Exception as error:  # damaged bytes raise any of them, in the packages and in codecs
         raise ImageError(f"{str(path)!r} is not an MCAP that can be read: {error}") from error
 
 
@@ -215,7 +217,7 @@ def _image_topic(reader: Any, path: str | PathLike[str], topic: str | None) -> s
 
 
 def _grey(message: Any, max_pixels: int) -> GreyImage | None:
-    """Return an Image or CompressedImage as grey, None where it cannot be decoded."""
+    """Return an Image or CompressedImage as grey, None if it cannot be decoded."""
     data = np.frombuffer(bytes(message.data), np.uint8)
     if not hasattr(message, "encoding"):
         with contextlib.suppress(ImageError):

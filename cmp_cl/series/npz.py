@@ -19,9 +19,9 @@ from cmp_cl.series.base import Description, Frame, Series
 
 
 class NpzSeries(Series):
-    """An .npz with a stack of every array, the constants, and `about`, a text of JSON.
+    """An .npz with a stack of every array, the constants, and the description as JSON in `about`.
 
-    Memory does not grow with it: see `SeriesWriter`. A description of None leaves out `about`.
+    Its use of memory does not grow: see `SeriesWriter`. A description of None leaves out `about`.
     """
 
     def __init__(
@@ -59,8 +59,8 @@ class NpzSeries(Series):
             raise OSError(error.errno, error.strerror, str(self._path)) from error
 
     def _add_column(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        # without a buffer, which would keep the bytes that a full disk has refused; anew where the
-        # first frame was interrupted
+        # Without a buffer, which would keep the bytes that a full disk refused. "w+b" starts anew
+        # if the first frame was interrupted.
         file = open(self._folder / f"{name}.npy", "w+b", buffering=0)  # noqa: SIM115, closed by _files
         self._columns[name] = _Column(self._files.enter_context(file), shape, dtype)
 
@@ -99,13 +99,13 @@ class SeriesWriter(NpzSeries):
     stacked along a first axis of F frames, and the constants (positions at rest, unit) as they are;
     numpy.load reads it. It appears when the `with` block ends, even by an exception or Ctrl-C: then
     with the frames so far. Until then the frames are in the folder NAME.parts beside it, one .npy
-    for each array, so the disk must hold two copies. Where it cannot, or the process is killed,
-    that folder stays, and the OSError names it.
+    for each array, so the disk must hold two copies. If it cannot, or if the process is killed,
+    that folder stays; the OSError names it.
 
         with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)
 
-    Raises OSError where the folder is missing or not writable.
+    path: the file, with the suffix .npz. Raises OSError if the folder is missing or not writable.
     """
 
     def __init__(self, path: str | PathLike[str], **constants: ArrayLike) -> None:
@@ -151,7 +151,8 @@ class _Column:
         shutil.copyfileobj(self.file, target, 1 << 20)
 
     def _header(self, frames: int) -> bytes:
-        """Return the header of an .npy of that many frames, as long for any number."""
+        """Return the header of an .npy of that many frames; its length is the same for any
+        number."""
         header = io.BytesIO()
         np.lib.format.write_array_header_2_0(
             header,

@@ -20,9 +20,9 @@ _END = "</Collection>\n</VTKFile>\n"
 class ParaViewSeries(Series):
     """The nodes and the quadrilaterals between them, by time; a plane lies at z = 0.
 
-    It needs the constant `rest` (R, C, 2 or 3), and of each frame `displacement` or `xy`. The
-    time is in s, or the frame's number where no frame has a time. The .pvd is whole after
-    every frame, so it can be opened at any time.
+    It needs the constant `rest` (R, C, 2 or 3), and `displacement` or `xy` in each frame. The time
+    is in s, or the number of the frame if no frame has a time. The .pvd is complete after every
+    frame, so it can be opened at any time.
     """
 
     def __init__(

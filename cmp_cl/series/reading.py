@@ -16,26 +16,26 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.extras import extra
 
-_DAMAGE = (  # what reading a damaged zip, .npy or HDF5 raises
+_DAMAGE = (  # raised on reading a damaged zip, .npy or HDF5
     *(OSError, ValueError, KeyError, EOFError, OverflowError, MemoryError, RuntimeError),
     *(AttributeError, TypeError, struct.error, zipfile.BadZipFile, zlib.error),
 )
-_LONGEST_READ = 30.0  # s, of a file that grows, and as long as it takes at
+_LONGEST_READ = 30.0  # s, for a growing file; more is allowed for its size at
 _LEAST_RATE = 10e6  # bytes a second
-_MOST_UNPACKED = 1100  # bytes of a byte in the file: deflate's best is 1032
+_MOST_UNPACKED = 1100  # unpacked bytes for each byte of the file; deflate reaches 1032
 
 
 def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     """Read the arrays of a recording by name: `index`, `time_ms`, constants, and (F, ...) frames.
 
-    Of an HDF5 file that still grows, or whose writer was killed, it is what is there so far.
+    From an HDF5 file that still grows, or whose writer was killed, it reads the frames so far.
 
-    Raises ConfigError on a suffix other than .npz, .h5 and .hdf5, FieldError where the file
+    Raises ConfigError on a suffix other than .npz, .h5 and .hdf5, FieldError if the file
     cannot be read or is no recording.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (".npz", ".h5", ".hdf5"):
-        raise ConfigError(f"{str(path)!r}: a series to read must end in .npz, .h5 or .hdf5")
+        raise ConfigError(f"{str(path)!r}: the name of a series must end in .npz, .h5 or .hdf5")
     if not Path(path).is_file():
         raise FieldError(f"there is no file {str(path)!r}")
     try:
@@ -66,7 +66,7 @@ def _hdf5(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def _beside_writer(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    """Read HDF5 whose writer has it open or was killed."""
+    """Read an HDF5 file whose writer still has it open or was killed."""
     import h5py
 
     with h5py.File(path, "r", libver="latest", swmr=True) as file:
@@ -74,10 +74,10 @@ def _beside_writer(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def _try_beside_writer(path: str | PathLike[str]) -> None:
-    """Raise ValueError where the file cannot be read beside its writer within a time.
+    """Raise ValueError if the file cannot be read beside its writer in time.
 
-    HDF5 waits there for damaged parts to become whole, without end and where no signal reaches
-    it. So another process tries first.
+    HDF5 waits without end for damaged parts to be completed, and no signal interrupts it. So
+    another process tries first.
     """
     code = (
         f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import _beside_writer as read; "

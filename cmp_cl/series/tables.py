@@ -17,22 +17,23 @@ from cmp_cl.series.base import Description, Frame, Series
 from cmp_cl.series.digits import nested, plain, rows_of
 from cmp_cl.series.disk import Appended, Finishable
 
-_ROWS = 1 << 17  # of a group in a Parquet file
-_END = 1 << 16  # bytes of what ends such a file, and an eighth of a group
+_ROWS = 1 << 17  # rows of a group in a Parquet file
+_END = 1 << 16  # bytes reserved for the end of such a file, besides an eighth of a group
 _AXES = "x", "y", "z"
-_PARTS = {  # of arrays that are no vectors
+_PARTS = {  # names of the parts of arrays that are not vectors
     **dict.fromkeys(("strain", "strain_sigma"), ("xx", "yy", "xy")),
     **dict.fromkeys(("principal", "principal_sigma"), ("1", "2")),
 }
 
 
 def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, NDArray[Any], str]]:
-    """Name, values (N,) and unit ("" for none) of each column of a frame's R x C nodes.
+    """Return name, values (N,) and unit ("" for none) of each column of a frame's R x C nodes.
 
-    (R, C) is one column; (R, C, 2) and (R, C, 3) have _x, _y, _z, strains _xx, _yy, _xy; others
-    numbers. Numbers and vectors of the whole frame come last.
+    frame: arrays by name. units: their units by name. (R, C) is one column; (R, C, 2) and (R, C, 3)
+    have the suffixes _x, _y, _z, strains _xx, _yy, _xy, others numbers. Numbers and vectors of the
+    whole frame come last.
 
-    Raises FieldError where no array is of nodes.
+    Raises FieldError if no array is of nodes.
     """
     shapes = [value.shape[:2] for value in frame.values() if value.ndim in (2, 3)]
     if not shapes:
@@ -59,7 +60,7 @@ def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, 
 
 
 def _ends(name: str, count: int) -> tuple[str, ...]:
-    """Return what the names of an array's parts end in."""
+    """Return the suffixes of the names of an array's parts."""
     ends = _PARTS.get(name, _AXES)
     return ends[:count] if count <= len(ends) else tuple(map(str, range(count)))
 
@@ -67,7 +68,7 @@ def _ends(name: str, count: int) -> tuple[str, ...]:
 class CsvSeries(Series):
     """CSV with the units in its header; the description is in NAME.csv-metadata.json.
 
-    Floats have 9 digits, nan where missing; a file beside it follows W3C's name for metadata.
+    Floats have 9 digits; missing ones are nan. The metadata file has the name that W3C recommends.
     Both appear when the series is closed.
     """
 
@@ -98,14 +99,14 @@ class CsvSeries(Series):
         try:
             write_text(beside, json.dumps({**about, "constants": about_constants}, indent=1))
         except OSError:
-            if self._file.error is None:  # else the full disk has been told
+            if self._file.error is None:  # otherwise append has reported the full disk
                 raise
 
 
 class JsonLines(Series):
-    """One line of JSON a frame; the first line is the description and the constants.
+    """One line of JSON per frame; the first line has the description and the constants.
 
-    null stands where a number is missing. `-` is standard output, each line flushed.
+    A missing number is null. `-` is standard output, flushed after each line.
     """
 
     def __init__(
@@ -150,8 +151,8 @@ def _members(values: Mapping[str, bytes]) -> bytes:
 class ParquetSeries(Series):
     """Parquet with a row for each node of each frame, for pandas, Polars, DuckDB and Arrow.
 
-    The schema's metadata holds the description, that of a field its `unit`; the constants are
-    in the metadata as JSON. The file appears when the series is closed.
+    The metadata of the schema holds the description, and the constants as JSON; the metadata of a
+    field holds its `unit`. The file appears when the series is closed.
 
     Raises ConfigError without pyarrow.
     """
@@ -224,7 +225,7 @@ class ParquetSeries(Series):
 
 
 def _arrow_array(values: NDArray[Any]) -> Any:
-    """Return an array (N,) of numbers as one of Arrow; `pyarrow.array` would import pandas."""
+    """Return an array (N,) of numbers as an Arrow array; `pyarrow.array` would import pandas."""
     import pyarrow
 
     flat = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else values

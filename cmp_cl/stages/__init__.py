@@ -1,18 +1,18 @@
 """The stages from an image to its corners, as kernels on a device.
 
-The way of a frame, from its upload to its corners:
+A frame passes through these, from its upload to its corners:
 
     plan      buffers and bound kernels for one shape: upload, launch, read; grows the lists
-    scale     the image at its working scale, where there is one
+    scale     the image at its working scale, if there is one
     harmonic  with RingHarmonic: smoothing, responses, maxima, checks -> list of corners
     rings     with BinaryRings: binarize, criteria (or spectral), nms, gate -> list of corners
     refine    list of corners -> positions, as the host reads them
 
-What they share:
+They share these:
 
     types     the type of every quantity, in NumPy and in OpenCL C
-    layout    how frames lie on the device; a launch: a kernel with its arguments by name
-    form      portable, or the one for CPUs
+    layout    the layout of frames on the device; a launch: a kernel with its arguments by name
+    form      the portable form, or that for CPUs
     maps      every intermediate image, for `Detector.maps`
 
 A stage has the same name in kernels/, here, in cmp_cl/reference/ and in tests/kernels/. The table

@@ -6,13 +6,13 @@ from cmp_cl.config import BinaryRings
 from cmp_cl.opencl.program import sum_of_terms
 from cmp_cl.stages.layout import Launch, PlanBase
 
-SLAB = 2  # bytes of sums a pixel; larger sums are computed slab by slab
+SLAB = 2  # bytes of sums per pixel; larger sums are computed slab by slab
 
 
 def macros(plan: PlanBase, rule: BinaryRings) -> dict[str, str]:
-    """Return the sum over the window, and the one of column sums.
+    """Return the macros for the sum of a window's column and for the sum of column sums.
 
-    As many of them are added in their own type as it can hold.
+    As many terms are added in their own type as it can hold.
     """
     window = rule.threshold.window
     terms = [f"F({k})" for k in range(-(window // 2), window // 2 + 1)]
@@ -28,7 +28,7 @@ def macros(plan: PlanBase, rule: BinaryRings) -> dict[str, str]:
 
 
 def scratch(plan: PlanBase, rule: BinaryRings) -> dict[str, int]:
-    """Return the bytes of the arrays that are needed only in passing."""
+    """Return the bytes of the temporary arrays."""
     slab = (plan.frames * _slab_rows(plan, rule) + 2) * plan.step
     sums = {"sums": plan.types["COLUMN"].itemsize * slab}
     if rule.threshold.masks == 3:
@@ -64,7 +64,7 @@ def _slab_rows(plan: PlanBase, rule: BinaryRings) -> int:
 
 
 def _slab(plan: PlanBase, rule: BinaryRings, first: int) -> list[Launch]:
-    """Return the launches of the rows from the first one on."""
+    """Return the launches for the slab of rows from `first` on."""
     b, threshold, slab = plan.arrays, rule.threshold, _slab_rows(plan, rule)
     height = min(slab, plan.working[0] - first)
     window = {

@@ -80,7 +80,7 @@ def of_candidates(plan: PlanBase, name: str, **arguments: Any) -> Launch:
 
 
 def listed(plan: PlanBase) -> dict[str, Any]:
-    """Return what a kernel over the candidates is given, by argument."""
+    """Return the arguments of a kernel over the candidates, by name."""
     return {
         "list": plan.arrays["candidates"],
         "counts": plan.arrays["counts"],

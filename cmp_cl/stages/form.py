@@ -1,7 +1,9 @@
 """The two forms of the kernels: the portable one, and the one for CPUs.
 
-The portable form has one work-item per pixel or corner. kernels/cpu holds the form for CPUs of
-those stages where it makes a whole frame at least 1.3 times as fast. The results are the same.
+The portable form has one work-item per pixel or corner. In the form for CPUs a work-item handles a
+band of rows, so that its data stay in the cache, or eight corners or pixels, which fill a vector.
+kernels/cpu holds it for the stages in which it makes a whole frame at least 1.3 times as fast. The
+results are the same.
 """
 
 import enum

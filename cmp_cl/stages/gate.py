@@ -9,7 +9,7 @@ from cmp_cl.stages import noise
 from cmp_cl.stages.criteria import listed, of_candidates
 from cmp_cl.stages.layout import GROUP, Launch, PlanBase
 
-BINS = 256  # of the histograms of contrasts
+BINS = 256  # bins of the histograms of contrasts
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference")
 NOISE_FACTOR = 6.68  # Immerkaer's estimate sums 6 sqrt(pi / 2) standard deviations; less 11 %
 LEAST_NOISE_OF_THREE = 3  # standard deviations, with three thresholds
@@ -29,14 +29,14 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 
 def scratch(plan: PlanBase) -> dict[str, int]:
-    """Return the bytes of the arrays that are needed only in passing."""
+    """Return the bytes of the temporary arrays."""
     capacity = plan.frames * plan.lists * plan.list_capacity
     contrasts = dict.fromkeys(CONTRASTS, plan.types["CONTRAST"].itemsize * capacity)
     return {**noise.scratch(plan), **contrasts}
 
 
 def launches(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
-    """Return the launches from the maxima to a bit for every one that passes."""
+    """Return the launches from the maxima to a bit for every maximum that passes."""
     b, planes = plan.arrays, plan.frames * plan.lists
     contrasts = {name: b[name] for name in CONTRASTS}
     counted = {"counted": b["counted"]}

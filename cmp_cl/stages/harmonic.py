@@ -9,8 +9,8 @@ from cmp_cl.stages import noise
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, GROUP, Launch, PlanBase
 
-BINS = 256  # of the histogram of responses that finds the reference
-SPAN = 64  # responses of a bin
+BINS = 256  # bins of the histogram of responses, from which the reference comes
+SPAN = 64  # width of a bin, responses
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -41,7 +41,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
-    """Return the bytes of the arrays that are needed only in passing, see `Plan`."""
+    """Return the bytes of the temporary arrays, see `Plan`."""
     if plan.form is Form.CPU:
         return []
     frames, rows = plan.frames, plan.frames * plan.working[0]
@@ -58,7 +58,7 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
 
 
 def _bits(plan: PlanBase) -> int:
-    """Return the bytes of one bit for every pixel and of one more word."""
+    """Return the bytes of a buffer with one bit for every pixel, and one more word."""
     return plan.frames * plan.working[0] * plan.step // 8 + 4
 
 
@@ -76,7 +76,7 @@ def _full_scale(plan: PlanBase) -> int:
 
 
 def _checks(plan: PlanBase) -> dict[str, Any]:
-    """Return the factors of the checks; 0 leaves one out."""
+    """Return the factors of the checks; 0 leaves a check out."""
     rule = _rule(plan)
     return {"alignment": np.int32(rule.alignment or 0), "support": np.int32(rule.support or 0)}
 

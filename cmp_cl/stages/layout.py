@@ -1,4 +1,4 @@
-"""How frames lie on a device, and kernels bound to their arguments by name."""
+"""The layout of frames on a device, and kernels bound to their arguments by name."""
 
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from cmp_cl.stages.form import Form, form_for
 from cmp_cl.stages.resampling import working_shape
 from cmp_cl.stages.types import types_of
 
-GROUP = 64  # work-items of a group over a list
+GROUP = 64  # work-items in a group of a kernel over a list
 LEAST_PAD = 16  # columns on either side of the pixels, for rings, discs and tents
 LANES = 8  # corners of a vector in the form for CPUs
 CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
@@ -30,11 +30,11 @@ class Launch(NamedTuple):
 
 
 class PlanBase:
-    """How frames lie on a device, and how the stages for them are bound.
+    """The layout of frames on a device, and methods that bind the stages to it.
 
     shape: (H, W) of a frame; working: the same at the working scale. pad: columns of padding on
     either side; step, full_step: elements of a row at the working and at full scale.
-    frames: how many there are; lists: lists of maxima or candidates of a frame, with
+    frames: number of frames; lists: number of lists of maxima or candidates per frame, with
     `list_capacity` entries each; corner_capacity: entries of the list of a frame's corners. bands:
     bands of rows that a frame is divided into in the form for CPUs. buffers: the memory; arrays:
     the buffers and parts of them, by name. image: the input of the first stage.
@@ -92,12 +92,12 @@ class PlanBase:
 
     @property
     def lanes(self) -> int:
-        """Return how many corners a work-item of refinement takes at a time."""
+        """Return the number of corners that a work-item of refinement processes at a time."""
         lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
         return LANES if self.form is Form.CPU and lines else 1
 
     def constant(self, table: NDArray[Any]) -> cl.Buffer:
-        """Return the table on the device."""
+        """Return a constant table as a buffer on the device."""
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
         return cl.Buffer(self.queue.context, flags, hostbuf=np.ascontiguousarray(table))
 
@@ -115,7 +115,7 @@ class PlanBase:
         return self.stage(name, items, (self.width, 1, 1), **arguments)
 
     def few(self, name: str, items: int, planes: int, **arguments: Any) -> Launch:
-        """Bind a kernel with one work-item per row, or per something else that is few.
+        """Bind a kernel with few work-items, such as one per row.
 
         On a CPU a work-group has one work-item, because PoCL compiles a kernel anew for every size
         of work-group.
@@ -148,7 +148,7 @@ class PlanBase:
 
     @property
     def corner_list(self) -> dict[str, Any]:
-        """Return where a frame's corners are in the lists of all, by argument."""
+        """Return the position of each frame's corners in the lists of all frames, by argument."""
         return {
             "capacity": np.uint32(self.corner_capacity),
             "count_offset": np.uint32(self.frames * self.lists),
@@ -157,5 +157,5 @@ class PlanBase:
 
 
 def multiple(value: int, of: int) -> int:
-    """Return the least multiple that is not below the value, and not 0."""
+    """Return the least positive multiple of `of` that is not below the value."""
     return max(-(-value // of), 1) * of

@@ -28,14 +28,14 @@ _SPECTRAL_MAPS = ("spectrum_12", "spectrum_23", "correlation", "phase")
 
 
 def read_maps(plan: Plan) -> Maps | HarmonicMaps:
-    """Run the stages on the frame that is on the device; return what each of them leaves."""
+    """Run the stages on the frame on the device, and return the maps of each stage."""
     if isinstance(plan.rule, RingHarmonic):
         return HarmonicMaps(**_harmonic_maps(plan))
     return Maps(**_ring_maps(plan, plan.rule))
 
 
 def no_maps(shape: tuple[int, int], config: DetectorConfig) -> Maps | HarmonicMaps:
-    """Return the maps of an image of that shape, which has no pixel."""
+    """Return the maps of an image without pixels."""
     rule = config.detection
     if isinstance(rule, RingHarmonic):
         return HarmonicMaps(
@@ -184,7 +184,7 @@ def _spectral_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[A
 
 
 def _at_candidates(plan: Plan, dtype: Any, name: str | None) -> NDArray[Any]:
-    """Return a list of the candidates' numbers as an image, 0 elsewhere; 1 where none is named."""
+    """Return an image of a number for each candidate, 1 if no list is named, and 0 elsewhere."""
     rows, planes, capacity = plan.working[0], plan.lists, plan.list_capacity
     counts = np.empty(plan.frames * (planes + 1), np.uint32)
     index = np.empty((planes, capacity), np.uint32)

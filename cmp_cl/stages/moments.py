@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLUR = 1.2  # px, of the model's edges
-NARROW = 1e-3  # rad: stands for no angle at all
-MOST_RINGS = 32  # of either part of the disc: along a radius the model changes little far out
+NARROW = 1e-3  # rad: used in place of 0
+MOST_RINGS = 32  # in either part of the disc; far out the model changes little along a radius
 
 
 @functools.lru_cache(maxsize=8)
@@ -22,10 +22,10 @@ def moments(radius: float) -> NDArray[np.float32]:
     In polar coordinates: Gauss-Legendre along the radius, equal angles in a quadrant, as P is even
     in s and in t.
     """
-    angles = 256 if radius <= 9 else 128  # as much as float32 shows; wide discs take long
+    angles = 256 if radius <= 9 else 128  # enough for float32; wide discs take long
     count = math.ceil(2 * radius) + 8
     node, part = np.polynomial.legendre.leggauss(min(count, MOST_RINGS))
-    flat = math.sqrt(0.75)  # of the radius: from there on the weight falls
+    flat = math.sqrt(0.75)  # share of the radius at which the weight begins to fall
     r = radius * np.concatenate([flat * (node + 1), 1 + flat + (1 - flat) * node]) / 2
     ring = radius * np.concatenate([flat * part, (1 - flat) * part]) / 2 * r
     direction = (np.arange(count)[:, None] + 0.5) * (math.pi / 2 / count)
@@ -42,6 +42,6 @@ def moments(radius: float) -> NDArray[np.float32]:
         slope = (by_a**3 * g + f * by_b**3) / (BLUR * math.cos(half))
         columns = np.stack([slope, s, f * g * s])
         entry[0, :6] = ((w * columns) @ columns.T)[np.triu_indices(3)]
-    # With the other normal turned round, s and t change places and P its sign.
+    # If the other normal is reversed, s and t are exchanged and P changes its sign.
     table[:, 1, :6] = table[::-1, 0, :6] * [1, -1, 1, 1, -1, 1]
     return table.astype(np.float32)

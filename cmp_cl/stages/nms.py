@@ -20,7 +20,7 @@ def launches(plan: PlanBase) -> list[Launch]:
 
 
 def keeps_keys(plan: PlanBase) -> bool:
-    """Return whether there is memory for the keys: else each is worked out where it is needed.
+    """Return whether the keys are stored; otherwise each is computed when it is needed.
 
     A key of the rapid criteria takes two bytes a pixel. A key of the spectral criteria would take
     four, and would save little of the time that those criteria take.

@@ -2,16 +2,16 @@
 
 from cmp_cl.stages.layout import Launch, PlanBase
 
-NOISE_BAND = 8  # rows that a work-item takes
+NOISE_BAND = 8  # rows of a work-item
 
 
 def bands(plan: PlanBase) -> int:
-    """Return how many sums a frame has."""
+    """Return the number of bands of a frame, each of which has a sum."""
     return -(-plan.working[0] // NOISE_BAND)
 
 
 def scratch(plan: PlanBase) -> dict[str, int]:
-    """Return the bytes of the arrays that are needed only in passing."""
+    """Return the bytes of the temporary arrays."""
     return {"noise_sums": plan.types["NOISE"].itemsize * plan.frames * bands(plan) * plan.step}
 
 

@@ -37,7 +37,7 @@ ALIGNMENT = 128  # bytes: an alignment that every device accepts for a sub-buffe
 
 
 class Overflow(Exception):
-    """A list was too short. The fields are the largest counts seen."""
+    """A list was too short. The fields are the largest counts of its entries and of corners."""
 
     def __init__(self, listed: int, corners: int) -> None:
         super().__init__(f"{listed} entries of a list, {corners} corners")
@@ -53,7 +53,7 @@ class Plan(PlanBase):
     frames: number of frames at a time. form: the form of the kernels; None chooses it by device.
     """
 
-    _last: cl.Event | None = None  # of the kernels
+    _last: cl.Event | None = None  # the last of the kernels
 
     def __init__(
         self,
@@ -71,8 +71,8 @@ class Plan(PlanBase):
         super().__init__(queue, device, shape, dtype, config, factor, frames, form)
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
-        self.uploads: list[cl.Event] = []  # in flight in another queue
-        self._here: dict[str, NDArray[np.uint8]] = {}  # buffers as the host sees them
+        self.uploads: list[cl.Event] = []  # unfinished, in another queue
+        self._here: dict[str, NDArray[np.uint8]] = {}  # shared buffers as arrays of the host
         self._mask = mask
         self._programs = programs
         self.detection: ModuleType = rings if isinstance(self.rule, BinaryRings) else harmonic
@@ -81,7 +81,7 @@ class Plan(PlanBase):
         self._bind()
 
     def __del__(self) -> None:
-        """Keep the memory that is shared until no kernel uses it."""
+        """Keep the shared memory until no kernel uses it."""
         if not is_forked():
             self._wait()
 
@@ -126,7 +126,7 @@ class Plan(PlanBase):
 
     @property
     def _layouts(self) -> list[dict[str, int]]:
-        """Return the bytes of the arrays that are needed only in passing, layout by layout. The
+        """Return the bytes of the temporary arrays, layout by layout. The
         arrays of a layout lie one after the other in the buffer "scratch", which every layout uses
         from its start."""
         return list(self.detection.scratch(self))
@@ -158,7 +158,8 @@ class Plan(PlanBase):
         )
 
     def _buffer(self, name: str, size: int) -> cl.Buffer:
-        """Return a buffer that the host shares where it can and would otherwise copy."""
+        """Return a buffer, in memory shared with the host if it is one of SHARED and the device
+        can."""
         if name in SHARED and shares_memory(self.device.handle):
             buffer, self._here[name] = shared_buffer(self.queue.context, size)
             return buffer
@@ -193,7 +194,7 @@ class Plan(PlanBase):
         cl.enqueue_copy(self.queue, self.buffers["area"], bits)
 
     def release(self, *kept: str) -> None:
-        """Give the device's memory back, but for the buffers of those names."""
+        """Release the device's memory, except for the buffers of the given names."""
         self._wait()
         for name in self.buffers.keys() - kept:
             self.buffers.pop(name).release()
@@ -210,8 +211,11 @@ class Plan(PlanBase):
     # What happens in a frame
 
     def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> None:
-        """Start to copy the frames to the device; they may be changed once `uploads` are over,
-        or after `read` where the queue is the kernels' own."""
+        """Enqueue the upload of the frames.
+
+        The host may reuse them when `uploads` have completed (another queue), or after `read` (the
+        queue of the kernels).
+        """
         if "image" in self._here:
             self._write(frames)
             return
@@ -236,7 +240,7 @@ class Plan(PlanBase):
 
     def _write(self, frames: Sequence[GreyImage]) -> None:
         """Copy the frames into the memory that the device shares."""
-        self._wait()  # for a frame that nobody has waited for
+        self._wait()  # for an earlier frame that may still run
         (rows, columns), image = self.shape, self._here["image"].view(self.dtype)
         lines = image.reshape(-1, self.full_step)[1:, self.pad : self.pad + columns]
         for n, frame in enumerate(frames):
@@ -289,11 +293,11 @@ class Plan(PlanBase):
             raise Overflow(listed, most)
         if most > self._likely:
             rows = self._fetch(queue, most)
-        self._likely = min(most * 9 // 8, self.corner_capacity)  # the next frame is much like it
+        self._likely = min(most * 9 // 8, self.corner_capacity)  # the next frame has about as many
         return rows
 
     def _fetch(self, queue: cl.CommandQueue, most: int) -> NDArray[np.float32]:
-        """Read the result of each frame, as much as holds that many corners."""
+        """Read the part of each frame's result that holds `most` corners."""
         numbers = RESULT_HEAD + RESULT_FIELDS * multiple(most, LANES)
         if "result" in self._here:
             self._wait()
@@ -314,7 +318,7 @@ class Plan(PlanBase):
         return rows
 
     def grow(self, overflow: Overflow) -> None:
-        """Lengthen the lists that overflowed, with a quarter to spare; the frames stay."""
+        """Enlarge the lists that overflowed, with a quarter to spare; the frames stay."""
         if overflow.listed > self.list_capacity:
             self.list_capacity = multiple(overflow.listed * 5 // 4, GROUP)
         if overflow.corners > self.corner_capacity:

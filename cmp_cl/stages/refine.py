@@ -1,4 +1,4 @@
-"""The stages from the list of corners to positions, and what the host reads of them."""
+"""The stages from the list of corners to positions, and the reading of their result."""
 
 import math
 from typing import Any
@@ -13,16 +13,16 @@ from cmp_cl.stages.layout import LANES, Launch, PlanBase, multiple
 from cmp_cl.stages.moments import BLUR, moments
 from cmp_cl.stages.resampling import full_pixels
 
-RESULT_HEAD = 16  # numbers before the fields of a frame, like the next of kernels/result.clh
+RESULT_HEAD = 16  # numbers before the fields of a frame, as in kernels/result.clh
 RESULT_FIELDS = 12
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
 RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
-SHARES = 32  # for each of a device's units, of the corners
+SHARES = 32  # shares of the corners for each unit of the device
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
-DOUBTFUL_EXCESS = 0.010  # of the residual's autocorrelation, over the frame's median
-VARIANCE_OF_EXCESS = 1000  # px^2: what bends the residual moves the corner, fitted on renders
+DOUBTFUL_EXCESS = 0.010  # excess of the residual's autocorrelation over the frame's median
+VARIANCE_OF_EXCESS = 1000  # px^2 per squared excess, fitted on rendered scenes
 
 
 def files(plan: PlanBase) -> list[str]:
@@ -72,7 +72,7 @@ def launches(plan: PlanBase) -> list[Launch]:
 
 
 def _of_corners(plan: PlanBase, name: str, **arguments: Any) -> Launch:
-    """Bind a kernel over the corners: one each, or work-items that share them out."""
+    """Bind a kernel over the corners: one work-item each, or one for a share of them."""
     if plan.lanes == 1:
         return plan.of_corners(name, **arguments)
     shares = min(SHARES * plan.device.handle.max_compute_units, plan.corner_capacity // LANES)
@@ -150,7 +150,7 @@ def _largest_shift(plan: PlanBase) -> np.float32:
 
 
 def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
-    """Return the corners of each frame: parts of what `Plan.read` has fetched."""
+    """Return the corners of each frame, as parts of the result of `Plan.read`."""
     device, found = str(plan.device), []
     refinement, radius = plan.config.refinement, math.nan
     if isinstance(refinement, EdgeStep):
@@ -210,13 +210,13 @@ def _deviation(
     """Return the standard deviation of each position, px, and which corners are doubtful.
 
     A corner is doubtful whose residual autocorrelation exceeds the frame's median by
-    DOUBTFUL_EXCESS: its surroundings do not look like the corner model. accepted: for how many
-    corners EDGE_STEP was; the others have an autocorrelation of -inf.
+    DOUBTFUL_EXCESS: its surroundings do not look like the corner model. accepted: the number of
+        corners whose EDGE_STEP was accepted; the others have an autocorrelation of -inf.
     """
     variance, correlation = fields[VARIANCE], fields[CORRELATION]
     if not accepted:
         return np.sqrt(variance), np.zeros(len(variance), np.bool_)
-    middle = len(correlation) - 1 - accepted // 2  # the lower one of an even number
+    middle = len(correlation) - 1 - accepted // 2  # the lower median
     excess = np.maximum(correlation - np.partition(correlation, middle)[middle], 0)
     sigma: NDArray[np.float32] = np.sqrt(variance + VARIANCE_OF_EXCESS * excess * excess)
     return sigma, excess > DOUBTFUL_EXCESS

@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-WEIGHT_SUM = 2048  # of the integer weights of an output pixel along one axis
+WEIGHT_SUM = 2048  # sum of the integer weights of an output pixel along one axis
 
 
 def working_shape(shape: tuple[int, int], scale: float) -> tuple[int, int]:

@@ -55,7 +55,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
-    """Return the bytes of the arrays that are needed only in passing, see `Plan`."""
+    """Return the bytes of the temporary arrays, see `Plan`."""
     rule = _rule(plan)
     capacity = plan.frames * plan.lists * plan.list_capacity
     lists = {"responses": plan.types["RESPONSE"].itemsize * capacity}

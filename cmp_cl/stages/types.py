@@ -1,4 +1,4 @@
-"""The types of every quantity, by the type of a pixel, in NumPy and in OpenCL C."""
+"""The type of every quantity, by the type of a pixel, in NumPy and in OpenCL C."""
 
 from typing import Any
 
@@ -9,10 +9,10 @@ from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria
 DType = np.dtype[Any]
 
 _BY_PIXEL: dict[str, tuple[type[np.generic], type[np.generic]]] = {
-    "PIXEL": (np.uint8, np.uint16),
+    "PIXEL": (np.uint8, np.uint16),  # the first type is for 8-bit images, the second for 16 bits
     "CURVATURE": (np.int16, np.int32),  # [1 -2 1] along an axis, and along both
     "NOISE": (np.uint16, np.uint32),  # eight absolute curvatures
-    "ROW_NOISE": (np.uint32, np.uint64),  # those of a row
+    "ROW_NOISE": (np.uint32, np.uint64),  # the same, summed over a row
     "COLUMN": (np.uint16, np.uint32),  # the sum of a window's column
     "LEVEL": (np.int32, np.uint32),  # (I + C) n, compared with the sum of a window
     "SQUARE": (np.uint32, np.uint64),  # the sum of a window column's squares

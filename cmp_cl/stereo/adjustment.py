@@ -1,6 +1,5 @@
-"""The last step of a calibration: every view at once, each node by its own certainty, and the
-covariance of what comes out.
-"""
+"""The last step of a calibration: all views are adjusted together, each node weighted by its own
+sigma. It also gives the covariance of the result."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -15,16 +14,17 @@ Array = NDArray[np.float64]
 CAMERA = 8  # fx fy cx cy k1 k2 p1 p2
 POSE = 6  # rotation vector, translation
 _STEPS = 20
-_SMALL = 1e-9  # of the cost, by which the last step must improve it
+_SMALL = 1e-9  # relative decrease of the cost at which the iteration ends
 _RANGE = 5.0  # times the median, at most, and at least 1 / that: the sigma of a node
 ROUNDS = 2  # of the adjustment and the variance of the misfit
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """A view of a board: nodes on the board (N, 3), in the images of one or two cameras (N, 2)
-    each, px, their standard deviations (N,) each, px, NaN where unknown, and the board's pose in
-    the first camera, (6,).
+    """A view of a board by one or two cameras.
+
+    It holds the nodes on the board (N, 3), their positions in each image (N, 2), px, the standard
+    deviations of these (N,), px, NaN where unknown, and the board's pose in the first camera, (6,).
     """
 
     board: NDArray[np.floating[Any]]
@@ -35,8 +35,10 @@ class View:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Adjusted:
-    """cameras: 8 numbers for each camera, and with two cameras the pose of the second, 6.
-    covariance: of these numbers. errors: (V, cameras), root mean square distances by view, px.
+    """The result of an adjustment.
+
+    numbers: 8 for each camera, and with two cameras the pose of the second, 6. covariance: of these
+    numbers. errors: (V, cameras), root mean square reprojection errors by view, px.
     """
 
     numbers: Array
@@ -142,9 +144,8 @@ def misfit(square: Array, variance: Array, free: float) -> float:
 def _system(
     views: Sequence[View], weights: Sequence[tuple[Array, ...]], numbers: Array, poses: list[Array]
 ) -> tuple[float, Any]:
-    """Return the cost, and a function that gives the step of the numbers, of each pose, and the
-    normal matrix of the numbers alone.
-    """
+    """Return the cost, and a function that returns the step of the numbers, the step of each pose,
+    and the normal matrix of the numbers alone."""
     cost = 0.0
     parts = []
     for view, weight, pose in zip(views, weights, poses, strict=True):
@@ -179,8 +180,10 @@ def _system(
 
 
 def seen_by(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, Array, Array]]:
-    """Return, for each camera, seen minus projected (N, 2), and the slopes of the projection: (2 N,
-    ...) by the numbers and by the pose, (N, 2, 3) by the node on the board.
+    """Return the residuals of a view in each camera, and the derivatives of its projection.
+
+    A residual is measured minus projected, (N, 2), px. The derivatives are (2 N, ...) by the
+    numbers and by the pose, and (N, 2, 3) by the node on the board.
     """
     found: list[tuple[Array, Array, Array, Array]] = []
     for camera, seen in enumerate(view.seen):
@@ -206,7 +209,8 @@ def seen_by(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array,
 
 
 def composed(first: Array, second: Array) -> tuple[Array, tuple[Array, Array]]:
-    """Return the pose that applies `first`, then `second`, (6,), and its slopes by both, (6, 6)."""
+    """Return the pose that applies `first`, then `second`, (6,), and its derivatives, (6, 6)
+    each."""
     turn, shift, *slopes = cv2.composeRT(first[:3], first[3:], second[:3], second[3:])
     by = [np.asarray(each, np.float64) for each in slopes]
     return np.concatenate([turn.ravel(), shift.ravel()]), (

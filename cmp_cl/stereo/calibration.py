@@ -18,8 +18,9 @@ from cmp_cl.stereo.rig import StereoRig
 from cmp_cl.stereo.threads import one_thread
 
 _MIN_VIEWS = 3
-_MIN_NODES = 8  # of a board in a view
-_MAX_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not determine it
+_MIN_NODES = 8  # fewest nodes of a board in a view
+# Share of the focal length; a larger sigma means that the views do not determine it.
+_MAX_FOCAL_SIGMA = 0.05
 _MAX_MISFIT = 1.0  # px: the joint reprojection error may reach this, or
 _MAX_MISFIT_RATIO = 3.0  # times the larger error of a camera alone
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ class CameraCalibration:
     error: root mean square reprojection error, px.
     view_errors: (V,), the same for each view.
     board: (R, C, 3), the nodes of a free board, in the unit of spacing, z towards the back of the
-        board, NaN where no view shows the node; None where the board was taken to be flat.
+        board, NaN where no view shows the node; None if the board was taken to be flat.
     """
 
     matrix: Array
@@ -78,13 +79,13 @@ def calibrate_camera(
     the weight 1 / (sigma^2 + t^2). t^2 is the variance that the residuals have beyond the sigmas of
     the nodes: on a board that is not exact, certain nodes err as much as uncertain ones.
     spacing: side of a square, in any unit. image_size: (width, height), px.
-    free_board: the board is neither exact nor flat; its nodes are found too, on the whole as large
-    as the flat board. Then at least four views are needed, and equal indices must be the same node
-    in all of them; those of a board with an odd number of rows and columns together are turned
-    alike.
+    free_board: whether the board may be bent or inexact. Its nodes are then found too; its overall
+        size is that of the flat board. This needs at least four views, in which equal indices are
+        the same node. Views of a board whose rows and columns add up to an odd number are turned
+        alike.
 
-    Raises CalibrationError where there are too few views or nodes, where the views do not
-    determine the focal length (the board faces the camera in all of them), or where the views of a
+    Raises CalibrationError if there are too few views or nodes, if the views do not
+    determine the focal length (the board faces the camera in all of them), or if the views of a
     free board are numbered differently.
     """
     _check_spacing(spacing)
@@ -153,8 +154,8 @@ def calibrate(
     spacing: side of a square, in `unit`. image_size: (width, height) of each view, px.
     free_board: see `calibrate_camera`.
 
-    Raises CalibrationError as `calibrate_camera` does, and where no pose between the cameras
-    fits all views. Raises FieldError where the grids of a view have different shapes.
+    Raises CalibrationError as `calibrate_camera` does, and if no pose between the cameras
+    fits all views. Raises FieldError if the grids of a view have different shapes.
     """
     for view, (left, right) in enumerate(views):
         if left.shape != right.shape:
@@ -235,10 +236,10 @@ def calibrate(
 
 
 def _numbered_alike(grids: Sequence[Grid]) -> list[Grid]:
-    """Return the grids of a free board, turned so that equal indices are the same node.
+    """Return the grids of a free board with equal indices for the same node.
 
-    Where a half turn swaps black and white the squares say which way up the board is. Raises
-    CalibrationError where the grids have different rows or columns.
+    If a half turn exchanges black and white, the colours show which way up the board is. Raises
+    CalibrationError if the grids have different rows or columns.
     """
     for view, grid in enumerate(grids):
         if grid.shape != grids[0].shape:
@@ -291,7 +292,7 @@ def _view(
     *grids: Grid,
     both: NDArray[np.bool_] | None = None,
 ) -> View:
-    """Return a view of a board in one or two cameras, at the nodes `both`, or at all."""
+    """Return a view of a board in one or two cameras, at the nodes of the mask `both` or at all."""
     chosen = [grid.valid if both is None else both for grid in grids]
     return View(
         board=board,

@@ -23,9 +23,10 @@ from cmp_cl.stereo.threads import one_thread
 Array = NDArray[np.float64]
 
 _MIN_VIEWS = 3
-_MIN_NODES = 8  # of a board that a view must show
-_MOST_FOCAL_SIGMA = 0.05  # of the focal length: above it the views do not determine it
-_COVERAGE = 8  # cells along a side, in which coverage is counted
+_MIN_NODES = 8  # fewest nodes of a board in a view
+# Share of the focal length; a larger sigma means that the views do not determine it.
+_MOST_FOCAL_SIGMA = 0.05
+_COVERAGE = 8  # cells along a side of the image, for the coverage
 
 
 class Lens(enum.Enum):
@@ -72,7 +73,7 @@ class CamerasCalibration:
     cameras: by name, the first at the origin. error: root mean square reprojection error with
     one board pose a view, px. view_errors: by camera (V,), NaN where a camera does not see it.
     places, residuals: by camera, for each view (R, C, 2) the measured corners, and measured minus
-        projected ones, px, NaN where missing; None where the camera does not see the board.
+        projected ones, px, NaN where missing; None if the camera does not see the board.
     coverage: by camera, share of the image's 8 x 8 cells that hold a corner.
     focal_sigma: by camera, the larger standard deviation of the two focal lengths, px.
     """
@@ -104,17 +105,18 @@ def calibrate_cameras(
     lens: Lens = Lens.PINHOLE,
     unit: str = "mm",
 ) -> CamerasCalibration:
-    """Calibrate cameras on views of one flat board; all cameras number it alike at one moment.
+    """Calibrate cameras on views of one flat board, which all cameras number alike at each moment.
 
-    views: by camera, the grid at every moment, None where it does not see the board.
-    spacing: side of a square, in `unit`. sizes: (width, height) of each camera's images, px.
+    views: by camera, the grid at every moment, None if the camera does not see the board.
+    spacing: side of a square, in `unit`. sizes: (width, height) of each camera's images, px. lens:
+        the lens model of all cameras.
 
     Each camera is calibrated alone. Its pose relative to an earlier camera comes from the moments
     that both see; the pairs with the most common moments come first. Then all poses of cameras and
     boards are fitted together, with the lenses fixed.
 
-    Raises CalibrationError where a camera has too few views or nodes, where its views do not
-    determine the focal length, or where it shares no moment with the others.
+    Raises CalibrationError if a camera has too few views or nodes, if its views do not
+    determine the focal length, or if it shares no moment with the others.
     """
     if not 0 < spacing < math.inf:
         raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")
@@ -200,7 +202,7 @@ def _fisheye(boards: Any, points: Any, size: tuple[int, int]) -> Any:
     focal = max(size) / math.pi
     matrix = np.array([[focal, 0, size[0] / 2 - 0.5], [0, focal, size[1] / 2 - 0.5], [0, 0, 1]])
     names = "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW", "CALIB_USE_INTRINSIC_GUESS"
-    # OpenCV 5 moved them out of cv2.fisheye.
+    # OpenCV 5 moved these flags out of cv2.fisheye.
     flags = sum(getattr(cv2.fisheye, name, getattr(cv2, name, 0)) for name in names)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-9)
     return cv2.fisheye.calibrate(
@@ -237,7 +239,7 @@ def _focal_sigma(alone: _Alone, seen: Mapping[int, tuple[Array, Array]], error: 
 
 
 def _seen_by(lens: Lens, points: Array, pose: Array, camera: Array) -> Array:
-    """Return where a camera (fx, fy, cx, cy, distortion) sees (N, 1, 3) points, (2 N,) px."""
+    """Project points (N, 1, 3) by a camera (fx, fy, cx, cy, distortion) to (2 N,) px."""
     matrix = np.array([[camera[0], 0, camera[2]], [0, camera[1], camera[3]], [0, 0, 1]])
     return _projected(lens, points, pose[:3], pose[3:], matrix, camera[4:]).reshape(-1)
 

@@ -1,4 +1,4 @@
-"""Corners and cameras in the files that other calibration tools read.
+"""Writes corners and cameras in the formats that other calibration tools read.
 
 Pixel coordinates are OpenCV's, with (0, 0) at the centre of the first pixel. COLMAP's are larger by
 half a pixel, and its file says so.
@@ -25,7 +25,10 @@ Views = Mapping[str, Grid | None]
 
 
 def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the valid nodes as cv2.calibrateCamera takes a view, see `Grid.to_opencv`."""
+    """Return the valid nodes of a grid as cv2.calibrateCamera takes a view, see `Grid.to_opencv`.
+
+    spacing: side of a square.
+    """
     return grid.to_opencv(spacing)
 
 
@@ -35,17 +38,17 @@ def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDA
 def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = math.nan) -> None:
     """Write the corners of a board in many images, by suffix, whole or not at all.
 
-    views: the grid, by file name of the image; None where the board is not seen. All grids have one
+    views: the grid, by file name of the image; None if the board is not seen. All grids have one
     shape. spacing: side of a square, for the formats that say it.
 
-    .vnl: mrcal's corners.vnl, `# filename x y level`, rows first, `- -` where missing and for
-        the one line of an image without the board. A level of n weighs 2^-n there: it is
-        log2(sigma / smallest sigma of all), rounded, and 0 where sigma is unknown.
-    .yaml .yml .json: OpenCV's FileStorage: `rows`, `columns`, `spacing`, and of each view
+    .vnl: mrcal's corners.vnl, `# filename x y level`, row by row, with `- -` for a missing corner
+    and for an image without the board. mrcal weights a level of n by 2^-n. The level is log2(sigma
+    / smallest sigma of all), rounded, and 0 if sigma is unknown. .yaml .yml .json: OpenCV's
+    FileStorage: `rows`, `columns`, `spacing`, and of each view
         `name`, `object_points` (N, 3) and `image_points` (N, 2).
     .csv: a row for each node: image, row, column, x_px, y_px, sigma_px.
 
-    Raises ConfigError on another suffix or without any view, CalibrationError where shapes
+    Raises ConfigError on another suffix or without any view, CalibrationError if shapes
     differ or a name has white space that .vnl cannot hold, OSError.
     """
     check_corners(path)
@@ -58,7 +61,7 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
 
 
 def check_corners(path: str | PathLike[str]) -> None:
-    """Raise ConfigError where `save_corners` knows no such suffix."""
+    """Raise ConfigError if `save_corners` does not know the suffix of a path."""
     if Path(path).suffix.lower() not in _CORNER_WRITERS:
         known = ", ".join(_CORNER_WRITERS)
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {known}")
@@ -144,7 +147,7 @@ _CORNER_WRITERS: dict[str, Callable[[Views, float], str]] = {
 def cameras_of(rig: StereoRig, size: tuple[int, int]) -> dict[str, Camera]:
     """Return the two cameras of a rig, `left` and `right`; size: (width, height) of a view, px.
 
-    Raises CalibrationError where a lens has other than 4, 5 or 8 coefficients.
+    Raises CalibrationError if a lens has other than 4, 5 or 8 coefficients.
     """
     cameras = {}
     poses = (np.eye(3), np.zeros(3)), (rig.R, rig.T)
@@ -236,7 +239,7 @@ def _numbers(values: Sequence[float] | Array) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a float as YAML 1.1 reads one: with a point, also before an exponent."""
+    """Return a float in the form of YAML 1.1: with a point, also before an exponent."""
     text = repr(value)
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
@@ -245,7 +248,7 @@ def _number(value: float) -> str:
 def save_kalibr(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write cameras as Kalibr's camchain YAML; T_cn_cnm1 in m, whole or not at all.
 
-    The topic of each is /NAME/image_raw. Raises CalibrationError where a lens has no such
+    The topic of each is /NAME/image_raw. Raises CalibrationError if a lens has no such
     model (rational, or k3 other than 0) or the unit is not m, cm, mm or um; OSError.
     """
     text, before = [], np.eye(4)
@@ -316,12 +319,12 @@ def save_colmap(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> Non
 
 
 def save_cameras(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> list[Path]:
-    """Write cameras in the format that the name says; returns the files.
+    """Write cameras in the format that the file name determines; return the files.
 
-    NAME.camchain.yaml: Kalibr. NAME.camera_info.yaml: ROS, of several cameras one file each,
-    NAME-CAMERA.camera_info.yaml. cameras.txt: COLMAP. Other .yaml and .yml: OpenCV.
+    NAME.camchain.yaml: Kalibr. NAME.camera_info.yaml: ROS; several cameras get a file each,
+        NAME-CAMERA.camera_info.yaml. cameras.txt: COLMAP. Other .yaml and .yml: OpenCV.
 
-    Raises ConfigError on another name, and what the formats raise.
+    Raises ConfigError on another name, and the errors of the formats.
     """
     ending = check_cameras(path)
     target = Path(path)

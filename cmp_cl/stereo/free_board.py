@@ -1,6 +1,5 @@
-"""The last step of a calibration on a board that is neither flat nor exact: the nodes of the board
-are found with the cameras.
-"""
+"""The last step of a calibration on a board that is bent or inexact: the nodes of the board are
+found together with the cameras."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -27,8 +26,8 @@ Nodes = NDArray[np.int64]
 LEAST_VIEWS = 4
 _STEPS = 30
 _HALVINGS = 6
-_SMALL = 1e-7  # of the cost, by which the last step must improve it
-_LOOSE = 0.1  # of a square: standard deviation that a node is expected to have from its place
+_SMALL = 1e-7  # relative decrease of the cost at which the iteration ends
+_LOOSE = 0.1  # share of a square: expected standard deviation of a node from its nominal position
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -57,7 +56,7 @@ class _Problem:
 class _Normal:
     """The normal equations, of cameras and poses (n) and of P nodes, whose blocks are 3 x 3.
 
-    cost: of all weighted residuals, and what nodes off their places add.
+    cost: sum of all weighted squared residuals and of the springs.
     """
 
     cost: float
@@ -74,21 +73,22 @@ def adjust_board(
     """Minimize the weighted reprojection error over cameras, poses and the nodes of the board, by
     Gauss-Newton from a near solution.
 
-    nodes: for each view, the rows (N,) of `board` (P, 3) that it shows. spacing: side of a square,
-    in the unit of the board. Each node is drawn to its place by a spring of a tenth of a square;
-    against many residuals of a tenth of a pixel it only decides what the views do not: the nodes
-    keep the size, the place and the orientation of the flat board. Returns the cameras and the
-    nodes (P, 3). Raises CalibrationError where fewer than four views are given.
+    nodes: for each view, the indices (N,) into `board` (P, 3) of its nodes. start: like
+        `Adjusted.numbers`. spacing: side of a square, in the unit of the board. A spring draws each
+        node to its nominal position, with a standard deviation of a tenth of a square. Against many
+        residuals of a tenth of a pixel it only determines what the views leave open: the size, the
+        position and the orientation of the board. Returns the cameras and the nodes (P, 3). Raises
+        CalibrationError if fewer than four views are given.
     """
     if len(views) < LEAST_VIEWS:
         raise CalibrationError(
             f"{len(views)} views of a free board, at least {LEAST_VIEWS} are needed"
         )
     shown = len(np.unique(np.concatenate(nodes)))
-    unknown = len(start) + 3 * shown - POSE - 1  # the board as a whole does not move or grow
+    unknown = len(start) + 3 * shown - POSE - 1  # the position and the size of the board are fixed
     free = freedom(views, unknown)
     state = _State(start.copy(), np.array([view.pose for view in views]), board.copy())
-    for _ in range(ROUNDS):  # the spring is as stiff as the residuals are small
+    for _ in range(ROUNDS):  # the stiffness of the spring depends on the residuals
         weights = node_weights(views, _residuals(views, nodes, state), unknown)
         loose = _Problem(views, nodes, weights, board)
         spring = _system(loose, state).cost / free / (_LOOSE * spacing) ** 2
@@ -117,7 +117,7 @@ def _residuals(
 
 
 def _settled(problem: _Problem, state: _State) -> tuple[_State, _Normal]:
-    """Take steps until they lower the cost no more; a step that raises it is halved."""
+    """Take steps until the cost no longer falls; a step that raises it is halved."""
     normal = _system(problem, state)
     for _ in range(_STEPS):
         step = _step(normal, state)

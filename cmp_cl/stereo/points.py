@@ -1,4 +1,4 @@
-"""Points in space that two views show."""
+"""Points in space from two views."""
 
 import dataclasses
 import enum
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 class PointStatus(enum.IntEnum):
     """Whether a node was triangulated, and if not, why."""
 
-    MISSING = 0  # a view does not show the node
-    VALID = 1
-    PARALLEL = 2  # the rays enclose too small an angle: no disparity, or along the baseline
-    BEHIND = 3  # the point lies behind a camera
-    INCONSISTENT = 4  # the reprojection error is too large, or the lens cannot be inverted there
+    MISSING = 0  #: a view does not show the node
+    VALID = 1  #: the node has a position
+    PARALLEL = 2  #: the rays enclose too small an angle: no disparity, or along the baseline
+    BEHIND = 3  #: the point lies behind a camera
+    INCONSISTENT = 4  #: the reprojection error is too large, or the lens cannot be inverted
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -28,10 +28,10 @@ class Points3D:
         standard deviations alone; NaN where those are unknown.
     calibration_covariance: (R, C, 3, 3) float64, of xyz, in `unit` squared, from the error of
         the calibration. All nodes share that error, so that it nearly cancels in displacements.
-        None where the rig has no covariance.
-    bend_shift: (R, C, 3) float64, in `unit`: how far bent edges have moved the points, see
-        `cmp_cl.grid.filter.bend_shift`. `displacement` takes it off what it filters. None where
-        it is not known.
+        None if the rig has no covariance.
+    bend_shift: (R, C, 3) float64, in `unit`: the shift of the points by bent edges, see
+        `cmp_cl.grid.filter.bend_shift`. `displacement` subtracts it from the points that it
+        filters. None if unknown.
     status: (R, C) uint8 of `PointStatus`.
     source: (R, C) uint8 of `NodeStatus`, the less direct one of the two views.
     unit: name of the unit of length.
@@ -55,7 +55,7 @@ class Points3D:
     def sigma(self) -> NDArray[np.float64]:
         """Return the standard deviation along the most uncertain axis, (R, C) float64, in `unit`.
 
-        It includes the error of the calibration where that is known.
+        It includes the error of the calibration if that is known.
         """
         if self.calibration_covariance is None:
             return largest_deviation(self.covariance)
@@ -63,7 +63,7 @@ class Points3D:
 
 
 def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the root of the largest eigenvalue: (..., 3, 3) -> (...). NaN stays NaN.
+    """Return the root of the largest eigenvalue of covariances (..., 3, 3), (...); NaN stays NaN.
 
     With C = m I + s B, trace B = 0 and |B|^2 = 6, it is m + 2 s cos(acos(det B / 2) / 3).
     """

@@ -1,4 +1,4 @@
-"""Calibration files as OpenCV's FileStorage writes them, read within bounds."""
+"""Reads calibration files of OpenCV's FileStorage, with limits on their size and nesting."""
 
 from os import PathLike
 from pathlib import Path
@@ -11,12 +11,12 @@ from cmp_cl.errors import CalibrationError
 
 _MAX_FILE = 1 << 20  # bytes
 _MAX_NUMBERS = 484  # entries of the largest matrix, a covariance of 22 parameters
-_MOST_NESTED = 4000  # OpenCV's parsers recurse, and overrun the stack from some 20 000 levels on
+_MOST_NESTED = 4000  # OpenCV's parsers recurse, and overflow the stack from some 20 000 levels on
 _OPENING = (b"[", b"{", b"<", b"- ", b"-\t", b"-\n")
 
 
 def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
-    """Open a file of OpenCV's FileStorage; raises CalibrationError where that fails."""
+    """Open a file at `path` of OpenCV's FileStorage; raises CalibrationError if that fails."""
     try:
         with Path(path).open("rb") as file:
             data = file.read(_MAX_FILE + 1)
@@ -40,9 +40,10 @@ def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
 def read_matrix(
     storage: cv2.FileStorage, key: str, path: str | PathLike[str]
 ) -> NDArray[np.float64] | None:
-    """Read a matrix of at most _MAX_NUMBERS entries; None where the key is missing.
+    """Read a matrix of at most _MAX_NUMBERS entries; None if the key is missing.
 
-    Raises CalibrationError where it is no matrix, damaged or larger.
+    storage: the open file. path: its name, for messages. Raises CalibrationError if the entry is
+        damaged, larger, or not a matrix.
     """
     node = storage.getNode(key)
     if node.empty():
@@ -57,9 +58,10 @@ def read_matrix(
 
 
 def check_nesting(data: bytes, path: str | PathLike[str]) -> None:
-    """Raise CalibrationError where a YAML, JSON or XML file may be nested too deeply to parse.
+    """Raise CalibrationError if a YAML, JSON or XML file may be nested too deeply to parse.
 
-    It counts everything that may open a level, even in strings. A rig has about a dozen.
+    data: the bytes of the file. path: its name, for messages. It counts all characters that may
+        open a level, even in strings. A rig has about a dozen.
     """
     levels = sum(data.count(opening) for opening in _OPENING)
     if levels > _MOST_NESTED:

@@ -23,7 +23,7 @@ from cmp_cl.stereo.triangulation import (
     undistort,
 )
 
-MIN_PARALLAX = 1.0  # px: under it, depth is noise
+MIN_PARALLAX = 1.0  # px; with less parallax, depth is only noise
 _COVARIANCE = "covariance"
 _ALIASES = {
     "K1": ("K1", "M1", "cameraMatrix1"),
@@ -45,13 +45,13 @@ class StereoRig:
     R: (3, 3) rotation matrix.
     T: (3,) translation, in `unit`.
     unit: name of the unit of length.
-    covariance: (22, 22), or None where unknown. The parameters are fx fy cx cy k1 k2 p1 p2 of
+    covariance: (22, 22), or None if unknown. The parameters are fx fy cx cy k1 k2 p1 p2 of
         the left camera, the same of the right camera, the rotation vector, the translation.
         `calibrate` estimates it.
 
     Arrays are kept as read-only float64.
 
-    Raises CalibrationError where a parameter is malformed or the cameras coincide.
+    Raises CalibrationError if a parameter is malformed or the cameras coincide.
     """
 
     K1: Array
@@ -92,7 +92,7 @@ class StereoRig:
         OpenCV's stereo_calib writes two files, intrinsics.yml and extrinsics.yml.
         unit: name of the unit of T; None means the file's key `unit`, or mm.
 
-        Raises CalibrationError where a file cannot be read, or a parameter is missing,
+        Raises CalibrationError if a file cannot be read, or a parameter is missing,
         malformed or given twice with different values.
         """
         found: dict[str, Array] = {}
@@ -131,7 +131,7 @@ class StereoRig:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the rig as YAML that OpenCV reads. The file is replaced whole or not at all.
 
-        Raises OSError where the file cannot be written.
+        Raises OSError if the file cannot be written.
         """
         mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
         storage = cv2.FileStorage(".yml", mode)
@@ -148,6 +148,8 @@ class StereoRig:
     ) -> Points3D:
         """Triangulate the nodes that both grids have, in the frame of the left camera.
 
+        left, right: the grids of the two views.
+
         Nodes with equal indices are matched.
         sigma: standard deviation of a position, px, for nodes whose own is unknown.
         max_error: largest reprojection error, px.
@@ -155,7 +157,7 @@ class StereoRig:
         A node without a position is NaN, and `Points3D.status` says why: the rays must enclose
         at least MIN_PARALLAX px, and the point must lie in front of both cameras.
 
-        Raises FieldError where the grids have different rows or columns.
+        Raises FieldError if the grids have different rows or columns.
         """
         if (left.origin, left.shape) != (right.origin, right.shape):
             raise FieldError(
@@ -224,9 +226,9 @@ class StereoRig:
         """Take one Gauss-Newton step on the reprojection error, weighted by 1 / sigma^2.
 
         xyz: (N, 3). seen: (N, 4) px, left and right. sigma: (N, 2) px; NaN weights both alike.
-        bent: (N, 4) px, shifts in the image. Returns points (N, 3), reprojection errors (N,), px,
-        covariances (N, 3, 3), that of the positions in the image and that of the rig, NaN where it
-        is unknown, and by how much the shifts move the points, (N, 3).
+        bent: (N, 4) px, shifts by bent edges. Returns the points (N, 3); the reprojection errors
+            (N,), px; two covariances (N, 3, 3), from the positions in the image and from the rig,
+            NaN if unknown; and the motion of the points by the shifts, (N, 3).
         """
         if not len(xyz):
             return xyz, np.empty(0), np.empty((0, 3, 3)), np.empty((0, 3, 3)), xyz
@@ -243,7 +245,7 @@ class StereoRig:
         own = np.where(known[:, None, None], inverse, np.nan)
         shared = np.full_like(own, np.nan)
         if self.covariance is not None:
-            # as the rig moves the points at fixed positions in the image
+            # derivatives of the points by the rig, at fixed positions in the image
             by_rig = by_image @ by_rig
             shared = by_rig @ self.covariance @ by_rig.transpose(0, 2, 1)
         return xyz + step[..., 0], error, own, shared, (by_image @ bent[..., None])[..., 0]

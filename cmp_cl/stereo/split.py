@@ -12,12 +12,12 @@ class BinocularSplit:
     """The rectangles of the two views in a frame that shows both.
 
     left, right: rectangles (x, y, width, height), px.
-    mirror_left, mirror_right: flip that view left to right. It is reversed where the camera
-        sees it through an odd number of mirrors.
+    mirror_left, mirror_right: flip that view left to right. A view is reversed if the camera sees
+        it through an odd number of mirrors.
 
     Calibrate the rig on views that were split in the same way.
 
-    Raises ConfigError where a rectangle is malformed.
+    Raises ConfigError if a rectangle is malformed.
     """
 
     left: tuple[int, int, int, int]
@@ -39,7 +39,7 @@ class BinocularSplit:
     def halves(cls, width: int, height: int) -> Self:
         """Split a frame of that size, px, into halves; an odd width loses its middle column.
 
-        Raises ConfigError where the frame is narrower than 2 px or has no row.
+        Raises ConfigError if the frame is narrower than 2 px or has no row.
         """
         half = width // 2
         return cls((0, 0, half, height), (width - half, 0, half, height))
@@ -47,7 +47,7 @@ class BinocularSplit:
     def __call__(self, frame: GreyImage) -> tuple[GreyImage, GreyImage]:
         """Return the two views of a frame (H, W): slices of it, or copies where mirrored.
 
-        Raises ImageError where a rectangle extends past the frame.
+        Raises ImageError if a rectangle extends past the frame.
         """
         return (
             _cut(frame, self.left, mirror=self.mirror_left),

@@ -1,4 +1,5 @@
-"""OpenCV on one thread, where its answer depends on the order in which threads end."""
+"""Runs OpenCV on one thread, because results of its calibration depend on the order of its
+threads."""
 
 import contextlib
 import threading
@@ -6,15 +7,15 @@ from collections.abc import Iterator
 
 import cv2
 
-_alone = threading.Lock()  # the number of threads is the process's
+_alone = threading.Lock()  # the whole process shares the number of threads
 
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
     """Run OpenCV on one thread inside this block.
 
-    Its calibrations add up the views in the order in which its threads finish with them, so that
-    the last bits differ from run to run.
+    OpenCV's calibrations add up the views in the order in which threads finish them, so that the
+    last bits differ from run to run.
     """
     with _alone:
         before = cv2.getNumThreads()

@@ -1,4 +1,4 @@
-"""Pixels to rays, and two rays to a point."""
+"""Pixels become rays here, and two rays become a point."""
 
 from typing import Any
 
@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError
 
-_MAX_ROUND_TRIP = 0.01  # px: between a pixel and itself, undistorted and distorted again
+# Px: largest distance of a pixel from itself after undistortion and distortion.
+_MAX_ROUND_TRIP = 0.01
 _TINY = 1e-300
 _UNDISTORT = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 Array = NDArray[np.float64]
@@ -19,8 +20,9 @@ def undistort(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Map pixels to the plane at distance 1 in front of the camera.
 
-    points: (N, 2), px. Returns (N, 2) float64, and a mask (N,): whether distorting the result
-    leads back to the pixel. Where it does not, the lens model cannot be inverted.
+    points: (N, 2), px. matrix, distortion: of the camera, as in `StereoRig`. Returns (N, 2)
+        float64, and a mask (N,), True if distortion of the result leads back to the pixel. If it
+        does not, the lens model cannot be inverted there.
     """
     measured = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 2)
     if not len(measured):

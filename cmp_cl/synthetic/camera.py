@@ -1,4 +1,4 @@
-"""The cameras that look at the gel, and where the gel stands in front of them."""
+"""The cameras that look at the gel, and the pose of the gel in front of them."""
 
 import math
 from typing import NamedTuple, Protocol
@@ -32,7 +32,10 @@ class Rig(Protocol):
 
 
 class Cameras(NamedTuple):
-    """A rig as plain arrays: K (3, 3) px, D (5,) as k1 k2 p1 p2 k3, R (3, 3), T (3,) mm."""
+    """A rig as plain arrays.
+
+    K1, K2: (3, 3), px. D1, D2: (5,), k1 k2 p1 p2 k3. R: (3, 3). T: (3,), mm.
+    """
 
     K1: Array
     D1: Array

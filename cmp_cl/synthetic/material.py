@@ -1,4 +1,4 @@
-"""What the gel reflects: the print, how it is worn, and the light on it."""
+"""The reflectance of the gel: its print, the wear, and the light on it."""
 
 import math
 
@@ -45,7 +45,7 @@ def _covered(distance: Image) -> Image:
 
 
 def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
-    """Return how worn the print is at points: warp (H, W, 2), growth (H, W), smear (H, W), px.
+    """Return the wear of the print at points: warp (H, W, 2), growth (H, W), smear (H, W), px.
 
     warp displaces the edges. growth widens the white cells, or the black ones where negative.
     smear is the width of an edge. All three grow with the local strain.

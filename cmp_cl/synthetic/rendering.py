@@ -34,10 +34,10 @@ class Rendered:
     """A rendered view and its truth.
 
     image: (H, W) uint8, or uint16 with 12 bits.
-    truth: (N, N, 2) float64, px: where each inner corner is, [row, column] = (x, y).
+    truth: (N, N, 2) float64, px: the true position of each inner corner, [row, column] = (x, y).
     cell: median side of a cell in the image, px.
-    junctions: (4 (N+1), 2) float64, px: where cell edges and the pattern's corners meet the
-        surroundings. A detection there is neither true nor false.
+    junctions: (4 (N+1), 2) float64, px: the points at which cell edges and the pattern's corners
+        meet the surround. A detection there is neither true nor false.
     """
 
     image: GreyImage
@@ -49,7 +49,7 @@ class Rendered:
 def render(scene: Scene) -> Rendered:
     """Render the scene with a camera without distortion, 45 mm in front of the gel.
 
-    Raises ConfigError where the surface would fold over in the image.
+    Raises ConfigError if the surface would fold over in the image.
     """
     rows, columns = scene.shape
     focal = FILL * min(scene.shape) / scene.side * DISTANCE
@@ -69,7 +69,7 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
     Returns the left view, the right view and the nodes (N, N, 3) float64, mm, in the left camera's
     frame. The rig projects these nodes to both truths.
 
-    Raises ConfigError where the surface would fold over in one of the images.
+    Raises ConfigError if the surface would fold over in one of the images.
     """
     rotation, translation = np.asarray(rig.R, float), np.asarray(rig.T, float).reshape(3)
     left = PinholeCamera(rig.K1, rig.D1, np.eye(3), np.zeros(3))
@@ -85,7 +85,8 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
 
 
 def binocular_frame(left: Rendered, right: Rendered) -> GreyImage:
-    """Put both views side by side, (H, 2 W), as one camera sees them through mirrors."""
+    """Put the left and the right view side by side, (H, 2 W), as one camera sees them through
+    mirrors."""
     frame: Image = np.concatenate([left.image, right.image], axis=1)
     return frame
 

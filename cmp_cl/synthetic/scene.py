@@ -10,7 +10,7 @@ from cmp_cl.errors import ConfigError
 
 
 class Indenter(enum.Enum):
-    """What presses on the gel; NONE leaves it flat."""
+    """The object that presses on the gel; NONE leaves it flat."""
 
     NONE = "none"
     BALL = "ball"
@@ -21,14 +21,14 @@ class Indenter(enum.Enum):
 
 
 class Mode(enum.Enum):
-    """How the indenter moves: at severity 1 by 2 mm, by 1.2 mm, by 20 degrees.
+    """The motion of the indenter; at severity 1 it is 2 mm, 1.2 mm or 20 degrees.
 
     A shear and a twist include a press of half the depth.
     """
 
-    PRESS = "press"
-    SHEAR = "shear"
-    TWIST = "twist"
+    PRESS = "press"  #: along the normal of the gel
+    SHEAR = "shear"  #: along the gel
+    TWIST = "twist"  #: about the normal of the gel
 
 
 class Surround(enum.Enum):
@@ -46,7 +46,7 @@ class Scene:
     markers: N inner corners a side, 3 to 100: N x N corners between (N+1) x (N+1) cells.
     shape: (rows, columns) of the image, or of each view of a stereo pair, px, 64 to 8192.
     side: side of the whole pattern, mm, 16 to 64; the indenters keep their size.
-    indenter, mode: what touches the gel, and how it moves.
+    indenter, mode: the object that touches the gel, and its motion.
     severity: 0 to 2; 1 is a press of 2 mm, a shear of 1.2 mm or a twist of 20 degrees.
     contact: (x, y) of the indenter's centre from the pattern's, mm, -32 to 32.
     direction: rotation of the indenter and direction of the shear, rad, -7 to 7.
@@ -65,7 +65,7 @@ class Scene:
     tilt: rotations of the gel about the image's x and y axes, rad, -0.5 to 0.5.
     seed: seed of the tears, the light's direction and the noise, from 0.
 
-    Raises ConfigError where a field is outside its range.
+    Raises ConfigError if a field is outside its range.
     """
 
     markers: int = 40
@@ -149,10 +149,13 @@ def random_scene(
     shape: tuple[int, int] = (480, 640),
     corrosion: float = 1.0,
 ) -> Scene:
-    """Draw a scene from the seed; arguments that are given are kept.
+    """Draw a random scene from the seed.
+
+    markers, severity, indenter, mode, shape, corrosion: as in `Scene`; an indenter or a mode of
+        None is drawn at random.
 
     The contact is within 5 mm of the centre, in any direction. Blur is 0.7 to 1.1 px, noise 2 to
-    4.5, light 0.2 to 1, vignetting 1 to 1.5. The surroundings are any. The position is within
+    4.5, light 0.2 to 1, vignetting 1 to 1.5. The surround is random. The position is within
     6 px (at VGA), the rotation within 3 degrees, the tilt within 2.
     """
     draw = np.random.default_rng([seed, 1])

@@ -32,32 +32,32 @@ class Score:
 
     @property
     def recall(self) -> float:
-        """Return the share of the corners that were found, NaN where there are none."""
+        """Return the share of the corners that were found, NaN if there are none."""
         return _ratio(self.found, self.expected)
 
     @property
     def precision(self) -> float:
-        """Return the share of the detections that are corners, NaN where there are none."""
+        """Return the share of the detections that are corners, NaN if there are none."""
         return _ratio(self.found, self.found + self.false)
 
     @property
     def per_thousand(self) -> float:
-        """Return the missed and the false per thousand corners, NaN where there are no corners."""
+        """Return the missed and the false per thousand corners, NaN if there are no corners."""
         return 1000 * _ratio(self.missed + self.false, self.expected)
 
     @property
     def rmse(self) -> float:
-        """Return the root mean square of the errors, px, NaN where nothing was found."""
+        """Return the root mean square of the errors, px, NaN if nothing was found."""
         return float(np.sqrt(np.mean(self.errors**2))) if self.found else float("nan")
 
     @property
     def mean(self) -> float:
-        """Return the mean of the errors, px, NaN where nothing was found."""
+        """Return the mean of the errors, px, NaN if nothing was found."""
         return float(self.errors.mean()) if self.found else float("nan")
 
     @property
     def p95(self) -> float:
-        """Return the 95th percentile of the errors, px, NaN where nothing was found."""
+        """Return the 95th percentile of the errors, px, NaN if nothing was found."""
         return float(np.percentile(self.errors, 95)) if self.found else float("nan")
 
     def summary(self) -> dict[str, Any]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def residual_figure(found: CamerasCalibration) -> "Figure":
     """Draw, by camera, the corners with enlarged residuals, and the RMS of each view.
 
-    found: the calibration. Needs matplotlib; raises ConfigError without it.
+    found: the calibration. It needs matplotlib, and raises ConfigError without it.
     """
     with extra("plot", "A figure"):
         from matplotlib.figure import Figure

@@ -40,13 +40,13 @@ STATUS_COLOURS = {  # BGR
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
 JPEG_QUALITY = 80  # JPEG quality of the images in a recording
-_OFF_GRID = (150, 150, 190)  # BGR, of corners that no grid holds
+_OFF_GRID = (150, 150, 190)  # BGR, of corners off the grid
 NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
 _FRACTION_BITS = 4
 
 
 def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
-    """Draw a mark on every corner, coloured by how it was refined, and a legend.
+    """Draw a mark on each of the corners, coloured by its method, and a legend.
 
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
     factor, each pixel to a block, until a cell is about 32 px wide and the longer side at least
@@ -144,7 +144,7 @@ def grid_overlay(
 
     image: (H, W) uint8 or uint16. corners: those that the grid was built from. Corners off the grid
     are drawn as faint rings. Returns (H', W', 3) uint8 BGR, enlarged like `corner_overlay`. The
-    first row is drawn in red and the first column in blue. Raises ImageError, and FieldError where
+    first row is drawn in red and the first column in blue. Raises ImageError, and FieldError if
     there are not as many corners as the grid was built from.
     """
     check_image(image)
@@ -194,12 +194,12 @@ def _polyline(
 def arrow_figure(
     image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
 ) -> "Figure":
-    """Draw arrows from where each node was to where it is, to scale, both px.
+    """Draw arrows from the position of each node at rest to its position now, to scale, px.
 
     image: (H, W), the frame now. The colour is the arrow's length in px, or, with `field`, the
-    length of the displacement in space. Needs matplotlib. `save_figure` writes it.
+    length of the displacement in space. It needs matplotlib. `save_figure` writes the figure.
 
-    Raises FieldError where the grids or the field have different shapes, ImageError.
+    Raises FieldError if the grids or the field have different shapes, ImageError.
     """
     from matplotlib.figure import Figure
 
@@ -255,13 +255,16 @@ class Projection(enum.Enum):
 def surface_figure(
     field: DisplacementField, *, projection: Projection = Projection.PERSPECTIVE
 ) -> "Figure":
-    """Draw the surface now, coloured by displacement, with arrows from the positions at rest.
+    """Draw the surface of a field now, coloured by displacement, with arrows from the positions at
+        rest.
+
+    projection: a perspective or an orthographic one.
 
     The axes run along the rows, along the columns, and towards the cameras out of the plane that
     fits the positions at rest best. The height is stretched to a fifth of the width; the label
-    gives the factor. Needs matplotlib.
+    gives the factor. It needs matplotlib.
 
-    Raises FieldError where fewer than three nodes are valid.
+    Raises FieldError if fewer than three nodes are valid.
     """
     from matplotlib.figure import Figure
 
@@ -328,12 +331,12 @@ def draw_surface(axes: "Axes3D", field: DisplacementField) -> None:
 
 
 def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit a plane to the positions at rest: (3, 3) axes as rows, (3,) origin.
+    """Fit a plane to the positions of a field at rest: (3, 3) axes as rows, (3,) origin.
 
     The first axis runs along the rows, the second along the columns, the third towards the
     cameras (a left-handed frame, as on a picture with y down and height towards the viewer).
 
-    Raises FieldError where fewer than three nodes are valid, or all lie on a line.
+    Raises FieldError if fewer than three nodes are valid, or all lie on a line.
     """
     points = field.position[field.valid]
     if len(points) < 3:
@@ -357,7 +360,7 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) -> None:
-    """Write a figure as PNG, whole or not at all; raises OSError."""
+    """Write a figure as PNG, whole or not at all; dpi: pixels per inch; raises OSError."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     FigureCanvasAgg(figure)
@@ -368,11 +371,11 @@ def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) 
 class RerunLog(Closing):
     """Shows frames in Rerun's viewer, or records them to a .rrd file for it.
 
-    path: the file; None opens the viewer. Needs rerun-sdk 0.23 or newer. The file appears when the
-    `with` block ends, even by an exception or Ctrl-C.
+    path: the file; None opens the viewer. It needs rerun-sdk 0.23 or newer. The file appears when
+    the `with` block ends, even by an exception or Ctrl-C.
 
-    Raises ImportError without rerun-sdk, RuntimeError where its viewer is not found on the
-    PATH, OSError where the file cannot be written.
+    Raises ImportError without rerun-sdk, RuntimeError if its viewer is not found on the
+    PATH, OSError if the file cannot be written.
     """
 
     def __init__(self, path: str | PathLike[str] | None = None) -> None:
@@ -398,10 +401,11 @@ class RerunLog(Closing):
     ) -> None:
         """Show a frame: its picture, its grid on it, its surface with the displacements.
 
-        image: kept as JPEG with 8 bits, as PNG with 16.
+        index: its number. image: (H, W), stored as JPEG if it has 8 bits, as PNG if it has 16.
+        field: the displacement of the nodes, or None.
         time_ms: NaN leaves it out of the clock's timeline.
 
-        Raises OSError where an earlier frame could not be written.
+        Raises OSError if an earlier frame could not be written.
         """
         if self._file is not None:
             self._file.check()
@@ -445,7 +449,7 @@ class RerunLog(Closing):
     def close(self) -> None:
         """Finish the recording; closing again does nothing.
 
-        Raises OSError where it could not be written whole; an older file is then kept.
+        Raises OSError if it could not be written whole; an older file is then kept.
         """
         self._stream.disconnect()
         file, self._file = self._file, None

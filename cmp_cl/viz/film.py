@@ -18,7 +18,7 @@ from cmp_cl.image import GreyImage
 FILM_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
 _STRIP = 40  # px below the image for the text and the colour bar
 _WIDEST = 1920  # px, the widest film; wider images are reduced by a whole factor
-_NARROWEST = 480  # px, so that the strip holds its text
+_NARROWEST = 480  # px, the narrowest film, so that its text fits
 _DISC = [(y, x) for y in range(-2, 3) for x in range(-2, 3) if y * y + x * x <= 5]
 _LINE = (150, 110, 50)  # BGR
 _NO_VALUE = (150, 150, 150)
@@ -31,7 +31,7 @@ class OverlayFilm(Closing):
     ends at the largest displacement so far, which the bar shows. The file replaces an older one
     when the block ends.
 
-    Raises ConfigError on another suffix, OSError where the folder is missing, not writable or
+    Raises ConfigError on another suffix, OSError if the folder is missing, not writable or
     full, or OpenCV cannot write such a video.
     """
 
@@ -61,7 +61,7 @@ class OverlayFilm(Closing):
     ) -> None:
         """Add a frame: the image (H, W), its nodes, and how far each has moved, (R, C).
 
-        A node without a displacement is grey. Raises FieldError where the image differs in size
+        A node without a displacement is grey. Raises FieldError if the image differs in size
         from the first one, or `moved` in shape from the grid. Raises OSError.
         """
         if moved.shape != grid.shape:
@@ -159,7 +159,7 @@ class OverlayFilm(Closing):
         written = cv2.VideoCapture(str(self._temporary))
         try:
             counted = round(written.get(cv2.CAP_PROP_FRAME_COUNT))
-            return abs(counted - self._frames) <= 1  # Matroska says how long it is
+            return abs(counted - self._frames) <= 1  # Matroska states only the duration
         finally:
             written.release()
 

@@ -45,7 +45,7 @@ class PipedFile:
 
     def _copy(self, pipe: io.FileIO, file: BinaryIO) -> None:
         while data := pipe.read(_CHUNK):
-            if self._error is None:  # else the rest is read all the same, or its writer waits
+            if self._error is None:  # after an error it reads on, or the writer would wait
                 try:
                     file.write(data)
                 except OSError as error:

@@ -81,9 +81,11 @@ class Recorded:
         )
 
     def frame_of(self, index: int | None) -> int:
-        """Return the index of the frame of that number; None means the one displaced most.
+        """Return the position in the recording of the frame of that number.
 
-        Raises FieldError where there is no such frame.
+        None means the frame of the largest displacement.
+
+        Raises FieldError if there is no such frame.
         """
         if index is None:
             length = np.linalg.norm(self.shift, axis=3).reshape(len(self.index), -1)
@@ -110,7 +112,7 @@ class Recorded:
     def plane(self) -> tuple[Array, Array]:
         """Return the positions at rest (R, C, 2) to draw on, and (3, 3) axes of that plane.
 
-        Raises FieldError where fewer than three nodes are valid, or all lie on a line.
+        Raises FieldError if fewer than three nodes are valid, or all lie on a line.
         """
         if self.rest.shape[2] == 2:
             return self.rest, np.eye(3)
@@ -164,11 +166,10 @@ class Recorded:
 
 
 def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = None) -> "Figure":
-    """Draw one quantity of every cell on the pattern at rest, with a colour bar in its unit.
+    """Draw a quantity of every cell on the pattern at rest, with a colour bar in its unit.
 
     index: number of the frame; None means the one of the largest displacement. The value of a cell
-    is the mean of its four nodes. Needs matplotlib. Raises FieldError, ConfigError without
-    matplotlib.
+    is the mean of its four nodes. It raises FieldError, and ConfigError without matplotlib.
     """
     figure = _figure((7.5, 6.0))
     draw_map(figure, figure.add_subplot(), recorded, quantity, recorded.frame_of(index))
@@ -189,7 +190,11 @@ def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> 
 def sheet_figure(
     recorded: Recorded, *, index: int | None = None, node: tuple[int, int] | None = None
 ) -> "Figure":
-    """Draw the recording on one sheet: the maps of a frame and a node's curve."""
+    """Draw the recording on one sheet: the maps of a frame and the curve of a node.
+
+    index, node: as in `map_figure` and `curve_figure`. Raises FieldError, and ConfigError without
+    matplotlib.
+    """
     frame = recorded.frame_of(index)
     wanted = [Quantity.DISPLACEMENT, Quantity.STRAIN]
     wanted += [Quantity.HEIGHT] if recorded.rest.shape[2] == 3 else []

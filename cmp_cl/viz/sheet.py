@@ -1,4 +1,4 @@
-"""One sheet that shows everything that is measured of a press in two views."""
+"""One sheet that shows all measurements of a press in two views."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -28,10 +28,10 @@ def press_sheet(
 ) -> "Figure":
     """Draw the left view with its nodes, arrows, the surface, height, strain, and a table.
 
-    image: (H, W), the left view now; rest, now: its grids. field: of the nodes in space.
-    rows: of the table, what and value.
+    image: (H, W), the left view now. rest, now: the grids of the left view. field: the displacement
+    in space. rows: names and values for the table.
 
-    Raises FieldError where fewer than three nodes are valid, ConfigError without matplotlib.
+    Raises FieldError if fewer than three nodes are valid, ConfigError without matplotlib.
     """
     with extra("plot", "A figure"):
         from matplotlib.figure import Figure

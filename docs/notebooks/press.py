@@ -36,7 +36,7 @@ for axis, view, title in zip(axes, (left_rest, left_now), ("at rest", "now"), st
 # %% [markdown]
 # ## Corners and nodes
 #
-# `detect` finds corners; `build_grid` numbers them. `like` gives the frame of now the numbers
+# `detect` finds corners; `build_grid` numbers them. `like` gives the current frame the numbers
 # of the frame at rest.
 
 

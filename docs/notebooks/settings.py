@@ -45,8 +45,8 @@ axes[0].plot(column, row, "o", color="red", fillstyle="none")
 # %% [markdown]
 # ## Noise against weak corners
 #
-# `noise` says by how many standard deviations of the image's noise a corner must stand out,
-# `relative` what share of the frame's strong corners it must have.
+# `noise` is the least response of a corner, in standard deviations of the image's noise.
+# `relative` is the least response, as a share of that of the frame's strong corners.
 
 # %%
 for noise in (1.0, 2.0, 4.0, 16.0):
@@ -57,7 +57,7 @@ for noise in (1.0, 2.0, 4.0, 16.0):
 # %% [markdown]
 # ## Three refinements
 #
-# On a worn gel they differ less than on a sharp print: what remains is wear.
+# On a worn gel they differ less than on a sharp print, because most of the error is wear.
 
 # %%
 sharp = render(Scene(markers=20, severity=0.0, corrosion=0.0, seed=900_301))

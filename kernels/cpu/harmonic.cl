@@ -6,7 +6,7 @@
  * Only the noise and the reference need the whole frame. A band therefore goes down its rows
  * once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
  * stay in the cache. Each loop over a row is a function of its own with restrict pointers and one
- * cast an operation: compilers turn it into vectors of 16-bit numbers. */
+ * cast per operation: compilers turn it into vectors of 16-bit numbers. */
 
 #ifndef NMS_RADIUS
 #error "NMS_RADIUS must be that of suppression"
@@ -27,8 +27,9 @@
 #define LEVEL_AT(y) ((size_t)((y) & 3) * step + PAD)
 #define HELD(y) SMALLER(LARGER(y, 0), height - 1)
 
-/* Not inlined, where compilers forget that restrict pointers do not overlap. Neighbours in a row
- * are pointers of their own: two loads of one pointer become a chain from pixel to pixel. */
+/* Not inlined: compilers forget in inlined functions that restrict pointers do not overlap.
+ * Neighbours in a row have separate pointers, because two loads of one pointer become a chain from
+ * pixel to pixel. */
 #define ROW_LOOP __attribute__((noinline))
 
 /* Grey levels in sixteenths of 1/255 of full scale: floor((4080 g + F div 2) / F). */
@@ -158,7 +159,7 @@ ROW_LOOP int peaks_of_row(__global const short *restrict above,
   return count;
 }
 
-/* Eight responses from any place of a row on. */
+/* Eight responses from any element of a row on. */
 typedef short8 __attribute__((aligned(2))) SHORTS_ANYWHERE;
 #define EIGHT_AT(p) *(__global const SHORTS_ANYWHERE *)(p)
 
@@ -234,7 +235,7 @@ void append(__global int *restrict list, const uint n, const uint capacity, cons
 }
 
 /* From the image to the lists of the maxima of a band, and the pads of its rows; a count runs past
- * the capacity of its list. `area` has a bit for every pixel. One work-item a band. */
+ * the capacity of its list. `area` has a bit for every pixel. One work-item per band. */
 __kernel void harmonic_band(__global PIXEL *restrict image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
@@ -410,7 +411,7 @@ int any_near(__global const uint *bits, const int x, const int y, const int heig
 
 /* Which maxima are corners, in (y, x) order: a response above the noise's bound and a share of
  * the reference; a fine one only where no coarse corner is within NMS_RADIUS. `maxima` gets a bit
- * for each coarse corner. One work-item a frame. */
+ * for each coarse corner. One work-item per frame. */
 __kernel void decide(__global const ulong *restrict noise, __global const uint *restrict band_counts,
                      __global int *restrict lists, const uint rows, const uint columns,
                      const uint step, const uint bands, const uint capacity,

@@ -392,7 +392,9 @@ def test_a_wrong_argument_of_run_is_one_line_and_no_file(
 def test_the_wrong_calibration_is_noticed_at_rest(run, recording):
     swapped = StereoRig(RIG.K2, RIG.D2, RIG.K1, RIG.D1, RIG.R.T, -RIG.R.T @ RIG.T)
     swapped.save("rig.yaml")
-    fails_in_one_line(run("run", recording, *STEREO), "frame at rest, 0", "the rig fits", "left")
+    fails_in_one_line(
+        run("run", recording, *STEREO), "frame 0, the frame at rest", "the rig fits", "left"
+    )
 
 
 def test_two_views_without_a_calibration_are_explained(run, recording, monkeypatch):
@@ -401,7 +403,9 @@ def test_two_views_without_a_calibration_are_explained(run, recording, monkeypat
 
     monkeypatch.setattr("cmp_cl.measure.frames.find_pattern", two)
     fails_in_one_line(
-        run("run", recording, "--out", "a.npz"), "frame at rest, 0: two patterns", "--stereo"
+        run("run", recording, "--out", "a.npz"),
+        "frame 0, the frame at rest: two patterns",
+        "--stereo",
     )
 
 

@@ -49,7 +49,7 @@ def like_rest(*, worn: float = 0.0, **moved) -> tuple[Grid, bool]:
 
 # patterns without a border in view
 
-WORN = 0.03  # cells: the errors of a print
+WORN = 0.03  # cells: standard deviation of the printing errors
 
 
 @pytest.mark.parametrize("zoom", [0.9, 0.94, 0.97, 1.0, 1.03, 1.06, 1.1])

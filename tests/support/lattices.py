@@ -81,7 +81,7 @@ def endless(
     """Return what a picture of `side` px shows of a checkerboard that goes on beyond all its edges.
 
     It is zoomed and turned about the picture's middle, then shifted by so many cells. worn:
-    standard deviation of the print's errors, cells, the same whatever the seed. The numbers are
+    standard deviation of the printing errors, cells, the same whatever the seed. The numbers are
     those of the pattern; `truth` is empty.
     """
     draw = np.random.default_rng(seed)

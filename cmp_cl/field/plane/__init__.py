@@ -1,8 +1,8 @@
 """Displacement and strain in the plane, from one view: on the nodes, and on a raster.
 
-`plane_displacement` is the displacement of each node, in px or in a length. `Motion` is its part
-that is one translation, rotation and zoom of everything. `plane_strain` is the part that changes
-lengths. Each has its standard deviation, to first order in those of the positions.
+`plane_displacement` returns the displacement of each node, in px or in a length. `Motion` is the
+part of it that is a common translation, rotation and zoom. `plane_strain` returns the part that
+changes lengths. Each has its standard deviation, to first order in those of the positions.
 """
 
 from cmp_cl.field.plane.displacement import (

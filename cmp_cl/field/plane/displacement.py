@@ -1,6 +1,6 @@
 """Displacement in the plane, from one view.
 
-A view at rest and a view now give two grids of the same nodes. `plane_displacement` is the
+A view at rest and a view now give two grids of the same nodes. `plane_displacement` returns the
 displacement of each node, in px or in a length, with its standard deviation.
 """
 
@@ -31,7 +31,7 @@ class PlaneScale:
 
     matrix: (3, 3), from (x, y, 1), px, to the plane. unit: name of the unit of length there.
 
-    Raises FieldError where the matrix is not finite or has no inverse.
+    Raises FieldError if the matrix is not finite or has no inverse.
     """
 
     matrix: Array
@@ -51,7 +51,11 @@ class PlaneScale:
 
     @classmethod
     def of_pixel(cls, length: float, unit: str = "mm") -> Self:
-        """Return the plane of a camera that faces it: one px has the same length everywhere."""
+        """Return the scale of a camera that faces the plane, so that a px has the same length
+            everywhere.
+
+        length: of one px. unit: name of its unit. Raises FieldError if it is not positive.
+        """
         if not 0 < length < math.inf:
             raise FieldError(f"the length of a px must be positive, not {length!r}")
         return cls(np.diag([length, length, 1.0]), unit)
@@ -60,8 +64,10 @@ class PlaneScale:
     def of_cells(cls, rest: Grid, side: float, unit: str = "mm") -> Self:
         """Return the homography that maps the cells of a flat pattern to squares of that side.
 
-        The homography fits all nodes by least squares. x runs along the rows of the pattern, y
-        along its columns. Raises FieldError where fewer than 4 nodes are there, or all on a line.
+        rest: the grid at rest. side: side of a cell. unit: name of its unit. The homography fits
+            all nodes by least squares. x runs along the rows of the pattern, y along its columns.
+            Raises FieldError if side is not positive, if fewer than 4 nodes are valid, or if all
+            lie on a line.
         """
         if not 0 < side < math.inf:
             raise FieldError(f"the side of a cell must be positive, not {side!r}")
@@ -96,12 +102,13 @@ class PlaneField:
         the position, in `unit`; NaN where unknown. Wear of the print counts in the position.
     status: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
     unit: name of the unit of length.
-    raw: the field before the lattice filter; None where this one is not filtered.
-    filtered: the filter's results for the position and the displacement; None where this field
+    raw: the field before the lattice filter; None if this one is not filtered.
+    filtered: the filter's results for the position and the displacement; None if this field
         is not filtered.
-    shared: (2, 2, 2, 2) float64, covariances of x and y, in `unit` squared, of the errors at rest
-        and now: of a node with the next one of its row, and of its column. The displacement has
-        their sum. None where nothing is known of it, and of a filtered field, whose raw one has it.
+    shared: (2, 2, 2, 2) float64, in `unit` squared: the covariances of x and y, for the errors at
+        rest and now, between a node and the next one in its row, and in its column. The
+        displacement has the sum of both moments. None if unknown, and for a filtered field, whose
+        raw field has it.
     """
 
     position: Array
@@ -121,7 +128,7 @@ class PlaneField:
 
     @property
     def now(self) -> Array:
-        """Return (R, C, 2) float64: where the nodes are now, in `unit`."""
+        """Return the positions of the nodes now, (R, C, 2) float64, in `unit`."""
         moved: Array = self.position + self.displacement
         return moved
 
@@ -131,14 +138,16 @@ def plane_displacement(
 ) -> PlaneField:
     """Return the displacement of each node in the plane, now - rest, by its number.
 
-    The displacement and the position at rest are filtered over the lattice, see
-    `cmp_cl.grid.filter_grid`, and what bent edges add to positions is taken off them. scale: from
-    the image to the plane; None means px. raw: leave the
-    filter out. The errors are those that the lattice shows, and those of the corners where it is
-    too small to tell; what neighbours share of them is in `raw.shared`, see `with_measured_noise`.
-    The field has the rows and columns of the grid at rest: a node beyond them has no displacement.
+    rest, now: the grids. scale: from the image to the plane; None means px. raw: leave out the
+        filter.
 
-    Raises FieldError where now has not all rows and columns of the grid at rest.
+    The displacement and the position at rest are filtered over the lattice, see
+    `cmp_cl.grid.filter_grid`, and the shift by bent edges is subtracted. The errors are estimated
+    from the lattice; if it is too small, they are those of the corners. The part that neighbours
+    share is in `raw.shared`, see `with_measured_noise`. The field has the rows and columns of the
+    grid at rest; nodes beyond them have no displacement.
+
+    Raises FieldError if now does not have all rows and columns of the grid at rest.
     """
     if not now.covers(rest):
         raise FieldError(f"rest has {rest.extent}, now has {now.extent}")
@@ -202,22 +211,22 @@ def plane_displacement(
 
 
 def _either(lattice: Array, corners: Array) -> Array:
-    """Return the standard deviation that the lattice shows, or that of the corners."""
+    """Return the standard deviation from the lattice, or that of the corners where it has none."""
     return np.where(np.isfinite(lattice), lattice, corners)
 
 
 def with_measured_noise(field: PlaneField) -> PlaneField:
-    """Return the raw field with one standard deviation for all nodes, from its own roughness.
+    """Return the raw field with one standard deviation for all nodes, estimated from its roughness.
 
-    Neighbours share the edge between them, and so part of their errors across it: how much is
-    estimated too, and `plane_strain` counts it. For errors of variance v, of which neighbours share
-    a part p, second differences by row of second differences by column have the variance (36 - 48
-    p) v, and the covariance (42 p - 24) v with those across the edge to the next node (after J.
-    Immerkaer, CVIU 64, 1996, for p = 0). Each moment gets half of v. Errors that vary slowly over
-    four nodes, or are the same at rest and now, are not seen. A field that bends within four nodes
-    counts as noise.
+    Neighbours share the edge between them, and so a part of their errors across it. That part is
+    estimated too, and `plane_strain` uses it. For errors of variance v, of which neighbours share a
+    part p, second differences by row of second differences by column have the variance (36 - 48 p)
+    v, and the covariance (42 p - 24) v with those across the edge to the next node (after J.
+    Immerkaer, CVIU 64, 1996, for p = 0). Each moment gets half of v. The estimate does not include
+    errors that vary slowly over four nodes, or that are the same at rest and now. It takes a bend
+    of the field within four nodes for noise.
 
-    Raises FieldError where no 4 x 4 nodes are valid.
+    Raises FieldError if no 4 x 4 nodes are valid.
     """
     field = field if field.raw is None else field.raw
     shown = _shown_by_neighbours(field)
@@ -234,9 +243,10 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
 
 
 def _shown_by_neighbours(field: PlaneField) -> tuple[float, Array] | None:
-    """Return the variance that the roughness of a raw field shows, and what neighbours share of
-    the errors, (2, 2, 2, 2) like `PlaneField.shared` for a variance of 1; None without 4 x 4 valid
-    nodes.
+    """Return the variance of the errors from the roughness of a raw field, and the part that
+    neighbours share; None without 4 x 4 valid nodes.
+
+    The part is (2, 2, 2, 2) like `PlaneField.shared`, for a variance of 1.
     """
     rough = np.diff(np.diff(field.displacement, 2, axis=0), 2, axis=1)
     if np.isnan(rough).all():
@@ -257,7 +267,7 @@ def _shown_by_neighbours(field: PlaneField) -> tuple[float, Array] | None:
         return None
     size = float(np.nanmean(np.square(rough)))
     own, other = np.square(across).sum() / 2, (across[0] * across[1]).sum()
-    gain = float(42 * own + 32 * other)  # 42 where rows and columns are square to each other
+    gain = float(42 * own + 32 * other)  # 42 if rows and columns are perpendicular
     ratio = products.mean() / size if size > 0 else -1.0
     part = np.clip((24 + 36 * ratio) / max(gain + 48 * ratio, 1.0), 0, 0.5)
     return size / (36 - 48 * part), part * by_moment

@@ -32,11 +32,11 @@ class Motion:
 
 
 def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
-    """Return the translation, rotation and zoom that fit all nodes best by least squares.
+    """Return the translation, rotation and zoom that fit a field best by least squares.
 
     zoom: whether lengths may change; False fits a rigid motion, with a zoom of 1.
 
-    Raises FieldError where fewer than two nodes are valid.
+    Raises FieldError if fewer than two nodes are valid.
     """
     valid = field.valid
     if np.count_nonzero(valid) < 2:
@@ -48,7 +48,7 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
         raise FieldError("all nodes lie at one point: they show no rotation")
     factor = (np.conj(before - centre) * (after - goal)).sum() / spread
     scale = abs(factor) if zoom else 1.0
-    own = field if field.raw is None else field.raw  # whose errors neighbours do not share
+    own = field if field.raw is None else field.raw  # the filter makes neighbours share errors
     variance = np.square(own.sigma[valid])
     variance += np.square(abs(factor - 1) * own.sigma_position[valid])
     turning = math.sqrt((np.square(np.abs(before - centre)) * variance).sum()) / spread

@@ -12,11 +12,11 @@ from cmp_cl.field.plane.displacement import PlaneField
 
 Array = NDArray[np.float64]
 
-_BLOCK = 1 << 20  # points that are interpolated at a time
-_STEPS = 20  # Newton steps that find a point in its cell
-_CONVERGED = 1e-4  # cells, the last of the steps
+_BLOCK = 1 << 20  # points that are interpolated together
+_STEPS = 20  # most Newton steps to find a point in its cell
+_CONVERGED = 1e-4  # cells, length of the last step
 _REACH = 1.0  # cells from a cell's middle; a point further away is in another cell
-_OUTSIDE = 1e-6  # cells, rounding at their common sides
+_OUTSIDE = 1e-6  # cells, allowance for rounding at their common sides
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -39,14 +39,16 @@ class Raster:
 
 
 def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float = 1.0) -> Raster:
-    """Interpolate the nodes' values at the multiples of `step` that the cells at rest cover.
+    """Interpolate values of the nodes at the multiples of `step` that the cells at rest cover.
 
-    values: (R, C) or (R, C, K) numbers, NaN where missing; None means the displacement. In px and
-    at step 1 the points are the pixels. Values and positions at rest are interpolated between nodes
-    by cubic convolution (R. G. Keys, IEEE Trans. ASSP 29, 1981), and continued past the border by
-    quadratic extrapolation.
+    field: gives the positions at rest.
 
-    Raises FieldError where no cell is valid or covers a point, ConfigError where step is not
+    values: (R, C) or (R, C, K) numbers, NaN where missing; None means the displacement. With a unit
+    of px and a step of 1 the points are the pixels. Values and positions at rest are interpolated
+    between nodes by cubic convolution (R. G. Keys, IEEE Trans. ASSP 29, 1981), and continued past
+    the border by quadratic extrapolation.
+
+    Raises FieldError if no cell is valid or covers a point, ConfigError if step is not
     positive or asks for over 1e8 points.
     """
     numbers = field.displacement if values is None else np.asarray(values, np.float64)
@@ -115,13 +117,12 @@ def _covered(padded: Array, cells: NDArray[np.int64], step: float, low: NDArray[
     """Yield blocks of raster points in cells: cells (N, 2), points (N, 2), fractions (N, 2).
 
     padded: (R + 2, C + 2, K) values, the first two the positions. Points are in units of the step.
-    A point on the side between two cells comes with both. Fractions are (row, column), 0 to 1.
+    A point on the side between two cells is in both. Fractions are (row, column), 0 to 1.
     """
     nodes = padded[1:-1, 1:-1, :2]
     row, column = cells.T
-    corners = np.stack(
-        [nodes[row + r, column + c] for r in (0, 1) for c in (0, 1)], axis=1
-    )  # (N, 4, 2)
+    # (N, 4, 2).
+    corners = np.stack([nodes[row + r, column + c] for r in (0, 1) for c in (0, 1)], axis=1)
     margin = 0.25 * (corners.max(axis=1) - corners.min(axis=1))  # sides are curves
     first = np.ceil((corners.min(axis=1) - margin) / step).astype(np.int64)
     last = np.floor((corners.max(axis=1) + margin) / step).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Strain in the plane, from one view: what changes lengths, and its covariance to first order."""
+"""Strain in the plane, from one view, and its covariance to first order."""
 
 import dataclasses
 import math
@@ -13,9 +13,9 @@ from cmp_cl.field.strain import slope_weights
 
 Array = NDArray[np.float64]
 
-_UNIFORM = math.pi / math.sqrt(12)  # rad, standard deviation of an unknown direction
+_UNIFORM = math.pi / math.sqrt(12)  # rad, standard deviation of a completely unknown direction
 _DISTINCT = 3.0  # standard deviations: noise alone exceeds them in 1 % (Rayleigh)
-_LEAST_NODES = 6  # of a window that a plane is fitted to
+_LEAST_NODES = 6  # fewest nodes of a window to which a plane is fitted
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -25,8 +25,7 @@ class PlaneStrain:
     tensor: (R, C, 3) float64, Exx, Eyy, Exy (half the engineering shear), along the axes of
         the field; NaN where too few neighbours are valid.
     covariance: (R, C, 3, 3) float64, of these three, from the errors of the positions alone; NaN
-        where unknown. A strain that varies within the window is also smoothed, which is not
-        included.
+        where unknown. The smoothing of a strain that varies within the window is not included.
     """
 
     tensor: Array
@@ -69,8 +68,8 @@ class PrincipalStrain:
     strain: (R, C, 2) float64, the larger and the smaller one; sigma: (R, C, 2) of them. Where the
         two differ by less than their sigma, the difference may be noise alone.
     direction: (R, C) float64 in [-pi/2, pi/2], rad, of the larger one, from x towards y.
-    sigma_direction: (R, C), rad; pi / sqrt(12), that of an unknown direction, where half the
-        difference of the strains is below 3 of its standard deviations.
+    sigma_direction: (R, C), rad. If half the difference of the strains is below 3 of its standard
+        deviations, it is pi / sqrt(12), that of an unknown direction.
     """
 
     strain: Array
@@ -80,16 +79,17 @@ class PrincipalStrain:
 
 
 def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
-    """Return the Green-Lagrange strain E = (F'F - 1) / 2 of every node, with its covariance.
+    """Return the Green-Lagrange strain E = (F'F - 1) / 2 of every node of a field, with its
+        covariance.
 
     Around each node a plane in (column, row) is fitted to the positions at rest and now by least
     squares, over the (2 radius + 1)^2 nodes, which gives the gradient F of the positions now with
-    respect to those at rest. Nodes without a sigma are used only where no node has one. Wear of the
-    print is taken to keep its size; where it stretches with the material, large strains are more
-    certain than their sigma says.
+    respect to those at rest. Nodes without a sigma are used only if no node has one. Wear is
+    assumed to keep its size; if it stretches with the material, large strains are more certain than
+    their sigma says.
 
-    Returns NaN where the node is missing, or fewer than 6 of its window are there, or all of
-    these on a line. Raises ConfigError where radius is not a whole number from 1 to 50.
+    The strain is NaN if the node is missing, if its window has fewer than 6 nodes, or if these lie
+    on a line. Raises ConfigError if radius is not a whole number from 1 to 50.
     """
     if type(radius) is not int or not 1 <= radius <= 50:
         raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
@@ -107,7 +107,7 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
     if raw.shared is not None:
         at_rest, now = raw.shared
         added = _of_neighbours(np.stack([at_rest, at_rest + now]), used, radius)
-    if field.filtered is not None:  # it lessens what neighbours share as it lessens the rest
+    if field.filtered is not None:  # it reduces shared errors as much as the others
         own, errors = errors, _shared_errors(field, used, radius)
         before, after = (np.einsum("...aa->...a", each) for each in (own, errors))
         less = np.sqrt(np.divide(after, before, out=np.zeros_like(after), where=before > 0))
@@ -131,9 +131,9 @@ def _local_planes(
 ) -> tuple[Array, Array]:
     """Fit the plane a + b column + c row to the values around each node.
 
-    values: (R, C, K). sigma: (R, C, L), of values whose nodes share no error. Returns (R, C, 2, K)
-    slopes by column and by row, and (R, C, L, 2, 2) covariances of such slopes; NaN where the
-    plane is not determined.
+    values: (R, C, K). sigma: (R, C, L), of values with independent errors. used: (R, C), the nodes
+        to fit. Returns the slopes by column and by row, (R, C, 2, K), and their covariances, (R, C,
+        L, 2, 2); NaN if the plane is not determined.
     """
     rows, columns = used.shape
     pad = ((radius, radius), (radius, radius), (0, 0))
@@ -157,15 +157,14 @@ def _local_planes(
 
 
 def _shared_errors(field: PlaneField, used: NDArray[np.bool_], radius: int) -> Array:
-    """Return the covariances (R, C, 2, 2, 2) of the slopes of filtered values, position and
-    displacement: neighbours share errors there.
-    """
+    """Return the covariances (R, C, 2, 2, 2) of the slopes of filtered positions and displacements,
+    whose errors neighbours share."""
     errors = np.zeros((*used.shape, 2, 2, 2))
     stencils = slope_weights(used, radius)
     pairs = zip(field.filtered or (), (field.sigma_position, field.sigma), strict=True)
     for number, (filtered, sigma) in enumerate(pairs):
         with np.errstate(invalid="ignore", divide="ignore"):
-            zoomed = np.square(sigma / filtered.sigma)  # where a motion has been taken away
+            zoomed = np.square(sigma / filtered.sigma)  # the zoom of a motion that was removed
         for axis, stencil in enumerate(stencils):
             variance = np.square(filtered.deviation_of(stencil)) * zoomed
             errors[:, :, number, axis, axis] = variance
@@ -173,8 +172,10 @@ def _shared_errors(field: PlaneField, used: NDArray[np.bool_], radius: int) -> A
 
 
 def _of_neighbours(shared: Array, used: NDArray[np.bool_], radius: int) -> Array:
-    """Return what errors that neighbours share add to the covariances of the slopes: (R, C, M, 2,
-    2, 2, 2), by value, two coordinates, and two axes. shared: (M, 2, 2, 2), of M values.
+    """Return the part of the slopes' covariances that comes from errors that neighbours share.
+
+    shared: (M, 2, 2, 2), of M values. The result is (R, C, M, 2, 2, 2, 2): by value, two
+    coordinates, and two axes.
     """
     stencils = np.stack(slope_weights(used, radius), axis=2)
     added = np.zeros((*used.shape, len(shared), 2, 2, 2, 2))
@@ -195,7 +196,7 @@ def _strain_covariance(gradient: Array, back: Array, errors: Array) -> Array:
     2, 2, 2), covariances of the slopes of the position and of the displacement, by two
     coordinates, and two of columns and rows.
     """
-    # An error e of the position is one of now, too: it acts on F as (1 - F) e does.
+    # An error e of the position at rest is also one of the position now: it acts on F as (1 - F) e.
     weights = np.einsum("nja,nmikab,nlb->nmijkl", back, errors, back, optimize=True)
     moved = gradient - np.eye(2)
     of_gradient = weights[:, 1] + np.einsum(

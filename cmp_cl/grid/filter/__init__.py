@@ -1,9 +1,9 @@
-"""The adaptive lattice filter: positions from the neighbours too, and how far each may be off.
+"""The adaptive lattice filter: positions that use the neighbours too, and their sigma.
 
-On a worn print the visible corner is not where the material point is. No picture of one corner
-can tell, but its neighbours in the lattice can. Each node becomes a mixture of local polynomials
-along its row and its column. Stein's unbiased risk estimate chooses, node by node, how far they
-reach and of which degree they are; there is nothing to set.
+On a worn print the visible corner is not at the material point. The image of one corner cannot show
+that, but its neighbours in the lattice can. Each node becomes a mixture of local polynomials along
+its row and its column. Stein's unbiased risk estimate chooses their widths and degrees at each
+node, so that there are no parameters to set.
 """
 
 from cmp_cl.grid.filter.bends import bend_shift, bend_shift_of

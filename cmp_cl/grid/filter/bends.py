@@ -1,4 +1,4 @@
-"""What bent edges add to the positions of corners, from how the lattice bends."""
+"""The shift of corners by bent edges, from the curvature of the lattice."""
 
 import functools
 import math
@@ -13,13 +13,16 @@ from cmp_cl.grid.grid import MEASURED, Grid
 
 Array = NDArray[np.float64]
 
-_HALF = 2  # nodes on each side of a node that show how a line bends
+_HALF = 2  # nodes on each side of a node that show the curvature of a line
 _LEAST_SINE = math.sin(math.radians(10))  # of the angle between the two lines at a corner
 
 
 def bend_shift_of(grid: Grid) -> Array:
-    """Return (R, C, 2) float64, px: how far bent edges have moved the nodes of a grid, see
-    `bend_shift`. It is 0 where the radius of the corners' refinement is not known.
+    """Return the shift of the nodes of a grid by bent edges, (R, C, 2) float64, px, see
+        `bend_shift`.
+
+    It is 0 if the radius of the corners' refinement is unknown.
+
     """
     if not math.isfinite(grid.edge_radius):
         return np.zeros(grid.xy.shape)
@@ -28,13 +31,13 @@ def bend_shift_of(grid: Grid) -> Array:
 
 
 def bend_shift(xy: Array, radius: float) -> Array:
-    """Return (R, C, 2) float64: how far bent edges move each corner, in the unit of `xy`.
+    """Return the shift of each corner by bent edges, (R, C, 2) float64, in the unit of `xy`.
 
-    xy: (R, C, 2), filtered positions, NaN where missing. radius: within which a refinement takes
-    the edges to be straight, in the same unit; NaN where none does. The straight line that fits
-    an arc of curvature k best within the radius r lies k r^2 / 6 off its middle, on the inner side;
-    the corner moves with both of its lines. The shift is 0 where too few nodes show the curvature,
-    and where the lines enclose less than 10 degrees.
+    xy: (R, C, 2), filtered positions, NaN where missing. radius: radius within which a refinement
+    takes the edges to be straight, in the same unit; NaN for a refinement that does not. The
+    straight line that fits an arc of curvature k best within the radius r lies k r^2 / 6 from its
+    middle, on the inner side; the corner moves with both of its lines. The shift is 0 if too few
+    nodes show the curvature, or if the lines enclose less than 10 degrees.
     """
     there = np.asarray(np.isfinite(xy).all(axis=2), np.bool_)
     rows, columns = there.shape
@@ -64,8 +67,8 @@ def bend_shift(xy: Array, radius: float) -> Array:
 
 
 def _line(slope: Array, second: Array, radius: float) -> tuple[Array, Array]:
-    """Return the normal of a line at each node, (2, R, C), and how far along it the line's bend
-    moves what is taken to be straight, (R, C).
+    """Return the normal of a line at each node, (2, R, C), and the shift of its straight fit along
+    the normal, (R, C).
 
     slope, second: (2, R, C), the first and second derivatives by the number of the node.
     """
@@ -76,8 +79,7 @@ def _line(slope: Array, second: Array, radius: float) -> tuple[Array, Array]:
 
 @functools.lru_cache(maxsize=64)
 def _derivatives(n: int) -> tuple[Array, Array, Array]:
-    """Return three (n, n): the first and second derivative of the parabola fitted to five nodes,
-    and the value of the line fitted to five, which are moved inwards at the ends.
-    """
+    """Return three matrices (n, n): the first and second derivative of the parabola fitted to five
+    nodes, and the value of the line fitted to five. The five are moved inwards at the ends."""
     first, second = (polynomial(n, _HALF, 2, order) for order in (1, 2))
     return first, second, polynomial(n, _HALF, 1)

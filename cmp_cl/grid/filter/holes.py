@@ -11,8 +11,11 @@ _FILL_REACH = (3, 6)  # nodes around a hole that predict its value
 
 
 def filled(data: Single, votes: Bools) -> Single:
-    """Return the data with predictions where there is no vote: a quadratic surface through the
-    votes around, 0 where those are too few.
+    """Return the data with predictions at nodes without a vote.
+
+    A prediction comes from a quadratic surface through the votes around, and is 0 if they are too
+    few.
+    data: (K, R, C). votes: (R, C) bool.
     """
     result = np.where(votes, data, np.float32(0))
     holes = np.argwhere(~votes)
@@ -29,8 +32,8 @@ def filled(data: Single, votes: Bools) -> Single:
 def _predicted(
     data: Single, votes: Bools, holes: NDArray[np.int64], reach: int
 ) -> tuple[Array, Bools]:
-    """Return (H, K) predictions for H nodes from what lies within `reach`, and whether they are
-    sure."""
+    """Return predictions (H, K) for H holes from the votes within `reach` nodes, and a mask of
+    those with enough votes."""
     offset = np.arange(-reach, reach + 1)
     r, c = (
         each.reshape(-1).astype(np.float64) for each in np.meshgrid(offset, offset, indexing="ij")

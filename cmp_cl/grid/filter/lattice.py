@@ -1,4 +1,4 @@
-"""The filter of a lattice: each connected part gets a mixture of its own."""
+"""The filter of a lattice: each connected part gets its own mixture of filters."""
 
 import dataclasses
 import functools
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Box = tuple[slice, slice]
 
-_OPENED = 3.0  # times, at most, that strain makes wear larger than it is at rest
+_OPENED = 3.0  # largest ratio of the wear of a strained print to its wear at rest
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -24,9 +24,9 @@ class Filtered:
 
     values: (R, C, K) float64, in the unit of the input, NaN where that is NaN. A refused node
         keeps its own value.
-    sigma: (R, C) float64, standard deviation of `values` per coordinate, NaN where too few
-        neighbours are there to tell.
-    noise: (R, C) float64, the same of the values before the filter.
+    sigma: (R, C) float64, standard deviation of `values` per coordinate, NaN where it has too few
+        neighbours.
+    noise: (R, C) float64, standard deviation of the values before the filter.
     refused: (R, C) bool, nodes that are more than REFUSED standard deviations from what their
         neighbours predict. They have no influence on others.
     """
@@ -38,16 +38,15 @@ class Filtered:
     _mixtures: "tuple[Mixture, ...]"
 
     def covariance(self) -> Array:
-        """Return (R, C, K, K) float64: the covariance of the coordinates of each filtered node, NaN
-        where sigma is.
+        """Return the covariance of the coordinates of each filtered node, (R, C, K, K) float64.
 
-        The residuals around the node say how its coordinates vary together; the mean of the
-        diagonal is sigma squared.
+        The correlation of the coordinates comes from the residuals around the node; the mean of the
+        diagonal is sigma squared. It is NaN where sigma is.
         """
         return self._covariance(self.sigma)
 
     def noise_covariance(self) -> Array:
-        """Return (R, C, K, K) float64: the same of the values before the filter."""
+        """Return the covariance of each node before the filter, (R, C, K, K) float64."""
         return self._covariance(self.noise)
 
     def _covariance(self, sigma: Array) -> Array:
@@ -60,12 +59,12 @@ class Filtered:
         return whole
 
     def deviation_of(self, stencil: ArrayLike) -> Array:
-        """Return (R, C) float64: the standard deviation of a linear combination around each node.
+        """Return the standard deviation of a linear combination around each node, (R, C) float64.
 
         stencil: (R, C, S, S), S odd, the weights of the filtered neighbours, the node itself in
-        the middle; weights of what lies beyond the lattice or is NaN must be 0. Neighbours
-        share much of their noise: a slope between them is more certain than their own sigma
-        says. NaN where sigma is. Raises GridError where the stencil has another shape.
+        the middle; the weights of nodes that are NaN or beyond the lattice must be 0. Neighbours
+        share much of their noise, so that a slope between them is more certain than their own sigma
+        suggests. It is NaN where sigma is. Raises GridError if the stencil has another shape.
         """
         weights = np.asarray(stencil, np.float64)
         if weights.ndim != 4 or weights.shape[:2] != self.sigma.shape or weights.shape[2] % 2 == 0:
@@ -91,17 +90,18 @@ def filter_grid(
     """Filter a lattice over its rows and columns.
 
     values: (R, C, K), K >= 1 coordinates in one unit and of like noise; a node with a NaN is
-    missing. measured: (R, C) bool, the nodes that others may rely on; the rest get what their
-    neighbours predict. None means all. A deformation is filtered as one array of displacements,
+    missing. measured: (R, C) bool, the nodes that may influence others; the rest get the prediction
+    of their neighbours. None means all. A deformation is filtered as one array of displacements,
     not as two of positions: wear that travels with the material cancels in their difference.
-    bends: the values may bend sharply along an axis, as a deformation does at the edge of what
-    presses. What bends is then told from noise by looking along one direction alone, too: an
-    axis or a diagonal. Leave it out for positions: wear that neighbours share would be taken
-    for the shape. most_noise: (R, C), the largest standard deviation of the noise that can be, in
-    the unit of the values, NaN where nobody knows, as `filter_positions` knows it from the images
-    and from the wear at rest. What is more than that is shape, and is kept.
+    bends: whether the values may bend sharply along an axis, as a deformation does at the rim of a
+        contact. The noise is then also estimated along single directions, the axes and the
+        diagonals, to tell it from such a bend. Leave it out for positions, because wear that
+        neighbours share would be taken for their shape. most_noise: (R, C), an upper bound on the
+        standard deviation of the noise, in the unit of the values, NaN where unknown.
+        `filter_positions` takes it from the images and from the wear at rest. A residual beyond the
+        bound is taken for shape and kept.
 
-    Raises GridError where the arrays have other shapes.
+    Raises GridError if the arrays have other shapes.
     """
     given = np.array(values, np.float64)
     if given.ndim != 3 or not given.shape[2]:
@@ -146,8 +146,8 @@ def filter_grid(
 def filter_at_rest(values: ArrayLike, *, measured: ArrayLike) -> Filtered:
     """Filter positions at rest, see `filter_grid`.
 
-    The results of the last few are kept: the frames of a film share their positions at rest. The
-    arrays of a result are read-only.
+    values, measured: as in `filter_grid`. The last few results are kept, because the frames of a
+        film share their positions at rest. The arrays of a result are read-only.
     """
     given, votes = np.asarray(values, np.float64), np.asarray(measured, np.bool_)
     return _at_rest(given.shape, given.tobytes(), votes.tobytes())
@@ -165,13 +165,13 @@ def _at_rest(shape: tuple[int, ...], values: bytes, measured: bytes) -> Filtered
 def noise_of_change(
     at_rest: Filtered, own_rest: NDArray[np.floating[Any]], own_now: NDArray[np.floating[Any]]
 ) -> Array:
-    """Return the largest standard deviation (R, C) that the noise of now - rest can have.
+    """Return an upper bound on the standard deviation of the noise of now - rest, (R, C).
 
-    at_rest: the positions at rest. own_rest, own_now: (R, C), the standard deviations that the
-    corners' own images tell, NaN or 0 where unknown. What they do not explain of the noise at rest
-    is wear. Wear travels with the material, but strain may open it: in the difference it counts for
-    at most three times what it is at rest. A print that shows no wear at rest has the noise of its
-    images alone.
+    at_rest: the filtered positions at rest. own_rest, own_now: (R, C), the standard deviations of
+        the corners from their own images, NaN or 0 where unknown. The noise at rest that they do
+        not explain is wear. Wear moves with the material, but strain may open it: in the difference
+        it counts for at most three times its size at rest. A print without wear at rest has only
+        the noise of its images.
     """
     before, after = (
         np.where(own > 0, np.square(own, dtype=np.float64), np.nan) for own in (own_rest, own_now)
@@ -184,7 +184,8 @@ def noise_of_change(
 def _of_component(
     given: Array, votes: Bools, part: Bools, most: Array, box: Box, *, bends: bool
 ) -> "tuple[Mixture, Array]":
-    """Return the mixture for the residual of the best bilinear surface; the surface, (R, C, K)."""
+    """Return the mixture for the residual of the best bilinear surface, and that surface, (R, C,
+    K)."""
     votes = votes & part
     plane = bilinear_surface(given, votes)
     data = np.where(votes[..., None], given - plane, 0).transpose(2, 0, 1)
@@ -193,8 +194,9 @@ def _of_component(
 
 
 def _components(votes: Bools) -> list[Bools]:
-    """Return the parts of the lattice with votes, with up to a node around each; gaps of one or two
-    nodes part nothing.
+    """Return the parts of the lattice with votes, each with up to one more node around it.
+
+    Gaps of one or two nodes do not separate parts.
     """
     if votes.all():
         return [votes] if votes.size else []
@@ -204,16 +206,15 @@ def _components(votes: Bools) -> list[Bools]:
 
 
 def _box(votes: Bools) -> Box:
-    """Return the smallest rectangle with all nodes that have a vote."""
+    """Return the slices of the smallest rectangle with all votes."""
     rows, columns = np.nonzero(votes.any(axis=1))[0], np.nonzero(votes.any(axis=0))[0]
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 @functools.lru_cache(maxsize=64)
 def _bilinear(rows: int, columns: int) -> tuple[Array, Array]:
-    """Return 1, r, c and r c, from -1 to 1, orthogonal over all nodes, (R C, 4), and what projects
-    values of all nodes on them, (4, R C).
-    """
+    """Return 1, r, c and r c, from -1 to 1, orthogonal over all nodes, (R C, 4), and the projection
+    of the values of all nodes on them, (4, R C)."""
     r = np.linspace(-1, 1, rows)[:, None] if rows > 1 else np.full((1, 1), 1e-9)
     c = np.linspace(-1, 1, columns)[None, :] if columns > 1 else np.full((1, 1), 1e-9)
     terms = np.stack(np.broadcast_arrays(1.0, r, c, r * c), axis=-1).reshape(-1, 4)
@@ -221,8 +222,10 @@ def _bilinear(rows: int, columns: int) -> tuple[Array, Array]:
 
 
 def bilinear_surface(values: Array, votes: Bools) -> Array:
-    """Return (R, C, K): the bilinear surface that fits best. The filters leave such surfaces as
-    they are; without it float32 is exact enough for the residual.
+    """Return the bilinear surface that fits the values best, (R, C, K).
+
+    values: (R, C, K). votes: (R, C) bool, the nodes to fit. The filters do not change such
+    surfaces; without the surface, float32 is exact enough for the residual.
     """
     rows, columns = votes.shape
     terms, projector = _bilinear(rows, columns)

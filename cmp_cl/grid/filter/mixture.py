@@ -25,9 +25,9 @@ Single = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 Box = tuple[slice, slice]
 
-_SHARPNESS = 2 * math.pi * RISK_REACH**2 / 3  # of the weights, per unit of risk
-_ROUNDS = 3  # searches for nodes to refuse
-_MOST_KEPT = 1 << 20  # numbers of a thread's scratch memory
+_SHARPNESS = 2 * math.pi * RISK_REACH**2 / 3  # exponent of the weights, per unit of risk
+_ROUNDS = 3  # rounds of the search for nodes to refuse
+_MOST_KEPT = 1 << 20  # most numbers in a thread's scratch memory
 _kept = threading.local()
 
 
@@ -35,12 +35,12 @@ _kept = threading.local()
 class Mixture:
     """The filtered values of a connected part, in its rectangle of nodes; all float32.
 
-    part: (R, C), the nodes of the part. votes: (R, C), those that others rely on.
+    part: (R, C), the nodes of the part. votes: (R, C), those that influence others.
     bends: see `filter_grid`.
     data: (K, R, C), before the filter, with predictions in the holes. values: (K, R, C), after it.
-    residual: (K, R, C), of the pilot. weights: (A, B, R, C), of each pair at each node.
-    raw_variance, variance: (R, C), of the data and of the values. gain: (R, C), the share of
-    the noise's variance that the weights leave.
+    residual: (K, R, C), of the pilot. weights: (A, B, R, C), of each pair of filters at each node.
+    raw_variance, variance: (R, C), variances of the data and of the values. gain: (R, C), the share
+    of the noise's variance that the weights leave.
     """
 
     box: Box
@@ -57,8 +57,8 @@ class Mixture:
 
     @functools.cached_property
     def common(self) -> Array:
-        """Return (R, C, K, K): how the coordinates vary together around each node, of mean diagonal
-        1."""
+        """Return the covariance of the coordinates around each node, scaled to a mean diagonal of
+        1, (R, C, K, K)."""
         rows, columns = self.votes.shape
         down, along = axis_of(rows), axis_of(columns)
         residual = np.where(self.votes, self.residual, 0).astype(np.float64)
@@ -74,15 +74,17 @@ class Mixture:
     def deviation_of(self, stencil: Array, sigma: Array) -> Array:
         """Return (R, C) float64, see `Filtered.deviation_of`.
 
-        A combination of neighbours is one filter more: the sum of the pairs, each moved to its
-        neighbour. Row by row it is two products of matrices for each node.
+        stencil: (R, C, S, S). sigma: (R, C). A combination of neighbours is another filter: the sum
+            of the pairs, each moved to its neighbour. For each row it is two products of matrices
+            per node.
         """
         rows, columns = self.votes.shape
         reach, side = stencil.shape[2] // 2, 2 * max(half for half, _ in AXIS_FILTERS)
         down, along = (moved_bands(n, side, reach, bends=self.bends) for n in (rows, columns))
         noise = np.sqrt(self.raw_variance)
         with np.errstate(invalid="ignore", divide="ignore"):
-            excess = sigma / (noise * np.sqrt(self.gain))  # what the noise does not explain
+            # The part that the noise does not explain.
+            excess = sigma / (noise * np.sqrt(self.gain))
         excess = np.where(np.isfinite(excess), excess, 1)
         noise = np.pad(np.where(np.isfinite(noise), noise, 0), side + reach)
         noise_around = sliding_window_view(noise, (2 * (side + reach) + 1,) * 2)
@@ -101,9 +103,10 @@ class Mixture:
 def mixed(
     data: Single, votes: Bools, part: Bools, most: Single, box: Box, *, bends: bool
 ) -> Mixture:
-    """Return the mixture for data (K, R, C), without the nodes that their neighbours refuse.
+    """Return the mixture for data (K, R, C), without the nodes that are refused.
 
-    most: (R, C), the largest standard deviation of the noise, NaN where unknown.
+    votes, part, box, bends: as in `Mixture`. most: (R, C), an upper bound on the standard deviation
+        of the noise, NaN where unknown.
     """
     whole = bool(votes.all())
     if not whole:
@@ -142,7 +145,7 @@ def _mixture(
     smooth = _smooth(data, bends=bends)
     risk = _scratch("risk", pairs.own.shape)
     apart = np.empty_like(risk)
-    np.multiply(pairs.own, 2 * count * s2, out=risk)  # the loss, until it is averaged
+    np.multiply(pairs.own, 2 * count * s2, out=risk)  # the loss, before it is averaged
     for coordinate in range(count):
         np.subtract(smooth[coordinate], data[coordinate], out=apart)
         risk += np.square(apart, out=apart)
@@ -168,7 +171,7 @@ def _mixture(
     gain = _over_pairs(weights, pairs.gain)
     own = _over_pairs(weights, pairs.own) if chosen_noise is not noise else np.float32(0)
     mean_risk = _over_pairs(weights, risk)
-    more = noise - chosen_noise  # what the pilot sees beyond it; the filters take it off, too
+    more = noise - chosen_noise  # the pilot's noise beyond it; the filters remove it too
     expected = chosen_noise * mean_risk + 2 * more * own - noise
     variance = np.maximum(expected, chosen_noise * gain)
     return Mixture(
@@ -189,8 +192,8 @@ def _mixture(
 def _smooth(data: Single, *, bends: bool) -> Single:
     """Apply each pair of filters: (K, R, C) -> (K, A, B, R, C).
 
-    Every product is of matrices no larger than the lattice: those are too small for BLAS to
-    share out over threads, which costs milliseconds where other work keeps the cores busy.
+    The matrices are no larger than the lattice. They are too small for BLAS to use several threads,
+    which would cost milliseconds while other work keeps the cores busy.
     """
     count, rows, columns = data.shape
     down, along = (axis_of(n, bends=bends) for n in (rows, columns))
@@ -203,7 +206,8 @@ def _smooth(data: Single, *, bends: bool) -> Single:
 
 
 def _scratch(name: str, shape: tuple[int, ...]) -> Single:
-    """Return memory of that shape, reused by this thread under that name; its content is random.
+    """Return an array of that shape, which this thread reuses under that name; its content is
+        undefined.
 
     Fresh memory costs a page fault for every 4 kB, a third of the time of the filter.
     """

@@ -13,15 +13,16 @@ Bools = NDArray[np.bool_]
 REFUSED = 6.0  # standard deviations from what the neighbours predict
 LEAST_VARIANCE = 1e-30  # of the noise
 _FLOOR = 1e-10  # of the variance of the noise, relative to the mean square of the values
-_LEAST_OF_FIVE = 1.29  # white noise: its variance over the mean of the least of the five below
-_SEVEN = np.array([5, -30, 75, 131, 75, -30, 5]) / 231  # the pilot's weights, inside
+# Variance of white noise, over the mean of the least of its five estimates below.
+_LEAST_OF_FIVE = 1.29
+_SEVEN = np.array([5, -30, 75, 131, 75, -30, 5]) / 231  # weights of the pilot away from the border
 
 
 def noise_of(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single]:
     """Return the pilot's residual (K, R, C), and the variance of the noise (R, C), NaN if unknown.
 
-    The mean size of the residual sees a few large ones less than the mean of its square: a
-    sharp bend of the surface is no noise.
+    data: (K, R, C). votes: (R, C). The noise comes from the mean size of the residual. A few large
+        residuals, as at a sharp bend of the surface, change that less than the mean square.
     """
     rows, columns = votes.shape
     down, along, pairs = axis_of(rows), axis_of(columns), pairs_of(rows, columns)
@@ -47,11 +48,11 @@ def noise_of(data: Single, votes: Bools, *, whole: bool) -> tuple[Single, Single
 
 
 def noise_along(data: Single, votes: Bools, noise: Single) -> Single:
-    """Return the least of the noise's variances that both axes together, each alone and each
-    diagonal alone show, (R, C).
+    """Return the least of five estimates of the noise's variance, (R, C): from both axes together,
+    from each axis and from each diagonal.
 
-    Along an edge the surface is smooth, however sharply it bends across. The least of five is
-    too small by a known share where all show the same noise.
+    Along an edge the surface is smooth, however sharply it bends across it. If all five show the
+    same noise, the least is too small by a known factor.
     """
     down, along = axis_of(votes.shape[0]), axis_of(votes.shape[1])
     least = noise
@@ -72,9 +73,11 @@ def noise_along(data: Single, votes: Bools, noise: Single) -> Single:
 
 
 def _along_diagonals(data: Single) -> list[tuple[Single, Single]]:
-    """Return the pilot's residual along each diagonal, (K, R, C), and each node's own weight in
-    it, (R, C); the weight is 1 within three nodes of the border. A lattice of fewer than 7 rows
-    or columns has none.
+    """Return the pilot's residual along each diagonal, (K, R, C), and each node's own weight in it,
+    (R, C).
+
+    The weight is 1 within three nodes of the border. A lattice of fewer than 7 rows or columns has
+    no such residual.
     """
     _, rows, columns = data.shape
     if min(rows, columns) < len(_SEVEN):
@@ -96,11 +99,11 @@ def _along_diagonals(data: Single) -> list[tuple[Single, Single]]:
 
 
 def _expected_size(residual: Single, size: Single) -> float:
-    """Return the mean of a residual's size where its variance per coordinate is 1.
+    """Return the mean size of a residual whose variance per coordinate is 1.
 
-    That size is taken as chi-distributed, with as many degrees of freedom as there are
-    directions of like variance: those of the residuals, weighted so that few large ones do not
-    decide. residual: (K, R, C). size: (R, C), 0 where it is unknown.
+    The size is assumed to be chi-distributed. Its degrees of freedom are the effective number of
+    directions of the residuals, weighted so that a few large ones do not decide. residual: (K, R,
+    C). size: (R, C), its length, 0 where unknown.
     """
     count = len(residual)
     relative = size / max(float(size.max()), 1e-30)
@@ -114,7 +117,11 @@ def _expected_size(residual: Single, size: Single) -> float:
 
 
 def outliers(residual: Single, noise: Single, votes: Bools) -> Bools:
-    """Return the nodes whose residual is too large, and the largest among its eight neighbours'."""
+    """Return the nodes whose residual is too large, and the largest among those of its eight
+        neighbours.
+
+    residual: (K, R, C). noise: (R, C), its variance. votes: (R, C).
+    """
     size = np.where(votes, np.square(residual).mean(axis=0), 0)
     pairs = pairs_of(*votes.shape)
     with np.errstate(invalid="ignore"):

@@ -11,10 +11,10 @@ Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 AXIS_FILTERS = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))  # half width in nodes, degree
-BENDING_FILTERS = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # of what may bend sharply
-LEAST_SUPPORT = 0.75  # share of a window's nodes that must be measured
+BENDING_FILTERS = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # for sharply bent values
+LEAST_SUPPORT = 0.75  # least share of a window's nodes that are measured
 NOISE_REACH = 2.0  # nodes, standard deviation of the Gaussian that averages the noise
-RISK_REACH = 1.5  # nodes, of the one that averages the risk
+RISK_REACH = 1.5  # nodes, standard deviation of the Gaussian that averages the risk
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,11 +22,12 @@ class Axis:
     """The filters along an axis of n nodes, A of them.
 
     filters: (A, n, n) float32, a row per node; the first one changes nothing. own: (A, n), the
-    weight of the node itself. gain: (A, n), the sum of the squares. share: (A, n, n), 1 / window
-    where the window is. pilot, pilot_own, pilot_share: of the filter that shows the noise.
-    near_noise, near_risk: (n, n) Gaussians, rows of sum 1. columns: (A - 1, n, n), the filters
-    after the first one as factors on the right; pilot_columns, noise_columns, risk_columns: the
-    same of the pilot and of the Gaussians. A factor that lies in memory as it is read costs half.
+        weight of the node itself. gain: (A, n), the sum of the squared weights. share: (A, n, n), 1
+        / window inside the window, 0 outside. pilot, pilot_own, pilot_share: the same for the
+        filter that shows the noise. near_noise, near_risk: (n, n) Gaussians, rows of sum 1.
+        columns: (A - 1, n, n), the filters after the first one as factors on the right.
+        pilot_columns, noise_columns, risk_columns: the same for the pilot and the Gaussians. A
+        product costs half if its factor lies in memory in the order in which it is read.
     """
 
     filters: Single
@@ -45,8 +46,11 @@ class Axis:
 
 
 def polynomial(n: int, half: int, degree: int, order: int = 0) -> Array:
-    """Return (n, n): the value at each node of the polynomial fitted to its window, which is moved
-    inwards at the ends; with an order, that derivative of it.
+    """Return the matrix (n, n) of the value at each node of the polynomial fitted to its window.
+
+    half: half width of the window, nodes; it is moved inwards at the ends. degree: of the
+        polynomial.
+    order: the derivative to take, 0 for the value.
     """
     whole = np.zeros((n, n))
     for node in range(n):
@@ -67,7 +71,7 @@ def _gaussian(n: int, deviation: float) -> Single:
 
 @functools.lru_cache(maxsize=64)
 def axis_of(n: int, *, bends: bool = False) -> Axis:
-    """Return the filters along n nodes, those whose window fits; bends: see `filter_grid`."""
+    """Return the filters along n nodes whose windows fit; bends: see `filter_grid`."""
     usual = BENDING_FILTERS if bends else AXIS_FILTERS
     fitting = [(half, degree) for half, degree in usual if n >= 2 * half + 1]
     filters = np.stack([polynomial(n, *each) for each in fitting])
@@ -110,7 +114,7 @@ class Pairs:
 
 @functools.lru_cache(maxsize=64)
 def pairs_of(rows: int, columns: int, *, bends: bool = False) -> Pairs:
-    """Return the weights of all pairs of filters on a lattice of that size."""
+    """Return the weights of all pairs of filters on a lattice of rows x columns nodes."""
     down, along = axis_of(rows, bends=bends), axis_of(columns, bends=bends)
     return Pairs(
         own=down.own[:, None, :, None] * along.own[:, None],
@@ -120,7 +124,8 @@ def pairs_of(rows: int, columns: int, *, bends: bool = False) -> Pairs:
 
 
 def moved_bands(n: int, side: int, reach: int, *, bends: bool) -> Single:
-    """Return the filters of the nodes within reach of each node, around that node: (n, S A, T).
+    """Return the filters of all nodes within `reach` of each node, in a band around it, (n, S A,
+        T).
 
     S = 2 reach + 1 neighbours, A filters of each, T = 2 (side + reach) + 1 nodes; 0 where there is
     no neighbour.

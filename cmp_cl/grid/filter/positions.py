@@ -20,15 +20,17 @@ Array = NDArray[np.float64]
 
 
 def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid]:
-    """Return the grid with filtered positions, and the raw one, each with the sigma from the
-    lattice.
+    """Return the grid with filtered positions, and the raw one, each with its sigma from the
+        lattice.
 
-    rest: the same pattern at rest, numbered alike. Then the displacements are filtered and
-    added to the filtered positions at rest; a node that is missing there keeps its position.
-    What bent edges add to the positions is taken off the filtered ones. Interpolated nodes follow
-    their neighbours. Where the lattice is too small to tell, sigma is that of the corners.
+    now: the grid.
 
-    Raises GridError where the grid has not all rows and columns of the one at rest.
+    rest: the same pattern at rest, numbered alike. With it the displacements are filtered and added
+        to the filtered positions at rest; a node that is missing at rest keeps its position. The
+        shift by bent edges is subtracted from filtered positions. Interpolated nodes follow their
+        neighbours. If the lattice is too small for an estimate, sigma is that of the corners.
+
+    Raises GridError if the grid has not all rows and columns of the one at rest.
     """
     if rest is None:
         found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
@@ -55,9 +57,9 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
 def _deviations(start: Filtered, change: Filtered, rest: Grid, now: Grid) -> tuple[Array, Array]:
     """Return the standard deviations (R, C) of filtered positions and of raw ones.
 
-    The noise of the image at rest is in the displacement too, with the other sign: what both
-    filters leave of it cancels in their sum. Of the noise at rest it is what the corners' sigma
-    tells, and no more than its share of the noise of the displacement.
+    The noise of the image at rest is also in the displacement, with the opposite sign, so that the
+    parts that both filters leave cancel in the sum. Its size is given by the sigma of the corners,
+    and is at most its share of the noise of the displacement.
     """
     before, after = (np.square(grid.sigma, dtype=np.float64) for grid in (rest, now))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -71,7 +73,7 @@ def _deviations(start: Filtered, change: Filtered, rest: Grid, now: Grid) -> tup
 
 
 def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
-    """Return the grid with other positions, and that sigma where it is known."""
+    """Return the grid with other positions, and with their sigma where that is known."""
     return dataclasses.replace(
         grid,
         xy=values.astype(np.float32),
