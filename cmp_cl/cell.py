@@ -96,6 +96,8 @@ def estimate_blur(image: GreyImage, cells: Cells) -> float:
     """
     import cv2
 
+    if not image.size:
+        return 0.0
     slopes = []
     for part, band in _bands(image):
         grey = part.astype(np.float32)

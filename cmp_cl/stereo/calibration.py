@@ -78,7 +78,8 @@ def calibrate_camera(
     A view may show part of the board, and the views may be numbered differently. Each node has
     the weight 1 / (sigma^2 + t^2). t^2 is the variance that the residuals have beyond the sigmas of
     the nodes: on a board that is not exact, certain nodes err as much as uncertain ones.
-    spacing: side of a square, in any unit. image_size: (width, height), px.
+
+    grids: one a view. spacing: side of a square, in any unit. image_size: (width, height), px.
     free_board: whether the board may be bent or inexact. Its nodes are then found too; its overall
         size is that of the flat board. This needs at least four views, in which equal indices are
         the same node. Views of a board whose rows and columns add up to an odd number are turned

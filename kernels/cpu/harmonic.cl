@@ -146,7 +146,7 @@ ROW_LOOP int peaks_of_row(__global const short *restrict above,
       const short before = above[k] > left[k] ? above[k] : left[k];
       const short behind = below[k] > right[k] ? below[k] : right[k];
       const short r = response[k]; /* three comparisons: the larger of two bounds takes 32 bits */
-      const short peak = (r > before) & (r >= behind) & (r > LEAST) ? r : (short)0;
+      const short peak = ((r > before) & (r >= behind) & (r > LEAST)) ? r : (short)0;
       kept[k] = peak;
       any = (ushort)(any | (ushort)peak);
     }
