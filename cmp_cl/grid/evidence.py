@@ -151,8 +151,8 @@ def grey(image: GreyImage, at: Points) -> Float:
     An image that is not contiguous takes longer: it is copied.
     """
     rows, columns = image.shape
-    x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1)
-    y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1)
+    x = np.rint(at.real).clip(0, columns - 1)
+    y = np.rint(at.imag).clip(0, rows - 1)
     level: Float = image.take((y * columns + x).astype(np.int64)).astype(np.float64)
     return level
 
