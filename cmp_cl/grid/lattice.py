@@ -210,10 +210,7 @@ def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
     child, parent, place = b, a, step  # a is the lower of the two
     while len(child):
         root[child], node[child] = parent, place  # of several parents the last holds
-        while True:  # pointer jumping
-            higher = root[root]
-            if (higher == root).all():
-                break
+        while np.count_nonzero((higher := root[root]) != root):  # pointer jumping
             node += node[root]
             root = higher
         off = node[a] + step - node[b]
