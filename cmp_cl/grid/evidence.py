@@ -193,8 +193,8 @@ def _convincing(
     guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK.value
     beside = (inward < 0) | ((inward < EDGE_PIXELS) & (guessed | (off > EDGE_OFF)))
     beside |= (inward < EDGE_CELLS * cell) & (off > EDGE_OFF_CELLS * cell)
-    kept: Mask = known & np.where(in_cell, fits(USUAL, near), fits(ALONE, np.zeros(1))) & ~beside
-    return kept
+    kept: Mask = known & fits(USUAL, near) & ~beside
+    return kept if in_cell.all() else kept & (in_cell | fits(ALONE, np.zeros(1)))
 
 
 def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[int, ...]) -> Float:
