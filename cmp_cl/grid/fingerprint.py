@@ -62,7 +62,7 @@ class Fingerprint(NamedTuple):
     def power(self) -> float:
         """Return the mean square of the errors, cells^2."""
         squares = float(np.vdot(self.error, self.error).real)  # 0 where unknown
-        return squares / max(np.count_nonzero(self.known), 1)
+        return squares / max(int(np.count_nonzero(self.known)), 1)
 
     @property
     def pixels(self) -> float:
@@ -110,7 +110,7 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
     deviation = math.sqrt(max(now.power * rest.power, 1e-30) / 2)  # of the product of two errors
     for quarters in turns:
         error, known = turned_lines(now.error, quarters), turned_lines(now.known, quarters)
-        count = max(np.count_nonzero(known & rest.known), 1)
+        count = max(int(np.count_nonzero(known & rest.known)), 1)
         agreed = float((np.vdot(error, rest.error) * 1j**quarters).real)
         scores.append(agreed / (deviation * math.sqrt(count)))
         common.append(agreed / count)
