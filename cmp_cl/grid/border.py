@@ -1,7 +1,7 @@
 """The border of a pattern: the sides on which it ends in the view."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,18 +113,18 @@ def border_of(nodes: Nodes, image: GreyImage) -> Border:
     """
     if min(nodes.at.shape) < 2:
         return Border()
-    lines = _outer(nodes.at, NOWHERE)
-    ended = _ends_at(nodes, lines, image, BEYOND, BEYOND + 0.25)
+    squares = _squares(nodes.at)
+    ended = _ends_at(nodes, squares, image, BEYOND, BEYOND + 0.25)
     if not any(ended):
         return Border()
-    reach = _reaches(nodes, lines, ended, image)
+    reach = _reaches(nodes, squares, ended, image)
     return Border(reach, _past(nodes, image, reach))
 
 
-def _reaches(nodes: Nodes, lines: Points, ended: Sides, image: GreyImage) -> FourSides:
+def _reaches(nodes: Nodes, squares: Points, ended: Sides, image: GreyImage) -> FourSides:
     """Return how far the squares before the last nodes of those sides reach, cells.
 
-    lines: as of `_outer`. A square ends where its contrast to the one beside it does. How far
+    squares: as of `_squares`. A square ends where its contrast to the one beside it does. How far
     the two reach is the sum of that contrast over depths, as a share of that between the last
     two lines of nodes. What is seen of the squares beyond, in which black and white change
     places, counts too. NaN where they do not reach equally far.
@@ -132,7 +132,7 @@ def _reaches(nodes: Nodes, lines: Points, ended: Sides, image: GreyImage) -> Fou
     side, first = _pairs(nodes.there)
     asked = np.array(ended)[side]
     side, first = side[asked], first[asked]
-    middle, out, along = _squares(lines, side[:, None], first[:, None] + [0, 1])
+    middle, out, along = squares[:, side[:, None], first[:, None] + [0, 1]]
     shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
     middle, out, along = (each[shown, :, None] for each in (middle, out, along))
     depths = np.concatenate([[-0.5], DEPTHS])
@@ -197,16 +197,17 @@ def _sampled(shown: Mask, most: int) -> tuple[Index, Index]:
     return side, place - side * shown.shape[1]
 
 
-def _squares(lines: Points, side: Index, first: NDArray[Any]) -> tuple[Points, Points, Points]:
-    """Return the middle of the sides that squares have on the last line, and the steps out of
-    the pattern and along it, px.
+def _squares(at: Points) -> Points:
+    """Return the middle of the side that each last square has on the last line, and the steps
+    out of the pattern and along it, px.
 
-    lines: as of `_outer`. first: the node on the line that a square begins at.
+    at: (R, C), at least two of each. Returns (3, 4, L - 1), by side, then by the node on the
+    line that a square begins at; L as of `_outer`.
     """
-    one, inner = lines[:, side, first]
-    other, inner_other = lines[:, side, first + 1]
-    middle = (one + other) / 2
-    return middle, middle - (inner + inner_other) / 2, other - one
+    lines = _outer(at, NOWHERE)
+    one, other = lines[..., :-1], lines[..., 1:]
+    middle, inner = (one + other) / 2
+    return np.stack([middle, middle - inner, other[0] - one[0]])
 
 
 def common_reach(reach: Float, columns: int) -> float:
@@ -227,9 +228,9 @@ def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
     at, across = nodes.at, nodes.at.T
     cut = [_cut(way, image) for way in (at, at[::-1], across, across[::-1])]
     if any(cut) and min(at.shape) > 1:
-        lines = _outer(at, NOWHERE)
+        squares = _squares(at)
         for depth in JUST_BEYOND:
-            ended = _ends_at(nodes, lines, image, depth, depth + 0.05)
+            ended = _ends_at(nodes, squares, image, depth, depth + 0.05)
             cut = [hidden and not end for hidden, end in zip(cut, ended, strict=True)]
     return Sides(*cut)
 
@@ -264,14 +265,14 @@ def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
     return top, bottom, left, right
 
 
-def _ends_at(nodes: Nodes, lines: Points, image: GreyImage, depth: float, shown: float) -> Sides:
+def _ends_at(nodes: Nodes, squares: Points, image: GreyImage, depth: float, shown: float) -> Sides:
     """Return the sides on which there are no cells that many cells from the last nodes.
 
-    lines: as of `_outer`. depth: cells. shown: the image must reach that far, cells, or the side is
-        left out.
+    squares: as of `_squares`. depth: cells. shown: the image must reach that far, cells, or the
+        side is left out.
     """
     side, first = _ends(nodes.there)
-    middle, out, along = _squares(lines, side, first)
+    middle, out, along = squares[:, side, first]
     sign = 1 - 2 * (first % 2)
     far: Points = middle + shown * out
     seen = _inside(far, image)

@@ -151,8 +151,8 @@ def grey(image: GreyImage, at: Points) -> Float:
     An image that is not contiguous takes longer: it is copied.
     """
     rows, columns = image.shape
-    x = np.minimum(np.maximum(np.rint(at.real), 0), columns - 1)
-    y = np.minimum(np.maximum(np.rint(at.imag), 0), rows - 1)
+    x = np.rint(at.real).clip(0, columns - 1)
+    y = np.rint(at.imag).clip(0, rows - 1)
     level: Float = image.take((y * columns + x).astype(np.int64)).astype(np.float64)
     return level
 
@@ -190,11 +190,11 @@ def _convincing(
         )
 
     # Its rings reach outside the image.
-    guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK
+    guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK.value
     beside = (inward < 0) | ((inward < EDGE_PIXELS) & (guessed | (off > EDGE_OFF)))
     beside |= (inward < EDGE_CELLS * cell) & (off > EDGE_OFF_CELLS * cell)
-    kept: Mask = known & np.where(in_cell, fits(USUAL, near), fits(ALONE, np.zeros(1))) & ~beside
-    return kept
+    kept: Mask = known & fits(USUAL, near) & ~beside
+    return kept if in_cell.all() else kept & (in_cell | fits(ALONE, np.zeros(1)))
 
 
 def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[int, ...]) -> Float:
@@ -226,13 +226,13 @@ def _cosine(
 ) -> Float:
     """Return the smaller |cos| of the angles between a corner's two lines and the steps, or NaN."""
     owner = nodes.owner[row, column]
-    angle = edges[owner].astype(np.float64)
+    angle = edges[owner].T.astype(np.float64, order="C")
     lines = np.exp(1j * angle)
-    lines = lines[:, :2] - lines[:, 2:]
+    lines = lines[:2] - lines[2:]
     level = (nodes.parity + row + column) % 2 == 0  # e0 and e2 lie along the row
-    steps = np.stack([np.where(level, along, down), np.where(level, down, along)], axis=1)
+    steps = np.where(level, (along, down), (down, along))
     size = np.abs(lines) * np.abs(steps)
     cosine = np.abs((lines * steps.conj()).real) / np.maximum(size, 1e-9)
-    least: Float = cosine.min(axis=1)
+    least: Float = cosine.min(axis=0)
     least[owner < 0] = np.nan
     return least

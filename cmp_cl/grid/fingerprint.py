@@ -59,10 +59,15 @@ class Fingerprint(NamedTuple):
         return _kept(rest.shape, rest.xy.dtype, rest.xy.tobytes(), rest.status.tobytes())
 
     @property
+    def power(self) -> float:
+        """Return the mean square of the errors, cells^2."""
+        squares = float(np.vdot(self.error, self.error).real)  # 0 where unknown
+        return squares / max(int(np.count_nonzero(self.known)), 1)
+
+    @property
     def pixels(self) -> float:
         """Return the root mean square of the errors per axis, px."""
-        squares = (np.abs(self.error) ** 2).sum() / max(np.count_nonzero(self.known), 1)
-        return self.cell * float(np.sqrt(squares / GAIN / 2))
+        return self.cell * math.sqrt(self.power / GAIN / 2)
 
 
 @functools.lru_cache(maxsize=4)
@@ -87,10 +92,10 @@ def _rough(at: Points) -> tuple[Points, Points]:
 
     beside = near(0, -1) + near(0, 1) + near(-1, 0) + near(1, 0)
     beyond = near(0, -2) + near(0, 2) + near(-2, 0) + near(2, 0)
-    step = (near(0, 1) - near(0, -1)) / 2
+    step = 0.5 * (near(0, 1) - near(0, -1))
     step[~(np.abs(step) > 1e-6)] = NOWHERE
     with np.errstate(invalid="ignore"):  # NaN over NaN
-        return (near(0, 0) - (4 * beside - beyond) / 12) / step, step
+        return (near(0, 0) - (beside - 0.25 * beyond) * (1 / 3)) / step, step
 
 
 def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | None:
@@ -102,16 +107,12 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
     """
     scores: list[float] = []
     common: list[float] = []
-    square, square_at_rest = (np.abs(each.error) ** 2 for each in (now, rest))  # 0 where unknown
-    share, share_at_rest = (each.known.astype(np.float64) for each in (now, rest))
+    deviation = math.sqrt(max(now.power * rest.power, 1e-30) / 2)  # of the product of two errors
     for quarters in turns:
-        error, squared, known = (
-            turned_lines(each, quarters) for each in (now.error, square, share)
-        )
-        count = max(float(np.vdot(known, share_at_rest)), 1)
+        error, known = turned_lines(now.error, quarters), turned_lines(now.known, quarters)
+        count = max(int(np.count_nonzero(known & rest.known)), 1)
         agreed = float((np.vdot(error, rest.error) * 1j**quarters).real)
-        power = np.vdot(squared, share_at_rest) * np.vdot(known, square_at_rest)
-        scores.append(agreed / math.sqrt(max(float(power), 1e-30) / 2 / count))
+        scores.append(agreed / (deviation * math.sqrt(count)))
         common.append(agreed / count)
     best = int(np.argmax(scores))
     second = max(score for place, score in enumerate(scores) if place != best)

@@ -126,7 +126,7 @@ def drop_misfits(nodes: Nodes) -> None:
 
 def _near_changes(nodes: Nodes) -> tuple[Index, Index]:
     """Return rows and columns of the nodes whose misfit may have changed."""
-    seen = nodes.status != NodeStatus.MISSING
+    seen = nodes.there
     rows, columns = seen.shape
     if not nodes.changed.all():
         near = np.zeros((rows + 6, columns + 6), np.bool_)
@@ -161,7 +161,7 @@ def _expected(nodes: Nodes, least: float) -> tuple[Index, Index, Points, Float, 
     Returns rows, columns, predictions, their weights, cells, and the direction in which the
     boundaries e0 and e2 should lie.
     """
-    missing = np.flatnonzero(nodes.status == NodeStatus.MISSING)
+    missing = np.flatnonzero(~nodes.there)
     row, column = np.divmod(missing, nodes.at.shape[1])
     if not len(row):
         return row, column, nodes.at[:0, 0], np.zeros(0), np.zeros(0), nodes.at[:0, 0]
@@ -288,7 +288,7 @@ def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask
 
 def _interpolate(nodes: Nodes) -> None:
     """Fill missing nodes between measured neighbours, inside the pattern only."""
-    seen = nodes.status != NodeStatus.MISSING
+    seen = nodes.there
     if seen.all():
         return
     inside = np.ones_like(seen)

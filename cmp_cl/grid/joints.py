@@ -71,7 +71,7 @@ def _hang_together(along: Steps, down: Steps) -> bool:
 
 
 def _square(step: Steps) -> NDArray[np.float32]:
-    return step.real**2 + step.imag**2
+    return np.abs(step) ** 2
 
 
 class _Cells(NamedTuple):

@@ -127,8 +127,8 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
     """
     length = np.abs(step)
     step = step * (1 / np.maximum(length, np.float32(1e-6)))
-    k, cos_ahead = _boundary(lines, first, step)
-    m, cos_back = _boundary(lines, second, -step)
+    k, cos_ahead = _boundary(lines.take(first, axis=1), step)
+    m, cos_back = _boundary(lines.take(second, axis=1), -step)
     fits = (cos_ahead > COSINE) & (cos_back > COSINE) & ((k ^ m) & 1 == 1)
     kept = np.flatnonzero(fits)
     half = 4 * first.take(kept) + k.take(kept)
@@ -141,12 +141,10 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
     return half[chosen], other[chosen]
 
 
-def _boundary(
-    lines: Complex, corner: Index, way: Complex
-) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+def _boundary(lines: Complex, way: Complex) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
     """Return the number of the boundary nearest to the direction `way`, and the cosine between
-    them."""
-    even, odd = (lines.take(corner, axis=1) * way.conj()).real
+    them, of corners with those lines, (2, N)."""
+    even, odd = (lines * way.conj()).real
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd = size_odd > size_even
     behind = (odd < 0) & is_odd | (even < 0) & ~is_odd
@@ -199,7 +197,7 @@ def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
     corners = lines.shape[1]
     squared = lines[0] * lines[0]
     axis = np.full(1, complex((squared * squared).mean()) ** 0.25, np.complex64)
-    ahead, _ = _boundary(lines, np.arange(corners), axis)
+    ahead, _ = _boundary(lines, axis)
     quarter = -ahead & 3
     a, b = half >> 2, other >> 2
     way = (quarter[a] + half) & 3
@@ -210,10 +208,7 @@ def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
     child, parent, place = b, a, step  # a is the lower of the two
     while len(child):
         root[child], node[child] = parent, place  # of several parents the last holds
-        while True:  # pointer jumping
-            higher = root[root]
-            if (higher == root).all():
-                break
+        while np.count_nonzero((higher := root[root]) != root):  # pointer jumping
             node += node[root]
             root = higher
         off = node[a] + step - node[b]

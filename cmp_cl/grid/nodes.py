@@ -47,7 +47,7 @@ class Nodes:
     @property
     def there(self) -> Mask:
         """Return (R, C) bool, True where there is a node."""
-        return np.not_equal(self.status, NodeStatus.MISSING)
+        return np.not_equal(self.status, NodeStatus.MISSING.value)  # twice as fast
 
     def put(self, row: Index, column: Index, at: Points, status: Any) -> None:
         self.at[row, column] = at

@@ -241,6 +241,14 @@ def test_the_errors_of_a_print_tell_how_a_square_pattern_has_turned(quarters):
     assert turn_to(at_rest, flawless, [2, 0, 3, 1]) is None
 
 
+def test_the_errors_of_another_print_tell_no_turn():
+    place = 40 * np.add.outer(1j * np.arange(12), np.arange(12))
+    draw = np.random.default_rng(0)
+    errors = draw.normal(0, 2, (10, 2, 12, 12)) + 1j * draw.normal(0, 2, (10, 2, 12, 12))
+    prints = [[Fingerprint.of(place + each) for each in pair] for pair in errors]
+    assert [turn_to(rest, now, [0, 1, 2, 3]) for rest, now in prints] == [None] * 10
+
+
 def test_errors_of_a_camera_that_look_the_same_after_half_a_turn_are_no_print():
     row, column = np.indices((12, 12))
     place = 10 * (column + 1j * row)
