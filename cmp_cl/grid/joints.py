@@ -3,8 +3,8 @@
 A cell that closes by chance can link a board to squares behind it, or two parts of a torn
 pattern by wrong numbers. The steps tell: on one pattern they change little from one cell to the
 next, and where it is bent they go on changing as they did. So cells whose steps agree with those
-of a cell nearby belong together. What is linked to them
-only through cells that do not agree is another lattice.
+of a cell nearby belong together. What is linked to them only through cells that do not agree is
+another lattice.
 """
 
 from typing import NamedTuple

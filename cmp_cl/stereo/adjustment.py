@@ -150,8 +150,8 @@ def _system(
     parameters: Array,
     poses: list[Array],
 ) -> tuple[float, Any]:
-    """Return the cost, and a function that returns the steps of the parameters and of each pose, and
-    the normal matrix of the parameters alone."""
+    """Return the cost, and a function that returns the steps of the parameters and of each pose,
+    and the normal matrix of the parameters alone."""
     cost = 0.0
     parts = []
     for view, weight, pose in zip(views, weights, poses, strict=True):

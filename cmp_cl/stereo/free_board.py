@@ -78,9 +78,11 @@ def adjust_board(
     nodes: for each view, the indices (N,) into `board` (P, 3) of its nodes. start: like
         `Adjusted.parameters`. spacing: side of a square, in the unit of the board. A spring draws
         each node to its nominal position, with a standard deviation of a tenth of a square. Against
-        many residuals of a tenth of a pixel it only determines what the views leave open: the size, the
-        position and the orientation of the board. Returns the cameras and the nodes (P, 3). Raises
-        CalibrationError if fewer than four views are given.
+        many residuals of a tenth of a pixel it only determines what the views leave open: the size,
+        the position and the orientation of the board.
+
+    Returns the cameras and the nodes (P, 3). Raises CalibrationError if fewer than four views are
+    given.
     """
     if len(views) < LEAST_VIEWS:
         raise CalibrationError(
