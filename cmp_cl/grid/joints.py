@@ -20,7 +20,7 @@ Steps = NDArray[np.complex64]
 
 ALIKE = 0.25  # of the steps: how much those of two cells of one pattern differ at most
 OFF = 0.15  # of the steps: how far a cell may be from where they lead from the other
-BENT = 0.3  # of the steps: how much their change may differ from that on either side
+BENT = 0.3  # of the steps: how much their change may differ from the one before and the one after
 CONTACTS = 3  # pairs of cells that show a bend between two parts
 REACH = 2  # cells to every side, some of which may be lost
 LEAST = 4  # cells that may be another pattern
