@@ -56,10 +56,10 @@ def build_grid(
 ) -> Grid:
     """Number the corners of a checkerboard by row and column (section 4.3 of the paper).
 
-    image: the view, (H, W) uint8 or uint16. There missing nodes are looked for again, as are
-        torn ones that lie far from where their neighbours say; nodes at the rim must look like
-        corners of the pattern, and the pattern's border is seen. Without it nothing of this is
-        done.
+    image: the view, (H, W) uint8 or uint16. Missing nodes are looked for again there, and torn ones
+        that are far from where their neighbours predict them. Nodes at the rim must look like
+        corners of the pattern, and the border of the pattern is found. None of this is done without
+        the image.
     shape: rows and columns of the pattern's inner corners. The grid then has this shape. If fewer
         are seen, the borders in view decide which part it is; if more are seen, the grid is the
         fullest window of this shape. Without it, the grid has the rows and columns that are seen.
