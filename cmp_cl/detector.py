@@ -429,10 +429,11 @@ def choose_config(
 ) -> DetectorConfig:
     """Choose the settings for an image, (H, W) uint8 or uint16, by what they find in it.
 
-    The radius and the working scale of `DetectorConfig.for_image` suit the cells. These settings are
-    chosen if they find the corners that `DetectorConfig()` finds, else `DetectorConfig()`, which
-    needs no size: for example for a small board before wide shapes. If the corners are closer
-    together than the estimated cell, the radius of the refinement is set from their distance.
+    The radius and the working scale of `DetectorConfig.for_image` suit the cells. These settings
+    are chosen if they find the corners that `DetectorConfig()` finds, else `DetectorConfig()`,
+    which needs no size: for example for a small board before wide shapes. If the corners are
+    closer together than the estimated cell, the radius of the refinement is set from their
+    distance.
 
     full_scale: as in DetectorConfig. device: as Detector takes it.
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid import evidence
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 from cmp_cl.grid.predict import (
     REACHED,
     beside_missing,
@@ -20,7 +20,9 @@ from cmp_cl.grid.whole_edges import along_edges
 from cmp_cl.image import GreyImage
 
 NEAR = 0.3  # cells: largest distance of a node from its prediction
-ASTRAY = 0.1  # cells: a torn node that is farther from its prediction is looked for again
+ASTRAY = 0.1  # cells: a torn node that is farther from its prediction is looked for again,
+OUTLYING = 3.5  # if it is farther by this factor than nodes of its frame usually are
+USUAL = 25  # so many nodes show what is usual
 WIDEST = 18.0  # px: in wider cells a torn corner's own image is worth more than its neighbours
 ALONG = 0.25  # cells: how far from its prediction its edges may put it
 APART = 0.4  # cells: if a node is nearer to another, the second look found a corner twice
@@ -240,7 +242,11 @@ def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> 
 
 def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
     """Put nodes where their whole edges meet: those that are missing, and torn ones that are far
-    from a well supported prediction. Return whether any was missing."""
+    from a well supported prediction. Return whether any was missing.
+
+    A node that is moved shares the errors of its neighbours, which no filter can remove. On a worn
+    print all nodes lie off their predictions, and only the outliers among them are moved.
+    """
     asked = (torn & nodes.astray)[nodes.owner]  # missing nodes and those of a second look too
     row, column = np.divmod(np.flatnonzero(asked), nodes.at.shape[1])
     if not len(row):
@@ -248,7 +254,8 @@ def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
     expected, weight = predict(nodes.at, row, column)
     cell = mean_steps(nodes.at, row, column)[2]
     off = np.abs(nodes.at[row, column] - expected)
-    settled = (off <= ASTRAY * cell) | ((cell > WIDEST) & ~np.isnan(off))
+    settled = off <= np.maximum(ASTRAY * cell, OUTLYING * _usual(nodes.at))
+    settled |= (cell > WIDEST) & ~np.isnan(off)
     left = np.flatnonzero((weight >= STRONG) & ~settled)
     if not len(left):
         return False
@@ -260,6 +267,13 @@ def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
     nodes.put(row, column, found, NodeStatus.SECOND_LOOK)
     nodes.owner[row, column] = -1
     return bool(missing.any())
+
+
+def _usual(at: Points) -> float:
+    """Return the median distance of nodes from their predictions, px; 0 if few nodes show it."""
+    off = np.abs(at - predict_within(at))
+    off = off[~np.isnan(off)]
+    return median(off) if len(off) >= USUAL else 0.0
 
 
 def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask:

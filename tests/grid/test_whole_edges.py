@@ -16,17 +16,17 @@ SIZE = 9  # inner corners a side
 TORN = (4, 5)  # row, column
 
 
-def picture(cell, tear=0):
-    """Return a blurred checkerboard with SIZE x SIZE corners, a white disc torn into one of them,
-    and the corners (SIZE, SIZE), complex px."""
-    fine, side = 4, cell * (SIZE + 1)
+def picture(cell, tear=0, size=SIZE):
+    """Return a blurred checkerboard with size x size corners, a white disc torn into one of them,
+    and the corners (size, size), complex px."""
+    fine, side = 4, cell * (size + 1)
     y, x = (np.mgrid[: fine * side, : fine * side] + 0.5) / (fine * cell)
     grey = np.where((np.floor(x) + np.floor(y)) % 2 == 0, 40.0, 200.0)
     row, column = np.array(TORN) + 1
     grey[np.hypot(x - column, y - row) * cell < tear] = 200
     small = cv2.resize(grey, (side, side), interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(np.pad(small, cell, constant_values=120), (0, 0), 0.8)
-    column, row = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
+    column, row = np.meshgrid(np.arange(size), np.arange(size))
     return np.rint(small).astype(np.uint8), (column + 1j * row + 2 + 2j) * cell - 0.5 - 0.5j
 
 
@@ -130,3 +130,29 @@ def test_a_corner_whose_refinement_was_refused_counts_as_torn():
     refusal[moved] = cmp_cl.Refusal.SHIFT
     torn = dataclasses.replace(found, xy=xy, refusal=refusal)
     assert build_grid(torn, image, shape=(SIZE, SIZE)).status[TORN] == NodeStatus.SECOND_LOOK
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_only_outliers_among_the_corners_of_a_worn_print_are_moved(seed):
+    size = 20
+    image, corners = picture(12, size=size)
+    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
+    scatter = np.random.default_rng(seed).normal(0, 0.35, found.xy.shape)
+    moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
+    scatter[moved] = 2.2, 2.2
+    xy = (found.xy + scatter).astype(np.float32)
+    worn = dataclasses.replace(found, xy=xy, sigma=np.full_like(found.sigma, np.nan))
+    status = build_grid(worn, image, shape=(size, size)).status
+    assert status[TORN] == NodeStatus.SECOND_LOOK
+    assert np.count_nonzero(status != NodeStatus.DETECTED) < 5
+
+
+def test_the_only_node_with_all_its_neighbours_does_not_count_as_usual():
+    image, corners = picture(12, size=7)
+    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
+    moved = np.abs(found.xy @ [1, 1j] - corners[3, 3]).argmin()
+    xy, sigma = found.xy.copy(), found.sigma.copy()
+    xy[moved] += 1.7
+    sigma[moved] = np.nan
+    torn = dataclasses.replace(found, xy=xy, sigma=sigma)
+    assert build_grid(torn, image, shape=(7, 7)).status[3, 3] == NodeStatus.SECOND_LOOK
