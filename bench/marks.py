@@ -1,4 +1,4 @@
-"""Corners that marks in the cells look like, before and after `drop_marks`.
+"""Counts the false corners that marks in the cells cause, before and after `drop_marks`.
 
     python bench/marks.py --quick       a third of the boards, a few seconds
     python bench/marks.py               writes results/marks.json, about ten seconds

@@ -7,7 +7,7 @@ Rendered boards before a plain ground, squares, keys, bars and noise, with and w
 rendered patterns that a mirror continues: along a line of cells, nearly so, anywhere, and along a
 diagonal; worn prints and perfect ones; alone, and like a frame at rest without the mirror. The
 same views without the mirror show false alarms. An answer is wrong if one of its nodes is no
-corner of the pattern itself or has a wrong number, and wrong in silence if it does not say so.
+corner of the pattern itself or has a wrong number. It is silently wrong if it carries no warning.
 """
 
 import argparse
@@ -120,7 +120,7 @@ def board(seed: int) -> tuple[str, View]:
 
 
 def board_verdict(view: View, answer: Found) -> str:
-    """Return whether the nodes are the board's, `background` where none is."""
+    """Return the verdict on the nodes; `background` if none of them is the board's."""
     if not len(answer.xy):
         return "refused"
     away = np.linalg.norm(answer.xy[:, None] - view.truth[None, :, :2], axis=2)
@@ -229,7 +229,7 @@ def picture(case: Case, mirror: Mirror | None, seed: int) -> GreyImage:
 
 
 def mirror_verdict(case: Case, mirror: Mirror | None, grid: Grid | None, rest: Grid | None) -> str:
-    """Return whether the nodes are the pattern's own, with the numbers that they have at rest."""
+    """Return the verdict: are the nodes the pattern's own, with their numbers at rest?"""
     if grid is None or not grid.valid.any():
         return "refused"
     number, corner, real = _numbers(case, mirror, grid)

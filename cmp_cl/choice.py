@@ -22,8 +22,8 @@ def choose_by_corners(
     """Choose between the settings for any cell and `DetectorConfig.for_image`.
 
     The surround of a small board can look like wide cells. So the estimated settings are used only
-    if they find the corners that the settings for any cell find, and the estimated cell only if the
-    corners are so far apart.
+    if they find the corners that the settings for any cell find. The estimated cell is used only if
+    the corners are about that far apart.
 
     image: (H, W). full_scale: as in `DetectorConfig`. find: returns the corners of the image for a
         configuration.

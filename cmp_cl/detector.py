@@ -429,10 +429,11 @@ def choose_config(
 ) -> DetectorConfig:
     """Choose the settings for an image, (H, W) uint8 or uint16, by what they find in it.
 
-    They are `DetectorConfig.for_image`, whose radius and working scale suit the cells, where they
-    find the corners that `DetectorConfig()` finds. Else they are `DetectorConfig()`, which needs
-    no size: a small board before a background of wide shapes is an example. If the corners lie
-    closer together than the estimated cells, the refinement's radius is that for corners so near.
+    The radius and the working scale of `DetectorConfig.for_image` suit the cells. These settings
+    are chosen if they find the corners that `DetectorConfig()` finds, else `DetectorConfig()`,
+    which needs no size: for example for a small board before wide shapes. If the corners are
+    closer together than the estimated cell, the radius of the refinement is set from their
+    distance.
 
     full_scale: as in DetectorConfig. device: as Detector takes it.
 

@@ -1,4 +1,4 @@
-"""VTK's PolyData: nodes of a grid, and the quadrilaterals between them."""
+"""Writes the nodes of a grid, and the quadrilaterals between them, as VTK's PolyData."""
 
 import base64
 import struct
@@ -27,7 +27,8 @@ def polydata(
 ) -> str:
     """Return the text of a .vtp file.
 
-    points: (N, 3). quads: (Q, 4). columns: (N,) or (N, K) each, `displacement` among them.
+    points: (N, 3). quads: (Q, 4). columns: the values at the points by name, (N,) or (N, K) each;
+    one of them is `displacement`.
     """
     data = "".join(_array(name, values) for name, values in columns.items())
     ends = np.arange(4, 4 * len(quads) + 1, 4, dtype=np.int32)

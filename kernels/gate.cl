@@ -19,9 +19,10 @@ __kernel void clear_bins(__global uint *restrict counted, __global uint *restric
   bins[p * BINS + get_global_id(0)] = 0;
 }
 
-/* Contrast of the inner ring, the smaller one of both rings and the difference of the sector
- * means in eighths of twice a grey level, for any number of runs from two on; the inner contrasts
- * are counted by their highest eight bits. One work-item per candidate; only maxima count. */
+/* The contrast of the inner ring, the smaller contrast of the two rings, and the difference of the
+ * sector means in sixteenths of a grey level. There may be any number of runs from two on. The
+ * histogram counts the inner contrasts by their highest eight bits. One work-item per candidate;
+ * only maxima count. */
 __kernel void sector_contrast(__global const PIXEL *restrict image,
                               __global const uchar *restrict binary,
                               __global const uint *restrict list,

@@ -122,7 +122,7 @@ bool no_stripe(const Harmonics inner, const Harmonics outer) {
   return 8 * outer.centre * all <= outer.length * (11 * all + 8 * along);
 }
 
-/* Whether a pixel is the largest of its window; of equals it is the earlier one. */
+/* Whether a pixel is the largest of its window; of equals, the earlier one is. */
 bool is_maximum(__global const short *response, const size_t p, const int x, const int y,
                 const uint rows, const uint step) {
   const short r = response[ROW(p, y) + x];
@@ -281,8 +281,8 @@ __kernel void sum_squares(__global const uint *restrict counts, __global const i
   squares[p * BINS + bin] = sum;
 }
 
-/* The reference: sorted downwards, the first response at which twice the sum of the squares so far
- * reaches the sum of all; 0 of none. One work-item per frame. */
+/* The reference: of the responses in descending order, the first at which twice the sum of the
+ * squares so far reaches the sum of all; 0 if there are none. One work-item per frame. */
 __kernel void find_reference(__global const ulong *restrict squares, const uint bins,
                              const uint span, __global Decision *restrict found) {
   const size_t p = get_global_id(0);

@@ -14,7 +14,7 @@ from cmp_cl.image import GreyImage
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
 JUST_BEYOND = (0.8, 1.1, 1.2)  # cells: late in the first squares beyond, early in the second
 HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the image may be missed
-FLAT = 0.3  # share of the contrast of the cells before; with less there are no cells beyond
+FLAT = 0.3  # share of the contrast of the last cells: below it, no cells follow
 # Cells from a square's middle: points at which its grey level is sampled.
 SPOTS = np.array([-0.15, 0.0, 0.15])
 MOST = 23  # most squares of a side that are examined; odd, so that equal steps reach both colours
@@ -158,7 +158,7 @@ def _reaches(nodes: Nodes, squares: Points, ended: Sides, image: GreyImage) -> F
 def _outer(at: NDArray[Entry], nothing: complex) -> NDArray[Entry]:
     """Return the last line of nodes of each side and the one before it, (2, 4, L).
 
-    at: (R, C), at least two of each; L is the larger. The shorter lines are filled up.
+    at: (R, C), at least two of each; L is the larger. Shorter lines are filled with `nothing`.
     """
     lines = np.full((2, 4, max(at.shape)), nothing, at.dtype)
     for number, way in enumerate((at, at[::-1], at.T, at.T[::-1])):
@@ -175,7 +175,10 @@ def _pairs(there: Mask) -> tuple[Index, Index]:
 
 @for_film
 def _ends(there: Mask) -> tuple[Index, Index]:
-    """Return the same of some squares; of none where less than half of the lines end there."""
+    """Return the sides of some squares, and the first nodes on them.
+
+    A side at which less than half of the lines end has none.
+    """
     seen = np.logical_and(*_outer(there, False))
     square = seen[:, 1:] & seen[:, :-1]
     across, down = (np.count_nonzero(there.any(axis)) for axis in (0, 1))
@@ -184,7 +187,7 @@ def _ends(there: Mask) -> tuple[Index, Index]:
 
 
 def _sampled(shown: Mask, most: int) -> tuple[Index, Index]:
-    """Return the sides and the places on them, evenly spread, of some that are True.
+    """Return the sides and the indices on them, evenly spread, of some entries that are True.
 
     shown: (4, L), by side. most: of each side.
     """
@@ -266,7 +269,7 @@ def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
 
 
 def _ends_at(nodes: Nodes, squares: Points, image: GreyImage, depth: float, shown: float) -> Sides:
-    """Return the sides on which there are no cells that many cells from the last nodes.
+    """Return the sides on which no cells follow at a depth beyond the last nodes.
 
     squares: as of `_squares`. depth: cells. shown: the image must reach that far, cells, or the
         side is left out.

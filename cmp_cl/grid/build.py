@@ -17,7 +17,7 @@ from cmp_cl.grid.lattice import Lattice, lattice
 from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
 from cmp_cl.grid.nodes import NOWHERE, Index, Nodes, boxed, check_room
-from cmp_cl.grid.place import Placed, like_rest
+from cmp_cl.grid.numbering import Numbered, like_rest
 from cmp_cl.grid.sizes import in_shape
 from cmp_cl.image import GreyImage, check_image
 
@@ -56,10 +56,10 @@ def build_grid(
 ) -> Grid:
     """Number the corners of a checkerboard by row and column (section 4.3 of the paper).
 
-    image: the view, (H, W) uint8 or uint16. There missing nodes are looked for again, as are
-        torn ones that lie far from where their neighbours say; nodes at the rim must look like
-        corners of the pattern, and the pattern's border is seen. Without it nothing of this is
-        done.
+    image: the view, (H, W) uint8 or uint16. Missing nodes are looked for again there, and torn ones
+        that are far from where their neighbours predict them. Nodes at the rim must look like
+        corners of the pattern, and the border of the pattern is found. None of this is done without
+        the image.
     shape: rows and columns of the pattern's inner corners. The grid then has this shape. If fewer
         are seen, the borders in view decide which part it is; if more are seen, the grid is the
         fullest window of this shape. Without it, the grid has the rows and columns that are seen.
@@ -108,11 +108,11 @@ def build_grid(
         )
     found, nodes = _whole(seen, found)
     grow(nodes, seen)
-    placed, ends = _numbered(nodes, seen, found, shape=shape, like=like, previous=previous)
-    if placed is None:
+    numbered, ends = _numbered(nodes, seen, found, shape=shape, like=like, previous=previous)
+    if numbered is None:
         return _empty(len(corners), shape, like)
-    others = _others(found, placed.nodes, seen)
-    grid = _result(corners, inside, placed, ends)
+    others = _others(found, numbered.nodes, seen)
+    grid = _result(corners, inside, numbered, ends)
     if shape is None:
         grid = dataclasses.replace(grid, others=others)
     if strict and grid.doubts:
@@ -148,11 +148,11 @@ def build_grids(
         small = found.component >= np.count_nonzero(found.size >= LEAST_BOARD)
         nodes.free &= ~taken & ((found.component < 0) | small)
         grow(nodes, seen)
-        placed, ends = _numbered(nodes, seen, found, shape=shape, alone=True)
-        if placed is None or np.count_nonzero(placed.nodes.there) < least:
+        numbered, ends = _numbered(nodes, seen, found, shape=shape, alone=True)
+        if numbered is None or np.count_nonzero(numbered.nodes.there) < least:
             continue
-        taken[placed.nodes.owner[placed.nodes.owner >= 0]] = True
-        grids.append(_result(corners, inside, placed, ends))
+        taken[numbered.nodes.owner[numbered.nodes.owner >= 0]] = True
+        grids.append(_result(corners, inside, numbered, ends))
     return sorted(grids, key=lambda grid: -int(np.count_nonzero(grid.valid)))
 
 
@@ -208,7 +208,7 @@ def _numbered(
     like: Grid | None = None,
     previous: Grid | None = None,
     alone: bool = False,
-) -> tuple[Placed | None, Ended]:
+) -> tuple[Numbered | None, Ended]:
     """Return the nodes, numbered and with holes filled, and the borders; None if none is left.
 
     alone: whether other components are other boards.
@@ -218,31 +218,31 @@ def _numbered(
     if shape is not None and seen.image is not None and np.less(nodes.at.shape, shape).any():
         extend(nodes, seen)
     border = Border()  # it decides the numbers in a known shape, or those of a frame at rest
-    placing = like is not None or shape not in (None, nodes.at.shape)
-    if seen.image is not None and placing:
+    numbering = like is not None or shape not in (None, nodes.at.shape)
+    if seen.image is not None and numbering:
         border = border_of(nodes, seen.image)
     if like is not None:
-        placed = like_rest(nodes, border, like, previous)
-    elif shape is not None and placing:
+        numbered = like_rest(nodes, border, like, previous)
+    elif shape is not None and numbering:
         ends = Ends(border.sides)
         if seen.image is not None and np.less(nodes.at.shape, shape).any():
             ends = Ends(border.sides, cut_of(nodes, seen.image), border.passing)
-        placed = in_shape(nodes, found.bend, shape, ends)
+        numbered = in_shape(nodes, found.bend, shape, ends)
     else:
-        placed = Placed(nodes)
+        numbered = Numbered(nodes)
     if not alone and np.count_nonzero(found.size >= LEAST_BOARD) > 1:
-        at_rest = None if like is None else like.cut_to(_framed(placed))
-        join_islands(placed.nodes, found, seen, at_rest)
+        at_rest = None if like is None else like.cut_to(_framed(numbered))
+        join_islands(numbered.nodes, found, seen, at_rest)
     count = np.count_nonzero(nodes.there)
-    fill(placed.nodes, seen, BRACKETED if shape is None else WEAK)
-    if seen.image is None or (placing and np.count_nonzero(placed.nodes.there) == count):
-        border = border.turned(placed.quarters)
+    fill(numbered.nodes, seen, BRACKETED if shape is None else WEAK)
+    if seen.image is None or (numbering and np.count_nonzero(numbered.nodes.there) == count):
+        border = border.turned(numbered.quarters)
     else:
-        border = border_of(placed.nodes, seen.image)
-    declared = _declared(placed, border.sides, shape if like is None else None)
-    whole = all(declared) and placed.seen_shape is None and placed.nodes.at.shape == shape
-    reflected = _reflected(placed.nodes, like, whole=whole)
-    return placed, Ended(declared, border, reflected)
+        border = border_of(numbered.nodes, seen.image)
+    declared = _declared(numbered, border.sides, shape if like is None else None)
+    whole = all(declared) and numbered.seen_shape is None and numbered.nodes.at.shape == shape
+    reflected = _reflected(numbered.nodes, like, whole=whole)
+    return numbered, Ended(declared, border, reflected)
 
 
 def _reflected(nodes: Nodes, like: Grid | None, *, whole: bool) -> bool:
@@ -256,15 +256,15 @@ def _reflected(nodes: Nodes, like: Grid | None, *, whole: bool) -> bool:
     return has_seam(at) or repeats_reversed(at)
 
 
-def _framed(placed: Placed) -> Grid:
+def _framed(numbered: Numbered) -> Grid:
     """Return the grid without its nodes: its rows, columns and numbers."""
-    return dataclasses.replace(_empty(0, placed.nodes.at.shape), origin=placed.origin)
+    return dataclasses.replace(_empty(0, numbered.nodes.at.shape), origin=numbered.origin)
 
 
-def _declared(placed: Placed, border: Sides, shape: tuple[int, int] | None) -> Sides:
+def _declared(numbered: Numbered, border: Sides, shape: tuple[int, int] | None) -> Sides:
     """Return the borders of a pattern: all four if it is seen whole in a known shape."""
-    there = placed.nodes.there
-    if shape is None or placed.seen_shape is not None or not there.any():
+    there = numbered.nodes.there
+    if shape is None or numbered.seen_shape is not None or not there.any():
         return border
     top, bottom, left, right = full_lines(there)
     whole = (top, left) == (0, 0) and (bottom + 1, right + 1) == there.shape
@@ -373,8 +373,8 @@ def _box(z: NDArray[np.complex128]) -> tuple[str, float]:
     return words, float(np.ptp(x) * np.ptp(y))
 
 
-def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Grid:
-    nodes = placed.nodes
+def _result(corners: Corners, inside: Index, numbered: Numbered, ends: Ended) -> Grid:
+    nodes = numbered.nodes
     place = np.flatnonzero(nodes.owner >= 0)
     owner = inside[nodes.owner.ravel()[place]]
     index = np.full((len(corners), 2), -1, np.int32)
@@ -387,15 +387,15 @@ def _result(corners: Corners, inside: Index, placed: Placed, ends: Ended) -> Gri
         sigma=sigma,
         index=index,
         parity=nodes.parity,
-        origin=placed.origin,
+        origin=numbered.origin,
         border=ends.sides,
         reach=ends.border.reach,
         past=ends.border.past,
-        continues=placed.continues,
-        seen_shape=placed.seen_shape,
-        ambiguous=placed.ambiguous or ends.reflected,
+        continues=numbered.continues,
+        seen_shape=numbered.seen_shape,
+        ambiguous=numbered.ambiguous or ends.reflected,
         reflected=ends.reflected,
-        rival=placed.rival,
-        margin=placed.margin,
+        rival=numbered.rival,
+        margin=numbered.margin,
         edge_radius=corners.edge_radius,
     )

@@ -69,8 +69,8 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
 
 @for_film
 def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
-    """Return the nodes some of whose eight neighbours are neither there nor bracketed, which are
-    in a cell, and their stencil.
+    """Return the nodes with a neighbour, of eight, that is neither there nor bracketed, a mask of
+    those in a whole cell, and their stencil.
 
     An index is bracketed if it lies in a small hole, between nodes of its row and of its column.
     """
@@ -99,7 +99,7 @@ def _hole(seen: Mask) -> Mask:
 
 @for_film
 def _some_inside(seen: Mask) -> tuple[Index, Index]:
-    """Return some nodes, those inside the grid where there are any."""
+    """Return some nodes, all of them inside the grid if any are."""
     inner = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
     row, column = np.nonzero(inner)
     row, column = (row + 1, column + 1) if len(row) else np.nonzero(seen)
@@ -189,7 +189,7 @@ def _convincing(
             & (off <= np.maximum(least.off * cell, near))
         )
 
-    # Its rings reach outside the image.
+    # Near the edge of the image, the rings of a corner reach outside it.
     guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK.value
     beside = (inward < 0) | ((inward < EDGE_PIXELS) & (guessed | (off > EDGE_OFF)))
     beside |= (inward < EDGE_CELLS * cell) & (off > EDGE_OFF_CELLS * cell)
@@ -198,7 +198,7 @@ def _convincing(
 
 
 def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[int, ...]) -> Float:
-    """Return the typical distance of the nodes around from their predictions, px.
+    """Return the typical distance from their predictions of the nodes around each node, px.
 
     Where the surface bends away, all nodes at the rim are far from their predictions. It is
     computed only for nodes that are farther than USUAL.off; the others get 0.

@@ -1,5 +1,4 @@
-"""Growing a grid: corners that fit are attached, missing ones are searched for again, others
-dropped."""
+"""Grows a grid: attaches corners that fit, searches for missing ones again, drops misfits."""
 
 from typing import NamedTuple
 
@@ -81,8 +80,8 @@ def attach(nodes: Nodes, seen: Seen) -> None:
 
 
 def fill(nodes: Nodes, seen: Seen, least: float) -> None:
-    """Look again where predictions have at least that weight, attach, follow the edges of what is
-    torn, and interpolate."""
+    """Fill the grid: look again where predictions have at least that weight, attach corners, follow
+    the edges of torn nodes, and interpolate."""
     if seen.image is not None:
         looked = np.zeros(nodes.at.shape)
         while not nodes.there.all() and _look_again(nodes, looked, seen.image, least):

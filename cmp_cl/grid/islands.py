@@ -10,18 +10,18 @@ from cmp_cl.grid.nodes import Nodes, Points, boxed
 
 LEAST = 9  # fewest corners of an island
 OFF = 0.25  # cells: largest distance of an island's middle from its prediction
-TURNED = 0.25  # of the steps: how much its own may differ from those of its place
+TURNED = 0.25  # of the steps: how much its own may differ from those expected
 MOST = 16  # islands that are tried
 
 
 def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) -> None:
-    """Put those islands into the grid whose numbers are certain.
+    """Put the islands whose numbers are certain into the grid.
 
-    rest: the grid at rest on the rows and columns of the nodes, or None. An island's place is
-    where the grid at rest has it after the affine motion of the other nodes; without that grid
-    it is where their rows and columns meet, and they must lie on all sides of it. An island
-    whose middle is more than a quarter of a cell from its place, or whose steps differ by more
-    than a quarter, has none.
+    rest: the grid at rest on the rows and columns of the nodes, or None. With it, an island is
+    expected where the grid at rest has it after the affine motion of the other nodes. Without
+    it, an island is expected where the rows and columns of the other nodes meet, and these must
+    lie on all sides of it. An island is left out if its middle is more than a quarter of a cell
+    from there, or if its steps differ by more than a quarter from those expected.
     """
     count = int(np.count_nonzero(found.size >= LEAST))
     joined = False
@@ -82,7 +82,7 @@ def _expected(nodes: Nodes, rest: Grid | None) -> Points:
 
 
 def _same_steps(at: Points, places: Points) -> bool:
-    """Return whether the mean steps of those nodes are nearly those of their places."""
+    """Return whether the mean steps of nodes are nearly those of their expected positions."""
     off, size = 0.0, 0.0
     for axis in (0, 1):
         step, expected = np.diff(at, axis=axis), np.diff(places, axis=axis)

@@ -1,9 +1,10 @@
-"""Where a lattice runs on from one pattern into another: the cut there.
+"""Cuts a lattice at a joint, where it runs on from one pattern into another.
 
 A cell that closes by chance can link a board to squares behind it, or two parts of a torn
 pattern by wrong numbers. The steps tell: on one pattern they change little from one cell to the
 next, and where it is bent they go on changing as they did. So cells whose steps agree with those
-of a cell near by belong together; what hangs on them by other cells alone is another lattice.
+of a cell nearby belong together. What is linked to them only through cells that do not agree is
+another lattice.
 """
 
 from typing import NamedTuple
@@ -19,7 +20,7 @@ Steps = NDArray[np.complex64]
 
 ALIKE = 0.25  # of the steps: how much those of two cells of one pattern differ at most
 OFF = 0.15  # of the steps: how far a cell may be from where they lead from the other
-BENT = 0.3  # of the steps: how much their change may differ from that on either side
+BENT = 0.3  # of the steps: how much their change may differ from the one before and the one after
 CONTACTS = 3  # pairs of cells that show a bend between two parts
 REACH = 2  # cells to every side, some of which may be lost
 LEAST = 4  # cells that may be another pattern
@@ -85,7 +86,7 @@ class _Cells(NamedTuple):
     number: Index
 
     def beside(self, cell: Index | slice, r: int, c: int) -> Index:
-        """Return the numbers of the cells so far from those, -1 where there is none."""
+        """Return the numbers of the cells r rows and c columns away, -1 where there is none."""
         beside: Index = self.number[self.row[cell] + r + REACH, self.column[cell] + c + REACH]
         return beside
 
@@ -106,8 +107,8 @@ def _whole_cells(at: Steps, along: Steps, down: Steps) -> _Cells:
 def _parts(cells: _Cells) -> Index:
     """Return the part of each cell, numbered by one of its cells.
 
-    Cells agree with some near by of their part. Where cells are lost between two, each must
-    also lie where the steps lead from the other.
+    Cells that agree and are near each other are of one part. Where cells are missing between
+    two, each must also lie where the steps lead from the other.
     """
     size = cells.size()
     pairs = []
@@ -127,7 +128,7 @@ def _parts(cells: _Cells) -> Index:
 
 
 def _bends(cells: _Cells, part: Index, r: int, c: int) -> Index:
-    """Return the pairs of parts that a bend parts, (2, P).
+    """Return the pairs of parts, (2, P), that are one pattern with a bend between them.
 
     The steps change from one cell to the next by more than ALIKE, but as much before and after.
     """
@@ -150,7 +151,7 @@ def _bends(cells: _Cells, part: Index, r: int, c: int) -> Index:
 
 
 def _components(count: int, pairs: Index, lowest: Index | None = None) -> Index:
-    """Return the lowest number of what (2, P) pairs join to each of that many things."""
+    """Return the lowest number of all that pairs, (2, P), join to each of `count` items."""
     lowest = np.arange(count) if lowest is None else lowest
     while True:
         one, other = lowest[pairs]
@@ -164,9 +165,9 @@ def _components(count: int, pairs: Index, lowest: Index | None = None) -> Index:
 def _relabelled(
     found: Lattice, nodes: Nodes, component: int, parts: list[tuple[Index, Index]]
 ) -> Lattice | None:
-    """Return the lattice with those cells' corners, the larger part's first, as components.
+    """Return the lattice with the corners of each part as a component of its own.
 
-    None where the first part holds all of them.
+    A corner between two parts goes to the larger one. None if the first part holds all corners.
     """
     label = found.component.copy()
     label[label == component] = -1

@@ -1,4 +1,4 @@
-"""From corners to a lattice: links between neighbours, closed cells, consistent numbers.
+"""Turns corners into a lattice: links between neighbours, closed cells, consistent numbers.
 
 A corner sees four boundaries, e0..e3 clockwise, e0 from white to black. A half-edge is one
 boundary of one corner, numbered 4 * corner + boundary. Directions on the lattice are units of
@@ -68,8 +68,8 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     """Return the pairs of points that are at most FARTHEST_NEIGHBOUR cells apart.
 
     Returns an order of the points, the pairs as places in that order, each pair once, the lower
-    place first, and the step from the first to the second. The cell is taken from the density
-    of the points, where all but a tenth are denser.
+    place first, and the step from the first to the second. The cell follows from the density
+    that all but a tenth of the points exceed.
     """
     x, y = z.real.astype(np.float64), z.imag.astype(np.float64)
     x -= x.min()
@@ -83,14 +83,15 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     crowd = crowds[np.searchsorted(np.cumsum(crowds), len(z) // 10, side="right")]
     reach = max(FARTHEST_NEIGHBOUR * tile / np.sqrt(crowd), extent / 1024)
 
-    strip = wide + 2 * reach  # of one strip of that height after the other
+    # Strips of the image, each `reach` high, are laid end to end on one axis.
+    strip = wide + 2 * reach
     height = y / reach
     number = np.floor(height)
     along = number * strip + x
     order = np.argsort(along, kind="stable")
     along, z = along[order], z[order]
-    depth = (number + 1 - height)[order]  # of the next strip
-    width = reach * np.sqrt(1 - depth * depth)  # that is within reach there
+    depth = (number + 1 - height)[order]  # from a point to the next strip
+    width = reach * np.sqrt(1 - depth * depth)  # of the next strip, to either side, within reach
     ahead = np.searchsorted(along, along + reach)
     below = np.searchsorted(along, along + (strip - width))
     beyond = np.searchsorted(along, along + (strip + width))
@@ -189,10 +190,10 @@ class _Trees(NamedTuple):
 
 
 def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
-    """Number the corners along any links; None if that is not the same along all of them.
+    """Number the corners along some of the links; None if other links give other numbers.
 
-    A corner's frame is that which lies nearest to the mean one. Where all links agree with
-    these frames and with the numbers, no other frames and numbers do.
+    Each corner has the frame nearest to the mean one. If all links agree with these frames and
+    numbers, no other frames and numbers can.
     """
     corners = lines.shape[1]
     squared = lines[0] * lines[0]
@@ -205,18 +206,18 @@ def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
         return None
     step = UNITS[way]
     root, node = np.arange(corners), np.zeros(corners, np.complex64)
-    child, parent, place = b, a, step  # a is the lower of the two
+    child, parent, shift = b, a, step  # a is the lower of the two
     while len(child):
-        root[child], node[child] = parent, place  # of several parents the last holds
+        root[child], node[child] = parent, shift  # of several parents the last holds
         while np.count_nonzero((higher := root[root]) != root):  # pointer jumping
             node += node[root]
             root = higher
         off = node[a] + step - node[b]
         one, two = root[a], root[b]
         apart = np.flatnonzero(one != two)
-        one, two, place = one[apart], two[apart], off[apart]
+        one, two, shift = one[apart], two[apart], off[apart]
         child, parent = np.maximum(one, two), np.minimum(one, two)
-        place = np.where(one < two, place, -place)
+        shift = np.where(one < two, shift, -shift)
     return None if len(b) and off.any() else _Trees(root, node, UNITS[quarter])
 
 
@@ -239,7 +240,7 @@ def _planted(corners: int, half: Index, other: Index) -> _Trees:
 
 
 def _agree(trees: _Trees, half: Index, other: Index) -> Mask:
-    """Return which links lead to the place and the frame that the other corner has."""
+    """Return which links lead to the position and the frame that the other corner has."""
     a, b = half >> 2, other >> 2
     way = trees.turn[a] * UNITS[half & 3]
     onward = trees.node[a] + way == trees.node[b]

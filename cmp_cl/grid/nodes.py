@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 NOWHERE = complex(np.nan, np.nan)
 Entry = TypeVar("Entry", bound=np.generic)
 Answer = TypeVar("Answer")
-KEPT, MOST_KEPT = 4, 1 << 14  # answers that `for_film` keeps, of grids of so many places
+KEPT, MOST_KEPT = 4, 1 << 14  # answers that `for_film` keeps, and entries of their grids
 MOST_NODES, NODES_EACH = 65536, 64  # the most of any grid, and the most for each corner
 
 
@@ -66,7 +66,7 @@ class Nodes:
         self.changed = np.pad(self.changed, 1)
 
     def crop(self) -> None:
-        """Remove the empty rows and columns around."""
+        """Remove the empty rows and columns around the nodes."""
         seen = self.there
         rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
         if not len(rows):
@@ -113,9 +113,9 @@ class Nodes:
 
 
 def for_film(function: Callable[[Mask], Answer]) -> Callable[[Mask], Answer]:
-    """Keep the last answers of a function of where nodes are: a film's frames often share it.
+    """Keep the last answers of a function of the mask of nodes, which frames of a film often share.
 
-    Nothing may write to the arrays of an answer. Those of large grids are not kept.
+    Callers must not write to the arrays of an answer. Answers for large grids are not kept.
     """
 
     @functools.lru_cache(maxsize=KEPT)
@@ -132,7 +132,7 @@ def for_film(function: Callable[[Mask], Answer]) -> Callable[[Mask], Answer]:
 
 
 def turned_lines(values: NDArray[Entry], quarters: int) -> NDArray[Entry]:
-    """Return a view of them, (R, C), as np.rot90 turns them, which is slow; quarters: 0 to 3."""
+    """Return a view of values, (R, C), turned as by np.rot90, which is slower; quarters: 0 to 3."""
     if quarters % 2:
         values = values.T
     return (values, values[::-1], values[::-1, ::-1], values[:, ::-1])[quarters]
@@ -179,7 +179,7 @@ def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     nodes = Nodes(shape, parity, free)
     nodes.owner[row, column] = member
     seen = nodes.owner >= 0
-    if np.count_nonzero(seen) < len(member):  # of several at a place the best supported stays
+    if np.count_nonzero(seen) < len(member):  # of several with one number the best supported stays
         best = np.argsort(found.support[member], kind="stable")
         nodes.owner[row[best], column[best]] = member[best]
     nodes.at = np.where(seen, z[nodes.owner], NOWHERE)

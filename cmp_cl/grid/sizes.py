@@ -1,4 +1,4 @@
-"""The nodes are placed in a grid of known shape here."""
+"""The nodes are numbered in a grid of known shape here."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,13 +6,15 @@ from numpy.typing import NDArray
 from cmp_cl.grid.border import Ends
 from cmp_cl.grid.grid import Sides
 from cmp_cl.grid.nodes import Nodes
-from cmp_cl.grid.place import Placed
+from cmp_cl.grid.numbering import Numbered
 
 WHOLE = 1024  # weight of a corner with straight boundaries
 STRAIGHT = 0.5  # largest bend of a corner that is no junction with the surround
 
 
-def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], ends: Ends) -> Placed:
+def in_shape(
+    nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], ends: Ends
+) -> Numbered:
     """Return the nodes in a grid of that shape.
 
     If the shape fits better with rows and columns exchanged, the grid is turned so that its columns
@@ -32,8 +34,8 @@ def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], en
     misfit = [
         _misfit(each.at.shape, shape, side.border) for each, side in zip(turned, sides, strict=True)
     ]
-    likely = [place for place, off in enumerate(misfit) if off == min(misfit)]
-    windows = [_fullest(turned[place], bend, shape) for place in likely]
+    likely = [n for n, off in enumerate(misfit) if off == min(misfit)]
+    windows = [_fullest(turned[n], bend, shape) for n in likely]
     fullest = int(np.argmax([weight for weight, _, _ in windows]))
     best = likely[fullest]
     _, top, left = windows[fullest]
@@ -49,9 +51,9 @@ def in_shape(nodes: Nodes, bend: NDArray[np.float32], shape: tuple[int, int], en
             unsure |= not ((begin and end) or (begin and cut[last]) or (end and cut[first]))
             unsure |= any(passing if either_way else passing[first : last + 1])
     seen, continues = _seen_shape(found, bend, shape, (top, left), border)
-    placed = found.window(starts[0], starts[1], shape)
-    return Placed(
-        placed, ambiguous=unsure, quarters=turns[best], continues=continues, seen_shape=seen
+    numbered = found.window(starts[0], starts[1], shape)
+    return Numbered(
+        numbered, ambiguous=unsure, quarters=turns[best], continues=continues, seen_shape=seen
     )
 
 

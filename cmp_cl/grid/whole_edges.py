@@ -1,7 +1,7 @@
-"""Where torn nodes are: by the whole of their edges, which run to the nodes around them.
+"""Locates torn nodes by the whole of their edges, which run to the nodes around them.
 
 A ring sees the middle of a corner, and there a worn print is torn: cells of one colour merge, or
-the visible corner lies off its place. Towards the next nodes the edges are whole.
+the visible corner is not the printed one. Towards the next nodes the edges are whole.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ def along_edges(
 
     expected: (M,) px, where the neighbours say that they are.
 
-    An edge is looked for on profiles across the curve through the expected place and both
+    An edge is looked for on profiles across the curve through the expected position and both
     neighbours. The node moves with the mean distances of its two lines from their curves, by the
     share of them that leaves the least error.
     """
@@ -82,7 +82,7 @@ def _between_pixels(image: GreyImage, x: Float, y: Float) -> Float:
 
 
 def _crossing(rising: Float) -> Float:
-    """Return the mean place of an edge on its profiles, (4, M) cells from the middle; NaN where
+    """Return the mean position of an edge on its profiles, (4, M) cells from the middle; NaN where
     fewer than half of them cross it.
 
     On each it is where the level rises through the middle between its least and its largest,

@@ -15,7 +15,7 @@ CAMERA = 8  # fx fy cx cy k1 k2 p1 p2
 POSE = 6  # rotation vector, translation
 _STEPS = 20
 _SMALL = 1e-9  # relative decrease of the cost at which the iteration ends
-_RANGE = 5.0  # times the median, at most, and at least 1 / that: the sigma of a node
+_RANGE = 5.0  # the most by which the sigma of a node counts as larger or smaller than the median
 ROUNDS = 2  # of the adjustment and the variance of the misfit
 
 
@@ -37,11 +37,11 @@ class View:
 class Adjusted:
     """The result of an adjustment.
 
-    numbers: 8 for each camera, and with two cameras the pose of the second, 6. covariance: of these
-    numbers. errors: (V, cameras), root mean square reprojection errors by view, px.
+    parameters: 8 for each camera, and with two cameras the pose of the second, 6. covariance: of
+    these parameters. errors: (V, cameras), root mean square reprojection errors by view, px.
     """
 
-    numbers: Array
+    parameters: Array
     covariance: Array
     errors: Array
 
@@ -49,49 +49,52 @@ class Adjusted:
 def adjust(views: Sequence[View], start: Array) -> Adjusted:
     """Minimize the weighted reprojection error of all views by Gauss-Newton, from a near solution.
 
-    start: as `Adjusted.numbers`. Weights are those of `node_weights`. The covariance is scaled by
-    the residuals: what makes the sigmas too small or too large together does not matter.
+    start: as `Adjusted.parameters`. Weights are those of `node_weights`. The covariance is scaled
+    by the residuals, so a factor that all sigmas share does not matter.
     """
-    numbers, poses = start, [view.pose for view in views]
+    parameters, poses = start, [view.pose for view in views]
     for _ in range(ROUNDS):
-        weights = node_weights(views, residuals(views, numbers, poses), len(start))
-        numbers, poses, cost, normal = _settled(views, weights, numbers, poses)
+        weights = node_weights(views, residuals(views, parameters, poses), len(start))
+        parameters, poses, cost, normal = _settled(views, weights, parameters, poses)
     covariance = np.linalg.pinv(normal, hermitian=True) * cost / freedom(views, len(start))
-    return Adjusted(numbers, covariance, root_mean_squares(residuals(views, numbers, poses)))
+    return Adjusted(parameters, covariance, root_mean_squares(residuals(views, parameters, poses)))
 
 
 def _settled(
-    views: Sequence[View], weights: Sequence[tuple[Array, ...]], numbers: Array, poses: list[Array]
+    views: Sequence[View],
+    weights: Sequence[tuple[Array, ...]],
+    parameters: Array,
+    poses: list[Array],
 ) -> tuple[Array, list[Array], float, Array]:
-    """Take steps until they lower the cost no more; return the numbers, the poses, the cost and the
-    normal matrix of the numbers alone.
+    """Take steps until the cost no longer falls; return the parameters, the poses, the cost and the
+    normal matrix of the parameters alone.
     """
-    cost, step = _system(views, weights, numbers, poses)
+    cost, step = _system(views, weights, parameters, poses)
     for _ in range(_STEPS):
-        by_numbers, by_poses, _ = step()
+        by_parameters, by_poses, _ = step()
         moved = [pose + change for pose, change in zip(poses, by_poses, strict=True)]
-        lower, next_step = _system(views, weights, numbers + by_numbers, moved)
+        lower, next_step = _system(views, weights, parameters + by_parameters, moved)
         if not lower < cost:
             break
         done = cost - lower < _SMALL * cost
-        numbers, poses, cost, step = numbers + by_numbers, moved, lower, next_step
+        parameters, poses, cost, step = parameters + by_parameters, moved, lower, next_step
         if done:
             break
-    return numbers, poses, cost, step()[2]
+    return parameters, poses, cost, step()[2]
 
 
 def freedom(views: Sequence[View], unknown: int) -> int:
-    """Return how many residuals there are more than numbers and poses, at least 1."""
+    """Return the degrees of freedom: residuals minus parameters, poses included; at least 1."""
     count = sum(2 * len(view.board) * len(view.seen) for view in views)
     return max(count - unknown - POSE * len(views), 1)
 
 
 def residuals(
-    views: Sequence[View], numbers: Array, poses: Sequence[Array]
+    views: Sequence[View], parameters: Array, poses: Sequence[Array]
 ) -> list[tuple[Array, ...]]:
     """Return seen minus projected, px, (N, 2) for each view and camera."""
     return [
-        tuple(off for off, *_ in seen_by(view, numbers, pose))
+        tuple(off for off, *_ in seen_by(view, parameters, pose))
         for view, pose in zip(views, poses, strict=True)
     ]
 
@@ -108,10 +111,10 @@ def node_weights(
 ) -> list[tuple[Array, ...]]:
     """Return 1 / sqrt(sigma^2 + t^2) of each node, 1 / px.
 
-    offs: residuals near the solution, see `residuals`. unknown: how many numbers are adjusted
-    beside the poses. t is what no image tells: a print that is not exact, a board that is not flat,
-    a lens that the model does not describe. It errs alike at certain nodes and at uncertain ones.
-    Nodes of unknown sigma have the median one.
+    offs: residuals near the solution, see `residuals`. unknown: how many parameters are
+    adjusted beside the poses. t^2 is the variance that no image shows: the print is not exact, the
+    board is not flat, or the model does not describe the lens. It is the same for all nodes. Nodes
+    of unknown sigma have the median one.
     """
     given = np.concatenate([sigma for view in views for sigma in view.sigma])
     known = np.isfinite(given) & (given > 0)
@@ -142,69 +145,72 @@ def misfit(square: Array, variance: Array, free: float) -> float:
 
 
 def _system(
-    views: Sequence[View], weights: Sequence[tuple[Array, ...]], numbers: Array, poses: list[Array]
+    views: Sequence[View],
+    weights: Sequence[tuple[Array, ...]],
+    parameters: Array,
+    poses: list[Array],
 ) -> tuple[float, Any]:
-    """Return the cost, and a function that returns the step of the numbers, the step of each pose,
-    and the normal matrix of the numbers alone."""
+    """Return the cost, and a function that returns the steps of the parameters and of each pose,
+    and the normal matrix of the parameters alone."""
     cost = 0.0
     parts = []
     for view, weight, pose in zip(views, weights, poses, strict=True):
         rows = []
-        for (off, by_numbers, by_pose, _), each in zip(
-            seen_by(view, numbers, pose), weight, strict=True
+        for (off, by_parameters, by_pose, _), each in zip(
+            seen_by(view, parameters, pose), weight, strict=True
         ):
             scale = np.repeat(each, 2)[:, None]
-            rows.append((off.reshape(-1, 1) * scale, by_numbers * scale, by_pose * scale))
-        off, by_numbers, by_pose = (np.concatenate(each) for each in zip(*rows, strict=True))
+            rows.append((off.reshape(-1, 1) * scale, by_parameters * scale, by_pose * scale))
+        off, by_parameters, by_pose = (np.concatenate(each) for each in zip(*rows, strict=True))
         cost += float(np.square(off).sum())
-        parts.append((off[:, 0], by_numbers, by_pose))
+        parts.append((off[:, 0], by_parameters, by_pose))
 
     def step() -> tuple[Array, list[Array], Array]:
-        normal = np.zeros((len(numbers), len(numbers)))
-        right = np.zeros(len(numbers))
+        normal = np.zeros((len(parameters), len(parameters)))
+        right = np.zeros(len(parameters))
         kept = []
-        for off, by_numbers, by_pose in parts:
+        for off, by_parameters, by_pose in parts:
             own = np.linalg.pinv(by_pose)
-            free = by_numbers - by_pose @ (own @ by_numbers)
+            free = by_parameters - by_pose @ (own @ by_parameters)
             normal += free.T @ free
             right += free.T @ off
             kept.append(own)
         change = np.linalg.pinv(normal, hermitian=True) @ right
         moves = [
-            own @ (off - by_numbers @ change)
-            for own, (off, by_numbers, _) in zip(kept, parts, strict=True)
+            own @ (off - by_parameters @ change)
+            for own, (off, by_parameters, _) in zip(kept, parts, strict=True)
         ]
         return change, moves, normal
 
     return cost, step
 
 
-def seen_by(view: View, numbers: Array, pose: Array) -> list[tuple[Array, Array, Array, Array]]:
+def seen_by(view: View, parameters: Array, pose: Array) -> list[tuple[Array, Array, Array, Array]]:
     """Return the residuals of a view in each camera, and the derivatives of its projection.
 
     A residual is measured minus projected, (N, 2), px. The derivatives are (2 N, ...) by the
-    numbers and by the pose, and (N, 2, 3) by the node on the board.
+    parameters and by the pose, and (N, 2, 3) by the node on the board.
     """
     found: list[tuple[Array, Array, Array, Array]] = []
     for camera, seen in enumerate(view.seen):
         own = slice(CAMERA * camera, CAMERA * (camera + 1))
-        fx, fy, cx, cy, *distortion = numbers[own]
+        fx, fy, cx, cy, *distortion = parameters[own]
         matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         here, chain = pose, None
         if camera:
-            here, chain = composed(pose, numbers[2 * CAMERA :])
+            here, chain = composed(pose, parameters[2 * CAMERA :])
         projected, slopes = cv2.projectPoints(
             view.board.astype(np.float64), here[:3], here[3:], matrix, np.array(distortion)
         )
-        by_numbers: Array = np.zeros((len(slopes), len(numbers)))
-        by_numbers[:, own] = slopes[:, POSE : POSE + CAMERA]
+        by_parameters: Array = np.zeros((len(slopes), len(parameters)))
+        by_parameters[:, own] = slopes[:, POSE : POSE + CAMERA]
         by_pose = np.asarray(slopes[:, :POSE], np.float64)
         by_node = by_pose[:, 3:].reshape(-1, 2, 3) @ cv2.Rodrigues(here[:3])[0]
         if chain is not None:
-            by_numbers[:, 2 * CAMERA :] = by_pose @ chain[1]
+            by_parameters[:, 2 * CAMERA :] = by_pose @ chain[1]
             by_pose = by_pose @ chain[0]
         off = np.asarray(seen - projected.reshape(-1, 2), np.float64)
-        found.append((off, by_numbers, by_pose, by_node))
+        found.append((off, by_parameters, by_pose, by_node))
     return found
 
 

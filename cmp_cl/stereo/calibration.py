@@ -1,4 +1,4 @@
-"""One camera, or a rig of two, from views of a flat board."""
+"""Calibrates one camera, or a rig of two, on views of a flat board."""
 
 import dataclasses
 import math
@@ -77,7 +77,7 @@ def calibrate_camera(
 
     A view may show part of the board, and the views may be numbered differently. Each node has
     the weight 1 / (sigma^2 + t^2). t^2 is the variance that the residuals have beyond the sigmas of
-    the nodes: on a board that is not exact, certain nodes err as much as uncertain ones.
+    the nodes. On an inexact board it is the larger part, and all nodes weigh nearly alike.
 
     grids: one a view. spacing: side of a square, in any unit. image_size: (width, height), px.
     free_board: whether the board may be bent or inexact. Its nodes are then found too; its overall
@@ -131,8 +131,8 @@ def calibrate_camera(
     else:
         adjusted = adjust(views, start)
     return CameraCalibration(
-        matrix=_matrix_of(adjusted.numbers),
-        distortion=_distortion_of(adjusted.numbers),
+        matrix=_matrix_of(adjusted.parameters),
+        distortion=_distortion_of(adjusted.parameters),
         focal_sigma=sigma,
         error=_whole_error(adjusted, views),
         view_errors=adjusted.errors[:, 0],
@@ -215,8 +215,8 @@ def calibrate(
         adjusted, shape = _with_board(whole, seen, start, spacing)
     else:
         adjusted = adjust(whole, start)
-    cameras = [adjusted.numbers[k : k + CAMERA] for k in (0, CAMERA)]
-    rotation, translation = np.split(adjusted.numbers[2 * CAMERA :], 2)
+    cameras = [adjusted.parameters[k : k + CAMERA] for k in (0, CAMERA)]
+    rotation, translation = np.split(adjusted.parameters[2 * CAMERA :], 2)
     return StereoCalibration(
         rig=StereoRig(
             _matrix_of(cameras[0]),
@@ -276,12 +276,12 @@ def _with_board(
 
 
 def _scaled(adjusted: Adjusted, scale: float) -> Adjusted:
-    """Return the cameras with the distance between them multiplied."""
-    factors = np.ones(len(adjusted.numbers))
+    """Return the cameras with the distance between them multiplied by a factor."""
+    factors = np.ones(len(adjusted.parameters))
     factors[2 * CAMERA + 3 :] = scale
     return dataclasses.replace(
         adjusted,
-        numbers=adjusted.numbers * factors,
+        parameters=adjusted.parameters * factors,
         covariance=adjusted.covariance * np.outer(factors, factors),
     )
 
@@ -309,13 +309,13 @@ def _parameters_of(matrix: ArrayLike, distortion: ArrayLike) -> Array:
     return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *_double(distortion).reshape(-1)[:4]])
 
 
-def _matrix_of(numbers: Array) -> Array:
-    fx, fy, cx, cy = numbers[:4]
+def _matrix_of(parameters: Array) -> Array:
+    fx, fy, cx, cy = parameters[:4]
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
 
-def _distortion_of(numbers: Array) -> Array:
-    return np.append(numbers[4:CAMERA], 0.0)
+def _distortion_of(parameters: Array) -> Array:
+    return np.append(parameters[4:CAMERA], 0.0)
 
 
 def _whole_error(adjusted: Adjusted, views: Sequence[View]) -> float:

@@ -1,5 +1,5 @@
-"""The last step of a calibration on a board that is bent or inexact: the nodes of the board are
-found together with the cameras."""
+"""The last step of a calibration on a board that is bent or inexact: it finds the nodes of the
+board together with the cameras."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -32,17 +32,19 @@ _LOOSE = 0.1  # share of a square: expected standard deviation of a node from it
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _State:
-    """The numbers of the cameras, the poses (V, 6), and the nodes of the board (P, 3)."""
+    """The parameters of the cameras, the poses (V, 6), and the nodes of the board (P, 3)."""
 
-    numbers: Array
+    parameters: Array
     poses: Array
     board: Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Problem:
-    """What the adjustment is given: the views, for each the rows (N,) of the board that it shows
-    and the weights of its nodes, the flat board (P, 3), and the stiffness of the springs to it.
+    """The input of the adjustment.
+
+    views; nodes: for each view, the rows (N,) of `flat` that it shows; weights: of these nodes;
+    flat: the flat board (P, 3); spring: the stiffness of the springs to it.
     """
 
     views: Sequence[View]
@@ -74,11 +76,13 @@ def adjust_board(
     Gauss-Newton from a near solution.
 
     nodes: for each view, the indices (N,) into `board` (P, 3) of its nodes. start: like
-        `Adjusted.numbers`. spacing: side of a square, in the unit of the board. A spring draws each
-        node to its nominal position, with a standard deviation of a tenth of a square. Against many
-        residuals of a tenth of a pixel it only determines what the views leave open: the size, the
-        position and the orientation of the board. Returns the cameras and the nodes (P, 3). Raises
-        CalibrationError if fewer than four views are given.
+        `Adjusted.parameters`. spacing: side of a square, in the unit of the board. A spring draws
+        each node to its nominal position, with a standard deviation of a tenth of a square. Against
+        many residuals of a tenth of a pixel it only determines what the views leave open: the size,
+        the position and the orientation of the board.
+
+    Returns the cameras and the nodes (P, 3). Raises CalibrationError if fewer than four views are
+    given.
     """
     if len(views) < LEAST_VIEWS:
         raise CalibrationError(
@@ -97,7 +101,7 @@ def adjust_board(
     covariance = np.asarray(np.linalg.pinv(reduced, hermitian=True), np.float64)
     return (
         Adjusted(
-            state.numbers,
+            state.parameters,
             covariance[: len(start), : len(start)] * normal.cost / free,
             root_mean_squares(_residuals(views, nodes, state)),
         ),
@@ -113,7 +117,7 @@ def _residuals(
         dataclasses.replace(view, board=state.board[rows])
         for view, rows in zip(views, nodes, strict=True)
     ]
-    return residuals(shown, state.numbers, list(state.poses))
+    return residuals(shown, state.parameters, list(state.poses))
 
 
 def _settled(problem: _Problem, state: _State) -> tuple[_State, _Normal]:
@@ -141,7 +145,7 @@ def _settled(problem: _Problem, state: _State) -> tuple[_State, _Normal]:
 
 
 def _parts(state: _State) -> tuple[Array, Array, Array]:
-    return state.numbers, state.poses, state.board
+    return state.parameters, state.poses, state.board
 
 
 def _step(normal: _Normal, state: _State) -> _State:
@@ -149,8 +153,8 @@ def _step(normal: _Normal, state: _State) -> _State:
     reduced, right, inverse = _reduced(normal)
     both = np.linalg.lstsq(reduced, right, rcond=None)[0]
     own = inverse @ (normal.own_right - normal.cross.transpose(0, 2, 1) @ both)[..., None]
-    numbers, poses = np.split(both, [len(state.numbers)])
-    return _State(numbers, poses.reshape(-1, POSE), own[..., 0])
+    parameters, poses = np.split(both, [len(state.parameters)])
+    return _State(parameters, poses.reshape(-1, POSE), own[..., 0])
 
 
 def _reduced(normal: _Normal) -> tuple[Array, Array, Array]:
@@ -169,7 +173,7 @@ def _reduced(normal: _Normal) -> tuple[Array, Array, Array]:
 def _system(problem: _Problem, state: _State) -> _Normal:
     """Return the normal equations at a state."""
     flat, spring = problem.flat, problem.spring
-    first = len(state.numbers)
+    first = len(state.parameters)
     size, count = first + state.poses.size, len(flat)
     both, right = np.zeros((size, size)), np.zeros(size)
     cross = np.zeros((count, size, 3))
@@ -181,11 +185,11 @@ def _system(problem: _Problem, state: _State) -> _Normal:
     ):
         pose = slice(first + POSE * number, first + POSE * (number + 1))
         shown = dataclasses.replace(view, board=state.board[rows])
-        for (off, by_numbers, by_pose, by_node), each in zip(
-            seen_by(shown, state.numbers, state.poses[number]), weight, strict=True
+        for (off, by_parameters, by_pose, by_node), each in zip(
+            seen_by(shown, state.parameters, state.poses[number]), weight, strict=True
         ):
             slopes = np.zeros((len(rows), 2, size))
-            slopes[..., :first] = by_numbers.reshape(len(rows), 2, -1)
+            slopes[..., :first] = by_parameters.reshape(len(rows), 2, -1)
             slopes[..., pose] = by_pose.reshape(len(rows), 2, -1)
             slopes *= each[:, None, None]
             off, by_node = off * each[:, None], by_node * each[:, None, None]

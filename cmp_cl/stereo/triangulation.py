@@ -36,12 +36,15 @@ def undistort(
 
 
 def triangulate_points(rotation: Array, translation: Array, left: Array, right: Array) -> Array:
-    """Triangulate from two views: move the image points onto each other's epipolar lines, by
-    Sampson's step, and return the middle of where their rays pass.
+    """Triangulate from two views.
+
+    Sampson's step moves the image points onto each other's epipolar lines. The result is the middle
+    of the shortest segment between their rays, which has the least reprojection error to first
+    order.
 
     rotation: (3, 3), translation: (3,): X_right = R X_left + T. left, right: (N, 2) float64, in
     the planes at distance 1. Returns (N, 3) float64 in the frame of the left camera, NaN where the
-    rays are parallel. The result is the least reprojection error's to first order.
+    rays are parallel.
 
     Raises FieldError on other shapes.
     """

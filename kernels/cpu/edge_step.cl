@@ -35,7 +35,8 @@ typedef struct {
   float grey_of[MOST_PIXELS + BEHIND];
 } Values;
 
-/* Whether a pixel dx columns away may be in the disc, its row `nearest` from the centre at best. */
+/* Whether a pixel dx columns away may be in the disc; its row is at least `nearest` from the
+ * centre. */
 #define MAY_HOLD(dx) (((dx) - 0.5f) * ((dx) - 0.5f) + nearest * nearest < radius_2)
 
 /* As many rows as fit, from `first` on. */

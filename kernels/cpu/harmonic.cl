@@ -163,8 +163,8 @@ ROW_LOOP int peaks_of_row(__global const short *restrict above,
 typedef short8 __attribute__((aligned(2))) SHORTS_ANYWHERE;
 #define EIGHT_AT(p) *(__global const SHORTS_ANYWHERE *)(p)
 
-/* Whether a response is the largest of its window, the earlier one of equals: eight columns of the
- * window at a time. row[dy] is a row of the window; those outside the image hold 0. */
+/* Whether a response is the largest of its window; of equals, the earlier one is. Eight columns of
+ * the window at a time. row[dy] is a row of the window; those outside the image hold 0. */
 int is_maximum(__global const short *const *row, const int x, const short r) {
   const short8 lane = (short8)(0, 1, 2, 3, 4, 5, 6, 7);
   short8 larger = 0;
@@ -359,8 +359,9 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
   return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
 }
 
-/* The reference W of responses above a bound: sorted downwards, the first one at which twice the
- * sum of the squares so far reaches the sum of all; 0 of none. By bins of 64 responses. */
+/* The reference W: of the responses above a bound, in descending order, the first at which twice
+ * the sum of the squares so far reaches the sum of all; 0 if there are none. The search goes by
+ * bins of 64 responses. */
 #define BINS 256
 #define SPAN_BITS 6
 uint reference_of(__global const int *lists, __global const uint *band_counts, const uint fine,

@@ -51,7 +51,7 @@ UNSURE = np.deg2rad(40)  # a pattern that rotated so far may have rotated the ot
 UNDECIDED = np.deg2rad(10)  # rotations that differ by less than that are equally likely
 
 
-class Placed(NamedTuple):
+class Numbered(NamedTuple):
     """A grid with its numbers, and the reasons to doubt them, as in `Grid`.
 
     quarters: the number of quarter turns that were applied to it.
@@ -82,7 +82,7 @@ class Decision(NamedTuple):
         return self.best.number == other.best.number
 
 
-def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -> Placed:
+def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -> Numbered:
     """Return the nodes with the numbers of the grid at rest.
 
     border: the sides on which the pattern ends in the view. like: the grid at rest. previous: the
@@ -104,7 +104,7 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
             decided = followed
         elif followed.sure and not decided.agrees(followed):
             decided = Decision(decided.best, followed.best, sure=False)
-    return _placed(nodes, border, like, decided)
+    return _numbered(nodes, border, like, decided)
 
 
 def _by_turn(
@@ -285,7 +285,7 @@ def _known_ends(like: Grid, at: Points) -> Sides:
     return Sides(ends(rest), ends(rest[::-1]), ends(rest.T), ends(rest.T[::-1]))
 
 
-def _placed(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Placed:
+def _numbered(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Numbered:
     """Return the nodes on the rows and columns at rest, and on those beyond an open side."""
     best, second, sure, _ = decided
     turned = nodes.turned(best.quarters)
@@ -315,7 +315,7 @@ def _placed(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Plac
         )[turn]
         origin = second.top - skipped[0], second.left - skipped[1]
         rival = Rival(origin[0] - first[0], origin[1] - first[1], turn)
-    return Placed(
+    return Numbered(
         turned.window(top, left, (shape[0], shape[1])),
         origin=(first[0], first[1]),
         ambiguous=not sure,

@@ -373,7 +373,7 @@ def test_where_a_side_contradicts_the_others_decide_about_half_a_cell_alone(move
     assert grid.ambiguous == ambiguous
 
 
-def test_parts_of_a_pattern_that_hardly_meet_are_not_placed_by_one_border_each():
+def test_parts_of_a_pattern_that_hardly_meet_are_not_numbered_by_one_border_each():
     whole, _ = drawn(11, 11)
     left_part = behind(whole, 120, 0.3)
     right_part = mirrored(behind(mirrored(whole), 120, 0.3))
