@@ -50,9 +50,9 @@ def edge_step(
 
     The model of the grey around x is (m + c f(n1.u) g(n2.u)) (1 + e.u). f and g are smooth steps of
     1.2 px, and e is the relative gradient of the light. The radius of the model is
-    clamp(0.75 cell s, 4.5, 9) / s with the working scale s. The terms of the normal equations that depend only on the model are
-    integrated over the disc. In the frame of the edges the equations separate into two systems of
-    two unknowns.
+    clamp(0.75 cell s, 4.5, 9) / s with the working scale s. The terms of the normal equations that
+    depend only on the model are integrated over the disc. In the frame of the edges the equations
+    separate into two systems of two unknowns.
     """
     radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
     n1, n2 = (normal_of(line) for line in both_lines(points))

@@ -122,11 +122,11 @@ def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> Edg
 
 
 def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
-    """Return (N, 4, 2) edge points, (N,) whether there are four, and (N,) the margin in grey levels.
+    """Return the edge points (N, 4, 2), whether there are four (N,), and the margin (N,).
 
     d: (N, samples) grey minus threshold, black where negative. A ring without four boundaries is
         smoothed once by the majority of three samples. The margin is the smallest |d|, or the
-        smallest difference across a boundary if that is smaller.
+        smallest difference across a boundary if that is smaller, in grey levels.
     """
     black = d < 0
     four = _changes(black).sum(axis=1) == 4

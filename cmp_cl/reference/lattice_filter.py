@@ -189,7 +189,7 @@ def _near(shape: tuple[int, int], r: int, c: int, deviation: float) -> Floats:
 
 
 def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
-    """Return the Gaussian mean around each node of the values in the mask; NaN if there are none."""
+    """Return the Gaussian mean around each node of the counted values; NaN if there are none."""
     result = np.full(counted.shape, np.nan)
     for r, c in np.ndindex(*counted.shape):
         weights = np.where(counted, _near(counted.shape, r, c, deviation), 0)
