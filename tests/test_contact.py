@@ -60,7 +60,7 @@ def test_normals_point_to_the_cameras_whichever_way_rows_run():
         np.testing.assert_allclose(surface_normals(positions)[3, 3], [0, 0, -1], atol=1e-12)
 
 
-def test_what_is_missing_has_no_depth_and_no_area():
+def test_missing_nodes_have_no_depth_and_no_area():
     field, _, _ = pressed()
     whole = contact_of(field, deeper_than=0.7).area
     field.displacement[38:43, 38:43] = np.nan

@@ -1,4 +1,4 @@
-"""What the documentation shows has run: examples, commands, notebooks."""
+"""Examples, commands and notebooks of the documentation give the results that it shows."""
 
 import contextlib
 import doctest

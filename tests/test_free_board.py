@@ -97,7 +97,7 @@ def test_the_mean_side_of_a_free_board_is_the_given_one():
     assert np.linalg.norm(found.rig.T) == pytest.approx(length, rel=2e-3)
 
 
-def test_a_flat_board_costs_nothing_to_set_free():
+def test_a_free_board_that_is_flat_loses_no_accuracy():
     rig, views = toed_in_rig(), pairs(flat_board())
     free = calibrated(views, free=True)
     assert free.rig.K1[0, 0] == pytest.approx(rig.K1[0, 0], abs=1)
@@ -115,7 +115,7 @@ def test_a_free_board_takes_partial_views():
     assert np.argwhere(np.isnan(free.board[..., 0])).tolist() == [[ROWS - 1, COLUMNS - 1]]
 
 
-def test_views_that_are_numbered_from_the_other_end_are_turned():
+def test_views_that_are_numbered_from_the_other_end_are_rotated():
     truth = cylinder(flat_board()) + np.random.default_rng(1).normal(0, 0.05, (ROWS, COLUMNS, 3))
     views = pairs(truth)
     mixed = [
@@ -127,7 +127,7 @@ def test_views_that_are_numbered_from_the_other_end_are_turned():
     np.testing.assert_allclose(one.board, other.board, atol=1e-4)
 
 
-def test_what_a_free_board_cannot_do_is_refused():
+def test_too_few_or_unlike_views_of_a_free_board_are_refused():
     views = pairs(flat_board())
     with pytest.raises(CalibrationError, match="3 views of a free board, at least 4 are needed"):
         calibrated(views[:3], free=True)

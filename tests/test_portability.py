@@ -1,4 +1,4 @@
-"""What every OpenCL 1.2 device has is enough, and every form of a stage runs on every device.
+"""The features of every OpenCL 1.2 device are enough, and every form of a stage runs on each.
 
 The set is small enough for a simulator that checks each memory access.
 """

@@ -1,4 +1,4 @@
-"""The scenes: the truth is where the picture shows it, in both views and in space."""
+"""The scenes: the truth is where the image shows it, in both views and in space."""
 
 import dataclasses
 import math

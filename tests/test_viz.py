@@ -1,4 +1,4 @@
-"""Pictures: every corner is marked where it is, in the colour of its method."""
+"""Pictures: every corner is marked at its position, in the colour of its method."""
 
 import dataclasses
 import subprocess

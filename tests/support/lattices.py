@@ -78,9 +78,9 @@ def endless(
     worn: float = 0.0,
     seed: int = 0,
 ) -> Board:
-    """Return what a picture of `side` px shows of a checkerboard that goes on beyond all its edges.
+    """Return the corners in an image of `side` px of a checkerboard that continues beyond it.
 
-    It is zoomed and turned about the picture's middle, then shifted by so many cells. worn:
+    It is zoomed and rotated about the middle of the image, then shifted by so many cells. worn:
     standard deviation of the printing errors, cells, the same whatever the seed. The numbers are
     those of the pattern; `truth` is empty.
     """

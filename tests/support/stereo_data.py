@@ -48,7 +48,7 @@ def truth_grid(path: Path) -> Grid:
 
 
 def upright(grid: Grid) -> Grid:
-    """Return the grid numbered by the image: half a turn where its rows run upwards."""
+    """Return the grid numbered by the image: rotated by 180 degrees if its rows run upwards."""
     down = np.nanmean(np.diff(grid.xy[..., 1], axis=0)) > 0
     return grid if down else grid_of(grid.xy[::-1, ::-1])
 
