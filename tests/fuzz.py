@@ -183,7 +183,7 @@ def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarra
 def assert_as_expected(
     found: Corners, image: np.ndarray, config: DetectorConfig, counts: Counter[str]
 ) -> None:
-    """Assert that the corners are the oracle's; count what float32 may decide otherwise."""
+    """Assert that the corners are the oracle's; count those that float32 may decide otherwise."""
     expected, margin = reference.detect_with_margin(image, config)
     np.testing.assert_array_equal(found.pixel, expected.pixel)
     np.testing.assert_array_equal(found.response, expected.response)
@@ -272,13 +272,13 @@ def invalid_case(seed: int, number: int, device: str | None) -> bool:
         Detector(shape=frame.shape, dtype=frame.dtype, device=device)(frame)
     except CmpClError:
         return True
-    except AttributeError:  # what has no shape is no argument for one
+    except AttributeError:  # an object without a shape is no image
         return not isinstance(frame, np.ndarray)
     return False
 
 
 def _megabytes() -> int:
-    """Return the resident memory now, where the system says; otherwise its peak."""
+    """Return the resident memory now, if the system reports it; otherwise its peak."""
     try:
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * resource.getpagesize() // 2**20
@@ -300,7 +300,7 @@ def digest(text: str) -> str:
 
 
 def one_case(number: int, seed: int, images: int, device: str | None) -> Case:
-    """Check a valid configuration with its images, and twenty invalid ones; say what failed."""
+    """Check a valid configuration with its images, and twenty invalid ones; print the failures."""
     counts: Counter[str] = Counter()
     again = f"--seed {seed} --first {number} --configs 1 --images {images}"
 

@@ -1,4 +1,4 @@
-"""Settings that are chosen by what they find in an image."""
+"""Settings that are chosen by the corners that they find in an image."""
 
 import cv2
 import numpy as np

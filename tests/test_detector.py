@@ -109,7 +109,7 @@ def test_read_only_and_fortran_like_arrays(detector):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
 def test_the_images_of_the_vectors_equal_the_oracle(device, path):
-    """tests/reference holds the oracle to what else is in the vectors."""
+    """tests/reference compares the oracle with everything else in the vectors."""
     with np.load(path) as file:
         image = file["image"]
         full_scale = int(file["full_scale"])

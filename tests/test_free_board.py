@@ -11,7 +11,7 @@ from cmp_cl.stereo.points import sides
 
 SQUARE, ROWS, COLUMNS = 3.0, 7, 10
 SIZE = (800, 1200)
-BOW = 0.3  # mm that the middle of the board stands off its ends, 27 mm apart
+BOW = 0.3  # mm from the middle of the board to the line through its ends, which are 27 mm apart
 
 
 def cylinder(flat, bow=BOW, length=27.0):
@@ -138,7 +138,7 @@ def test_too_few_or_unlike_views_of_a_free_board_are_refused():
 
 
 def picture(matrix, rotation, shift, bend):
-    """Return a picture of a board of 6 x 9 inner corners, 25 mm apart, on z = bend x^2 / 2."""
+    """Return an image of a board of 6 x 9 inner corners, 25 mm apart, on z = bend x^2 / 2."""
     high, wide, fine = 480, 640, 3
     v, u = (np.mgrid[: high * fine, : wide * fine] + 0.5) / fine - 0.5
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(matrix).T @ rotation

@@ -9,7 +9,7 @@ import pytest
 import cmp_cl
 
 ROOT = Path(cmp_cl.__file__).parent
-# From the bottom up; a name stands for a module, or for a package and all within it.
+# From the bottom up; a name is that of a module, or of a package and everything in it.
 LAYERS = [
     {"closing", "errors", "image_size", "version", "vtk"},
     {"extras", "files"},

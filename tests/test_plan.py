@@ -181,7 +181,7 @@ def test_without_its_criterion_corrosion_is_not_computed(detector_for, criteria)
 
 @pytest.mark.parametrize("refinement", [None, EdgeLines(), EdgeStep(), Midlines()])
 def test_a_flat_frame_needs_no_refinement(device_in_form, refinement):
-    """Refinement stops at the number of corners: it writes nothing where there are none."""
+    """Refinement stops at the number of corners: without corners it writes nothing."""
     config = DetectorConfig(refinement=refinement)
     with Detector(shape=IMAGE.shape, device=device_in_form, config=config) as detector:
         plan = detector._plan(None)

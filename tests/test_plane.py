@@ -29,7 +29,7 @@ LENGTH = 60.0  # px, displacement by slope
 
 
 def lattice(rows=40, columns=40, side=12.0):
-    """Return the nodes of a slightly turned board, px."""
+    """Return the nodes of a slightly rotated board, px."""
     row, column = np.mgrid[:rows, :columns]
     x, y = 30 + side * (column + 0.03 * row), 25 + side * (row - 0.03 * column)
     return np.stack([x, y], axis=-1)
@@ -183,7 +183,7 @@ def test_a_raster_holds_the_displacement_at_every_pixel():
     raster = wave()
     xy = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
     inside = ~np.isnan(raster.values[..., 0])
-    assert 0.9 < inside.mean() < 0.95  # the board is turned
+    assert 0.9 < inside.mean() < 0.95  # the board is rotated
     off = np.square(raster.values + LENGTH * slope(xy))[inside].mean()
     assert math.sqrt(off) < 0.005 * 5
 
@@ -318,7 +318,7 @@ def test_strain_counts_the_errors_that_neighbours_share(part, angle):
     row, column = np.mgrid[:20, :20]
     rest = np.stack([12.0 * column, 12.0 * row], axis=-1)
     relative, parts = [], []
-    for seed in range(900000, 900040, 2):  # the board turns, and what neighbours share with it
+    for seed in range(900000, 900040, 2):  # the board rotates, and the shared errors with it
         before = rest + 0.05 * edge_noise(seed, part, np.eye(2))
         now = rest @ turn.T @ gradient_of(1e-2).T + 0.05 * edge_noise(seed + 1, part, turn)
         field = with_measured_noise(plane_displacement(grid_of(before), grid_of(now), raw=True))

@@ -105,7 +105,7 @@ def test_rotating_a_board_rotates_its_corners(detector_for, cell, angle, turn):
     y, x = (turned(index, turn) for index in np.indices(image.shape))
     xy = detector(turned(image, turn)).xy
     near = np.rint(xy).astype(int).clip(0, SIDE - 1)
-    # Within a pixel the turn is that of its neighbours' places.
+    # Positions within a pixel rotate too.
     step_x = np.array([x[0, 1] - x[0, 0], y[0, 1] - y[0, 0]])
     step_y = np.array([x[1, 0] - x[0, 0], y[1, 0] - y[0, 0]])
     rest = xy - near

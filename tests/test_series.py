@@ -46,7 +46,7 @@ def rest():
 
 
 def frame(number):
-    """Return what a frame holds; node (0, 0) is missing."""
+    """Return the arrays of a frame; node (0, 0) is missing."""
     shift = np.full((4, 5, 3), 0.25 * number) + rest() / 100
     shift[0, 0] = np.nan
     return {

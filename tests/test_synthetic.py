@@ -267,7 +267,7 @@ CHANGES = {
 
 @pytest.fixture(scope="session")
 def cube():
-    """Return a scene and its picture."""
+    """Return a scene and its image."""
     scene = Scene(markers=20, shape=(120, 160), indenter=Indenter.CUBE)
     return scene, synthetic.render(scene).image
 

@@ -175,7 +175,7 @@ RENDER = ("render", "--shape", 120, 160, "--markers", 10, "--out")
 
 @pytest.fixture(scope="session")
 def usual(tmp_path_factory):
-    """Return the picture of the options RENDER."""
+    """Return the image of the options RENDER."""
     path = tmp_path_factory.mktemp("render") / "usual.png"
     cli.main([str(argument) for argument in (*RENDER, path)])
     return path.read_bytes()

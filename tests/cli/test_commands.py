@@ -104,8 +104,8 @@ STEREO = "--stereo", "rig.yaml", "--grid", "12x12", "--out", "press.npz"
 
 
 def off_by(series, press, order):
-    """Return the root mean square error of every frame's displacement, mm; order: what each frame
-    is."""
+    """Return the root mean square error of every frame's displacement, mm; order: the shot of each
+    frame."""
     truth = [press[number].xyz - press[0].xyz for number in order]
     return [
         np.sqrt(np.mean(np.square(found - true).sum(axis=2)))
@@ -935,7 +935,7 @@ def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
     assert not list(tmp_path.glob("*.toml"))
 
 
-# what they share
+# all commands
 
 
 def test_a_split_is_read_as_it_is_written():
@@ -1190,7 +1190,7 @@ def test_frames_that_change_size_are_named_and_left_out(run):
 
 
 def test_without_pyav_a_command_reports_what_it_cannot_see_in_a_video(run, monkeypatch):
-    """OpenCV scales frames of another size to that of the first, and no property of it says so."""
+    """OpenCV scales frames of another size to that of the first, and does not report it."""
     monkeypatch.setattr(media, "has_pyav", lambda: False)
     picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
     pictures = [picture, picture[:140], picture]

@@ -93,7 +93,7 @@ def test_corners_hold_the_radius_of_their_refinement_as_the_oracle_does(config):
 
 @pytest.fixture(scope="module")
 def pressed():
-    """Return a perfect print at rest and pressed, as found, and where its nodes are now."""
+    """Return the found grids of a perfect print at rest and pressed, and the true positions now."""
     scene = random_scene(
         970_001,
         markers=40,

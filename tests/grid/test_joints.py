@@ -17,7 +17,7 @@ CELL = 24  # px
 
 
 def linked(at: np.ndarray, *, unit: complex = 1) -> tuple[np.ndarray, Lattice]:
-    """Return positions, and the lattice that has them all in one component, turned by a unit."""
+    """Return positions, and a lattice with all of them in one component, rotated by a unit."""
     row, column = np.nonzero(~np.isnan(at.real))
     z = at[row, column]
     steps = at[:, 1:] - at[:, :-1]
@@ -46,7 +46,7 @@ def plane(rows: int, columns: int, step: complex) -> np.ndarray:
 
 
 def two_boards() -> tuple[np.ndarray, np.ndarray]:
-    """Return 8 x 9 nodes and 8 x 5 larger, turned ones beyond, and which are the second's."""
+    """Return 8 x 9 nodes and 8 x 5 larger, rotated ones beyond, and a mask of the latter."""
     jitter = np.random.default_rng(5).normal(0, 0.2, (2, 8, 14))
     second = 110 - 20j + plane(8, 5, 16 * cmath.exp(0.5j))
     at = np.hstack([plane(8, 9, 10), second]) + jitter[0] + 1j * jitter[1]

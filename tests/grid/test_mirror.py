@@ -10,7 +10,7 @@ from cmp_cl.grid import NodeStatus
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
 
 CELL = 14  # px
-HIGH, WIDE = 15 * CELL, 12 * CELL  # px: what is seen of a pattern without end
+HIGH, WIDE = 15 * CELL, 12 * CELL  # px: the view of a pattern without end
 
 
 def picture(*, wear: float, wave: float = 0.0, phase: float = 0.5, seed: int = 3) -> np.ndarray:

@@ -26,12 +26,12 @@ PERIODS = ((1, 1), (2, 0), (-1, 3))
 
 
 def numbers(grid: Grid) -> np.ndarray:
-    """Return the number (row, column) of each corner; far from all others where it has none."""
+    """Return the number (row, column) of each corner; far from all others if it has none."""
     return np.where(grid.index < 0, -999, grid.index + np.array(grid.origin))
 
 
 def offset(grid: Grid, seen: Board) -> np.ndarray:
-    """Return what has to be added to a grid's numbers to give the true ones; one value for all."""
+    """Return the one difference of the true numbers from a grid's, the same for all nodes."""
     known = grid.index[:, 0] >= 0
     off = np.unique((seen.index - numbers(grid))[known], axis=0)
     assert len(off) == 1

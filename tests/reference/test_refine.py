@@ -1,4 +1,4 @@
-"""Refinement of the oracle on perfect corners at known places."""
+"""Refinement of the oracle on perfect corners at known positions."""
 
 import math
 
@@ -76,7 +76,7 @@ def test_edges_point_along_the_lines_from_white_to_black_first():
         turns = np.diff([*edges, edges[0]]) % math.tau
         assert turns.sum() == pytest.approx(math.tau)
         for k, edge in enumerate(edges):
-            # A quarter of a turn clockwise on screen is towards larger angles.
+            # A clockwise rotation on the screen is towards larger angles.
             after = edge + (edges[(k + 1) % 4] - edge) % math.tau / 2
             row, column = round(y + 5 * math.sin(after)), round(x + 5 * math.cos(after))
             assert (image[row, column] < 120) == (k % 2 == 0)
@@ -303,7 +303,7 @@ def test_quadratic_centrelines_meet_where_parabolas_meet():
     lines = [edges.fit_lines(middle[:, :, k], np.ones((1, 3), np.bool_)) for k in (0, 1)]
     straight = edges.intersect(*lines)
     curved = midlines._intersect_curves(*lines, middle, straight.position)
-    # Not the origin exactly: v is quadratic along a turned axis.
+    # Not the origin exactly: v is quadratic along a rotated axis.
     assert np.linalg.norm(curved.position) < np.linalg.norm(straight.position) / 3
 
 
