@@ -51,7 +51,7 @@ def cut(found: Lattice, nodes: Nodes, component: int = 0) -> Lattice | None:
 
 
 def _hang_together(along: Steps, down: Steps) -> bool:
-    """Return whether cells that agree with their neighbours join all but a few cells into one."""
+    """Return whether all but a few cells form one part, joined by neighbours that agree."""
     size = _square(along) + _square(down)
     least = ALIKE**2 * size
     apart = _square(along[:, 1:] - along[:, :-1]) + _square(down[:, 1:] - down[:, :-1])

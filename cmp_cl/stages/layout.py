@@ -84,7 +84,7 @@ class PlanBase:
 
     @property
     def bands(self) -> int:
-        """Return the number of bands of rows: one per unit of a CPU, if 32 rows each; else one."""
+        """Return the number of bands: on a CPU one per unit, of 32 rows or more; else one."""
         if self.form is not Form.CPU:
             return 1
         units = self.device.handle.max_compute_units
