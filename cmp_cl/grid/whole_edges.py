@@ -107,5 +107,5 @@ def _move(ends: Points, offset: Float) -> Points:
     one, other = (offset[:2] - offset[2:]) / 2  # right of the way out is left of the way back
     sine = (first.conj() * second).imag
     sine = np.where(np.abs(sine) > LEAST_SINE, sine, np.nan)
-    move: Points = 1j * (other * first - one * second) / sine
+    move: Points = 1j * (other * first - one * second) * (1 / sine)
     return move

@@ -57,6 +57,13 @@ def test_a_node_that_lies_on_its_edges_stays():
     assert abs(asked(image, corners, corners[TORN]) - corners[TORN]) < 0.15
 
 
+def test_a_node_whose_two_lines_nearly_coincide_is_refused():
+    image, corners = picture(12)
+    column, row = corners.real, corners.imag
+    flat = column + row + 0.05j * row
+    assert np.isnan(asked(image, flat, flat[TORN]))
+
+
 def test_edges_of_the_other_polarity_are_not_taken():
     image, corners = picture(12)
     assert not np.isnan(asked(image, corners, corners[TORN]))
