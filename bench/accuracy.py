@@ -144,7 +144,7 @@ def unpacked(result: dict[str, Any]) -> dict[str, Any]:
 
 
 def groups(scene: Scene) -> list[str]:
-    """Return the groups that a scene counts in."""
+    """Return the groups that a scene belongs to."""
     return [
         "all",
         f"markers {scene.markers}",
@@ -157,7 +157,7 @@ def groups(scene: Scene) -> list[str]:
 
 
 def by_corner(xy: np.ndarray, frame: Frame) -> np.ndarray:
-    """Return the distance of the detection of each corner, (M,), px, NaN where it was missed."""
+    """Return the distance of the detection of each corner, (M,), px, NaN if it was missed."""
     partner = match(xy, frame.truth, reach(frame.cell))
     apart = np.full(len(frame.truth), np.nan)
     hit = partner >= 0

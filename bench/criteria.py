@@ -3,7 +3,7 @@
 
     python bench/criteria.py            writes results/criteria.json, about two minutes
 
-The thresholds are compared in NumPy, with the same gate, suppression and refinement behind
+The thresholds are compared in NumPy, with the same gate, suppression and refinement after
 them; the times are the device's.
 """
 

@@ -88,7 +88,7 @@ def recordings() -> list[tuple[DetectorConfig, list[np.ndarray]]]:
 
 
 def endure(seconds: float, device: str | None = None, openings: int = 1000) -> dict[str, Any]:
-    """Run for that long, then open and close; what happened."""
+    """Run for that long, then open and close detectors; return what was counted."""
     work = recordings()
     detectors = [
         Detector(shape=frames[0].shape, dtype=frames[0].dtype, config=config, device=device)
@@ -147,7 +147,7 @@ def endure(seconds: float, device: str | None = None, openings: int = 1000) -> d
 
 
 def failures(found: dict[str, Any]) -> list[str]:
-    """Return what is wrong, in words."""
+    """Return the faults, in words."""
     wrong = []
     if found["changed"]:
         wrong.append(f"{found['changed']} rounds gave other results than the first")
@@ -167,7 +167,7 @@ def failures(found: dict[str, Any]) -> list[str]:
 
 
 def main() -> int:
-    """Run, print, and say what is wrong."""
+    """Run, and print the results and the faults."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=20)
     parser.add_argument("--openings", type=int, default=1000)

@@ -41,7 +41,7 @@ def environment() -> dict[str, Any]:
 
 
 def others(seconds: float = 1.0) -> float | None:
-    """Return the cores that other programs kept busy while this one slept; None where the system
+    """Return the cores that other programs kept busy while this one slept; None if the system
     does not say."""
     try:
         before = _busy()
@@ -58,7 +58,7 @@ def _busy() -> float:
 
 
 def _commit() -> str:
-    """Return the commit of the tree, marked where the tree differs from it; results may."""
+    """Return the commit of the tree, marked if files other than results differ from it."""
     here = Path(__file__).parent
     try:
         commit = _git(here, "rev-parse", "--short", "HEAD")

@@ -137,7 +137,7 @@ def digest(arrays: dict[str, np.ndarray]) -> str:
 
 
 def answer(measure: TwoViews, scene: Scene, rest: Shot, now: Shot) -> dict[str, Any]:
-    """Return how right one frame is: numbering, and squared errors in um2 for later means."""
+    """Return the accuracy of one frame: numbering, and squared errors in um2 for later means."""
     frame = now.frame
     start = time.perf_counter()
     found = measure(frame)
@@ -219,7 +219,7 @@ STREAMS = {"whole": (0.0, 0.1, 0.2, 0.3, 0.4, 0.5), "torn": (0.6, 0.75, 0.9, 1.0
 
 
 def numbering(device: Device, rounds: int) -> list[dict[str, Any]]:
-    """Measure what `detector.grid` takes after the detection, in both forms, one frame after
+    """Measure the time of `detector.grid` after the detection, in both forms, one frame after
     another.
 
     The frames of a press come in another order in every round. Those of the first stream show
@@ -303,7 +303,7 @@ def pairs(folder: Path, count: int, shape: tuple[int, int], config: Any) -> list
 
 
 def boards() -> list[dict[str, Any]]:
-    """Measure squares of the published rig, and of boards that the calibration has not seen."""
+    """Measure squares with the published rig, and on boards that the calibration has not seen."""
     rows: list[dict[str, Any]] = []
     published = DATA / "stereo_bumblebee2"
     own = DATA / "stereo_opencv"
@@ -340,7 +340,7 @@ def lattice_filtered(pair: tuple[Grid, Grid]) -> tuple[Grid, Grid]:
 def left_out(views: Sequence[tuple[Grid, Grid]], *, free_board: bool = False) -> dict[str, Any]:
     """Measure each pair with the calibration of the others.
 
-    With a free board each side is also compared to the same side of the board that the others
+    With a free board each side is also compared with the same side of the board that the others
     found, whose sides are 25 mm long on average: `repeated` is the deviation from it, `board` that
     of its own sides.
     """

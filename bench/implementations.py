@@ -35,7 +35,7 @@ LIMIT = 200  # seconds for all scenes on an implementation
 
 
 def libraries() -> Iterator[tuple[str, str]]:
-    """Name and library of each implementation that is there."""
+    """Return the name and the library of each implementation that is installed."""
     bundled = Path(pyopencl.__file__).parent / ".libs"
     for path in bundled.glob("libpocl*"):
         yield "PoCL, PyPI", str(path)
@@ -68,7 +68,7 @@ def measure(out: Path) -> None:
 
 
 def run(name: str, library: str, folder: Path) -> dict[str, Any] | str:
-    """Return what `measure` found with that implementation alone, or why it did not."""
+    """Return the result of `measure` with that implementation alone, or why there is none."""
     vendor, out = folder / f"{name}.icd", folder / f"{name}.npz"
     vendor.write_text(library + "\n")
     around = {**os.environ, "OCL_ICD_VENDORS": str(vendor), "RUSTICL_ENABLE": "llvmpipe"}
@@ -86,7 +86,7 @@ def run(name: str, library: str, folder: Path) -> dict[str, Any] | str:
 
 
 def largest_distance(one: dict[str, Any], other: dict[str, Any]) -> float | None:
-    """Return the largest distance between equal corners, px; None where the corners differ."""
+    """Return the largest distance between equal corners, px; None if the corners differ."""
     largest = 0.0
     for scene, config in DIGESTS:
         a, b = one[f"{scene}/{config}"], other[f"{scene}/{config}"]

@@ -62,7 +62,7 @@ def inked(mark: str, draw: np.random.Generator) -> np.ndarray:
 
 
 def board(mark: str, cell: float, seed: int) -> Board:
-    """Render a board that fills most of the image, turned and seen at an angle."""
+    """Render a board that fills most of the image, rotated and seen at an angle."""
     draw = np.random.default_rng(seed)
     rows, columns = int(0.75 * SHAPE[0] / cell), int(0.75 * SHAPE[1] / cell)
     white = np.add.outer(np.arange(rows), np.arange(columns)) % 2 == 1

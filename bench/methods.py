@@ -107,8 +107,8 @@ def own_with_grid(name: str, config: DetectorConfig, frame: Any) -> Method:
 
 
 def own_with_filter(name: str, config: DetectorConfig, frame: Any) -> Method:
-    """Return one of our configurations with the grid step and the lattice filter as a row: a node
-    is where it and its neighbours say."""
+    """Return one of our configurations with the grid step and the lattice filter as a row; nodes
+    have their filtered positions."""
     detector = Detector(shape=frame.image.shape, config=config)
     size = (frame.markers, frame.markers)
 
@@ -132,8 +132,8 @@ def peer(name: str, pattern: Pattern) -> Method:
 
 
 def peer_with_grid(name: str, pattern: Pattern) -> Method:
-    """Return a peer with our grid step as a row. NumPy takes the edge angles that the step needs at
-    the peer's positions: right, but no fair time."""
+    """Return a peer with our grid step as a row. The edge angles that the step needs at the peer's
+    positions come from NumPy, so the result is right but the time is no fair one."""
     plain = peer(name, pattern)
     size = (pattern.markers, pattern.markers)
 

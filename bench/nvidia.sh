@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
-# The tests and the benchmark on an NVIDIA card, on a machine that reaches no network.
+# The tests and the benchmark on an NVIDIA card, on a machine without a network.
 #
 #   bench/nvidia.sh pack      with a network: wheels for this python into bench/wheels/
 #   bench/nvidia.sh           on the machine with the card; results go to the folder $OUT
-#   bench/nvidia.sh quick     the same commands in small, to see that they work
+#   bench/nvidia.sh quick     the same commands with small numbers, to check that they work
 #
-# Needs python3 with venv, and the driver's libnvidia-opencl.so.1; no rights, no OpenCL loader
-# and no .icd file: pyopencl's wheel brings the one, this script writes the other. LIBRARY and
-# DEVICE name another implementation: LIBRARY=libpocl.so.2 DEVICE=cpu bench/nvidia.sh quick
+# It needs python3 with venv, and the driver's libnvidia-opencl.so.1. It needs no root rights, no
+# OpenCL loader and no .icd file: pyopencl's wheel brings the loader, and this script writes the
+# file. LIBRARY and DEVICE select another implementation:
+# LIBRARY=libpocl.so.2 DEVICE=cpu bench/nvidia.sh quick
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -16,7 +17,7 @@ library=${LIBRARY:-libnvidia-opencl.so.1}
 device=${DEVICE:-nvidia}
 
 if [ "${1:-}" = pack ]; then
-    # PoCL is left out: nothing but the card is to be found.
+    # PoCL is left out, so that only the card is found.
     $python -m pip download --only-binary :all: --dest bench/wheels hatchling editables wheel \
         ".[test]"
     exit

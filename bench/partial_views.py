@@ -49,7 +49,7 @@ MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 class View(NamedTuple):
     """A cut photograph. truth: (N, 4), x, y, row and column of each corner in view. region:
     where a node that is no listed corner is false, (H, W) bool. whole: rows and columns of the
-    board, None where they are not asked for."""
+    board, None if they are not asked for."""
 
     name: str
     image: GreyImage
@@ -180,7 +180,7 @@ def _pair(value: Any) -> tuple[float, float]:
 
 
 def sector_based(view: View) -> Found | None:
-    """Run cv2.findChessboardCornersSB with LARGER from the smallest board on."""
+    """Run cv2.findChessboardCornersSB with LARGER, beginning with the smallest board."""
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     hit, xy, meta = cv2.findChessboardCornersSBWithMeta(view.image, (3, 3), flags)
     if not hit:
@@ -222,7 +222,7 @@ METHODS: dict[str, Method] = {
 
 def scored(view: View, answer: Found) -> dict[str, int]:
     """Return the corners in view, the nodes that are right, false and neither, and the numbers that
-    are wrong in silence."""
+    are silently wrong."""
     row = dict.fromkeys(("right", "false", "other", "refused", "doubted", "silent"), 0)
     row["visible"] = len(view.truth)
     if not len(answer.xy):
@@ -268,7 +268,7 @@ def agreeing(number: np.ndarray, truth: np.ndarray, view: View) -> tuple[int, bo
 def _onto_itself(
     moved: np.ndarray, here: np.ndarray, mirrored: np.ndarray, quarter: int, whole: tuple[int, int]
 ) -> bool:
-    """Return whether that motion takes the numbers of a whole board to those of a whole board."""
+    """Return whether that motion maps the numbers of a whole board onto themselves."""
     rows, columns = whole
     shape = (columns - 1) + 1j * (rows - 1)
     flipped = not np.array_equal(mirrored, here)

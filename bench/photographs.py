@@ -49,7 +49,7 @@ class Photograph(NamedTuple):
         listed = json.loads((DATA / name).with_suffix(".json").read_text())
         picture = (DATA / name).with_name(listed["image"])
         image = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
-        region = np.zeros_like(image)  # nowhere, where not every corner is listed
+        region = np.zeros_like(image)  # nowhere, if not every corner is listed
         if listed["region"] is not None:
             region = cv2.imread(str(DATA / f"{name}.region.png"), cv2.IMREAD_GRAYSCALE)
         corners = listed["corners"]
@@ -131,8 +131,8 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
 
 
 def own_rows(photograph: Photograph, cell: float) -> dict[str, DetectorConfig]:
-    """Return our configurations: the default, what the library chooses itself, and the binary
-    rings, as they come, with three thresholds, and with the cell's window and both outer radii."""
+    """Return our configurations: the default, the one that the library chooses, and the binary
+    rings: by default, with three thresholds, and with the cell's window and both outer radii."""
     window = AdaptiveMean(window=window_for_cell(cell))
     return {
         methods.DEFAULT: DetectorConfig(),

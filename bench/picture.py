@@ -2,8 +2,8 @@
 
     python bench/picture.py
 
-Green rings are corners that were found, red crosses what was missed, yellow squares what is
-false. One scene of severity 1 with 40 x 40 corners, a part of it enlarged.
+Green rings are corners that were found, red crosses missed corners, yellow squares false ones.
+It is one scene of severity 1 with 40 x 40 corners, a part of it enlarged.
 """
 
 import argparse

@@ -5,9 +5,9 @@
                                         prints of other wear and noise; writes
                                         results/positions.json, about twenty minutes
 
-A node counts where the numbering of both frames is right. `within` is the share of the
-coordinates whose error is within one and within two stated standard deviations: 68 and 95 % where
-errors are normal and sigma is right.
+A node counts if the numbering of both frames is right. `within` is the share of the coordinates
+whose error is within one and within two stated standard deviations: 68 and 95 % if errors are
+normal and sigma is right.
 """
 
 import argparse
@@ -115,7 +115,7 @@ def bent(truth: np.ndarray) -> np.ndarray:
 
 
 def measured(scene: Scene, detector: Detector, rivals: dict[str, Detect]) -> Node | None:
-    """Measure a scene against its frame at rest; None where the numbering is wrong or missing."""
+    """Measure a scene against its frame at rest; None if the numbering is wrong or missing."""
     shape = (scene.markers, scene.markers)
     rest_frame, frame = rendered(scene.at_rest()), rendered(scene)
     try:
@@ -192,7 +192,7 @@ def student(count: int) -> float:
 
 
 def mean_interval(values: Sequence[float]) -> list[float]:
-    """Return the interval of 95 % for the mean of some frames' figures, NaN of a single one."""
+    """Return the interval of 95 % for the mean of some frames' figures, NaN for a single one."""
     if len(values) < 2:
         return [math.nan, math.nan]
     half = student(len(values)) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
@@ -270,7 +270,7 @@ def groups(nodes: Sequence[Node]) -> list[dict[str, Any]]:
 
 
 def at_bends(nodes: Sequence[Node]) -> dict[str, Any]:
-    """Return the RMS of the distance where the truth bends, of scenes with usual wear."""
+    """Return the RMS of the distance at nodes where the truth bends, for scenes of usual wear."""
     worn = [node for node in nodes if node.scene.corrosion == 1]
     sums = {kind: np.concatenate([node.bends[kind] for node in worn]) for kind in KINDS}
     return {
@@ -309,7 +309,7 @@ def compared(nodes: Sequence[Node]) -> list[dict[str, Any]]:
 
 
 def bound(frames: int) -> dict[str, Any]:
-    """Return the noise-only Cramer-Rao bound of a disc of .75 cell on perfect prints at rest.
+    """Return the noise-only Cramer-Rao bound of a disc of 0.75 cell on perfect prints at rest.
 
     The image without noise is known except for its position: F = sum of grad grad^T / noise^2.
     The noise part of EDGE_STEP is the distance between its answers with and without noise.
@@ -379,8 +379,8 @@ def grid(xyz: np.ndarray) -> Grid:
 
 
 def pressed(now: np.ndarray, seed: int) -> dict[tuple[str, str], tuple[np.ndarray, ...]]:
-    """Measure the way from the flat lattice to `now`, with wear and noise, in space and in the
-    plane, raw and filtered: displacement, E11 and the sigma of E11.
+    """Measure the deformation of the flat lattice to `now`, with wear and noise, in space and in
+    the plane, raw and filtered: displacement, E11 and the sigma of E11.
     """
     draw = np.random.default_rng(seed)
     flat = lattice()

@@ -69,7 +69,7 @@ def read(folder: Path, name: str) -> Row | None:
 
 
 def figures(timed: Row, errors: Row) -> str:
-    """Return the README's table: what each method takes, misplaces and gets right."""
+    """Return the README's table: the time, the error and the right frames of each method."""
     small, large = ({row["method"]: row for row in scene["rows"]} for scene in timed["scenes"])
     whole = {row["method"]: row for row in unpacked(errors)["rows"] if row["group"] == "all"}
     body = []
@@ -136,7 +136,7 @@ def exactness(image: Row, space: Row) -> str:
 
 
 def insert(page: str, text: str) -> None:
-    """Put the text where a page of the documentation has the last one."""
+    """Replace the earlier text on a page of the documentation by this one."""
     path = RESULTS.parents[1] / page
     before, rest = path.read_text("utf-8").split(BEGIN)
     path.write_text(f"{before}{BEGIN}\n{text}{END}{rest.split(END)[1]}", "utf-8")

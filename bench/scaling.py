@@ -1,4 +1,4 @@
-"""Measures how cost grows with pixels and frames, the gain by threads, and the time of a start.
+"""Measures how cost grows with pixels and frames, the gain from threads, and the start-up time.
 
     python bench/scaling.py --quick         small sizes, half a minute
     python bench/scaling.py                 160 x 120 to 8192 x 8192, batches up to 256 frames;
@@ -117,7 +117,7 @@ def sizes(shapes: Sequence[tuple[int, int]], device: str | None) -> list[dict[st
 
 
 def stages_sparse(device: str | None) -> list[dict[str, Any]]:
-    """Measure what corners cost: the same VGA frame with none, few and all of them in view."""
+    """Measure the cost of corners: the same VGA frame with none, few and all of them in view."""
     frame = vga(TEST_SEED)
     rows = []
     for share in (0.0, 0.25, 0.5, 1.0):
@@ -210,7 +210,7 @@ def first_result(device: str | None) -> list[dict[str, Any]]:
 
 
 def abilities(device: str | None) -> dict[str, float]:
-    """Measure the device's speed at the parts of a frame."""
+    """Measure the device's speed at each kind of work of a frame."""
     size = 64 << 20
     context = cl.Context([cmp_cl.select_device(device).handle])
     queue = cl.CommandQueue(context)

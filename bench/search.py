@@ -37,7 +37,7 @@ def search_frames(markers: int) -> list[Frame]:
 
 
 def rank(score: Score) -> tuple[int, int, float]:
-    """Return what is compared: the smaller the better."""
+    """Return the key that is compared: smaller is better."""
     rmse = score.rmse if score.found else float("inf")
     return score.frames - score.success, score.missed + score.false, rmse
 

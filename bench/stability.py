@@ -119,8 +119,8 @@ def _binned(values: dict[str, np.ndarray], key: str, ends: Sequence[float]) -> l
 
 
 def along_position(offsets: Sequence[int]) -> list[dict[str, Any]]:
-    """Measure the same picture farther and farther to the right: how far corners are from where
-    they were, plus the offset."""
+    """Measure the same image farther and farther to the right: the distances of the corners from
+    their first positions plus the offset."""
     frame = rendered(dataclasses.replace(random_scene(SEED, markers=MARKERS), severity=0.5))
     image = frame.image
     rows = []
@@ -277,7 +277,7 @@ def depth(repeats: int) -> list[dict[str, Any]]:
 
 def calibration(scenes: dict[str, list[Scene]]) -> list[dict[str, Any]]:
     """Compare EDGE_STEP's sigma with the real error: the root mean square of error / sigma per axis
-    is 1 where sigma is right. Compare the flag `doubtful` with errors above 1 px."""
+    is 1 if sigma is right. Compare the flag `doubtful` with errors above 1 px."""
     rows = []
     for kind, those in scenes.items():
         errors, sigmas, doubts = [], [], []

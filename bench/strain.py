@@ -2,7 +2,7 @@
 
     python bench/strain.py [--seeds 6] [--first 1000] [--json results/strain.json]
 
-Each pair of pictures shows a printed checkerboard from the front, turned, and then strained by
+Each pair of images shows a printed checkerboard from the front, rotated, and then strained by
 a known gradient, with noise. `cmp-cl run --strain --cell` measures it, from the raw positions, and
 `plane_strain(plane_displacement(rest, now))`, through the lattice filter. For each strain the table
 gives the root mean square error, the median of the stated sigma, and the share of errors within
@@ -36,13 +36,13 @@ BOUNDS = 0.90, 0.98
 
 
 def gradient(strain: float, direction: float) -> np.ndarray:
-    """Return the gradient (2, 2) that has this principal strain, and -.4 of it across."""
+    """Return the gradient (2, 2) that has this principal strain, and -0.4 times it across."""
     turn = rotation(direction)
     return turn @ np.diag(np.sqrt(1 + 2 * np.array([strain, -0.4 * strain]))) @ turn.T
 
 
 def rotation(angle: float) -> np.ndarray:
-    """Return the matrix (2, 2) that turns by an angle, rad."""
+    """Return the matrix (2, 2) of the rotation by an angle, rad."""
     return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
 
 
@@ -122,7 +122,7 @@ def _errors(off: np.ndarray, sigma: np.ndarray, pairs: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Print the table; 1 where a coverage is out of bounds."""
+    """Print the table; return 1 if a coverage is out of bounds."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=6, help="pairs of pictures a strain")
     parser.add_argument("--first", type=int, default=1000, help="number of the first one")

@@ -1,13 +1,14 @@
-"""Boards before busy backgrounds, and patterns with a mirror in the view.
+"""Boards in front of busy backgrounds, and patterns with a mirror in the view.
 
     python bench/surroundings.py            writes results/surroundings.json
     python bench/surroundings.py --first 900000 --show        other scenes
 
-Rendered boards before a plain ground, squares, keys, bars and noise, with and without their size;
-rendered patterns that a mirror continues: along a line of cells, nearly so, anywhere, and along a
-diagonal; worn prints and perfect ones; alone, and like a frame at rest without the mirror. The
-same views without the mirror show false alarms. An answer is wrong if one of its nodes is no
-corner of the pattern itself or has a wrong number. It is silently wrong if it carries no warning.
+There are rendered boards in front of a plain ground, squares, keys, bars and noise, with and
+without their size. There are rendered patterns that a mirror continues: along a line of cells,
+nearly so, anywhere, and along a diagonal; on worn prints and perfect ones; alone, and like a frame
+at rest without the mirror. The same views without the mirror show false alarms. An answer is wrong
+if one of its nodes is no corner of the pattern itself or has a wrong number. It is silently wrong
+if it carries no warning.
 """
 
 import argparse

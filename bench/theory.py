@@ -6,10 +6,10 @@ An ideal corner has four sectors; the black ones begin at angles a0 and a2 and e
 a3. Around its ring the binary image f is 1 where black, and its Fourier coefficients are
 F_k = sum over the black sectors of (exp(-i k begin) - exp(-i k end)) / (2 pi i k): for sectors of
 width w that lie opposite each other |F2| = |sin w| / pi, F1 = F3 = 0 (the paper's Eq. 5). The
-circular cross-correlation of two such rings (Eq. 15), each turned by some angle, is piecewise
-linear in the turn: the overlap of the sectors over pi. A ring of radius r around a point at
-distance d from the corner sees a boundary that passes the point at distance e at an angle
-shifted by asin(e / r), which is how the coefficients move with the shift.
+circular cross-correlation of two such rings (Eq. 15), each rotated by some angle, is piecewise
+linear in the rotation: the overlap of the sectors over pi. A ring of radius r around a point beside
+the corner crosses a boundary that passes the point at distance e at an angle that is shifted by
+asin(e / r). From this follows how the coefficients change with the shift.
 """
 
 import argparse
@@ -71,7 +71,7 @@ def spectrum(name: str, width: float, azimuth: float, shift: tuple[float, float]
 def correlation(width: float, other: float, azimuth: float) -> tuple[np.ndarray, np.ndarray]:
     """Return R(k) sampled, and its closed form at the same rotations, normalised by sqrt(n1 n2).
 
-    The outer ring sees sectors of `width`, the inner one of `other`, turned by `azimuth`.
+    The outer ring sees sectors of `width`, the inner one of `other`, rotated by `azimuth`.
     """
     outer = samples("outer", width, 0.3, (0, 0))
     inner = samples("inner", other, 0.3 + azimuth, (0, 0))
@@ -119,7 +119,7 @@ def curves() -> dict[str, Any]:
 
 
 def agreement(whole: dict[str, Any]) -> dict[str, float]:
-    """Return how far 16 samples are from the closed form: root mean square of |F2|, of 16, and of
+    """Return the errors of 16 samples against the closed form: root mean square of |F2|, of 16, and
     R."""
     figures = {}
     for along in ("width", "azimuth", "shift"):

@@ -70,7 +70,7 @@ def is_live(name: str) -> bool:
 
 
 class Source:
-    """Where frames come from.
+    """The source of frames.
 
     name: a file (.mcap too), a folder of images, the number of a camera, a device such as
     /dev/video0, or an address such as rtsp://camera/stream.

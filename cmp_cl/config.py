@@ -139,8 +139,8 @@ class RingHarmonic:
     relative: least response of a corner as a share of the reference response of the frame, 0 to 1;
         the share for squeezed cells is 5/3 as large.
     fine: whether a ring of 3 px searches for cells squeezed under 6 px.
-    alignment: factor of the check that the harmonics of a small and of a large ring point
-        alike, 1 to 64; a smaller one is stricter, None leaves the check out.
+    alignment: factor of the check that the harmonics of a small and of a large ring point in
+        the same direction, 1 to 64; a smaller one is stricter, None leaves the check out.
     support: factor of the check that a ring of 4 px responds as one of 5 px does, 1 to 64; a
         smaller one is stricter, None leaves the check out.
     """
@@ -371,9 +371,9 @@ class DetectorConfig:
     def for_image(cls, image: "GreyImage") -> Self:
         """Choose the configuration for the cells of an image, and for their blur.
 
-        `estimate_cell` says how the cells are found. What surrounds a small board can look like
-        wide cells: `choose_config` checks the settings by what they find. Raises ImageError if
-        the image is not (H, W) uint8 or uint16.
+        `estimate_cell` says how the cells are found. The surround of a small board can look like
+        wide cells: `choose_config` checks the settings by the corners that they find. Raises
+        ImageError if the image is not (H, W) uint8 or uint16.
         """
         from cmp_cl.cell import cell_and_blur
 

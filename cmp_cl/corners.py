@@ -44,8 +44,8 @@ class Corners:
         screen, the first from white to black; NaN where unknown.
     doubtful: (N,) bool, corners whose surroundings do not fit the corner model (EdgeStep only,
         False otherwise).
-    edge_radius: the radius around a corner, px, within which its refinement takes the edges to be
-        straight; NaN if unknown (only EdgeStep has one).
+    edge_radius: the radius around a corner, px, within which its refinement assumes straight
+        edges; NaN if unknown (only EdgeStep has one).
     device: the device that ran, for example "pthread-... (Portable Computing Language)".
     """
 

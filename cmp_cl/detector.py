@@ -35,7 +35,7 @@ class Detector(Closing):
     shape: (H, W) of every frame. dtype: uint8 or uint16.
     config: the settings; None means DetectorConfig().
     device: a Device, a text for `select_device`, or None for the default device.
-    queue: an in-order pyopencl queue to use instead of an own one; then `device` must be None.
+    queue: an in-order pyopencl queue to use instead of one of its own; then `device` must be None.
     mask: (H, W) bool, where corners may be centred; pixels outside are still sampled.
     profile: record the times of the stages of the last frame, see `times`.
 
@@ -142,7 +142,7 @@ class Detector(Closing):
         """Yield the corners of each frame, in order.
 
         The next frame is uploaded while the kernels of this one run. A frame may be overwritten as
-        soon as the next one is asked for. Calls and other streams may be interleaved. Raises the
+        soon as the next one is requested. Calls and other streams may be interleaved. Raises the
         errors of a call, at the frame that causes them.
         """
         if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
@@ -427,11 +427,11 @@ def detect(
 def choose_config(
     image: Frame, *, full_scale: int | None = None, device: Device | str | None = None
 ) -> DetectorConfig:
-    """Choose the settings for an image, (H, W) uint8 or uint16, by what they find in it.
+    """Choose the settings for an image, (H, W) uint8 or uint16, by the corners that they find.
 
     The radius and the working scale of `DetectorConfig.for_image` suit the cells. These settings
     are chosen if they find the corners that `DetectorConfig()` finds, else `DetectorConfig()`,
-    which needs no size: for example for a small board before wide shapes. If the corners are
+    which needs no size: for example for a small board in front of wide shapes. If the corners are
     closer together than the estimated cell, the radius of the refinement is set from their
     distance.
 

@@ -1,5 +1,4 @@
-"""False corners on marks in the cells, told from the pattern's corners by the length of their
-    edges.
+"""False corners on marks in the cells. The length of their edges shows that they are false.
 
 A dot, a ring or a code in a cell has points around which black and white alternate four times, so
 that they look like corners. But an edge at a corner of a checkerboard runs straight to the next

@@ -64,7 +64,7 @@ class Checkerboard:
     cell: side of a cell, mm, 0.01 to 1000.
     border: width of the white border around the cells, mm, 0 to 1000; None means one cell.
     ink_spread: how far black spreads past its drawn edge in print, mm, less than half a cell. Cells
-        are drawn smaller by that much on each side. It is negative where black shrinks.
+        are drawn smaller by that much on each side. It is negative if black shrinks.
     stretch: factors on all lengths along x and y, 0.5 to 2: nominal over measured length of
         the scale bars of a trial print.
     scale_bar: draw a scale bar along x and one along y, with the size of the pattern.
@@ -115,7 +115,7 @@ class Checkerboard:
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """Return (R, C, 2): where the inner corners are drawn on the sheet, (x, y), mm."""
+        """Return the positions of the inner corners on the sheet, (R, C, 2), (x, y), mm."""
         rows, columns = self.shape
         left, top = self._origin()
         x = left + np.arange(1, columns + 1) * self.cell * self.stretch[0]
@@ -126,8 +126,8 @@ class Checkerboard:
         """Write the sheet as .svg, .pdf, .png or .dxf, by suffix, whole or not at all.
 
         .svg and .pdf: filled paths, a unit of the SVG is 1 mm. .dxf: closed polylines, mm, y
-        up, on the layers CELLS and SCALE. .png: grey levels at `dpi` pixels an inch, which the
-        file says; a pixel on an edge is as grey as it is covered.
+        up, on the layers CELLS and SCALE. .png: grey levels at `dpi` pixels per inch, which the
+        file states; a pixel on an edge is darker the more of it is covered.
 
         Raises ConfigError on another suffix, a dpi outside 10 to 10 000 or more than 400
         million pixels, OSError if the file cannot be written.

@@ -3,8 +3,8 @@
 
 /* Double-layer sampling and the four rapid criteria (sections 3.2 and 3.4, Eqs. 18 to 24).
  *
- * A colour is 0 or 1, black. a0..a15 are the inner ring's samples, b0..b15 the outer ring's.
- * Everything is a byte and nothing branches, so that a vector holds 32 or 64 pixels. */
+ * A colour is 0, white, or 1, black. a0..a15 are the inner ring's samples, b0..b15 the outer
+ * ring's. Everything is a byte and nothing branches, so that a vector holds 32 or 64 pixels. */
 
 /* The runs of the inner ring from sample 0 on are numbered modulo 4 by two bits:
  * lo = a_i ^ a_0 changes with every transition, hi with every second one. */
@@ -97,7 +97,7 @@ __kernel void rapid_criteria(__global const uchar *restrict binary, const uchar 
   | ((uint)binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] << (i))
 #define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
 
-/* d2 of Eq. 21; 255 where there are not four runs. */
+/* d2 of Eq. 21; 255 if there are not four runs. */
 uint run_difference(const uint mask) {
   uint left = mask ^ ROTATE(mask, 1), end[4];
   if (popcount(left) != 4) return 255;

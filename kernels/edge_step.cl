@@ -2,7 +2,8 @@
 
 /* EDGE_LINES, then EDGE_STEP. One work-item per corner, eight pixels of a row at a time. */
 
-/* Grey levels of eight pixels from offset (i, j) of the start on, with the border repeated. */
+/* Grey levels of eight pixels of a row; the first one is at offset (i, j) from the start. The
+ * border is repeated. */
 #define GREY_NEAR(i, j) \
   (float)image[CLAMPED_ROW(from_y + (j)) + (size_t)clamp(from_x + (i), 0, (int)columns - 1)]
 #if SCALED
@@ -14,7 +15,7 @@
   EIGHT_OF(float8, image + CLAMPED_ROW(from_y + (j)) + (size_t)(from_x + (i)))
 #endif
 
-/* Row j of the disc: from the middle on, as many groups of eight pixels as its chord needs. */
+/* Row j of the disc: as many groups of eight pixels around the middle as its chord needs. */
 #define DISC_ROW(j)                                                                 \
   const float uy = (float)(j) - y, uy_2 = uy * uy;                                  \
   int eights = 1;                                                                   \

@@ -5,7 +5,7 @@
  *
  * The four sectors are the runs of the inner ring; sample i of either ring belongs to the
  * sector of inner sample i. The contrast of a ring is the smallest white maximum minus the
- * largest black minimum. A candidate that is no maximum has none. */
+ * largest black minimum. A candidate that is no maximum has no contrast. */
 
 #define FULL ((PIXEL)(-1)) /* the largest grey level */
 #define NO_CONTRAST (PIXEL_BITS == 8 ? SHRT_MIN : INT_MIN)
@@ -20,9 +20,9 @@ __kernel void clear_bins(__global uint *restrict counted, __global uint *restric
 }
 
 /* The contrast of the inner ring, the smaller contrast of the two rings, and the difference of the
- * sector means in sixteenths of a grey level. There may be any number of runs from two on. The
- * histogram counts the inner contrasts by their highest eight bits. One work-item per candidate;
- * only maxima count. */
+ * sector means in sixteenths of a grey level. There are two runs or more. The histogram counts the
+ * inner contrasts by their highest eight bits. One work-item per candidate; those that are no
+ * maxima are skipped. */
 __kernel void sector_contrast(__global const PIXEL *restrict image,
                               __global const uchar *restrict binary,
                               __global const uint *restrict list,
@@ -98,7 +98,7 @@ __kernel void histogram(__global const CONTRAST *restrict inner_contrast,
 
 #endif
 
-/* Find the next eight bits; at the last level, the bounds of the gate:
+/* Find the next eight bits, and after the last eight the bounds of the gate:
  * contrast >= limit[P90] and 2 N sm >= F A. One work-item per plane. */
 __kernel void percentile(__global const uint *restrict counted,
                          __global const ulong *restrict noise_sums,
@@ -111,7 +111,7 @@ __kernel void percentile(__global const uint *restrict counted,
   const bool first = shift + 8 == PIXEL_BITS;
   const uint rank = first ? (9 * n + 9) / 10 : found[p].y;
   uint bin = 0, count = 0, below = 0;
-  for (uint b = 0; b < BINS; ++b) { /* to the end: the reads need not wait for one another */
+  for (uint b = 0; b < BINS; ++b) { /* no early end, so the reads need not wait for one another */
     count += bins[p * BINS + b];
     if (count < rank) {
       bin = b + 1;

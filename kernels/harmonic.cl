@@ -4,7 +4,7 @@
  * small at a corner. Shifts are arithmetic; every number is whole, so every device has the same
  * result.
  *
- *   S1 = [1 2 1]^T [1 2 1] * I, S2 and S3 the same of the one before, divided by 16
+ *   S1 = [1 2 1]^T [1 2 1] * I; S2 is the same of S1, and S3 of S2, each divided by 16
  *   s0 .. s7 the samples of ring (a, d), clockwise: (0, -a) (d, -d) (a, 0) (d, d) ...
  *   u_k = s_k + s_(k+4);  A = u0 - u2, B = u1 - u3: the second harmonic
  *   F = max(|A|, |B|) + min / 4 + min / 8, its length
@@ -18,7 +18,7 @@
 #error "NMS_RADIUS must be that of suppression"
 #endif
 
-#define LEAST 80 /* of the bounds: the response that a step of two grey levels may have */
+#define LEAST 80 /* least bound: a step of two grey levels may have this response */
 #define KINDS (1 + FINE)
 #define LIST_COLUMNS 6
 
@@ -122,7 +122,7 @@ bool no_stripe(const Harmonics inner, const Harmonics outer) {
   return 8 * outer.centre * all <= outer.length * (11 * all + 8 * along);
 }
 
-/* Whether a pixel is the largest of its window; of equals, the earlier one is. */
+/* True if a pixel is the largest of its window; of equal ones, the earlier pixel. */
 bool is_maximum(__global const short *response, const size_t p, const int x, const int y,
                 const uint rows, const uint step) {
   const short r = response[ROW(p, y) + x];
@@ -242,7 +242,7 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
   return (int)max((ulong)LEAST, min(bound, (ulong)INT_MAX));
 }
 
-/* Compute the bounds from the noise, of which there are `bands` sums. One work-item per frame. */
+/* Compute the bounds from the noise, which comes in `bands` sums. One work-item per frame. */
 __kernel void bound_noise(__global const ulong *restrict noise, __global const uint *restrict counts,
                           __global const int *restrict lists, const uint rows,
                           const uint columns, const uint bands, const uint capacity,
@@ -256,7 +256,7 @@ __kernel void bound_noise(__global const ulong *restrict noise, __global const u
   found[p].bound[1] = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
   found[p].all = found[p].above = 0;
   found[p].kind = found[p].base = found[p].reference = 0;
-#if FINE /* the fine responses decide where no coarse one is above its bound */
+#if FINE /* the reference comes from the fine responses if no coarse one is above its bound */
   const uint count = min(counts[LIST(0)], capacity);
   __global const int *value = LIST_OF(0) + 2 * capacity;
   found[p].kind = 1;
@@ -306,8 +306,8 @@ __kernel void find_reference(__global const ulong *restrict squares, const uint 
   const size_t word = (p * rows + y) * (step / 32) + x / 32;                        \
   const Decision decision = found[p];
 
-/* Keep the coarse corners: their response is above the noise bound and the share of the
- * reference. Each takes the window around it. One work-item per maximum. */
+/* Keep the coarse corners: their response is above the noise bound and not below a share of the
+ * reference. Each marks the window around it as taken. One work-item per maximum. */
 __kernel void keep_coarse(__global const int *restrict lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint capacity, const int coarse_share,

@@ -1,5 +1,5 @@
-/* Virtual markers on the edge profile (section 4.3): from a marker that a curve through the
- * nodes predicts, along the edge's normal, to where the grey level crosses the middle between
+/* Virtual markers on the edge profile (section 4.3). A curve through the nodes predicts a marker.
+ * From there, along the edge's normal, the edge is where the grey level crosses the middle between
  * the white and the black side.
  *
  * One work-item per marker. The profile has 2 HALF + 1 samples from -reach (white side) to
@@ -25,8 +25,8 @@ static float bilinear(__global const PIXEL *image, const uint step, const int ro
              mix((float)lower[x0], (float)lower[x1], x - fx), y - fy);
 }
 
-/* shift: px along the normal to the crossing nearest to the marker; NaN where the white side is
- * not brighter than the black side by `contrast`, or nothing crosses. */
+/* shift: px along the normal to the crossing nearest to the marker; NaN if the white side is not
+ * brighter than the black side by `contrast`, or if there is no crossing. */
 __kernel void refine_markers(__global const PIXEL *restrict image,
                              __global const int2 *restrict pixel,
                              __global const float4 *restrict line,

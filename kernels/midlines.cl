@@ -61,9 +61,9 @@ float2 on_parabola(const float3 fit, const Line *line, const float u, float2 *ta
 
 #endif
 
-/* MIDLINE: the intersection of the centrelines of the black sectors e0 e1 and e2 e3. Where they
- * are nearly one line or meet too far away, CUSP: per black sector the intersection of its own
- * two edge lines, and the midpoint of the two cusps. */
+/* MIDLINE: the intersection of the centrelines of the black sectors e0 e1 and e2 e3. If they are
+ * nearly one line or meet too far away, CUSP: the two edge lines of each black sector meet in a
+ * cusp, and the result is the midpoint of the two cusps. */
 __kernel void midlines(__global const PIXEL *restrict image, __global const int *restrict corners,
                        __global const uint *restrict counts, const uint rows,
                        const uint columns, const uint step, const uint capacity,

@@ -1,11 +1,11 @@
 #include "plane.clh"
 
-/* Non-maximum suppression (section 3.5): S is the response under the tent [1 2 3 2 1] in x and
- * y; a candidate is kept iff its key 10 S + R is the largest of its window, the earlier pixel
- * in raster order winning a tie. The response is 0 outside the image.
+/* Non-maximum suppression (section 3.5): S is the response R convolved with the tent [1 2 3 2 1] in
+ * x and y; a candidate is kept iff its key 10 S + R is the largest of its window. Of equal keys,
+ * the pixel that comes first in raster order wins. The response is 0 outside the image.
  *
- * A candidate is an index from the start of the frame's rows. Elsewhere the response is 0 and
- * the key undefined. */
+ * A candidate is given by its index from the start of the frame's rows. Elsewhere the response is
+ * 0 and the key undefined. */
 
 #ifndef NMS_RADIUS
 #error "NMS_RADIUS must be that of suppression"
@@ -58,7 +58,7 @@ __kernel void scatter(__global const uint *restrict list, __global const uint *r
 
 #if KEYS
 
-/* The keys. */
+/* Compute the keys. */
 __kernel void score(__global const uint *restrict list, __global const uint *restrict counts,
                     const uint rows, const uint step, const uint capacity,
                     __global const RESPONSE *restrict response, __global SCORE *restrict key) {
@@ -96,7 +96,7 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
   }
   const uint bit = 1u << index % 32;
   __global uint *word = maxima + (frame * rows + y) * (step / 32) + index % step / 32;
-#if GATE /* the gate counts what passes */
+#if GATE /* the gate counts the maxima that pass */
   atomic_or(word, bit);
 #else
   if (!(atomic_or(word, bit) & bit)) atomic_inc(row_counts + frame * rows + y);

@@ -1,8 +1,8 @@
 #include "plane.clh"
 
 /* The working scale: the image resampled with separable integer weights of sum 2048, rounded.
- * One work-item per pixel of the scaled image. Taps that lie outside the image have no weight;
- * those of a row stay in its pads. */
+ * One work-item per pixel of the scaled image. Taps outside the image have no weight; in a row they
+ * read its padding. */
 
 __kernel void resample(__global const PIXEL *restrict image, __global const int *restrict first_y,
                        __global const int *restrict weight_y, const uint taps_y,

@@ -3,9 +3,9 @@
 
 /* Double-layer sampling and the spectral criteria (section 3.3, Eqs. 13 and 17).
  *
- * The tables have an entry for all bits of a ring: the response of an inner ring whose |F2| is
- * above |F1| and |F3|, 0 for others, and whether an outer ring is one of these. Bit i is sample
- * i. */
+ * The tables have an entry for each of the 65 536 rings. That of an inner ring is its response if
+ * |F2| exceeds |F1| and |F3|, and 0 if not; that of an outer ring says whether it does. Bit i is
+ * sample i. */
 
 #if LAYERS == 1
 #define COLOUR(v) (v)
@@ -17,7 +17,7 @@
 #define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
 
 /* The largest correlation of the two rings over all rotations, and the smallest |centre| of the
- * runs of rotations that reach it, in half samples; 0 where all do. */
+ * runs of rotations that reach it, in half samples; 0 if all do. */
 uint2 best_rotation(const uint g1, const uint g2) {
   uint best = 0, rotations = 0;
   for (uint k = 0; k < 16; ++k) {

@@ -30,7 +30,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     texts = config.getoption("device")
-    if texts:  # for what is tested through the default device
+    if texts:  # for tests that use the default device
         os.environ[DEVICE_VARIABLE] = texts[0]
 
 

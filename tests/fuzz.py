@@ -3,8 +3,8 @@
     python tests/fuzz.py --images 100000 --configs 500 --seed 1 --processes 2 [--device TEXT]
 
 Each configuration gets its share of the images through batch, every eighth batch also one by
-one and as maps. Compiling takes longer than anything else, so what is compiled is drawn once for
-SHARING configurations in a row; all else, shapes and images too, is drawn for each.
+one and as maps. Compiling takes longer than anything else, so the compiled settings are drawn once
+for SHARING configurations in a row; everything else, shapes and images too, is drawn for each.
 
 Case K of a seed is always the same, in however many processes: a failure prints the line that
 repeats it, and the status is 1. The last line says how much was done.
@@ -165,7 +165,7 @@ def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
 
 def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarray:
     """Return (N,): how far the oracle's own positions move, px, when its edge points are rounded
-    to float32: centrelines through points that nearly coincide hang on every digit."""
+    to float32: centrelines through points that nearly coincide depend on every digit."""
     exact, rng = reference.refine.edge_points, np.random.default_rng(0)
 
     def rounded(*arguments: Any) -> Any:
@@ -183,7 +183,7 @@ def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarra
 def assert_as_expected(
     found: Corners, image: np.ndarray, config: DetectorConfig, counts: Counter[str]
 ) -> None:
-    """Assert that the corners are the oracle's; count what float32 may decide otherwise."""
+    """Assert that the corners are the oracle's; count those that float32 may decide otherwise."""
     expected, margin = reference.detect_with_margin(image, config)
     np.testing.assert_array_equal(found.pixel, expected.pixel)
     np.testing.assert_array_equal(found.response, expected.response)
@@ -245,8 +245,8 @@ FIELDS = [(part, field.name) for part in PARTS for field in dataclasses.fields(p
 
 
 def invalid_case(seed: int, number: int, device: str | None) -> bool:
-    """Try a value that no field takes, or an image that no detector takes: an error of ours, or a
-    valid thing after all. Return whether it was refused."""
+    """Try a value that no field takes, or an image that no detector takes. It must raise an error
+    of cmp_cl, or turn out to be valid. Return whether it was refused."""
     rng = np.random.default_rng([seed, number, 1])
     values: list[Any] = [None, -1, 0, 2, 1e9, -1e9, float("nan"), float("inf"), "3", b"", [], {}]
     values += [True, object(), 2**70, (1.0,), np.float32(0.5), np.int64(7), 1.5, 256, ()]
@@ -272,13 +272,13 @@ def invalid_case(seed: int, number: int, device: str | None) -> bool:
         Detector(shape=frame.shape, dtype=frame.dtype, device=device)(frame)
     except CmpClError:
         return True
-    except AttributeError:  # what has no shape is no argument for one
+    except AttributeError:  # an object without a shape is no image
         return not isinstance(frame, np.ndarray)
     return False
 
 
 def _megabytes() -> int:
-    """Return the resident memory now, where the system says; otherwise its peak."""
+    """Return the resident memory now, if the system reports it; otherwise its peak."""
     try:
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * resource.getpagesize() // 2**20
@@ -287,7 +287,7 @@ def _megabytes() -> int:
 
 
 class Case(NamedTuple):
-    """What came of a configuration. programs: digests of all that was compiled."""
+    """The outcome of a configuration. programs: digests of everything that was compiled."""
 
     counts: Counter[str]
     programs: frozenset[str]
@@ -300,7 +300,7 @@ def digest(text: str) -> str:
 
 
 def one_case(number: int, seed: int, images: int, device: str | None) -> Case:
-    """Check a valid configuration with its images, and twenty invalid ones; say what failed."""
+    """Check a valid configuration with its images, and twenty invalid ones; print the failures."""
     counts: Counter[str] = Counter()
     again = f"--seed {seed} --first {number} --configs 1 --images {images}"
 
@@ -322,7 +322,7 @@ def one_case(number: int, seed: int, images: int, device: str | None) -> Case:
 
 
 def cases(numbers: Iterable[int], work: Callable[[int], Case], processes: int) -> Iterator[Case]:
-    """Yield what came of each case, in order; what compiles the same goes to the same process."""
+    """Yield the outcome of each case, in order; cases with the same kernels share a process."""
     if processes == 1:
         yield from map(work, numbers)
         return
@@ -331,7 +331,7 @@ def cases(numbers: Iterable[int], work: Callable[[int], Case], processes: int) -
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the cases; 1 where one failed."""
+    """Run the cases; return 1 if one failed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--images", type=int, default=100_000, help="in all")
     parser.add_argument("--configs", type=int, default=500)

@@ -1,10 +1,10 @@
-"""Damaged files of every kind that is read: settings, rigs, pictures, films, stores, recordings.
+"""Damaged files of every kind that is read: settings, rigs, images, videos, stores, recordings.
 
     python tests/fuzz_files.py --cases 5000 --seed 1 [--megabytes 3000] [--seconds 600]
 
-Each case changes a whole file: bytes, numbers, pieces left out, repeated or put elsewhere, and
-reads it in a child process that may take so much memory and 20 s. What comes must be a result
-or an error of ours. Case K of a seed is always the same: a failure prints its number, and the
+Each case changes an intact file: bytes, numbers, pieces left out, repeated or put elsewhere. It
+reads the file in a child process whose memory is limited, within 20 s. The outcome must be a result
+or an error of cmp_cl. Case K of a seed is always the same: a failure prints its number, and the
 status is 1.
 """
 
@@ -120,7 +120,7 @@ def videos(folder: Path) -> Iterator[Path]:
 
 
 def stores(folder: Path) -> Iterator[Path]:
-    """Write a part of a store, and what the store says of itself."""
+    """Write a part of a store, and the metadata of the store."""
     count = 5
     lengths = np.array([3, 2])
     arrays: dict[str, Any] = {
@@ -203,7 +203,7 @@ def read_store(path: Path) -> None:
 
 
 def read_recording(path: Path) -> None:
-    """Read its arrays, and draw all that is drawn of them."""
+    """Read the arrays of a recording, and draw every plot of them."""
     recorded = Recorded.of(read_series(path))
     recorded.node_of(None)
     frame = recorded.frame_of(None)
@@ -273,7 +273,7 @@ def _changed(data: bytes, rng: Rng) -> bytes:
 
 
 def one_case(seed: int, number: int, folder: Path) -> str:
-    """Read one damaged file; what it was of, and what came."""
+    """Read one damaged file; return its kind and the outcome."""
     rng = np.random.default_rng([seed, number])
     kind = list(KINDS)[number % len(KINDS)]
     make, read = KINDS[kind]
@@ -289,7 +289,7 @@ def one_case(seed: int, number: int, folder: Path) -> str:
 
 
 def child(seed: int, first: int, last: int, megabytes: int) -> None:
-    """Read case by case; says each number before, and what came after."""
+    """Read case by case; print each number before it, and the outcome after it."""
     size = megabytes << 20
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
     cv2.setNumThreads(1)
@@ -302,7 +302,7 @@ def child(seed: int, first: int, last: int, megabytes: int) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the cases; 1 where one failed."""
+    """Run the cases; return 1 if one failed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=5000)
     parser.add_argument("--seed", type=int, default=1)

@@ -1,4 +1,4 @@
-"""The weights of nodes in a calibration: what their images tell, and what no image tells."""
+"""The weights of nodes in a calibration: from their images, and from the residuals."""
 
 import cv2
 import numpy as np

@@ -53,7 +53,7 @@ def test_memory_of_a_device_is_copied_by_its_library(method, result):
     np.testing.assert_array_equal(as_frame(Cuda(method, result)), IMAGE)
 
 
-def test_what_is_no_image_is_refused():
+def test_an_array_that_is_no_image_is_refused():
     with pytest.raises(ImageError, match=r"cupy\.asarray"):
         as_frame(Cuda())
     with pytest.raises(ImageError, match="expected"):
@@ -85,7 +85,7 @@ def test_a_detector_takes_arrays_of_other_libraries(array, device):
 
 @pytest.mark.parametrize("name", ["board", "black"])
 @pytest.mark.parametrize("config", [DetectorConfig(), DetectorConfig(max_corners=4, scale=0.9)])
-def test_positions_stay_on_the_device_where_that_is_asked_for(device, name, config):
+def test_positions_stay_on_the_device_if_requested(device, name, config):
     image = images.eight_bits()[name]
     context = cl.Context([device.handle])
     queue = cl.CommandQueue(context)

@@ -26,7 +26,7 @@ def test_frames_of_one_clock_are_all_paired():
     assert count == (50, 0, 0)
 
 
-def test_a_lost_frame_costs_its_own_pair_alone_and_is_counted():
+def test_a_lost_frame_loses_only_its_own_pair_and_is_counted():
     left = [0, 20, 60, 80, 100.0]
     right = [1, 21, 41, 61, 101.0]
     found, count = pairs_of(left, right)
@@ -107,7 +107,7 @@ def test_cameras_and_addresses_are_live_and_lose_no_frame(monkeypatch, name):
     assert all(a.time_ms <= b.time_ms for a, b in itertools.pairwise(frames))
 
 
-def test_what_a_camera_does_not_take_is_said(monkeypatch):
+def test_a_setting_that_a_camera_does_not_take_is_reported(monkeypatch):
     monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Capture)
     with pytest.raises(ImageError, match="exposure"):
         next(Source("0", CameraSettings(exposure=3)).frames())

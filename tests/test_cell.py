@@ -48,7 +48,7 @@ def test_the_cell_of_a_board_is_that_of_its_squares(cell, angle):
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (40, 40)])
-def test_24_where_there_is_nothing_to_measure(shape):
+def test_the_cell_is_24_if_there_is_nothing_to_measure(shape):
     assert estimate_cell(np.full(shape, 200, np.uint8)) == 24
 
 
@@ -97,7 +97,7 @@ def test_an_image_without_edges_has_no_blur():
     assert estimate_blur(flat, estimate_cells(flat)) == 0
 
 
-def test_for_image_knows_cell_and_blur():
+def test_for_image_uses_cell_and_blur():
     image, _ = board(180, 200, 10)
     assert DetectorConfig.for_image(image) == DetectorConfig.for_cell(estimate_cell(image))
     assert DetectorConfig.for_image(image).detection.fine
@@ -123,7 +123,7 @@ def test_blurred_wide_cells_are_found_and_exact(device):
     assert errors(None).mean() < 0.6 * errors(at_full_size).mean()
 
 
-def test_of_a_large_image_it_looks_at_a_sample(monkeypatch):
+def test_a_large_image_is_sampled(monkeypatch):
     image, _ = board(480, 620, 14.5, angle=0.1)
     whole = estimate_cell(image)
     looked_at = []

@@ -1,4 +1,4 @@
-"""Settings that are chosen by what they find in an image."""
+"""Settings that are chosen by the corners that they find in an image."""
 
 import cv2
 import numpy as np
@@ -12,8 +12,8 @@ TOP, LEFT = 70, 110
 
 
 def before_rings(width, blur):
-    """Return a board of cells of 8.5 px before black and white rings of that width, px, and its
-    corners. A white margin keeps the rings off the board."""
+    """Return a board of cells of 8.5 px in front of black and white rings of that width, px, and
+    its corners. A white margin keeps the rings off the board."""
     rows, columns = np.indices((240, 320))
     distance = np.hypot(rows - 120, columns - 160)
     image = np.where(distance % (2 * width) < width, 200, 30).astype(np.uint8)
@@ -31,7 +31,7 @@ def errors(image, truth, config, device):
     return np.linalg.norm(xy[:, None] - truth, axis=2).min(axis=0, initial=9)
 
 
-def test_a_small_board_before_wide_shapes_is_found(device):
+def test_a_small_board_in_front_of_wide_shapes_is_found(device):
     image, truth = before_rings(100, 3)
     assert errors(image, truth, DetectorConfig.for_image(image), device).max() > 2
     assert cmp_cl.choose_config(image, device=device) == DetectorConfig()
@@ -49,7 +49,7 @@ def test_corners_nearer_than_the_estimated_cell_are_refined_as_such(device):
 
 
 @pytest.mark.parametrize(("cell", "blur"), [(10, 0.7), (30, 0.7), (60, 3)])
-def test_on_a_pattern_that_fills_the_image_the_estimate_counts(device, cell, blur):
+def test_on_a_pattern_that_fills_the_image_the_estimate_is_used(device, cell, blur):
     image, _ = board(240, 320, cell, blur=blur)
     assert cmp_cl.choose_config(image, device=device) == DetectorConfig.for_image(image)
 

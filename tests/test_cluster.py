@@ -1,4 +1,4 @@
-"""A recording over two worker processes: every frame once, whatever dies."""
+"""A recording on two worker processes: every frame is stored once, even if a worker is killed."""
 
 import io
 import os
@@ -62,7 +62,7 @@ def test_every_frame_is_stored_once_as_one_process_finds_it(client, tmp_path):
         reopened[COUNT]
 
 
-def test_a_killed_worker_loses_no_frame_and_doubles_none(client, tmp_path):
+def test_a_killed_worker_loses_no_frame_and_repeats_none(client, tmp_path):
     before = set(client.run(process).values())
     done = []
 
@@ -83,7 +83,7 @@ def test_a_killed_worker_loses_no_frame_and_doubles_none(client, tmp_path):
     assert done[0] not in client.run(process).values()
 
 
-def test_what_is_there_is_not_done_again(client, tmp_path):
+def test_stored_parts_are_not_computed_again(client, tmp_path):
     with pytest.raises(OSError, match="frame 17"):
         cluster.detect(client, tmp_path, count=COUNT, read=broken_frame, part=PART)
     store = cluster.open_store(tmp_path)
@@ -100,7 +100,7 @@ def test_what_is_there_is_not_done_again(client, tmp_path):
     "damage",
     ["cut", "bit", "empty", "last part", "next part", "written anew", "directory", "older"],
 )
-def test_a_damaged_part_is_done_again(client, tmp_path, damage):
+def test_a_damaged_part_is_computed_again(client, tmp_path, damage):
     cluster.detect(client, tmp_path, count=COUNT, read=frame, part=PART)
     part, last = tmp_path / "part-00000002.npz", tmp_path / "part-00000009.npz"
     whole = part.read_bytes()

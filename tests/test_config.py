@@ -199,7 +199,9 @@ def test_keys_left_out_of_toml_keep_their_defaults(tmp_path):
         ("outer_radius = 4", "outer_radius = 4 in that table"),
     ],
 )
-def test_a_file_of_the_older_kind_gets_one_line_that_says_what_to_write(text, instead, tmp_path):
+def test_a_file_of_the_old_format_is_refused_in_one_line_that_says_what_to_write(
+    text, instead, tmp_path
+):
     (tmp_path / "old.toml").write_text(text)
     with pytest.raises(ConfigError) as caught:
         DetectorConfig.load(tmp_path / "old.toml")
@@ -272,7 +274,7 @@ def test_small_cells_get_the_small_ring():
     assert large == BinaryRings(threshold=AdaptiveMean(window=window_for_cell(12)))
 
 
-def test_squeezed_cells_are_looked_for_where_cells_are_small():
+def test_squeezed_cells_are_searched_if_cells_are_small():
     small, wide = (DetectorConfig.for_cell(cell) for cell in (19.9, 20))
     assert small == DetectorConfig(refinement=EdgeStep(cell=19.9))
     rule = RingHarmonic(fine=False)
@@ -293,7 +295,7 @@ def test_squeezed_cells_are_looked_for_where_cells_are_small():
         (1000, 0, 0.1),
     ],
 )
-def test_wide_cells_get_a_scale_where_they_are_blurred_or_nobody_knows(cell, blur, scale):
+def test_wide_cells_get_a_scale_if_they_are_blurred_or_their_blur_is_unknown(cell, blur, scale):
     config = DetectorConfig.for_cell(cell, blur=blur)
     assert config.scale == (None if scale is None else pytest.approx(scale))
     rest = DetectorConfig(detection=RingHarmonic(fine=False), refinement=EdgeStep(cell=cell))

@@ -18,7 +18,7 @@ def surface(tilt):
 
 
 def pressed(tilt=0.0, sigma=0.01):
-    """Return a bell of height TOP towards the camera on a gel turned about y, and the gel."""
+    """Return a bell of height TOP towards the camera on a gel rotated about y, and the gel."""
     flat, turn = surface(tilt)
     bell = TOP * np.exp(-np.square(flat).sum(axis=2) / (2 * RADIUS**2))
     shift = np.zeros_like(flat)
@@ -44,7 +44,7 @@ def test_depth_area_and_normals_are_those_of_the_bell(tilt):
     np.testing.assert_allclose(contact.sigma, 0.01)
     assert contact.deepest == pytest.approx(TOP)
     np.testing.assert_array_equal(contact.inside, bell > TOP / 2)
-    disc = np.pi * 2 * np.log(2) * RADIUS**2  # where the bell is above half its height
+    disc = np.pi * 2 * np.log(2) * RADIUS**2  # the area on which the bell is above half its height
     assert contact.area == pytest.approx(disc, rel=0.01)
     along = np.array([1.0, 0, 0]) @ turn.T
     slope = (contact.normal @ along)[40, 40 - 16]  # one RADIUS from the top
@@ -60,7 +60,7 @@ def test_normals_point_to_the_cameras_whichever_way_rows_run():
         np.testing.assert_allclose(surface_normals(positions)[3, 3], [0, 0, -1], atol=1e-12)
 
 
-def test_what_is_missing_has_no_depth_and_no_area():
+def test_missing_nodes_have_no_depth_and_no_area():
     field, _, _ = pressed()
     whole = contact_of(field, deeper_than=0.7).area
     field.displacement[38:43, 38:43] = np.nan

@@ -109,7 +109,7 @@ def test_read_only_and_fortran_like_arrays(detector):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
 def test_the_images_of_the_vectors_equal_the_oracle(device, path):
-    """tests/reference holds the oracle to what else is in the vectors."""
+    """tests/reference compares the oracle with everything else in the vectors."""
     with np.load(path) as file:
         image = file["image"]
         full_scale = int(file["full_scale"])
@@ -194,7 +194,7 @@ def test_a_result_is_yours_to_keep(detector):
     assert_same_bytes(first, copy)
 
 
-def test_nothing_is_a_result(detector):
+def test_an_image_without_corners_gives_an_empty_result(detector):
     corners = detector(EIGHT["black"])
     assert len(corners) == 0
     assert corners.xy.shape == corners.pixel.shape == (0, 2)
@@ -311,7 +311,7 @@ def test_a_batch_that_is_on_the_device(device, dtype, scale):
                 assert_same_bytes(corners, one)
 
 
-def test_what_is_no_batch_on_the_device(device, detector):
+def test_a_buffer_that_is_no_batch_is_refused(device, detector):
     context = cl.Context([device.handle])
     frame = BOARD.nbytes
     with cl.CommandQueue(context) as queue:
@@ -396,7 +396,7 @@ def test_a_wrong_frame_in_a_stream_is_refused(detector):
 # --- masks ---------------------------------------------------------------------------------
 
 
-def test_a_mask_says_where_candidates_are_centred(detector_for, device):
+def test_a_mask_limits_where_candidates_are_centred(detector_for, device):
     mask = np.zeros(images.SHAPE, np.bool_)
     mask[15:45, 20:70] = True
     image = EIGHT["texture"]
@@ -461,7 +461,7 @@ def test_every_stage_has_a_time(device, detector):
         assert len(profiled._plan(None).events) == launches  # of the last frame alone
 
 
-def test_a_closed_detector_says_so(device):
+def test_a_closed_detector_raises_an_error(device):
     detector = Detector(shape=images.SHAPE, device=device)
     stream = detector.stream([BOARD] * 3)
     next(stream)
@@ -515,7 +515,7 @@ def test_streams_that_are_begun_and_dropped_keep_nothing(detector_for):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
-def test_after_a_fork_it_says_so(detector):
+def test_after_a_fork_a_detector_raises_an_error(detector):
     """OpenCL does not survive a fork; the child gets an error and does not hang."""
     detector(BOARD)
     read, write = os.pipe()
@@ -619,7 +619,7 @@ def test_nothing_is_allocated_per_frame(detector):
     assert after == buffers
 
 
-def test_memory_is_stated_before_it_is_taken(device):
+def test_memory_is_stated_before_it_is_allocated(device):
     tiny = dataclasses.replace(device, memory=1000)
     with pytest.raises(CapacityError, match=r"needs \d+ bytes.* has 1000"):
         Detector(shape=images.SHAPE, device=tiny)
@@ -830,7 +830,7 @@ def test_the_papers_configuration_finds_midlines_and_cusps(detector_for):
     assert {Method.MIDLINE, Method.CUSP} & set(corners.method)
 
 
-def test_a_region_says_which_of_two_boards_in_a_frame_is_numbered(detector_for):
+def test_a_region_selects_which_of_two_boards_is_numbered(detector_for):
     left, _ = board(110, 120, 12)
     right, _ = board(110, 100, 12, angle=-0.05)
     frame = np.hstack([left, np.full((110, 30), 120, np.uint8), right])
@@ -848,7 +848,7 @@ def test_a_region_says_which_of_two_boards_in_a_frame_is_numbered(detector_for):
     np.testing.assert_array_equal(again.index, grid.index)
 
 
-def test_what_a_detector_is_made_of_is_checked(device):
+def test_the_arguments_of_a_detector_are_checked(device):
     for shape in ((10.7, 5), (10,), 10, None, ("a", "b")):
         with pytest.raises(ImageError, match="shape must be"):
             Detector(shape=shape, device=device)

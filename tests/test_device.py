@@ -1,4 +1,4 @@
-"""What devices there are, and which one is meant."""
+"""The list of devices, and the choice of one."""
 
 import dataclasses
 import os
@@ -80,12 +80,12 @@ def test_indices_are_platform_and_device():
         ("boards", OTHER),
     ],
 )
-def test_what_is_asked_for_is_what_one_gets(lab, text, expected):
+def test_the_requested_device_is_selected(lab, text, expected):
     assert select_device(text) == expected
 
 
 @pytest.mark.parametrize("text", ["intel", "3:0", "1:2", "", "  ", "0:0:0", ":"])
-def test_a_device_that_is_not_there_is_an_error_that_lists_what_there_is(lab, text):
+def test_a_device_that_is_not_there_is_an_error_that_lists_the_devices(lab, text):
     with pytest.raises(DeviceError, match="no OpenCL device matches") as error:
         select_device(text)
     for known in (POCL, CARD, SECOND, OTHER):
@@ -104,7 +104,7 @@ def test_a_number_is_no_name_of_a_device(lab):
         select_device(0)
 
 
-def test_a_kind_that_is_not_there_is_no_second_choice(lab):
+def test_a_kind_that_is_not_there_is_not_replaced_by_another(lab):
     lab.setattr(module, "list_devices", lambda: [POCL])
     with pytest.raises(DeviceError, match="'gpu'"):
         select_device("gpu")
@@ -186,7 +186,7 @@ def test_workers_keep_to_cores_of_their_own(asked):
 
 
 @pytest.mark.parametrize("name", ["POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT"])
-def test_what_the_user_says_of_workers_counts(asked, monkeypatch, name):
+def test_the_users_own_setting_of_workers_is_kept(asked, monkeypatch, name):
     monkeypatch.setenv(name, "0")
     assert list_devices() == []
     assert asked == [os.environ.get("POCL_AFFINITY")]

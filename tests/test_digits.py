@@ -44,7 +44,7 @@ def test_numbers_are_read_back_to_nine_digits_or_decimals():
         *((1.0, "1"), (0.9999999999, "1"), (123456.125, "123456.125"), (np.nan, "nan")),
     ],
 )
-def test_zeros_that_say_nothing_are_left_out(value, text):
+def test_trailing_zeros_are_left_out(value, text):
     assert rows_of("0", [np.array([value, 9.5])]) == f"0,{text}\n0,9.5\n".encode()
 
 
@@ -77,5 +77,5 @@ def test_an_array_as_json_is_the_array(name, shape):
         (np.array("mm"), b'"mm"'),
     ],
 )
-def test_json_has_no_letters_more_than_it_needs(given, text):
+def test_json_has_no_superfluous_characters(given, text):
     assert nested(np.asarray(given)) == text

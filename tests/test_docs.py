@@ -1,4 +1,4 @@
-"""What the documentation shows has run: examples, commands, notebooks."""
+"""Examples, commands and notebooks of the documentation give the results that it shows."""
 
 import contextlib
 import doctest
@@ -28,7 +28,7 @@ DOCS = ROOT / "docs"
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "_generated" not in path.parts)
 API = [path for path in PAGES if path.parent.name == "api"]
-EXECUTED = {"tutorials", "notebooks"}  # by the site, which fails where one of their cells does
+EXECUTED = {"tutorials", "notebooks"}  # by the site, which fails if one of their cells does
 EXTRAS = {"dask": "distributed", "hdf5": "h5py", "mcap": "mcap_ros2", "parquet": "pyarrow"}
 EXTRAS |= {"plot": "matplotlib", "view": "rerun"}
 FOUND = re.compile(r"\.\. auto\w+:: (?:cmp_cl\.)([\w.]+)")
@@ -140,7 +140,7 @@ def test_every_block_of_a_page_runs_in_order(page, folder):
 
 
 def described():
-    """Return what the reference describes: name, arguments, and all text that may name them."""
+    """Return everything the reference describes: name, arguments, and the text that names them."""
     found = []
     for name in sorted({name for page in API for name in FOUND.findall(page.read_text())}):
         thing = pkgutil.resolve_name(f"cmp_cl.{name}")

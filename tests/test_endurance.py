@@ -1,4 +1,4 @@
-"""Some seconds of what bench/endurance.py does for minutes."""
+"""The test of bench/endurance.py, for a few seconds instead of minutes."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ BENCH = Path(__file__).resolve().parents[1] / "bench"
 
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
-def test_memory_and_answers_stay(device, monkeypatch):
+def test_memory_and_results_stay_the_same(device, monkeypatch):
     monkeypatch.syspath_prepend(str(BENCH))
     import endurance
 

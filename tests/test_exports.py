@@ -68,7 +68,7 @@ def test_a_camera_of_each_lens_is_found_again(lens):
     assert np.abs(off).max() < 1.0
 
 
-def test_three_cameras_find_their_places_though_none_sees_every_moment():
+def test_three_cameras_are_located_though_none_sees_every_moment():
     truth = {
         "a": camera(Lens.PINHOLE),
         "b": camera(Lens.PINHOLE, (0.01, 0.15, -0.02), (-50, 2, 5)),
@@ -125,7 +125,7 @@ def corners():
     return {"a.png": one, "b.png": None}
 
 
-def test_vnl_says_missing_nodes_and_weights(tmp_path):
+def test_vnl_holds_missing_nodes_and_weights(tmp_path):
     save_corners(tmp_path / "corners.vnl", corners())
     lines = (tmp_path / "corners.vnl").read_text().splitlines()
     assert lines[0] == "# filename x y level"
@@ -213,7 +213,7 @@ def test_opencv_and_the_library_read_a_rig_back(tmp_path):
     assert storage.getNode("size1").mat().tolist() == [[800, 1200]]
 
 
-def test_a_file_of_one_camera_or_of_fisheyes_is_told_as_such(tmp_path):
+def test_a_file_of_one_camera_or_of_fisheyes_is_reported_as_such(tmp_path):
     save_cameras(tmp_path / "one.yaml", {"a": camera(Lens.PINHOLE)})
     with pytest.raises(CalibrationError, match="a rig has two cameras"):
         StereoRig.load(tmp_path / "one.yaml")

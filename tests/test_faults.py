@@ -1,4 +1,4 @@
-"""What goes wrong around a detector: memory, caches, kills, threads, processes."""
+"""Faults around a detector: memory, caches, kills, threads, processes."""
 
 import linecache
 import multiprocessing
@@ -33,7 +33,7 @@ def refuse(*_, **__):
     raise cl.MemoryError("MEM_OBJECT_ALLOCATION_FAILURE")
 
 
-def test_an_enormous_shape_is_refused_before_anything_is_taken(device):
+def test_an_enormous_shape_is_refused_before_memory_is_allocated(device):
     with pytest.raises(CapacityError, match=r"needs \d{13} bytes, .* has \d+; use smaller"):
         Detector(shape=(1_000_000, 1_000_000), device=device)
 
@@ -128,7 +128,7 @@ with cmp_cl.Detector(shape=(64, 64)) as detector:
 
 
 def test_functions_that_call_kernels_are_never_loaded_from_a_file(tmp_path):
-    """pyopencl keeps them as pickles; a damaged file ended with an error of SQLite."""
+    """pyopencl stores them as pickles; a damaged file led to an error of SQLite."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     folder = tmp_path / "pytools"
     folder.mkdir()
@@ -180,7 +180,7 @@ def test_another_configuration_compiles_the_stages_that_it_changes(device, cache
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "changed", "other"])
-def test_a_damaged_program_is_compiled_and_kept_anew(device, cache, monkeypatch, damage):
+def test_a_damaged_program_is_compiled_and_kept_again(device, cache, monkeypatch, damage):
     build(device)
     (kept,) = cache.iterdir()
     whole = kept.read_bytes()
@@ -201,7 +201,7 @@ def test_a_folder_in_a_programs_place_costs_only_time(device, cache):
     build(device)
 
 
-def test_a_binary_that_the_device_does_not_take_is_compiled_anew(device, cache):
+def test_a_binary_that_the_device_does_not_take_is_compiled_again(device, cache):
     build(device)
     (kept,) = cache.iterdir()
     wrong = b"not a program"

@@ -63,7 +63,7 @@ def test_the_filtered_field_keeps_the_raw_one_and_its_holes():
     assert 0 < apart < 0.1
 
 
-def test_a_lattice_too_small_to_tell_has_the_sigma_of_its_points():
+def test_a_lattice_too_small_for_an_estimate_has_the_sigma_of_its_points():
     rest, now = gel(3, 3, depth=0), gel(3, 3)
     for raw in (True, False):
         field = displacement(points(rest), points(now), raw=raw)
@@ -71,8 +71,8 @@ def test_a_lattice_too_small_to_tell_has_the_sigma_of_its_points():
         np.testing.assert_allclose(field.position_sigma, 0.01)
 
 
-def test_wear_that_travels_with_the_gel_cancels_and_the_rest_is_known():
-    """Wear of 20 um at rest and now alike, 3 um of each moment's own."""
+def test_wear_that_travels_with_the_gel_cancels_and_sigma_covers_the_remainder():
+    """Wear of 20 um that is the same at rest and now, and 3 um of noise at each moment."""
     rng = np.random.default_rng(3)
     truth = gel(40, 40, depth=0), gel(40, 40)
     wear = rng.normal(0, 0.02, truth[0].shape)
@@ -94,7 +94,7 @@ def test_wear_that_travels_with_the_gel_cancels_and_the_rest_is_known():
 @pytest.mark.parametrize("stretch", some([0.05, 0.4], (0.4,)))
 @pytest.mark.parametrize("raw", [True, False], ids=["raw", "filtered"])
 def test_the_sigma_of_a_strain_is_that_of_its_error(raw, stretch):
-    """Wear that both moments share counts where the strain is large."""
+    """Wear that both moments share adds to the error if the strain is large."""
     rng = np.random.default_rng(5)
     flat = gel(30, 30, depth=0)
     gradient = np.array([[1 + stretch, 0.02], [0.01, 1 - stretch / 2]])
@@ -129,7 +129,7 @@ def test_the_sigma_of_a_displacement_is_that_of_its_error(raw):
     assert 0.8 < z < 1.1 if raw else 0.6 < z < 1.1
 
 
-def test_the_status_says_which_moment_failed():
+def test_the_status_shows_which_moment_failed():
     rest, now = points(gel(2, 2)), points(gel(2, 2))
     rest.status[0] = PointStatus.PARALLEL, PointStatus.BEHIND
     now.status[0] = PointStatus.VALID, PointStatus.INCONSISTENT
@@ -143,7 +143,7 @@ def test_the_status_says_which_moment_failed():
     assert np.isnan(field.displacement[0]).all()
 
 
-def test_fields_that_do_not_fit_are_refused():
+def test_points_of_other_shapes_or_units_are_refused():
     with pytest.raises(FieldError, match=r"\(3, 4\)"):
         displacement(points(gel(3, 4)), points(gel(4, 3)))
     with pytest.raises(FieldError, match="um"):
@@ -170,7 +170,7 @@ def test_a_homogeneous_deformation_has_its_strain_everywhere(radius):
     )
 
 
-def test_a_turned_bump_has_no_strain():
+def test_a_rotated_bump_has_no_strain():
     bump = gel(15, 15)
     np.testing.assert_allclose(green_lagrange(bump, turned(bump)), 0, atol=1e-10)
 
@@ -372,7 +372,7 @@ def test_a_series_is_one_file_of_stacked_arrays(tmp_path):
     assert zipfile.ZipFile(path).testzip() is None
 
 
-def test_a_series_of_no_frame_is_a_file_too(tmp_path):
+def test_a_series_without_frames_is_a_file_too(tmp_path):
     with SeriesWriter(tmp_path / "none.npz", unit="mm"):
         pass
     with np.load(tmp_path / "none.npz") as data:
@@ -478,7 +478,7 @@ def test_a_frame_that_was_interrupted_is_written_over(tmp_path, monkeypatch):
         assert data["value"].tolist() == [[0] * 3, [1] * 3, [2] * 3]
 
 
-def test_a_series_refuses_names_and_things_it_cannot_keep(tmp_path):
+def test_a_series_refuses_names_and_values_that_it_cannot_store(tmp_path):
     with SeriesWriter(tmp_path / "a.npz", unit="mm") as series:
         with pytest.raises(FieldError, match="constants"):
             series.append(index=0, time_ms=0, unit=np.ones(3))

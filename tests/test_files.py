@@ -75,7 +75,7 @@ def test_a_read_only_file_is_not_replaced(tmp_path):
 
 @pytest.mark.skipif(os.name == "nt", reason="modes are others on Windows")
 @pytest.mark.skipif(os.name != "nt" and os.geteuid() == 0, reason="root may write everywhere")
-def test_a_read_only_folder_is_told_with_the_name_that_was_given(tmp_path):
+def test_a_read_only_folder_is_reported_with_the_name_that_was_given(tmp_path):
     tmp_path.chmod(0o555)
     with pytest.raises(PermissionError, match=r"cannot be written: .*new\.csv"):
         write_text(tmp_path / "new.csv", "")

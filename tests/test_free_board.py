@@ -11,7 +11,7 @@ from cmp_cl.stereo.points import sides
 
 SQUARE, ROWS, COLUMNS = 3.0, 7, 10
 SIZE = (800, 1200)
-BOW = 0.3  # mm that the middle of the board stands off its ends, 27 mm apart
+BOW = 0.3  # mm from the middle of the board to the line through its ends, which are 27 mm apart
 
 
 def cylinder(flat, bow=BOW, length=27.0):
@@ -97,7 +97,7 @@ def test_the_mean_side_of_a_free_board_is_the_given_one():
     assert np.linalg.norm(found.rig.T) == pytest.approx(length, rel=2e-3)
 
 
-def test_a_flat_board_costs_nothing_to_set_free():
+def test_a_free_board_that_is_flat_loses_no_accuracy():
     rig, views = toed_in_rig(), pairs(flat_board())
     free = calibrated(views, free=True)
     assert free.rig.K1[0, 0] == pytest.approx(rig.K1[0, 0], abs=1)
@@ -115,7 +115,7 @@ def test_a_free_board_takes_partial_views():
     assert np.argwhere(np.isnan(free.board[..., 0])).tolist() == [[ROWS - 1, COLUMNS - 1]]
 
 
-def test_views_that_are_numbered_from_the_other_end_are_turned():
+def test_views_that_are_numbered_from_the_other_end_are_rotated():
     truth = cylinder(flat_board()) + np.random.default_rng(1).normal(0, 0.05, (ROWS, COLUMNS, 3))
     views = pairs(truth)
     mixed = [
@@ -127,7 +127,7 @@ def test_views_that_are_numbered_from_the_other_end_are_turned():
     np.testing.assert_allclose(one.board, other.board, atol=1e-4)
 
 
-def test_what_a_free_board_cannot_do_is_refused():
+def test_too_few_or_unlike_views_of_a_free_board_are_refused():
     views = pairs(flat_board())
     with pytest.raises(CalibrationError, match="3 views of a free board, at least 4 are needed"):
         calibrated(views[:3], free=True)
@@ -138,7 +138,7 @@ def test_what_a_free_board_cannot_do_is_refused():
 
 
 def picture(matrix, rotation, shift, bend):
-    """Return a picture of a board of 6 x 9 inner corners, 25 mm apart, on z = bend x^2 / 2."""
+    """Return an image of a board of 6 x 9 inner corners, 25 mm apart, on z = bend x^2 / 2."""
     high, wide, fine = 480, 640, 3
     v, u = (np.mgrid[: high * fine, : wide * fine] + 0.5) / fine - 0.5
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(matrix).T @ rotation

@@ -1,4 +1,4 @@
-"""Some seconds of what tests/fuzz_files.py does for minutes."""
+"""The damaged files of tests/fuzz_files.py, for a few seconds instead of minutes."""
 
 import ast
 import os
@@ -13,7 +13,7 @@ from cmp_cl import ConfigError, cluster
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="memory has no limit on Windows")
 
 
-def test_damaged_files_of_every_kind_are_results_or_errors_of_ours(capsys):
+def test_damaged_files_of_every_kind_give_results_or_errors_of_cmp_cl(capsys):
     assert fuzz_files.main(["--cases", "100", "--seed", "900001"]) == 0
     counts = ast.literal_eval(capsys.readouterr().out.partition(": ")[2])
     assert sum(counts.values()) == 100
@@ -52,7 +52,7 @@ def test_changes_are_the_same_each_time_and_change_something():
     ],
     ids=lambda text: text[:30],
 )
-def test_a_store_that_says_nonsense_of_itself_is_none(about, tmp_path):
+def test_a_store_with_wrong_metadata_is_refused(about, tmp_path):
     (tmp_path / "about.json").write_text(about)
     with pytest.raises(ConfigError, match="no store of corners"):
         cluster.open_store(tmp_path)

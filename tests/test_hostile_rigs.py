@@ -1,4 +1,4 @@
-"""Calibration files that would take the process with them."""
+"""Calibration files that could end the process."""
 
 import subprocess
 import sys

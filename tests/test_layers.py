@@ -1,4 +1,4 @@
-"""What may import what: a module only what stands below it, and none in a circle."""
+"""Which module may import which: only those of the layers below it, and none in a circle."""
 
 import ast
 import re
@@ -9,7 +9,7 @@ import pytest
 import cmp_cl
 
 ROOT = Path(cmp_cl.__file__).parent
-# From the bottom up; a name stands for a module, or for a package and all within it.
+# From the bottom up; a name is that of a module, or of a package and everything in it.
 LAYERS = [
     {"closing", "errors", "image_size", "version", "vtk"},
     {"extras", "files"},
@@ -29,7 +29,7 @@ LAYERS = [
     {"cli"},
 ]
 UPWARDS = {"config": {"cell"}}  # DetectorConfig.for_image estimates the cell when it is called
-ASIDE = {"__main__", "__init__"}  # the door, which imports everything
+ASIDE = {"__main__", "__init__"}  # the entries, which import everything
 
 
 def modules():

@@ -18,7 +18,7 @@ FINE = 8  # samples a pixel
 
 
 def marked(mark: str, cell: float = 24, shape: tuple[int, int] = (230, 300)):
-    """Return a turned board whose cells hold such marks, and (N, 2) its corners 6 px inside."""
+    """Return a rotated board whose cells hold such marks, and its corners 6 px inside, (N, 2)."""
     rows, columns = shape
     y, x = ((np.arange(n * FINE) + 0.5) / FINE - 0.5 for n in shape)
     cos, sin = np.cos(0.2) / cell, np.sin(0.2) / cell
@@ -54,7 +54,7 @@ def judged(corners: cmp_cl.Corners, truth: np.ndarray, shape: tuple[int, int]) -
 
 
 @pytest.mark.parametrize("mark", ["dot", "ring", "cross", "code"])
-def test_marks_in_cells_go_and_the_corners_of_the_board_stay(mark, detector_for):
+def test_corners_in_cells_are_dropped_and_those_of_the_board_are_kept(mark, detector_for):
     image, truth = marked(mark)
     corners = detector_for(image)(image)
     missed, false = judged(corners, truth, image.shape)
@@ -79,7 +79,7 @@ def test_16_bits_keep_the_corners_that_8_bits_keep(detector_for):
     np.testing.assert_array_equal(drop_marks(detector_for(deep)(deep), deep).pixel, there)
 
 
-def test_nothing_goes_on_a_plain_board(detector_for):
+def test_no_corner_of_a_plain_board_is_dropped(detector_for):
     for cell in (7, 12, 30):
         image, _ = board(150, 200, cell)
         corners = detector_for(image)(image)
@@ -87,7 +87,7 @@ def test_nothing_goes_on_a_plain_board(detector_for):
 
 
 @pytest.mark.parametrize(("seed", "markers"), [(900_720, 20), (900_730, 30), (900_570, 44)])
-def test_no_corner_of_a_torn_gel_goes(seed, markers, detector_for):
+def test_no_corner_of_a_torn_gel_is_dropped(seed, markers, detector_for):
     image = render(random_scene(seed, markers=markers, severity=1.75)).image
     corners = detector_for(image)(image)
     np.testing.assert_array_equal(drop_marks(corners, image).xy, corners.xy)
@@ -103,7 +103,7 @@ def test_edges_that_end_at_no_corner_span_no_cell(detector_for):
     assert len(drop_marks(corners, image)) == len(corners) >= 10
 
 
-def test_what_stays_is_as_it_was_in_every_field(detector_for):
+def test_kept_corners_are_unchanged_in_every_field(detector_for):
     image, _ = marked("dot")
     corners = detector_for(image)(image)
     kept = drop_marks(corners, image)

@@ -1,4 +1,4 @@
-"""Recordings of robots, in and out, and the example node."""
+"""Recordings of robots, read and written, and the example node."""
 
 import importlib.util
 import sys

@@ -1,4 +1,4 @@
-"""Measuring from Python: a film of two views to fields, a pattern in one view, aligned views."""
+"""Measuring from Python: fields from a video of two views, a pattern in one view, aligned views."""
 
 import dataclasses
 import re
@@ -41,7 +41,7 @@ def test_the_readme_shows_the_same_lines():
     assert f"```python\n{example()}\n```" in readme
 
 
-def test_the_ten_lines_of_the_docstring_turn_a_film_into_fields(shots, tmp_path, monkeypatch):
+def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(shots, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     StereoRig(*RIG).save("rig.yaml")
     rows, columns = shots[0][0].shape
@@ -83,7 +83,7 @@ def test_a_view_is_measured_against_the_view_at_rest(shots):
         against_rest(rest)
 
 
-def test_both_the_filtered_and_the_raw_values_are_there_and_said_which(shots):
+def test_both_the_filtered_and_the_raw_values_are_there_and_named(shots):
     rest, now = (frame for frame, _ in shots)
     split, rig = cmp_cl.BinocularSplit.halves(*rest.shape[::-1]), StereoRig(*RIG)
     views = [(frame, frame[:, : frame.shape[1] // 2]) for frame in (rest, now)]
@@ -116,7 +116,7 @@ def test_a_pattern_is_found_without_its_cell(shots):
         measure.find_pattern(np.zeros_like(view), shape=(12, 12))
 
 
-def test_a_turned_grid_is_the_same_grid():
+def test_a_rotated_grid_is_the_same_grid():
     row, column = np.indices((3, 4))
     grid = grid_of(np.stack([column * 10.0, row * 10.0], axis=-1))
     corners = grid.xy.reshape(-1, 2)
@@ -188,7 +188,7 @@ def test_tracking_follows_a_pattern_without_a_border_over_a_missing_frame():
 
 
 @pytest.mark.parametrize("broken", [[0.4, None, None, 0.4, 0.8], [0.4, 1.3, 1.6]])
-def test_tracking_that_lost_its_way_says_so_from_then_on(broken):
+def test_tracking_that_lost_the_pattern_is_ambiguous_from_then_on(broken):
     _, ambiguous = shifts_of_film(broken, track=True)
     assert ambiguous[0] is False
     assert ambiguous[-2:] == [True, True]

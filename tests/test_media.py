@@ -131,7 +131,7 @@ def test_16_bits_are_refused_by_formats_that_would_cut_them(name, tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-def test_what_is_no_image_is_an_image_error_with_its_name(tmp_path):
+def test_a_file_that_is_no_image_is_an_image_error_with_its_name(tmp_path):
     (tmp_path / "text.png").write_text("hello")
     (tmp_path / "empty.png").write_bytes(b"")
     media.write_image(tmp_path / "whole.png", NOISE)
@@ -187,7 +187,7 @@ def test_a_video_gives_its_frames_in_order_as_grey(tmp_path, reader):
         )
 
 
-def test_a_video_cut_off_gives_what_is_left_and_marks_the_rest(tmp_path, reader):
+def test_a_video_that_is_cut_off_gives_its_frames_and_marks_the_missing_ones(tmp_path, reader):
     write_video(tmp_path / "press.avi", frames=40, code="MJPG")
     whole = (tmp_path / "press.avi").read_bytes()
     (tmp_path / "cut.avi").write_bytes(whole[: len(whole) // 2])
@@ -286,7 +286,7 @@ def test_frames_that_never_come_are_not_waited_for(tmp_path, monkeypatch):
         assert [frame.image for frame in some] == [None] * media.LONGEST_GAP
 
 
-def test_a_video_that_is_none_is_an_image_error(tmp_path, reader):
+def test_a_file_that_is_no_video_is_an_image_error(tmp_path, reader):
     (tmp_path / "text.mp4").write_text("hello")
     for name in ("text.mp4", "missing.mp4"):
         with pytest.raises(ImageError, match=name):
@@ -305,7 +305,7 @@ def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
         media.find_inputs([tmp_path / "missing.png"])
 
 
-def test_a_pattern_that_the_shell_has_left_stands_for_its_files(tmp_path):
+def test_a_file_pattern_that_the_shell_did_not_expand_stands_for_its_files(tmp_path):
     for name in ("b1.png", "b2.png", "c1.png", "b[1].png"):
         (tmp_path / name).touch()
     assert [path.name for path in media.find_inputs([tmp_path / "b?.png"])] == ["b1.png", "b2.png"]

@@ -1,4 +1,4 @@
-"""What other tools read: one version, the recipe, the citation, the workflows."""
+"""Files that other tools read: one version, the recipe, the citation, the workflows."""
 
 import importlib.metadata
 import re
@@ -13,7 +13,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 KEPT = ("*.py", "*.md", "*.cff", "*.yaml", "*.yml", "*.toml", "Dockerfile")
 
 
-def test_the_version_stands_in_one_place():
+def test_the_version_is_in_one_place():
     assert importlib.metadata.version("cmp-cl") == PROJECT["version"]
     pattern = re.compile(rf"""version\w*\s*[:=]\s*["']?v?{re.escape(PROJECT["version"])}\b""", re.I)
     holders = {

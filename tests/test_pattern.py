@@ -1,4 +1,4 @@
-"""The printed pattern: what every format shows when it is rendered is what was asked for."""
+"""The printed pattern: every format, when it is rendered, shows the requested pattern."""
 
 import struct
 import subprocess
@@ -63,7 +63,7 @@ RENDERERS = {"png": png_pixels, "svg": svg_pixels, "pdf": pdf_pixels, "dxf": dxf
 
 
 @pytest.mark.parametrize("suffix", RENDERERS)
-def test_what_is_drawn_is_found_where_it_was_drawn(tmp_path, suffix):
+def test_corners_are_found_where_they_were_drawn(tmp_path, suffix):
     board = Checkerboard(shape=(6, 9), cell=1.5)
     board.save(tmp_path / f"board.{suffix}", dpi=DPI)
     image = RENDERERS[suffix](tmp_path / f"board.{suffix}")
@@ -85,7 +85,7 @@ def test_a_sheet_has_its_size_in_millimetres(tmp_path, suffix):
     assert RENDERERS[suffix](tmp_path / f"board.{suffix}").shape == (160, 220)
 
 
-def test_a_png_says_its_resolution(tmp_path):
+def test_a_png_states_its_resolution(tmp_path):
     Checkerboard(shape=(3, 3), cell=2).save(tmp_path / "board.png", dpi=DPI)
     data = (tmp_path / "board.png").read_bytes()
     assert struct.unpack(">IIB", data[data.index(b"pHYs") + 4 :][:9]) == (10_000, 10_000, 1)
@@ -138,7 +138,7 @@ def test_paper_holds_the_pattern_in_its_middle():
         ({"paper": (20, 20)}, "the paper has"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(wrong, says):
+def test_patterns_that_cannot_be_drawn_are_refused(wrong, says):
     with pytest.raises(cmp_cl.ConfigError, match=says):
         Checkerboard(**{"shape": (4, 4), "cell": 4, **wrong})
 
@@ -147,7 +147,7 @@ def test_the_longer_side_gives_the_cell():
     assert cell_for(32, (30, 39)) == 0.8
 
 
-def test_the_command_writes_what_it_says(tmp_path, capsys):
+def test_the_command_writes_the_pattern_that_it_reports(tmp_path, capsys):
     out = tmp_path / "gel.svg"
     assert main(["pattern", "--grid", "20x30", "--size", "31", "--out", str(out)]) == 0
     assert "20 x 30 corners, cells of 1 mm" in capsys.readouterr().out

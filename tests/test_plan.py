@@ -1,4 +1,4 @@
-"""What a configuration leaves out is not compiled, not launched and not allocated."""
+"""Stages that a configuration leaves out are not compiled, not launched and not allocated."""
 
 import images
 import numpy as np
@@ -163,7 +163,7 @@ def test_the_kernels_of_the_other_refinements_are_left_out(detector_for):
 
 
 @pytest.mark.parametrize("criteria", [RapidCriteria, SpectralCriteria])
-def test_without_the_corrosion_criterion_it_is_not_worked_out(detector_for, criteria):
+def test_without_its_criterion_corrosion_is_not_computed(detector_for, criteria):
     """Its region of 21 pixels is not looked at: the macro that reads it is not compiled."""
     options = []
     for threshold in (6, None):
@@ -181,7 +181,7 @@ def test_without_the_corrosion_criterion_it_is_not_worked_out(detector_for, crit
 
 @pytest.mark.parametrize("refinement", [None, EdgeLines(), EdgeStep(), Midlines()])
 def test_a_flat_frame_needs_no_refinement(device_in_form, refinement):
-    """Refinement stops at the number of corners: it writes nothing where there are none."""
+    """Refinement stops at the number of corners: without corners it writes nothing."""
     config = DetectorConfig(refinement=refinement)
     with Detector(shape=IMAGE.shape, device=device_in_form, config=config) as detector:
         plan = detector._plan(None)
@@ -261,7 +261,7 @@ def test_every_argument_has_the_name_that_its_kernel_gives_it(device_in_form, co
 
 
 class Unbuilt(Plan):
-    """A plan of which nothing is compiled or taken: its sizes alone are looked at."""
+    """A plan that compiles and allocates nothing: only its sizes are used."""
 
     def _build(self):
         return None
@@ -283,7 +283,7 @@ def test_at_most_eight_bytes_a_pixel_beyond_the_image(device_in_form, config, dt
 
 
 def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[int, int]):
-    """Return the bytes of every buffer of a detector, which takes none of them."""
+    """Return the bytes of every buffer of a detector, without allocating any."""
     plan = Unbuilt(None, None, device, shape, np.dtype(dtype), config, config.scale, None, 1)
     return plan.sizes
 

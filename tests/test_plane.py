@@ -29,7 +29,7 @@ LENGTH = 60.0  # px, displacement by slope
 
 
 def lattice(rows=40, columns=40, side=12.0):
-    """Return the nodes of a slightly turned board, px."""
+    """Return the nodes of a slightly rotated board, px."""
     row, column = np.mgrid[:rows, :columns]
     x, y = 30 + side * (column + 0.03 * row), 25 + side * (row - 0.03 * column)
     return np.stack([x, y], axis=-1)
@@ -86,13 +86,13 @@ def test_wear_that_stretches_with_the_material_makes_sigma_too_large_and_not_too
     assert np.mean(np.abs((found.tensor - green(gradient)) / found.sigma) < 1.96) >= 0.95
 
 
-def test_a_direction_that_noise_decides_is_said_to_be_any():
+def test_a_direction_that_noise_decides_has_the_sigma_of_an_unknown_one():
     rest = lattice(12, 12)
     found = plane_strain(plane_displacement(noisy(rest, 3), noisy(1.01 * rest, 4))).principal()
     assert np.median(found.sigma_direction) == pytest.approx(math.pi / math.sqrt(12))
 
 
-def test_turning_and_shifting_strains_nothing():
+def test_rotation_and_translation_give_no_strain():
     rest = lattice(8, 8)
     turn = np.array([[math.cos(1.0), -math.sin(1.0)], [math.sin(1.0), math.cos(1.0)]])
     field = plane_displacement(grid_of(rest), grid_of(rest @ turn.T + [500, 0]))
@@ -134,7 +134,7 @@ def test_nodes_without_neighbours_have_no_strain():
     assert not np.isnan(found[2:-1, :5]).any()
 
 
-def test_a_motion_is_found_and_taken_away():
+def test_a_motion_is_found_and_removed():
     rest = lattice(20, 20)
     factor = 1.002 * np.exp(0.03j)
     moved = (rest[..., 0] + 1j * rest[..., 1] - (200 + 150j)) * factor + 203 + 149j
@@ -183,7 +183,7 @@ def test_a_raster_holds_the_displacement_at_every_pixel():
     raster = wave()
     xy = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
     inside = ~np.isnan(raster.values[..., 0])
-    assert 0.9 < inside.mean() < 0.95  # the board is turned
+    assert 0.9 < inside.mean() < 0.95  # the board is rotated
     off = np.square(raster.values + LENGTH * slope(xy))[inside].mean()
     assert math.sqrt(off) < 0.005 * 5
 
@@ -318,7 +318,7 @@ def test_strain_counts_the_errors_that_neighbours_share(part, angle):
     row, column = np.mgrid[:20, :20]
     rest = np.stack([12.0 * column, 12.0 * row], axis=-1)
     relative, parts = [], []
-    for seed in range(900000, 900040, 2):  # the board turns, and what neighbours share with it
+    for seed in range(900000, 900040, 2):  # the board rotates, and the shared errors with it
         before = rest + 0.05 * edge_noise(seed, part, np.eye(2))
         now = rest @ turn.T @ gradient_of(1e-2).T + 0.05 * edge_noise(seed + 1, part, turn)
         field = with_measured_noise(plane_displacement(grid_of(before), grid_of(now), raw=True))
@@ -332,7 +332,7 @@ def test_strain_counts_the_errors_that_neighbours_share(part, angle):
 
 
 @pytest.mark.parametrize("part", [0.0, 0.33])
-def test_raw_sigma_is_that_of_the_errors_where_neighbours_share_a_part(part):
+def test_raw_sigma_is_that_of_the_errors_if_neighbours_share_a_part(part):
     row, column = np.mgrid[:20, :20]
     rest = np.stack([12.0 * column, 12.0 * row], axis=-1)
     relative = []
@@ -362,7 +362,7 @@ def test_the_strain_of_a_filtered_field_counts_the_errors_that_neighbours_share(
     assert math.sqrt(np.mean(relative)) == pytest.approx(1, abs=0.1)
 
 
-def test_the_errors_that_neighbours_share_turn_with_the_nodes():
+def test_the_errors_that_neighbours_share_rotate_with_the_nodes():
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
     row, column = np.mgrid[:20, :20]
     rest = np.stack([12.0 * column, 12.0 * row], axis=-1)
@@ -398,7 +398,7 @@ def test_the_height_of_a_pictured_wave_agrees_with_its_form_and_with_openfcd():
     assert np.std((found.value - wanted)[middle]) < np.std((other - wanted)[middle])
 
 
-def test_nodes_are_compared_by_number_where_more_is_seen_than_at_rest():
+def test_nodes_are_compared_by_number_if_more_are_in_view_than_at_rest():
     row, column = np.indices((4, 5))
     rest = grid_of(np.stack([10.0 * column, 10.0 * row], axis=2))
     row, column = np.indices((7, 6)) - np.array([2, 1])[:, None, None]
@@ -409,7 +409,7 @@ def test_nodes_are_compared_by_number_where_more_is_seen_than_at_rest():
         plane_displacement(rest, dataclasses.replace(now, origin=(1, 0)))
 
 
-def test_what_does_not_fit_is_refused():
+def test_arguments_that_do_not_fit_are_refused():
     rest = grid_of(lattice(5, 5))
     field = plane_displacement(rest, rest)
     with pytest.raises(FieldError, match="now has"):

@@ -1,4 +1,4 @@
-"""Pictures and films of recordings."""
+"""Plots and videos of recordings."""
 
 import os
 import stat
@@ -122,7 +122,7 @@ def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
         curve_figure(one)
 
 
-def test_what_is_no_recording_of_nodes_is_refused(tmp_path):
+def test_a_file_that_is_no_recording_of_nodes_is_refused(tmp_path):
     with pytest.raises(FieldError, match="no rest"):
         Recorded.of(
             {"index": np.arange(2), "time_ms": np.arange(2.0), "xy": np.zeros((2, 3, 3, 2))}
@@ -148,7 +148,7 @@ def film(path, frames=3, shape=(240, 320)):
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
-def test_a_film_shows_nodes_by_their_displacement(tmp_path, suffix):
+def test_a_video_shows_nodes_by_their_displacement(tmp_path, suffix):
     path = tmp_path / f"film{suffix}"
     xy = film(path)
     capture = cv2.VideoCapture(str(path))
@@ -170,7 +170,7 @@ def test_a_film_shows_nodes_by_their_displacement(tmp_path, suffix):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="modes and devices are others on Windows")
-def test_a_film_keeps_the_mode_of_an_older_one_and_replaces_no_device(tmp_path):
+def test_a_video_keeps_the_mode_of_an_older_one_and_replaces_no_device(tmp_path):
     path = tmp_path / "film.mp4"
     path.touch(mode=0o600)
     film(path)
@@ -181,7 +181,7 @@ def test_a_film_keeps_the_mode_of_an_older_one_and_replaces_no_device(tmp_path):
     assert stat.S_ISFIFO(os.stat(tmp_path / "pipe.mp4").st_mode)
 
 
-def test_pyav_reads_a_film(tmp_path):
+def test_pyav_reads_the_video(tmp_path):
     av = pytest.importorskip("av", reason="PyAV is not installed")
     film(tmp_path / "film.mp4", frames=4)
     with av.open(str(tmp_path / "film.mp4")) as container:
@@ -189,7 +189,7 @@ def test_pyav_reads_a_film(tmp_path):
     assert times == pytest.approx([0, 0.1, 0.2, 0.3])
 
 
-def test_a_film_that_cannot_be_is_refused_and_leaves_what_was_there(tmp_path):
+def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_path):
     with pytest.raises(ConfigError, match=r"\.mp4"):
         OverlayFilm(tmp_path / "film.gif")
     with pytest.raises(OSError, match="nothere"):

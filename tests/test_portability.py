@@ -1,4 +1,4 @@
-"""What every OpenCL 1.2 device has is enough, and every form of a stage runs on every device.
+"""The features of every OpenCL 1.2 device are enough, and every form of a stage runs on each.
 
 The set is small enough for a simulator that checks each memory access.
 """
@@ -99,7 +99,7 @@ def test_every_kernel_equals_the_oracle_in_every_form_of_sixteen_bits(other_form
 
 
 def test_few_corners_after_many_are_not_mixed_with_them(device):
-    """Work-items without a corner must not see what an earlier frame left."""
+    """Work-items without a corner must not see the results of an earlier frame."""
     many = images.texture((97, 61))
     few = np.full_like(many, 128)
     few[:33, :31] = FRAME

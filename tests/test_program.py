@@ -1,4 +1,4 @@
-"""The one place that builds: sources, errors, kept binaries."""
+"""The module that builds programs: sources, errors, cached binaries."""
 
 import re
 import secrets
@@ -134,7 +134,7 @@ CONFIGS = {
         for name, config in CONFIGS.items()
     ],
 )
-def test_compilers_have_nothing_to_remark(
+def test_compilers_give_no_warnings(
     own_programs, device_in_form, monkeypatch, capfd, config, dtype
 ):
     programs = []
@@ -155,7 +155,7 @@ def test_compilers_have_nothing_to_remark(
     assert "warning" not in ("".join(logs) + capfd.readouterr().err).lower()
 
 
-def test_missing_kernels_say_install_again(monkeypatch, tmp_path):
+def test_missing_kernels_ask_to_install_again(monkeypatch, tmp_path):
     monkeypatch.setattr(program, "__file__", str(tmp_path / "package" / "opencl" / "program.py"))
     with pytest.raises(KernelBuildError, match="install cmp-cl again"):
         program.kernel_folder()

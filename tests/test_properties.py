@@ -1,4 +1,4 @@
-"""What holds for any image: turned, mirrored, inverted, cropped from a buffer, in any company."""
+"""Properties for any image: rotated, mirrored, inverted, cropped from a buffer, in a batch."""
 
 import hypothesis
 import numpy as np
@@ -73,7 +73,7 @@ def test_any_image_gives_what_the_oracle_gives(detector_for, seed, dtype, config
 @pytest.mark.exhaustive
 @several
 @hypothesis.given(seed=seeds, config=configs, turn=st.sampled_from(TURNS))
-def test_turning_an_image_turns_its_maps(detector_for, seed, config, turn):
+def test_rotating_an_image_rotates_its_maps(detector_for, seed, config, turn):
     image = any_image(seed)
     detector = detector_for(image, config)
     plain, other = detector.maps(image), detector.maps(turned(image, turn))
@@ -99,13 +99,13 @@ cells, angles = st.floats(9, 16), st.floats(0.05, 1.5)
 
 @several
 @hypothesis.given(cell=cells, angle=angles, turn=st.sampled_from(TURNS))
-def test_turning_a_board_turns_its_corners(detector_for, cell, angle, turn):
+def test_rotating_a_board_rotates_its_corners(detector_for, cell, angle, turn):
     image = board(SIDE, SIDE, cell, angle=angle)[0]
     detector = detector_for(image)
     y, x = (turned(index, turn) for index in np.indices(image.shape))
     xy = detector(turned(image, turn)).xy
     near = np.rint(xy).astype(int).clip(0, SIDE - 1)
-    # Within a pixel the turn is that of its neighbours' places.
+    # Positions within a pixel rotate too.
     step_x = np.array([x[0, 1] - x[0, 0], y[0, 1] - y[0, 0]])
     step_y = np.array([x[1, 0] - x[0, 0], y[1, 0] - y[0, 0]])
     rest = xy - near
@@ -149,7 +149,7 @@ def test_crops_are_the_same_in_a_batch_a_stream_or_alone(
 
 @hypothesis.settings(several, max_examples=200)
 @hypothesis.given(number=st.integers(0, 2**31))
-def test_what_is_not_valid_is_refused_by_an_error_of_ours(device, number):
+def test_invalid_input_is_refused_by_an_error_of_cmp_cl(device, number):
     assert invalid_case(0, number, device.index)
 
 

@@ -50,12 +50,12 @@ def test_detections_at_junctions_do_not_count():
     assert score([(0, 0), (30, 4)], [(0, 0)], 10, ignored=[(30, 0)]).false == 1
 
 
-def test_a_place_that_is_nan_is_neither_truth_nor_detection():
+def test_a_position_that_is_nan_is_neither_truth_nor_detection():
     answer = score([(np.nan, 0), (0, 0)], [(0, 0), (np.nan, np.nan)], 10)
     assert (answer.expected, answer.found, answer.false) == (1, 1, 0)
 
 
-def test_nothing_found_has_no_error():
+def test_without_detections_there_is_no_error():
     answer = score(np.empty((0, 2)), [(0, 0)], 10)
     assert (answer.missed, answer.false) == (1, 0)
     assert answer.summary()["rmse"] is None

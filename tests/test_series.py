@@ -46,7 +46,7 @@ def rest():
 
 
 def frame(number):
-    """Return what a frame holds; node (0, 0) is missing."""
+    """Return the arrays of a frame; node (0, 0) is missing."""
     shift = np.full((4, 5, 3), 0.25 * number) + rest() / 100
     shift[0, 0] = np.nan
     return {
@@ -76,7 +76,7 @@ def test_what_is_written_is_read_again(tmp_path, suffix):
     assert found["status"].dtype == np.uint8
 
 
-def test_hdf5_says_units_version_time_and_configuration(tmp_path):
+def test_hdf5_holds_units_version_time_and_configuration(tmp_path):
     h5py = needs("h5py")
     with h5py.File(write(tmp_path / "press.h5"), "r") as file:
         assert file["displacement"].attrs["unit"] == "mm"
@@ -227,7 +227,7 @@ def test_a_pvd_is_whole_after_every_frame(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".h5", ".csv", ".jsonl", ".parquet"])
-def test_what_was_there_stays_where_nothing_is_measured_or_an_error_comes_first(tmp_path, suffix):
+def test_an_older_file_stays_if_nothing_is_measured_or_an_error_comes_first(tmp_path, suffix):
     needs({".h5": "h5py", ".parquet": "pyarrow"}.get(suffix, "json"))
     path = tmp_path / f"old{suffix}"
     path.write_bytes(b"old")
@@ -284,7 +284,7 @@ def test_a_missing_package_is_named_by_its_extra(tmp_path, monkeypatch):
         open_series(tmp_path / "press.h5")
 
 
-def test_what_is_not_a_series_is_refused(tmp_path):
+def test_a_file_that_is_no_series_is_refused(tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"nothing")
     np.savez(tmp_path / "other.npz", x=1)
     with pytest.raises(FieldError, match="not a series"):
@@ -395,9 +395,9 @@ if path.endswith(("csv", "jsonl")):
 
 
 @pytest.mark.parametrize("suffix", ["h5", "csv", "jsonl", "parquet", "mcap", "mp4", "mkv", "avi"])
-def test_a_full_disk_is_told_and_keeps_what_is_whole(tmp_path, suffix):
-    """HDF5 crashed, OpenCV said nothing of a film that was cut off, and files without an end
-    were lost.
+def test_a_full_disk_is_reported_and_whole_frames_are_kept(tmp_path, suffix):
+    """Before, HDF5 crashed, OpenCV did not report a video that was cut off, and files without an
+    end were lost.
     """
     for package in PACKAGES.get(suffix, []):
         needs(package)

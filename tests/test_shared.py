@@ -68,7 +68,7 @@ def test_a_frame_is_not_written_while_kernels_read_the_one_before(large):
         assert_same_bytes(read_corners(plan.read(plan.queue), plan)[0], expected)
 
 
-def test_memory_is_kept_until_the_kernels_of_a_detector_that_is_dropped_are_done(large, device):
+def test_memory_is_kept_until_the_kernels_of_a_deleted_detector_are_done(large, device):
     _, board, _ = large
     for _ in range(5):
         detector = Detector(shape=board.shape, device=device)

@@ -1,4 +1,4 @@
-"""Two views: what is placed in space is where it is, what cannot be placed says so."""
+"""Two views: positions in space are right, and nodes without one are flagged."""
 
 import dataclasses
 import itertools
@@ -176,7 +176,7 @@ def one_node(rig, left, right):
         ((330, 250), (310, 262), PointStatus.INCONSISTENT),
     ],
 )
-def test_what_has_no_depth_is_flagged(left, right, status):
+def test_nodes_without_depth_are_flagged(left, right, status):
     points = one_node(parallel_rig(), left, right)
     assert points.status[0, 0] == status
     for values in (points.xyz, points.covariance, points.sigma):
@@ -361,7 +361,7 @@ def test_a_split_that_leaves_the_frame_is_refused():
 
 
 @pytest.mark.parametrize("box", [(0, 0, 0, 5), (-1, 0, 3, 3), (0, 0, 3), (0, 0, 3.5, 3), "half"])
-def test_a_rectangle_that_is_none_is_refused(box):
+def test_an_invalid_rectangle_is_refused(box):
     with pytest.raises(ConfigError, match="left must be"):
         BinocularSplit(box, (0, 0, 1, 1))
 
@@ -443,7 +443,7 @@ def test_views_all_from_the_front_are_refused(tilt, seed):
         calibrate_camera([left for left, _ in views], spacing=3, image_size=(800, 1200))
 
 
-def test_the_focal_length_is_as_certain_as_it_says():
+def test_the_sigma_of_the_focal_length_is_that_of_its_error():
     rig, deviations = toed_in_rig(), []
     for seed in range(20):
         views = boards(rig, np.random.default_rng(seed), count=6, tilt=0.3)
@@ -539,7 +539,7 @@ def test_the_covariance_survives_the_file(tmp_path):
 
 
 def test_uncertain_views_weigh_less():
-    """Half of the views are ten times as noisy, and say so."""
+    """Half of the views are ten times as noisy, and their sigma says so."""
     rig, off = toed_in_rig(), {True: [], False: []}
     for seed in range(6):
         rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""The scenes: the truth is where the picture shows it, in both views and in space."""
+"""The scenes: the truth is where the image shows it, in both views and in space."""
 
 import dataclasses
 import math
@@ -267,7 +267,7 @@ CHANGES = {
 
 @pytest.fixture(scope="session")
 def cube():
-    """Return a scene and its picture."""
+    """Return a scene and its image."""
     scene = Scene(markers=20, shape=(120, 160), indenter=Indenter.CUBE)
     return scene, synthetic.render(scene).image
 

@@ -1,4 +1,4 @@
-"""Pictures: every corner is marked where it is, in the colour of its method."""
+"""Pictures: every corner is marked at its position, in the colour of its method."""
 
 import dataclasses
 import subprocess
@@ -253,7 +253,7 @@ def test_a_recording_for_rerun_appears_whole(tmp_path):
 
 
 def recorded(path, column):
-    """Return what was logged as that component, in the order of the frames."""
+    """Return the logged values of that component, in the order of the frames."""
     chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no recordings")
     found = []
     for part in chunk.RrdReader(path).stream():

@@ -1,4 +1,4 @@
-"""Arguments that commands share, and what they mean for a frame."""
+"""Arguments that commands share, and the views and regions of a frame that follow from them."""
 
 import argparse
 import itertools
@@ -27,7 +27,7 @@ def refuse_to_overwrite(
 ) -> None:
     """Raise ConfigError if an output is an input, or two outputs are one file.
 
-    None stands for a file that was not asked for. Devices and pipes may be named twice.
+    None stands for a file that was not requested. Devices and pipes may be named twice.
     """
     read = {os.path.realpath(path) for path in inputs if path is not None}
     written = set()
@@ -183,7 +183,7 @@ def region_in(view: Box, box: Box, *, mirror: bool) -> Region:
 
 
 def split_of(where: str, mirror: str | None, shape: tuple[int, ...]) -> BinocularSplit:
-    """Return the split that --split and --mirror ask for, for frames of that shape.
+    """Return the split that --split and --mirror describe, for frames of that shape.
 
     Raises ConfigError for a text that is neither halves nor two rectangles.
     """

@@ -25,7 +25,7 @@ from cmp_cl.viz.calibration import residual_figure
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what only this form takes."""
+    """Add the arguments that only this form takes."""
     parser.add_argument(
         "--camera",
         nargs="+",

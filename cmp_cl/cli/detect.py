@@ -166,7 +166,7 @@ class _NothingToWrite(Exception):
 
 
 class _Tally:
-    """What was found in a file."""
+    """The counts and the failures of a file."""
 
     def __init__(self) -> None:
         self.counts: list[int] = []

@@ -1,4 +1,4 @@
-"""How names, errors and counts are written in a one-line message."""
+"""Names, errors and counts as they are written in a message of one line."""
 
 import os
 import sys
@@ -35,7 +35,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def tell_what_opencv_hides(paths: Iterable[Path]) -> None:
-    """Warn on stderr of what is lost if a video is read without PyAV."""
+    """Warn on stderr of the information that is lost if a video is read without PyAV."""
     if not media.has_pyav() and any(map(media.is_video, paths)):
         print(
             "cmp-cl: PyAV is not installed: OpenCV reads videos with 8 bits, and scales frames of "

@@ -185,7 +185,7 @@ def _camera_size(text: str) -> tuple[int, int]:
 
 
 class _Tally:
-    """What was measured, for the line at the end."""
+    """The counts of the measured frames, for the line at the end."""
 
     def __init__(self, *, track: bool) -> None:
         self._track = track
@@ -228,7 +228,7 @@ class _Tally:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Settings:
-    """The settings that the arguments ask for, checked and loaded."""
+    """The settings that the arguments give, checked and loaded."""
 
     source: Source
     rest_frame: int
@@ -437,14 +437,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _full_scale(asked: int | None, source: Source, config: DetectorConfig | None) -> int | None:
-    """Return the full scale asked for; if neither it nor the settings have one, the source's."""
+    """Return the requested full scale, else that of the settings, else that of the source."""
     if asked is not None or (config is not None and config.full_scale is not None):
         return asked
     return source.full_scale
 
 
 class _Film(contextlib.AbstractContextManager["_Film"]):
-    """Writes the Rerun recording and the annotated video, and feeds the viewer, as asked for.
+    """Writes the Rerun recording and the annotated video, and feeds the viewer, as requested.
 
     If one of them cannot be written, the run continues. error: the reason, else None.
     """

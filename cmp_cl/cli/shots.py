@@ -28,7 +28,7 @@ class Shot(NamedTuple):
 
 
 class Source:
-    """Where the frames come from.
+    """The source of the frames.
 
     rate: frames per second. full_scale: largest grey level. Both are None if unknown.
     """
@@ -59,8 +59,7 @@ class Source:
         return total
 
     def shots(self) -> Generator[Shot, None, None]:
-        """Yield all frames or pairs, from the first; what cannot be read is one broken frame
-        without an image."""
+        """Yield all frames or pairs, from the first; one that cannot be read has no image."""
         start: float | None = None
         if self.live and self._number is not None:
             for frame in media.read_camera(self._number):
@@ -148,8 +147,7 @@ class Pairs(Source):
         return None
 
     def shots(self) -> Generator[Shot, None, None]:
-        """Yield all frames or pairs, from the first; what cannot be read is one broken frame
-        without an image."""
+        """Yield all frames or pairs, from the first; one that cannot be read has no image."""
         self.count = PairCount()
         start = None
         with contextlib.ExitStack() as stack:

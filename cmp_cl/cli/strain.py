@@ -83,8 +83,8 @@ def check(arguments: argparse.Namespace) -> None:
 class Added:
     """The results to add to the frames of a recording.
 
-    side: side of the cells, None for px. unit: its unit. strain: whether strain is asked for.
-    depth: the least depth of a contact, None if contact is not asked for.
+    side: side of the cells, None for px. unit: its unit. strain: whether strain is requested.
+    depth: the least depth of a contact, None if contact is not requested.
     """
 
     side: float | None
@@ -94,7 +94,7 @@ class Added:
 
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> "Added":
-        """Take the results that the arguments ask for; raises ConfigError as `check` does."""
+        """Take the results that the arguments request; raises ConfigError as `check` does."""
         check(arguments)
         return cls(
             side=arguments.cell,
@@ -117,7 +117,7 @@ class Added:
 
 
 class _InThePlane(Measurement):
-    """Measures frames of one view, and adds the results asked for.
+    """Measures frames of one view, and adds the requested results.
 
     Strain comes from the raw positions. Its sigma comes from the noise that the field itself shows,
     and from the part of it that neighbours share.
@@ -196,7 +196,7 @@ _ENDS = ("", "_sigma")
 
 
 class _InSpace(Measurement):
-    """Measures frames of two views, and adds the results asked for."""
+    """Measures frames of two views, and adds the requested results."""
 
     def __init__(self, measure: TwoViews, added: Added) -> None:
         super().__init__()

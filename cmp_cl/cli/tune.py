@@ -125,7 +125,7 @@ class Row(NamedTuple):
     ms: float
 
     def loses(self, full: "Row") -> str:
-        """Return what it loses against the most complete row `full`; "" if nothing."""
+        """Return its losses against the most complete row `full` as text; "" if it has none."""
         lost = []
         if self.missed > full.missed:
             lost.append("corners")
@@ -361,8 +361,8 @@ def cheapest(
 ) -> Row:
     """Return the most complete row with every change that saves time and loses nothing.
 
-    The changes are added in the order of what they save alone, each measured beside the
-    settings without it.
+    The changes are added in the order of the time that each saves alone. Each is measured beside
+    the settings without it.
     """
     full = table[0]
     good = [row for row in table[1:] if not row.loses(full) and row.ms < WORTHWHILE * full.ms]

@@ -17,13 +17,13 @@ _NORMAL_RADIUS = 2  # nodes: a normal comes from a plane through 5 x 5 nodes, as
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Contact:
-    """The contact on a surface, as its displacement shows it.
+    """The contact on a surface, found from its displacement.
 
     depth: (R, C) float64, the displacement along the normal at rest, towards the cameras, in
         `unit`; NaN where the normal or the displacement is missing.
     sigma: (R, C) float64, its standard deviation, NaN where unknown.
     normal: (R, C, 3) float64, unit normals of the surface now, towards the cameras, or NaN.
-    inside: (R, C) bool, nodes deeper than the depth asked for.
+    inside: (R, C) bool, nodes deeper than the given depth.
     area: area of these nodes on the surface at rest, in `unit` squared.
     deepest: the largest depth in `unit`, NaN where no depth is known.
     """
@@ -38,12 +38,12 @@ class Contact:
 
 
 def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
-    """Return the part of the surface that is pressed in by more than a depth.
+    """Return the part of the surface that is pressed in by more than a given depth.
 
     field: the displacement. deeper_than: the depth, in the field's unit. A gel is indented beside
         the contact too, and bulges further out. So the area is that of the indentation at that
-        depth; it is the area of the contact only if the depth was chosen for the gel. A node counts
-        for a quarter of each of its whole cells.
+        depth; it is the area of the contact only if the depth was chosen for the gel. A node adds a
+        quarter of each complete cell around it.
 
     Raises FieldError if the depth is not a finite number.
     """
@@ -72,8 +72,8 @@ def surface_normals(positions: Array) -> Array:
     """Return the unit normals of a surface (R, C, 3) in the frame of the left camera.
 
     positions: (R, C, 3), NaN where missing. A normal is that of the plane through the 5 x 5 nodes
-        around, and points to the side of the origin. It is NaN if fewer than 6 of these are valid,
-        or if all lie on a line.
+        around a node, and points to the side on which the origin is. It is NaN if fewer than 6 of
+        these nodes are valid, or if all lie on a line.
     """
     valid: NDArray[np.bool_] = np.all(np.isfinite(positions), axis=2)
     filled = np.where(valid[..., None], positions, 0)

@@ -26,7 +26,7 @@ class DisplacementField:
     covariance: (R, C, 3, 3) float64, of the displacement, in `unit` squared; NaN where unknown.
     position_covariance: (R, C, 3, 3) float64, the same of `position`.
     status: (R, C) uint8 of `PointStatus`: the status now, or that at rest if that is not VALID.
-    source: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
+    source: (R, C) uint8 of `NodeStatus`: of those at rest and now, the less direct one.
     strain: (R, C, 3) float64, Green-Lagrange strain E11, E22, E12 in the tangent plane of
         the surface at rest, axis 1 along the rows; NaN where too few neighbours are valid;
         None if it was not asked for (`with_strain`).

@@ -1,9 +1,9 @@
 """Heights and densities from gradients, for waves on a surface and schlieren in a gas.
 
 A pattern seen through a medium appears displaced by u = -length grad(phi): through a free
-surface phi is its height (F. Moisy, M. Rabaud, K. Salsac, Exp. Fluids 46, 2009), in a gas the
-refractive index summed along the view (background-oriented schlieren). `integrate` finds phi
-from its gradient by least squares, which is Poisson's equation.
+surface, phi is its height (F. Moisy, M. Rabaud, K. Salsac, Exp. Fluids 46, 2009); through a gas,
+phi is the refractive index, integrated along the line of sight (background-oriented schlieren).
+`integrate` finds phi from its gradient by least squares, which leads to Poisson's equation.
 """
 
 import dataclasses
@@ -95,7 +95,7 @@ def projected_density(
     mask: NDArray[np.bool_] | None = None,
     boundary: Boundary = Boundary.FREE,
 ) -> Potential:
-    """Return the density of a gas summed along the view, kg/m2, minus that at rest.
+    """Return the density of a gas minus that at rest, integrated along the line of sight, kg/m2.
 
     displaced: displacement of the background, mm in the background's plane. distance: from
     the middle of the gas to the background, mm. gladstone_dale: m3/kg. index: refractive index of
@@ -111,7 +111,7 @@ def projected_density(
             "distance and gladstone_dale must be positive and index at least 1, not "
             f"{distance!r}, {gladstone_dale!r} and {index!r}"
         )
-    factor = 1e-3 * index / (distance * gladstone_dale)  # kg/m2 a mm, by mm
+    factor = 1e-3 * index / (distance * gladstone_dale)  # kg/m2 per mm, by mm
     found = integrate(displaced, -factor * _plane(displaced), mask=mask, boundary=boundary)
     return dataclasses.replace(found, unit="kg/m2")
 
@@ -150,7 +150,7 @@ def integrate(
         known = np.asarray(known & mask, np.bool_)
     if not known.any():
         raise FieldError("no gradient is known within the mask")
-    # A rim of one point holds the zeros; it does not belong to the mask.
+    # A margin of one point holds the zeros; it does not belong to the mask.
     inside = np.pad(known, 1)
     slopes = np.pad(np.where(known[..., None], gradient, 0) * raster.step, ((1, 1), (1, 1), (0, 0)))
     problem = _Poisson(inside, boundary)
@@ -171,7 +171,7 @@ class _Poisson:
 
     def __init__(self, inside: NDArray[np.bool_], boundary: Boundary) -> None:
         self._inside = inside
-        # Pairs of neighbours that count, along x (H, W - 1) and along y (H - 1, W).
+        # The pairs of neighbours that are used, along x (H, W - 1) and along y (H - 1, W).
         pairs = [(inside[:, :-1], inside[:, 1:]), (inside[:-1], inside[1:])]
         meet = np.logical_or if boundary is Boundary.ZERO else np.logical_and
         self._pairs = [np.asarray(meet(one, two), np.bool_) for one, two in pairs]

@@ -49,7 +49,7 @@ def slope_weights(valid: Bools, radius: int) -> tuple[Array, Array]:
     """Return the neighbours' weights in the slopes by column and by row, (R, C, S, S) each.
 
     S = 2 radius + 1. The slopes are those of the plane that fits the valid nodes of the window
-    best; 0 where the node or such a plane is missing.
+    best. The weights are 0 if the node is missing, or if no plane can be fitted.
     """
     rows, columns = valid.shape
     side = 2 * radius + 1
@@ -87,12 +87,12 @@ def strain_deviation(
 ) -> Array:
     """Return the standard deviations of the strain of `green_lagrange`, (R, C, 3).
 
-    With Q the orthonormal axes of the plane at rest, F the tangents now along them, dG and dA the
-    errors of the slopes of the displacement and of the position at rest along the same axes, to
-    first order dE = sym(F^T dG + (F - Q F^T F)^T dA), and the effect of the rotation of axis 1 by
-    Q2 . dA1 on the components. rest, now: (R, C, 3). rest_slopes, slopes: of the position and of
-    the displacement. radius: as in `green_lagrange`. The result is NaN if the strain is NaN or an
-    error is unknown.
+    Q are the orthonormal axes of the plane at rest, F the current tangents along them, and dG and
+    dA the errors of the slopes of the displacement and of the position at rest, along the same
+    axes. To first order dE = sym(F^T dG + (F - Q F^T F)^T dA), plus a term for the rotation of
+    axis 1 by Q2 . dA1, which changes the components. rest, now: (R, C, 3). rest_slopes, slopes: of
+    the position and of the displacement. radius: as in `green_lagrange`. The result is NaN if the
+    strain is NaN or an error is unknown.
     """
     both = np.concatenate([rest, now], axis=2)
     valid = ~np.isnan(both).any(axis=2)

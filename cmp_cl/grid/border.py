@@ -124,10 +124,10 @@ def border_of(nodes: Nodes, image: GreyImage) -> Border:
 def _reaches(nodes: Nodes, squares: Points, ended: Sides, image: GreyImage) -> FourSides:
     """Return how far the squares before the last nodes of those sides reach, cells.
 
-    squares: as of `_squares`. A square ends where its contrast to the one beside it does. How far
-    the two reach is the sum of that contrast over depths, as a share of that between the last
-    two lines of nodes. What is seen of the squares beyond, in which black and white change
-    places, counts too. NaN where they do not reach equally far.
+    squares: as of `_squares`. A square ends where its contrast to the one beside it does. The reach
+    of the two is the sum of that contrast over depths, as a share of that between the last two
+    lines of nodes. The visible part of the squares beyond, in which black and white are exchanged,
+    is included. The result is NaN if the squares do not reach equally far.
     """
     side, first = _pairs(nodes.there)
     asked = np.array(ended)[side]

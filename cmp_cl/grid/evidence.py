@@ -109,7 +109,7 @@ def _some_inside(seen: Mask) -> tuple[Index, Index]:
 
 
 class _Look(NamedTuple):
-    """What some nodes look like, each (M,).
+    """The image around some nodes, each (M,).
 
     along, down, cell: as in `mean_steps`, 0 where steps are not known. bright, dark: the grey
     levels of the darker bright cell and of the brighter dark one. span: of the four cells.

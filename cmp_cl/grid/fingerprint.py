@@ -55,7 +55,7 @@ class Fingerprint(NamedTuple):
     @classmethod
     def at_rest(cls, rest: Grid) -> "Fingerprint":
         """Take the fingerprint of a grid at rest. The last few are kept for the other frames of a
-        film."""
+        recording."""
         return _kept(rest.shape, rest.xy.dtype, rest.xy.tobytes(), rest.status.tobytes())
 
     @property

@@ -27,7 +27,7 @@ class NodeStatus(enum.IntEnum):
 
 T = TypeVar("T")
 
-# what the image shows; torn nodes are in part where their neighbours say
+# measured in the image; the position of a torn node comes in part from its neighbours
 MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 

@@ -35,7 +35,7 @@ class Seen(NamedTuple):
 
     z: (N,) positions of the corners, x + 1j y, px. edges: (N, 4) rad, as in `Corners`. image: (H,
     W), or None; without it there is no second look and no check of the rim. torn: (N + 1,) bool,
-    corners whose own image does not tell where they are, and True at the end, for nodes without a
+    corners whose own image does not show their position, and True at the end, for nodes without a
     corner.
     """
 

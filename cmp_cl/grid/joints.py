@@ -18,9 +18,9 @@ from cmp_cl.grid.nodes import Nodes, upright
 
 Steps = NDArray[np.complex64]
 
-ALIKE = 0.25  # of the steps: how much those of two cells of one pattern differ at most
-OFF = 0.15  # of the steps: how far a cell may be from where they lead from the other
-BENT = 0.3  # of the steps: how much their change may differ from the one before and the one after
+ALIKE = 0.25  # of the steps: largest difference between two cells of one pattern
+OFF = 0.15  # of the steps: largest distance of a cell from where they lead from the other
+BENT = 0.3  # of the steps: largest difference of their change from the ones before and after
 CONTACTS = 3  # pairs of cells that show a bend between two parts
 REACH = 2  # cells to every side, some of which may be lost
 LEAST = 4  # cells that may be another pattern
@@ -51,7 +51,7 @@ def cut(found: Lattice, nodes: Nodes, component: int = 0) -> Lattice | None:
 
 
 def _hang_together(along: Steps, down: Steps) -> bool:
-    """Return whether all but a few cells agree with one beside them that does so too, and on."""
+    """Return whether all but a few cells form one part, joined by neighbours that agree."""
     size = _square(along) + _square(down)
     least = ALIKE**2 * size
     apart = _square(along[:, 1:] - along[:, :-1]) + _square(down[:, 1:] - down[:, :-1])

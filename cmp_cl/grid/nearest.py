@@ -38,7 +38,7 @@ class Reference(NamedTuple):
 
     @classmethod
     def of(cls, grid: Grid) -> "Reference":
-        """Take the nodes of a grid. The last few are kept for the other frames of a film."""
+        """Take the nodes of a grid. The last few are kept for the other frames of a recording."""
         return _kept(grid.xy.dtype, grid.xy.tobytes(), grid.shape, grid.parity, grid.origin)
 
     @classmethod

@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 NOWHERE = complex(np.nan, np.nan)
 Entry = TypeVar("Entry", bound=np.generic)
 Answer = TypeVar("Answer")
-KEPT, MOST_KEPT = 4, 1 << 14  # answers that `for_film` keeps, and entries of their grids
+KEPT, MOST_KEPT = 4, 1 << 14  # results that `for_film` keeps, and entries of their grids
 MOST_NODES, NODES_EACH = 65536, 64  # the most of any grid, and the most for each corner
 
 
@@ -31,8 +31,8 @@ class Nodes:
     at: (R, C) complex128, px; owner: (R, C) number of the corner there, -1 for none;
     status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, where a node was put or dropped
     since misfits were looked for; parity: as in Grid; free: (N,) bool, corners that have not
-    been in the grid; astray: (N + 1,) bool, corners that were seen far from where their
-    neighbours say, and True at the end, for nodes without a corner.
+    been in the grid; astray: (N + 1,) bool, corners that were far from the prediction of their
+    neighbours, and True at the end, for nodes without a corner.
     """
 
     def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
@@ -113,9 +113,9 @@ class Nodes:
 
 
 def for_film(function: Callable[[Mask], Answer]) -> Callable[[Mask], Answer]:
-    """Keep the last answers of a function of the mask of nodes, which frames of a film often share.
+    """Keep the last results of a function of the mask of nodes, which many frames share.
 
-    Callers must not write to the arrays of an answer. Answers for large grids are not kept.
+    Callers must not write to the arrays of a result. Results for large grids are not kept.
     """
 
     @functools.lru_cache(maxsize=KEPT)

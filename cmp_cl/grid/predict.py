@@ -40,10 +40,10 @@ REACHED = np.array(  # nodes whose prediction or cell changes with the node in t
 
 
 class Stencil(NamedTuple):
-    """How neighbours predict M nodes.
+    """The factors by which neighbours predict M nodes.
 
-    near: (24, M) places of the neighbours in the grid with three missing nodes on every side.
-    missing: (24, M), those that are not there. factors: (24, M) of their positions. weight: (M,)
+    near: (24, M), the neighbours by number in the grid with three missing nodes on every side.
+    missing: (24, M), those that are not there. factors: (24, M), of their positions. weight: (M,),
     of the predictions.
     """
 
@@ -54,7 +54,7 @@ class Stencil(NamedTuple):
 
     @classmethod
     def of(cls, there: Mask, row: Index, column: Index) -> "Stencil":
-        """Take that of some nodes of a grid; there: (R, C), where it has nodes."""
+        """Return the stencil of some nodes of a grid; there: (R, C), where it has nodes."""
         rows, columns = there.shape
         width = columns + 6
         around = np.ones((rows + 6, width), np.bool_)

@@ -16,8 +16,8 @@ SAMPLES = 9  # of a profile across an edge
 OUTER = 3  # samples at each end of a profile, which show the two cells
 LEAST_STEP = 0.1  # between these cells, of the contrast around the node: at each edge
 LEAST_MEAN_STEP = 0.3  # and in the mean of the four
-MOVED = 0.7  # share of the distances from the curves: neighbours err about as much as edges do
-LEAST_SINE = 0.17  # below it two lines have no intersection worth the name
+MOVED = 0.7  # share of the distances from the curves: neighbours have errors too, as large as edges
+LEAST_SINE = 0.17  # below it the intersection of two lines is too uncertain
 
 _WAYS = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])  # to the neighbours, (row, column), clockwise
 _FALLS = np.array([-1, 1, -1, 1])  # where the sum of parity, row and column is even
@@ -28,12 +28,12 @@ _ACROSS = np.linspace(-WIDE, WIDE, SAMPLES)[:, None, None, None]
 def along_edges(
     nodes: Nodes, image: GreyImage, row: Index, column: Index, expected: Points
 ) -> Points:
-    """Return where these nodes are by the edges to their neighbours, (M,) px; NaN where an edge
-    does not show.
+    """Return the positions of these nodes from the edges to their neighbours, (M,) px; NaN if an
+    edge is not visible.
 
-    expected: (M,) px, where the neighbours say that they are.
+    expected: (M,) px, the positions that the neighbours predict.
 
-    An edge is looked for on profiles across the curve through the expected position and both
+    An edge is searched on profiles across the curve through the expected position and both
     neighbours. The node moves with the mean distances of its two lines from their curves, by the
     share of them that leaves the least error.
     """
@@ -101,11 +101,11 @@ def _crossing(rising: Float) -> Float:
 
 
 def _move(ends: Points, offset: Float) -> Points:
-    """Return the move that takes a node to where its two lines meet, (M,) px."""
+    """Return the step from a node to the intersection of its two lines, (M,) px."""
     chord = ends[:2] - ends[2:]
     first, second = 1j * chord / np.maximum(np.abs(chord), 1e-6)
     one, other = (offset[:2] - offset[2:]) / 2  # right of the way out is left of the way back
     sine = (first.conj() * second).imag
     sine = np.where(np.abs(sine) > LEAST_SINE, sine, np.nan)
-    move: Points = 1j * (other * first - one * second) / sine
+    move: Points = 1j * (other * first - one * second) * (1 / sine)
     return move

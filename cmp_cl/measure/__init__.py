@@ -1,6 +1,7 @@
 """Measuring frames against a frame at rest, and finding patterns and boards.
 
-A field for every frame of a film that shows two views side by side, for example through mirrors:
+This gives a field for every frame of a video with two views side by side, for example through
+mirrors:
 
     import cmp_cl
 

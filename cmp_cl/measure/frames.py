@@ -113,7 +113,7 @@ class OneView(Measurement):
     """Measures the positions of the nodes in the image, px.
 
     rest: the frame at rest, (H, W) uint8 or uint16.
-    shape: (rows, columns) of the pattern's corners; None takes what is seen at rest.
+    shape: (rows, columns) of the pattern's corners; None takes the shape that is seen at rest.
     region: (x0, y0, x1, y1), px, holds the pattern in every frame; None is the whole frame.
     config: configuration of the detector; None is `exact_config` for the cells seen at rest.
     track: continue the numbers of the previous frame if the frame at rest leaves them ambiguous.

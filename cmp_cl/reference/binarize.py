@@ -10,9 +10,9 @@ from cmp_cl.image import GreyImage
 def binarize(image: GreyImage, threshold: AdaptiveMean) -> NDArray[np.bool_]:
     """Return (M, H, W), True where black, for the M = 1 or 3 threshold layers of the configuration.
 
-    With S the window sum and n the window's area, black iff (I + C) n < S. The second and third
-    layer, black iff I < mean + sigma/2 and iff I < mean - sigma/2, use n^2 variance = n Q - S^2
-    with Q the window sum of squares.
+    With S the window sum and n the window's area, a pixel is black iff (I + C) n < S. In the second
+    layer it is black iff I < mean + sigma/2, in the third iff I < mean - sigma/2. They use
+    n^2 variance = n Q - S^2, with Q the window sum of squares.
     """
     n = threshold.window**2
     grey = image.astype(np.int64)

@@ -73,7 +73,7 @@ def corrosion(binary: NDArray[np.bool_], outer: NDArray[np.uint16]) -> NDArray[n
     """Return Cd of Eq. 23, which compares black and white on the outer ring with the corrosion
         region.
 
-    With n1 black of 16 samples and nR black of 21 pixels, max(n1 - nR, (16 - n1) - (21 - nR)).
+    It is max(n1 - nR, (16 - n1) - (21 - nR)), if n1 of 16 samples and nR of 21 pixels are black.
     """
     n1 = ring.popcount(outer).astype(np.int64)
     region = ring.black_in_region(binary)

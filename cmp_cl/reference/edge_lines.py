@@ -18,7 +18,7 @@ from cmp_cl.reference.edges import (
 Floats = NDArray[np.float64]
 
 LARGEST_RESIDUAL = 0.5  # px, root of the mean squared distances from both lines together
-# px: what bent edges, shading and sampling add to the noise of a position on perfect prints
+# px: error of a position on perfect prints by bent edges, shading and sampling, beside the noise
 LINES_ERROR = 0.02
 
 

@@ -20,9 +20,9 @@ BLUR = 1.2  # px, of the model's edges
 LEAST_CONTRAST = 1e-3  # grey levels
 LEAST_SPREAD = 1e-3  # of the model, relative to its weighted mean square
 GRADIENT = 1e-3  # 1/px, expected gradient of the light, unless the image shows a larger one
-SIGNIFICANT = 9.0  # squared standard deviations: from here on the gradient in the image counts
+SIGNIFICANT = 9.0  # squared standard deviations: above it, the gradient in the image is used
 DOUBT = 0.010  # excess autocorrelation of the residual
-# px: what bent edges, shading and sampling add to the noise of a position on perfect prints
+# px: error of a position on perfect prints by bent edges, shading and sampling, beside the noise
 STEP_ERROR = 0.01
 
 
@@ -48,11 +48,11 @@ def edge_step(
 ) -> Step:
     """Apply EDGE_STEP: one weighted linear least-squares step of a blurred corner from EDGE_LINES.
 
-    The model of the grey around x is (m + c f(n1.u) g(n2.u)) (1 + e.u), f and g smooth steps of
-    1.2 px, e the relative gradient of the light. Its radius is clamp(0.75 cell s, 4.5, 9) / s with
-    the working scale s. The terms of the normal equations that depend only on the model are
-    integrated over the disc. In the frame of the edges the equations separate into two systems of
-    two unknowns.
+    The model of the grey around x is (m + c f(n1.u) g(n2.u)) (1 + e.u). f and g are smooth steps of
+    1.2 px, and e is the relative gradient of the light. The radius of the model is
+    clamp(0.75 cell s, 4.5, 9) / s with the working scale s. The terms of the normal equations that
+    depend only on the model are integrated over the disc. In the frame of the edges the equations
+    separate into two systems of two unknowns.
     """
     radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
     n1, n2 = (normal_of(line) for line in both_lines(points))
@@ -110,9 +110,10 @@ def _step_terms(
     """Return for each corner the step (N, 2), whether the system is regular, tr rho^2, ac, and a
         margin.
 
-    ac is the mean of r(q) r(q + (1, 0)), weighted by w(q), over the pixels q that are, like
-    their right neighbours, within the radius, minus the part that comes from the light's gradient.
-    rho^2 is mean r^2 minus that product: the noise, which neighbours do not share.
+    ac is the mean of r(q) r(q + (1, 0)), weighted by w(q), minus the part that comes from the
+    light's gradient. The mean is over the pixels q that are within the radius, and whose right
+    neighbours are too. rho^2 is mean r^2 minus that product: the noise, which neighbours do not
+    share.
     """
     height, width = image.shape
     reach = np.arange(-math.ceil(radius), math.ceil(radius) + 1)
@@ -242,11 +243,11 @@ def _gradient(left: Floats, right: Floats, scales: Floats) -> tuple[Floats, Floa
     """Return the light's gradient along s and t, (N, 2), grey levels per px, and its variance over
     that of the noise, (N, 2).
 
-    left, right: (N, 2), left e = right once the offsets are eliminated.
+    left, right: (N, 2), of the equation left e = right that remains without the offsets.
     scales: (N, 4), level, mean square of the residual of the edges alone, sum of weights, |c|.
 
-    It is a ridge estimate. It expects GRADIENT, or a larger gradient if the one that fits best
-    exceeds the noise by SIGNIFICANT.
+    It is a ridge estimate. It expects a gradient of GRADIENT, or a larger one if the gradient that
+    fits best exceeds the noise by SIGNIFICANT.
     """
     level, noise, weights, contrast = scales.T
     best = right / left

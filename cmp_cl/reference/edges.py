@@ -40,8 +40,8 @@ class EdgePoints:
 def circle(radius: int) -> tuple[tuple[int, int], ...]:
     """Return the refinement ring of a radius, (dx, dy) clockwise from twelve o'clock.
 
-    (x, round(sqrt(r^2 - x^2))) for 0 <= x <= y, reflected: 16, 24 and 28 points for the radii
-    3, 4 and 5.
+    The points are (x, round(sqrt(r^2 - x^2))) for 0 <= x <= y, and their reflections: 16, 24 and 28
+    for the radii 3, 4 and 5.
     """
     octant = [(x, round(math.sqrt(radius**2 - x**2))) for x in range(radius + 1)]
     octant = [(x, y) for x, y in octant if x <= y]
@@ -60,8 +60,8 @@ def ring_samples(
 ) -> tuple[Floats, Floats]:
     """Return (samples, 2) offsets and (N, samples) grey levels of a refinement ring.
 
-    At scale 1 the integer circle; else 32 samples at radius / scale, interpolated
-    bilinearly, sample k at the angle k 2 pi / 32 clockwise from twelve o'clock.
+    At scale 1 it is the integer circle. Otherwise it has 32 samples at radius / scale, interpolated
+    bilinearly; sample k is at the angle k 2 pi / 32 clockwise from twelve o'clock.
     """
     x, y = start.T
     if scale == 1:
@@ -95,8 +95,10 @@ def threshold(grey: Floats) -> Floats:
 
 
 def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> EdgePoints:
-    """Match the edge points of all rings. A ring whose first black sector lies opposite that of the
-    smallest valid ring swaps (e0, e1) with (e2, e3).
+    """Match the edge points of all rings.
+
+    If the first black sector of a ring lies opposite that of the smallest valid ring, its (e0, e1)
+    and (e2, e3) are swapped.
     """
     rings = [ring_samples(image, start, radius, scale) for radius in RADII]
     level = threshold(rings[0][1])
@@ -120,10 +122,11 @@ def edge_points(image: GreyImage, start: NDArray[np.int64], scale: float) -> Edg
 
 
 def _ring_edges(offset: Floats, d: Floats) -> tuple[Floats, Bools, Floats]:
-    """Return (N, 4, 2) edge points, (N,) whether there are four, (N,) smallest |d| that decided.
+    """Return the edge points (N, 4, 2), whether there are four (N,), and the margin (N,).
 
     d: (N, samples) grey minus threshold, black where negative. A ring without four boundaries is
-        smoothed once by the majority of three samples.
+        smoothed once by the majority of three samples. The margin is the smallest |d|, or the
+        smallest difference across a boundary if that is smaller, in grey levels.
     """
     black = d < 0
     four = _changes(black).sum(axis=1) == 4
@@ -157,7 +160,7 @@ class Lines:
     """N lines: a point on each (N, 2), its angle (N,), its residual and its margin.
 
     residual: (N,) mean of the squared distances of the points from the line.
-    margin: (N,) in 0..1, 0 where the points have no direction.
+    margin: (N,) in 0..1, 0 if the points have no direction.
     """
 
     centre: Floats
@@ -177,7 +180,7 @@ class Meeting:
 
 
 def fit_lines(point: Floats, valid: Bools) -> Lines:
-    """Fit total-least-squares lines through the valid ones of (N, K, 2) points."""
+    """Fit lines to the valid ones of (N, K, 2) points by total least squares."""
     weight = valid[..., None].astype(np.float64)
     count = np.maximum(weight.sum(axis=1), 1)
     centre = (weight * point).sum(axis=1) / count

@@ -238,8 +238,8 @@ def maxima(response: Whole, bound: int, radius: int) -> NDArray[np.bool_]:
 def looks_alike(
     once: Whole, thrice: Whole, y: Whole, x: Whole, response: Whole, rule: RingHarmonic
 ) -> NDArray[np.bool_]:
-    """Return (N,) bool: True for maxima of the 5 px ring that smaller rings confirm and no stripe
-        causes.
+    """Return (N,) bool, True for maxima of the 5 px ring that smaller rings confirm, and that no
+        stripe causes.
 
     Around the middle of a stripe the grey level also rises and falls twice. But there the centre
     differs from the mean of its ring, and the small ring, inside the stripe, has a weak second
@@ -265,7 +265,7 @@ def looks_alike_when_squeezed(once: Whole, y: Whole, x: Whole) -> NDArray[np.boo
 
 
 def reference(responses: Whole) -> int:
-    """Return W: in descending order, the response at which the sum of squares reaches half.
+    """Return W, the response at which the sum of squares, in descending order, reaches its half.
 
     Without responses it is 0. Many weak maxima in texture hardly lower it.
     """

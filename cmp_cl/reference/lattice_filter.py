@@ -1,37 +1,39 @@
 """The adaptive lattice filter, node by node, in float64.
 
-1. Nodes that were not measured, and those refused below, have no vote. Components are the votes
-   grown by a node, connected along rows, columns and diagonals; each is filtered by itself in
-   the smallest rectangle around its votes.
-2. A hole gets the value of the quadratic surface through the votes within 3 nodes (6 where
-   those are under 8), with weights exp(-r^2 / (2 (reach / 2)^2)) and a slight pull towards a
-   constant: 1e-3 on the slopes, 1e-2 on the curvatures.
-3. An axis filter (h, p) gives a node the value there of the polynomial of degree p fitted to
-   the 2 h + 1 nodes around it; at an end the window stays inside. A pair is one along the
-   column and one along the row.
-4. The pilot, (3, 5) ((2, 3) under 8 nodes, none under 5), leaves r; k is the node's own weight
-   in it. With u = |r|^2 / (K (1 - k)) the variance of the noise is
-   s2 = (G2(root(u)) / e)^2 + 1e-10 mean |X|^2 / K, over the votes with 1 - k > .05 and at least
+1. Nodes that were not measured, and those refused below, have no vote. To find the components,
+   each vote grows by a node; a component is connected along rows, columns and diagonals. Each is
+   filtered by itself, in the smallest rectangle around its votes.
+2. A hole gets the value of the quadratic surface through the votes within 3 nodes, or within 6 if
+   those are fewer than 8. The weights are exp(-r^2 / (2 (reach / 2)^2)), and a ridge of 1e-3 on
+   the slopes and 1e-2 on the curvatures pulls the surface slightly towards a constant.
+3. An axis filter (h, p) fits a polynomial of degree p to the 2 h + 1 nodes around a node, and
+   gives the node its value there; at an end the window stays inside. A pair is one filter along
+   the column and one along the row.
+4. The pilot is (3, 5), (2, 3) for fewer than 8 nodes, none for fewer than 5. Its residual is r; k
+   is the node's own weight in it. With u = |r|^2 / (K (1 - k)) the variance of the noise is
+   s2 = (G2(root(u)) / e)^2 + 1e-10 mean |X|^2 / K, over the votes with 1 - k > 0.05 and at least
    three quarters of the window measured. G is a Gaussian of that standard deviation, in nodes,
-   of weights that sum to 1; e is the mean of a chi variable over root(f), f degrees of freedom:
-   those of sum r r^T / root(u), trace^2 / sum of squares.
-5. A node is refused where |r|^2 / K > 36 s2 (1 - k) and no neighbour's |r| is larger; three rounds.
-6. Pair by pair: E, Q = |X - E|^2 / K + 2 s2 H with H the node's own weight in the pair, and the
-   risk G1.5(Q) / s2 over the votes. Windows under three quarters measured take no part, except
-   that of the node alone. The result is the mean of the E with weights
-   exp(-(risk - least risk) 2 pi 1.5^2 / 3).
+   whose weights sum to 1. e is the mean of a chi variable over root(f), with f degrees of
+   freedom: trace^2 / sum of squares of the matrix sum r r^T / root(u).
+5. A node is refused if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. This is done up
+   to three times.
+6. Each pair gives the estimate E, the loss Q = |X - E|^2 / K + 2 s2 H, with H the node's own weight
+   in the pair, and the risk G1.5(Q) / s2 over the votes. A pair is left out if less than three
+   quarters of its window are measured; the pair that changes nothing is always in. The result is
+   the mean of the E with weights w proportional to exp(-(risk - least risk) 2 pi 1.5^2 / 3).
 7. Its variance is s2 max(sum w risk - 1, sum w V), V the sum of the squares of the pair's weights.
-8. Where the values may bend sharply, (3, 3) is among the filters, and the pairs are chosen with
-   s1 in place of s2: the least of s2 and of its like from the pilot along one axis alone or
-   along one diagonal alone (there (3, 5), only where its window fits), times 1.29, and at most
-   s2. Then the variance is max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s1 sum w V). Where the
-   largest noise that can be is known, s1 is at most its square.
-9. Edges that are taken to be straight within the radius r move a corner where they bend. Along
-   each of its two lines, 5 nodes by 5 beside them fit a parabola along and a straight line across.
-   With its slope t and second derivative d at the node, by the node's number, and n the unit
-   normal of t, the line is off by r^2 (d n) / (6 |t|^2) along n; the corner is where both lines
-   that are off meet. Fewer than three quarters of the 25 nodes, or an angle under 10 degrees
-   between the lines, show no shift.
+8. If the values may bend sharply, (3, 3) is among the filters, and the pairs are chosen with s1 in
+   place of s2. s1 is 1.29 times the least of s2 and of the same estimates from the pilot along one
+   axis alone or along one diagonal alone, but at most s2. Along a diagonal the pilot is (3, 5), and
+   is used only where its window fits. Then the variance is
+   max(s1 sum w risk + 2 (s2 - s1) sum w H - s2, s1 sum w V). If an upper bound of the noise is
+   known, s1 is at most its square.
+9. If a refinement assumes straight edges within the radius r, bent edges shift its corner. For each
+   of the corner's two lines, a parabola along it and a straight line across it are fitted to 5 x 5
+   nodes. With the slope t and the second derivative d at the node, by the node's number, and n the
+   unit normal of t, the line is shifted by r^2 (d n) / (6 |t|^2) along n. The corner is where the
+   two shifted lines meet. The shift is 0 if fewer than three quarters of the 25 nodes are there,
+   or if the lines enclose less than 10 degrees.
 """
 
 import dataclasses
@@ -70,8 +72,9 @@ def filter_grid(
     bends: bool = False,
     most_noise: Floats | None = None,
 ) -> Filtered:
-    """Filter (R, C, K) values; NaN where missing. measured: (R, C), None for all. most_noise:
-    (R, C), NaN where unknown.
+    """Filter values (R, C, K), NaN where missing.
+
+    measured: (R, C), None means all. bends: see 8. most_noise: (R, C), NaN where unknown.
     """
     there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
     votes = there if measured is None else there & measured
@@ -186,7 +189,7 @@ def _near(shape: tuple[int, int], r: int, c: int, deviation: float) -> Floats:
 
 
 def _average(values: Floats, counted: Bools, deviation: float) -> Floats:
-    """Return the Gaussian mean of the values that count around each node; NaN without any."""
+    """Return the Gaussian mean around each node of the counted values; NaN if there are none."""
     result = np.full(counted.shape, np.nan)
     for r, c in np.ndindex(*counted.shape):
         weights = np.where(counted, _near(counted.shape, r, c, deviation), 0)
@@ -214,7 +217,7 @@ def _noise(data: Floats, votes: Bools) -> tuple[Floats, Floats, Floats]:
 
 
 def _expected(residual: Floats, size: Floats) -> float:
-    """Return e. size: (R, C), the root of u, 0 where it does not count."""
+    """Return e. size: (R, C), the root of u, 0 where it is not used."""
     count = residual.shape[2]
     common = np.zeros((count, count))
     for node in zip(*np.nonzero(size > 0), strict=True):

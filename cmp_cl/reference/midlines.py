@@ -67,8 +67,8 @@ def cusps(points: EdgePoints) -> Meeting:
 def _intersect_curves(first: Lines, second: Lines, middle: Floats, begin: Floats) -> Meeting:
     """Intersect the parabolas v = a + b u + c u^2 through three points each.
 
-    u runs along a line, v across it, both from its centre. Four Newton steps in the two u
-    from where the lines meet.
+    u runs along a line, v across it, both from its centre. Four Newton steps in the two u start
+    where the lines meet.
     """
     lines = (first, second)
     along = [along_of(line) for line in lines]

@@ -22,7 +22,7 @@ def score(response: NDArray[np.int32]) -> NDArray[np.int32]:
 def maxima(response: NDArray[np.int32], score: NDArray[np.int32], radius: int) -> NDArray[np.bool_]:
     """Return (H, W): pixels with R > 0 whose key is the largest in their (2 radius + 1)^2 window.
 
-    The key is 10 S + R; among equals the lower raster index is the larger.
+    The key is 10 S + R. Of equal keys the one with the lower raster index counts as larger.
     """
     height, width = response.shape
     size = response.size

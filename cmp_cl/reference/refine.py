@@ -24,9 +24,9 @@ Bools = NDArray[np.bool_]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Refined:
-    """Refined corners; fields as in `cmp_cl.corners.Corners`, all float64, and
+    """Refined corners: fields of `cmp_cl.corners.Corners` in float64, and a margin.
 
-    margin: (N,) the smallest relative distance of a guard's quantity from its bound. A
+    margin: (N,), the smallest relative distance of a guard's quantity from its bound. A
         float32 implementation may decide otherwise if it is below about 1e-4.
     """
 
@@ -102,8 +102,8 @@ def refine(
 
 
 def edge_radius(refinement: EdgeLines | EdgeStep | Midlines | None, scale: float) -> float:
-    """Return the radius within which the refinement takes edges to be straight, px of the image;
-    NaN without EDGE_STEP."""
+    """Return the radius within which the refinement assumes straight edges, px of the image; NaN
+    without EDGE_STEP."""
     if not isinstance(refinement, EdgeStep):
         return math.nan
     return min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale

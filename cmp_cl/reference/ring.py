@@ -116,7 +116,7 @@ def ring_greys(
 
 
 def rotate(mask: NDArray[np.uint16], count: int) -> NDArray[np.uint16]:
-    """Return rot(v, k): sample i + k comes to bit i."""
+    """Return rot(v, k), which moves sample i + k to bit i."""
     wide = mask.astype(np.uint32)
     return (wide >> np.uint32(count) | wide << np.uint32(16 - count)).astype(np.uint16)
 

@@ -107,5 +107,5 @@ def _nearest_along(length: int, scale: float) -> NDArray[np.int64]:
 
 
 def best_factor(counts: dict[float, int], expected: int) -> float:
-    """Return the factor whose count is nearest to the expected one; among equals the larger."""
+    """Return the factor whose count is nearest to the expected one; of equals the larger."""
     return min(counts, key=lambda factor: (abs(counts[factor] - expected), -factor))

@@ -109,7 +109,7 @@ def cross_correlation(
 def least_correlations(bound: float) -> NDArray[np.int64]:
     """Return, per n1 and n2, the smallest integer R with R / sqrt(n1 n2) > bound: (17, 17).
 
-    Decided exactly as R^2 > bound^2 n1 n2; 17, which no R reaches, where n1 n2 = 0.
+    It is decided exactly, by R^2 > bound^2 n1 n2. If n1 n2 = 0 it is 17, which no R reaches.
     """
     square = Fraction(bound) ** 2
     table = np.full((17, 17), 17)
@@ -124,7 +124,8 @@ def least_correlations(bound: float) -> NDArray[np.int64]:
 def smallest_shifts() -> NDArray[np.uint8]:
     """Return twice the smallest |centre| of the circular runs of best k, by their bits: (65536,).
 
-    A run of L from s has centre s + (L - 1) / 2, wrapped to (-8, 8]; 0 where all or none are set.
+    A run of L bits from bit s has the centre s + (L - 1) / 2, wrapped to (-8, 8]. The result is 0
+    if all bits or none are set.
     """
     best = ring.bits(ring.all_rings())
     table = np.full(1 << 16, 255, np.uint8)

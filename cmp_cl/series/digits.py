@@ -29,8 +29,8 @@ def rows_of(begin: str, columns: Sequence[NDArray[np.generic]]) -> bytes:
     """Return the lines `begin,number,...` of a table in CSV.
 
     columns: (N,) each. Numbers have 9 decimals without trailing zeros. In a column whose largest
-    number is below .01 they end in a power of a thousand, 12.5e-6; if it is not below 999 999 they
-    have 9 digits, %.9g. Integers are written as they are.
+    number is below 0.01 they have an exponent that is a multiple of three, as in 12.5e-6; if it is
+    not below 999 999 they have 9 digits, %.9g. Integers are written as they are.
     """
     count = len(columns[0])
     first = _words(f"\n{begin}")

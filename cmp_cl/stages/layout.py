@@ -84,7 +84,7 @@ class PlanBase:
 
     @property
     def bands(self) -> int:
-        """Return how many bands of rows: one for a unit of a CPU, of at least 32 rows; else one."""
+        """Return the number of bands: on a CPU one per unit, of 32 rows or more; else one."""
         if self.form is not Form.CPU:
             return 1
         units = self.device.handle.max_compute_units
@@ -104,7 +104,10 @@ class PlanBase:
     def stage(
         self, name: str, items: tuple[int, ...], group: tuple[int, ...] | None, **arguments: Any
     ) -> Launch:
-        """Bind a kernel over work-items in groups, None for any of a card's; arguments in order."""
+        """Bind a kernel over work-items in groups; None lets the device choose the group.
+
+        arguments: by name, in the order of the kernel's.
+        """
         kernel = self.kernels.bind(name, *arguments.values())
         return Launch(name, kernel, items, group, arguments)
 

@@ -82,8 +82,8 @@ def calibrate_camera(
     grids: one a view. spacing: side of a square, in any unit. image_size: (width, height), px.
     free_board: whether the board may be bent or inexact. Its nodes are then found too; its overall
         size is that of the flat board. This needs at least four views, in which equal indices are
-        the same node. Views of a board whose rows and columns add up to an odd number are turned
-        alike.
+        the same node. If its rows and columns add up to an odd number, the colours of the cells
+        show how to rotate each view to get this.
 
     Raises CalibrationError if there are too few views or nodes, if the views do not
     determine the focal length (the board faces the camera in all of them), or if the views of a
@@ -259,7 +259,7 @@ def _with_board(
 ) -> tuple[Adjusted, Array]:
     """Adjust with a free board; return its nodes too, (R, C, 3), NaN where no view shows one.
 
-    The views do not tell how large a board is: the mean of its sides is `spacing`.
+    The views do not show how large a board is: the mean of its sides is `spacing`.
     """
     row, column = np.indices(seen[0].shape)
     flat = np.stack([column, row, np.zeros(row.shape)], axis=-1).reshape(-1, 3) * spacing

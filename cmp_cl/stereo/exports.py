@@ -39,7 +39,7 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
     """Write the corners of a board in many images, by suffix, whole or not at all.
 
     views: the grid, by file name of the image; None if the board is not seen. All grids have one
-    shape. spacing: side of a square, for the formats that say it.
+    shape. spacing: side of a square, for the formats that state it.
 
     .vnl: mrcal's corners.vnl, `# filename x y level`, row by row, with `- -` for a missing corner
     and for an image without the board. mrcal weights a level of n by 2^-n. The level is log2(sigma

@@ -47,7 +47,7 @@ def _covered(distance: Image) -> Image:
 def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
     """Return the wear of the print at points: warp (H, W, 2), growth (H, W), smear (H, W), px.
 
-    warp displaces the edges. growth widens the white cells, or the black ones where negative.
+    warp displaces the edges. growth widens the white cells, or the black ones if negative.
     smear is the width of an edge. All three grow with the local strain.
     """
     if scene.corrosion == 0:

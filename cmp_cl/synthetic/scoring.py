@@ -79,7 +79,7 @@ class Score:
 
 
 def reach(cell: float) -> float:
-    """Return how far a detection may be from its corner, px: 0.35 cells, at most 3."""
+    """Return the largest distance of a detection from its corner, px: 0.35 cells, at most 3."""
     return min(3.0, 0.35 * cell)
 
 

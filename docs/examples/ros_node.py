@@ -4,11 +4,11 @@
 
 The first image is the frame at rest. It subscribes to sensor_msgs/Image (mono8, mono16) on the
 topic `image` and publishes sensor_msgs/PointCloud2 on `nodes`, with the stamp and the frame of
-the image. Fields: x y z dx dy dz sigma row column, px; of one view z and dz are 0. With the
-parameter `stereo`, the name of a rig's file, an image holds both views and lengths are the
-rig's unit. The parameter `shape` is the pattern's rows and columns, such as 40x40.
+the image. The fields are x y z dx dy dz sigma row column, in px; with one view, z and dz are 0.
+If the parameter `stereo` names the file of a rig, an image holds both views, and lengths are in
+the rig's unit. The parameter `shape` gives the pattern's rows and columns, such as 40x40.
 
-It has been run against a stand-in for rclpy, not within ROS.
+It was tested with a stand-in for rclpy, not within ROS.
 """
 
 import array
@@ -89,7 +89,7 @@ def grey(message: Image) -> np.ndarray | None:
 
 
 def cloud(header: object, fields: dict) -> PointCloud2:
-    """Return the message of ROS from what `point_cloud` gives, with the image's header."""
+    """Return the ROS message for the result of `point_cloud`, with the image's header."""
     message = PointCloud2()
     message.header = header
     message.fields = [PointField(**field) for field in fields["fields"]]

@@ -13,7 +13,7 @@
 # # Notebook: a press, from two pictures to a strain field
 #
 # We render a gel at rest and under a ball, find the corners, number them, and look at how the
-# gel has moved. Everything here works in the same way on pictures of your own.
+# gel has moved. Everything here works in the same way on images of your own.
 
 # %%
 import matplotlib.pyplot as plt

@@ -19,10 +19,10 @@
 
 #define ROUNDED(v) ((int)((v) + 1024.5f) - 1024) /* near 0; floor is a call */
 
-/* A row of the list: a pixel that is always outside, so that the row before ends there, and
- * columns -most to most of the middle pixel. */
+/* A row of the list begins with a pixel that is always outside the disc, so that the row before
+ * ends there. The columns -most to most from the middle pixel follow. */
 typedef struct {
-  int first, end, count; /* rows from the middle pixel's, and pixels */
+  int first, end, count; /* rows, counted from that of the middle pixel, and number of pixels */
   int left_of[MOST_ROWS], begin_of[MOST_ROWS + 1];
   float dx_of[MOST_PIXELS + BEHIND], dy_of[MOST_PIXELS + BEHIND];
 } Part;
@@ -35,11 +35,11 @@ typedef struct {
   float grey_of[MOST_PIXELS + BEHIND];
 } Values;
 
-/* Whether a pixel dx columns away may be in the disc; its row is at least `nearest` from the
+/* True if a pixel dx columns away may be in the disc; its row is at least `nearest` from the
  * centre. */
 #define MAY_HOLD(dx) (((dx) - 0.5f) * ((dx) - 0.5f) + nearest * nearest < radius_2)
 
-/* As many rows as fit, from `first` on. */
+/* List as many rows as fit, beginning with `first`. */
 void list_part(Part *part, const int first, const int reach, const float radius_2) {
   int count = 0, most = 0, row = 0, dy = first;
   for (; dy <= reach && row < MOST_ROWS; ++dy, ++row) {
@@ -62,7 +62,7 @@ void list_part(Part *part, const int first, const int reach, const float radius_
   part->count = count;
 }
 
-/* The pixels of a part around (x, y). */
+/* Read the pixels of a part around (x, y). */
 void read_part(const Part *part, __global const PIXEL *image, const size_t p, const uint rows,
                const uint columns, const uint step, const int x, const int y, PIXEL *pixel_of) {
   const int top = y + part->first, count = part->end - part->first;
@@ -83,7 +83,7 @@ void read_part(const Part *part, __global const PIXEL *image, const size_t p, co
   }
 }
 
-/* What SOLVE_STEP needs of the pixels of eight corners. */
+/* The sums over the pixels of eight corners that SOLVE_STEP needs. */
 typedef struct {
   float c[LANES], middle[LANES], varied[LANES], sum_1[LANES];
   float rr[LANES], ra[LANES], rb[LANES], rx[LANES], ry[LANES], px[LANES], py[LANES], rn[LANES];

@@ -27,9 +27,9 @@
 #define LEVEL_AT(y) ((size_t)((y) & 3) * step + PAD)
 #define HELD(y) SMALLER(LARGER(y, 0), height - 1)
 
-/* Not inlined: compilers forget in inlined functions that restrict pointers do not overlap.
- * Neighbours in a row have separate pointers, because two loads of one pointer become a chain from
- * pixel to pixel. */
+/* These functions are not inlined, because in inlined functions compilers forget that restrict
+ * pointers do not overlap. Neighbours in a row have separate pointers, because two loads of one
+ * pointer become a chain from pixel to pixel. */
 #define ROW_LOOP __attribute__((noinline))
 
 /* Grey levels in sixteenths of 1/255 of full scale: floor((4080 g + F div 2) / F). */
@@ -130,9 +130,9 @@ ROW_LOOP void coarse_response_of_row RESPONSE_OF_ROW((short)(o - QUARTER(o)) +
                                             (short)(QUARTER(e) + EIGHTH(e)))
 ROW_LOOP void fine_response_of_row RESPONSE_OF_ROW((short)(o + e) - QUARTER((short)(o + e)))
 
-/* The columns of the responses of a row that are above their neighbours before them and not below
- * those behind them, of the four that touch them, and how many they are. Few pixels are left for
- * the whole window. */
+/* List the columns at which the response of a row exceeds those above and to the left, and is not
+ * less than those to the right and below. Return how many there are. Only these few pixels are
+ * then compared with their whole window. */
 ROW_LOOP int peaks_of_row(__global const short *restrict above,
                           __global const short *restrict left,
                           __global const short *restrict response,
@@ -159,12 +159,13 @@ ROW_LOOP int peaks_of_row(__global const short *restrict above,
   return count;
 }
 
-/* Eight responses from any element of a row on. */
+/* Eight responses, beginning at any element of a row. */
 typedef short8 __attribute__((aligned(2))) SHORTS_ANYWHERE;
 #define EIGHT_AT(p) *(__global const SHORTS_ANYWHERE *)(p)
 
-/* Whether a response is the largest of its window; of equals, the earlier one is. Eight columns of
- * the window at a time. row[dy] is a row of the window; those outside the image hold 0. */
+/* True if a response is the largest of its window; of equal ones, the earlier. It compares eight
+ * columns of the window at a time. row[dy] is a row of the window; those outside the image hold
+ * 0. */
 int is_maximum(__global const short *const *row, const int x, const short r) {
   const short8 lane = (short8)(0, 1, 2, 3, 4, 5, 6, 7);
   short8 larger = 0;
@@ -214,9 +215,9 @@ Harmonics harmonics_of(const Ring *ring, const int x, const int a, const int d) 
 
 int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
-/* Append a maximum to a list: x, y, response, and of the responses above 0 of the 5 x 5 around it
- * the sum and the sums times the offsets in x and in y, a column each. `rows_of` are the five rows,
- * of which those outside the image hold 0. A response is at most 11 220: five fit 16 bits. */
+/* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments in x
+ * and y of the positive responses of the 5 x 5 around it. `rows_of` holds the five rows; those
+ * outside the image are 0. A response is at most 11 220, so the sum of five fits in 16 bits. */
 #define ABOVE_ZERO(v) ((v) & ~((v) >> (short)15))
 #define POSITIVE(k) ABOVE_ZERO(EIGHT_AT(rows_of[k] + x - 2))
 #define SUM5(v) ((int)v.s0 + (int)v.s1 + (int)v.s2 + (int)v.s3 + (int)v.s4)
@@ -234,8 +235,8 @@ void append(__global int *restrict list, const uint n, const uint capacity, cons
   list[5 * capacity + n] = 2 * SUM5(far) + SUM5(near);
 }
 
-/* From the image to the lists of the maxima of a band, and the pads of its rows; a count runs past
- * the capacity of its list. `area` has a bit for every pixel. One work-item per band. */
+/* List the maxima of a band of the image, and fill the padding of its rows. A count may exceed the
+ * capacity of its list. `area` has a bit for every pixel. One work-item per band. */
 __kernel void harmonic_band(__global PIXEL *restrict image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
@@ -394,7 +395,8 @@ uint reference_of(__global const int *lists, __global const uint *band_counts, c
 
 #if FINE
 
-/* Whether a bit is set within NMS_RADIUS of a pixel; most are within a row or two. */
+/* True if a bit is set within NMS_RADIUS of a pixel. The nearest rows come first: most bits are
+ * within one or two rows. */
 int any_near(__global const uint *bits, const int x, const int y, const int height,
              const uint width) {
   const uint first = (uint)(x - NMS_RADIUS);
@@ -410,9 +412,9 @@ int any_near(__global const uint *bits, const int x, const int y, const int heig
 
 #endif
 
-/* Which maxima are corners, in (y, x) order: a response above the noise's bound and a share of
- * the reference; a fine one only where no coarse corner is within NMS_RADIUS. `maxima` gets a bit
- * for each coarse corner. One work-item per frame. */
+/* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
+ * noise, and not below a share of the reference; a fine one counts only if no coarse corner is
+ * within NMS_RADIUS. `maxima` gets a bit for each coarse corner. One work-item per frame. */
 __kernel void decide(__global const ulong *restrict noise, __global const uint *restrict band_counts,
                      __global int *restrict lists, const uint rows, const uint columns,
                      const uint step, const uint bands, const uint capacity,

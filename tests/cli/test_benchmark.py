@@ -46,7 +46,7 @@ def speed_result(ms=1.0, missed=0, rmse=0.1):
         ({"rmse": 0.2}, "rmse 0.1000 -> 0.2"),
     ],
 )
-def test_what_got_worse_is_named(change, words):
+def test_a_figure_that_got_worse_is_named(change, words):
     compare = load("compare")
     lines, single = compare.comparison(speed_result(), speed_result(**change), 1.15)
     assert single == []

@@ -1,4 +1,4 @@
-"""The command line as a user has it: what is written, said, and returned."""
+"""The command line as a user has it: its files, messages and statuses."""
 
 import csv
 import os
@@ -175,7 +175,7 @@ RENDER = ("render", "--shape", 120, 160, "--markers", 10, "--out")
 
 @pytest.fixture(scope="session")
 def usual(tmp_path_factory):
-    """Return the picture of the options RENDER."""
+    """Return the image of the options RENDER."""
     path = tmp_path_factory.mktemp("render") / "usual.png"
     cli.main([str(argument) for argument in (*RENDER, path)])
     return path.read_bytes()
@@ -200,7 +200,7 @@ def test_each_option_of_render_changes_the_picture(run, usual, option):
     assert Path("other.png").read_bytes() != usual
 
 
-def test_a_12_bit_camera_is_told_about_full_scale(run):
+def test_images_of_a_12_bit_camera_get_a_hint_about_full_scale(run):
     run("render", "--markers", 20, "--severity", 0, "--bits", 12, "--out", "deep.png")
     media.write_image("deep.png", media.read_image("deep.png") // 4)  # in little light
     status, out, err = run("detect", "deep.png")
@@ -278,7 +278,7 @@ def test_broken_frames_are_reported_and_skipped(run):
 
 
 def cut_video(path):
-    """Write a video of which nothing can be read but that it is one."""
+    """Write a video of which only the head can be read."""
     write_video("whole.avi", [media.read_image(BOARD)] * 3)
     Path(path).write_bytes(Path("whole.avi").read_bytes()[:6000])
 
@@ -332,7 +332,7 @@ def test_an_image_beyond_the_limit_is_refused_before_it_is_unpacked(run):
 
 @pytest.mark.skipif(os.name == "nt", reason="there are no device files on Windows")
 @pytest.mark.parametrize("name", ["/dev/zero", "/dev/null", "/dev/full"])
-def test_what_is_no_file_is_not_read(run, name):
+def test_a_path_that_is_no_file_is_not_read(run, name):
     fails_in_one_line(run("detect", name), f"'{name}' is not a file")
 
 
@@ -395,7 +395,7 @@ def test_closed_streams_are_no_traceback_and_no_file_gets_their_number(tmp_path,
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no /dev/full here")
-def test_a_full_disk_behind_standard_output_is_told(tmp_path):
+def test_a_full_disk_behind_standard_output_is_reported(tmp_path):
     done = subprocess.run(
         ["bash", "-c", f'"{sys.executable}" -m cmp_cl devices > /dev/full'],
         env={**os.environ, "PYTHONPATH": str(PROJECT)},
@@ -537,7 +537,7 @@ def test_ci_runs_the_readmes_test_command():
     assert 'bash -c "$command"' in script
 
 
-def test_marks_in_the_cells_are_left_out_where_that_is_asked_for(run):
+def test_marks_in_the_cells_are_left_out_if_requested(run):
     cells = np.kron(np.indices((9, 12)).sum(axis=0) % 2, np.ones((20, 20)))
     y, x = np.indices(cells.shape) % 20 - 9.5
     board = np.where((cells > 0) ^ (np.hypot(x, y) < 5.6), 40, 200).astype(np.uint8)

@@ -104,8 +104,8 @@ STEREO = "--stereo", "rig.yaml", "--grid", "12x12", "--out", "press.npz"
 
 
 def off_by(series, press, order):
-    """Return the root mean square error of every frame's displacement, mm; order: what each frame
-    is."""
+    """Return the root mean square error of every frame's displacement, mm; order: the shot of each
+    frame."""
     truth = [press[number].xyz - press[0].xyz for number in order]
     return [
         np.sqrt(np.mean(np.square(found - true).sum(axis=2)))
@@ -162,7 +162,7 @@ def test_broken_frames_and_frames_without_the_pattern_do_not_end_a_run(run, reco
     assert off_by(series, press, (0, 1, 0, 2))[3] < CLOSE
 
 
-def test_a_mirrored_view_is_turned_back(run, recording, press):
+def test_a_mirrored_view_is_reversed(run, recording, press):
     run("run", recording, *STEREO)
     straight = np.load("press.npz")["displacement"]
     gap = np.full((VIEW[0], 10), 90, np.uint8)
@@ -264,7 +264,7 @@ STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, nam
 
 @pytest.fixture
 def without_nohup():
-    """Let SIGHUP be heard in a process that nohup has started, too."""
+    """Restore SIGHUP in a process that nohup has started."""
     if not hasattr(signal, "SIGHUP"):
         yield
         return
@@ -323,7 +323,7 @@ def test_a_disk_that_fills_up_ends_a_run_with_what_it_has(run, recording, press,
 
 
 @pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
-def test_a_film_that_a_full_disk_cuts_is_not_written_and_the_series_is(
+def test_a_video_that_a_full_disk_cuts_is_not_written_but_the_series_is(
     run, recording, press, monkeypatch
 ):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
@@ -409,9 +409,7 @@ def test_two_views_without_a_calibration_are_explained(run, recording, monkeypat
     )
 
 
-def test_a_rectangle_in_each_view_says_which_of_two_patterns_is_meant(
-    run, recording, press, tmp_path
-):
+def test_a_rectangle_in_each_view_selects_one_of_two_patterns(run, recording, press, tmp_path):
     run("run", recording, *STEREO)
     alone = np.load("press.npz")
     doubled = tmp_path / "doubled"
@@ -652,7 +650,7 @@ def test_calibrate_finds_the_cameras_again(run, boards, monkeypatch):
     assert overall < 0.1
 
 
-def test_a_rectangle_in_each_view_says_which_of_two_boards_is_meant(run, boards):
+def test_a_rectangle_in_each_view_selects_one_of_two_boards(run, boards):
     left, right = [], []
     for number, views in enumerate(boards):
         other = boards[number - 1][0]
@@ -880,7 +878,7 @@ def flat_frame():
     return tune.Frame(np.zeros((100, 100), np.uint8), grid, 10.0, tune.around(grid))
 
 
-def test_the_ring_around_a_grid_counts_for_nothing():
+def test_the_ring_around_a_grid_has_the_nodes_next_to_its_rim():
     ring = tune.around(flat_frame().grid)
     assert len(ring) == 28
     assert ring.min(axis=0).tolist() == [10, 20]
@@ -937,7 +935,7 @@ def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
     assert not list(tmp_path.glob("*.toml"))
 
 
-# what they share
+# all commands
 
 
 def test_a_split_is_read_as_it_is_written():
@@ -1106,7 +1104,7 @@ def test_two_cameras_are_paired_as_they_come(run, recording, press, monkeypatch)
     assert max(off_by(np.load("press.npz"), press, (0, 1, 2))) < CLOSE
 
 
-def test_strain_and_contact_are_in_the_series_where_they_are_asked_for(run, recording, press):
+def test_strain_and_contact_are_in_the_series_if_requested(run, recording, press):
     status, _, err = run(
         "run", recording, *STEREO, "--strain", "--contact", "0.3", "--rest-frame", "0"
     )
@@ -1158,7 +1156,7 @@ def test_lengths_that_a_view_does_not_have_are_refused(run, arguments, message):
     assert message in err
 
 
-def test_a_video_of_12_bits_is_measured_without_more_words_and_keeps_its_times(run):
+def test_a_video_of_12_bits_is_measured_without_options_and_keeps_its_times(run):
     av = pytest.importorskip("av", reason="PyAV is not installed")
     picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
     with av.open("deep.mkv", "w") as container:
@@ -1191,8 +1189,8 @@ def test_frames_that_change_size_are_named_and_left_out(run):
     assert read_series("a.npz")["index"].tolist() == [0, 2]
 
 
-def test_without_pyav_a_command_tells_what_it_does_not_see_in_a_video(run, monkeypatch):
-    """OpenCV scales frames of another size to that of the first, and no property of it says so."""
+def test_without_pyav_a_command_reports_what_it_cannot_see_in_a_video(run, monkeypatch):
+    """OpenCV scales frames of another size to that of the first, and does not report it."""
     monkeypatch.setattr(media, "has_pyav", lambda: False)
     picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
     pictures = [picture, picture[:140], picture]

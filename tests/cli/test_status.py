@@ -168,7 +168,7 @@ def test_json_lines_to_a_closed_standard_output_are_refused():
     assert done.stderr == "cmp-cl: --out - needs standard output, which is closed\n"
 
 
-def test_a_word_of_any_length_is_not_told_whole(run):
+def test_a_very_long_word_is_not_printed_whole(run):
     status, _, said = run("x" * 100_000)
     assert status == 2
     assert len(said) < 1200

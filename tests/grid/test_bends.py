@@ -1,4 +1,4 @@
-"""What bent edges add to corners: the lattice shows it, and filtered values do without it."""
+"""The shift of corners by bent edges: the lattice shows it, and filtered values are free of it."""
 
 import dataclasses
 import math
@@ -45,7 +45,7 @@ def test_the_shift_is_that_of_the_points_of_an_edge():
     assert math.hypot(*first) == pytest.approx(np.polyfit(along, edge, 1)[1], rel=0.03)
 
 
-def test_the_fast_form_is_the_oracles():
+def test_the_fast_form_of_the_shift_equals_the_oracle():
     xy = arcs(rows=7, columns=9)[0] + np.random.default_rng(0).normal(0, 0.3, (7, 9, 2))
     expected = lattice_filter.bend_shift(xy, RADIUS)
     np.testing.assert_allclose(bend_shift(xy, RADIUS), expected, atol=1e-9)
@@ -64,7 +64,7 @@ def test_small_lattices_and_unknown_radii_show_no_shift(shape):
     assert not bend_shift_of(grid_of(arcs()[0])).any()
 
 
-def test_a_missing_node_costs_its_neighbours_little():
+def test_a_missing_node_hardly_changes_the_shift_of_its_neighbours():
     xy, _ = arcs()
     whole = bend_shift(xy, RADIUS)
     xy[5, 6] = np.nan
@@ -81,7 +81,7 @@ def test_a_missing_node_costs_its_neighbours_little():
         DetectorConfig(refinement=EdgeLines()),
     ],
 )
-def test_corners_say_the_radius_of_their_refinement_as_the_oracle_does(config):
+def test_corners_hold_the_radius_of_their_refinement_as_the_oracle_does(config):
     image = np.tile(np.uint8(90), (120, 160))
     image[:60, :80] = image[60:, 80:] = 200
     with Detector(shape=image.shape, config=config) as detector:
@@ -93,7 +93,7 @@ def test_corners_say_the_radius_of_their_refinement_as_the_oracle_does(config):
 
 @pytest.fixture(scope="module")
 def pressed():
-    """Return a perfect print at rest and pressed, as found, and where its nodes are now."""
+    """Return the found grids of a perfect print at rest and pressed, and the true positions now."""
     scene = random_scene(
         970_001,
         markers=40,
@@ -110,7 +110,7 @@ def pressed():
     return rest, now, min(turns, key=lambda turn: np.nanmedian(np.abs(now.xy - turn)))
 
 
-def test_filtered_positions_of_a_bent_perfect_print_err_by_a_third_less(pressed):
+def test_the_error_of_filtered_positions_on_a_bent_perfect_print_is_a_third_lower(pressed):
     rest, now, truth = pressed
     kept = filter_positions(dataclasses.replace(now, edge_radius=math.nan), rest=rest)[0]
     better, raw = filter_positions(now, rest=rest)
@@ -118,14 +118,14 @@ def test_filtered_positions_of_a_bent_perfect_print_err_by_a_third_less(pressed)
     np.testing.assert_array_equal(raw.xy, now.xy)
 
 
-def test_the_errors_of_positions_on_a_perfect_print_hold(pressed):
+def test_sigma_holds_for_positions_on_a_perfect_print(pressed):
     rest, now, truth = pressed
     found = filter_positions(now, rest=rest)[0]
     within = np.abs(found.xy - truth) <= 2 * found.sigma[..., None]
     assert 0.9 <= within.mean() <= 0.98
 
 
-def test_displacements_lose_the_difference_of_the_shifts(pressed):
+def test_the_difference_of_the_shifts_is_subtracted_from_displacements(pressed):
     rest, now, _ = pressed
     blind = [dataclasses.replace(grid, edge_radius=math.nan) for grid in (rest, now)]
     scale = PlaneScale.of_pixel(0.1, "mm")
@@ -135,7 +135,7 @@ def test_displacements_lose_the_difference_of_the_shifts(pressed):
     np.testing.assert_array_equal(better.raw.displacement, kept.raw.displacement)
 
 
-def test_points_in_space_know_their_shift_and_displacements_lose_it():
+def test_points_in_space_hold_their_shift_and_displacements_are_free_of_it():
     rig = toed_in_rig()
     flat = gel(depth=0.0)
     bulged = gel(depth=3.0)

@@ -1,4 +1,4 @@
-"""The adaptive lattice filter: what it gains, what it must not lose, and what it says of itself."""
+"""The adaptive lattice filter: less noise, sharp bends that are kept, and the stated errors."""
 
 import math
 
@@ -27,7 +27,7 @@ def rms(error):
     return float(np.sqrt(np.nanmean(np.square(error))))
 
 
-def test_noise_on_a_smooth_surface_is_more_than_halved_and_known():
+def test_noise_on_a_smooth_surface_is_more_than_halved_and_its_sigma_holds():
     truth = surface(40, 40)
     values = noisy(truth, 0.1)
     filtered = filter_grid(values)
@@ -73,7 +73,7 @@ def test_a_gross_error_does_not_spread():
     assert np.abs(spoilt.sigma / clean.sigma - 1)[others].max() < 0.5
 
 
-def test_missing_nodes_stay_missing_and_cost_little():
+def test_missing_nodes_stay_missing_and_hardly_raise_the_error():
     truth = surface(40, 40)
     values = noisy(truth, 0.1)
     values[np.random.default_rng(1).random((40, 40)) < 0.1] = np.nan
@@ -86,7 +86,7 @@ def test_missing_nodes_stay_missing_and_cost_little():
     assert 0.6 < rms((filtered.values - truth) / filtered.sigma[..., None]) < 1.1
 
 
-def test_nodes_that_are_not_measured_get_what_their_neighbours_predict():
+def test_nodes_that_are_not_measured_get_the_prediction_of_their_neighbours():
     truth = surface(30, 30)
     values = noisy(truth, 0.05)
     measured = np.ones((30, 30), bool)
@@ -100,7 +100,7 @@ def test_nodes_that_are_not_measured_get_what_their_neighbours_predict():
     assert filtered.sigma[10, 10] >= np.nanmedian(filtered.sigma)
 
 
-def test_islands_and_components_do_not_pull_at_each_other():
+def test_islands_and_components_do_not_influence_each_other():
     truth = surface(40, 40)
     values = noisy(truth, 0.1)
     apart = np.full_like(values, np.nan)
@@ -119,7 +119,7 @@ def test_islands_and_components_do_not_pull_at_each_other():
 @pytest.mark.parametrize(
     "shape", [(1, 1), (1, 7), (2, 2), (3, 5), (4, 4), (5, 5), (8, 3), (200, 7)]
 )
-def test_every_shape_of_lattice_has_an_answer(shape):
+def test_lattices_of_every_shape_are_filtered(shape):
     truth = surface(*shape)
     filtered = filter_grid(noisy(truth, 0.1))
     assert np.isfinite(filtered.values).all()
@@ -135,7 +135,7 @@ def test_one_node_is_left_as_it_is_and_its_error_is_unknown():
     assert np.isnan(filtered.sigma).all()
 
 
-def test_a_lattice_without_nodes_has_an_answer():
+def test_a_lattice_without_nodes_is_no_error():
     assert np.isnan(filter_grid(np.full((5, 4, 2), np.nan)).values).all()
     assert filter_grid(np.empty((0, 0, 2))).values.shape == (0, 0, 2)
 
@@ -147,7 +147,7 @@ def test_the_unit_does_not_matter():
     assert np.allclose(other.sigma, one.sigma * 1e-3, rtol=1e-3)
 
 
-def test_a_difference_of_neighbours_is_as_certain_as_deviation_of_says():
+def test_deviation_of_gives_the_error_of_a_difference_of_neighbours():
     truth = surface(30, 30, bend=1.0)
     stencil = np.zeros((30, 30, 3, 3))
     stencil[:, 1:-1, 1, 2], stencil[:, 1:-1, 1, 0] = 0.5, -0.5
@@ -164,7 +164,7 @@ def test_a_difference_of_neighbours_is_as_certain_as_deviation_of_says():
     assert np.mean(naive) < 0.7
 
 
-def test_the_covariance_says_which_coordinate_is_less_certain():
+def test_the_covariance_shows_which_coordinate_is_less_certain():
     truth = np.concatenate([surface(30, 30), surface(30, 30)[..., :1]], axis=2)
     values = truth + np.random.default_rng(0).normal(0, (0.02, 0.02, 0.1), truth.shape)
     filtered = filter_grid(values)
@@ -187,7 +187,7 @@ def grid_at(xy, sigma=0.03):
     return grid_of(xy, sigma)
 
 
-def test_positions_now_stand_on_those_at_rest():
+def test_current_positions_are_those_at_rest_plus_filtered_displacements():
     """Wear of .2 px that travels with the nodes, and .02 px of each image's own."""
     rng = np.random.default_rng(2)
     r, c = np.mgrid[:30, :30]
@@ -237,12 +237,12 @@ def assert_as_the_oracle(values, measured=None, *, bends=False, most_noise=None)
 
 
 @pytest.mark.parametrize("bends", [False, True])
-def test_the_fast_form_is_the_oracles(bends):
+def test_the_fast_form_equals_the_oracle(bends):
     assert_as_the_oracle(noisy(surface(17, 20), 0.1) + 300, bends=bends)
 
 
 @pytest.mark.parametrize("bends", [False, True])
-def test_the_fast_form_is_the_oracles_where_the_noise_is_known(bends):
+def test_the_fast_form_equals_the_oracle_if_the_noise_is_known(bends):
     most = np.full((17, 20), 0.05)
     most[4:9, 3:12] = np.nan
     values = noisy(surface(17, 20), 0.1)
@@ -251,15 +251,15 @@ def test_the_fast_form_is_the_oracles_where_the_noise_is_known(bends):
 
 
 def pyramid() -> np.ndarray:
-    """Return the displacement (20, 20, 2), px, under a pyramid turned against the lattice: its
-    edges, eight nodes apart, look like noise along rows, columns and diagonals.
+    """Return the displacement (20, 20, 2), px, under a pyramid that is rotated against the lattice:
+    its edges, eight nodes apart, look like noise along rows, columns and diagonals.
     """
     x, y = np.moveaxis(np.stack(np.mgrid[:20, :20], axis=-1) - [9.3, 10.1], -1, 0)
     aside = np.maximum(np.abs(x + 0.3 * y), np.abs(y - 0.3 * x))
     return np.maximum(0, 1 - aside / 4)[..., None] * [8.0, -5.6]
 
 
-def test_a_filter_that_knows_the_noise_smears_no_sharp_edges():
+def test_a_filter_that_knows_the_noise_keeps_sharp_edges():
     values = noisy(pyramid(), 0.02, seed=3)
     free, held = (
         rms(filter_grid(values, bends=True, most_noise=most).values - pyramid())
@@ -272,7 +272,7 @@ def test_a_filter_that_knows_the_noise_smears_no_sharp_edges():
 
 @pytest.mark.parametrize("worn", [False, True])
 def test_displacements_keep_sharp_edges_of_a_perfect_print(worn):
-    """In the image, in the plane and in space the corners' sigma says what is noise."""
+    """In the image, in the plane and in space the corners' sigma shows how large the noise is."""
     flat = np.stack(np.mgrid[:20, :20], axis=-1) * 20.0
     print_ = flat + (noisy(np.zeros_like(flat), 0.3, seed=5) if worn else 0)
     before, after = (
@@ -293,7 +293,7 @@ def test_displacements_keep_sharp_edges_of_a_perfect_print(worn):
         assert (rms(moved - pyramid()) < 0.9 * raw) != worn, name
 
 
-def test_the_noise_of_a_change_is_the_images_on_a_print_that_shows_no_wear():
+def test_without_wear_the_noise_of_a_displacement_is_that_of_the_images():
     own = np.full((20, 20), 0.02)
     for wear, most in ((0.0, 0.02 * math.sqrt(2)), (0.2, 0.6)):
         at_rest = filter_grid(noisy(surface(20, 20), math.hypot(0.015, wear)))
@@ -303,7 +303,7 @@ def test_the_noise_of_a_change_is_the_images_on_a_print_that_shows_no_wear():
     assert np.isnan(unknown).all()
 
 
-def test_the_fast_form_is_the_oracles_for_holes_and_errors():
+def test_the_fast_form_equals_the_oracle_for_holes_and_errors():
     values = noisy(surface(18, 19), 0.1)
     values[np.random.default_rng(7).random((18, 19)) < 0.08] = np.nan
     values[3:7, 12:16] = np.nan
@@ -313,7 +313,7 @@ def test_the_fast_form_is_the_oracles_for_holes_and_errors():
         assert_as_the_oracle(values, measured, bends=bends)
 
 
-def test_the_fast_form_is_the_oracles_for_components():
+def test_the_fast_form_equals_the_oracle_for_components():
     values = np.full((20, 22, 3), np.nan)
     values[:9, :8] = noisy(surface(9, 8), 0.1)[..., [0, 1, 1]]
     values[12:, 12:] = 5 + noisy(surface(8, 10), 0.2, seed=1)[..., [0, 1, 1]]
@@ -322,7 +322,7 @@ def test_the_fast_form_is_the_oracles_for_components():
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (4, 4), (5, 6), (7, 8), (15, 3)])
-def test_the_fast_form_is_the_oracles_for_small_lattices(shape):
+def test_the_fast_form_equals_the_oracle_for_small_lattices(shape):
     for bends in (False, True):
         assert_as_the_oracle(noisy(surface(*shape), 0.1), bends=bends)
 
@@ -335,13 +335,13 @@ def test_the_oracles_interior_filters_are_those_of_savitzky_and_golay():
 
 
 @pytest.mark.parametrize("bends", [False, True])
-def test_what_has_not_moved_stays_where_it_is(bends):
+def test_nodes_that_have_not_moved_stay_where_they_are(bends):
     still = filter_grid(np.zeros((12, 12, 3)), bends=bends)
     assert not still.values.any()
     assert np.isfinite(still.sigma).all()
 
 
-def test_an_answer_does_not_depend_on_what_was_filtered_before():
+def test_a_result_does_not_depend_on_earlier_calls():
     small, large = noisy(surface(20, 20), 0.1), noisy(surface(31, 40), 0.3)
     first = filter_grid(small, bends=True)
     filter_grid(large)

@@ -1,4 +1,4 @@
-"""Corners to rows and columns."""
+"""From corners to rows and columns."""
 
 import copy
 import dataclasses
@@ -46,7 +46,7 @@ def test_a_warped_board_is_numbered(shape):
     np.testing.assert_array_equal(grid.sigma[tuple(index.T)], corners.sigma)
 
 
-def test_a_grid_prints_what_it_holds_in_a_line():
+def test_a_grid_prints_its_content_in_one_line():
     corners, _, _ = board(8, 11)
     assert repr(build_grid(corners)) == "<Grid of 8 x 11 nodes: 88 detected>"
     assert repr(corners) == f"<Corners: 88, found on {corners.device}>"
@@ -69,7 +69,7 @@ def test_a_tenth_lost_and_half_as_many_false_again():
 
 
 @pytest.mark.parametrize("seed", [2, 35, 222, 231, 273, 309, 344])
-def test_false_cells_do_not_join_what_does_not_belong_together(seed):
+def test_false_cells_do_not_join_parts_of_different_numbers(seed):
     corners, index, _ = board(
         36, 36, lost=0.1, false=0.4, seed=seed, jitter=0.4, twist=0.5, pull=2.0
     )
@@ -84,7 +84,7 @@ def test_false_cells_do_not_join_what_does_not_belong_together(seed):
 
 
 @pytest.mark.parametrize("quarters", range(4))
-def test_rows_run_down_and_columns_right_however_the_camera_is_turned(quarters):
+def test_rows_run_down_and_columns_right_however_the_camera_is_rotated(quarters):
     corners, index, _ = board(12, 9, turn=0.1 + quarters * np.pi / 2)
     grid = build_grid(corners)
     row, column = index.T
@@ -128,7 +128,7 @@ def test_part_of_a_pressed_pattern_is_numbered_as_at_rest(seed):
 
 
 @pytest.mark.parametrize("quarters", range(4))
-def test_part_of_a_pattern_is_numbered_as_at_rest_whatever_way_that_is(quarters):
+def test_part_of_a_pattern_is_numbered_as_at_rest_in_any_orientation(quarters):
     corners, index, _ = board(24, 20, pull=0, twist=0)
     rest = build_grid(corners).turned(quarters)
     numbers = np.empty((24, 20, 2), int)
@@ -147,7 +147,7 @@ def test_a_whole_pattern_that_moved_by_cells_keeps_its_numbers():
     np.testing.assert_array_equal(build_grid(corners, like=rest).index, index)
 
 
-def test_the_checker_colour_decides_what_is_unseen_of_a_board_that_moved_far():
+def test_the_colour_of_the_cells_tells_which_part_of_a_board_is_out_of_view():
     rest = build_grid(board(10, 10, pull=0, twist=0).corners)
     corners, index, _ = board(10, 10, pull=0, twist=0, origin=60 + 50j + 13 * (6 + 6j))
     for seen in (index[:, 0] > 0, index[:, 0] < 9, index[:, 1] > 0, index[:, 1] < 9):
@@ -155,7 +155,7 @@ def test_the_checker_colour_decides_what_is_unseen_of_a_board_that_moved_far():
         np.testing.assert_array_equal(grid.index, index[seen])
 
 
-def test_the_checker_colour_decides_where_a_view_is_shifted_by_most_of_a_cell():
+def test_the_colour_of_the_cells_decides_if_a_view_moved_by_most_of_a_cell():
     rest = build_grid(board(12, 12, pull=0, twist=0, turn=0).corners)
     corners, index, _ = board(12, 12, pull=0, twist=0, turn=0, origin=60 + 50j + 0.7 * 13)
     seen = (index[:, 1] > 0) & (index[:, 1] < 9)
@@ -163,7 +163,7 @@ def test_the_checker_colour_decides_where_a_view_is_shifted_by_most_of_a_cell():
     np.testing.assert_array_equal(grid.index, index[seen])
 
 
-def test_the_checker_colour_decides_where_all_but_one_column_seem_in_place():
+def test_the_colour_of_the_cells_decides_if_all_but_one_column_seem_in_place():
     corners, index, _ = board(12, 13, pull=0, twist=0, turn=0)
     rest = build_grid(keep(corners, index[:, 1] < 12))
     corners, index, _ = board(12, 13, pull=0, twist=0, turn=0, origin=60 + 50j - 0.6 * 13, seed=1)
@@ -182,7 +182,7 @@ def test_junctions_with_the_surroundings_do_not_shift_the_window():
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_turned_rest_grid_gives_its_orientation(sign):
+def test_a_rotated_grid_at_rest_gives_its_orientation(sign):
     sideways = build_grid(board(9, 14, turn=sign * 0.6).corners)
     now = board(9, 14, turn=sign * 0.9, pull=0.5, twist=0.1)
     by_axes = build_grid(now.corners)
@@ -192,7 +192,7 @@ def test_a_turned_rest_grid_gives_its_orientation(sign):
     np.testing.assert_array_equal(grid.index, now.index)
 
 
-def test_a_shape_laid_across_turns_the_numbers():
+def test_a_shape_with_rows_and_columns_exchanged_rotates_the_numbers():
     corners, index, _ = board(6, 9)
     grid = build_grid(corners, shape=(9, 6))
     assert grid.valid.all()
@@ -202,13 +202,13 @@ def test_a_shape_laid_across_turns_the_numbers():
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_known_shape_keeps_its_numbers_beyond_half_a_quarter_turn(sign):
+def test_a_known_shape_keeps_its_numbers_beyond_a_rotation_by_45_degrees(sign):
     before, after = (board(6, 9, turn=sign * turn, twist=0) for turn in (0.74, 0.84))
     np.testing.assert_array_equal(build_grid(before.corners, shape=(6, 9)).index, before.index)
     np.testing.assert_array_equal(build_grid(after.corners, shape=(6, 9)).index, after.index)
 
 
-def test_a_hole_is_filled_by_its_neighbours_and_says_so():
+def test_a_hole_is_filled_by_its_neighbours_and_marked():
     corners, index, truth = board(12, 12, jitter=0.0)
     lost = (index == [5, 6]).all(1) | (index == [8, 3]).all(1)
     grid = build_grid(keep(corners, ~lost))
@@ -228,7 +228,7 @@ def test_nothing_is_invented_beyond_the_pattern():
     np.testing.assert_array_equal(grid.valid, row + column >= 6)
 
 
-def test_a_corner_without_edges_is_attached_by_its_place():
+def test_a_corner_without_edges_is_attached_by_its_position():
     corners, index, _ = board(12, 12)
     blind = (index == [5, 6]).all(1)
     corners.edges[blind] = np.nan
@@ -257,7 +257,7 @@ def test_a_corner_far_from_its_neighbours_prediction_is_dropped():
     assert abs(grid.xy[5, 6] @ [1, 1j] - truth[5, 6]) < 0.6
 
 
-def test_two_boards_are_refused_unless_a_region_says_which():
+def test_two_boards_are_refused_unless_a_region_selects_one():
     first = board(9, 9, pull=0)
     second = board(8, 9, pull=0, origin=260 + 50j)
     both = joined(first, second)
@@ -269,20 +269,20 @@ def test_two_boards_are_refused_unless_a_region_says_which():
     assert (grid.index[both.xy[:, 0] < 230] == -1).all()
 
 
-def test_a_small_second_board_falls_away():
+def test_a_small_second_board_is_left_out():
     both = joined(board(12, 12, pull=0), board(4, 4, pull=0, origin=300 + 50j))
     grid = build_grid(both)
     assert grid.shape == (12, 12)
     assert (grid.index >= 0).all(1).sum() == 144
 
 
-def test_a_lattice_that_is_small_against_the_corners_is_refused():
+def test_a_lattice_of_few_of_the_corners_is_refused():
     corners = board(3, 3, false=60.0, seed=3).corners
     with pytest.raises(GridError, match="corners, expected at least 10%"):
         build_grid(corners)
 
 
-def test_nothing_found_is_an_empty_grid_or_one_of_the_known_shape():
+def test_without_corners_the_grid_is_empty_or_of_the_known_shape():
     corners, index, _ = board(9, 9)
     for few in (index[:, 0] < 0, index[:, 0] == 4, (index == 4).all(1)):
         grid = build_grid(keep(corners, few))
@@ -337,7 +337,7 @@ def test_a_prediction_is_exact_on_a_cubic():
     assert weight[0] == pytest.approx(17.4)
 
 
-def test_a_mean_step_takes_in_the_steps_of_the_nodes_around():
+def test_a_mean_step_includes_the_steps_of_the_nodes_around():
     column, row = np.meshgrid(np.arange(7.0), np.arange(6.0))
     at = (column**2 + 20 * column) + 1j * (row**2 + 30 * row)
     along, down, cell = mean_steps(at, np.array([2, 0]), np.array([3, 0]))
@@ -351,7 +351,7 @@ def test_a_mean_step_takes_in_the_steps_of_the_nodes_around():
     assert np.isnan([down[0], along[1], cell[1]]).all()
 
 
-def test_all_nodes_at_once_are_predicted_as_one_by_one_where_all_around_are_known():
+def test_nodes_with_known_neighbours_are_predicted_alike_at_once_and_one_by_one():
     at = board(12, 9).truth
     at[2, 7] = complex(np.nan, np.nan)
     row, column = (index.ravel() for index in np.indices(at.shape))
@@ -373,7 +373,7 @@ def pattern(at):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_misfits_are_found_around_changes_alone(seed):
+def test_a_search_around_changes_alone_finds_all_misfits(seed):
     draw = np.random.default_rng(seed)
     at = board(30, 26).truth
     everywhere = pattern(at)
@@ -406,7 +406,7 @@ def test_a_node_is_looked_at_again_when_its_neighbours_come():
 
 
 @pytest.mark.parametrize(("seed", "strayed"), [(0, 4), (20, 5), (69, 4), (204, 6), (209, 8)])
-def test_no_misfit_is_left_where_many_stray(seed, strayed):
+def test_no_misfit_is_left_if_many_nodes_stray(seed, strayed):
     draw = np.random.default_rng(seed)
     at = board(24, 24, pull=0, twist=0, jitter=0.0).truth
     astray = draw.uniform(-strayed, strayed, (2, 12, 12))
@@ -490,7 +490,7 @@ def test_numbers_that_contradict_each_other_around_a_tear_are_left_to_votes(monk
     assert answers == [None]
 
 
-def test_a_pattern_that_is_turned_within_itself_is_numbered_by_votes(monkeypatch):
+def test_a_pattern_that_is_rotated_within_itself_is_numbered_by_votes(monkeypatch):
     corners, index, _ = board(24, 24, twist=1.1, pull=0)
     answers = []
 
@@ -551,7 +551,7 @@ def test_a_second_look_finds_the_corner_and_refuses_the_other_colour(dtype):
     assert np.isnan(second_look(blank, at, cell, line).real).all()
 
 
-def test_looks_go_on_from_pixel_to_pixel():
+def test_second_looks_move_on_from_pixel_to_pixel():
     scene = synthetic.Scene(markers=20, severity=1.0, corrosion=2.0, seed=3)
     rendered = synthetic.render(scene)
     at = (rendered.truth @ [1, 1j]).ravel() + 1.6 - 1.2j

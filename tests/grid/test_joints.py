@@ -17,7 +17,7 @@ CELL = 24  # px
 
 
 def linked(at: np.ndarray, *, unit: complex = 1) -> tuple[np.ndarray, Lattice]:
-    """Return positions, and the lattice that has them all in one component, turned by a unit."""
+    """Return positions, and a lattice with all of them in one component, rotated by a unit."""
     row, column = np.nonzero(~np.isnan(at.real))
     z = at[row, column]
     steps = at[:, 1:] - at[:, :-1]
@@ -46,7 +46,7 @@ def plane(rows: int, columns: int, step: complex) -> np.ndarray:
 
 
 def two_boards() -> tuple[np.ndarray, np.ndarray]:
-    """Return 8 x 9 nodes and 8 x 5 larger, turned ones beyond, and which are the second's."""
+    """Return 8 x 9 nodes and 8 x 5 larger, rotated ones beyond, and a mask of the latter."""
     jitter = np.random.default_rng(5).normal(0, 0.2, (2, 8, 14))
     second = 110 - 20j + plane(8, 5, 16 * cmath.exp(0.5j))
     at = np.hstack([plane(8, 9, 10), second]) + jitter[0] + 1j * jitter[1]
@@ -108,7 +108,7 @@ def test_a_bend_is_no_joint(radius):
     assert cut_of(at)[0] is None
 
 
-def test_parts_with_the_same_steps_but_another_place_are_two():
+def test_parts_with_the_same_steps_but_another_position_are_two():
     at = plane(8, 14, 10)
     at[:, 7:] += 5 + 4j
     at[[0, 1, 2, 4, 5, 6, 7], 7] = np.nan
@@ -117,7 +117,7 @@ def test_parts_with_the_same_steps_but_another_place_are_two():
 
 
 def before_squares(seed: int = 0, *, turn: float = 0.45, square: float = 19.0) -> np.ndarray:
-    """Draw a board on white paper before a floor of grey squares."""
+    """Draw a board on white paper in front of a floor of grey squares."""
     high, wide = 330, 400
     y, x = np.indices((4 * high, 4 * wide)) / 4
     u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
@@ -143,7 +143,7 @@ def on_board(grid) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("turn", "square"), [(0.25, 30), (0.45, 30)])
-def test_a_board_before_a_floor_of_squares_is_numbered_alone(turn, square):
+def test_a_board_in_front_of_a_floor_of_squares_is_numbered_alone(turn, square):
     image = before_squares(turn=turn, square=square)
     with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
         grid = build_grid(detector(image), image)
@@ -163,7 +163,7 @@ def test_a_floor_of_many_squares_is_a_second_pattern(square):
     assert own.count(0.0) == len(own) - 1
 
 
-def test_a_board_that_is_the_smaller_pattern_is_told():
+def test_a_board_that_is_the_smaller_pattern_is_reported():
     image = before_squares(turn=0.45, square=19)
     with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
         corners = detector(image)

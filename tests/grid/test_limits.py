@@ -1,4 +1,4 @@
-"""What no grid is built from: too many nodes, corners without a position."""
+"""Input of which no grid is built: too many nodes, corners without a position."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ def corners():
     return detect(render(Scene(markers=5, shape=(120, 120))).image)
 
 
-def test_a_shape_beyond_all_patterns_is_refused_before_anything_is_taken(corners):
+def test_a_shape_beyond_all_patterns_is_refused_before_memory_is_allocated(corners):
     with pytest.raises(GridError, match="100000 x 100000 nodes is beyond the limit"):
         build_grid(corners, shape=(100_000, 100_000))
 

@@ -132,7 +132,7 @@ def test_markers_of_another_count_are_refused(count):
 
 @pytest.mark.parametrize("shape", [(1, 1), (37, 53), (160, 200)])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_the_kernel_does_what_the_oracle_does(shape, dtype):
+def test_the_kernel_equals_the_oracle(shape, dtype):
     draw = np.random.default_rng(5)
     image, grid = checkerboard(dtype, 0)
     image = np.ascontiguousarray(image[: shape[0], : shape[1]])

@@ -1,4 +1,4 @@
-"""What is the reflection of another part of the pattern is not numbered in silence."""
+"""A part of the pattern that is the reflection of another part makes the grid ambiguous."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from cmp_cl.grid import NodeStatus
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
 
 CELL = 14  # px
-HIGH, WIDE = 15 * CELL, 12 * CELL  # px: what is seen of a pattern without end
+HIGH, WIDE = 15 * CELL, 12 * CELL  # px: the view of a pattern without end
 
 
 def picture(*, wear: float, wave: float = 0.0, phase: float = 0.5, seed: int = 3) -> np.ndarray:
@@ -30,7 +30,7 @@ def picture(*, wear: float, wave: float = 0.0, phase: float = 0.5, seed: int = 3
 
 
 def mirrored(image: np.ndarray) -> np.ndarray:
-    """Put the left five cells again beyond them, as a mirror does that stands there."""
+    """Return the left part of an image and, beyond it, its reflection, as a mirror shows it."""
     kept = image[:, : -(-7 * CELL)]
     noise = np.random.default_rng(8).integers(-2, 3, kept.shape)
     return np.hstack([kept, np.clip(kept[:, ::-1] + noise, 0, 255).astype(np.uint8)])
@@ -88,20 +88,20 @@ def test_errors_reversed_across_a_diagonal_are_a_reflection(turn):
     assert repeats_reversed(np.rot90(at, turn))
 
 
-def test_errors_that_come_again_in_the_same_order_are_none():
+def test_errors_repeated_in_the_same_order_are_no_reflection():
     at = nodes()
     at[:, 14:] = 12 * 12 + at[:, 2:12]
     assert not repeats_reversed(at)
 
 
-def test_small_errors_may_be_the_camera_s():
+def test_small_errors_may_come_from_the_camera():
     at = nodes(wear=0.002)
     at[:, 14:] = 12 * 27 - at[:, 13:3:-1].conj()
     assert not repeats_reversed(at)
 
 
 @pytest.mark.parametrize("lost", [0, 1, 2])
-def test_a_step_across_one_line_is_a_seam_though_nodes_are_lost_there(lost):
+def test_a_step_across_one_line_is_a_seam_even_if_nodes_are_lost_there(lost):
     at = nodes(wear=0.005)
     assert not has_seam(at)
     at[:, 10:] += 0.2 * 12
@@ -117,7 +117,7 @@ def test_a_frame_like_one_with_a_reflection_is_doubted_too():
     assert grid.reflected
 
 
-def test_errors_that_come_again_and_again_are_the_printer_s():
+def test_errors_repeated_many_times_come_from_the_printer():
     at = nodes(20, 32, wear=0.002)
     row, column = np.indices(at.shape)
     ripple = np.random.default_rng(4).normal(0, 1, 20)[row] * np.sin((column - 15.5) * np.pi / 4)
@@ -125,7 +125,7 @@ def test_errors_that_come_again_and_again_are_the_printer_s():
 
 
 @pytest.mark.parametrize(("share", "is_one"), [(0.6, False), (0.85, True)])
-def test_most_of_the_errors_come_again_in_a_reflection(share, is_one):
+def test_most_of_the_errors_are_repeated_in_a_reflection(share, is_one):
     own, common = nodes(44, 44, seed=1), nodes(44, 44, seed=2)
     common[:, 22:] = 12 * 43 - common[:, 21::-1].conj()
     at = np.sqrt(1 - share**2) * own + share * common

@@ -1,4 +1,4 @@
-"""Numbers that are right, or say that they may be wrong."""
+"""Numbers are right, or the grid says that they may be wrong."""
 
 import dataclasses
 import math
@@ -26,12 +26,12 @@ PERIODS = ((1, 1), (2, 0), (-1, 3))
 
 
 def numbers(grid: Grid) -> np.ndarray:
-    """Return the number (row, column) of each corner; far from all others where it has none."""
+    """Return the number (row, column) of each corner; far from all others if it has none."""
     return np.where(grid.index < 0, -999, grid.index + np.array(grid.origin))
 
 
 def offset(grid: Grid, seen: Board) -> np.ndarray:
-    """Return what has to be added to a grid's numbers to give the true ones; one value for all."""
+    """Return the one difference of the true numbers from a grid's, the same for all nodes."""
     known = grid.index[:, 0] >= 0
     off = np.unique((seen.index - numbers(grid))[known], axis=0)
     assert len(off) == 1
@@ -54,21 +54,21 @@ WORN = 0.03  # cells: standard deviation of the printing errors
 
 @pytest.mark.parametrize("zoom", [0.9, 0.94, 0.97, 1.0, 1.03, 1.06, 1.1])
 @pytest.mark.parametrize("worn", [0, WORN])
-def test_an_endless_pattern_keeps_its_numbers_however_it_is_zoomed(zoom, worn):
+def test_an_endless_pattern_keeps_its_numbers_at_any_zoom(zoom, worn):
     grid, right = like_rest(zoom=zoom, worn=worn)
     assert right
     assert grid.ambiguous == (worn == 0)
 
 
 @pytest.mark.parametrize("degrees", [-20, 5, 30, 100])
-def test_an_endless_pattern_keeps_its_numbers_when_it_is_turned(degrees):
+def test_an_endless_pattern_keeps_its_numbers_when_it_is_rotated(degrees):
     grid, right = like_rest(turn=np.deg2rad(degrees), worn=WORN)
     assert right
     assert not grid.ambiguous
 
 
 @pytest.mark.parametrize("shift", [0, 0.4 + 0.4j, 1.6 + 0.2j, 1 + 1j, 2j, 3 - 5j, 7.3 - 4.1j])
-def test_the_errors_of_a_print_tell_where_it_has_moved(shift):
+def test_printing_errors_show_where_a_pattern_has_moved(shift):
     grid, right = like_rest(shift=shift, zoom=1.02, turn=0.1, worn=WORN)
     assert right
     assert not grid.ambiguous
@@ -80,7 +80,7 @@ def test_a_shift_that_the_period_hides_is_never_silently_wrong(shift):
     assert grid.ambiguous
 
 
-def test_errors_of_positions_that_stay_in_the_picture_are_no_print():
+def test_errors_that_do_not_move_with_the_pattern_are_no_printing_errors():
     rest, now = endless(jitter=0), endless(jitter=0, shift=1 + 1j)
     np.testing.assert_allclose(rest.corners.xy, now.corners.xy, atol=1e-3)
     of_camera = np.random.default_rng(0).normal(0, 0.06, rest.corners.xy.shape)
@@ -111,7 +111,7 @@ def test_frames_in_order_continue_the_numbers_over_any_distance():
         assert (offset(before, now) == offset(at_rest, rest)).all()
 
 
-def test_where_the_rest_frame_and_the_frame_before_disagree_the_frame_says_so():
+def test_a_frame_is_ambiguous_if_the_frame_at_rest_and_the_previous_one_disagree():
     rest = endless(worn=WORN)
     at_rest = build_grid(rest.corners)
     before = build_grid(endless(shift=1.8).corners, like=at_rest, previous=shifted(at_rest, 0, 2))
@@ -202,9 +202,7 @@ def turned(picture: np.ndarray, degrees: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("degrees", "ambiguous"), [(-35, False), (35, False), (43, True), (48, True)]
 )
-def test_a_square_pattern_that_turned_by_half_a_quarter_may_have_turned_either_way(
-    degrees, ambiguous
-):
+def test_a_square_pattern_rotated_by_45_degrees_may_have_rotated_either_way(degrees, ambiguous):
     picture, _ = drawn(8, 8, origin=(60, 60))
     rest = build_grid(seen_in(picture), picture)
     now = turned(picture, degrees)
@@ -217,7 +215,7 @@ def test_a_square_pattern_that_turned_by_half_a_quarter_may_have_turned_either_w
         assert np.angle(ahead, deg=True) == pytest.approx(degrees, abs=1)
 
 
-def test_a_square_pattern_is_followed_beyond_half_a_quarter_turn():
+def test_a_square_pattern_is_followed_beyond_a_rotation_by_45_degrees():
     picture, _ = drawn(8, 8, origin=(60, 60))
     before = rest = build_grid(seen_in(picture), picture)
     for degrees in (25, 50, 75):
@@ -229,7 +227,7 @@ def test_a_square_pattern_is_followed_beyond_half_a_quarter_turn():
 
 
 @pytest.mark.parametrize("quarters", range(4))
-def test_the_errors_of_a_print_tell_how_a_square_pattern_has_turned(quarters):
+def test_printing_errors_show_how_a_square_pattern_has_rotated(quarters):
     draw = np.random.default_rng(quarters)
     row, column = np.indices((12, 12))
     errors, noise = draw.normal(0, (0.3, 0.1), (2, 12, 12, 2)).swapaxes(0, 3).swapaxes(1, 2)[:2]
@@ -241,7 +239,7 @@ def test_the_errors_of_a_print_tell_how_a_square_pattern_has_turned(quarters):
     assert turn_to(at_rest, flawless, [2, 0, 3, 1]) is None
 
 
-def test_the_errors_of_another_print_tell_no_turn():
+def test_the_printing_errors_of_another_pattern_show_no_rotation():
     place = 40 * np.add.outer(1j * np.arange(12), np.arange(12))
     draw = np.random.default_rng(0)
     errors = draw.normal(0, 2, (10, 2, 12, 12)) + 1j * draw.normal(0, 2, (10, 2, 12, 12))
@@ -249,7 +247,7 @@ def test_the_errors_of_another_print_tell_no_turn():
     assert [turn_to(rest, now, [0, 1, 2, 3]) for rest, now in prints] == [None] * 10
 
 
-def test_errors_of_a_camera_that_look_the_same_after_half_a_turn_are_no_print():
+def test_camera_errors_that_look_the_same_rotated_by_180_degrees_are_no_printing_errors():
     row, column = np.indices((12, 12))
     place = 10 * (column + 1j * row)
     errors = np.random.default_rng(0).normal(0, 0.05, (2, 12, 12))
@@ -270,7 +268,7 @@ def test_a_grid_at_rest_that_is_changed_in_place_counts_as_it_is_now():
     assert not Fingerprint.at_rest(rest).known.any()
 
 
-def test_turned_lines_and_medians_are_those_of_numpy():
+def test_rotated_lines_and_medians_are_those_of_numpy():
     draw = np.random.default_rng(0)
     for quarters in range(4):
         values = draw.random((3, 4))
@@ -281,12 +279,12 @@ def test_turned_lines_and_medians_are_those_of_numpy():
 
 
 def behind(picture: np.ndarray, x: int, slope: float = 0.0) -> np.ndarray:
-    """Return the picture with something dark in front of all that is right of a line."""
+    """Return the image with something dark in front of everything to the right of a line."""
     row, column = np.indices(picture.shape)
     return np.where(column > x + slope * row, 16, picture).astype(np.uint8)
 
 
-def test_the_edge_of_what_stands_still_before_a_pattern_is_not_its_border():
+def test_the_edge_of_an_object_in_front_of_a_pattern_is_not_its_border():
     whole, _ = drawn(6, 20)
     views = [behind(np.ascontiguousarray(whole[:, x : x + 240]), 190) for x in (60, 106)]
     rest, now = (build_grid(seen_in(view), view) for view in views)
@@ -343,7 +341,7 @@ def test_an_edge_that_goes_on_past_the_pattern_is_not_its_border():
     assert rest.turned(1).past == (rest.past[3], rest.past[2], rest.past[0], rest.past[1])
 
 
-def test_what_an_edge_hid_at_rest_is_not_cut_away():
+def test_nodes_that_were_hidden_at_rest_are_not_cut_off():
     picture, corners = drawn(7, 9)
     hidden = behind(picture, 40 + 6 * 20 - 1)
     rest = build_grid(seen_in(hidden), hidden)
@@ -362,7 +360,7 @@ def test_an_edge_that_shows_a_sliver_of_the_next_squares_reaches_beyond_whole_on
 
 
 @pytest.mark.parametrize(("moved", "ambiguous"), [(0, False), (6, False), (40, True)])
-def test_where_a_side_contradicts_the_others_decide_about_half_a_cell_alone(moved, ambiguous):
+def test_if_a_side_contradicts_the_others_decide_about_half_a_cell_only(moved, ambiguous):
     at_rest, _ = drawn(7, 9)
     at_rest[:, :52] = 210  # to this side the pattern ends in its squares
     rest = build_grid(seen_in(at_rest), at_rest)
@@ -428,7 +426,7 @@ def test_a_board_without_a_border_in_view_is_ambiguous():
 
 
 @pytest.mark.parametrize("squares", [6, 6.5, 6.85])
-def test_a_board_behind_an_edge_is_not_numbered_by_it_for_sure(squares):
+def test_a_board_behind_an_edge_is_ambiguous(squares):
     picture, _ = drawn(6, 9)
     view = behind(picture, 40 + round(squares * 20) - 1)
     view = np.ascontiguousarray(view[:, 85:])
@@ -459,7 +457,7 @@ def test_nodes_off_their_predictions_are_compared_with_a_quarter_of_those_around
     np.testing.assert_allclose(_typical(off, cell, row, column, (9, 9)), expected, rtol=1e-12)
 
 
-def test_what_follows_from_where_nodes_are_is_kept_for_the_same_places_alone():
+def test_a_cached_result_is_used_only_for_the_same_mask_of_nodes():
     asked = []
 
     @for_film
@@ -494,7 +492,7 @@ def test_junctions_with_the_surround_are_no_nodes():
         assert (true(grid, corners - np.array([85, 0]))[1] >= 0).all()
 
 
-def test_what_lies_in_front_of_a_pattern_makes_no_nodes_at_its_rim():
+def test_objects_in_front_of_a_pattern_add_no_nodes_at_its_rim():
     picture, corners = drawn(14, 14)
     y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
     picture[np.hypot(x - 191, y - 183) < 66] = 220
@@ -508,7 +506,7 @@ def test_what_lies_in_front_of_a_pattern_makes_no_nodes_at_its_rim():
     ("asked", "goes_on"),
     [((5, 9), "rows"), ((6, 8), "columns"), ((4, 7), "both"), ((7, 9), ""), ((6, 10), "")],
 )
-def test_a_wrong_size_is_told(asked, goes_on):
+def test_a_wrong_size_is_reported(asked, goes_on):
     picture, _ = drawn(6, 9)
     corners = seen_in(picture)
     grid = build_grid(corners, picture, shape=asked)
@@ -523,7 +521,7 @@ def test_a_wrong_size_is_told(asked, goes_on):
     assert build_grid(corners, picture, shape=(9, 6)).seen_shape is None
 
 
-def test_a_board_that_ends_just_before_the_picture_is_not_cut_off():
+def test_a_board_that_ends_just_inside_the_image_is_not_cut_off():
     picture, _ = drawn(6, 9)
     for room in (4, 5, 6, 7):  # px of the surround
         view = np.ascontiguousarray(picture[:, : 40 + 10 * 20 + room])
@@ -594,7 +592,7 @@ def test_an_island_gets_the_numbers_that_its_surroundings_give():
 
 
 @pytest.mark.parametrize("zoom", [1.35, 0.65 * np.exp(0.4j)])
-def test_an_island_of_other_steps_is_another_pattern(zoom):
+def test_an_island_with_other_steps_is_another_pattern(zoom):
     seen, inside = island(0)
     xy = seen.corners.xy[inside] @ [1, 1j]
     xy = zoom * (xy - xy.mean()) + xy.mean()
@@ -629,7 +627,7 @@ def test_a_shape_far_larger_than_the_corners_is_refused():
             build_grid(corners, shape=shape)
 
 
-def test_a_heap_of_corners_on_one_spot_takes_no_time():
+def test_many_corners_at_one_position_take_no_time():
     corners = board(12, 12).corners
     heap = dataclasses.replace(
         corners,

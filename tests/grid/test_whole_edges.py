@@ -1,4 +1,4 @@
-"""Torn nodes, by the edges to the nodes around them."""
+"""Torn nodes are located along the edges to the nodes around them."""
 
 import dataclasses
 
@@ -57,13 +57,20 @@ def test_a_node_that_lies_on_its_edges_stays():
     assert abs(asked(image, corners, corners[TORN]) - corners[TORN]) < 0.15
 
 
+def test_a_node_whose_two_lines_nearly_coincide_is_refused():
+    image, corners = picture(12)
+    column, row = corners.real, corners.imag
+    flat = column + row + 0.05j * row
+    assert np.isnan(asked(image, flat, flat[TORN]))
+
+
 def test_edges_of_the_other_polarity_are_not_taken():
     image, corners = picture(12)
     assert not np.isnan(asked(image, corners, corners[TORN]))
     assert np.isnan(asked(image, corners, corners[TORN], parity=1))
 
 
-def test_one_edge_that_does_not_show_refuses_the_node():
+def test_a_node_with_an_invisible_edge_is_refused():
     image, corners = picture(12)
     x, y = round(corners[TORN].real), round(corners[TORN].imag)
     hidden = np.random.default_rng(1).integers(118, 123, (13, 13))
@@ -71,7 +78,7 @@ def test_one_edge_that_does_not_show_refuses_the_node():
     assert np.isnan(asked(image, corners, corners[TORN]))
 
 
-def test_faint_edges_beside_a_much_brighter_spot_refuse_the_node():
+def test_a_node_with_faint_edges_beside_a_much_brighter_spot_is_refused():
     image, corners = picture(12)
     faint = (100 + image / 10).astype(np.uint8)
     assert not np.isnan(asked(faint, corners, corners[TORN]))
@@ -104,9 +111,7 @@ def test_a_corner_that_is_torn_open_is_measured():
         (24, np.nan, NodeStatus.DETECTED),
     ],
 )
-def test_a_corner_far_from_where_its_neighbours_say_is_moved_if_its_own_image_is_torn(
-    cell, sigma, status
-):
+def test_a_corner_far_from_its_prediction_is_moved_if_its_own_image_is_torn(cell, sigma, status):
     image, corners = picture(cell)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
     moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()

@@ -75,7 +75,7 @@ def test_a_capacity_of_64_holds_64(device, count, regrown):
 
 
 @pytest.mark.parametrize("config", [PLAIN, DENSE], ids=["gate", "dense"])
-def test_more_than_the_capacity_is_counted_and_done_again(detector_for, config):
+def test_a_frame_beyond_the_capacity_is_counted_and_processed_again(detector_for, config):
     image = images.texture((300, 60), seed=9)
     small = config.replace(max_corners=3)
     detector = detector_for(image, small)

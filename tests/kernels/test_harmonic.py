@@ -155,7 +155,7 @@ def test_images_of_any_height_are_divided_into_bands(detector_in_form, rows):
 
 
 @pytest.mark.parametrize("bands", some([1, 2, 3, 5, 7, 36, 70], (2, 7)))
-def test_bands_of_any_number_give_the_same(device, monkeypatch, bands):
+def test_any_number_of_bands_gives_the_same_corners(device, monkeypatch, bands):
     """Also with so many that the last ones have no row."""
     monkeypatch.setattr(PlanBase, "bands", bands)
     image = images.texture((70, 64), seed=2)

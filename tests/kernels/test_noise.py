@@ -12,7 +12,7 @@ COLUMNS = [1, 2, 3, 4, 5, 6, 7, 8, 9, 31, 33, 64]
 
 
 def summed(detector, image):
-    """Return the sum over the bands of what the last frame left."""
+    """Return the noise of the last frame, summed over the bands."""
     detector(image)
     plan = detector._plan(None)
     sums = np.empty(plan.sizes["noise"] // 8, np.uint64)

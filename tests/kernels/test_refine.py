@@ -70,7 +70,7 @@ def test_positions_of_sixteen_bits_are_the_oracles(detector_for, name, refinemen
 
 
 @refinements
-def test_whatever_has_four_sectors(detector_for, refinement):
+def test_any_maximum_with_four_sectors_is_refined_as_by_the_oracle(detector_for, refinement):
     """Without the gate: noise and texture, of which refinement refuses most."""
     image = np.vstack([images.texture((800, 83)), EIGHT["noise"], EIGHT["worn scene"]])
     wide = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
@@ -110,7 +110,7 @@ def test_a_position_beyond_the_largest_shift_is_refused(detector_for, max_shift)
     assert kept == len(corners) if max_shift == 0 else kept > usual if max_shift < 1 else True
 
 
-def test_the_step_says_how_sure_it_is(detector_for):
+def test_the_step_gives_its_sigma(detector_for):
     image = images.scene(1.5, seed=3).image
     corners = check(detector_for, image, "edge step")
     stepped = corners.method == Method.EDGE_STEP
@@ -119,7 +119,7 @@ def test_the_step_says_how_sure_it_is(detector_for):
     assert 0 < corners.doubtful.sum() < len(corners)
 
 
-def test_lines_say_how_sure_they_are(detector_for):
+def test_the_lines_give_their_sigma(detector_for):
     corners = check(detector_for, images.scene(1.5, seed=3).image, "edge lines")
     assert np.array_equal(np.isnan(corners.sigma), corners.method == Method.KEPT)
     assert np.nanmax(corners.sigma) > 3 * np.nanmin(corners.sigma)
@@ -167,7 +167,7 @@ def test_positions_on_clipped_profiles_are_the_oracles(detector_for, refinement,
         ),
     ],
 )
-def test_far_columns_are_as_exact(detector_for, refinement, columns):
+def test_far_columns_are_equally_exact(detector_for, refinement, columns):
     """The same corners at x + columns move by exactly that, up to float32's grid."""
     image = board(*images.SHAPE, 12)[0]
     shift = columns - images.SHAPE[1]

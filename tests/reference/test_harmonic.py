@@ -169,7 +169,7 @@ def test_the_noise_bound_is_exact_and_rounded_up():
 
 
 @pytest.mark.parametrize("name", ["scene", "worn scene", "fine board", "texture"])
-def test_what_is_kept_by_definition(name):
+def test_the_kept_maxima_follow_the_definition(name):
     """The corners from the maps alone, one pixel at a time."""
     found = corners_of(EIGHT[name])
     coarse, fine = (
@@ -276,14 +276,14 @@ def test_a_corner_is_found_where_a_flake_of_the_print_beside_it_is_gone(angle, x
     assert not seen(support=6)
 
 
-def test_the_relative_level_takes_the_faint_ones():
+def test_a_lower_relative_level_keeps_faint_corners():
     faint = (corner(20, 20, 0.4) // 8 + 100).astype(np.uint8)
     image = np.hstack([corner(20, 20, 0.4)] * 3 + [faint])
     assert (corners_of(image, fine=False).x < 123).all()
     assert (corners_of(image, fine=False, relative=0.05).x > 123).any()
 
 
-def test_a_mask_limits_what_is_kept_and_what_the_reference_is_of():
+def test_a_mask_limits_the_kept_maxima_and_those_of_the_reference():
     faint = (corner(20, 20, 0.4) // 8 + 100).astype(np.uint8)
     image = np.hstack([faint] + [corner(20, 20, 0.4)] * 3)
     mask = np.zeros(image.shape, np.bool_)
@@ -417,7 +417,7 @@ def test_stripes_at_any_angle_have_no_corner(width, blur):
 
 
 def test_stripes_without_their_check_would_have_corners():
-    """The check that tells stripes is the only one that all of these pass by."""
+    """Its other checks pass many maxima of these stripes."""
     found = corners_of(images.stripes(7, 0.5))
     once, thrice = harmonic.smoothed(images.stripes(7, 0.5), 255)
     response = found.maps.coarse_response.astype(np.int64)

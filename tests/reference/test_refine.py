@@ -1,4 +1,4 @@
-"""Refinement of the oracle on perfect corners at known places."""
+"""Refinement of the oracle on perfect corners at known positions."""
 
 import math
 
@@ -76,7 +76,7 @@ def test_edges_point_along_the_lines_from_white_to_black_first():
         turns = np.diff([*edges, edges[0]]) % math.tau
         assert turns.sum() == pytest.approx(math.tau)
         for k, edge in enumerate(edges):
-            # A quarter of a turn clockwise on screen is towards larger angles.
+            # A clockwise rotation on the screen is towards larger angles.
             after = edge + (edges[(k + 1) % 4] - edge) % math.tau / 2
             row, column = round(y + 5 * math.sin(after)), round(x + 5 * math.cos(after))
             assert (image[row, column] < 120) == (k % 2 == 0)
@@ -156,8 +156,8 @@ def test_the_cell_sets_how_much_the_step_sees():
 
 
 @pytest.mark.parametrize("cell", [6, 8, 15])
-def test_the_step_is_right_without_a_word_on_the_cell(cell):
-    """What is right for wide cells reaches over the next edges of narrow ones."""
+def test_the_step_is_right_with_its_default_cell(cell):
+    """A disc that is right for wide cells extends over the next edges of narrow ones."""
     image, truth = board(90, 90, cell)
     speckled = np.clip(image.astype(np.int64) + noise(image.shape) // 12, 0, 255).astype(np.uint8)
     errors = []
@@ -203,7 +203,7 @@ def at_centre(image: np.ndarray, refinement: object) -> refine.Refined:
     ],
     ids=["flat", "pixel", "comb", "stripes", "ramp", "saturated noise", "noise"],
 )
-def test_nothing_ends_in_nan(image, refinement):
+def test_no_position_is_nan(image, refinement):
     result = at_centre(image, refinement)
     assert np.isfinite(result.xy).all()
     assert np.linalg.norm(result.xy - np.array(image.shape[::-1]) // 2) < 2.5
@@ -303,7 +303,7 @@ def test_quadratic_centrelines_meet_where_parabolas_meet():
     lines = [edges.fit_lines(middle[:, :, k], np.ones((1, 3), np.bool_)) for k in (0, 1)]
     straight = edges.intersect(*lines)
     curved = midlines._intersect_curves(*lines, middle, straight.position)
-    # Not the origin exactly: v is quadratic along a turned axis.
+    # Not the origin exactly: v is quadratic along a rotated axis.
     assert np.linalg.norm(curved.position) < np.linalg.norm(straight.position) / 3
 
 
@@ -320,7 +320,7 @@ def test_far_from_the_origin_a_corner_moves_by_exactly_that(far):
 
 
 @pytest.mark.parametrize("speck", [2, 8, 14, 20])
-def test_a_ring_with_a_speck_is_mended_by_a_majority(speck):
+def test_a_ring_with_a_speck_is_smoothed_by_a_majority(speck):
     clean = np.where(np.arange(24) // 6 % 2 == 0, -50.0, 50.0)[None]
     offsets = np.array(edges.circle(4), np.float64)
     expected, four, _ = edges._ring_edges(offsets, clean)
@@ -389,7 +389,7 @@ def step_by_least_squares(
 ) -> tuple[np.ndarray, float, float]:
     """Return step, tr rho^2 and ac with a general solver.
 
-    What the image does not enter is summed over 16 x 16 places a pixel, for an integral.
+    Terms without the image are summed over 16 x 16 points per pixel, for an integral.
     """
     offset = np.arange(-12, 13)
     dx, dy = (each.ravel() for each in np.meshgrid(offset, offset))
@@ -456,7 +456,7 @@ def test_a_step_is_weighted_least_squares(cell, light):
 
 
 def test_uneven_light_moves_no_corner():
-    """Light that grows by 2 % a px would move the step by 0.18 px if nobody counted it.
+    """Light that grows by 2 % per px would move the step by 0.18 px if the model had no gradient.
 
     Sums over pixels and integrals differ by about 2 % of that.
     """

@@ -1,4 +1,4 @@
-"""The sampler's tables and what is claimed of all 65 536 rings."""
+"""The sampler's tables, and the claims about all 65 536 rings."""
 
 import itertools
 import math

@@ -68,9 +68,9 @@ def test_every_map_before_the_gate_equals_the_vector(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_response_and_the_contrast_equal_the_vector_where_both_have_them(name):
-    """In the vectors the gate stands before suppression: there the response is that after the
-    gate, and every candidate has a contrast. Ours is the response before the gate, and the
-    maxima alone have a contrast."""
+    """In the vectors the gate comes before suppression: there the response is that after the
+    gate, and every candidate has a contrast. Here it is the response before the gate, and only
+    the maxima have a contrast."""
     vector, config = load(name)
     maps = reference.maps(vector["image"], config)
     if config.detection.contrast is None:
@@ -87,8 +87,8 @@ def test_the_response_and_the_contrast_equal_the_vector_where_both_have_them(nam
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_maxima_equal_the_vector(name):
-    """On the photograph with the gate, candidates that the gate refuses move or outdo a maximum
-    beside them: with it behind suppression, those corners are others."""
+    """On the photograph with the gate, candidates that the gate refuses move or suppress a maximum
+    beside them. With the gate after suppression, those corners differ."""
     vector, config = load(name)
     corners = reference.detect(vector["image"], config)
     if name in MOVED:

@@ -1,4 +1,4 @@
-"""Images of black and white corners whose place is known, for tests."""
+"""Images of black and white corners at known positions, for tests."""
 
 import math
 
@@ -24,7 +24,7 @@ def corner(
 def board(
     rows: int, columns: int, cell: float, *, angle: float = 0.1, blur: float = 0.7
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Return a turned checkerboard over a whole image and (N, 2) its corners 6 px inside."""
+    """Return an image full of a rotated checkerboard, and its corners 6 px inside, (N, 2)."""
     height, width = rows, columns
     x, y = ((np.arange(n * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 for n in (width, height))
     cos, sin = math.cos(angle) / cell, math.sin(angle) / cell

@@ -9,5 +9,5 @@ KINDS = {Form.CPU: DeviceKind.CPU, Form.PORTABLE: DeviceKind.GPU}
 
 
 def in_form(device: Device, form: Form) -> Device:
-    """Return the device, taken for one of the kind that has that form."""
+    """Return the device as if it were of the kind that has that form."""
     return dataclasses.replace(device, kind=KINDS[form])

@@ -47,7 +47,7 @@ def scene(severity: float = 1.0, *, bits: int = 8, seed: int = 1) -> synthetic.R
 
 @functools.cache
 def eight_bits() -> dict[str, Image]:
-    """Return images by what they show."""
+    """Return images by name of their content."""
     y, x = np.indices(SHAPE)
     images = {
         "black": np.zeros(SHAPE, np.uint8),
@@ -74,7 +74,7 @@ def eight_bits() -> dict[str, Image]:
 
 @functools.cache
 def sixteen_bits() -> dict[str, Image]:
-    """Return images by what they show, of a 12-bit camera and over the whole range."""
+    """Return images by name of their content, of a 12-bit camera and over the whole range."""
     rng = np.random.default_rng(5)
     eight = eight_bits()
     return {

@@ -44,7 +44,7 @@ def board(
     ringed = shifted * np.exp(1j * (turn + twist * near)) + middle + origin
     truth = ringed[1:-1, 1:-1]
     steps = np.stack([ringed[1:-1, 2:], ringed[2:, 1:-1], ringed[1:-1, :-2], ringed[:-2, 1:-1]], -1)
-    # e0 lies along the row where the cell right below is black, else along the column
+    # e0 lies along the row if the cell right below is black, else along the column
     first = (np.indices((rows, columns)).sum(0) + (not black)) % 2
     first = first + 2 * draw.integers(0, 2, first.shape)
     angles = np.angle(steps - truth[..., None])
@@ -78,9 +78,9 @@ def endless(
     worn: float = 0.0,
     seed: int = 0,
 ) -> Board:
-    """Return what a picture of `side` px shows of a checkerboard that goes on beyond all its edges.
+    """Return the corners in an image of `side` px of a checkerboard that continues beyond it.
 
-    It is zoomed and turned about the picture's middle, then shifted by so many cells. worn:
+    It is zoomed and rotated about the middle of the image, then shifted by so many cells. worn:
     standard deviation of the printing errors, cells, the same whatever the seed. The numbers are
     those of the pattern; `truth` is empty.
     """
@@ -102,7 +102,7 @@ def endless(
 def drawn(
     rows: int, columns: int, *, cell: int = 20, origin: tuple[int, int] = (40, 40)
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Return a picture of a board on a white ground, and its inner corners, (rows, columns, 2) px.
+    """Return an image of a board on a white ground, and its inner corners, (rows, columns, 2) px.
 
     origin: (x, y) of the first square's corner, px. The picture has room for two cells more.
     """

@@ -1,4 +1,4 @@
-"""How the command line says that something cannot be done."""
+"""Checks of the error messages of the command line."""
 
 
 def fails_in_one_line(result, *words):
@@ -14,5 +14,5 @@ def fails_in_one_line(result, *words):
 
 
 def besides_pyav(err):
-    """Return what a command said on stderr, but for its line where PyAV is not installed."""
+    """Return the stderr of a command without the line that PyAV is not installed."""
     return "".join(line for line in err.splitlines(keepends=True) if "PyAV is not" not in line)

@@ -20,7 +20,7 @@ def moved_board(
     noise: float = 0.0,
     seed: int = 0,
 ) -> NDArray[np.uint8]:
-    """Return a checkerboard of which the point q at rest is seen at q + displacement(q), px.
+    """Return a checkerboard whose point q at rest appears at q + displacement(q), px.
 
     board: (x0, y0, x1, y1) of the pattern at rest, the rest is grey; None means everywhere.
     Its corners lie at whole multiples of the cell. noise: standard deviation, grey levels.
@@ -32,7 +32,7 @@ def moved_board(
     rest = seen
     for _ in range(60):
         rest = seen - displacement(rest)
-    # Edges are as soft as a sample is wide: hard ones would stand on the samples' raster.
+    # Edges are as soft as a sample is wide: hard ones would snap to the raster of the samples.
     phase = rest / cell % 2
     to_edge = cell * np.select([phase < 0.5, phase < 1.5], [phase, 1 - phase], phase - 2)
     image = 125.0 - 85.0 * np.clip(2 * _SAMPLES * to_edge, -1, 1).prod(axis=-1)

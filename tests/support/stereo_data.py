@@ -48,7 +48,7 @@ def truth_grid(path: Path) -> Grid:
 
 
 def upright(grid: Grid) -> Grid:
-    """Return the grid numbered by the image: half a turn where its rows run upwards."""
+    """Return the grid numbered by the image: rotated by 180 degrees if its rows run upwards."""
     down = np.nanmean(np.diff(grid.xy[..., 1], axis=0)) > 0
     return grid if down else grid_of(grid.xy[::-1, ::-1])
 
@@ -93,7 +93,7 @@ def toed_in_rig(unit: str = "mm") -> StereoRig:
 
 
 def project(rig: StereoRig, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where both cameras see the points (..., 3): two arrays (..., 2), px."""
+    """Return the projections of the points (..., 3) in both cameras: two arrays (..., 2), px."""
     turn = cv2.Rodrigues(rig.R)[0]
     flat = np.ascontiguousarray(xyz, np.float64).reshape(-1, 1, 3)
     left, _ = cv2.projectPoints(flat, np.zeros(3), np.zeros(3), rig.K1, rig.D1)

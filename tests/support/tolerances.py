@@ -1,4 +1,4 @@
-"""How far a device's floating-point results may lie from those of the oracle in float64.
+"""The most by which floating-point results of a device may differ from the oracle's in float64.
 
 Integer stages have no tolerance: they are equal.
 """

@@ -1,4 +1,4 @@
-"""What tests give to other processes, which can import it: a test file they cannot."""
+"""Functions that tests run in other processes, which can import this module but no test file."""
 
 import os
 import time

@@ -99,8 +99,8 @@ class PlaneField:
     position: (R, C, 2) float64, at rest, in `unit`; NaN unless the node is valid.
     displacement: (R, C, 2) float64, in `unit`, NaN unless the node is valid.
     sigma, sigma_position: (R, C) float64, standard deviation per axis of the displacement and of
-        the position, in `unit`; NaN where unknown. Wear of the print counts in the position.
-    status: (R, C) uint8 of `NodeStatus`, the less direct one of the two moments.
+        the position, in `unit`; NaN where unknown. That of the position includes wear.
+    status: (R, C) uint8 of `NodeStatus`: of those at rest and now, the less direct one.
     unit: name of the unit of length.
     raw: the field before the lattice filter; None if this one is not filtered.
     filtered: the filter's results for the position and the displacement; None if this field
@@ -222,9 +222,9 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
     estimated too, and `plane_strain` uses it. For errors of variance v, of which neighbours share a
     part p, second differences by row of second differences by column have the variance (36 - 48 p)
     v, and the covariance (42 p - 24) v with those across the edge to the next node (after J.
-    Immerkaer, CVIU 64, 1996, for p = 0). Each moment gets half of v. The estimate does not include
-    errors that vary slowly over four nodes, or that are the same at rest and now. It takes a bend
-    of the field within four nodes for noise.
+    Immerkaer, CVIU 64, 1996, for p = 0). Half of v is attributed to each moment. The estimate does
+    not include errors that vary slowly over four nodes, or that are the same at rest and now. It
+    takes a bend of the field within four nodes for noise.
 
     Raises FieldError if no 4 x 4 nodes are valid.
     """
@@ -274,11 +274,11 @@ def _shown_by_neighbours(field: PlaneField) -> tuple[float, Array] | None:
 
 
 def _unseen(shared: Array) -> float:
-    """Return by what factor the variance of errors exceeds what the lattice filter's noise shows.
+    """Return the variance of the errors over the one that the lattice filter estimates.
 
-    shared: as `_shown_by_neighbours` returns it. The filter takes errors to be independent. The
-    residual of its pilot, (5, -30, 75, 131, 75, -30, 5) / 231 along both axes, has the variance
-    .678 v then, and .678 v - .421 p v where neighbours share a part p across their edge.
+    shared: as `_shown_by_neighbours` returns it. The filter assumes independent errors. The
+    residual of its pilot, (5, -30, 75, 131, 75, -30, 5) / 231 along both axes, then has the
+    variance 0.678 v. If neighbours share a part p across their edge, it has 0.678 v - 0.421 p v.
     """
     part = float(np.einsum("mnii->", shared)) / 2
     return 1 / (1 - 0.421 / 0.678 * part)

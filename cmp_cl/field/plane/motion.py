@@ -18,7 +18,7 @@ class Motion:
 
     centre: (x, y), the mean of the nodes at rest. translation: (x, y) of the centre, in `unit`.
     rotation: rad, from x towards y. zoom: factor. sigma_translation, sigma_rotation,
-    sigma_zoom: standard deviations by the errors of the positions alone; NaN where unknown.
+    sigma_zoom: standard deviations from the errors of the positions alone; NaN where unknown.
     """
 
     centre: tuple[float, float]
@@ -67,7 +67,7 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
 def without_motion(field: PlaneField, motion: Motion) -> PlaneField:
     """Remove a motion from the field, so that the deformation alone remains.
 
-    The nodes now are moved back. `sigma` does not include the error of the motion.
+    The current positions are moved back. `sigma` does not include the error of the motion.
     """
     centre, goal = complex(*motion.centre), complex(*motion.centre) + complex(*motion.translation)
     factor = motion.zoom * np.exp(1j * motion.rotation)

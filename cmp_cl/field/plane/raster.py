@@ -34,7 +34,7 @@ class Raster:
 
     @property
     def step(self) -> float:
-        """Return the distance of neighbouring points, in `unit`."""
+        """Return the distance between neighbouring points, in `unit`."""
         return float(self.x[1] - self.x[0])
 
 
@@ -49,7 +49,7 @@ def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float
     the border by quadratic extrapolation.
 
     Raises FieldError if no cell is valid or covers a point, ConfigError if step is not
-    positive or asks for over 1e8 points.
+    positive or would give over 1e8 points.
     """
     numbers = field.displacement if values is None else np.asarray(values, np.float64)
     if numbers.ndim == 2:
@@ -81,7 +81,7 @@ def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float
 
 
 def _continued(values: Array) -> Array:
-    """Extend values (R, C, K) by a ring around them, (R + 2, C + 2, K), and fill gaps.
+    """Extend values (R, C, K) by one node on each side, (R + 2, C + 2, K), and fill gaps.
 
     A missing value is the mean of the continuations along its row and column: quadratic, else
     linear, else constant. Two passes give every neighbour of a valid cell a value.

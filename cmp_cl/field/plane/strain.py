@@ -14,7 +14,7 @@ from cmp_cl.field.strain import slope_weights
 Array = NDArray[np.float64]
 
 _UNIFORM = math.pi / math.sqrt(12)  # rad, standard deviation of a completely unknown direction
-_DISTINCT = 3.0  # standard deviations: noise alone exceeds them in 1 % (Rayleigh)
+_DISTINCT = 3.0  # standard deviations: noise alone exceeds them in 1 % of cases (Rayleigh)
 _LEAST_NODES = 6  # fewest nodes of a window to which a plane is fitted
 
 
@@ -79,7 +79,7 @@ class PrincipalStrain:
 
 
 def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
-    """Return the Green-Lagrange strain E = (F'F - 1) / 2 of every node of a field, with its
+    """Return the Green-Lagrange strain E = (F'F - 1) / 2 at every node of a field, with its
         covariance.
 
     Around each node a plane in (column, row) is fitted to the positions at rest and now by least
@@ -192,9 +192,9 @@ def _of_neighbours(shared: Array, used: NDArray[np.bool_], radius: int) -> Array
 def _strain_covariance(gradient: Array, back: Array, errors: Array) -> Array:
     """Return the covariance (N, 3, 3) of Exx, Eyy, Exy.
 
-    gradient: (N, 2, 2) F. back: (N, 2, 2) columns and rows by the axes at rest. errors: (N, 2, 2,
-    2, 2, 2), covariances of the slopes of the position and of the displacement, by two
-    coordinates, and two of columns and rows.
+    gradient: (N, 2, 2) F. back: (N, 2, 2), derivatives of column and row by the axes at rest.
+    errors: (N, 2, 2, 2, 2, 2), covariances of the slopes of the position and of the displacement:
+    by value, two coordinates, and two of column and row.
     """
     # An error e of the position at rest is also one of the position now: it acts on F as (1 - F) e.
     weights = np.einsum("nja,nmikab,nlb->nmijkl", back, errors, back, optimize=True)

@@ -13,8 +13,8 @@ _FILL_REACH = (3, 6)  # nodes around a hole that predict its value
 def filled(data: Single, votes: Bools) -> Single:
     """Return the data with predictions at nodes without a vote.
 
-    A prediction comes from a quadratic surface through the votes around, and is 0 if they are too
-    few.
+    A prediction comes from a quadratic surface through the votes around the node, and is 0 if there
+    are too few.
     data: (K, R, C). votes: (R, C) bool.
     """
     result = np.where(votes, data, np.float32(0))

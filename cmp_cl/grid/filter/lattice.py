@@ -27,8 +27,8 @@ class Filtered:
     sigma: (R, C) float64, standard deviation of `values` per coordinate, NaN where it has too few
         neighbours.
     noise: (R, C) float64, standard deviation of the values before the filter.
-    refused: (R, C) bool, nodes that are more than REFUSED standard deviations from what their
-        neighbours predict. They have no influence on others.
+    refused: (R, C) bool, nodes that are more than REFUSED standard deviations from the prediction
+        of their neighbours. They have no influence on others.
     """
 
     values: Array
@@ -89,11 +89,11 @@ def filter_grid(
 ) -> Filtered:
     """Filter a lattice over its rows and columns.
 
-    values: (R, C, K), K >= 1 coordinates in one unit and of like noise; a node with a NaN is
+    values: (R, C, K), K >= 1 coordinates in one unit, with the same noise; a node with a NaN is
     missing. measured: (R, C) bool, the nodes that may influence others; the rest get the prediction
     of their neighbours. None means all. A deformation is filtered as one array of displacements,
     not as two of positions: wear that travels with the material cancels in their difference.
-    bends: whether the values may bend sharply along an axis, as a deformation does at the rim of a
+    bends: whether the values may bend sharply along an axis, as a deformation does at the edge of a
         contact. The noise is then also estimated along single directions, the axes and the
         diagonals, to tell it from such a bend. Leave it out for positions, because wear that
         neighbours share would be taken for their shape. most_noise: (R, C), an upper bound on the
@@ -147,7 +147,7 @@ def filter_at_rest(values: ArrayLike, *, measured: ArrayLike) -> Filtered:
     """Filter positions at rest, see `filter_grid`.
 
     values, measured: as in `filter_grid`. The last few results are kept, because the frames of a
-        film share their positions at rest. The arrays of a result are read-only.
+        recording share their positions at rest. The arrays of a result are read-only.
     """
     given, votes = np.asarray(values, np.float64), np.asarray(measured, np.bool_)
     return _at_rest(given.shape, given.tobytes(), votes.tobytes())
@@ -170,8 +170,8 @@ def noise_of_change(
     at_rest: the filtered positions at rest. own_rest, own_now: (R, C), the standard deviations of
         the corners from their own images, NaN or 0 where unknown. The noise at rest that they do
         not explain is wear. Wear moves with the material, but strain may open it: in the difference
-        it counts for at most three times its size at rest. A print without wear at rest has only
-        the noise of its images.
+        it is assumed to be at most three times its size at rest. A print without wear at rest has
+        only the noise of its images.
     """
     before, after = (
         np.where(own > 0, np.square(own, dtype=np.float64), np.nan) for own in (own_rest, own_now)

@@ -102,7 +102,7 @@ def _expected_size(residual: Single, size: Single) -> float:
     """Return the mean size of a residual whose variance per coordinate is 1.
 
     The size is assumed to be chi-distributed. Its degrees of freedom are the effective number of
-    directions of the residuals, weighted so that a few large ones do not decide. residual: (K, R,
+    directions of the residuals, weighted so that a few large ones do not dominate. residual: (K, R,
     C). size: (R, C), its length, 0 where unknown.
     """
     count = len(residual)
@@ -117,7 +117,7 @@ def _expected_size(residual: Single, size: Single) -> float:
 
 
 def outliers(residual: Single, noise: Single, votes: Bools) -> Bools:
-    """Return the nodes whose residual is too large, and the largest among those of its eight
+    """Return the nodes whose residual is too large, and not smaller than those of their eight
         neighbours.
 
     residual: (K, R, C). noise: (R, C), its variance. votes: (R, C).

@@ -27,7 +27,7 @@ class Axis:
         filter that shows the noise. near_noise, near_risk: (n, n) Gaussians, rows of sum 1.
         columns: (A - 1, n, n), the filters after the first one as factors on the right.
         pilot_columns, noise_columns, risk_columns: the same for the pilot and the Gaussians. A
-        product costs half if its factor lies in memory in the order in which it is read.
+        product takes half the time if its factor lies in memory in the order in which it is read.
     """
 
     filters: Single
@@ -127,8 +127,8 @@ def moved_bands(n: int, side: int, reach: int, *, bends: bool) -> Single:
     """Return the filters of all nodes within `reach` of each node, in a band around it, (n, S A,
         T).
 
-    S = 2 reach + 1 neighbours, A filters of each, T = 2 (side + reach) + 1 nodes; 0 where there is
-    no neighbour.
+    There are S = 2 reach + 1 neighbours with A filters each, and T = 2 (side + reach) + 1 nodes.
+    Filters of neighbours beyond the ends are 0.
     """
     filters = axis_of(n, bends=bends).filters
     size = 2 * reach + 1

@@ -30,7 +30,7 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
         shift by bent edges is subtracted from filtered positions. Interpolated nodes follow their
         neighbours. If the lattice is too small for an estimate, sigma is that of the corners.
 
-    Raises GridError if the grid has not all rows and columns of the one at rest.
+    Raises GridError if the grid does not have all rows and columns of the one at rest.
     """
     if rest is None:
         found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
