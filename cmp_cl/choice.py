@@ -31,13 +31,13 @@ def choose_by_corners(
     cell, blur = cell_and_blur(image)
     for_any = DetectorConfig(full_scale=full_scale)
     estimated = DetectorConfig.for_cell(cell, blur=blur).replace(full_scale=full_scale)
-    found, told = find(for_any), find(estimated)
-    lost = _nearest(_some(found.xy), told.xy) > _NEAR * told.edge_radius
+    expected, found = find(for_any), find(estimated)
+    lost = _nearest(_some(expected.xy), found.xy) > _NEAR * found.edge_radius
     if np.count_nonzero(lost) > (1 - _SHARE) * len(lost):
         return for_any
-    if not len(told):
+    if not len(found):
         return estimated
-    apart = np.quantile(_nearest(_some(told.xy), told.xy, itself=True), _CLOSE[0])
+    apart = np.quantile(_nearest(_some(found.xy), found.xy, itself=True), _CLOSE[0])
     if apart >= _CLOSE[1] * cell:
         return estimated
     narrow = EdgeStep(cell=min(cell, max(float(apart), EdgeStep().cell)))
