@@ -48,7 +48,7 @@ class Seen(NamedTuple):
 def grow(nodes: Nodes, seen: Seen) -> None:
     """Attach free corners, beyond the box too, and drop false nodes, until nothing changes."""
     drop_misfits(nodes)
-    _refuse(nodes, seen)
+    _reject(nodes, seen)
     while nodes.free.any() and nodes.there.any():
         nodes.pad()
         attached = _attach(nodes, seen)
@@ -56,7 +56,7 @@ def grow(nodes: Nodes, seen: Seen) -> None:
         if not attached:
             break
         drop_misfits(nodes)
-        _refuse(nodes, seen)
+        _reject(nodes, seen)
     nodes.crop()
 
 
@@ -66,7 +66,7 @@ def extend(nodes: Nodes, seen: Seen) -> None:
         nodes.pad()
         found = _look_again(nodes, np.zeros(nodes.at.shape), seen.image, WEAK)
         drop_misfits(nodes)
-        found &= not evidence.refuse(nodes, seen.image, seen.edges)
+        found &= not evidence.reject(nodes, seen.image, seen.edges)
         nodes.crop()
         if not found:
             return
@@ -76,7 +76,7 @@ def attach(nodes: Nodes, seen: Seen) -> None:
     """Attach free corners within the box until none fits."""
     while _attach(nodes, seen):
         drop_misfits(nodes)
-        _refuse(nodes, seen)
+        _reject(nodes, seen)
 
 
 def fill(nodes: Nodes, seen: Seen, least: float) -> None:
@@ -86,18 +86,18 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
         looked = np.zeros(nodes.at.shape)
         while not nodes.there.all() and _look_again(nodes, looked, seen.image, least):
             drop_misfits(nodes)
-            _refuse(nodes, seen)
+            _reject(nodes, seen)
             attach(nodes, seen)
         if _follow_edges(nodes, seen.torn, seen.image):
             drop_misfits(nodes)
-            _refuse(nodes, seen)
+            _reject(nodes, seen)
     _interpolate(nodes)
 
 
-def _refuse(nodes: Nodes, seen: Seen) -> None:
+def _reject(nodes: Nodes, seen: Seen) -> None:
     """Drop nodes at the rim that do not look like corners of the pattern."""
     if seen.image is not None:
-        evidence.refuse(nodes, seen.image, seen.edges)
+        evidence.reject(nodes, seen.image, seen.edges)
 
 
 def drop_misfits(nodes: Nodes) -> None:

@@ -75,7 +75,7 @@ def detect_with_margin(
 ) -> tuple[Corners, NDArray[np.float64]]:
     """Find the corners; also return the margins of the decisions of refinement, (N,) float64.
 
-    image, config, mask: as in `detect`. A margin is the smallest relative distance of a guard's
+    image, config, mask: as in `detect`. A margin is the smallest relative distance of a check's
         quantity from its bound. If it is tiny, float32 may decide otherwise. It is infinite without
         refinement.
     """

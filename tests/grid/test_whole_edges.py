@@ -57,7 +57,7 @@ def test_a_node_that_lies_on_its_edges_stays():
     assert abs(asked(image, corners, corners[TORN]) - corners[TORN]) < 0.15
 
 
-def test_a_node_whose_two_lines_nearly_coincide_is_refused():
+def test_a_node_whose_two_lines_nearly_coincide_is_rejected():
     image, corners = picture(12)
     column, row = corners.real, corners.imag
     flat = column + row + 0.05j * row
@@ -70,7 +70,7 @@ def test_edges_of_the_other_polarity_are_not_taken():
     assert np.isnan(asked(image, corners, corners[TORN], parity=1))
 
 
-def test_a_node_with_an_invisible_edge_is_refused():
+def test_a_node_with_an_invisible_edge_is_rejected():
     image, corners = picture(12)
     x, y = round(corners[TORN].real), round(corners[TORN].imag)
     hidden = np.random.default_rng(1).integers(118, 123, (13, 13))
@@ -78,7 +78,7 @@ def test_a_node_with_an_invisible_edge_is_refused():
     assert np.isnan(asked(image, corners, corners[TORN]))
 
 
-def test_a_node_with_faint_edges_beside_a_much_brighter_spot_is_refused():
+def test_a_node_with_faint_edges_beside_a_much_brighter_spot_is_rejected():
     image, corners = picture(12)
     faint = (100 + image / 10).astype(np.uint8)
     assert not np.isnan(asked(faint, corners, corners[TORN]))
@@ -126,7 +126,7 @@ def test_a_corner_far_from_its_prediction_is_moved_if_its_own_image_is_torn(cell
     assert (others == NodeStatus.DETECTED).all()
 
 
-def test_a_corner_whose_refinement_was_refused_counts_as_torn():
+def test_a_corner_whose_refinement_was_rejected_counts_as_torn():
     image, corners = picture(12)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
     moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()

@@ -91,7 +91,7 @@ def test_the_table_of_moments_holds_the_integrals_of_the_model(radius):
     assert (np.abs(between[..., :6] - exact) < 0.002 * size).all()
 
 
-def test_a_refused_step_has_no_autocorrelation(detector_in_form):
+def test_a_rejected_step_has_no_autocorrelation(detector_in_form):
     """The median that tells doubtful corners is that of the accepted ones."""
     image = images.texture((120, 150), seed=9)
     detector = detector_in_form(image, rings(refinement=EdgeStep(), contrast=None))
