@@ -2,7 +2,6 @@
 
 import os
 import stat
-import subprocess
 import sys
 
 import cv2
@@ -200,12 +199,3 @@ def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_p
         writer.frame(np.zeros((50, 50), np.uint8), grid, np.zeros((3, 3)))
     assert (tmp_path / "film.mp4").read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_the_version_is_printed():
-    done = subprocess.run(
-        [sys.executable, "-m", "cmp_cl", "--version"], capture_output=True, text=True, check=True
-    )
-    import cmp_cl
-
-    assert done.stdout == f"cmp-cl {cmp_cl.__version__}\n"

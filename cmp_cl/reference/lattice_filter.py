@@ -15,8 +15,8 @@
    three quarters of the window measured. G is a Gaussian of that standard deviation, in nodes,
    whose weights sum to 1. e is the mean of a chi variable over root(f), with f degrees of
    freedom: trace^2 / sum of squares of the matrix sum r r^T / root(u).
-5. A node is rejected if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. This is done up
-   to three times.
+5. A node is rejected if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. This is done
+   up to three times.
 6. Each pair gives the estimate E, the loss Q = |X - E|^2 / K + 2 s2 H, with H the node's own weight
    in the pair, and the risk G1.5(Q) / s2 over the votes. A pair is left out if less than three
    quarters of its window are measured; the pair that changes nothing is always in. The result is

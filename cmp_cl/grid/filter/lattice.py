@@ -27,8 +27,8 @@ class Filtered:
     sigma: (R, C) float64, standard deviation of `values` per coordinate, NaN where it has too few
         neighbours.
     noise: (R, C) float64, standard deviation of the values before the filter.
-    refused: (R, C) bool, outliers, rejected because they are more than REJECTED standard deviations from the prediction
-        of their neighbours. They have no influence on others.
+    refused: (R, C) bool, the rejected nodes, which are more than REJECTED standard deviations from
+        the prediction of their neighbours. They have no influence on others.
     """
 
     values: Array
