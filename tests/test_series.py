@@ -349,7 +349,7 @@ FULL = """
 import sys
 import numpy as np
 from cmp_cl.series import open_series
-from cmp_cl.viz.film import OverlayFilm
+from cmp_cl.viz.video import OverlayVideo
 path = sys.argv[1]
 with open(path, "w") as file:
     file.write("old")
@@ -363,10 +363,10 @@ try:
         from stereo_data import grid_of
         rng = np.random.default_rng(0)
         grid = grid_of(np.full((2, 2, 2), 100.0))
-        with OverlayFilm(path) as film:
+        with OverlayVideo(path) as video:
             for number in range(60):
                 image = rng.integers(0, 255, (480, 640)).astype(np.uint8)
-                film.frame(image, grid, np.ones((2, 2)))
+                video.frame(image, grid, np.ones((2, 2)))
 except OSError as error:
     print("OSError", error)
 with open(path, "rb") as file:
@@ -405,7 +405,7 @@ def test_a_full_disk_is_reported_and_whole_frames_are_kept(tmp_path, suffix):
     if not shutil.which("unshare") or subprocess.run([*namespace, f"{inside} true"]).returncode:
         pytest.skip("no file system of its own can be made here")
     code = f"import sys; sys.path[:] = {sys.path!r}{FULL}"
-    words = [sys.executable, "-c", code, str(tmp_path / f"film.{suffix}")]
+    words = [sys.executable, "-c", code, str(tmp_path / f"press.{suffix}")]
     command = f"{inside} {shlex.join(words)}"
     done = subprocess.run([*namespace, command], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr

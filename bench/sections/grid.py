@@ -1,6 +1,21 @@
 """Numbering: boards partly out of view, patterns without a border, backgrounds, mirrors."""
 
+from collections.abc import Iterable
+
 from sections.tables import Row, conditions, table
+
+# the words of the results, as the report shows them
+HEADINGS = {
+    "doubted": "with a warning",
+    "right, told": "right, with a warning",
+    "wrong, told": "wrong, with a warning",
+    **dict.fromkeys(("wrong", "silent", "in silence"), "silently wrong"),
+}
+
+
+def headings(words: Iterable[str]) -> list[str]:
+    """Return the headings of columns."""
+    return [HEADINGS.get(word, word) for word in words]
 
 
 def partial_views(result: Row) -> str:
@@ -9,13 +24,13 @@ def partial_views(result: Row) -> str:
     parts.append(
         "Each image is cropped from its four sides. A node is right if it lies within 3 px of a "
         "corner and its row and column fit a single lattice. It is false if no corner lies within "
-        "a quarter of a cell. In a `doubted` view the method says that the numbering may be "
-        "wrong. In a `silent` one the numbering is wrong without a warning, which can happen only "
-        "to methods that are told the size of the board.\n"
+        "a quarter of a cell. `with a warning` counts the views in which the method says that the "
+        "numbering may be wrong, `silently wrong` those in which it is wrong without a warning, "
+        "which can happen only to methods that are told the size of the board.\n"
     )
     keys = ("set", "method", "views", "visible", "right", "false", "other", "refused", "doubted")
     keys += ("silent",)
-    parts.append(table(keys, [[row[key] for key in keys] for row in result["partial"]]))
+    parts.append(table(headings(keys), [[row[key] for key in keys] for row in result["partial"]]))
     for name, reason in result["unavailable"].items():
         parts.append(f"Not measured: {name} ({reason}).\n")
     counts: dict[str, list[int]] = {}
@@ -59,9 +74,8 @@ def open_patterns(result: Row) -> str:
     ):
         counts = result["counts"][form]
         head = list(dict.fromkeys(verdict for group in counts.values() for verdict in group))
-        shown = ["in silence" if verdict == "wrong" else verdict for verdict in head]
         rows = [[group, *(count[verdict] for verdict in head)] for group, count in counts.items()]
-        parts.append(f"{words}:\n\n" + table(("frames", *shown), rows))
+        parts.append(f"{words}:\n\n" + table(("frames", *headings(head)), rows))
     peers = result["lattices"]
     parts.append(
         "The peers cannot use a frame at rest. Each method therefore gets every fourteenth frame "
@@ -69,7 +83,7 @@ def open_patterns(result: Row) -> str:
         "lattice, however few nodes it has. A node is false if it lies more than a quarter of a "
         "cell from every corner.\n"
     )
-    parts.append(table(list(peers[0]), [list(row.values()) for row in peers]))
+    parts.append(table(headings(peers[0]), [list(row.values()) for row in peers]))
     parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]
     return "\n".join(parts)
 
@@ -80,13 +94,12 @@ def surroundings(result: Row) -> str:
     parts.append(
         "Rendered boards before five kinds of background. The paper around a board is none, 0.3, 1 "
         "or 2 cells wide. An answer is right if each of its nodes is a corner of the board and the "
-        "numbers fit a single lattice. `told` answers carry a warning. `background` answers hold "
-        "no corner of the board: they are another pattern, and carry none. The last column holds "
-        "what is silently wrong.\n"
+        "numbers fit a single lattice. `background` answers hold no corner of the board: they are "
+        "another pattern, without a warning. An answer is silently wrong if it is wrong and "
+        "carries no warning.\n"
     )
     words = ("right", "right, told", "refused", "wrong, told", "background", "wrong")
-    shown = [*words[:-1], "in silence"]
-    head = ("background", "method", *shown)
+    head = ("background", "method", *headings(words))
     rows = [[row[key] for key in ("background", "method", *words)] for row in result["boards"]]
     parts.append(table(head, rows))
     parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]
@@ -97,6 +110,5 @@ def surroundings(result: Row) -> str:
     )
     words = tuple(word for word in words if word != "background")
     keys = ("mirror", "print", "numbered", *words)
-    head = (*keys[:3], *words[:-1], "in silence")
-    parts.append(table(head, [[row[key] for key in keys] for row in result["mirrors"]]))
+    parts.append(table(headings(keys), [[row[key] for key in keys] for row in result["mirrors"]]))
     return "\n".join(parts)

@@ -525,7 +525,7 @@ def python_of_readme():
 
 def test_the_python_in_the_readme_runs(capsys, monkeypatch):
     monkeypatch.chdir(PROJECT)
-    _, detection = python_of_readme()  # the film of the first block is in tests/test_measure.py
+    _, detection = python_of_readme()  # the video of the first block is in tests/test_measure.py
     names = {}
     exec(compile(detection, "README.md", "exec"), names)
     assert capsys.readouterr().out.startswith(f"54 corners on {cmp_cl.select_device()}")

@@ -329,13 +329,13 @@ def test_a_video_that_a_full_disk_cuts_is_not_written_but_the_series_is(
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     Path("old.rrd").write_text("old")
     with contextlib.ExitStack() as disk:
-        enter = run_module._Film.__enter__
+        enter = run_module._Display.__enter__
 
-        def filling(film):
+        def filling(display):
             disk.enter_context(full_after(60_000))  # once kernels are compiled
-            return enter(film)
+            return enter(display)
 
-        monkeypatch.setattr(run_module._Film, "__enter__", filling)
+        monkeypatch.setattr(run_module._Display, "__enter__", filling)
         status, out, err = run("run", recording, *STEREO, "--rerun", "old.rrd")
     assert status == 2
     assert (err.count("\n"), "old.rrd: File too large" in err) == (1, True)
@@ -537,11 +537,11 @@ def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
 
 
 def test_one_annotated_video_is_written(run, recording, press):
-    status, out, _ = run("run", recording, *STEREO, "--overlay", "film.mp4")
-    assert (status, out.splitlines()[-1]) == (0, "wrote film.mp4")
-    capture = cv2.VideoCapture("film.mp4")
+    status, out, _ = run("run", recording, *STEREO, "--overlay", "shown.mp4")
+    assert (status, out.splitlines()[-1]) == (0, "wrote shown.mp4")
+    capture = cv2.VideoCapture("shown.mp4")
     assert sum(capture.read()[0] for _ in range(len(press) + 3)) == len(press)
-    fails_in_one_line(run("run", recording, *STEREO, "--overlay", "film.gif"), "film.gif", ".mp4")
+    fails_in_one_line(run("run", recording, *STEREO, "--overlay", "shown.gif"), "shown.gif", ".mp4")
 
 
 # demo
@@ -1007,7 +1007,7 @@ def test_single_views_given_as_pairs_say_what_is_expected(run, tmp_path):
     assert "--camera NAME=IMAGE" in err.splitlines()[-1]
 
 
-def film_of(path, images, rate=25):
+def video_of(path, images, rate=25):
     """Write a lossless video of grey images."""
     size = images[0].shape[::-1]
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), rate, size, False)
@@ -1017,8 +1017,8 @@ def film_of(path, images, rate=25):
 
 
 def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press):
-    film_of("left.avi", [shot.left.image for shot in press])
-    film_of("right.avi", [shot.right.image for shot in press])
+    video_of("left.avi", [shot.left.image for shot in press])
+    video_of("right.avi", [shot.right.image for shot in press])
     pair = "--left", "left.avi", "--right", "right.avi"
     status, out, _ = run("run", *pair, *STEREO)
     assert status == 0
@@ -1028,7 +1028,7 @@ def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press)
     assert run("run", recording, *STEREO)[0] == 0
     np.testing.assert_array_equal(apart["displacement"], np.load("press.npz")["displacement"])
 
-    film_of("right.avi", [shot.right.image for shot in press[:2]])
+    video_of("right.avi", [shot.right.image for shot in press[:2]])
     status, out, _ = run("run", *pair, *STEREO)
     assert status == 0
     assert "2 frames" in out
