@@ -192,6 +192,23 @@ def test_the_glossary_is_in_order():
     assert len(words) > 50
 
 
+def test_words_that_the_glossary_replaces_are_not_used():
+    table = (DOCS / "glossary.md").read_text(encoding="utf-8").partition("## Words")[2]
+    words = "|".join(", ".join(re.findall(r"^\| (.+) \| .+ \|$", table, re.MULTILINE)).split(", "))
+    pattern = re.compile(rf"\b({words})s?\b", re.IGNORECASE)
+    files = [ROOT / "README.md", *DOCS.rglob("*.md"), *(ROOT / "docs" / "notebooks").glob("*.py")]
+    for folder, suffix in (("cmp_cl", "py"), ("kernels", "cl*"), ("bench", "py"), ("tests", "py")):
+        files += (ROOT / folder).rglob(f"*.{suffix}")
+    kept = {DOCS / "glossary.md", DOCS / "printing.md", Path(__file__)}  # the second says thin film
+    found = {
+        f"{path}: {match[0]}"
+        for path in files
+        if path not in kept and "results" not in path.parts and "_generated" not in path.parts
+        for match in pattern.finditer(path.read_text(encoding="utf-8"))
+    }
+    assert found == set()
+
+
 def test_the_numbers_on_the_page_of_the_algorithm_are_those_of_the_code():
     rule, gate, rapid = cmp_cl.RingHarmonic(), cmp_cl.SectorContrast(), cmp_cl.RapidCriteria()
     share, least, most = refine.STEP_RADIUS

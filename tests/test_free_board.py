@@ -157,7 +157,7 @@ def picture(matrix, rotation, shift, bend):
     return np.clip(np.rint(cv2.GaussianBlur(grey, (0, 0), 0.7) + noise), 0, 255).astype(np.uint8)
 
 
-def test_pictures_of_a_bent_board_give_the_camera_when_it_is_free():
+def test_images_of_a_bent_board_give_the_camera_when_it_is_free():
     matrix = np.array([[600.0, 0, 322], [0, 602.0, 236], [0, 0, 1]])
     draw = np.random.default_rng(980_000)
     grids, away = [], []

@@ -1,4 +1,4 @@
-"""Plots and videos of recordings."""
+"""Plots and videos of a series."""
 
 import os
 import stat
@@ -17,7 +17,7 @@ from cmp_cl.viz.video import OverlayVideo
 
 
 def record(path, *, views, frames=5):
-    """Return a recording of 8 x 10 nodes that stretch by 1 % a frame along x; (2, 3) is missing."""
+    """Return a series of 8 x 10 nodes that stretch by 1 % a frame along x; (2, 3) is missing."""
     row, column = np.mgrid[:8, :10]
     rest = np.stack([5.0 * column, 5.0 * row, 0 * row + 40.0], axis=-1)[..., : views + 1]
     constants = {"rest": rest, "unit": "px" if views == 1 else "mm"}
@@ -121,7 +121,7 @@ def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
         curve_figure(one)
 
 
-def test_a_file_that_is_no_recording_of_nodes_is_refused(tmp_path):
+def test_a_file_that_is_no_series_of_nodes_is_refused(tmp_path):
     with pytest.raises(FieldError, match="no rest"):
         Recorded.of(
             {"index": np.arange(2), "time_ms": np.arange(2.0), "xy": np.zeros((2, 3, 3, 2))}

@@ -1,4 +1,4 @@
-"""Recordings in every format, read by the programs that they are for."""
+"""Series in every format, read by the programs that they are for."""
 
 import csv
 import importlib
@@ -315,7 +315,7 @@ def test_tables_hold_the_numbers_of_a_frame_and_name_the_parts_of_a_strain(tmp_p
     assert rows[4][4:] == [*["0.5"] * 3, *["0.25"] * 2, "1", "8.5", "1", "2"]
 
 
-def test_a_recording_that_was_cut_off_is_refused_and_not_waited_for(tmp_path):
+def test_a_series_that_was_cut_off_is_refused_and_not_waited_for(tmp_path):
     needs("h5py")
     path = write(tmp_path / "press.h5", frames=40)
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
@@ -324,7 +324,7 @@ def test_a_recording_that_was_cut_off_is_refused_and_not_waited_for(tmp_path):
     assert "FieldError" in found.stderr.splitlines()[-1]
 
 
-def test_a_growing_recording_that_is_damaged_is_refused_in_bounded_time(tmp_path, monkeypatch):
+def test_a_growing_series_that_is_damaged_is_refused_in_bounded_time(tmp_path, monkeypatch):
     needs("h5py")
     path = tmp_path / "press.h5"
     code = f"""import os

@@ -18,9 +18,9 @@ def add_parser(commands: Any) -> None:
         "render",
         help="draw a frame of a pressed gel with known corners",
         description="Draws one frame of a pressed gel that carries a checkerboard, and writes "
-        "the true corners with --truth. The same options give the same picture.",
+        "the true corners with --truth. The same options give the same image.",
     )
-    parser.add_argument("--out", metavar="PNG", required=True, help="the picture to write")
+    parser.add_argument("--out", metavar="PNG", required=True, help="the image to write")
     parser.add_argument("--truth", metavar="CSV", help="write the true corners, px")
     numbers = (
         ("markers", int, usual.markers, "corners along each side"),
@@ -58,7 +58,7 @@ def add_parser(commands: Any) -> None:
         nargs=2,
         metavar=("ROWS", "COLUMNS"),
         default=usual.shape,
-        help="size of the picture, px; default: {} {}".format(*usual.shape),
+        help="size of the image, px; default: {} {}".format(*usual.shape),
     )
     parser.add_argument(
         "--bits",

@@ -1,4 +1,4 @@
-"""One annotated video of a recording: the nodes on the image, coloured by their displacement."""
+"""One annotated video: the nodes on the image, coloured by their displacement."""
 
 import os
 from os import PathLike

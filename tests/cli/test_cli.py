@@ -156,7 +156,7 @@ def test_two_patterns_are_not_numbered_as_one(run):
     assert not Path("n.csv").exists()
 
 
-def test_render_writes_a_picture_and_its_truth_and_detect_finds_them(run):
+def test_render_writes_an_image_and_its_truth_and_detect_finds_them(run):
     scene = ("render", "--markers", 20, "--indenter", "torus", "--severity", 0.25, "--seed", 3)
     status, out, _ = run(*scene, "--out", "gel.png", "--truth", "truth.csv")
     assert status == 0
@@ -195,7 +195,7 @@ OPTIONS = {
 
 
 @pytest.mark.parametrize("option", some(OPTIONS, ("--mode", "--bits")))
-def test_each_option_of_render_changes_the_picture(run, usual, option):
+def test_each_option_of_render_changes_the_image(run, usual, option):
     assert run(*RENDER, "other.png", option, *OPTIONS[option])[0] == 0
     assert Path("other.png").read_bytes() != usual
 

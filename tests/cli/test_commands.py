@@ -276,7 +276,7 @@ def without_nohup():
 @pytest.mark.usefixtures("without_nohup")
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("name", some(STOPS, ("SIGINT", "SIGTERM")))
-def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
+def test_a_stopped_run_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
     def frames_of(path, **_):
         if path.name == "1.png":
             for _ in range(times):
