@@ -1,21 +1,6 @@
 """Numbering: boards partly out of view, patterns without a border, backgrounds, mirrors."""
 
-from collections.abc import Iterable
-
 from sections.tables import Row, conditions, table
-
-# the words of the results, as the report shows them
-HEADINGS = {
-    "doubted": "with a warning",
-    "right, told": "right, with a warning",
-    "wrong, told": "wrong, with a warning",
-    **dict.fromkeys(("wrong", "silent", "in silence"), "silently wrong"),
-}
-
-
-def headings(words: Iterable[str]) -> list[str]:
-    """Return the headings of columns."""
-    return [HEADINGS.get(word, word) for word in words]
 
 
 def partial_views(result: Row) -> str:
@@ -28,9 +13,9 @@ def partial_views(result: Row) -> str:
         "numbering may be wrong, `silently wrong` those in which it is wrong without a warning, "
         "which can happen only to methods that are told the size of the board.\n"
     )
-    keys = ("set", "method", "views", "visible", "right", "false", "other", "refused", "doubted")
-    keys += ("silent",)
-    parts.append(table(headings(keys), [[row[key] for key in keys] for row in result["partial"]]))
+    keys = ("set", "method", "views", "visible", "right", "false", "other", "refused")
+    keys += ("with a warning", "silently wrong")
+    parts.append(table(keys, [[row[key] for key in keys] for row in result["partial"]]))
     for name, reason in result["unavailable"].items():
         parts.append(f"Not measured: {name} ({reason}).\n")
     counts: dict[str, list[int]] = {}
@@ -75,7 +60,7 @@ def open_patterns(result: Row) -> str:
         counts = result["counts"][form]
         head = list(dict.fromkeys(verdict for group in counts.values() for verdict in group))
         rows = [[group, *(count[verdict] for verdict in head)] for group, count in counts.items()]
-        parts.append(f"{words}:\n\n" + table(("frames", *headings(head)), rows))
+        parts.append(f"{words}:\n\n" + table(("frames", *head), rows))
     peers = result["lattices"]
     parts.append(
         "The peers cannot use a frame at rest. Each method therefore gets every fourteenth frame "
@@ -83,7 +68,7 @@ def open_patterns(result: Row) -> str:
         "lattice, however few nodes it has. A node is false if it lies more than a quarter of a "
         "cell from every corner.\n"
     )
-    parts.append(table(headings(peers[0]), [list(row.values()) for row in peers]))
+    parts.append(table(list(peers[0]), [list(row.values()) for row in peers]))
     parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]
     return "\n".join(parts)
 
@@ -94,13 +79,14 @@ def surroundings(result: Row) -> str:
     parts.append(
         "Rendered boards before five kinds of background. The paper around a board is none, 0.3, 1 "
         "or 2 cells wide. An answer is right if each of its nodes is a corner of the board and the "
-        "numbers fit a single lattice. `background` answers hold no corner of the board: they are "
-        "another pattern, without a warning. An answer is silently wrong if it is wrong and "
-        "carries no warning.\n"
+        "numbers fit a single lattice. `background alone` answers hold no corner of the board: "
+        "they are another pattern, without a warning. An answer is silently wrong if it is wrong "
+        "and carries no warning.\n"
     )
-    words = ("right", "right, told", "refused", "wrong, told", "background", "wrong")
-    head = ("background", "method", *headings(words))
-    rows = [[row[key] for key in ("background", "method", *words)] for row in result["boards"]]
+    words = ("right", "right, with a warning", "refused", "wrong, with a warning")
+    words += ("background alone", "silently wrong")
+    head = ("background", "method", *words)
+    rows = [[row[key] for key in ("ground", "method", *words)] for row in result["boards"]]
     parts.append(table(head, rows))
     parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]
     parts.append(
@@ -108,7 +94,7 @@ def surroundings(result: Row) -> str:
         "if it holds at most three nodes of the reflection and at least 98 % of the other nodes "
         "have the right numbers. The rows without a mirror show false alarms.\n"
     )
-    words = tuple(word for word in words if word != "background")
+    words = tuple(word for word in words if word != "background alone")
     keys = ("mirror", "print", "numbered", *words)
-    parts.append(table(headings(keys), [[row[key] for key in keys] for row in result["mirrors"]]))
+    parts.append(table(keys, [[row[key] for key in keys] for row in result["mirrors"]]))
     return "\n".join(parts)

@@ -8,6 +8,7 @@ import numpy as np
 from cmp_cl import media
 from cmp_cl.cli.arguments import refuse_to_overwrite
 from cmp_cl.cli.messages import shown
+from cmp_cl.errors import ConfigError
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
 
@@ -72,21 +73,13 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Render the scene that the arguments describe; return the exit status."""
-    scene = Scene(
-        markers=arguments.markers,
-        shape=tuple(arguments.shape),
-        indenter=Indenter(arguments.indenter),
-        mode=Mode(arguments.mode),
-        severity=arguments.severity,
-        corrosion=arguments.corrosion,
-        noise=arguments.noise,
-        bits=arguments.bits,
-        seed=arguments.seed,
-    )
     refuse_to_overwrite([], [arguments.out, arguments.truth])
-    rendered = render(scene)
+    try:
+        rendered = render(_scene(arguments))
+    except ConfigError as error:  # the options have the names of the fields
+        raise ConfigError(str(error).replace("Scene.", "--")) from error
     media.write_image(arguments.out, rendered.image)
-    rows, columns = scene.shape
+    rows, columns = rendered.image.shape
     count = rendered.truth.shape[0] * rendered.truth.shape[1]
     print(
         f"wrote {shown(arguments.out)}: {columns} x {rows} px, {count} corners, "
@@ -100,3 +93,17 @@ def run(arguments: argparse.Namespace) -> int:
         )
         print(f"wrote {shown(arguments.truth)}: {count} corners")
     return 0
+
+
+def _scene(arguments: argparse.Namespace) -> Scene:
+    return Scene(
+        markers=arguments.markers,
+        shape=tuple(arguments.shape),
+        indenter=Indenter(arguments.indenter),
+        mode=Mode(arguments.mode),
+        severity=arguments.severity,
+        corrosion=arguments.corrosion,
+        noise=arguments.noise,
+        bits=arguments.bits,
+        seed=arguments.seed,
+    )
