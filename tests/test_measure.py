@@ -5,10 +5,10 @@ import re
 import textwrap
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from stereo_data import grid_of
+from videos import write_video
 
 import cmp_cl
 from cmp_cl import GridError, StereoRig, measure
@@ -44,19 +44,12 @@ def test_the_readme_shows_the_same_lines():
 def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(shots, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     StereoRig(*RIG).save("rig.yaml")
-    rows, columns = shots[0][0].shape
-    writer = cv2.VideoWriter(
-        "press.mp4", cv2.VideoWriter_fourcc(*"mp4v"), 25, (columns, rows), isColor=False
-    )
-    writer.set(cv2.VIDEOWRITER_PROP_QUALITY, 100)
-    for frame, _ in shots:
-        writer.write(frame)
-    writer.release()
+    write_video("press.mp4", [frame for frame, _ in shots], "mp4v")
     assert len([line for line in example().splitlines() if line]) <= 10
     exec(example().replace("(40, 40)", "(12, 12)"), {})  # the video is small
     assert [path.name for path in sorted(tmp_path.glob("*.vtp"))] == ["press-0001.vtp"]
     frames = [frame.image for frame in read_frames("press.mp4")]
-    split = cmp_cl.BinocularSplit.halves(columns, rows)
+    split = cmp_cl.BinocularSplit.halves(*frames[0].shape[::-1])
     rig = StereoRig.load("rig.yaml")
     with measure.TwoViews(frames[0], rig, split, shape=(12, 12)) as against_rest:
         field = against_rest(frames[1]).field

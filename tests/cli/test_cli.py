@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from cases import some
 from messages import besides_pyav, fails_in_one_line
+from videos import write_video
 
 import cmp_cl
 from cmp_cl import Method, NodeStatus, media, synthetic
@@ -30,14 +31,6 @@ BOARD = PROJECT / "cmp_cl" / "data" / "board.png"
 def rows_of(path):
     with open(path, newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
-
-
-def write_video(path, images):
-    rows, columns = images[0].shape
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25, (columns, rows))
-    for image in images:
-        writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    writer.release()
 
 
 def write_flat_png(path, width, height, *, whole=True):

@@ -21,6 +21,7 @@ from disks import full_after
 from messages import fails_in_one_line
 from plane_images import moved_board
 from stereo_data import bumblebee_rig, grid_of, photographs
+from videos import write_video
 
 from cmp_cl import (
     BinocularSplit,
@@ -200,11 +201,7 @@ def test_run_uses_the_settings_of_a_file(run, recording):
 
 
 def test_a_video_has_a_clock(run, recording, press):
-    rows, columns = press[0].frame.shape
-    writer = cv2.VideoWriter("a.avi", cv2.VideoWriter_fourcc(*"FFV1"), 25, (columns, rows))
-    for shot in press:
-        writer.write(cv2.cvtColor(shot.frame, cv2.COLOR_GRAY2BGR))
-    writer.release()
+    write_video("a.avi", [shot.frame for shot in press])
     assert run("run", "a.avi", *STEREO)[0] == 0
     series = np.load("press.npz")
     np.testing.assert_allclose(series["time_ms"], [0, 40, 80])
@@ -1007,18 +1004,9 @@ def test_single_views_given_as_pairs_say_what_is_expected(run, tmp_path):
     assert "--camera NAME=IMAGE" in err.splitlines()[-1]
 
 
-def video_of(path, images, rate=25):
-    """Write a lossless video of grey images."""
-    size = images[0].shape[::-1]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), rate, size, False)
-    for image in images:
-        writer.write(image)
-    writer.release()
-
-
 def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press):
-    video_of("left.avi", [shot.left.image for shot in press])
-    video_of("right.avi", [shot.right.image for shot in press])
+    write_video("left.avi", [shot.left.image for shot in press])
+    write_video("right.avi", [shot.right.image for shot in press])
     pair = "--left", "left.avi", "--right", "right.avi"
     status, out, _ = run("run", *pair, *STEREO)
     assert status == 0
@@ -1028,7 +1016,7 @@ def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press)
     assert run("run", recording, *STEREO)[0] == 0
     np.testing.assert_array_equal(apart["displacement"], np.load("press.npz")["displacement"])
 
-    video_of("right.avi", [shot.right.image for shot in press[:2]])
+    write_video("right.avi", [shot.right.image for shot in press[:2]])
     status, out, _ = run("run", *pair, *STEREO)
     assert status == 0
     assert "2 frames" in out
