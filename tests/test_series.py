@@ -395,9 +395,7 @@ SUFFIXES = ["h5", "csv", "jsonl", "parquet", "mcap", "mp4", "mkv", "avi"]
 
 @pytest.mark.parametrize("suffix", some(SUFFIXES, ("h5", "csv", "mp4")))
 def test_a_full_disk_is_reported_and_whole_frames_are_kept(tmp_path, suffix):
-    """Before, HDF5 crashed, OpenCV did not report a video that was cut off, and files without an
-    end were lost.
-    """
+    """HDF5 by itself crashes, and OpenCV does not report a video that is cut off."""
     for package in PACKAGES.get(suffix, []):
         needs(package)
     inside = f"mount -t tmpfs -o size=4m tmpfs {tmp_path} && exec"
