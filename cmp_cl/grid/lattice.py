@@ -158,9 +158,9 @@ def _boundary(lines: Complex, way: Complex) -> tuple[NDArray[np.int8], NDArray[n
     """Return the number of the boundary nearest to the direction `way`, and the cosine between
     them, of corners with those lines, (2, N)."""
     even, odd = (lines * way.conj()).real
-    is_odd = np.abs(odd) > np.abs(even)
-    cosine = np.where(is_odd, odd, even)
-    return is_odd.view(np.int8) + 2 * (cosine < 0).view(np.int8), np.abs(cosine)
+    size_even, size_odd = np.abs(even), np.abs(odd)
+    is_odd, behind = size_odd > size_even, even + odd < 0  # the sum has the sign of the larger
+    return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
 def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
@@ -185,7 +185,7 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
     near = _square(a - b + c - d) < SKEW * (_square(one) + _square(two))
     cell = np.zeros(nowhere, np.int8)
     for step in steps:
-        cell[step] = near
+        cell[step] = near.view(np.int8)
     # a later link of the same cost may have replaced an earlier one
     held = (across.take(half) == other) & (across.take(other) == half)
     count: NDArray[np.int8] = held * (cell.take(half) + cell.take(other))
@@ -214,8 +214,8 @@ def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
     """
     corners = lines.shape[1]
     squared = lines[0] * lines[0]
-    axis = np.full(1, complex((squared * squared).mean()) ** 0.25, np.complex64)
-    ahead, _ = _boundary(lines, axis)
+    axis = complex(np.dot(squared, squared)) ** 0.25
+    ahead, _ = _boundary(lines, np.array([axis], np.complex64))
     quarter = -ahead & 3
     a, b = half >> 2, other >> 2
     way, back = quarter.take(a) + half, quarter.take(b) + other
