@@ -55,9 +55,9 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
         if usual is None:
             inner = _some_inside(nodes.there)
             every = _look(nodes, image, *np.concatenate([(row, column), inner], axis=1))
-            look, inside = every.part(slice(len(row))), every.part(slice(len(row), None))
-            contrast = (inside.bright - inside.dark)[inside.known]
+            contrast = (every.bright - every.dark)[len(row) :][every.known[len(row) :]]
             usual = median(contrast) if len(contrast) else 0.0
+            look = every.first(len(row))
         else:
             look = _look(nodes, image, row, column)
         kept = _convincing(nodes, image, edges, look, whole, stencil, usual)
@@ -125,9 +125,9 @@ class _Look(NamedTuple):
     dark: Float
     span: Float
 
-    def part(self, which: slice) -> "_Look":
-        """Return some of them."""
-        return _Look._make(values[which] for values in self)
+    def first(self, count: int) -> "_Look":
+        """Return the first of them."""
+        return _Look._make(values[:count] for values in self)
 
 
 def _look(nodes: Nodes, image: GreyImage, row: Index, column: Index) -> _Look:

@@ -43,14 +43,14 @@ class Stencil(NamedTuple):
     """The factors by which neighbours predict M nodes.
 
     near: (24, M), the neighbours by number in the grid with three missing nodes on every side.
-    missing: (24, M), those that are not there. factors: (24, M), of their positions. weight: (M,),
-    of the predictions.
+    factors: (24, 2 M), of their x and y, 0 for those that are not there. weight: (M,), of the
+    predictions. share: (M,), 1 / weight, NaN for a weight of 0.
     """
 
     near: Index
-    missing: Mask
     factors: Float
     weight: Float
+    share: Float
 
     @classmethod
     def of(cls, there: Mask, row: Index, column: Index) -> "Stencil":
@@ -60,16 +60,15 @@ class Stencil(NamedTuple):
         around = np.ones((rows + 6, width), np.bool_)
         around[3:-3, 3:-3] = ~there
         near = (row + 3) * width + column + 3 + (STEPS @ [width, 1])[:, None]
-        missing = around.ravel()[near]
-        known = USES @ missing == 0
+        known = USES @ around.take(near) == 0
         weight: Float = WEIGHTS @ known
-        return cls(near, missing, WEIGHTED.T @ known, weight)
+        return cls(near, (WEIGHTED.T @ known).repeat(2, axis=1), weight, _inverse(weight))
 
     def predict(self, at: Points) -> Points:
         """Return the predictions, NaN where nothing is known; at: (R, C), px."""
-        near = _bordered(at).ravel()[self.near]
-        np.copyto(near, 0, where=self.missing)
-        predicted: Points = (self.factors * near).sum(0) * _inverse(self.weight)
+        known = _bordered(np.where(np.isnan(at.real), 0, at), nothing=0)
+        near = known.take(self.near).view(np.float64)
+        predicted: Points = (self.factors * near).sum(0).view(np.complex128) * self.share
         return predicted
 
 
@@ -99,10 +98,10 @@ def predict_within(at: Points) -> Points:
     return np.ascontiguousarray(filtered).view(np.complex128)[..., 0]
 
 
-def _bordered(at: Points) -> Points:
+def _bordered(at: Points, nothing: complex = NOWHERE) -> Points:
     """Add three missing nodes on every side."""
     rows, columns = at.shape
-    padded = np.full((rows + 6, columns + 6), NOWHERE)
+    padded = np.full((rows + 6, columns + 6), nothing, np.complex128)
     padded[3:-3, 3:-3] = at
     return padded
 
@@ -120,11 +119,12 @@ def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, F
     padded = _bordered(at)
     width = padded.shape[1]
     place = (row + 3) * width + column + 3
-    near = padded.ravel()[(LINES @ [width, 1])[..., None] + place]
+    near = padded.take((LINES[..., :1] * width + LINES[..., 1:]) + place)
     step = (near[:, :, 1:] - near[:, :, :-1]).reshape(TOUCHED.shape[1], len(row))
-    known = ~np.isnan(step.real)
-    np.copyto(step, 0, where=~known)
-    mean: Points = TOUCHED @ step * _inverse(TOUCHED @ known)
+    unknown = np.isnan(step.real)
+    np.copyto(step, 0, where=unknown)
+    count = TOUCHED @ ~unknown
+    mean: Points = (TOUCHED @ step.view(np.float64)).view(np.complex128) * _inverse(count)
     length = np.abs(mean)
     cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
     return mean[0], mean[1], cell
