@@ -13,7 +13,7 @@ from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
 from cmp_cl.grid.joints import cut
-from cmp_cl.grid.lattice import Lattice, lattice
+from cmp_cl.grid.lattice import Lattice, bends, lattice
 from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
 from cmp_cl.grid.nodes import NOWHERE, Index, Nodes, boxed, check_room
@@ -228,7 +228,7 @@ def _numbered(
         ends = Ends(border.sides)
         if seen.image is not None and np.less(nodes.at.shape, shape).any():
             ends = Ends(border.sides, cut_of(nodes, seen.image), border.passing)
-        numbered = in_shape(nodes, found.bend, shape, ends)
+        numbered = in_shape(nodes, bends(seen.edges), shape, ends)
     else:
         numbered = Numbered(nodes)
     if not alone and np.count_nonzero(found.size >= LEAST_BOARD) > 1:

@@ -11,6 +11,7 @@ from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 from cmp_cl.grid.predict import (
     REACHED,
     beside_missing,
+    bordered,
     mean_steps,
     predict,
     predict_within,
@@ -252,18 +253,19 @@ def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
     if not len(row):
         return False
     expected, weight = predict(nodes.at, row, column)
-    cell = mean_steps(nodes.at, row, column)[2]
+    along, down, cell = mean_steps(nodes.at, row, column)
     off = np.abs(nodes.at[row, column] - expected)
     settled = off <= np.maximum(ASTRAY * cell, OUTLYING * _usual(nodes.at))
     settled |= (cell > WIDEST) & ~np.isnan(off)
     left = np.flatnonzero((weight >= STRONG) & ~settled)
     if not len(left):
         return False
-    row, column, expected, cell = row[left], column[left], expected[left], cell[left]
-    found = along_edges(nodes, image, row, column, expected)
+    row, column, expected = row[left], column[left], expected[left]
+    along, down, cell = along[left], down[left], cell[left]
+    found = along_edges(nodes, image, row, column, expected, (along, down, cell))
     kept = np.abs(found - expected) < ALONG * cell
     row, column, found, cell = row[kept], column[kept], found[kept], cell[kept]
-    missing = nodes.status[row, column] == NodeStatus.MISSING
+    missing = np.isnan(nodes.at[row, column].real)
     nodes.put(row, column, found, NodeStatus.SECOND_LOOK)
     nodes.owner[row, column] = -1
     return bool(missing.any())
@@ -278,8 +280,8 @@ def _usual(at: Points) -> float:
 
 def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask:
     """Return a mask of the nodes that are nearer than `apart` to one of their eight neighbours."""
-    padded = np.pad(at, 1, constant_values=NOWHERE)
-    around = [padded[row + r, column + c] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    padded = bordered(at)
+    around = [padded[row + r, column + c] for r in (2, 3, 4) for c in (2, 3, 4) if (r, c) != (3, 3)]
     away = np.abs(np.stack(around) - at[row, column])
     beside: Mask = np.asarray(np.less(away, apart).any(axis=0))
     return beside

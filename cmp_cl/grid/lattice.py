@@ -34,7 +34,6 @@ class Lattice(NamedTuple):
     node: (N,) complex64, column + 1j row, whole numbers, from an arbitrary origin.
     turn: (N,) complex64, boundary e0 points along this unit of the lattice.
     support: (N,) int64, consistent links of the corner.
-    bend: (N,) float32, deviation of opposite boundaries from one line, 0 to 2; NaN if unknown.
     axis: (K,) complex, mean step of the image along +1 of each component, px.
     """
 
@@ -43,14 +42,13 @@ class Lattice(NamedTuple):
     node: Complex
     turn: Complex
     support: Index
-    bend: NDArray[np.float32]
     axis: Complex
 
 
 def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad."""
     order, first, second, step = near_pairs(z)
-    lines, bend = _lines(edges)
+    lines = _lines(edges)
     z, lines = z.take(order), lines.take(order, axis=1)
     half, other = _links(lines, first, second, step)
     cells = _cells(z, half, other)
@@ -63,7 +61,7 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
         trees = _join(trees, half[sure], other[sure], 0)
         trees = _join(trees, half, other, STRONG)
         agree = _agree(trees, half, other)
-    return _arranged(z, bend, order, half, other, trees, agree)
+    return _arranged(z, order, half, other, trees, agree)
 
 
 def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
@@ -115,17 +113,24 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     return order, first, second.take(near), step.take(near)
 
 
-def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
-    """Return the corners' two lines, (2, N) units along e0 - e2 and e1 - e3, and their bends."""
-    edges = np.ascontiguousarray(edges.T)
+def bends(edges: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the deviation of opposite boundaries from one line, (N,), 0 to 2; NaN if unknown."""
+    edges = edges.T
     x, y = np.cos(edges), np.sin(edges)
     off = (x[:2] + x[2:]) ** 2 + (y[:2] + y[2:]) ** 2
-    bend = np.sqrt(np.maximum(off[0], off[1]))
+    bend: NDArray[np.float32] = np.sqrt(np.maximum(off[0], off[1]))
+    return bend
+
+
+def _lines(edges: NDArray[np.float32]) -> Complex:
+    """Return the corners' two lines, (2, N) units along e0 - e2 and e1 - e3."""
+    edges = np.ascontiguousarray(edges.T)
+    x, y = np.cos(edges), np.sin(edges)
     x, y = x[:2] - x[2:], y[:2] - y[2:]
     length = np.maximum(np.sqrt(x * x + y * y), np.float32(1e-6))
     lines = np.empty(x.shape, np.complex64)
     lines.real, lines.imag = x / length, y / length
-    return lines, bend
+    return lines
 
 
 def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[Index, Index]:
@@ -140,9 +145,8 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
     way = step * (1 / np.maximum(length, np.float32(1e-6)))
     k, cos_ahead = _boundary(lines.take(first, axis=1), way)
     kept = (cos_ahead > COSINE).nonzero()[0]
-    first, second, way, length, k, cos_ahead = (
-        values.take(kept) for values in (first, second, way, length, k, cos_ahead)
-    )
+    first, second, length = first.take(kept), second.take(kept), length.take(kept)
+    way, k, cos_ahead = way.take(kept), k.take(kept), cos_ahead.take(kept)
     m, cos_back = _boundary(lines.take(second, axis=1), -way)
     half, other = 4 * first + k, 4 * second + m
     fits = (cos_back > COSINE) & ((k ^ m) & 1 == 1)
@@ -337,7 +341,6 @@ def starts(values: Index) -> Index:
 
 def _arranged(
     z: Complex,
-    bend: NDArray[np.float32],
     order: Index,
     half: Index,
     other: Index,
@@ -372,6 +375,5 @@ def _arranged(
         node=node.take(back),
         turn=turn.take(back),
         support=every.take(back),
-        bend=bend,
         axis=axis,
     )

@@ -66,7 +66,7 @@ class Stencil(NamedTuple):
 
     def predict(self, at: Points) -> Points:
         """Return the predictions, NaN where nothing is known; at: (R, C), px."""
-        known = _bordered(np.where(np.isnan(at.real), 0, at), nothing=0)
+        known = bordered(np.where(np.isnan(at.real), 0, at), nothing=0)
         near = known.take(self.near).view(np.float64)
         predicted: Points = (self.factors * near).sum(0).view(np.complex128) * self.share
         return predicted
@@ -93,12 +93,12 @@ def beside_missing(there: Mask) -> tuple[Index, Stencil]:
 
 def predict_within(at: Points) -> Points:
     """Return the predictions of all nodes, (R, C); NaN where one of the nodes around is missing."""
-    padded = _bordered(at).view(np.float64).reshape(*np.add(at.shape, 6), 2)
+    padded = bordered(at).view(np.float64).reshape(*np.add(at.shape, 6), 2)
     filtered = cv2.filter2D(padded, -1, KERNEL)[3:-3, 3:-3]  # leaves out factors that are 0
     return np.ascontiguousarray(filtered).view(np.complex128)[..., 0]
 
 
-def _bordered(at: Points, nothing: complex = NOWHERE) -> Points:
+def bordered(at: Points, nothing: complex = NOWHERE) -> Points:
     """Add three missing nodes on every side."""
     rows, columns = at.shape
     padded = np.full((rows + 6, columns + 6), nothing, np.complex128)
@@ -116,7 +116,7 @@ def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, F
 
     They are means of the steps to and from the 3 x 3 nodes around; NaN if there are none.
     """
-    padded = _bordered(at)
+    padded = bordered(at)
     width = padded.shape[1]
     place = (row + 3) * width + column + 3
     near = padded.take((LINES[..., :1] * width + LINES[..., 1:]) + place)
