@@ -453,7 +453,7 @@ def test_links_that_agree_give_the_components_that_votes_give(monkeypatch, seed)
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", lambda *_: None)
     other = lattice(z, corners.edges)
     assert len(one.size) > 1
-    for name in ("component", "size", "support", "bend"):
+    for name in ("component", "size", "support"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     for component in range(len(one.size)):
         member = one.component == component

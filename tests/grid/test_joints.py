@@ -29,7 +29,6 @@ def linked(at: np.ndarray, *, unit: complex = 1) -> tuple[np.ndarray, Lattice]:
         node=((column + 1j * row) / unit).astype(np.complex64),
         turn=np.ones(len(z), np.complex64),
         support=np.zeros(len(z), np.int64),
-        bend=np.zeros(len(z), np.float32),
         axis=np.array([np.nanmean(axis)]),
     )
     return z, found
