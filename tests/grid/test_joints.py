@@ -72,7 +72,6 @@ def test_a_larger_component_stays_before_the_parts():
         node=np.append(found.node, plane(9, 9, 1).ravel()),
         turn=np.append(found.turn, np.ones(81)),
         support=np.zeros(len(z) + 81, np.int64),
-        bend=np.zeros(len(z) + 81, np.float32),
         axis=np.append(found.axis, 12),
     )
     z = np.append(z, other.ravel())
