@@ -53,8 +53,7 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
         if not len(row):
             return dropped
         if usual is None:
-            inner = _some_inside(nodes.there)
-            every = _look(nodes, image, *np.concatenate([(row, column), inner], axis=1))
+            every = _look(nodes, image, *_rim_and_inside(nodes.there))
             contrast = (every.bright - every.dark)[len(row) :][every.known[len(row) :]]
             usual = median(contrast) if len(contrast) else 0.0
             look = every.first(len(row))
@@ -97,7 +96,6 @@ def _hole(seen: Mask) -> Mask:
     return hole
 
 
-@for_film
 def _some_inside(seen: Mask) -> tuple[Index, Index]:
     """Return some nodes, all of them inside the grid if any are."""
     inner = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
@@ -106,6 +104,13 @@ def _some_inside(seen: Mask) -> tuple[Index, Index]:
     count = min(SAMPLE, len(row))
     some = np.arange(count) * (len(row) - 1) // max(count - 1, 1)
     return row[some], column[some]
+
+
+@for_film
+def _rim_and_inside(seen: Mask) -> Index:
+    """Return rows and columns, (2, M), of the nodes at the rim, then of some inside."""
+    rim: Index = np.concatenate([_rim(seen)[:2], _some_inside(seen)], axis=1)
+    return rim
 
 
 class _Look(NamedTuple):

@@ -34,7 +34,7 @@ class Lattice(NamedTuple):
     node: (N,) complex64, column + 1j row, whole numbers, from an arbitrary origin.
     turn: (N,) complex64, boundary e0 points along this unit of the lattice.
     support: (N,) int64, consistent links of the corner.
-    axis: (K,) complex, mean step of the image along +1 of each component, px.
+    axis: (K,) complex, along the mean direction of +1 in the image, of each component.
     """
 
     component: Index
@@ -61,7 +61,7 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
         trees = _join(trees, half[sure], other[sure], 0)
         trees = _join(trees, half, other, STRONG)
         agree = _agree(trees, half, other)
-    return _arranged(z, order, half, other, trees, agree)
+    return _arranged(lines, order, half, other, trees, agree)
 
 
 def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
@@ -142,15 +142,15 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
     + 4 (1 - cos)) of both ends.
     """
     length = np.abs(step)
-    way = step * (1 / np.maximum(length, np.float32(1e-6)))
-    k, cos_ahead = _boundary(lines.take(first, axis=1), way)
-    kept = (cos_ahead > COSINE).nonzero()[0]
-    first, second, length = first.take(kept), second.take(kept), length.take(kept)
-    way, k, cos_ahead = way.take(kept), k.take(kept), cos_ahead.take(kept)
-    m, cos_back = _boundary(lines.take(second, axis=1), -way)
+    k, ahead = _boundary(lines.take(first, axis=1), step)
+    kept = (ahead > COSINE * length).nonzero()[0]
+    first, second, k = first.take(kept), second.take(kept), k.take(kept)
+    step, length, ahead = step.take(kept), length.take(kept), ahead.take(kept)
+    m, back = _boundary(lines.take(second, axis=1), -step)
     half, other = 4 * first + k, 4 * second + m
-    fits = (cos_back > COSINE) & ((k ^ m) & 1 == 1)
-    cost = np.where(fits, length * (5 - 4 * cos_ahead) * (5 - 4 * cos_back), np.float32(np.inf))
+    fits = (back > COSINE * length) & ((k ^ m) & 1 == 1)
+    cost = (5 * length - 4 * ahead) * (5 * length - 4 * back) / length
+    cost[~fits] = np.inf
     best = np.full(4 * lines.shape[1], np.inf, cost.dtype)
     np.minimum.at(best, half, cost)
     np.minimum.at(best, other, cost)
@@ -159,8 +159,8 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
 
 
 def _boundary(lines: Complex, way: Complex) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Return the number of the boundary nearest to the direction `way`, and the cosine between
-    them, of corners with those lines, (2, N)."""
+    """Return the number of the boundary nearest to the direction `way`, and the component of `way`
+    along it, of corners with those lines, (2, N)."""
     even, odd = (lines * way.conj()).real
     size_even, size_odd = np.abs(even), np.abs(odd)
     is_odd, behind = size_odd > size_even, even + odd < 0  # the sum has the sign of the larger
@@ -340,33 +340,33 @@ def starts(values: Index) -> Index:
 
 
 def _arranged(
-    z: Complex,
+    lines: Complex,
     order: Index,
     half: Index,
     other: Index,
     trees: _Trees,
     agree: Mask | None,
 ) -> Lattice:
-    """Return the components by size, in the corners' own order; z is in the sorted order.
+    """Return the components by size, in the corners' own order; the lines are in that order.
 
     agree: the links that agree with the trees, None if all do.
     """
     root, node, turn = trees
     a, b = half >> 2, other >> 2
-    every = links = np.bincount(a, minlength=len(z)) + np.bincount(b, minlength=len(z))
+    corners = len(order)
+    support = links = np.bincount(a, minlength=corners) + np.bincount(b, minlength=corners)
     if agree is not None:
-        every = np.bincount(a[agree], minlength=len(z)) + np.bincount(b[agree], minlength=len(z))
+        a, b = a[agree], b[agree]
+        support = np.bincount(a, minlength=corners) + np.bincount(b, minlength=corners)
     linked = links > 0
-    count = np.bincount(root.compress(linked), minlength=len(z))
+    count = np.bincount(root.compress(linked), minlength=corners)
     largest = (-count).argsort(kind="stable")[: np.count_nonzero(count)]
-    label = np.full(len(z), -1)
+    label = np.full(corners, -1)
     label[largest] = np.arange(len(largest))
     label = np.where(linked, label.take(root), -1)
-    along = (z.take(b) - z.take(a)) * (turn.take(a) * UNITS.take(half & 3)).conj()
-    part = label.take(a)
-    steps = np.maximum(np.bincount(part, minlength=len(largest)), 1)
-    axis = np.bincount(part, along.real, len(largest)) / steps + 0j
-    axis.imag = np.bincount(part, along.imag, len(largest)) / steps
+    along = lines[0] * turn.conj()
+    axis = np.bincount(label + 1, along.real)[1:] + 0j
+    axis.imag = np.bincount(label + 1, along.imag)[1:]
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
     return Lattice(
@@ -374,6 +374,6 @@ def _arranged(
         size=count.take(largest),
         node=node.take(back),
         turn=turn.take(back),
-        support=every.take(back),
+        support=support.take(back),
         axis=axis,
     )
