@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
 from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, for_film, median
-from cmp_cl.grid.predict import Stencil, mean_steps
+from cmp_cl.grid.predict import Stencil, Steps
 from cmp_cl.image import GreyImage
 
 DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
@@ -107,10 +107,10 @@ def _some_inside(seen: Mask) -> tuple[Index, Index]:
 
 
 @for_film
-def _rim_and_inside(seen: Mask) -> Index:
-    """Return rows and columns, (2, M), of the nodes at the rim, then of some inside."""
-    rim: Index = np.concatenate([_rim(seen)[:2], _some_inside(seen)], axis=1)
-    return rim
+def _rim_and_inside(seen: Mask) -> tuple[Index, Index, Steps]:
+    """Return the nodes at the rim, then some inside, and the steps around them."""
+    row, column = np.concatenate([_rim(seen)[:2], _some_inside(seen)], axis=1)
+    return row, column, Steps.of(seen, row, column)
 
 
 class _Look(NamedTuple):
@@ -135,9 +135,11 @@ class _Look(NamedTuple):
         return _Look._make(values[:count] for values in self)
 
 
-def _look(nodes: Nodes, image: GreyImage, row: Index, column: Index) -> _Look:
-    """Look at the four cells around nodes."""
-    along, down, cell = mean_steps(nodes.at, row, column)
+def _look(
+    nodes: Nodes, image: GreyImage, row: Index, column: Index, steps: Steps | None = None
+) -> _Look:
+    """Look at the four cells around nodes; steps: those around them, if they are known."""
+    along, down, cell = (steps or Steps.of(nodes.there, row, column)).mean(nodes.at)
     known = ~np.isnan(along.real + down.real)
     along[~known] = down[~known] = 0
     step = DIAGONAL.real[:, None] * along + DIAGONAL.imag[:, None] * down

@@ -76,11 +76,13 @@ def _between_pixels(image: GreyImage, x: Float, y: Float) -> Float:
     x = np.minimum(np.maximum(x, 0), columns - 1)
     y = np.minimum(np.maximum(y, 0), rows - 1)
     left, top = x.astype(np.int64), y.astype(np.int64)
-    right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
     x -= left
     y -= top
-    upper = (1 - x) * image[top, left] + x * image[top, right]
-    lower = (1 - x) * image[bottom, left] + x * image[bottom, right]
+    above = top * columns + left
+    below = above + columns * (top < rows - 1)
+    right = left < columns - 1
+    upper = (1 - x) * image.take(above) + x * image.take(above + right)
+    lower = (1 - x) * image.take(below) + x * image.take(below + right)
     levels: Float = (1 - y) * upper + y * lower
     return levels
 
