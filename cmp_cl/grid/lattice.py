@@ -105,12 +105,13 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     begin = np.concatenate([here + 1, until.take(below.take(order))])
     end = np.concatenate([until.take(number + (margin + 1)), until.take(beyond.take(order))])
     count = np.minimum(end - begin, CROWD)
-    window = np.arange(2 * len(z)).repeat(count)
-    second = np.arange(len(window)) + (begin + count - count.cumsum()).take(window)
-    step = z.take(second) - np.concatenate([z, z]).take(window)
+    first = np.concatenate([here, here]).repeat(count)
+    second = np.arange(len(first))
+    second += (begin + count - count.cumsum()).repeat(count)
+    step = z.take(second)
+    step -= z.take(first)
     near = (np.abs(step) < reach).nonzero()[0]
-    first = np.concatenate([here, here]).take(window.take(near))
-    return order, first, second.take(near), step.take(near)
+    return order, first.take(near), second.take(near), step.take(near)
 
 
 def bends(edges: NDArray[np.float32]) -> NDArray[np.float32]:
