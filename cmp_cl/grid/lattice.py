@@ -84,7 +84,7 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     reach = max(FARTHEST_NEIGHBOUR * tile / np.sqrt(crowd), extent / 1024)
 
     # Bins of the image, in rows `reach` high, are laid end to end on one axis, with empty ones
-    # between the rows. They are as many as the points at most, times a constant.
+    # between the rows. Their number is in proportion to the points at most.
     bin_width = max(reach / BINS, wide * high / (reach * MOST_BINS * len(z)))
     margin = int(reach / bin_width) + 1
     columns = int(wide / bin_width) + 1 + margin
