@@ -10,6 +10,7 @@ import cmp_cl
 from cmp_cl import NodeStatus
 from cmp_cl.grid import build_grid
 from cmp_cl.grid.nodes import Nodes
+from cmp_cl.grid.predict import mean_steps
 from cmp_cl.grid.whole_edges import along_edges
 
 SIZE = 9  # inner corners a side
@@ -42,7 +43,8 @@ def asked(image, corners, expected, parity=0):
     nodes.parity = parity
     row, column = (np.array([each]) for each in TORN)
     nodes.drop(row, column)
-    return along_edges(nodes, image, row, column, np.array([expected]))[0]
+    steps = mean_steps(nodes.at, row, column)
+    return along_edges(nodes, image, row, column, np.array([expected]), steps)[0]
 
 
 @pytest.mark.parametrize("wide", [1.5, -1.5, 1.5j, 1 - 1j])
@@ -90,7 +92,9 @@ def test_noise_has_no_edges():
     noise = np.random.default_rng(3).integers(0, 256, (144, 144)).astype(np.uint8)
     _, corners = picture(12)
     row, column = (each.ravel() for each in np.mgrid[1 : SIZE - 1, 1 : SIZE - 1])
-    assert np.isnan(along_edges(nodes_at(corners), noise, row, column, corners[row, column])).all()
+    steps = mean_steps(corners, row, column)
+    found = along_edges(nodes_at(corners), noise, row, column, corners[row, column], steps)
+    assert np.isnan(found).all()
 
 
 def test_a_corner_that_is_torn_open_is_measured():
