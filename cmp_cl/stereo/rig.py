@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import CalibrationError, FieldError
 from cmp_cl.files import write_text
-from cmp_cl.grid.filter import bend_shift
+from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.stereo.adjustment import CAMERA, POSE
 from cmp_cl.stereo.points import Points3D, PointStatus
@@ -166,7 +166,7 @@ class StereoRig:
             )
         both = left.valid & right.valid
         seen = np.hstack([left.xy[both], right.xy[both]]).astype(np.float64)
-        deviation = np.column_stack([left.sigma[both], right.sigma[both]]).astype(np.float64)
+        deviation = np.column_stack([image_sigma(grid)[both] for grid in (left, right)])
         deviation[~(deviation > 0)] = sigma if sigma > 0 else np.nan
         xyz, status = self._first_order(seen)
         error = np.full(len(seen), np.nan)

@@ -18,6 +18,7 @@ from cmp_cl.grid.filter import (
     bend_shift_of,
     filter_at_rest,
     filter_grid,
+    image_sigma,
     noise_of_change,
 )
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
@@ -159,7 +160,8 @@ def plane_displacement(
 
     def deviation(grid: Grid, slope: Array) -> Array:
         per_axis = np.sqrt(np.square(slope).sum(axis=(-2, -1)) / 2)
-        return np.where(both & (grid.sigma > 0), grid.sigma * per_axis, np.nan)
+        own = image_sigma(grid)
+        return np.where(both & (own > 0), own * per_axis, np.nan)
 
     missing = np.uint8(NodeStatus.MISSING)
     position = np.where(both[..., None], before, np.nan)
