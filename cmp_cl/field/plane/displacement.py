@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.grid.filter import (
     Filtered,
     bend_shift_of,
@@ -148,12 +148,16 @@ def plane_displacement(
     share is in `raw.shared`, see `with_measured_noise`. The field has the rows and columns of the
     grid at rest; nodes beyond them have no displacement.
 
-    Raises FieldError if now does not have all rows and columns of the grid at rest.
+    Raises FieldError if an argument is of another type, or if now does not have all rows and
+    columns of the grid at rest.
     """
+    check_kind("rest", rest, Grid, FieldError)
+    check_kind("now", now, Grid, FieldError)
     if not now.covers(rest):
         raise FieldError(f"rest has {rest.extent}, now has {now.extent}")
     now = now.cut_to(rest)
     scale = PlaneScale.pixels() if scale is None else scale
+    check_kind("scale", scale, PlaneScale, FieldError)
     both = rest.valid & now.valid
     seen_at_rest = np.isin(rest.status, MEASURED)
     (before, slope_before), (after, slope_after) = scale(rest.xy), scale(now.xy)

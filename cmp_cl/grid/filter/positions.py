@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import GridError
+from cmp_cl.errors import GridError, check_kind
 from cmp_cl.grid.filter.bends import bend_shift, image_sigma, with_bends
 from cmp_cl.grid.filter.lattice import (
     Filtered,
@@ -31,13 +31,16 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
         ones. Interpolated nodes follow their neighbours. If the lattice is too small for an
         estimate, sigma is that of the corners.
 
-    Raises GridError if the grid does not have all rows and columns of the one at rest.
+    Raises GridError if an argument is not a Grid, or if the grid does not have all rows and columns
+    of the one at rest.
     """
+    check_kind("now", now, Grid, GridError)
     own_now = image_sigma(now)
     if rest is None:
         found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
         values = found.values - bend_shift(found.values, now.edge_radius)
         return _with(now, values, found.sigma, own_now), _raw(now, found.noise, own_now)
+    check_kind("rest", rest, Grid, GridError)
     if not now.covers(rest):
         raise GridError(f"the grid at rest has {rest.extent}, the other {now.extent}")
     rest = rest.cut_to(now)
