@@ -21,8 +21,9 @@ from cmp_cl.grid.whole_edges import along_edges
 from cmp_cl.image import GreyImage
 
 NEAR = 0.3  # cells: largest distance of a node from its prediction
-ASTRAY = 0.1  # cells: a torn node that is farther from its prediction is looked for again,
+ASTRAY = 0.07  # cells: a torn node that is farther from its prediction is looked for again,
 OUTLYING = 3.5  # if it is farther by this factor than nodes of its frame usually are
+PASSES = 2  # the nodes that are found the first time show where others are
 USUAL = 25  # so many nodes show what is usual
 WIDEST = 18.0  # px: in wider cells a torn corner's own image is worth more than its neighbours
 ALONG = 0.25  # cells: how far from its prediction its edges may put it
@@ -89,7 +90,9 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
             drop_misfits(nodes)
             _reject(nodes, seen)
             attach(nodes, seen)
-        if _follow_edges(nodes, seen.torn, seen.image):
+        for _ in range(PASSES):
+            if not _follow_edges(nodes, seen.torn, seen.image):
+                break
             drop_misfits(nodes)
             _reject(nodes, seen)
     _interpolate(nodes)
