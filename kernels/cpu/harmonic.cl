@@ -130,29 +130,50 @@ ROW_LOOP void coarse_response_of_row RESPONSE_OF_ROW((short)(o - QUARTER(o)) +
                                             (short)(QUARTER(e) + EIGHTH(e)))
 ROW_LOOP void fine_response_of_row RESPONSE_OF_ROW((short)(o + e) - QUARTER((short)(o + e)))
 
-/* List the columns at which the response of a row exceeds those above and to the left, and is not
- * less than those to the right and below. Return how many there are. Only these few pixels are
+/* Sixteen responses, beginning at any element of a row. */
+typedef short16 __attribute__((aligned(2))) SIXTEEN_ANYWHERE;
+#define SIXTEEN_AT(p) *(__global const SIXTEEN_ANYWHERE *)(p)
+
+/* A bit for each of sixteen columns at which the response of a row exceeds those above and to the
+ * left, and is not less than those to the right and below. */
+#define BIT_OF_LANE                                                                 \
+  (short16)(1 << 0, 1 << 1, 1 << 2, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 8, 1 << 9, \
+            1 << 10, 1 << 11, 1 << 12, 1 << 13, 1 << 14, (short)(1 << 15))
+short16 peaks_at(__global const short *above, __global const short *response,
+                 __global const short *below) {
+  const short16 up = SIXTEEN_AT(above), left = SIXTEEN_AT(response - 1);
+  const short16 right = SIXTEEN_AT(response + 1), down = SIXTEEN_AT(below);
+  const short16 r = SIXTEEN_AT(response);
+  const short16 before = up > left ? up : left, behind = down > right ? down : right;
+  return (r > before) & (r >= behind) & (r > (short16)(LEAST)) & BIT_OF_LANE;
+}
+
+/* The bits of all lanes in one number. */
+uint bits_of(const short16 v) {
+  const ulong2 two = as_ulong2(v.lo | v.hi);
+  const ulong four = two.x | two.y, pair = four | four >> 32;
+  return (uint)(pair | pair >> 16) & 0xffff;
+}
+
+int any_of(const short8 v) {
+  const ulong2 two = as_ulong2(v);
+  return (two.x | two.y) != 0;
+}
+
+/* List the columns of the peaks of a row. Return how many there are. Only these few pixels are
  * then compared with their whole window. */
 ROW_LOOP int peaks_of_row(__global const short *restrict above,
-                          __global const short *restrict left,
                           __global const short *restrict response,
-                          __global const short *restrict right,
-                          __global const short *restrict below, __global short *restrict kept,
+                          __global const short *restrict below,
                           __global ushort *restrict places, const int width) {
   int count = 0;
   for (int first = 0; first < width; first += 32) {
-    ushort any = 0;
-    for (int k = first; k < first + 32; ++k) {
-      const short before = above[k] > left[k] ? above[k] : left[k];
-      const short behind = below[k] > right[k] ? below[k] : right[k];
-      const short r = response[k]; /* three comparisons: the larger of two bounds takes 32 bits */
-      const short peak = ((r > before) & (r >= behind) & (r > LEAST)) ? r : (short)0;
-      kept[k] = peak;
-      any = (ushort)(any | (ushort)peak);
-    }
-    if (!any) continue;
-    uint word = 0;
-    for (int k = 0; k < 32; ++k) word |= kept[first + k] ? 1u << k : 0;
+    const int next = first + 16;
+    const short16 left = peaks_at(above + first, response + first, below + first);
+    const short16 right = peaks_at(above + next, response + next, below + next);
+    const short16 both = left | right;
+    if (!any_of(both.lo | both.hi)) continue;
+    uint word = bits_of(left) | bits_of(right) << 16;
     if (first + 32 > width) word &= (1u << (width - first)) - 1;
     for (; word; word &= word - 1) places[count++] = (ushort)(first + (int)lowest_bit(word));
   }
@@ -176,8 +197,7 @@ int is_maximum(__global const short *const *row, const int x, const short r) {
       some |= (EIGHT_AT(row[-line] + x + d) >= r) | (EIGHT_AT(row[line] + x + d) > r);
     larger |= some & (at <= (short8)NMS_RADIUS);
   }
-  const ulong2 any = as_ulong2(larger);
-  return !(any.x | any.y);
+  return !any_of(larger);
 }
 
 /* The rows that ring (a, d) around row y meets. */
@@ -254,7 +274,6 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
   __global ushort *s3 = s2 + 4 * step, *column = s3 + SMOOTH_ROWS * step;
   __global short *nothing = (__global short *)(column + 2 * step) + PAD;
   __global short *first_response = (__global short *)(column + 3 * step);
-  __global short *kept = (__global short *)(column + step);
   const size_t kind = (size_t)RESPONSE_ROWS * step;
   ulong noise_of_band = 0;
   uint found[2] = {0, 0};
@@ -315,7 +334,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
       for (int dy = -BESIDE_MAXIMUM; dy <= BESIDE_MAXIMUM; ++dy)
         rows_of[BESIDE_MAXIMUM + dy] =
             y + dy < 0 || y + dy >= height ? nothing : responses + RESPONSE_AT(y + dy);
-      const int peaks = peaks_of_row(row[-1], row[0] - 1, row[0], row[0] + 1, row[1], kept, column, width);
+      const int peaks = peaks_of_row(row[-1], row[0], row[1], column, width);
       const Ring inner = fine ? ring_of(s1, y, 2, 1, height, step)
                               : ring_of(s1, y, 3, 2, height, step);
       const Ring outer = fine ? ring_of(s1, y, 3, 2, height, step)
@@ -325,7 +344,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
       for (int k = 0; k < peaks; ++k) {
         const int x = column[k];
         const uint at = (uint)y * step + PAD + (uint)x;
-        if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, kept[x])) continue;
+        if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, row[0][x])) continue;
         if (fine) {
           const int2 v2 = harmonics_of(&inner, x, 2, 1).second;
           const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
@@ -336,7 +355,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
           const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
           const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
           if (alignment && (long)alignment * along < all) continue;
-          const int r = kept[x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
+          const int r = row[0][x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
                                       ((h4.centre >> 2) + (h4.centre >> 3));
           if (support && (support * r4 < r || r4 > 2 * r)) continue;
           if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
