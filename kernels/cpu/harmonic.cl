@@ -1,7 +1,8 @@
 #include "plane.clh"
 
 /* The grey-level rule for CPUs: one launch takes bands of rows from the image to the maxima of
- * both responses, a second one decides for the frame. kernels/harmonic.cl has the equations.
+ * both responses, and the last band to finish decides for the frame, because a launch of its own
+ * costs as much as half of the decision. kernels/harmonic.cl has the equations.
  *
  * Only the noise and the reference need the whole frame. A band therefore goes down its rows
  * once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
@@ -255,16 +256,158 @@ void append(__global int *restrict list, const uint n, const uint capacity, cons
   list[5 * capacity + n] = 2 * SUM5(far) + SUM5(near);
 }
 
+/* The least response that the noise allows. */
+int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
+                const ulong full_scale) {
+  if (!pixels) return LEAST;
+  const ulong whole = 100 * pixels * full_scale;
+  const ulong bound = (factor * amplitude * 255 + whole - 1) / whole;
+  return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
+}
+
+/* The reference W: of the responses above a bound, in descending order, the first at which twice
+ * the sum of the squares so far reaches the sum of all; 0 if there are none. The search goes by
+ * bins of 64 responses. */
+#define BINS 256
+#define SPAN_BITS 6
+uint reference_of(__global const int *lists, __global const uint *band_counts, const uint fine,
+                  const uint bands, const uint capacity, const int bound, ulong *squares) {
+  ulong all = 0, so_far = 0;
+  uint base = 0, span_bits = SPAN_BITS, bins = BINS;
+  for (;;) {
+    for (uint bin = 0; bin < bins; ++bin) squares[bin] = 0;
+    for (uint band = 0; band < bands; ++band) {
+      const size_t own = band * (1 + FINE) + fine;
+      __global const int *value = lists + (own * LIST_COLUMNS + 2) * capacity;
+      const uint count = SMALLER(band_counts[own], capacity);
+      for (uint n = 0; n < count; ++n) {
+        const uint bin = ((uint)value[n] - base) >> span_bits;
+        if (value[n] > bound && (uint)value[n] >= base && bin < bins)
+          squares[bin] += (ulong)((long)value[n] * value[n]);
+      }
+    }
+    if (span_bits)
+      for (uint bin = 0; bin < bins; ++bin) all += squares[bin];
+    if (!all) return 0;
+    uint bin = bins - 1;
+    for (; 2 * (so_far + squares[bin]) < all; --bin) so_far += squares[bin];
+    base += bin << span_bits;
+    if (!span_bits) return base;
+    span_bits = 0;
+    bins = 1 << SPAN_BITS;
+  }
+}
+
+#if FINE
+
+/* True if a bit is set within NMS_RADIUS of a pixel. The nearest rows come first: most bits are
+ * within one or two rows. */
+int any_near(__global const uint *bits, const int x, const int y, const int height,
+             const uint width) {
+  const uint first = (uint)(x - NMS_RADIUS);
+  for (int line = 0; line <= 2 * NMS_RADIUS; ++line) {
+    const int dy = line % 2 ? line / 2 + 1 : -(line / 2);
+    if (y + dy < 0 || y + dy >= height) continue;
+    __global const uint *word = bits + (uint)(y + dy) * width + first / 32;
+    const ulong both = (ulong)word[1] << 32 | word[0];
+    if (both >> first % 32 & ((2ul << 2 * NMS_RADIUS) - 1)) return 1;
+  }
+  return 0;
+}
+
+#endif
+
+/* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
+ * noise, and not below a share of the reference; a fine one counts only if no coarse corner is
+ * within NMS_RADIUS. `maxima` gets a bit for each coarse corner. */
+void decide(const size_t p, __global const ulong *noise, __global const uint *band_counts,
+            __global int *lists, const uint rows, const uint columns, const uint step,
+            const uint bands, const uint capacity, const uint full_scale,
+            const uint coarse_noise, const int coarse_share, const int fine_share,
+            const uint corner_capacity, const uint count_offset, const uint length,
+            __global uint *maxima, __global int *corners, __global uint *counts) {
+  ulong amplitude = 0, squares[BINS];
+  for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
+  const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
+  const int coarse_bound = noise_bound(coarse_noise, amplitude, pixels, full_scale);
+  const int fine_bound = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
+  lists += p * bands * (1 + FINE) * LIST_COLUMNS * capacity;
+  band_counts += p * bands * (1 + FINE);
+  const uint width = step / 32;
+  int reference = (int)reference_of(lists, band_counts, 0, bands, capacity, coarse_bound, squares);
+#if FINE
+  maxima += p * rows * width;
+  if (reference == 0)
+    reference = (int)reference_of(lists, band_counts, 1, bands, capacity, fine_bound, squares);
+  for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
+  for (uint band = 0; band < bands; ++band) {
+    __global const int *list = lists + (size_t)band * (1 + FINE) * LIST_COLUMNS * capacity;
+    const uint count = SMALLER(band_counts[band * (1 + FINE)], capacity);
+    for (uint n = 0; n < count; ++n) {
+      const int r = list[2 * capacity + n];
+      if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
+      const uint x = (uint)list[n] + PAD;
+      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
+    }
+  }
+#endif
+  uint total = 0, most = 0;
+  for (uint band = 0; band < bands; ++band) {
+    const uint own = band * (1 + FINE);
+    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
+    const uint coarse_count = SMALLER(band_counts[own], capacity);
+    most = LARGER(most, LARGER(band_counts[own], band_counts[own + FINE]));
+    uint fine_count = 0; /* few are kept: the merge seldom has to choose */
+#if FINE
+    __global int *fine = lists + (size_t)(own + 1) * LIST_COLUMNS * capacity;
+    for (uint f = 0; f < SMALLER(band_counts[own + 1], capacity); ++f) {
+      const int r = fine[2 * capacity + f], x = fine[f] + PAD, y = fine[capacity + f];
+      if (r <= fine_bound || 128 * r < fine_share * reference ||
+          any_near(maxima, x, y, (int)rows, width))
+        continue;
+      for (uint k = 0; k < LIST_COLUMNS; ++k) fine[k * capacity + fine_count] = fine[k * capacity + f];
+      ++fine_count;
+    }
+#else
+    __global const int *fine = coarse;
+#endif
+    for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
+      const int before = f == fine_count ||
+                         (c < coarse_count &&
+                          (coarse[capacity + c] < fine[capacity + f] ||
+                           (coarse[capacity + c] == fine[capacity + f] && coarse[c] < fine[f])));
+      __global const int *list = before ? coarse + c++ : fine + f++;
+      const int r = list[2 * capacity];
+      if (before && (r <= coarse_bound || 128 * r < coarse_share * reference)) continue;
+      if (total < corner_capacity)
+        for (uint k = 0; k < LIST_COLUMNS; ++k)
+          corners[(size_t)k * length + p * corner_capacity + total] = list[k * capacity];
+      ++total;
+    }
+  }
+  counts[p * (1 + FINE)] = most;
+#if FINE
+  counts[p * (1 + FINE) + 1] = 0;
+#endif
+  counts[count_offset + p] = total;
+}
+
 /* List the maxima of a band of the image, and fill the padding of its rows. A count may exceed the
- * capacity of its list. `area` has a bit for every pixel. One work-item per band. */
+ * capacity of its list. `area` has a bit for every pixel. One work-item per band. The last one of a
+ * frame to finish decides for the frame; `finished` counts them, and is 0 between launches. */
 __kernel void harmonic_band(__global PIXEL *restrict image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
                             const uint capacity, const uint full_scale, const float inverse,
                             const int alignment, const int support,
                             __global ushort *restrict work, const uint work_size,
-                            __global ulong *restrict noise, __global uint *restrict band_counts,
-                            __global int *restrict lists) {
+                            const uint coarse_noise, const int coarse_share,
+                            const int fine_share, const uint corner_capacity,
+                            const uint count_offset, const uint length,
+                            volatile __global uint *finished, __global ulong *noise,
+                            __global uint *band_counts, __global int *lists,
+                            __global uint *restrict maxima, __global int *restrict corners,
+                            __global uint *restrict counts) {
   const uint band = get_global_id(0), bands = get_global_size(0);
   const size_t p = get_global_id(1), own = p * bands + band;
   const int height = (int)rows, width = (int)columns;
@@ -368,142 +511,11 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
   }
   noise[own] = noise_of_band;
   for (int fine = 0; fine <= FINE; ++fine) band_counts[own * (1 + FINE) + fine] = found[fine];
-}
-
-/* The least response that the noise allows. */
-int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
-                const ulong full_scale) {
-  if (!pixels) return LEAST;
-  const ulong whole = 100 * pixels * full_scale;
-  const ulong bound = (factor * amplitude * 255 + whole - 1) / whole;
-  return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
-}
-
-/* The reference W: of the responses above a bound, in descending order, the first at which twice
- * the sum of the squares so far reaches the sum of all; 0 if there are none. The search goes by
- * bins of 64 responses. */
-#define BINS 256
-#define SPAN_BITS 6
-uint reference_of(__global const int *lists, __global const uint *band_counts, const uint fine,
-                  const uint bands, const uint capacity, const int bound, ulong *squares) {
-  ulong all = 0, so_far = 0;
-  uint base = 0, span_bits = SPAN_BITS, bins = BINS;
-  for (;;) {
-    for (uint bin = 0; bin < bins; ++bin) squares[bin] = 0;
-    for (uint band = 0; band < bands; ++band) {
-      const size_t own = band * (1 + FINE) + fine;
-      __global const int *value = lists + (own * LIST_COLUMNS + 2) * capacity;
-      const uint count = SMALLER(band_counts[own], capacity);
-      for (uint n = 0; n < count; ++n) {
-        const uint bin = ((uint)value[n] - base) >> span_bits;
-        if (value[n] > bound && (uint)value[n] >= base && bin < bins)
-          squares[bin] += (ulong)((long)value[n] * value[n]);
-      }
-    }
-    if (span_bits)
-      for (uint bin = 0; bin < bins; ++bin) all += squares[bin];
-    if (!all) return 0;
-    uint bin = bins - 1;
-    for (; 2 * (so_far + squares[bin]) < all; --bin) so_far += squares[bin];
-    base += bin << span_bits;
-    if (!span_bits) return base;
-    span_bits = 0;
-    bins = 1 << SPAN_BITS;
-  }
-}
-
-#if FINE
-
-/* True if a bit is set within NMS_RADIUS of a pixel. The nearest rows come first: most bits are
- * within one or two rows. */
-int any_near(__global const uint *bits, const int x, const int y, const int height,
-             const uint width) {
-  const uint first = (uint)(x - NMS_RADIUS);
-  for (int line = 0; line <= 2 * NMS_RADIUS; ++line) {
-    const int dy = line % 2 ? line / 2 + 1 : -(line / 2);
-    if (y + dy < 0 || y + dy >= height) continue;
-    __global const uint *word = bits + (uint)(y + dy) * width + first / 32;
-    const ulong both = (ulong)word[1] << 32 | word[0];
-    if (both >> first % 32 & ((2ul << 2 * NMS_RADIUS) - 1)) return 1;
-  }
-  return 0;
-}
-
-#endif
-
-/* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
- * noise, and not below a share of the reference; a fine one counts only if no coarse corner is
- * within NMS_RADIUS. `maxima` gets a bit for each coarse corner. One work-item per frame. */
-__kernel void decide(__global const ulong *restrict noise, __global const uint *restrict band_counts,
-                     __global int *restrict lists, const uint rows, const uint columns,
-                     const uint step, const uint bands, const uint capacity,
-                     const uint full_scale, const uint coarse_noise, const int coarse_share,
-                     const int fine_share, const uint corner_capacity, const uint count_offset,
-                     const uint length, __global uint *restrict maxima,
-                     __global int *restrict corners, __global uint *restrict counts) {
-  const size_t p = get_global_id(0);
-  ulong amplitude = 0, squares[BINS];
-  for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
-  const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
-  const int coarse_bound = noise_bound(coarse_noise, amplitude, pixels, full_scale);
-  const int fine_bound = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
-  lists += p * bands * (1 + FINE) * LIST_COLUMNS * capacity;
-  band_counts += p * bands * (1 + FINE);
-  const uint width = step / 32;
-  int reference = (int)reference_of(lists, band_counts, 0, bands, capacity, coarse_bound, squares);
-#if FINE
-  maxima += p * rows * width;
-  if (reference == 0)
-    reference = (int)reference_of(lists, band_counts, 1, bands, capacity, fine_bound, squares);
-  for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
-  for (uint band = 0; band < bands; ++band) {
-    __global const int *list = lists + (size_t)band * (1 + FINE) * LIST_COLUMNS * capacity;
-    const uint count = SMALLER(band_counts[band * (1 + FINE)], capacity);
-    for (uint n = 0; n < count; ++n) {
-      const int r = list[2 * capacity + n];
-      if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
-      const uint x = (uint)list[n] + PAD;
-      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
-    }
-  }
-#endif
-  uint total = 0, most = 0;
-  for (uint band = 0; band < bands; ++band) {
-    const uint own = band * (1 + FINE);
-    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
-    const uint coarse_count = SMALLER(band_counts[own], capacity);
-    most = LARGER(most, LARGER(band_counts[own], band_counts[own + FINE]));
-    uint fine_count = 0; /* few are kept: the merge seldom has to choose */
-#if FINE
-    __global int *fine = lists + (size_t)(own + 1) * LIST_COLUMNS * capacity;
-    for (uint f = 0; f < SMALLER(band_counts[own + 1], capacity); ++f) {
-      const int r = fine[2 * capacity + f], x = fine[f] + PAD, y = fine[capacity + f];
-      if (r <= fine_bound || 128 * r < fine_share * reference ||
-          any_near(maxima, x, y, (int)rows, width))
-        continue;
-      for (uint k = 0; k < LIST_COLUMNS; ++k) fine[k * capacity + fine_count] = fine[k * capacity + f];
-      ++fine_count;
-    }
-#else
-    __global const int *fine = coarse;
-#endif
-    for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
-      const int before = f == fine_count ||
-                         (c < coarse_count &&
-                          (coarse[capacity + c] < fine[capacity + f] ||
-                           (coarse[capacity + c] == fine[capacity + f] && coarse[c] < fine[f])));
-      __global const int *list = before ? coarse + c++ : fine + f++;
-      const int r = list[2 * capacity];
-      if (before && (r <= coarse_bound || 128 * r < coarse_share * reference)) continue;
-      if (total < corner_capacity)
-        for (uint k = 0; k < LIST_COLUMNS; ++k)
-          corners[(size_t)k * length + p * corner_capacity + total] = list[k * capacity];
-      ++total;
-    }
-  }
-  counts[p * (1 + FINE)] = most;
-#if FINE
-  counts[p * (1 + FINE) + 1] = 0;
-#endif
-  counts[count_offset + p] = total;
+  mem_fence(CLK_GLOBAL_MEM_FENCE);
+  if (atomic_inc(finished + p) + 1 < bands) return;
+  mem_fence(CLK_GLOBAL_MEM_FENCE);
+  finished[p] = 0;
+  decide(p, noise, band_counts, lists, rows, columns, step, bands, capacity, full_scale,
+         coarse_noise, coarse_share, fine_share, corner_capacity, count_offset, length, maxima,
+         corners, counts);
 }
