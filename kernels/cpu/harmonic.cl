@@ -265,37 +265,34 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
   return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
 }
 
-/* The reference W: of the responses above a bound, in descending order, the first at which twice
- * the sum of the squares so far reaches the sum of all; 0 if there are none. The search goes by
- * bins of 64 responses. */
-#define BINS 256
-#define SPAN_BITS 6
-uint reference_of(__global const int *lists, __global const uint *band_counts, const uint fine,
-                  const uint bands, const uint capacity, const int bound, ulong *squares) {
-  ulong all = 0, so_far = 0;
-  uint base = 0, span_bits = SPAN_BITS, bins = BINS;
-  for (;;) {
-    for (uint bin = 0; bin < bins; ++bin) squares[bin] = 0;
-    for (uint band = 0; band < bands; ++band) {
-      const size_t own = band * (1 + FINE) + fine;
-      __global const int *value = lists + (own * LIST_COLUMNS + 2) * capacity;
-      const uint count = SMALLER(band_counts[own], capacity);
-      for (uint n = 0; n < count; ++n) {
-        const uint bin = ((uint)value[n] - base) >> span_bits;
-        if (value[n] > bound && (uint)value[n] >= base && bin < bins)
-          squares[bin] += (ulong)((long)value[n] * value[n]);
-      }
-    }
-    if (span_bits)
-      for (uint bin = 0; bin < bins; ++bin) all += squares[bin];
-    if (!all) return 0;
-    uint bin = bins - 1;
-    for (; 2 * (so_far + squares[bin]) < all; --bin) so_far += squares[bin];
-    base += bin << span_bits;
-    if (!span_bits) return base;
-    span_bits = 0;
-    bins = 1 << SPAN_BITS;
-  }
+/* The sum of the squares of those responses of a list that are at least `least`. */
+ROW_LOOP ulong squares_from(__global const int *restrict response, const uint count,
+                            const int least) {
+  ulong sum = 0;
+  for (uint n = 0; n < count; ++n)
+    sum += response[n] >= least ? (uint)(response[n] * response[n]) : 0;
+  return sum;
+}
+ulong squares_of_frame(__global const int *lists, __global const uint *band_counts,
+                       const uint fine, const uint bands, const uint capacity, const int least) {
+  ulong sum = 0;
+  for (uint own = fine; own < bands * (1 + FINE); own += 1 + FINE)
+    sum += squares_from(lists + ((size_t)own * LIST_COLUMNS + 2) * capacity,
+                        SMALLER(band_counts[own], capacity), least);
+  return sum;
+}
+
+/* The reference W: the largest number at which the responses from it on have at least half of the
+ * sum of the squares of all above a bound; 0 if there are none. It is found bit by bit. */
+#define HIGHEST_BIT_OF_RESPONSE (1 << 13)
+int reference_of(__global const int *lists, __global const uint *band_counts, const uint fine,
+                 const uint bands, const uint capacity, const int bound) {
+#define SQUARES_FROM(least) squares_of_frame(lists, band_counts, fine, bands, capacity, least)
+  const ulong all = bound < INT_MAX ? SQUARES_FROM(bound + 1) : 0;
+  int reference = 0;
+  for (int bit = HIGHEST_BIT_OF_RESPONSE; all && bit; bit >>= 1)
+    if (2 * SQUARES_FROM(reference + bit) >= all) reference += bit;
+  return reference;
 }
 
 #if FINE
@@ -326,7 +323,7 @@ void decide(const size_t p, __global const ulong *noise, __global const uint *ba
             const uint coarse_noise, const int coarse_share, const int fine_share,
             const uint corner_capacity, const uint count_offset, const uint length,
             __global uint *maxima, __global int *corners, __global uint *counts) {
-  ulong amplitude = 0, squares[BINS];
+  ulong amplitude = 0;
   for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
   const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
   const int coarse_bound = noise_bound(coarse_noise, amplitude, pixels, full_scale);
@@ -334,11 +331,11 @@ void decide(const size_t p, __global const ulong *noise, __global const uint *ba
   lists += p * bands * (1 + FINE) * LIST_COLUMNS * capacity;
   band_counts += p * bands * (1 + FINE);
   const uint width = step / 32;
-  int reference = (int)reference_of(lists, band_counts, 0, bands, capacity, coarse_bound, squares);
+  int reference = reference_of(lists, band_counts, 0, bands, capacity, coarse_bound);
 #if FINE
   maxima += p * rows * width;
   if (reference == 0)
-    reference = (int)reference_of(lists, band_counts, 1, bands, capacity, fine_bound, squares);
+    reference = reference_of(lists, band_counts, 1, bands, capacity, fine_bound);
   for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
   for (uint band = 0; band < bands; ++band) {
     __global const int *list = lists + (size_t)band * (1 + FINE) * LIST_COLUMNS * capacity;
