@@ -314,10 +314,17 @@ int any_near(__global const uint *bits, const int x, const int y, const int heig
 
 #endif
 
+/* Copy entries of a list to another one, whose columns lie `length` apart. */
+void copy_entries(__global const int *from, const uint capacity, const uint count,
+                  __global int *to, const uint length) {
+  for (uint k = 0; k < LIST_COLUMNS; ++k)
+    for (uint n = 0; n < count; ++n) to[(size_t)k * length + n] = from[k * capacity + n];
+}
+
 /* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
  * noise, and not below a share of the reference; a fine one counts only if no coarse corner is
- * within NMS_RADIUS. `maxima` gets a bit for each coarse corner. */
-void decide(const size_t p, __global const ulong *noise, __global const uint *band_counts,
+ * within NMS_RADIUS. `maxima` gets a bit for each coarse corner. The lists keep the corners. */
+void decide(const size_t p, __global const ulong *noise, __global uint *band_counts,
             __global int *lists, const uint rows, const uint columns, const uint step,
             const uint bands, const uint capacity, const uint full_scale,
             const uint coarse_noise, const int coarse_share, const int fine_share,
@@ -330,31 +337,38 @@ void decide(const size_t p, __global const ulong *noise, __global const uint *ba
   const int fine_bound = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
   lists += p * bands * (1 + FINE) * LIST_COLUMNS * capacity;
   band_counts += p * bands * (1 + FINE);
+  maxima += p * rows * step / 32;
+  corners += p * corner_capacity;
   const uint width = step / 32;
   int reference = reference_of(lists, band_counts, 0, bands, capacity, coarse_bound);
 #if FINE
-  maxima += p * rows * width;
   if (reference == 0)
     reference = reference_of(lists, band_counts, 1, bands, capacity, fine_bound);
   for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
-  for (uint band = 0; band < bands; ++band) {
-    __global const int *list = lists + (size_t)band * (1 + FINE) * LIST_COLUMNS * capacity;
-    const uint count = SMALLER(band_counts[band * (1 + FINE)], capacity);
-    for (uint n = 0; n < count; ++n) {
-      const int r = list[2 * capacity + n];
-      if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
-      const uint x = (uint)list[n] + PAD;
-      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
-    }
-  }
 #endif
   uint total = 0, most = 0;
   for (uint band = 0; band < bands; ++band) {
     const uint own = band * (1 + FINE);
-    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
-    const uint coarse_count = SMALLER(band_counts[own], capacity);
+    __global int *list = lists + (size_t)own * LIST_COLUMNS * capacity;
+    const uint count = SMALLER(band_counts[own], capacity);
     most = LARGER(most, LARGER(band_counts[own], band_counts[own + FINE]));
-    uint fine_count = 0; /* few are kept: the merge seldom has to choose */
+    uint kept = 0;
+    for (uint n = 0; n < count; ++n) {
+      const int r = list[2 * capacity + n];
+      if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
+#if FINE
+      const uint x = (uint)list[n] + PAD;
+      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
+#endif
+      if (kept < n) copy_entries(list + n, capacity, 1, list + kept, capacity);
+      ++kept;
+    }
+    band_counts[own] = kept;
+  }
+  for (uint band = 0; band < bands; ++band) {
+    const uint own = band * (1 + FINE), coarse_count = band_counts[own];
+    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
+    uint fine_count = 0; /* few are kept: the merge copies the coarse ones between them at once */
 #if FINE
     __global int *fine = lists + (size_t)(own + 1) * LIST_COLUMNS * capacity;
     for (uint f = 0; f < SMALLER(band_counts[own + 1], capacity); ++f) {
@@ -362,24 +376,26 @@ void decide(const size_t p, __global const ulong *noise, __global const uint *ba
       if (r <= fine_bound || 128 * r < fine_share * reference ||
           any_near(maxima, x, y, (int)rows, width))
         continue;
-      for (uint k = 0; k < LIST_COLUMNS; ++k) fine[k * capacity + fine_count] = fine[k * capacity + f];
+      copy_entries(fine + f, capacity, 1, fine + fine_count, capacity);
       ++fine_count;
     }
 #else
     __global const int *fine = coarse;
 #endif
     for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
-      const int before = f == fine_count ||
-                         (c < coarse_count &&
-                          (coarse[capacity + c] < fine[capacity + f] ||
-                           (coarse[capacity + c] == fine[capacity + f] && coarse[c] < fine[f])));
-      __global const int *list = before ? coarse + c++ : fine + f++;
-      const int r = list[2 * capacity];
-      if (before && (r <= coarse_bound || 128 * r < coarse_share * reference)) continue;
-      if (total < corner_capacity)
-        for (uint k = 0; k < LIST_COLUMNS; ++k)
-          corners[(size_t)k * length + p * corner_capacity + total] = list[k * capacity];
-      ++total;
+      uint next = f == fine_count ? coarse_count : c;
+      while (next < coarse_count &&
+             (coarse[capacity + next] < fine[capacity + f] ||
+              (coarse[capacity + next] == fine[capacity + f] && coarse[next] < fine[f])))
+        ++next;
+      const int is_fine = next == c;
+      const uint count = is_fine ? 1 : next - c;
+      const uint room = corner_capacity - SMALLER(total, corner_capacity);
+      copy_entries(is_fine ? fine + f : coarse + c, capacity, SMALLER(count, room),
+                   corners + total, length);
+      total += count;
+      f += is_fine ? 1 : 0;
+      c = next;
     }
   }
   counts[p * (1 + FINE)] = most;
