@@ -343,9 +343,14 @@ def bend_shift(xy: Floats, radius: float) -> Floats:
     rows, columns = xy.shape[:2]
     shift = np.zeros_like(xy)
     for r, c in np.ndindex(rows, columns):
-        top, left = (min(max(at - 2, 0), n - 5) for at, n in ((r, rows), (c, columns)))
-        v, u = (each.ravel() for each in np.mgrid[top - r : top - r + 5, left - c : left - c + 5])
-        window = xy[top : top + 5, left : left + 5].reshape(25, 2)
+        high, wide = (5 if n >= 5 else 3 for n in (rows, columns))
+        top, left = (
+            min(max(r - high // 2, 0), rows - high),
+            min(max(c - wide // 2, 0), columns - wide),
+        )
+        v, u = (each.ravel() for each in np.indices((high, wide)))
+        v, u = v + top - r, u + left - c
+        window = xy[top : top + high, left : left + wide].reshape(-1, 2)
         normals, off = [], []
         for along, across in ((v, u), (u, v)):
             powers = np.stack([along**p * across**q for p in range(3) for q in range(2)], axis=1)

@@ -196,12 +196,6 @@ def test_sixteen_bits_find_what_eight_find():
     np.testing.assert_allclose(deep.xy, plain.xy, atol=1e-4)
 
 
-def test_without_a_configuration_the_image_gives_one():
-    found = reference.detect(IMAGE)
-    told = reference.detect(IMAGE, DetectorConfig.for_image(IMAGE))
-    np.testing.assert_array_equal(found.xy, told.xy)
-
-
 def test_refinement_does_not_change_what_is_found():
     lines, middle, none = (
         reference.detect(IMAGE, rings(refinement=each)) for each in (EdgeLines(), Midlines(), None)
