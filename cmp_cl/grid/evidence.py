@@ -39,8 +39,8 @@ EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the edge of the image, and from the 
 EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
 
 
-def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
-    """Drop nodes at the rim that do not look like corners of the pattern; return whether any was.
+def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
+    """Reject nodes at the rim that do not look like corners of the pattern; return whether any was.
 
     Junctions with the surround, dots and codes in cells, T junctions and the corners of a room fail
     in one of two ways: they do not have four sectors with the colours of their number, or their

@@ -21,8 +21,9 @@ from cmp_cl.grid.whole_edges import along_edges
 from cmp_cl.image import GreyImage
 
 NEAR = 0.3  # cells: largest distance of a node from its prediction
-ASTRAY = 0.1  # cells: a torn node that is farther from its prediction is looked for again,
+ASTRAY = 0.07  # cells: a torn node that is farther from its prediction is looked for again,
 OUTLYING = 3.5  # if it is farther by this factor than nodes of its frame usually are
+PASSES = 2  # the nodes that are found the first time show where others are
 USUAL = 25  # so many nodes show what is usual
 WIDEST = 18.0  # px: in wider cells a torn corner's own image is worth more than its neighbours
 ALONG = 0.25  # cells: how far from its prediction its edges may put it
@@ -49,7 +50,7 @@ class Seen(NamedTuple):
 def grow(nodes: Nodes, seen: Seen) -> None:
     """Attach free corners, beyond the box too, and drop false nodes, until nothing changes."""
     drop_misfits(nodes)
-    _refuse(nodes, seen)
+    _reject(nodes, seen)
     while nodes.free.any() and nodes.there.any():
         nodes.pad()
         attached = _attach(nodes, seen)
@@ -57,7 +58,7 @@ def grow(nodes: Nodes, seen: Seen) -> None:
         if not attached:
             break
         drop_misfits(nodes)
-        _refuse(nodes, seen)
+        _reject(nodes, seen)
     nodes.crop()
 
 
@@ -67,7 +68,7 @@ def extend(nodes: Nodes, seen: Seen) -> None:
         nodes.pad()
         found = _look_again(nodes, np.zeros(nodes.at.shape), seen.image, WEAK)
         drop_misfits(nodes)
-        found &= not evidence.refuse(nodes, seen.image, seen.edges)
+        found &= not evidence.reject(nodes, seen.image, seen.edges)
         nodes.crop()
         if not found:
             return
@@ -77,7 +78,7 @@ def attach(nodes: Nodes, seen: Seen) -> None:
     """Attach free corners within the box until none fits."""
     while _attach(nodes, seen):
         drop_misfits(nodes)
-        _refuse(nodes, seen)
+        _reject(nodes, seen)
 
 
 def fill(nodes: Nodes, seen: Seen, least: float) -> None:
@@ -87,18 +88,20 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
         looked = np.zeros(nodes.at.shape)
         while not nodes.there.all() and _look_again(nodes, looked, seen.image, least):
             drop_misfits(nodes)
-            _refuse(nodes, seen)
+            _reject(nodes, seen)
             attach(nodes, seen)
-        if _follow_edges(nodes, seen.torn, seen.image):
+        for _ in range(PASSES):
+            if not _follow_edges(nodes, seen.torn, seen.image):
+                break
             drop_misfits(nodes)
-            _refuse(nodes, seen)
+            _reject(nodes, seen)
     _interpolate(nodes)
 
 
-def _refuse(nodes: Nodes, seen: Seen) -> None:
+def _reject(nodes: Nodes, seen: Seen) -> None:
     """Drop nodes at the rim that do not look like corners of the pattern."""
     if seen.image is not None:
-        evidence.refuse(nodes, seen.image, seen.edges)
+        evidence.reject(nodes, seen.image, seen.edges)
 
 
 def drop_misfits(nodes: Nodes) -> None:

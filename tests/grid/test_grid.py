@@ -546,7 +546,7 @@ def test_rings_are_the_refinements():
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_a_second_look_finds_the_corner_and_refuses_the_other_colour(dtype):
+def test_a_second_look_finds_the_corner_and_rejects_the_other_colour(dtype):
     scene = synthetic.Scene(markers=20, severity=0.5, noise=2.0, seed=4)
     rendered = synthetic.render(scene)
     image = rendered.image.astype(dtype) * (257 if dtype == np.uint16 else 1)
