@@ -32,16 +32,23 @@ def bend_shift_of(grid: Grid) -> Array:
 
 
 def with_bends(grid: Grid) -> Grid:
-    """Return the grid with the shift by bent edges in its sigma, which was that of the corners.
+    """Return the grid with the shift by bent edges in its sigma, which was that of the corners."""
+    return dataclasses.replace(grid, sigma=bent_sigma(grid.xy, grid.sigma, grid.edge_radius))
 
-    The shift is known, but raw positions keep it, so half of its square is added to the variance
-    per axis. It comes from raw positions: their noise adds a hundredth of itself.
+
+def bent_sigma(
+    xy: NDArray[np.float32], sigma: NDArray[np.float32], radius: float
+) -> NDArray[np.float32]:
+    """Return the standard deviation of raw positions with the shift by bent edges, (R, C), px.
+
+    xy, sigma, radius: as the grid's `xy`, `sigma` without that shift, and `edge_radius`. The shift
+    is known, but raw positions keep it, so half of its square is added to the variance per axis.
+    It comes from raw positions: their noise adds a hundredth of itself.
     """
-    if not math.isfinite(grid.edge_radius):
-        return grid
-    return dataclasses.replace(
-        grid, sigma=np.sqrt(np.square(grid.sigma) + _variance(grid)).astype(np.float32)
-    )
+    if not math.isfinite(radius):
+        return sigma
+    whole: NDArray[np.float32] = np.sqrt(np.square(sigma) + _variance(xy, radius)).astype("f4")
+    return whole
 
 
 def image_sigma(grid: Grid) -> Array:
@@ -53,16 +60,16 @@ def image_sigma(grid: Grid) -> Array:
     whole = np.square(grid.sigma, dtype=np.float64)
     if not math.isfinite(grid.edge_radius):
         return np.sqrt(whole)
-    own = whole - _variance(grid)
+    own = whole - _variance(grid.xy, grid.edge_radius)
     return np.sqrt(np.where(own > 0, own, whole))
 
 
-def _variance(grid: Grid) -> Array:
+def _variance(xy: NDArray[np.float32], radius: float) -> Array:
     """Return the variance per axis of raw positions by bent edges, (R, C), px^2.
 
     Nodes whose neighbours do not show the bend get the mean of the others.
     """
-    shift, known = _shift_of(grid.xy.astype(np.float64), grid.edge_radius)
+    shift, known = _shift_of(xy.astype(np.float64), radius)
     variance: Array = (shift[0] * shift[0] + shift[1] * shift[1]) / 2
     return (
         variance
