@@ -109,8 +109,8 @@ def select_device(text: str | None = None) -> Device:
     name or of its platform's name, case ignored. If several match, it is the first in
     `list_devices`.
 
-    None means the variable CMP_CL_DEVICE if it is set and not empty, else the first GPU, else the first
-    CPU, else the first device.
+    None means the variable CMP_CL_DEVICE if it is set and not empty, else the first GPU, else the
+    first CPU, else the first device.
 
     Raises DeviceError, which lists what there is, if nothing matches.
     """
