@@ -10,7 +10,7 @@ from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.detached import drop_detached
-from cmp_cl.grid.filter import with_bends
+from cmp_cl.grid.filter import bent_sigma
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
@@ -387,10 +387,11 @@ def _result(corners: Corners, inside: Index, numbered: Numbered, ends: Ended) ->
     index[owner, 0], index[owner, 1] = row, place - row * nodes.at.shape[1]
     sigma = np.full(nodes.at.shape, np.nan, np.float32)
     sigma.ravel()[place] = corners.sigma.take(owner)
-    grid = Grid(
-        xy=nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2),
+    xy = nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2)
+    return Grid(
+        xy=xy,
         status=nodes.status,
-        sigma=sigma,
+        sigma=bent_sigma(xy, sigma, corners.edge_radius),
         index=index,
         parity=nodes.parity,
         origin=numbered.origin,
@@ -405,4 +406,3 @@ def _result(corners: Corners, inside: Index, numbered: Numbered, ends: Ended) ->
         margin=numbered.margin,
         edge_radius=corners.edge_radius,
     )
-    return with_bends(grid)
