@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
+from cmp_cl.grid.detached import drop_detached
 from cmp_cl.grid.filter import bent_sigma
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
@@ -109,6 +110,7 @@ def build_grid(
         )
     found, nodes = _whole(seen, found)
     grow(nodes, seen)
+    drop_detached(nodes)
     numbered, ends = _numbered(nodes, seen, found, shape=shape, like=like, previous=previous)
     if numbered is None:
         return _empty(len(corners), shape, like)
@@ -149,6 +151,7 @@ def build_grids(
         small = found.component >= np.count_nonzero(found.size >= LEAST_BOARD)
         nodes.free &= ~taken & ((found.component < 0) | small)
         grow(nodes, seen)
+        drop_detached(nodes)
         numbered, ends = _numbered(nodes, seen, found, shape=shape, alone=True)
         if numbered is None or np.count_nonzero(numbered.nodes.there) < least:
             continue
