@@ -116,6 +116,15 @@ def test_parts_with_the_same_steps_but_another_position_are_two():
     np.testing.assert_array_equal(found.size, [56, 48])
 
 
+def test_a_single_contact_is_no_bend_but_a_whole_line_is():
+    at = plane(8, 14, 10)
+    at[:, 10:] += 3.9 * np.arange(1, 5)  # wider cells, by less than a bend may change them
+    assert cut_of(at)[0] is None
+    at[[0, 1, 2, 5, 6, 7], 9] = np.nan
+    found, _ = cut_of(at)
+    np.testing.assert_array_equal(found.size[:2], [74, 32])
+
+
 def before_squares(seed: int = 0, *, turn: float = 0.45, square: float = 19.0) -> np.ndarray:
     """Draw a board on white paper in front of a floor of grey squares."""
     high, wide = 330, 400
