@@ -100,20 +100,20 @@ def refuse_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]
 
 @for_film
 def _has_few(there: Mask) -> bool:
-    """Return whether a last line has less than half as many nodes as the line inside."""
+    """Return whether a last line has at most half as many nodes as the line inside."""
     ways = (turned_lines(there, quarters) for quarters in range(4))
-    return any(len(way) > 2 and 2 * way[0].sum() < way[1].sum() for way in ways)
+    return any(len(way) > 2 and 2 * way[0].sum() <= way[1].sum() for way in ways)
 
 
 def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index]:
-    """Return the nodes of the last lines at which most nodes are missing though in view."""
+    """Return the nodes of the last lines at which half of the nodes are missing though in view."""
     few = np.zeros(nodes.at.shape, np.bool_)
     for quarters in range(4):
         at, found = turned_lines(nodes.at, quarters), turned_lines(few, quarters)
         if len(at) > 2:
             there = ~np.isnan(at[0].real)
             beyond = in_view(at[1] + (1 + HIDDEN) * (at[1] - at[2]), image)
-            if 2 * np.count_nonzero(there) < np.count_nonzero(there | beyond):
+            if 2 * np.count_nonzero(there) <= np.count_nonzero(there | beyond):
                 found[0] = there
     row, column = np.nonzero(few)
     return row, column
