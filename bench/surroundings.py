@@ -152,7 +152,7 @@ def boards(first: int, count: int, reasons: dict[str, str]) -> list[dict[str, An
                 group = counts.setdefault((kind, name), dict.fromkeys(VERDICTS, 0))
                 group[board_verdict(view, answer)] += 1
     order = sorted(counts, key=lambda key: (GROUNDS.index(key[0]), list(METHODS).index(key[1])))
-    return [{"background": key[0], "method": key[1], **counts[key]} for key in order]
+    return [{"ground": key[0], "method": key[1], **counts[key]} for key in order]
 
 
 # mirrors

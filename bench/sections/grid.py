@@ -86,8 +86,8 @@ def surroundings(result: Row) -> str:
     )
     words = ("right", "right, told", "refused", "wrong, told", "background", "wrong")
     shown = [*words[:-1], "in silence"]
-    head = ("background", "method", *shown)
-    rows = [[row[key] for key in ("background", "method", *words)] for row in result["boards"]]
+    head = ("behind the board", "method", *shown)
+    rows = [[row[key] for key in ("ground", "method", *words)] for row in result["boards"]]
     parts.append(table(head, rows))
     parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]
     parts.append(
