@@ -33,7 +33,7 @@ ALONE = Least(0.8, 0.7, 0.95, 0.12)  # for a node without a whole cell
 # px: a node in a whole cell may be so far from its prediction, however small the cells are.
 NEAR = 1.5
 HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the image may be missed
-STRAY = 0.5  # px: the same for nodes of a last line that has few
+STRAY = 0.5  # px: nodes of a last line that has few may be so far from their predictions
 BESIDE = 2  # nodes to each side whose distances from their predictions are compared
 SHARE, ALIKE = 0.25, 4.0  # quantile of these distances, and the largest multiple of it
 BENT = 0.25  # cells: largest distance that a bend of the surface explains
@@ -80,12 +80,13 @@ def refuse_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]
         row, column = place = _stragglers(nodes, image)
         if not len(row):
             return dropped
-        inner = _some_inside(nodes.there)
-        look, inside = _look(nodes, image, *place), _look(nodes, image, *inner)
+        look = _look(nodes, image, *place)
+        inside = _look(nodes, image, *_some_inside(nodes.there))
         off, others = (
             np.abs(Stencil.of(nodes.there, *each).predict(nodes.at) - nodes.at[each])
-            for each in (place, inner)
+            for each in (place, _rim(nodes.there)[:2])
         )
+        others = others[~np.isnan(others)]
         contrast, usual = look.bright - look.dark, median(inside.bright - inside.dark)
         kept = look.known & (contrast >= np.maximum(ALONE.span * look.span, ALONE.contrast * usual))
         kept &= off <= np.minimum(np.maximum(STRAY, ALIKE * median(others)), ALONE.off * look.cell)
