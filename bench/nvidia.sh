@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# The tests and the benchmark on an NVIDIA card, on a machine without a network.
+# The tests and the benchmark on an NVIDIA GPU, on a machine without a network.
 #
 #   bench/nvidia.sh pack      with a network: wheels for this python into bench/wheels/
-#   bench/nvidia.sh           on the machine with the card; results go to the folder $OUT
+#   bench/nvidia.sh           on the machine with the GPU; results go to the folder $OUT
 #   bench/nvidia.sh quick     the same commands with small numbers, to check that they work
 #
 # It needs python3 with venv, and the driver's libnvidia-opencl.so.1. It needs no root rights, no
@@ -17,7 +17,7 @@ library=${LIBRARY:-libnvidia-opencl.so.1}
 device=${DEVICE:-nvidia}
 
 if [ "${1:-}" = pack ]; then
-    # PoCL is left out, so that only the card is found.
+    # PoCL is left out, so that only the GPU is found.
     $python -m pip download --only-binary :all: --dest bench/wheels hatchling editables wheel \
         ".[test]"
     exit

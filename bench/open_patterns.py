@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from environment import RESULTS, environment
-from partial_views import METHODS, Found, View, agreeing
+from partial_views import Found, View, agreeing, each_answer
 
 from cmp_cl import Detector, DetectorConfig, build_grid
 from cmp_cl.errors import GridError
@@ -202,8 +202,9 @@ def verdict(rest: Grid, rest_case: Case, grid: Grid | None, case: Case) -> str:
     offset = np.median(corner - number, axis=0)
     number, corner = true_numbers(grid, case)
     wrong = np.any(corner - number != offset, axis=1).mean()
-    word = "right" if wrong < 0.002 else "wrong"
-    return word + (", ambiguous" if grid.ambiguous else "")
+    if grid.ambiguous:
+        return "right, ambiguous" if wrong < 0.002 else "wrong, ambiguous"
+    return "right" if wrong < 0.002 else "silently wrong"
 
 
 def attempt(**given: Any) -> Grid | None:
@@ -297,18 +298,10 @@ def lattices(every: Sequence[Case]) -> tuple[list[dict[str, Any]], dict[str, str
             case.cell * case.zoom,
             None,
         )
-        for name, method in METHODS.items():
-            if name in reasons:
-                continue
-            try:
-                answer = method(view)
-            except (ImportError, AttributeError) as error:
-                reasons[name] = str(error)
-                continue
-            if answer is not None:
-                total = totals.setdefault(name, {})
-                for key, value in scored(case, answer).items():
-                    total[key] = total.get(key, 0) + value
+        for name, answer in each_answer(view, reasons):
+            total = totals.setdefault(name, {})
+            for key, value in scored(case, answer).items():
+                total[key] = total.get(key, 0) + value
     return [{"method": name, **total} for name, total in totals.items()], reasons
 
 
@@ -316,7 +309,7 @@ def scored(case: Case, answer: Found) -> dict[str, int]:
     """Return the frames right, refused and wrong, the corners in view, and the nodes right and
     false."""
     row = {"frames": 1, "corners": visible(case)}
-    row |= dict.fromkeys(("right", "false", "frames right", "refused", "in silence"), 0)
+    row |= dict.fromkeys(("right", "false", "frames right", "refused", "silently wrong"), 0)
     real = (np.abs(answer.xy) < 1e5).all(axis=1)
     if not real.any():
         return row | {"refused": 1}
@@ -326,13 +319,13 @@ def scored(case: Case, answer: Found) -> dict[str, int]:
     row["false"] = int(np.count_nonzero(~near) + np.count_nonzero(~real))
     number = np.asarray(answer.number)[real][near]
     row["right"], _ = agreeing(number, corner[near], NO_VIEW)
-    kind = "frames right" if row["right"] >= 0.998 * len(answer.xy) else "in silence"
+    kind = "frames right" if row["right"] >= 0.998 * len(answer.xy) else "silently wrong"
     return row | {kind: 1}
 
 
 NO_VIEW = View("", np.zeros((0, 0), np.uint8), np.zeros((0, 4)), np.zeros((0, 0), bool), 0.0, None)
 NO_REST = {"alone": "refused", "followed": "refused"}
-VERDICTS = ("right", "right, ambiguous", "wrong, ambiguous", "refused", "wrong")
+VERDICTS = ("right", "right, ambiguous", "wrong, ambiguous", "refused", "silently wrong")
 
 
 def counted(rows: Sequence[dict[str, Any]], form: str) -> dict[str, dict[str, int]]:
@@ -347,7 +340,7 @@ def counted(rows: Sequence[dict[str, Any]], form: str) -> dict[str, dict[str, in
 def show(rows: Sequence[dict[str, Any]]) -> None:
     for form in ("alone", "followed"):
         print(f"\nlike the frame at rest, {form}")
-        print(f"{'frames':34}" + "".join(f"{word:>19}" for word in (*VERDICTS[:-1], "in silence")))
+        print(f"{'frames':34}" + "".join(f"{word:>19}" for word in VERDICTS))
         for group, count in counted(rows, form).items():
             print(f"{group:34}" + "".join(f"{count[word]:19}" for word in VERDICTS))
 

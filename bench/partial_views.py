@@ -5,10 +5,10 @@ they are numbered.
 
 Photographs are cut at each of their four sides, so that a part of the board is missing, and given
 to each method. A node is right if it lies within 3 px of a corner and its number fits the
-lattice of the others, false if no corner lies within a quarter of a cell. "Silent" counts views
-whose numbers are not those of the whole board, without a warning; only methods that are told the
-size of the board give such numbers. The photographs lie in ../shared/data beside the repository and
-are not part of it.
+lattice of the others, false if no corner lies within a quarter of a cell. A view is silently wrong
+if its numbers are not those of the whole board and no warning says so; only methods that are told
+the size of the board give such numbers. The photographs lie in ../shared/data beside the repository
+and are not part of it.
 """
 
 import argparse
@@ -223,7 +223,9 @@ METHODS: dict[str, Method] = {
 def scored(view: View, answer: Found) -> dict[str, int]:
     """Return the corners in view, the nodes that are right, false and neither, and the numbers that
     are silently wrong."""
-    row = dict.fromkeys(("right", "false", "other", "refused", "doubted", "silent"), 0)
+    row = dict.fromkeys(
+        ("right", "false", "other", "refused", "with a warning", "silently wrong"), 0
+    )
     row["visible"] = len(view.truth)
     if not len(answer.xy):
         row["refused"] = 1
@@ -242,8 +244,8 @@ def scored(view: View, answer: Found) -> dict[str, int]:
     row["right"] = right
     row["other"] = int(np.count_nonzero(hit | counts)) - false - right
     row["false"] += false
-    row["doubted"] = int(answer.doubts)
-    row["silent"] = int(answer.sized and not identity and not answer.doubts)
+    row["with a warning"] = int(answer.doubts)
+    row["silently wrong"] = int(answer.sized and not identity and not answer.doubts)
     return row
 
 
@@ -283,21 +285,27 @@ def _onto_itself(
     return False
 
 
+def each_answer(view: View, reasons: dict[str, str]) -> Iterator[tuple[str, Found]]:
+    """Yield the name and the answer of each method that is installed and can be asked.
+
+    reasons: why the others are not installed, by name; new ones are added.
+    """
+    for name in [name for name in METHODS if name not in reasons]:
+        try:
+            answer = METHODS[name](view)
+        except (ImportError, AttributeError) as error:
+            reasons[name] = str(error)
+            continue
+        if answer is not None:
+            yield name, answer
+
+
 def partial(reasons: dict[str, str]) -> list[dict[str, Any]]:
     """Run every method on every cut photograph, and sum by folder."""
     totals: dict[tuple[str, str], dict[str, int]] = {}
     for folder in SETS:
         for view in views(folder):
-            for name, method in METHODS.items():
-                if name in reasons:
-                    continue
-                try:
-                    answer = method(view)
-                except (ImportError, AttributeError) as error:
-                    reasons[name] = str(error)
-                    continue
-                if answer is None:
-                    continue
+            for name, answer in each_answer(view, reasons):
                 group = totals.setdefault((view.name.split("/")[0], name), {})
                 for key, value in scored(view, answer).items():
                     group[key] = group.get(key, 0) + value
@@ -322,7 +330,7 @@ def wrong_sizes() -> list[dict[str, Any]]:
                 rows.append({"view": name, "asked": asked, "answer": "refused"})
                 continue
             told = sorted(grid.seen_shape or asked) == [6, 9]
-            answer = "right size named" if told else "told" if grid.doubts else "in silence"
+            answer = "right size named" if told else "warning" if grid.doubts else "silently wrong"
             rows.append({"view": name, "asked": asked, "answer": answer})
     return rows
 
@@ -353,7 +361,8 @@ def island() -> dict[str, Any]:
 
 
 def show(result: dict[str, Any]) -> None:
-    keys = ("views", "visible", "right", "false", "other", "refused", "doubted", "silent")
+    keys = ("views", "visible", "right", "false", "other", "refused")
+    keys += ("with a warning", "silently wrong")
     print(f"{'set':20}{'method':22}" + "".join(f"{key:>10}" for key in keys))
     for row in result["partial"]:
         print(f"{row['set']:20}{row['method']:22}" + "".join(f"{row[key]:10}" for key in keys))

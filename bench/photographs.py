@@ -4,13 +4,15 @@
 
 The pictures lie in ../shared/data beside the repository and are not part of it. Their truth is a
 saddle fitted to the grey image, so that differences below 0.2 px between methods are meaningless.
-Peers have the settings of the density with the nearest cell, found on rendered scenes.
+Small rendered boards, whose truth is exact, stand in front of enlarged photographs of rooms: wide,
+soft shapes, which can be taken for cells. Peers have the settings of the density with the nearest
+cell, found on rendered scenes.
 """
 
 import argparse
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,10 +20,17 @@ import cv2
 import methods
 import numpy as np
 from environment import RESULTS, environment
-from peers import PEERS, Pattern, available, keep_freed_memory
+from peers import PEERS, Detect, Pattern, available, keep_freed_memory
 from scipy.spatial import cKDTree
 
-from cmp_cl import AdaptiveMean, BinaryRings, Detector, DetectorConfig, EdgeLines
+from cmp_cl import (
+    AdaptiveMean,
+    BinaryRings,
+    Detector,
+    DetectorConfig,
+    EdgeLines,
+    choose_config,
+)
 from cmp_cl.config import window_for_cell
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.scoring import match
@@ -30,6 +39,10 @@ DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 PICTURES = ("water/reference_df", "water/ellipse_10", "puzzleboard/example1", "curved/curve_4")
 BOARDS = ("stereo_opencv", "stereo_bumblebee2")  # folders of boards in a room
 CELLS = {20: 21.0, 30: 14.2, 40: 10.8, 44: 9.8}  # px, of the densities that were searched
+SMALL = "small boards before photographs"
+ROOMS = "stereo_opencv"  # the photographs behind the small boards
+ENLARGED = 4
+FIRST_SEED = 21_000  # of the small boards
 AT_ONCE = ("find_chessboard", "find_chessboard_sb")  # ask for whole boards of known size
 
 
@@ -97,6 +110,65 @@ def uneven(xy: np.ndarray) -> np.ndarray:
     return length[inner] / np.sqrt(1.25)
 
 
+def small_boards() -> list[Photograph]:
+    """Return a small board in front of two parts of each photograph of a room, enlarged."""
+    found = []
+    for path in sorted((DATA / ROOMS).glob("*.json")):
+        room = Photograph.read(f"{ROOMS}/{path.stem}").image
+        for _ in range(2):
+            found.append(before(room, FIRST_SEED + len(found)))
+    return found
+
+
+def before(room: GreyImage, seed: int) -> Photograph:
+    """Return a view of a board in front of a part of a photograph, in the photograph's size.
+
+    Beyond half a cell outside the board's corners nothing is scored.
+    """
+    draw = np.random.default_rng(seed)
+    high, wide = room.shape
+    rows, columns = int(draw.integers(5, 9)), int(draw.integers(7, 12))
+    cell = float(draw.uniform(7, 14))
+    top, left = (int(draw.integers(size - size // ENLARGED + 1)) for size in room.shape)
+    part = room[top : top + high // ENLARGED, left : left + wide // ENLARGED]
+    fine = 3 * np.array([wide, high])  # samples: three a pixel, along each axis
+    view = cv2.resize(part, fine, interpolation=cv2.INTER_CUBIC)
+
+    turn = cell * np.exp(1j * draw.uniform(-0.4, 0.4))
+    to_view = np.array([[turn.real, -turn.imag, 0], [turn.imag, turn.real, 0], [0, 0, 1]])
+    to_view[2, :2] = draw.normal(0, 0.004, 2)  # perspective
+    to_view[:2] += np.outer(draw.uniform([0.35, 0.35], [0.65, 0.65]) * (wide, high), to_view[2])
+    to_fine = np.array([[3, 0, 1], [0, 3, 1], [0, 0, 1]]) @ to_view
+    x, y = np.indices(view.shape[::-1], np.float32)
+    x, y, scale = np.tensordot(np.linalg.inv(to_fine), [x.T, y.T, np.ones_like(x.T)], 1)
+    across, down = x / scale + (columns + 1) / 2, y / scale + (rows + 1) / 2
+    margin = float(draw.uniform(0.3, 1))
+
+    def within(by: float) -> np.ndarray:
+        """Return the samples in the outer squares and a margin around them, cells."""
+        inside = (scale > 0) & (across > -by) & (across < columns + 1 + by)
+        return inside & (down > -by) & (down < rows + 1 + by)
+
+    view[within(margin)] = draw.uniform(140, 240)
+    view[within(0) & ((np.floor(across) + np.floor(down)) % 2 == 0)] = draw.uniform(10, 60)
+
+    small = cv2.resize(view, (wide, high), interpolation=cv2.INTER_AREA).astype(np.float32)
+    small = cv2.GaussianBlur(small, (0, 0), draw.uniform(0.5, 1))
+    noisy = small + draw.uniform(1, 5) * draw.standard_normal(small.shape)
+    row, column = np.indices((rows, columns)).reshape(2, -1)
+    flat = np.stack([column - (columns - 1) / 2, row - (rows - 1) / 2, np.ones(row.size)])
+    seen = to_view @ flat
+    truth = (seen[:2] / seen[2]).T
+    return Photograph(
+        name=f"{SMALL} {seed}",
+        image=np.clip(np.rint(noisy), 0, 255).astype(np.uint8),
+        truth=truth,
+        sure=np.ones(len(truth), np.bool_),
+        region=within(-0.5)[1::3, 1::3],
+        cell=cell,
+    )
+
+
 class Judged(NamedTuple):
     """Counts of a photograph, and distances of what was found, px: from the truth, and from the
     middle of the neighbours.
@@ -130,13 +202,12 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
     }
 
 
-def own_rows(photograph: Photograph, cell: float) -> dict[str, DetectorConfig]:
-    """Return our configurations: the default, the one that the library chooses, and the binary
-    rings: by default, with three thresholds, and with the cell's window and both outer radii."""
+def own_rows(cell: float) -> dict[str, DetectorConfig]:
+    """Return our configurations for cells of that side, px: the default, and the binary rings: by
+    default, with three thresholds, and with the cell's window and both outer radii."""
     window = AdaptiveMean(window=window_for_cell(cell))
     return {
         methods.DEFAULT: DetectorConfig(),
-        "cmp_cl, for_image": DetectorConfig.for_image(photograph.image),
         methods.FOR_CELL: DetectorConfig.for_cell(cell),
         f"{methods.FOR_CELL}, EDGE_LINES": DetectorConfig.for_cell(cell).replace(
             refinement=EdgeLines()
@@ -152,6 +223,23 @@ def own_rows(photograph: Photograph, cell: float) -> dict[str, DetectorConfig]:
     }
 
 
+CHOICES: dict[str, Callable[[GreyImage], DetectorConfig]] = {
+    "cmp_cl, choose_config": choose_config,
+    "cmp_cl, for_image": DetectorConfig.for_image,
+}
+
+
+def each_with_its_own(
+    photographs: Sequence[Photograph], choose: Callable[[GreyImage], DetectorConfig]
+) -> Detect:
+    """Return what finds corners with the settings that are chosen for each photograph."""
+    detectors = {
+        id(image): Detector(shape=image.shape, config=choose(image))
+        for image in (each.image for each in photographs)
+    }
+    return lambda image: detectors[id(image)](image).xy
+
+
 def rows(
     name: str, photographs: Sequence[Photograph], names: Sequence[str]
 ) -> list[dict[str, Any]]:
@@ -162,9 +250,12 @@ def rows(
     nearest = min(CELLS, key=lambda markers: abs(CELLS[markers] - cell))
     table = []
     detectors = []
-    for label, config in own_rows(first, cell).items():
+    for label, config in own_rows(cell).items():
         detector = Detector(shape=first.image.shape, config=config)
         detectors.append((label, repr(config), lambda image, run=detector: run(image).xy))
+    for label, choose in CHOICES.items():
+        settings = f"{choose.__name__}(image)"
+        detectors.append((label, settings, each_with_its_own(photographs, choose)))
     for peer in (PEERS[each] for each in names):
         settings = peer.settings(nearest)
         detectors.append((peer.label, json.dumps(settings), peer.make(settings, Pattern(count))))
@@ -217,13 +308,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     keep_freed_memory()
     found, reasons = available()
     whole = []
-    groups = {name: [name] for name in PICTURES}
+    groups = {name: [Photograph.read(name)] for name in PICTURES}
     for folder in BOARDS:
         groups[folder] = [
-            f"{folder}/{path.stem}" for path in sorted((DATA / folder).glob("*.json"))
+            Photograph.read(f"{folder}/{path.stem}")
+            for path in sorted((DATA / folder).glob("*.json"))
         ]
-    for name, pictures in groups.items():
-        photographs = [Photograph.read(picture) for picture in pictures]
+    groups[SMALL] = small_boards()
+    for name, photographs in groups.items():
         table = rows(name, photographs, [peer for peer in found if peer not in AT_ONCE])
         show(table)
         whole += table

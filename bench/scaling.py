@@ -3,7 +3,7 @@
     python bench/scaling.py --quick         small sizes, half a minute
     python bench/scaling.py                 160 x 120 to 8192 x 8192, batches up to 256 frames;
                                             writes results/scaling.json
-    python bench/scaling.py --device gpu    the same on a graphics card: results/scaling-gpu.json
+    python bench/scaling.py --device gpu    the same on a GPU: results/scaling-gpu.json
 
 The corners of every row are compared with those of the single frame that it repeats. The last
 table compares the time of a frame with the least it could take: the bytes, operations and launches

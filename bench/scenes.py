@@ -2,7 +2,7 @@
 
 import functools
 import hashlib
-import inspect
+import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -62,7 +62,8 @@ def wide(seed: int) -> Frame:
 @functools.cache
 def _folder() -> Path:
     """Return where rendered scenes are kept; another renderer has another folder."""
-    version = hashlib.sha256(inspect.getsource(synthetic).encode()).hexdigest()[:12]
+    sources = sorted(Path(synthetic.__file__).parent.glob("*.py"))
+    version = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
     folder = Path(tempfile.gettempdir()) / f"cmp_cl-scenes-{version}"
     folder.mkdir(exist_ok=True)
     return folder
@@ -76,9 +77,9 @@ def _kept(key: str, make: Callable[[], Frame]) -> Frame:
         numbers = {name: values[name].item() for name in ("cell", "markers", "views")}
         return Frame(**(values | numbers))
     frame = make()
-    unfinished = path.with_suffix(".part.npz")
-    np.savez(unfinished, **frame._asdict())
-    unfinished.replace(path)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as unfinished:
+        np.savez(unfinished, **frame._asdict())
+    os.replace(unfinished.name, path)  # another process may have rendered the same scene
     return frame
 
 

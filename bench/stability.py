@@ -29,7 +29,7 @@ from cmp_cl.synthetic import Scene, Surround, random_scene
 from cmp_cl.synthetic.scoring import match, reach, total
 
 SEED = TEST_SEED + 700_000
-CLOSE = 1e-4  # a guard so near to its bound may decide either way in float32
+CLOSE = 1e-4  # a check so near to its bound may decide either way in float32
 MARKERS = 30
 CELL = 0.92 * 480 / (MARKERS + 1)
 REFINEMENTS = {"EDGE_LINES": EdgeLines(), "EDGE_STEP": EdgeStep(cell=CELL), "MIDLINE": Midlines()}

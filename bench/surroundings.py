@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from environment import RESULTS, environment
 from open_patterns import Case, Print, place
-from partial_views import METHODS, Found, View, agreeing, found
+from partial_views import METHODS, Found, View, agreeing, each_answer, found
 
 from cmp_cl import Detector, DetectorConfig, build_grid
 from cmp_cl.errors import GridError
@@ -38,7 +38,14 @@ NEAR = 0.25  # cells: a node farther from all corners is false
 REFLECTED = 3  # nodes of a reflection that do not count: they may lie on the mirror's edge
 GROUNDS = ("plain", "squares", "keys", "bars", "noise")
 EDGES = ("along a line of cells", "nearly so", "anywhere", "along a diagonal")
-VERDICTS = ("right", "right, told", "refused", "wrong, told", "background", "wrong")
+VERDICTS = (
+    "right",
+    "right, with a warning",
+    "refused",
+    "wrong, with a warning",
+    "background alone",
+    "silently wrong",
+)
 
 
 # boards before a background
@@ -121,18 +128,20 @@ def board(seed: int) -> tuple[str, View]:
 
 
 def board_verdict(view: View, answer: Found) -> str:
-    """Return the verdict on the nodes; `background` if none of them is the board's."""
+    """Return the verdict on the nodes; `background alone` if none of them is the board's."""
     if not len(answer.xy):
         return "refused"
     away = np.linalg.norm(answer.xy[:, None] - view.truth[None, :, :2], axis=2)
     near = away.min(axis=1) < max(3, NEAR * view.cell)
-    told = ", told" * answer.doubts
+    warned = ", with a warning" * answer.doubts
     if not near.any():
-        return "wrong, told" if told else "background"
+        return "wrong, with a warning" if warned else "background alone"
     corner = view.truth[away.argmin(axis=1)[near], 2:].astype(int)
     right, identity = agreeing(answer.number[near], corner, view)
     good = right == len(answer.xy) and (identity or not answer.sized)
-    return ("right" if good else "wrong") + told
+    if good:
+        return "right" + warned
+    return "wrong, with a warning" if warned else "silently wrong"
 
 
 def boards(first: int, count: int, reasons: dict[str, str]) -> list[dict[str, Any]]:
@@ -140,17 +149,9 @@ def boards(first: int, count: int, reasons: dict[str, str]) -> list[dict[str, An
     counts: dict[tuple[str, str], dict[str, int]] = {}
     for seed in range(first, first + count):
         kind, view = board(seed)
-        for name, method in METHODS.items():
-            if name in reasons:
-                continue
-            try:
-                answer = method(view)
-            except (ImportError, AttributeError) as error:
-                reasons[name] = str(error)
-                continue
-            if answer is not None:
-                group = counts.setdefault((kind, name), dict.fromkeys(VERDICTS, 0))
-                group[board_verdict(view, answer)] += 1
+        for name, answer in each_answer(view, reasons):
+            group = counts.setdefault((kind, name), dict.fromkeys(VERDICTS, 0))
+            group[board_verdict(view, answer)] += 1
     order = sorted(counts, key=lambda key: (GROUNDS.index(key[0]), list(METHODS).index(key[1])))
     return [{"ground": key[0], "method": key[1], **counts[key]} for key in order]
 
@@ -235,7 +236,7 @@ def mirror_verdict(case: Case, mirror: Mirror | None, grid: Grid | None, rest: G
         return "refused"
     number, corner, real = _numbers(case, mirror, grid)
     if not real.any():
-        return "wrong, told" if grid.doubts else "wrong"
+        return "wrong, with a warning" if grid.doubts else "silently wrong"
     if rest is None:
         truth = np.column_stack([np.zeros_like(corner), corner])[:, 2:]
         agreed, _ = agreeing(number[real], truth[real], NO_VIEW)
@@ -244,7 +245,9 @@ def mirror_verdict(case: Case, mirror: Mirror | None, grid: Grid | None, rest: G
         offset = np.median(there - before, axis=0)
         agreed = int((corner - number == offset).all(axis=1)[real].sum())
     good = agreed >= 0.98 * real.sum() and np.count_nonzero(~real) <= REFLECTED
-    return ("right" if good else "wrong") + ", told" * bool(grid.doubts)
+    if grid.doubts:
+        return ("right" if good else "wrong") + ", with a warning"
+    return "right" if good else "silently wrong"
 
 
 def _numbers(
@@ -301,10 +304,10 @@ def mirrors(first: int, count: int) -> list[dict[str, Any]]:
 
 def show(rows: Sequence[dict[str, Any]]) -> None:
     words = [key for key in rows[0] if key not in VERDICTS]
-    print("".join(f"{key:24}" for key in words) + "".join(f"{key:>13}" for key in VERDICTS))
+    print("".join(f"{key:24}" for key in words) + "".join(f"{key:>23}" for key in VERDICTS))
     for row in rows:
         line = "".join(f"{row[key]:24}" for key in words)
-        print(line + "".join(f"{row[key]:13}" for key in VERDICTS))
+        print(line + "".join(f"{row[key]:23}" for key in VERDICTS))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

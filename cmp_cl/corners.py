@@ -39,7 +39,9 @@ class Corners:
     response: (N,) float32, the response there (Eq. 24 or the spectral response).
     method: (N,) uint8 of `Method`.
     refusal: (N,) uint8 of `Refusal`.
-    sigma: (N,) float32, standard deviation of the position per axis, px; NaN where unknown.
+    sigma: (N,) float32, standard deviation of the position per axis, px; NaN where unknown. It
+        covers noise and blur, but neither wear nor edges that bend within `edge_radius`: the
+        lattice shows those, see `Grid.sigma`.
     edges: (N, 4) float32, the angles of the four boundaries in [-pi, pi], rad, clockwise on
         screen, the first from white to black; NaN where unknown.
     doubtful: (N,) bool, corners whose surroundings do not fit the corner model (EdgeStep only,

@@ -36,3 +36,9 @@ class CapacityError(CmpClError, RuntimeError):
 class GridError(CmpClError, ValueError):
     """The corners do not form one grid: no closed cell, two patterns, or too few corners in a
     grid."""
+
+
+def check_kind(name: str, value: object, kind: type, error: type[CmpClError]) -> None:
+    """Raise the error if an argument of that name is not of that kind."""
+    if not isinstance(value, kind):
+        raise error(f"{name} must be of type {kind.__name__}, not {type(value).__name__}")

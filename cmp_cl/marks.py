@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.arrays import Frame, as_frame
 from cmp_cl.corners import Corners, Method
-from cmp_cl.errors import ConfigError, ImageError
+from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage
 
 Whole = NDArray[np.int64]
@@ -53,8 +53,9 @@ def drop_marks(corners: Corners, image: Frame) -> Corners:
         uint8 or uint16.
 
     Raises ImageError if the image is not grey, or a corner lies outside it; ConfigError if the
-    corners were refined by Midlines, or not at all.
+    corners were refined by Midlines, not at all, or are no Corners.
     """
+    check_kind("corners", corners, Corners, ConfigError)
     grey = as_frame(image)
     if not len(corners):
         return corners

@@ -234,7 +234,7 @@ def _codec_messages() -> Iterator[list[str]]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture of a file.
+    """One image of a file.
 
     index: its number in the file, from 0.
     image: (H, W) uint8 or uint16, or None if a frame of a video is broken.

@@ -193,7 +193,7 @@ def assert_as_expected(
     loose = (distance > tolerances.POSITION) | (found.method != expected.method)
     if loose[decided].any():
         moved = movement_by_rounding(image, config)
-        decided &= margin > moved  # a guard that rounding may carry over its bound
+        decided &= margin > moved  # a check that rounding may carry over its bound
         np.testing.assert_array_equal(found.method[decided], expected.method[decided])
         assert (distance <= tolerances.POSITION + 5 * moved)[decided].all(), (distance, moved)
         counts["loose"] += int((decided & loose).sum())
@@ -362,7 +362,7 @@ def main(arguments: list[str] | None = None) -> int:
     first, last = ([megabytes[k] for megabytes in memory.values()] for k in (0, -1))
     print(
         f"seed {options.seed}: {counts['images']} images, {done} configurations, {len(programs)} "
-        f"programs, {counts['corners']} corners, {counts['undecided']} not compared (a guard "
+        f"programs, {counts['corners']} corners, {counts['undecided']} not compared (a check "
         f"within {tolerances.MARGIN}), {counts['loose']} loose (rounding moves the oracle's too), "
         f"largest difference of the others {counts['nm'] * 1e-6:.1e} px, "
         f"{counts['refused']} of {20 * done} invalid ones refused, memory of each process {first} "

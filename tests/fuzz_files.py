@@ -1,4 +1,4 @@
-"""Damaged files of every kind that is read: settings, rigs, images, videos, stores, recordings.
+"""Damaged files of every kind that is read: settings, rigs, images, videos, stores, series.
 
     python tests/fuzz_files.py --cases 5000 --seed 1 [--megabytes 3000] [--seconds 600]
 
@@ -139,8 +139,8 @@ def stores(folder: Path) -> Iterator[Path]:
     yield folder / "about.json"
 
 
-def recordings(folder: Path) -> Iterator[Path]:
-    """Write recordings of one view and of two, as `cmp-cl run` does."""
+def series(folder: Path) -> Iterator[Path]:
+    """Write series of one view and of two, as `cmp-cl run` does."""
     rows, columns = np.indices((4, 5)) * 10.0
     rest = np.stack([columns, rows, np.full((4, 5), 80.0)], axis=2)
     for suffix, size in itertools.product(("npz", "h5"), (2, 3)):
@@ -202,8 +202,8 @@ def read_store(path: Path) -> None:
         assert not whole or len(found) == store.count
 
 
-def read_recording(path: Path) -> None:
-    """Read the arrays of a recording, and draw every plot of them."""
+def read_one_series(path: Path) -> None:
+    """Read the arrays of a series, and draw every plot of them."""
     recorded = Recorded.of(read_series(path))
     recorded.node_of(None)
     frame = recorded.frame_of(None)
@@ -224,10 +224,10 @@ KINDS: dict[str, tuple[Callable[[Path], Iterator[Path]], Callable[[Path], Any]]]
     "images": (images, read_image),
     "videos": (videos, read_video),
     "stores": (stores, read_store),
-    "recordings": (recordings, read_recording),
+    "series": (series, read_one_series),
     "bags": (bags, read_bag),
 }
-for needed, kind in (("h5py", "recordings"), ("mcap_ros2", "bags")):
+for needed, kind in (("h5py", "series"), ("mcap_ros2", "bags")):
     if importlib.util.find_spec(needed) is None:
         del KINDS[kind]
 

@@ -65,7 +65,8 @@ def test_the_image_is_checked():
 
 
 def blurred(cell, sigma, noise=0.0, seed=1):
-    image, truth = board(int(10 * cell), int(12 * cell), cell, angle=0.2, blur=0.3)
+    shape = int(10 * cell), int(12 * cell)
+    image, truth = board(*shape, cell, angle=0.2, blur=0.3, samples=2)
     grey = cv2.GaussianBlur(image.astype(np.float32) * 0.4 + 60, (0, 0), sigma)
     grey += np.random.default_rng(seed).normal(0, noise, image.shape)
     return np.clip(grey + 0.5, 0, 255).astype(np.uint8), truth

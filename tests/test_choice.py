@@ -6,7 +6,7 @@ import pytest
 from corner_images import board
 
 import cmp_cl
-from cmp_cl import DetectorConfig, EdgeStep
+from cmp_cl import DetectorConfig, EdgeStep, reference
 
 TOP, LEFT = 70, 110
 
@@ -36,6 +36,18 @@ def test_a_small_board_in_front_of_wide_shapes_is_found(device):
     assert errors(image, truth, DetectorConfig.for_image(image), device).max() > 2
     assert cmp_cl.choose_config(image, device=device) == DetectorConfig()
     assert errors(image, truth, None, device).max() < 0.05
+
+
+def test_the_oracle_without_settings_takes_the_same(device):
+    image, _ = before_rings(100, 3)
+    chosen = cmp_cl.choose_config(image, device=device)
+    estimated = DetectorConfig.for_image(image)
+    found, told, other = (reference.detect(image, each) for each in (None, chosen, estimated))
+    np.testing.assert_array_equal(found.xy, told.xy)
+    assert len(found) != len(other)
+    np.testing.assert_array_equal(
+        reference.maps(image).coarse, reference.maps(image, chosen).coarse
+    )
 
 
 def test_corners_nearer_than_the_estimated_cell_are_refined_as_such(device):

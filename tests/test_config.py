@@ -21,7 +21,7 @@ from cmp_cl.config import (
     SpectralCriteria,
     window_for_cell,
 )
-from cmp_cl.errors import CmpClError, ConfigError
+from cmp_cl.errors import ConfigError
 
 # part, field, the least and the greatest value allowed, a step beyond them
 BOUNDS = [
@@ -64,20 +64,19 @@ def test_bounds_are_allowed_and_a_step_beyond_is_not(part, field, low, high, ste
         assert repr(value) in message
 
 
-@pytest.mark.parametrize(("part", "field", "low", "high", "step"), BOUNDS, ids=NAMES)
 @pytest.mark.parametrize("value", ["5", True, math.nan, [5], 5j])
-def test_a_value_that_is_no_number_is_refused(part, field, low, high, step, value):
-    with pytest.raises(ConfigError, match=rf"{part.__name__}\.{field} must be"):
-        part(**{field: value})
+def test_a_value_that_is_no_number_is_refused(value):
+    for part, field, *_ in BOUNDS:
+        with pytest.raises(ConfigError, match=rf"{part.__name__}\.{field} must be"):
+            part(**{field: value})
 
 
-@pytest.mark.parametrize(
-    ("part", "field"),
-    [(part, field) for part, field, low, _, step in BOUNDS if step in (1, 2)],
-)
-def test_a_fraction_is_refused_where_an_integer_is_needed(part, field):
-    with pytest.raises(ConfigError, match=r"must be an (odd )?integer in .* not 5\.0 \(float\)"):
-        part(**{field: 5.0})
+def test_a_fraction_is_refused_where_an_integer_is_needed():
+    whole = [(part, field) for part, field, _, _, step in BOUNDS if step in (1, 2)]
+    for part, field in whole:
+        with pytest.raises(ConfigError, match=r"an (odd )?integer in .* not 5\.0 \(float\)"):
+            part(**{field: 5.0})
+    assert len(whole) > 8
 
 
 @pytest.mark.parametrize(
@@ -127,11 +126,6 @@ def test_messages_name_field_value_and_what_is_allowed(make, message):
     with pytest.raises(ConfigError) as caught:
         make()
     assert message in str(caught.value)
-
-
-def test_a_config_error_is_a_value_error_of_this_library():
-    assert issubclass(ConfigError, ValueError)
-    assert issubclass(ConfigError, CmpClError)
 
 
 def test_a_configuration_is_frozen_keyword_only_and_hashable():

@@ -11,6 +11,7 @@ import images
 import numpy as np
 import pyopencl as cl
 import pytest
+from cases import some
 from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
 from configs import rings
 from corner_images import board, noise
@@ -54,14 +55,7 @@ def detector(detector_for) -> Detector:
 SHAPES = [(1, 1), (1, 7), (7, 1), (2, 2), (5, 3), (11, 13), (31, 29), (97, 131), (480, 640)]
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        shape if shape in ((1, 1), (97, 131)) else pytest.param(shape, marks=pytest.mark.exhaustive)
-        for shape in SHAPES
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("shape", some(SHAPES, ((1, 1), (97, 131))), ids=str)
 def test_maps_and_corners_of_every_shape_are_the_oracles(detector_for, shape):
     for image in (noise(shape, seed=1), images.texture(shape) if min(shape) > 1 else noise(shape)):
         detector = detector_for(image)
@@ -436,6 +430,8 @@ def test_a_detector_runs_in_the_callers_queue(device, detector):
         queue.finish()
         with pytest.raises(DeviceError, match="not both"):
             Detector(shape=images.SHAPE, queue=queue, device=device)
+    with pytest.raises(DeviceError, match=r"queue must be a pyopencl\.CommandQueue"):
+        Detector(shape=images.SHAPE, queue="q")
 
 
 def test_a_queue_without_order_is_refused(device):
@@ -677,15 +673,15 @@ def test_an_image_of_another_plan_is_refused(detector, image):
         detector(image)
 
 
-@pytest.mark.parametrize("shape", [(3,), (3, 4, 5), "ab", None, (-1, 4), (4.5, "x")])
+@pytest.mark.parametrize("shape", [(3,), (3, 4, 5), "ab", 10, None, (-1, 4), (4.5, 5)])
 def test_a_wrong_shape_is_refused(device, shape):
     with pytest.raises(ImageError, match="shape must be"):
         Detector(shape=shape, device=device)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.int16, bool, ">u2"])
+@pytest.mark.parametrize("dtype", [np.float32, np.int16, bool, ">u2", "none", object()])
 def test_a_wrong_dtype_is_refused(device, dtype):
-    with pytest.raises(ImageError, match="uint8 or uint16"):
+    with pytest.raises(ImageError, match="dtype must be uint8 or uint16"):
         Detector(shape=images.SHAPE, dtype=dtype, device=device)
 
 
@@ -697,6 +693,7 @@ def test_a_wrong_configuration_is_refused(device):
 def test_errors_have_one_root():
     for error in (CapacityError, ConfigError, DeviceError, ImageError):
         assert issubclass(error, CmpClError)
+    assert issubclass(ConfigError, ValueError)
     assert issubclass(ImageError, ValueError)
     assert issubclass(CapacityError, RuntimeError)
 
@@ -797,13 +794,7 @@ def test_every_field_has_a_change():
 QUICK_CHANGES = ("detection", "nms_radius", "RingHarmonic.fine", "refinement")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name if name in QUICK_CHANGES else pytest.param(name, marks=pytest.mark.exhaustive)
-        for name in CHANGES
-    ],
-)
+@pytest.mark.parametrize("name", some(CHANGES, QUICK_CHANGES))
 def test_changing_a_field_changes_the_corners(detector_for, name):
     image, before, after = CHANGES[name]
     one, other = detector_for(image, before)(image), detector_for(image, after)(image)
@@ -846,14 +837,3 @@ def test_a_region_selects_which_of_two_boards_is_numbered(detector_for):
     assert (corners.xy[:, 0] < 120).sum() > 30
     again = detector.grid(frame, like=grid, region=region)[1]
     np.testing.assert_array_equal(again.index, grid.index)
-
-
-def test_the_arguments_of_a_detector_are_checked(device):
-    for shape in ((10.7, 5), (10,), 10, None, ("a", "b")):
-        with pytest.raises(ImageError, match="shape must be"):
-            Detector(shape=shape, device=device)
-    for dtype in ("banana", object(), np.float32):
-        with pytest.raises(ImageError, match="dtype must be uint8 or uint16"):
-            Detector(shape=(20, 20), dtype=dtype, device=device)
-    with pytest.raises(DeviceError, match=r"queue must be a pyopencl\.CommandQueue"):
-        Detector(shape=(20, 20), queue="q")

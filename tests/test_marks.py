@@ -1,6 +1,7 @@
 """Corners inside the cells of boards with dots, rings and codes."""
 
 import dataclasses
+import functools
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from cmp_cl.synthetic.scoring import match
 FINE = 8  # samples a pixel
 
 
+@functools.cache
 def marked(mark: str, cell: float = 24, shape: tuple[int, int] = (230, 300)):
     """Return a rotated board whose cells hold such marks, and its corners 6 px inside, (N, 2)."""
     rows, columns = shape

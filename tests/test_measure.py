@@ -5,10 +5,10 @@ import re
 import textwrap
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from stereo_data import grid_of
+from videos import write_video
 
 import cmp_cl
 from cmp_cl import GridError, StereoRig, measure
@@ -44,19 +44,12 @@ def test_the_readme_shows_the_same_lines():
 def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(shots, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     StereoRig(*RIG).save("rig.yaml")
-    rows, columns = shots[0][0].shape
-    film = cv2.VideoWriter(
-        "press.mp4", cv2.VideoWriter_fourcc(*"mp4v"), 25, (columns, rows), isColor=False
-    )
-    film.set(cv2.VIDEOWRITER_PROP_QUALITY, 100)
-    for frame, _ in shots:
-        film.write(frame)
-    film.release()
+    write_video("press.mp4", [frame for frame, _ in shots], "mp4v")
     assert len([line for line in example().splitlines() if line]) <= 10
-    exec(example().replace("(40, 40)", "(12, 12)"), {})  # the film is small
+    exec(example().replace("(40, 40)", "(12, 12)"), {})  # the video is small
     assert [path.name for path in sorted(tmp_path.glob("*.vtp"))] == ["press-0001.vtp"]
     frames = [frame.image for frame in read_frames("press.mp4")]
-    split = cmp_cl.BinocularSplit.halves(columns, rows)
+    split = cmp_cl.BinocularSplit.halves(*frames[0].shape[::-1])
     rig = StereoRig.load("rig.yaml")
     with measure.TwoViews(frames[0], rig, split, shape=(12, 12)) as against_rest:
         field = against_rest(frames[1]).field
@@ -144,7 +137,7 @@ def test_two_views_are_numbered_alike():
         measure.align_views(left, grid_of(np.full((3, 4, 2), np.nan)))
 
 
-# films of a pattern without a border in view
+# a moving pattern without a border in view
 
 
 def moved_by(cells: float) -> np.ndarray:
@@ -155,7 +148,7 @@ def moved_by(cells: float) -> np.ndarray:
     return np.rint(level + np.random.default_rng(3).normal(0, 2, level.shape)).astype(np.uint8)
 
 
-def shifts_of_film(frames: list[float | None], *, track: bool) -> tuple[list[float], list[bool]]:
+def shifts_of(frames: list[float | None], *, track: bool) -> tuple[list[float], list[bool]]:
     """Return the mean displacement, cells along x, of frames that moved so far, and which are
     ambiguous.
 
@@ -163,11 +156,11 @@ def shifts_of_film(frames: list[float | None], *, track: bool) -> tuple[list[flo
     """
     shifts, ambiguous = [], []
     config = cmp_cl.DetectorConfig.for_cell(12)
-    with measure.OneView(moved_by(0), config=config, track=track, raw=True) as film:
+    with measure.OneView(moved_by(0), config=config, track=track, raw=True) as view:
         for cells in frames:
             seen = np.full((180, 200), 90, np.uint8) if cells is None else moved_by(cells)
-            measured = film(seen)
-            moved = measured.arrays["xy"] - film.constants["rest"]
+            measured = view(seen)
+            moved = measured.arrays["xy"] - view.constants["rest"]
             known = ~np.isnan(moved[..., 0])
             shifts.append(float(moved[known][:, 0].mean() / 12) if known.any() else np.nan)
             ambiguous.append(measured.ambiguous)
@@ -176,30 +169,30 @@ def shifts_of_film(frames: list[float | None], *, track: bool) -> tuple[list[flo
 
 def test_tracking_follows_a_pattern_without_a_border_over_a_missing_frame():
     frames = [0.4, 0.8, 1.2, None, 1.6, 2.0, 2.4]
-    shifts, ambiguous = shifts_of_film(frames, track=True)
+    shifts, ambiguous = shifts_of(frames, track=True)
     known = [cells is not None for cells in frames]
     np.testing.assert_allclose(
         np.array(shifts)[known], [cells for cells in frames if cells is not None], atol=0.02
     )
     assert not any(ambiguous)
-    shifts, ambiguous = shifts_of_film([0.0, 0.4, 2.0], track=False)
+    shifts, ambiguous = shifts_of([0.0, 0.4, 2.0], track=False)
     assert ambiguous == [True, True, True]
     assert shifts[2] == pytest.approx(0, abs=1.1)
 
 
 @pytest.mark.parametrize("broken", [[0.4, None, None, 0.4, 0.8], [0.4, 1.3, 1.6]])
 def test_tracking_that_lost_the_pattern_is_ambiguous_from_then_on(broken):
-    _, ambiguous = shifts_of_film(broken, track=True)
+    _, ambiguous = shifts_of(broken, track=True)
     assert ambiguous[0] is False
     assert ambiguous[-2:] == [True, True]
 
 
 def test_a_skipped_frame_counts_as_one_that_is_missing():
     config = cmp_cl.DetectorConfig.for_cell(12)
-    with measure.OneView(moved_by(0), config=config, track=True) as film:
-        assert not film(moved_by(0.3)).ambiguous
-        film.skip()
-        assert not film(moved_by(0.4)).ambiguous
-        film.skip()
-        film.skip()
-        assert film(moved_by(0.4)).ambiguous
+    with measure.OneView(moved_by(0), config=config, track=True) as view:
+        assert not view(moved_by(0.3)).ambiguous
+        view.skip()
+        assert not view(moved_by(0.4)).ambiguous
+        view.skip()
+        view.skip()
+        assert view(moved_by(0.4)).ambiguous

@@ -12,6 +12,7 @@ from fractions import Fraction
 import cv2
 import numpy as np
 import pytest
+from videos import write_video
 
 from cmp_cl import media
 from cmp_cl.cli.tables import CORNER_COLUMNS, Table, corner_rows
@@ -158,11 +159,9 @@ def test_every_page_of_a_stack_is_a_frame(tmp_path):
         np.testing.assert_array_equal(frame.image, page)
 
 
-def write_video(path, frames=8, code="FFV1"):
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 25, (64, 48))
-    for index in range(frames):
-        writer.write(np.full((48, 64, 3), 6 * index, np.uint8))
-    writer.release()
+def brighter(count):
+    """Return images that grow brighter by 6 grey levels each."""
+    return [np.full((48, 64), 6 * index, np.uint8) for index in range(count)]
 
 
 @pytest.fixture(params=["PyAV", "OpenCV"])
@@ -175,7 +174,7 @@ def reader(request, monkeypatch):
 
 
 def test_a_video_gives_its_frames_in_order_as_grey(tmp_path, reader):
-    write_video(tmp_path / "press.avi")
+    write_video(tmp_path / "press.avi", brighter(8))
     frames = list(media.read_frames(tmp_path / "press.avi"))
     assert media.count_frames(tmp_path / "press.avi") == len(frames) == 8
     for index, frame in enumerate(frames):
@@ -188,7 +187,7 @@ def test_a_video_gives_its_frames_in_order_as_grey(tmp_path, reader):
 
 
 def test_a_video_that_is_cut_off_gives_its_frames_and_marks_the_missing_ones(tmp_path, reader):
-    write_video(tmp_path / "press.avi", frames=40, code="MJPG")
+    write_video(tmp_path / "press.avi", brighter(40), "MJPG")
     whole = (tmp_path / "press.avi").read_bytes()
     (tmp_path / "cut.avi").write_bytes(whole[: len(whole) // 2])
     frames = list(media.read_frames(tmp_path / "cut.avi"))
@@ -219,7 +218,7 @@ class Dead:
 
 def test_a_damaged_frame_is_none_and_those_after_it_are_read(tmp_path):
     pytest.importorskip("av", reason="PyAV is not installed")
-    writer = cv2.VideoWriter(
+    writer = cv2.VideoWriter(  # in colour: PyAV finds no damage in grey JPEG
         str(tmp_path / "press.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25, (64, 48)
     )
     for number in range(10):
@@ -272,7 +271,7 @@ def test_pyav_reads_12_bits_and_the_times_that_are_written(tmp_path):
 
 
 def test_8_bits_have_no_full_scale_of_their_own(tmp_path, reader):
-    write_video(tmp_path / "press.avi")
+    write_video(tmp_path / "press.avi", brighter(8))
     assert media.full_scale(tmp_path / "press.avi") is None
     assert media.full_scale(tmp_path / "press.png") is None
 

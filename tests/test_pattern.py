@@ -1,8 +1,6 @@
 """The printed pattern: every format, when it is rendered, shows the requested pattern."""
 
 import struct
-import subprocess
-import sys
 
 import cv2
 import ezdxf
@@ -152,26 +150,3 @@ def test_the_command_writes_the_pattern_that_it_reports(tmp_path, capsys):
     assert main(["pattern", "--grid", "20x30", "--size", "31", "--out", str(out)]) == 0
     assert "20 x 30 corners, cells of 1 mm" in capsys.readouterr().out
     assert out.read_text().count("M") == 21 * 31 // 2 + 1 + 6  # black cells, lines of two bars
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--cell", "3", "--out", "a.jpg"], "suffix"),
-        (["--cell", "90", "--paper", "a4", "--out", "a.pdf"], "paper"),
-        (["--cell", "3", "--dpi", "1e9", "--out", "a.png"], "dpi"),
-        (["--cell", "3", "--size", "3", "--out", "a.png"], "not allowed with"),
-        (["--cell", "3", "--out", "nowhere/a.png"], "no folder"),
-    ],
-)
-def test_a_wrong_command_gets_one_line(tmp_path, arguments, says):
-    done = subprocess.run(
-        [sys.executable, "-m", "cmp_cl", "pattern", "--grid", "4x4", *arguments],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 2
-    assert says in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert not list(tmp_path.iterdir())

@@ -273,7 +273,7 @@ def detected(*images, cell):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("way", [with_measured_noise, lambda field: field])
-def test_the_strain_of_pictures_is_right_within_the_noise_that_they_show(way):
+def test_the_strain_of_images_is_right_within_the_noise_that_they_show(way):
     gradient, centre = gradient_of(1e-2), np.array([130.0, 130.0])
     covered = []
     for seed in range(2):
@@ -376,7 +376,7 @@ def test_the_errors_that_neighbours_share_rotate_with_the_nodes():
 
 
 @pytest.mark.exhaustive
-def test_the_height_of_a_pictured_wave_agrees_with_its_form_and_with_openfcd():
+def test_the_height_of_an_imaged_wave_agrees_with_its_form_and_with_openfcd():
     board = (24, 24, 276, 276)
     images = [
         moved_board((300, 300), 12, lambda q: 0 * q, board=board, noise=2),

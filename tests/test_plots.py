@@ -1,8 +1,7 @@
-"""Plots and videos of recordings."""
+"""Plots and videos of a series."""
 
 import os
 import stat
-import subprocess
 import sys
 
 import cv2
@@ -13,12 +12,12 @@ from stereo_data import grid_of
 from cmp_cl.cli.main import main
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.series import open_series, read_series
-from cmp_cl.viz.film import OverlayFilm
 from cmp_cl.viz.plots import Quantity, Recorded, curve_figure, map_figure, sheet_figure
+from cmp_cl.viz.video import OverlayVideo
 
 
 def record(path, *, views, frames=5):
-    """Return a recording of 8 x 10 nodes that stretch by 1 % a frame along x; (2, 3) is missing."""
+    """Return a series of 8 x 10 nodes that stretch by 1 % a frame along x; (2, 3) is missing."""
     row, column = np.mgrid[:8, :10]
     rest = np.stack([5.0 * column, 5.0 * row, 0 * row + 40.0], axis=-1)[..., : views + 1]
     constants = {"rest": rest, "unit": "px" if views == 1 else "mm"}
@@ -122,7 +121,7 @@ def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
         curve_figure(one)
 
 
-def test_a_file_that_is_no_recording_of_nodes_is_refused(tmp_path):
+def test_a_file_that_is_no_series_of_nodes_is_refused(tmp_path):
     with pytest.raises(FieldError, match="no rest"):
         Recorded.of(
             {"index": np.arange(2), "time_ms": np.arange(2.0), "xy": np.zeros((2, 3, 3, 2))}
@@ -133,14 +132,14 @@ def test_a_file_that_is_no_recording_of_nodes_is_refused(tmp_path):
         Recorded.of(read_series(tmp_path / "none.npz"))
 
 
-# films
+# videos
 
 
-def film(path, frames=3, shape=(240, 320)):
+def write_video(path, frames=3, shape=(240, 320)):
     xy = np.stack(np.meshgrid(np.arange(40, 281, 24.0), np.arange(30, 211, 20.0)), axis=-1)
     xy[4, 5] = np.nan
     moved = np.linalg.norm(xy - [160, 120], axis=-1) / 100
-    with OverlayFilm(path, fps=10, unit="mm") as writer:
+    with OverlayVideo(path, fps=10, unit="mm") as writer:
         for number in range(frames):
             image = np.full(shape, 90 + number, np.uint8)
             writer.frame(image, grid_of(xy), moved, text=f"frame {number}")
@@ -149,8 +148,8 @@ def film(path, frames=3, shape=(240, 320)):
 
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
 def test_a_video_shows_nodes_by_their_displacement(tmp_path, suffix):
-    path = tmp_path / f"film{suffix}"
-    xy = film(path)
+    path = tmp_path / f"press{suffix}"
+    xy = write_video(path)
     capture = cv2.VideoCapture(str(path))
     read, picture = capture.read()
     assert read
@@ -171,41 +170,32 @@ def test_a_video_shows_nodes_by_their_displacement(tmp_path, suffix):
 
 @pytest.mark.skipif(os.name == "nt", reason="modes and devices are others on Windows")
 def test_a_video_keeps_the_mode_of_an_older_one_and_replaces_no_device(tmp_path):
-    path = tmp_path / "film.mp4"
+    path = tmp_path / "press.mp4"
     path.touch(mode=0o600)
-    film(path)
+    write_video(path)
     assert path.stat().st_mode & 0o777 == 0o600
     os.mkfifo(tmp_path / "pipe.mp4")
     with pytest.raises(OSError, match=r"regular.*pipe\.mp4"):
-        film(tmp_path / "pipe.mp4")
+        write_video(tmp_path / "pipe.mp4")
     assert stat.S_ISFIFO(os.stat(tmp_path / "pipe.mp4").st_mode)
 
 
 def test_pyav_reads_the_video(tmp_path):
     av = pytest.importorskip("av", reason="PyAV is not installed")
-    film(tmp_path / "film.mp4", frames=4)
-    with av.open(str(tmp_path / "film.mp4")) as container:
+    write_video(tmp_path / "press.mp4", frames=4)
+    with av.open(str(tmp_path / "press.mp4")) as container:
         times = [float(frame.time) for frame in container.decode(video=0)]
     assert times == pytest.approx([0, 0.1, 0.2, 0.3])
 
 
 def test_a_video_that_cannot_be_written_is_refused_and_leaves_the_old_file(tmp_path):
     with pytest.raises(ConfigError, match=r"\.mp4"):
-        OverlayFilm(tmp_path / "film.gif")
+        OverlayVideo(tmp_path / "press.gif")
     with pytest.raises(OSError, match="nothere"):
-        OverlayFilm(tmp_path / "nothere" / "film.mp4")
-    (tmp_path / "film.mp4").write_bytes(b"old")
+        OverlayVideo(tmp_path / "nothere" / "press.mp4")
+    (tmp_path / "press.mp4").write_bytes(b"old")
     grid = grid_of(np.zeros((2, 2, 2)))
-    with OverlayFilm(tmp_path / "film.mp4") as writer, pytest.raises(FieldError, match="2"):
+    with OverlayVideo(tmp_path / "press.mp4") as writer, pytest.raises(FieldError, match="2"):
         writer.frame(np.zeros((50, 50), np.uint8), grid, np.zeros((3, 3)))
-    assert (tmp_path / "film.mp4").read_bytes() == b"old"
+    assert (tmp_path / "press.mp4").read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_the_version_is_printed():
-    done = subprocess.run(
-        [sys.executable, "-m", "cmp_cl", "--version"], capture_output=True, text=True, check=True
-    )
-    import cmp_cl
-
-    assert done.stdout == f"cmp-cl {cmp_cl.__version__}\n"

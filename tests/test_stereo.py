@@ -195,7 +195,7 @@ def test_cameras_that_look_at_each_others_side_see_far_points_as_parallel():
     np.testing.assert_allclose(points.xyz, far, atol=1e-3)
 
 
-def test_a_refused_match_keeps_its_error():
+def test_a_rejected_match_keeps_its_error():
     points = one_node(parallel_rig(), (330, 250), (310, 262))
     assert points.error[0, 0] == pytest.approx(6, rel=0.01)
     kept = parallel_rig().triangulate(grid_of([[(330, 250)]]), grid_of([[(310, 262)]]), max_error=7)

@@ -69,7 +69,7 @@ def test_the_seed_decides_where_the_print_is_torn():
 @pytest.mark.parametrize(
     ("indenter", "mode"), [(Indenter.BALL, Mode.TWIST), (Indenter.CUBE, Mode.SHEAR)]
 )
-def test_truth_is_where_the_clean_picture_shows_a_corner(markers, indenter, mode):
+def test_truth_is_where_the_clean_image_shows_a_corner(markers, indenter, mode):
     scene = Scene(
         markers=markers, indenter=indenter, mode=mode, severity=0.5, direction=0.4, **CLEAN
     )
@@ -184,7 +184,7 @@ def test_points_in_space_project_to_the_truth_of_both_views(pair):
         assert (view.truth < [399, 599]).all()
 
 
-def test_both_pictures_show_the_corners_of_the_rig_with_distortion(pair):
+def test_both_images_show_the_corners_of_the_rig_with_distortion(pair):
     scene, rig, _ = pair
     clean = dataclasses.replace(scene, severity=0.5, **CLEAN)
     for view in synthetic.render_stereo(clean, rig)[:2]:
@@ -273,13 +273,13 @@ def cube():
 
 
 @pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(Scene)])
-def test_each_field_changes_the_picture(cube, field):
+def test_each_field_changes_the_image(cube, field):
     scene, image = cube
     changed = synthetic.render(dataclasses.replace(scene, **{field: CHANGES[field]})).image
     assert image.shape != changed.shape or (image != changed).any()
 
 
-def test_a_twelve_bit_picture_has_the_levels_of_a_twelve_bit_camera():
+def test_a_twelve_bit_image_has_the_levels_of_a_twelve_bit_camera():
     image = synthetic.render(Scene(bits=12, exposure=3.0, markers=20, shape=(240, 320))).image
     assert image.dtype == np.uint16
     assert image.max() == 4095

@@ -9,12 +9,12 @@ def partial_views(result: Row) -> str:
     parts.append(
         "Each image is cropped from its four sides. A node is right if it lies within 3 px of a "
         "corner and its row and column fit a single lattice. It is false if no corner lies within "
-        "a quarter of a cell. In a `doubted` view the method says that the numbering may be "
-        "wrong. In a `silent` one the numbering is wrong without a warning, which can happen only "
-        "to methods that are told the size of the board.\n"
+        "a quarter of a cell. `with a warning` counts the views in which the method says that the "
+        "numbering may be wrong, `silently wrong` those in which it is wrong without a warning, "
+        "which can happen only to methods that are told the size of the board.\n"
     )
-    keys = ("set", "method", "views", "visible", "right", "false", "other", "refused", "doubted")
-    keys += ("silent",)
+    keys = ("set", "method", "views", "visible", "right", "false", "other", "refused")
+    keys += ("with a warning", "silently wrong")
     parts.append(table(keys, [[row[key] for key in keys] for row in result["partial"]]))
     for name, reason in result["unavailable"].items():
         parts.append(f"Not measured: {name} ({reason}).\n")
@@ -59,9 +59,8 @@ def open_patterns(result: Row) -> str:
     ):
         counts = result["counts"][form]
         head = list(dict.fromkeys(verdict for group in counts.values() for verdict in group))
-        shown = ["in silence" if verdict == "wrong" else verdict for verdict in head]
         rows = [[group, *(count[verdict] for verdict in head)] for group, count in counts.items()]
-        parts.append(f"{words}:\n\n" + table(("frames", *shown), rows))
+        parts.append(f"{words}:\n\n" + table(("frames", *head), rows))
     peers = result["lattices"]
     parts.append(
         "The peers cannot use a frame at rest. Each method therefore gets every fourteenth frame "
@@ -80,13 +79,13 @@ def surroundings(result: Row) -> str:
     parts.append(
         "Rendered boards before five kinds of background. The paper around a board is none, 0.3, 1 "
         "or 2 cells wide. An answer is right if each of its nodes is a corner of the board and the "
-        "numbers fit a single lattice. `told` answers carry a warning. `background` answers hold "
-        "no corner of the board: they are another pattern, and carry none. The last column holds "
-        "what is silently wrong.\n"
+        "numbers fit a single lattice. `background alone` answers hold no corner of the board: "
+        "they are another pattern, without a warning. An answer is silently wrong if it is wrong "
+        "and carries no warning.\n"
     )
-    words = ("right", "right, told", "refused", "wrong, told", "background", "wrong")
-    shown = [*words[:-1], "in silence"]
-    head = ("behind the board", "method", *shown)
+    words = ("right", "right, with a warning", "refused", "wrong, with a warning")
+    words += ("background alone", "silently wrong")
+    head = ("background", "method", *words)
     rows = [[row[key] for key in ("ground", "method", *words)] for row in result["boards"]]
     parts.append(table(head, rows))
     parts += [f"Not measured: {name} ({why}).\n" for name, why in result["unavailable"].items()]
@@ -95,8 +94,7 @@ def surroundings(result: Row) -> str:
         "if it holds at most three nodes of the reflection and at least 98 % of the other nodes "
         "have the right numbers. The rows without a mirror show false alarms.\n"
     )
-    words = tuple(word for word in words if word != "background")
+    words = tuple(word for word in words if word != "background alone")
     keys = ("mirror", "print", "numbered", *words)
-    head = (*keys[:3], *words[:-1], "in silence")
-    parts.append(table(head, [[row[key] for key in keys] for row in result["mirrors"]]))
+    parts.append(table(keys, [[row[key] for key in keys] for row in result["mirrors"]]))
     return "\n".join(parts)

@@ -1,4 +1,4 @@
-"""`cmp-cl plot`: pictures of a recording that `cmp-cl run` wrote."""
+"""`cmp-cl plot`: pictures of a series that `cmp-cl run` wrote."""
 
 import argparse
 import os
@@ -18,14 +18,14 @@ def add_parser(commands: Any) -> None:
     """Add `plot` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "plot",
-        help="draw what a recording shows: displacement, strain, height, sigma, a node's curve",
-        description="Draws a recording of cmp-cl run: by default one sheet with the maps of the "
+        help="draw what a series shows: displacement, strain, height, sigma, a node's curve",
+        description="Draws a series of cmp-cl run: by default one sheet with the maps of the "
         "frame of the largest displacement and the curve of the node that moves most. With "
         "one view, lengths are in px or in the unit of --cell, and strain is in the plane; with "
-        "two views, lengths are in the rig's unit, and strain is in the surface. A recording that "
+        "two views, lengths are in the rig's unit, and strain is in the surface. A series that "
         "still grows can be drawn too.",
     )
-    parser.add_argument("series", metavar="SERIES", help="the recording, .npz or .h5")
+    parser.add_argument("series", metavar="SERIES", help="the series, .npz or .h5")
     parser.add_argument("--out", metavar="PNG", required=True, help="the picture to write")
     parser.add_argument(
         "--what",
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     if Path(arguments.out).suffix.lower() != ".png":
         raise ConfigError(f"--out {shown(arguments.out)} must end in .png")
     if os.path.realpath(arguments.out) == os.path.realpath(arguments.series):
-        raise ConfigError(f"{shown(arguments.out)} is the recording and would be overwritten")
+        raise ConfigError(f"{shown(arguments.out)} is the series and would be overwritten")
     check_target(arguments.out)
     recorded = Recorded.of(read_series(arguments.series))
     frame, node = recorded.frame_of(arguments.frame), recorded.node_of(arguments.node)

@@ -8,6 +8,7 @@ import numpy as np
 from cmp_cl import media
 from cmp_cl.cli.arguments import refuse_to_overwrite
 from cmp_cl.cli.messages import shown
+from cmp_cl.errors import ConfigError
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
 
@@ -18,9 +19,9 @@ def add_parser(commands: Any) -> None:
         "render",
         help="draw a frame of a pressed gel with known corners",
         description="Draws one frame of a pressed gel that carries a checkerboard, and writes "
-        "the true corners with --truth. The same options give the same picture.",
+        "the true corners with --truth. The same options give the same image.",
     )
-    parser.add_argument("--out", metavar="PNG", required=True, help="the picture to write")
+    parser.add_argument("--out", metavar="PNG", required=True, help="the image to write")
     parser.add_argument("--truth", metavar="CSV", help="write the true corners, px")
     numbers = (
         ("markers", int, usual.markers, "corners along each side"),
@@ -58,7 +59,7 @@ def add_parser(commands: Any) -> None:
         nargs=2,
         metavar=("ROWS", "COLUMNS"),
         default=usual.shape,
-        help="size of the picture, px; default: {} {}".format(*usual.shape),
+        help="size of the image, px; default: {} {}".format(*usual.shape),
     )
     parser.add_argument(
         "--bits",
@@ -72,21 +73,13 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Render the scene that the arguments describe; return the exit status."""
-    scene = Scene(
-        markers=arguments.markers,
-        shape=tuple(arguments.shape),
-        indenter=Indenter(arguments.indenter),
-        mode=Mode(arguments.mode),
-        severity=arguments.severity,
-        corrosion=arguments.corrosion,
-        noise=arguments.noise,
-        bits=arguments.bits,
-        seed=arguments.seed,
-    )
     refuse_to_overwrite([], [arguments.out, arguments.truth])
-    rendered = render(scene)
+    try:
+        rendered = render(_scene(arguments))
+    except ConfigError as error:  # the options have the names of the fields
+        raise ConfigError(str(error).replace("Scene.", "--")) from error
     media.write_image(arguments.out, rendered.image)
-    rows, columns = scene.shape
+    rows, columns = rendered.image.shape
     count = rendered.truth.shape[0] * rendered.truth.shape[1]
     print(
         f"wrote {shown(arguments.out)}: {columns} x {rows} px, {count} corners, "
@@ -100,3 +93,17 @@ def run(arguments: argparse.Namespace) -> int:
         )
         print(f"wrote {shown(arguments.truth)}: {count} corners")
     return 0
+
+
+def _scene(arguments: argparse.Namespace) -> Scene:
+    return Scene(
+        markers=arguments.markers,
+        shape=tuple(arguments.shape),
+        indenter=Indenter(arguments.indenter),
+        mode=Mode(arguments.mode),
+        severity=arguments.severity,
+        corrosion=arguments.corrosion,
+        noise=arguments.noise,
+        bits=arguments.bits,
+        seed=arguments.seed,
+    )

@@ -42,7 +42,7 @@ from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, open_series
 from cmp_cl.stereo import StereoRig
 from cmp_cl.viz import RerunLog
-from cmp_cl.viz.film import FILM_SUFFIXES, OverlayFilm
+from cmp_cl.viz.video import OVERLAY_SUFFIXES, OverlayVideo
 
 _LINES_OF_BROKEN = 8  # broken frames that are reported one by one; the others are only counted
 
@@ -145,9 +145,11 @@ def add_parser(commands: Any) -> None:
         metavar="MP4",
         help="write one annotated video, .mp4, .mkv or .avi (the left view)",
     )
-    film = parser.add_mutually_exclusive_group()
-    film.add_argument("--rerun", metavar="RRD", help="record for the Rerun viewer (the left view)")
-    film.add_argument(
+    viewer = parser.add_mutually_exclusive_group()
+    viewer.add_argument(
+        "--rerun", metavar="RRD", help="record for the Rerun viewer (the left view)"
+    )
+    viewer.add_argument(
         "--show",
         action="store_true",
         help="open the Rerun viewer and show each frame in it as it is measured (the left view)",
@@ -260,7 +262,7 @@ class _Settings:
             _check_suffix("--out", arguments.out, *SERIES_SUFFIXES)
         elif sys.__stdout__ is None:
             raise ConfigError("--out - needs standard output, which is closed")
-        _check_suffix("--overlay", arguments.overlay, *FILM_SUFFIXES)
+        _check_suffix("--overlay", arguments.overlay, *OVERLAY_SUFFIXES)
         _check_suffix("--rerun", arguments.rerun, ".rrd")
         if arguments.show:
             _check_display()
@@ -378,13 +380,13 @@ def run(arguments: argparse.Namespace) -> int:
     settings = _Settings.of(arguments)
     source = settings.source
     rest, shots = source.rest(settings.rest_frame)
-    tally, stop, film = _Tally(track=settings.track), Stop(), _Film(settings)
+    tally, stop, display = _Tally(track=settings.track), Stop(), _Display(settings)
     full: OSError | None = None
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
         measure = stack.enter_context(settings.measurement(rest))
         at_rest = measure.constants.get("rest_px", measure.constants["rest"])
-        stack.enter_context(film)
+        stack.enter_context(display)
         series = stack.enter_context(
             open_series(settings.out, settings.description(measure), measure.constants)
         )
@@ -417,7 +419,7 @@ def run(arguments: argparse.Namespace) -> int:
                 full = error
                 break
             tally.add(shot.number, measured, spent)
-            film.frame(shot, measured, at_rest)
+            display.frame(shot, measured, at_rest)
     ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
     if isinstance(source, Pairs):
@@ -427,9 +429,9 @@ def run(arguments: argparse.Namespace) -> int:
         text = f"{ended}wrote {shown(settings.out)}: {line}"
         print(text, file=sys.stderr if piped else sys.stdout)
     for written in (settings.overlay, settings.rerun):
-        if written is not None and film.error is None:
+        if written is not None and display.error is None:
             print(f"wrote {shown(written)}", file=sys.stderr if piped else sys.stdout)
-    failed = [error for error in (full, film.error) if error is not None]
+    failed = [error for error in (full, display.error) if error is not None]
     if failed:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2
@@ -443,7 +445,7 @@ def _full_scale(asked: int | None, source: Source, config: DetectorConfig | None
     return source.full_scale
 
 
-class _Film(contextlib.AbstractContextManager["_Film"]):
+class _Display(contextlib.AbstractContextManager["_Display"]):
     """Writes the Rerun recording and the annotated video, and feeds the viewer, as requested.
 
     If one of them cannot be written, the run continues. error: the reason, else None.
@@ -452,14 +454,14 @@ class _Film(contextlib.AbstractContextManager["_Film"]):
     def __init__(self, settings: _Settings) -> None:
         self._settings = settings
         self._log: RerunLog | None = None
-        self._overlay: OverlayFilm | None = None
+        self._overlay: OverlayVideo | None = None
         self.error: OSError | None = None
 
     def __enter__(self) -> Self:
         settings = self._settings
         if settings.overlay is not None:
             rate, unit = settings.source.rate, "px" if settings.rig is None else settings.rig.unit
-            self._overlay = OverlayFilm(settings.overlay, fps=rate or 25.0, unit=unit)
+            self._overlay = OverlayVideo(settings.overlay, fps=rate or 25.0, unit=unit)
         if settings.rerun is None and not settings.show:
             return self
         option = "--show" if settings.show else "--rerun"

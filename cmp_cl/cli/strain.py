@@ -81,7 +81,7 @@ def check(arguments: argparse.Namespace) -> None:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Added:
-    """The results to add to the frames of a recording.
+    """The results to add to the frames of a series.
 
     side: side of the cells, None for px. unit: its unit. strain: whether strain is requested.
     depth: the least depth of a contact, None if contact is not requested.

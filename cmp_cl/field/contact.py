@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.field import DisplacementField
 from cmp_cl.field.strain import slope_weights
 
@@ -45,8 +45,9 @@ def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
         depth; it is the area of the contact only if the depth was chosen for the gel. A node adds a
         quarter of each complete cell around it.
 
-    Raises FieldError if the depth is not a finite number.
+    Raises FieldError if the depth is not a finite number, or field is of another type.
     """
+    check_kind("field", field, DisplacementField, FieldError)
     if not math.isfinite(deeper_than):
         raise FieldError(f"a depth must be a finite number, not {deeper_than!r}")
     before = surface_normals(field.position)

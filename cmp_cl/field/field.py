@@ -6,7 +6,7 @@ from os import PathLike
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.strain import Slopes, green_lagrange, slope_weights, strain_deviation
 from cmp_cl.field.writers import save
 from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid, noise_of_change
@@ -122,8 +122,10 @@ def displacement(rest: Points3D, now: Points3D, *, raw: bool = False) -> Displac
         wear. If the lattice is too small, they are those of the points, and the two moments are
         assumed independent.
 
-    Raises FieldError if the shapes or the units differ.
+    Raises FieldError if an argument is of another type, or if the shapes or the units differ.
     """
+    check_kind("rest", rest, Points3D, FieldError)
+    check_kind("now", now, Points3D, FieldError)
     if rest.status.shape != now.status.shape or rest.unit != now.unit:
         raise FieldError(
             f"rest has {rest.status.shape} nodes in {rest.unit}, "

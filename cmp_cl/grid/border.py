@@ -1,6 +1,7 @@
 """The border of a pattern: the sides on which it ends in the view."""
 
 import math
+import statistics
 from typing import NamedTuple
 
 import numpy as np
@@ -220,8 +221,8 @@ def common_reach(reach: Float, columns: int) -> float:
     count = len(reach)
     if count < max(min(2, columns - 2), 1):
         return math.nan
-    middling = median(reach)
-    off = np.sort(np.abs(reach - middling))
+    middling = statistics.median(reach.tolist())
+    off = sorted(np.abs(reach - middling).tolist())
     return middling if off[(3 * count - 1) // 4] <= PARALLEL else math.nan
 
 

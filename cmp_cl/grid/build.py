@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
+from cmp_cl.grid.filter import with_bends
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
 from cmp_cl.grid.joints import cut
-from cmp_cl.grid.lattice import Lattice, lattice
+from cmp_cl.grid.lattice import Lattice, bends, lattice
 from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
 from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, boxed, check_room
@@ -233,8 +234,9 @@ def _checked(
     z = corners.xy.take(inside, axis=0).astype(np.float64).view(np.complex128)[:, 0]
     if image is not None:
         image = image if image.flags.c_contiguous else image.copy()
-    torn = ~(corners.sigma < TORN) | (corners.refusal != Refusal.NONE)
-    return inside, Seen(z, edges, image, np.append(torn[inside], True))
+    torn = np.ones(len(inside) + 1, np.bool_)
+    torn[:-1] = (~(corners.sigma < TORN) | (corners.refusal != Refusal.NONE.value)).take(inside)
+    return inside, Seen(z, edges, image, torn)
 
 
 def _found(seen: Seen, *, sparse_boards: bool = True) -> Lattice | None:
@@ -271,7 +273,7 @@ def _with_wider(found: Lattice, left: Index, wider: Lattice) -> Lattice:
         values[mine] for values in (wider.node, wider.turn, wider.support)
     )
     axis = np.concatenate([found.axis, wider.axis[:count]])[order]
-    return Lattice(rank[label], size[order], node, turn, support, found.bend, axis)
+    return Lattice(rank[label], size[order], node, turn, support, axis)
 
 
 def _whole(seen: Seen, found: Lattice, component: int = 0) -> tuple[Lattice, Nodes]:
@@ -312,7 +314,7 @@ def _numbered(
         ends = Ends(border.sides)
         if seen.image is not None and np.less(nodes.at.shape, shape).any():
             ends = Ends(border.sides, cut_of(nodes, seen.image), border.passing)
-        numbered = in_shape(nodes, found.bend, shape, ends)
+        numbered = in_shape(nodes, bends(seen.edges), shape, ends)
     else:
         numbered = Numbered(nodes)
     if not alone and np.count_nonzero(found.size >= LEAST_BOARD) > 1:
@@ -466,12 +468,13 @@ def _result(corners: Corners, inside: Index, board: Board) -> Grid:
     numbered, ends = board
     nodes = numbered.nodes
     place = np.flatnonzero(nodes.owner >= 0)
-    owner = inside[nodes.owner.ravel()[place]]
+    owner = inside.take(nodes.owner.take(place))
     index = np.full((len(corners), 2), -1, np.int32)
-    index[owner, 0], index[owner, 1] = np.divmod(place, nodes.at.shape[1])
+    row = place // nodes.at.shape[1]
+    index[owner, 0], index[owner, 1] = row, place - row * nodes.at.shape[1]
     sigma = np.full(nodes.at.shape, np.nan, np.float32)
-    sigma.ravel()[place] = corners.sigma[owner]
-    return Grid(
+    sigma.ravel()[place] = corners.sigma.take(owner)
+    grid = Grid(
         xy=nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2),
         status=nodes.status,
         sigma=sigma,
@@ -489,3 +492,4 @@ def _result(corners: Corners, inside: Index, board: Board) -> Grid:
         margin=numbered.margin,
         edge_radius=corners.edge_radius,
     )
+    return with_bends(grid)

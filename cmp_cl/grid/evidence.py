@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
 from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, for_film, median, turned_lines
-from cmp_cl.grid.predict import Stencil, mean_steps
+from cmp_cl.grid.predict import Stencil, Steps
 from cmp_cl.image import GreyImage
 
 DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
@@ -41,8 +41,8 @@ EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the edge of the image, and from the 
 EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
 
 
-def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
-    """Drop nodes at the rim that do not look like corners of the pattern; return whether any was.
+def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
+    """Reject nodes at the rim that do not look like corners of the pattern; return whether any was.
 
     Junctions with the surround, dots and codes in cells, T junctions and the corners of a room fail
     in one of two ways: they do not have four sectors with the colours of their number, or their
@@ -55,11 +55,10 @@ def refuse(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
         if not len(row):
             return dropped
         if usual is None:
-            inner = _some_inside(nodes.there)
-            every = _look(nodes, image, *np.concatenate([(row, column), inner], axis=1))
-            look, inside = every.part(slice(len(row))), every.part(slice(len(row), None))
-            contrast = (inside.bright - inside.dark)[inside.known]
+            every = _look(nodes, image, *_rim_and_inside(nodes.there))
+            contrast = (every.bright - every.dark)[len(row) :][every.known[len(row) :]]
             usual = median(contrast) if len(contrast) else 0.0
+            look = every.first(len(row))
         else:
             look = _look(nodes, image, row, column)
         kept = _convincing(nodes, image, edges, look, whole, stencil, usual)
@@ -150,7 +149,6 @@ def _hole(seen: Mask) -> Mask:
     return hole
 
 
-@for_film
 def _some_inside(seen: Mask) -> tuple[Index, Index]:
     """Return some nodes, all of them inside the grid if any are."""
     inner = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
@@ -159,6 +157,13 @@ def _some_inside(seen: Mask) -> tuple[Index, Index]:
     count = min(SAMPLE, len(row))
     some = np.arange(count) * (len(row) - 1) // max(count - 1, 1)
     return row[some], column[some]
+
+
+@for_film
+def _rim_and_inside(seen: Mask) -> tuple[Index, Index, Steps]:
+    """Return the nodes at the rim, then some inside, and the steps around them."""
+    row, column = np.concatenate([_rim(seen)[:2], _some_inside(seen)], axis=1)
+    return row, column, Steps.of(seen, row, column)
 
 
 class _Look(NamedTuple):
@@ -178,14 +183,16 @@ class _Look(NamedTuple):
     dark: Float
     span: Float
 
-    def part(self, which: slice) -> "_Look":
-        """Return some of them."""
-        return _Look._make(values[which] for values in self)
+    def first(self, count: int) -> "_Look":
+        """Return the first of them."""
+        return _Look._make(values[:count] for values in self)
 
 
-def _look(nodes: Nodes, image: GreyImage, row: Index, column: Index) -> _Look:
-    """Look at the four cells around nodes."""
-    along, down, cell = mean_steps(nodes.at, row, column)
+def _look(
+    nodes: Nodes, image: GreyImage, row: Index, column: Index, steps: Steps | None = None
+) -> _Look:
+    """Look at the four cells around nodes; steps: those around them, if they are known."""
+    along, down, cell = (steps or Steps.of(nodes.there, row, column)).mean(nodes.at)
     known = ~np.isnan(along.real + down.real)
     along[~known] = down[~known] = 0
     step = DIAGONAL.real[:, None] * along + DIAGONAL.imag[:, None] * down

@@ -49,7 +49,7 @@ class Fingerprint(NamedTuple):
         limit = CLIP * median(size[inner])
         rough *= np.minimum(1, limit / np.maximum(size, 1e-12))
         known[2:-2, 2:-2] = inner
-        error[known] = rough[inner]
+        np.copyto(error[2:-2, 2:-2], rough, where=inner)
         return cls(error, known, median(np.abs(step[inner])))
 
     @classmethod
@@ -114,7 +114,7 @@ def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | 
         agreed = float((np.vdot(error, rest.error) * 1j**quarters).real)
         scores.append(agreed / (deviation * math.sqrt(count)))
         common.append(agreed / count)
-    best = int(np.argmax(scores))
+    best = scores.index(max(scores))
     second = max(score for place, score in enumerate(scores) if place != best)
     clear = scores[best] >= max(ABOVE_CHANCE, ABOVE_SECOND * second)
     return turns[best] if clear and _printed(common[best], now, rest) else None

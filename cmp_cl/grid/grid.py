@@ -74,7 +74,8 @@ class Grid:
 
     xy: (R, C, 2) float32, px, NaN where missing.
     status: (R, C) uint8 of `NodeStatus`.
-    sigma: (R, C) float32, standard deviation of the position per axis, px, NaN where unknown.
+    sigma: (R, C) float32, standard deviation of the position per axis, px, NaN where unknown. It
+        includes the shift by bent edges, see `edge_radius`.
     index: (N, 2) int32, (row, column) in these arrays of each corner that the grid was built
         from, -1 where unassigned.
     parity: 0 where the cell between the first node and its diagonal neighbour, indices (0, 0)

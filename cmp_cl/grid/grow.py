@@ -11,6 +11,7 @@ from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 from cmp_cl.grid.predict import (
     REACHED,
     beside_missing,
+    bordered,
     mean_steps,
     predict,
     predict_within,
@@ -20,8 +21,9 @@ from cmp_cl.grid.whole_edges import along_edges
 from cmp_cl.image import GreyImage
 
 NEAR = 0.3  # cells: largest distance of a node from its prediction
-ASTRAY = 0.1  # cells: a torn node that is farther from its prediction is looked for again,
+ASTRAY = 0.07  # cells: a torn node that is farther from its prediction is looked for again,
 OUTLYING = 3.5  # if it is farther by this factor than nodes of its frame usually are
+PASSES = 2  # the nodes that are found the first time show where others are
 USUAL = 25  # so many nodes show what is usual
 WIDEST = 18.0  # px: in wider cells a torn corner's own image is worth more than its neighbours
 ALONG = 0.25  # cells: how far from its prediction its edges may put it
@@ -48,7 +50,7 @@ class Seen(NamedTuple):
 def grow(nodes: Nodes, seen: Seen) -> None:
     """Attach free corners, beyond the box too, and drop false nodes, until nothing changes."""
     drop_misfits(nodes)
-    _refuse(nodes, seen)
+    _reject(nodes, seen)
     while nodes.free.any() and nodes.there.any():
         nodes.pad()
         attached = _attach(nodes, seen)
@@ -56,7 +58,7 @@ def grow(nodes: Nodes, seen: Seen) -> None:
         if not attached:
             break
         drop_misfits(nodes)
-        _refuse(nodes, seen)
+        _reject(nodes, seen)
     nodes.crop()
     if seen.image is not None:
         evidence.refuse_stragglers(nodes, seen.image, seen.edges)
@@ -68,7 +70,7 @@ def extend(nodes: Nodes, seen: Seen) -> None:
         nodes.pad()
         found = _look_again(nodes, np.zeros(nodes.at.shape), seen.image, WEAK)
         drop_misfits(nodes)
-        found &= not evidence.refuse(nodes, seen.image, seen.edges)
+        found &= not evidence.reject(nodes, seen.image, seen.edges)
         nodes.crop()
         if not found:
             return
@@ -78,7 +80,7 @@ def attach(nodes: Nodes, seen: Seen) -> None:
     """Attach free corners within the box until none fits."""
     while _attach(nodes, seen):
         drop_misfits(nodes)
-        _refuse(nodes, seen)
+        _reject(nodes, seen)
 
 
 def fill(nodes: Nodes, seen: Seen, least: float) -> None:
@@ -88,18 +90,20 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
         looked = np.zeros(nodes.at.shape)
         while not nodes.there.all() and _look_again(nodes, looked, seen.image, least):
             drop_misfits(nodes)
-            _refuse(nodes, seen)
+            _reject(nodes, seen)
             attach(nodes, seen)
-        if _follow_edges(nodes, seen.torn, seen.image):
+        for _ in range(PASSES):
+            if not _follow_edges(nodes, seen.torn, seen.image):
+                break
             drop_misfits(nodes)
-            _refuse(nodes, seen)
+            _reject(nodes, seen)
     _interpolate(nodes)
 
 
-def _refuse(nodes: Nodes, seen: Seen) -> None:
+def _reject(nodes: Nodes, seen: Seen) -> None:
     """Drop nodes at the rim that do not look like corners of the pattern."""
     if seen.image is not None:
-        evidence.refuse(nodes, seen.image, seen.edges)
+        evidence.reject(nodes, seen.image, seen.edges)
 
 
 def drop_misfits(nodes: Nodes) -> None:
@@ -109,14 +113,14 @@ def drop_misfits(nodes: Nodes) -> None:
     are far enough from their prediction to be astray are marked.
     """
     while nodes.changed.any():
-        row, column = _near_changes(nodes)
-        off = _misfits(nodes.at, row, column)
-        far = np.flatnonzero(off > ASTRAY)
-        nodes.astray[nodes.owner[row[far], column[far]]] = True
+        place = _near_changes(nodes)
+        off = _misfits(nodes.at, place)
+        nodes.astray[nodes.owner.take(place[off > ASTRAY])] = True
         bad = off > NEAR
         nodes.changed[:] = False
         if not bad.any():
             return
+        row, column = np.divmod(place, nodes.at.shape[1])
         nodes.changed[row[bad], column[bad]] = True
         padded = np.zeros((nodes.at.shape[0] + 2, nodes.at.shape[1] + 2))
         padded[row + 1, column + 1] = off
@@ -125,8 +129,8 @@ def drop_misfits(nodes: Nodes) -> None:
         nodes.drop(row[worst], column[worst])
 
 
-def _near_changes(nodes: Nodes) -> tuple[Index, Index]:
-    """Return rows and columns of the nodes whose misfit may have changed."""
+def _near_changes(nodes: Nodes) -> Index:
+    """Return the places of the nodes whose misfit may have changed."""
     seen = nodes.there
     rows, columns = seen.shape
     if not nodes.changed.all():
@@ -135,24 +139,24 @@ def _near_changes(nodes: Nodes) -> tuple[Index, Index]:
         reached = REACHED @ [columns + 6, 1]
         near.ravel()[((row + 3) * (columns + 6) + column + 3)[:, None] + reached] = True
         seen &= near[3:-3, 3:-3]
-    row, column = np.divmod(np.flatnonzero(seen), columns)
-    return row, column
+    return np.flatnonzero(seen)
 
 
-def _misfits(at: Points, row: Index, column: Index) -> Float:
+def _misfits(at: Points, place: Index) -> Float:
     """Return the distances of nodes from well supported predictions, cells; 0 below a pixel."""
-    if len(row) > FEW:
-        place, outer = beside_missing(~np.isnan(at.real))
+    columns = at.shape[1]
+    if len(place) > FEW:
+        outside, outer = beside_missing(~np.isnan(at.real))
         every = predict_within(at)
-        every.ravel()[place] = np.where(outer.weight < STRONG, NOWHERE, outer.predict(at))
-        prediction = every[row, column]
+        every.ravel()[outside] = np.where(outer.weight < STRONG, NOWHERE, outer.predict(at))
+        prediction = every.take(place)
     else:
-        prediction, weight = predict(at, row, column)
+        prediction, weight = predict(at, *np.divmod(place, columns))
         prediction[weight < STRONG] = NOWHERE
-    gap = np.abs(at[row, column] - prediction)
+    gap = np.abs(at.take(place) - prediction)
     far = np.flatnonzero(gap > 1)
-    off = np.zeros(len(row))
-    off[far] = gap[far] / mean_steps(at, row[far], column[far])[2]
+    off = np.zeros(len(place))
+    off[far] = gap[far] / mean_steps(at, *np.divmod(place[far], columns))[2]
     return off
 
 
@@ -254,18 +258,19 @@ def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
     if not len(row):
         return False
     expected, weight = predict(nodes.at, row, column)
-    cell = mean_steps(nodes.at, row, column)[2]
+    along, down, cell = mean_steps(nodes.at, row, column)
     off = np.abs(nodes.at[row, column] - expected)
     settled = off <= np.maximum(ASTRAY * cell, OUTLYING * _usual(nodes.at))
     settled |= (cell > WIDEST) & ~np.isnan(off)
     left = np.flatnonzero((weight >= STRONG) & ~settled)
     if not len(left):
         return False
-    row, column, expected, cell = row[left], column[left], expected[left], cell[left]
-    found = along_edges(nodes, image, row, column, expected)
+    row, column, expected = row[left], column[left], expected[left]
+    along, down, cell = along[left], down[left], cell[left]
+    found = along_edges(nodes, image, row, column, expected, (along, down, cell))
     kept = np.abs(found - expected) < ALONG * cell
     row, column, found, cell = row[kept], column[kept], found[kept], cell[kept]
-    missing = nodes.status[row, column] == NodeStatus.MISSING
+    missing = np.isnan(nodes.at[row, column].real)
     nodes.put(row, column, found, NodeStatus.SECOND_LOOK)
     nodes.owner[row, column] = -1
     return bool(missing.any())
@@ -280,8 +285,8 @@ def _usual(at: Points) -> float:
 
 def _beside_another(at: Points, row: Index, column: Index, apart: Float) -> Mask:
     """Return a mask of the nodes that are nearer than `apart` to one of their eight neighbours."""
-    padded = np.pad(at, 1, constant_values=NOWHERE)
-    around = [padded[row + r, column + c] for r in range(3) for c in range(3) if (r, c) != (1, 1)]
+    padded = bordered(at)
+    around = [padded[row + r, column + c] for r in (2, 3, 4) for c in (2, 3, 4) if (r, c) != (3, 3)]
     away = np.abs(np.stack(around) - at[row, column])
     beside: Mask = np.asarray(np.less(away, apart).any(axis=0))
     return beside

@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 # Cells: largest distance of a neighbour; the cell is that of the sparser parts.
 FARTHEST_NEIGHBOUR = 1.6
 SPARSE = 0.1  # share of the points that may be farther apart than the cells
+BINS = 4  # of the points, along a row, to the largest distance of neighbours
+MOST_BINS = 8  # for each point
 CROWD = 64  # most points within reach on one side of a point of a lattice
 COSINE = 0.75  # least cosine between a boundary and the direction to the neighbour
 SKEW = 0.18  # largest |a - b + c - d|^2 of a cell, over the squares of its diagonals
@@ -33,8 +35,7 @@ class Lattice(NamedTuple):
     node: (N,) complex64, column + 1j row, whole numbers, from an arbitrary origin.
     turn: (N,) complex64, boundary e0 points along this unit of the lattice.
     support: (N,) int64, consistent links of the corner.
-    bend: (N,) float32, deviation of opposite boundaries from one line, 0 to 2; NaN if unknown.
-    axis: (K,) complex, mean step of the image along +1 of each component, px.
+    axis: (K,) complex, along the mean direction of +1 in the image, of each component.
     """
 
     component: Index
@@ -42,7 +43,6 @@ class Lattice(NamedTuple):
     node: Complex
     turn: Complex
     support: Index
-    bend: NDArray[np.float32]
     axis: Complex
 
 
@@ -52,20 +52,20 @@ def lattice(z: Complex, edges: NDArray[np.float32], sparse: float = SPARSE) -> L
     sparse: as of `near_pairs`.
     """
     order, first, second, step = near_pairs(z, sparse)
-    lines, bend = _lines(edges)
-    z, lines = z[order], lines.take(order, axis=1)
+    lines = _lines(edges)
+    z, lines = z.take(order), lines.take(order, axis=1)
     half, other = _links(lines, first, second, step)
     cells = _cells(z, half, other)
-    closed = np.flatnonzero(cells > 0)
-    half, other = half[closed], other[closed]
-    trees, agree = _counted(lines, half, other), np.ones(len(half), np.bool_)
+    closed = cells.nonzero()[0]
+    half, other = half.take(closed), other.take(closed)
+    trees, agree = _counted(lines, half, other), None
     if trees is None:
-        sure = cells[closed] == 2
+        sure = cells.take(closed) == 2
         trees = _planted(len(z), half[sure], other[sure])
         trees = _join(trees, half[sure], other[sure], 0)
         trees = _join(trees, half, other, STRONG)
         agree = _agree(trees, half, other)
-    return _arranged(z, bend, order, half, other, trees, agree)
+    return _arranged(lines, order, half, other, trees, agree)
 
 
 def near_pairs(z: Complex, sparse: float = SPARSE) -> tuple[Index, Index, Index, Complex]:
@@ -84,42 +84,58 @@ def near_pairs(z: Complex, sparse: float = SPARSE) -> tuple[Index, Index, Index,
     column = (x / tile).astype(np.int64)
     tiles = (y / tile).astype(np.int64) * (column.max() + 1) + column
     crowds = np.sort(np.bincount(tiles))
-    crowd = crowds[np.searchsorted(np.cumsum(crowds), int(sparse * len(z)), side="right")]
+    crowd = crowds[crowds.cumsum().searchsorted(int(sparse * len(z)), side="right")]
     reach = max(FARTHEST_NEIGHBOUR * tile / np.sqrt(crowd), extent / 1024)
 
-    # Strips of the image, each `reach` high, are laid end to end on one axis.
-    strip = wide + 2 * reach
-    height = y / reach
-    number = np.floor(height)
-    along = number * strip + x
-    order = np.argsort(along, kind="stable")
-    along, z = along[order], z[order]
-    depth = (number + 1 - height)[order]  # from a point to the next strip
-    width = reach * np.sqrt(1 - depth * depth)  # of the next strip, to either side, within reach
-    ahead = np.searchsorted(along, along + reach)
-    below = np.searchsorted(along, along + (strip - width))
-    beyond = np.searchsorted(along, along + (strip + width))
+    # Bins of the image, in rows `reach` high, are laid end to end on one axis, with empty ones
+    # between the rows. Their number is in proportion to the points at most.
+    bin_width = max(reach / BINS, wide * high / (reach * MOST_BINS * len(z)))
+    margin = int(reach / bin_width) + 1
+    columns = int(wide / bin_width) + 1 + margin
+    x /= bin_width
+    y /= reach
+    row = y.astype(np.int64)
+    number = row * columns + x.astype(np.int64)
+    rows = int(row.max()) + 2
+    order = number.astype(np.min_scalar_type(rows * columns)).argsort(kind="stable")
+    number, z = number.take(order), z.take(order)
+    until = np.bincount(number + 1, minlength=rows * columns + margin + 1).cumsum()
+    depth = row + 1 - y  # from a point to the next row
+    width = np.sqrt(1 - depth * depth) * (reach / bin_width)  # of that row, within reach, half
+    next_row = (row + 1) * columns
+    below = np.maximum(x - width, 0).astype(np.int64) + next_row
+    beyond = (x + width).astype(np.int64) + (next_row + 1)
     here = np.arange(len(z))
-    begin, end = np.concatenate([here + 1, below]), np.concatenate([ahead, beyond])
+    begin = np.concatenate([here + 1, until.take(below.take(order))])
+    end = np.concatenate([until.take(number + (margin + 1)), until.take(beyond.take(order))])
     count = np.minimum(end - begin, CROWD)
-    first = np.repeat(np.concatenate([here, here]), count)
-    second = np.arange(len(first)) + np.repeat(begin - np.cumsum(count) + count, count)
-    step = z.take(second) - z.take(first)
-    near = np.flatnonzero(np.abs(step) < reach)
+    first = np.concatenate([here, here]).repeat(count)
+    second = np.arange(len(first))
+    second += (begin + count - count.cumsum()).repeat(count)
+    step = z.take(second)
+    step -= z.take(first)
+    near = (np.abs(step) < reach).nonzero()[0]
     return order, first.take(near), second.take(near), step.take(near)
 
 
-def _lines(edges: NDArray[np.float32]) -> tuple[Complex, NDArray[np.float32]]:
-    """Return the corners' two lines, (2, N) units along e0 - e2 and e1 - e3, and their bends."""
-    edges = np.ascontiguousarray(edges.T)
+def bends(edges: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the deviation of opposite boundaries from one line, (N,), 0 to 2; NaN if unknown."""
+    edges = edges.T
     x, y = np.cos(edges), np.sin(edges)
     off = (x[:2] + x[2:]) ** 2 + (y[:2] + y[2:]) ** 2
-    bend = np.sqrt(np.maximum(off[0], off[1]))
+    bend: NDArray[np.float32] = np.sqrt(np.maximum(off[0], off[1]))
+    return bend
+
+
+def _lines(edges: NDArray[np.float32]) -> Complex:
+    """Return the corners' two lines, (2, N) units along e0 - e2 and e1 - e3."""
+    edges = np.ascontiguousarray(edges.T)
+    x, y = np.cos(edges), np.sin(edges)
     x, y = x[:2] - x[2:], y[:2] - y[2:]
     length = np.maximum(np.sqrt(x * x + y * y), np.float32(1e-6))
     lines = np.empty(x.shape, np.complex64)
     lines.real, lines.imag = x / length, y / length
-    return lines, bend
+    return lines
 
 
 def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[Index, Index]:
@@ -131,28 +147,28 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
     + 4 (1 - cos)) of both ends.
     """
     length = np.abs(step)
-    step = step * (1 / np.maximum(length, np.float32(1e-6)))
-    k, cos_ahead = _boundary(lines.take(first, axis=1), step)
-    m, cos_back = _boundary(lines.take(second, axis=1), -step)
-    fits = (cos_ahead > COSINE) & (cos_back > COSINE) & ((k ^ m) & 1 == 1)
-    kept = np.flatnonzero(fits)
-    half = 4 * first.take(kept) + k.take(kept)
-    other = 4 * second.take(kept) + m.take(kept)
-    cost = length.take(kept) * (5 - 4 * cos_ahead.take(kept)) * (5 - 4 * cos_back.take(kept))
+    k, ahead = _boundary(lines.take(first, axis=1), step)
+    kept = (ahead > COSINE * length).nonzero()[0]
+    first, second, k = first.take(kept), second.take(kept), k.take(kept)
+    step, length, ahead = step.take(kept), length.take(kept), ahead.take(kept)
+    m, back = _boundary(lines.take(second, axis=1), -step)
+    half, other = 4 * first + k, 4 * second + m
+    fits = (back > COSINE * length) & ((k ^ m) & 1 == 1)
+    cost = (5 * length - 4 * ahead) * (5 * length - 4 * back) / length
+    cost[~fits] = np.inf
     best = np.full(4 * lines.shape[1], np.inf, cost.dtype)
     np.minimum.at(best, half, cost)
     np.minimum.at(best, other, cost)
-    chosen = np.flatnonzero((best[half] == cost) & (best[other] == cost))
-    return half[chosen], other[chosen]
+    chosen = (fits & (best.take(half) == cost) & (best.take(other) == cost)).nonzero()[0]
+    return half.take(chosen), other.take(chosen)
 
 
 def _boundary(lines: Complex, way: Complex) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """Return the number of the boundary nearest to the direction `way`, and the cosine between
-    them, of corners with those lines, (2, N)."""
+    """Return the number of the boundary nearest to the direction `way`, and the component of `way`
+    along it, of corners with those lines, (2, N)."""
     even, odd = (lines * way.conj()).real
     size_even, size_odd = np.abs(even), np.abs(odd)
-    is_odd = size_odd > size_even
-    behind = (odd < 0) & is_odd | (even < 0) & ~is_odd
+    is_odd, behind = size_odd > size_even, even + odd < 0  # the sum has the sign of the larger
     return is_odd.view(np.int8) + 2 * behind.view(np.int8), np.maximum(size_even, size_odd)
 
 
@@ -167,21 +183,27 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
     across[half] = other
     across[other] = half
     onward = (across & ~3) | ((across + 3) & 3)
-    twice = onward[onward]
+    twice = onward.take(onward)
     itself = np.arange(nowhere + 4)
     lowest = (itself < onward) & (itself < twice)  # seldom more than one of a cell
-    start = np.flatnonzero(lowest & (twice[twice] == itself))
-    steps = np.stack([start, onward[start], twice[start], onward[twice[start]]])
-    a, b, c, d = z[steps >> 2]
-    skew, first, second = (v.real**2 + v.imag**2 for v in (a + c - b - d, a - c, b - d))
-    cell = np.zeros(nowhere, np.bool_)
-    near = skew < SKEW * (first + second)
+    start = (lowest & (twice.take(twice) == itself)).nonzero()[0]
+    opposite = twice.take(start)
+    steps = start, onward.take(start), opposite, onward.take(opposite)
+    a, b, c, d = (z.take(step >> 2) for step in steps)
+    one, two = a - c, b - d
+    near = _square(a - b + c - d) < SKEW * (_square(one) + _square(two))
+    cell = np.zeros(nowhere, np.int8)
     for step in steps:
-        cell[step] = near
+        cell[step] = near.view(np.int8)
     # a later link of the same cost may have replaced an earlier one
-    held = (across[half] == other) & (across[other] == half)
-    count: NDArray[np.int8] = held * (cell[half].view(np.int8) + cell[other].view(np.int8))
+    held = (across.take(half) == other) & (across.take(other) == half)
+    count: NDArray[np.int8] = held * (cell.take(half) + cell.take(other))
     return count
+
+
+def _square(step: Complex) -> NDArray[np.floating[Any]]:
+    """Return the squared lengths."""
+    return np.abs(step) ** 2
 
 
 class _Trees(NamedTuple):
@@ -201,28 +223,28 @@ def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
     """
     corners = lines.shape[1]
     squared = lines[0] * lines[0]
-    axis = np.full(1, complex((squared * squared).mean()) ** 0.25, np.complex64)
-    ahead, _ = _boundary(lines, axis)
+    axis = complex(np.dot(squared, squared)) ** 0.25
+    ahead, _ = _boundary(lines, np.array([axis], np.complex64))
     quarter = -ahead & 3
     a, b = half >> 2, other >> 2
-    way = (quarter[a] + half) & 3
-    if (way ^ (quarter[b] + other) & 3 != 2).any():
+    way, back = quarter.take(a) + half, quarter.take(b) + other
+    if ((way - back & 3) != 2).any():
         return None
-    step = UNITS[way]
+    step = UNITS.take(way & 3)
     root, node = np.arange(corners), np.zeros(corners, np.complex64)
     child, parent, shift = b, a, step  # a is the lower of the two
     while len(child):
         root[child], node[child] = parent, shift  # of several parents the last holds
-        while np.count_nonzero((higher := root[root]) != root):  # pointer jumping
-            node += node[root]
+        while ((higher := root.take(root)) != root).any():  # pointer jumping
+            node += node.take(root)
             root = higher
-        off = node[a] + step - node[b]
-        one, two = root[a], root[b]
-        apart = np.flatnonzero(one != two)
-        one, two, shift = one[apart], two[apart], off[apart]
+        off = node.take(a) + step - node.take(b)
+        one, two = root.take(a), root.take(b)
+        apart = (one != two).nonzero()[0]
+        one, two, shift = one.take(apart), two.take(apart), off.take(apart)
         child, parent = np.maximum(one, two), np.minimum(one, two)
         shift = np.where(one < two, shift, -shift)
-    return None if len(b) and off.any() else _Trees(root, node, UNITS[quarter])
+    return None if len(b) and off.any() else _Trees(root, node, UNITS.take(quarter))
 
 
 def _planted(corners: int, half: Index, other: Index) -> _Trees:
@@ -323,38 +345,40 @@ def starts(values: Index) -> Index:
 
 
 def _arranged(
-    z: Complex,
-    bend: NDArray[np.float32],
+    lines: Complex,
     order: Index,
     half: Index,
     other: Index,
     trees: _Trees,
-    agree: Mask,
+    agree: Mask | None,
 ) -> Lattice:
-    """Return the components by size, in the corners' own order; z is in the sorted order."""
+    """Return the components by size, in the corners' own order; the lines are in that order.
+
+    agree: the links that agree with the trees, None if all do.
+    """
     root, node, turn = trees
     a, b = half >> 2, other >> 2
-    support = np.bincount(a, agree, len(z)) + np.bincount(b, agree, len(z))
-    linked = np.zeros(len(z), np.bool_)
-    linked[a] = linked[b] = True
-    count = np.bincount(root[linked], minlength=len(z))
-    largest = np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
-    label = np.full(len(z), -1)
+    corners = len(order)
+    support = links = np.bincount(a, minlength=corners) + np.bincount(b, minlength=corners)
+    if agree is not None:
+        a, b = a[agree], b[agree]
+        support = np.bincount(a, minlength=corners) + np.bincount(b, minlength=corners)
+    linked = links > 0
+    count = np.bincount(root.compress(linked), minlength=corners)
+    largest = (-count).argsort(kind="stable")[: np.count_nonzero(count)]
+    label = np.full(corners, -1)
     label[largest] = np.arange(len(largest))
-    label = np.where(linked, label[root], -1)
-    along = (z[b] - z[a]) * (turn[a] * UNITS[half & 3]).conj()
-    part = label[a]
-    steps = np.maximum(np.bincount(part, minlength=len(largest)), 1)
-    axis = np.bincount(part, along.real, len(largest)) / steps + 0j
-    axis.imag = np.bincount(part, along.imag, len(largest)) / steps
+    label = np.where(linked, label.take(root), -1)
+    along = lines[0] * turn.conj()
+    axis = np.bincount(label + 1, along.real)[1:] + 0j
+    axis.imag = np.bincount(label + 1, along.imag)[1:]
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
     return Lattice(
-        component=label[back],
-        size=count[largest],
-        node=node[back],
-        turn=turn[back],
-        support=support.astype(np.int64)[back],
-        bend=bend,
+        component=label.take(back),
+        size=count.take(largest),
+        node=node.take(back),
+        turn=turn.take(back),
+        support=support.take(back),
         axis=axis,
     )

@@ -177,12 +177,14 @@ def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     free[member] = False
     parity = int(2 * np.count_nonzero(odd) > len(odd))
     nodes = Nodes(shape, parity, free)
-    nodes.owner[row, column] = member
+    place = row * shape[1] + column
+    owner = nodes.owner.ravel()
+    owner[place] = member
     seen = nodes.owner >= 0
     if np.count_nonzero(seen) < len(member):  # of several with one number the best supported stays
         best = np.argsort(found.support[member], kind="stable")
-        nodes.owner[row[best], column[best]] = member[best]
-    nodes.at = np.where(seen, z[nodes.owner], NOWHERE)
+        owner[place[best]] = member[best]
+    nodes.at = np.where(seen, z.take(nodes.owner), NOWHERE)
     nodes.status[seen] = NodeStatus.DETECTED
     nodes.changed[:] = True
     return nodes

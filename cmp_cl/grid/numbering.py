@@ -290,8 +290,10 @@ def _numbered(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Nu
     best, second, sure, _ = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []
-    hidden = _hidden(border.turned(best.quarters), like)
-    known = [end and not other for end, other in zip(like.border, hidden, strict=True)]
+    known: Sequence[bool] = like.border
+    if (best.top, best.left, *turned.at.shape) != (*like.origin, *like.shape):
+        hidden = _hidden(border.turned(best.quarters), like)
+        known = [end and not other for end, other in zip(like.border, hidden, strict=True)]
     ends = (known[:2], known[2:])
     for axis, start in enumerate((best.top, best.left)):
         low, high = like.origin[axis], like.origin[axis] + like.shape[axis]

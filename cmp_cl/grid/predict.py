@@ -39,37 +39,68 @@ REACHED = np.array(  # nodes whose prediction or cell changes with the node in t
 )
 
 
+class Steps(NamedTuple):
+    """The steps from node to node whose means M nodes take.
+
+    near: (2, 3, 5, M), the nodes between them by number in the grid with three missing nodes on
+    every side. unknown: (24, M) bool, steps from or to a missing node. share: (2, M), 1 over the
+    number of the known ones, NaN if there are none.
+    """
+
+    near: Index
+    unknown: Mask
+    share: Float
+
+    @classmethod
+    def of(cls, there: Mask, row: Index, column: Index) -> "Steps":
+        """Return the steps around some nodes of a grid; there: (R, C), where it has nodes."""
+        missing, place = _around(there, row, column)
+        near = LINES[..., :1] * missing.shape[1] + LINES[..., 1:] + place
+        lost = missing.take(near)
+        unknown = (lost[:, :, 1:] | lost[:, :, :-1]).reshape(TOUCHED.shape[1], len(row))
+        return cls(near, unknown, _inverse(TOUCHED @ ~unknown))
+
+    def mean(self, at: Points) -> tuple[Points, Points, Float]:
+        """Return the step to the next column, to the next row, and the cell at each node, px.
+
+        They are means of the steps to and from the 3 x 3 nodes around; at: (R, C), px.
+        """
+        near = bordered(at).take(self.near)
+        step = (near[:, :, 1:] - near[:, :, :-1]).reshape(self.unknown.shape)
+        np.copyto(step, 0, where=self.unknown)
+        mean: Points = (TOUCHED @ step.view(np.float64)).view(np.complex128) * self.share
+        length = np.abs(mean)
+        cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
+        return mean[0], mean[1], cell
+
+
 class Stencil(NamedTuple):
     """The factors by which neighbours predict M nodes.
 
     near: (24, M), the neighbours by number in the grid with three missing nodes on every side.
-    missing: (24, M), those that are not there. factors: (24, M), of their positions. weight: (M,),
-    of the predictions.
+    factors: (24, 2 M), of their x and y, 0 for those that are not there. weight: (M,), of the
+    predictions. share: (M,), 1 / weight, NaN for a weight of 0.
     """
 
     near: Index
-    missing: Mask
     factors: Float
     weight: Float
+    share: Float
 
     @classmethod
     def of(cls, there: Mask, row: Index, column: Index) -> "Stencil":
         """Return the stencil of some nodes of a grid; there: (R, C), where it has nodes."""
-        rows, columns = there.shape
-        width = columns + 6
-        around = np.ones((rows + 6, width), np.bool_)
-        around[3:-3, 3:-3] = ~there
-        near = (row + 3) * width + column + 3 + (STEPS @ [width, 1])[:, None]
-        missing = around.ravel()[near]
-        known = USES @ missing == 0
+        missing, place = _around(there, row, column)
+        near = STEPS[:, :1] * missing.shape[1] + STEPS[:, 1:] + place
+        known = USES @ missing.take(near) == 0
         weight: Float = WEIGHTS @ known
-        return cls(near, missing, WEIGHTED.T @ known, weight)
+        return cls(near, (WEIGHTED.T @ known).repeat(2, axis=1), weight, _inverse(weight))
 
     def predict(self, at: Points) -> Points:
         """Return the predictions, NaN where nothing is known; at: (R, C), px."""
-        near = _bordered(at).ravel()[self.near]
-        np.copyto(near, 0, where=self.missing)
-        predicted: Points = (self.factors * near).sum(0) * _inverse(self.weight)
+        known = bordered(np.where(np.isnan(at.real), 0, at), nothing=0)
+        near = known.take(self.near).view(np.float64)
+        predicted: Points = (self.factors * near).sum(0).view(np.complex128) * self.share
         return predicted
 
 
@@ -94,17 +125,26 @@ def beside_missing(there: Mask) -> tuple[Index, Stencil]:
 
 def predict_within(at: Points) -> Points:
     """Return the predictions of all nodes, (R, C); NaN where one of the nodes around is missing."""
-    padded = _bordered(at).view(np.float64).reshape(*np.add(at.shape, 6), 2)
+    padded = bordered(at).view(np.float64).reshape(*np.add(at.shape, 6), 2)
     filtered = cv2.filter2D(padded, -1, KERNEL)[3:-3, 3:-3]  # leaves out factors that are 0
     return np.ascontiguousarray(filtered).view(np.complex128)[..., 0]
 
 
-def _bordered(at: Points) -> Points:
+def bordered(at: Points, nothing: complex = NOWHERE) -> Points:
     """Add three missing nodes on every side."""
     rows, columns = at.shape
-    padded = np.full((rows + 6, columns + 6), NOWHERE)
+    padded = np.full((rows + 6, columns + 6), nothing, np.complex128)
     padded[3:-3, 3:-3] = at
     return padded
+
+
+def _around(there: Mask, row: Index, column: Index) -> tuple[Mask, Index]:
+    """Return a mask of missing nodes with three of them on every side, and the places there, (M,),
+    of some nodes."""
+    rows, columns = there.shape
+    missing = np.ones((rows + 6, columns + 6), np.bool_)
+    missing[3:-3, 3:-3] = ~there
+    return missing, (row + 3) * (columns + 6) + column + 3
 
 
 def _inverse(weight: Float) -> Float:
@@ -117,14 +157,4 @@ def mean_steps(at: Points, row: Index, column: Index) -> tuple[Points, Points, F
 
     They are means of the steps to and from the 3 x 3 nodes around; NaN if there are none.
     """
-    padded = _bordered(at)
-    width = padded.shape[1]
-    place = (row + 3) * width + column + 3
-    near = padded.ravel()[(LINES @ [width, 1])[..., None] + place]
-    step = (near[:, :, 1:] - near[:, :, :-1]).reshape(TOUCHED.shape[1], len(row))
-    known = ~np.isnan(step.real)
-    np.copyto(step, 0, where=~known)
-    mean: Points = TOUCHED @ step * _inverse(TOUCHED @ known)
-    length = np.abs(mean)
-    cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
-    return mean[0], mean[1], cell
+    return Steps.of(~np.isnan(at.real), row, column).mean(at)

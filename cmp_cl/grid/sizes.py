@@ -23,7 +23,7 @@ def in_shape(
     also leave as many rows as the shape has columns. If more nodes are seen, the fullest window is
     taken, the one nearest to the top left.
 
-    bend: (N,), as in `Lattice`. ends: the sides on which the pattern ends.
+    bend: (N,), as of `bends`. ends: the sides on which the pattern ends.
     """
     turns = [0]
     if shape[0] != shape[1]:

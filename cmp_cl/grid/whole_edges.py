@@ -7,7 +7,7 @@ the visible corner is not the printed one. Towards the next nodes the edges are 
 import numpy as np
 
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Nodes, Points
-from cmp_cl.grid.predict import mean_steps
+from cmp_cl.grid.predict import bordered
 from cmp_cl.image import GreyImage
 
 SHARES = np.linspace(0.2, 0.7, 6)  # of the way to the neighbours: where an edge is looked for
@@ -26,20 +26,24 @@ _ACROSS = np.linspace(-WIDE, WIDE, SAMPLES)[:, None, None, None]
 
 
 def along_edges(
-    nodes: Nodes, image: GreyImage, row: Index, column: Index, expected: Points
+    nodes: Nodes,
+    image: GreyImage,
+    row: Index,
+    column: Index,
+    expected: Points,
+    steps: tuple[Points, Points, Float],
 ) -> Points:
     """Return the positions of these nodes from the edges to their neighbours, (M,) px; NaN if an
     edge is not visible.
 
-    expected: (M,) px, the positions that the neighbours predict.
+    expected: (M,) px, the positions that the neighbours predict. steps: as of `mean_steps`.
 
     An edge is searched on profiles across the curve through the expected position and both
     neighbours. The node moves with the mean distances of its two lines from their curves, by the
     share of them that leaves the least error.
     """
-    along, down, cell = mean_steps(nodes.at, row, column)
-    padded = np.pad(nodes.at, 1, constant_values=NOWHERE)
-    ends = padded[row + 1 + _WAYS[:, :1], column + 1 + _WAYS[:, 1:]]
+    along, down, cell = steps
+    ends = bordered(nodes.at)[row + 3 + _WAYS[:, :1], column + 3 + _WAYS[:, 1:]]
     ends = np.where(np.isnan(ends), expected + np.array([along, down, -along, -down]), ends)
     known = np.isfinite(ends).all(axis=0) & np.isfinite(expected)
     ends, expected, cell = (np.where(known, values, 0) for values in (ends, expected, cell))
@@ -72,11 +76,13 @@ def _between_pixels(image: GreyImage, x: Float, y: Float) -> Float:
     x = np.minimum(np.maximum(x, 0), columns - 1)
     y = np.minimum(np.maximum(y, 0), rows - 1)
     left, top = x.astype(np.int64), y.astype(np.int64)
-    right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
     x -= left
     y -= top
-    upper = (1 - x) * image[top, left] + x * image[top, right]
-    lower = (1 - x) * image[bottom, left] + x * image[bottom, right]
+    above = top * columns + left
+    below = above + columns * (top < rows - 1)
+    right = left < columns - 1
+    upper = (1 - x) * image.take(above) + x * image.take(above + right)
+    lower = (1 - x) * image.take(below) + x * image.take(below + right)
     levels: Float = (1 - y) * upper + y * lower
     return levels
 
@@ -93,7 +99,8 @@ def _crossing(rising: Float) -> Float:
     crossed = (before < 0) & (after >= 0)
     part = before / np.where(crossed, before - after, 1)
     place = np.where(crossed, _ACROSS[:-1] + part * (2 * WIDE / (SAMPLES - 1)), np.inf)
-    nearest = place[np.abs(place).argmin(axis=0), *np.ix_(*map(range, place.shape[1:]))]
+    least = np.abs(place).argmin(axis=0)
+    nearest = np.take_along_axis(place, least[None], axis=0)[0]
     found = np.isfinite(nearest)
     count = found.sum(axis=0)
     mean = np.where(found, nearest, 0).sum(axis=0) / np.maximum(count, 1)

@@ -11,7 +11,7 @@ from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
-from cmp_cl.errors import GridError
+from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import Grid, build_grid, filter_positions
 from cmp_cl.image import GreyImage
@@ -196,8 +196,8 @@ class TwoViews(Measurement):
     view, see `OneView`. The other arguments are those of `OneView`.
 
     Raises GridError if a view of the frame at rest shows no such pattern, or the rig does
-    not fit three quarters of its nodes to 1 px; ImageError if a view extends past the frame; and
-    the errors of `Detector`.
+    not fit three quarters of its nodes to 1 px; ImageError if a view extends past the frame;
+    ConfigError if rig or split is of another type; and the errors of `Detector`.
     """
 
     def __init__(
@@ -214,6 +214,8 @@ class TwoViews(Measurement):
         track: bool = False,
         raw: bool = False,
     ) -> None:
+        check_kind("rig", rig, StereoRig, ConfigError)
+        check_kind("split", split, BinocularSplit, ConfigError)
         super().__init__()
         self._raw = raw
         self._rig = rig

@@ -8,7 +8,7 @@ A compilation takes seconds. So a file is compiled with only the macros that it 
 binaries are cached: another configuration compiles only the stages that it changes. PoCL has its
 own cache, and compiles everything twice when asked for a binary. Binaries of other implementations
 are kept in the user's cache folder, one file each. A file appears whole or not at all, is checked
-before use, and is replaced if the device refuses it. Without a writable folder every start
+before use, and is replaced if the device rejects it. Without a writable folder every start
 compiles.
 """
 

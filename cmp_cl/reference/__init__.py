@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.choice import choose_by_corners
 from cmp_cl.config import BinaryRings, DetectorConfig, Pyramid, RapidCriteria
 from cmp_cl.corners import Corners
 from cmp_cl.errors import ImageError
@@ -62,7 +63,7 @@ class _Found:
 def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None) -> Corners:
     """Find the corners of an image, (H, W) uint8 or uint16.
 
-    config: None stands for DetectorConfig.for_image(image).
+    config: None means the settings of `cmp_cl.choose_config`, chosen by what the oracle finds.
     mask: (H, W) bool, where candidates may be centred; pixels outside are still sampled.
 
     Raises ImageError if image or mask is anything else.
@@ -75,12 +76,12 @@ def detect_with_margin(
 ) -> tuple[Corners, NDArray[np.float64]]:
     """Find the corners; also return the margins of the decisions of refinement, (N,) float64.
 
-    image, config, mask: as in `detect`. A margin is the smallest relative distance of a guard's
+    image, config, mask: as in `detect`. A margin is the smallest relative distance of a check's
         quantity from its bound. If it is tiny, float32 may decide otherwise. It is infinite without
         refinement.
     """
     image = check_image(image)
-    config = config or DetectorConfig.for_image(image)
+    config = config or _chosen(image)
     factor, found = _at_best_scale(image, config, mask)
     pixel, centroid, rounded = found.pixel, found.centroid, found.rounded
     if factor != 1:
@@ -108,7 +109,12 @@ def maps(
 ) -> Maps | HarmonicMaps:
     """Return every intermediate image of `detect`, with a value at every pixel."""
     image = check_image(image)
-    return _at_best_scale(image, config or DetectorConfig.for_image(image), mask)[1].maps
+    return _at_best_scale(image, config or _chosen(image), mask)[1].maps
+
+
+def _chosen(image: GreyImage) -> DetectorConfig:
+    """Return the settings for an image that is given without any."""
+    return choose_by_corners(image, None, lambda config: detect(image, config))
 
 
 def _at_best_scale(image: GreyImage, config: DetectorConfig, mask: Mask) -> tuple[float, _Found]:

@@ -1,6 +1,6 @@
 """The adaptive lattice filter, node by node, in float64.
 
-1. Nodes that were not measured, and those refused below, have no vote. To find the components,
+1. Nodes that were not measured, and those rejected below, have no vote. To find the components,
    each vote grows by a node; a component is connected along rows, columns and diagonals. Each is
    filtered by itself, in the smallest rectangle around its votes.
 2. A hole gets the value of the quadratic surface through the votes within 3 nodes, or within 6 if
@@ -15,8 +15,8 @@
    three quarters of the window measured. G is a Gaussian of that standard deviation, in nodes,
    whose weights sum to 1. e is the mean of a chi variable over root(f), with f degrees of
    freedom: trace^2 / sum of squares of the matrix sum r r^T / root(u).
-5. A node is refused if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. This is done up
-   to three times.
+5. A node is rejected if |r|^2 / K > 36 s2 (1 - k) and no neighbour has a larger |r|. This is done
+   up to three times.
 6. Each pair gives the estimate E, the loss Q = |X - E|^2 / K + 2 s2 H, with H the node's own weight
    in the pair, and the risk G1.5(Q) / s2 over the votes. A pair is left out if less than three
    quarters of its window are measured; the pair that changes nothing is always in. The result is
@@ -54,7 +54,7 @@ PAIRED_BENDING = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))
 class Filtered:
     """The fields of `cmp_cl.grid.Filtered`, and a margin.
 
-    margin: (R, C), the smallest relative distance from its bound of a quantity that refuses or
+    margin: (R, C), the smallest relative distance from its bound of a quantity that rejects or
         accepts a node of the component. If it is tiny, float32 may decide otherwise.
     """
 
@@ -141,7 +141,7 @@ def _component(
     kept = votes
     residual, s2, own = _noise(data, kept)
     for _ in range(3):
-        gone, near = _refused(residual, s2, own, kept)
+        gone, near = _rejected(residual, s2, own, kept)
         margin = min(margin, near)
         if not gone.any():
             break
@@ -228,7 +228,7 @@ def _expected(residual: Floats, size: Floats) -> float:
     return share * math.gamma(f / 2 + 0.5) / math.gamma(f / 2)
 
 
-def _refused(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[Bools, float]:
+def _rejected(residual: Floats, s2: Floats, own: Floats, votes: Bools) -> tuple[Bools, float]:
     size = np.where(votes, (residual**2).mean(axis=2), 0)
     gone = np.zeros_like(votes)
     margin = math.inf
@@ -343,9 +343,14 @@ def bend_shift(xy: Floats, radius: float) -> Floats:
     rows, columns = xy.shape[:2]
     shift = np.zeros_like(xy)
     for r, c in np.ndindex(rows, columns):
-        top, left = (min(max(at - 2, 0), n - 5) for at, n in ((r, rows), (c, columns)))
-        v, u = (each.ravel() for each in np.mgrid[top - r : top - r + 5, left - c : left - c + 5])
-        window = xy[top : top + 5, left : left + 5].reshape(25, 2)
+        high, wide = (5 if n >= 5 else 3 for n in (rows, columns))
+        top, left = (
+            min(max(r - high // 2, 0), rows - high),
+            min(max(c - wide // 2, 0), columns - wide),
+        )
+        v, u = (each.ravel() for each in np.indices((high, wide)))
+        v, u = v + top - r, u + left - c
+        window = xy[top : top + high, left : left + wide].reshape(-1, 2)
         normals, off = [], []
         for along, across in ((v, u), (u, v)):
             powers = np.stack([along**p * across**q for p in range(3) for q in range(2)], axis=1)

@@ -26,7 +26,7 @@ Bools = NDArray[np.bool_]
 class Refined:
     """Refined corners: fields of `cmp_cl.corners.Corners` in float64, and a margin.
 
-    margin: (N,), the smallest relative distance of a guard's quantity from its bound. A
+    margin: (N,), the smallest relative distance of a check's quantity from its bound. A
         float32 implementation may decide otherwise if it is below about 1e-4.
     """
 
@@ -49,7 +49,7 @@ def refine(
     """Refine the positions of N corners.
 
     start: (N, 2) (x, y), the rounded centroids; centroid: (N, 2), the positions that are kept if a
-        guard refuses the refinement; both in the full image. scale: the working scale that they
+        check rejects the refinement; both in the full image. scale: the working scale that they
         come from.
     """
     count = len(start)

@@ -1,4 +1,4 @@
-"""Recordings in the formats that other programs read, chosen by suffix."""
+"""Series in the formats that other programs read, chosen by suffix."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -51,7 +51,7 @@ def open_series(
     description: Description | None = None,
     constants: Mapping[str, ArrayLike] | None = None,
 ) -> Series:
-    """Open a recording to write, in the format of the suffix; `-` is JSON lines on standard output.
+    """Open a series to write, in the format of the suffix; `-` is JSON lines on standard output.
 
     path: the file, or `-`. description: stored with the arrays, or None. constants: arrays that
     hold for all frames, such as the positions at rest.

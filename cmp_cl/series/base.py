@@ -1,4 +1,4 @@
-"""The part that all formats of a recording share."""
+"""The part that all formats of a series share."""
 
 import dataclasses
 import datetime
@@ -17,7 +17,7 @@ Frame = dict[str, NDArray[Any]]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Description:
-    """The description that is stored with a recording.
+    """The description that is stored with a series.
 
     units: units of the arrays, by name; arrays without an entry have no unit. settings:
     configuration, device and source, as texts by name.
@@ -34,7 +34,7 @@ class Description:
 
 
 class Series(Closing):
-    """Writes a recording frame by frame; use it in a with statement.
+    """Writes a series frame by frame; use it in a with statement.
 
     description: stored with the arrays, or None. constants: arrays that hold for all frames.
 

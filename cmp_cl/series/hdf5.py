@@ -1,4 +1,4 @@
-"""A recording as HDF5, readable while it grows."""
+"""A series as HDF5, readable while it grows."""
 
 import os
 import re

@@ -74,7 +74,7 @@ def point_cloud(
     """Return the nodes as a message sensor_msgs/PointCloud2: position x y z now, displacement dx dy
     dz.
 
-    rest, shift: positions at rest and displacements, (R, C, 2 or 3), in the recording's unit; z and
+    rest, shift: positions at rest and displacements, (R, C, 2 or 3), in the series' unit; z and
     dz are 0 in a plane. sigma: (R, C). stamp_ns: time stamp, ns. All fields are FLOAT32. The cloud
     is organised, of height R and width C; missing nodes are NaN.
     """
@@ -109,7 +109,7 @@ class McapSeries(Series):
     """MCAP with one PointCloud2 per frame on /cmp_cl/nodes, for ROS 2, Foxglove and rosbags.
 
     It needs the constant `rest`, and `displacement` or `xy` in each frame. Lengths are in the
-    recording's unit, not in m. Stamps are the times of the frames, added to the setting `start_ns`
+    series' unit, not in m. Stamps are the times of the frames, added to the setting `start_ns`
     if there is one; the stamp of a frame without a time is its number in ms. The description is the
     metadata record `cmp_cl`. The file appears when the series is closed.
 

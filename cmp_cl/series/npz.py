@@ -1,4 +1,4 @@
-"""A recording as one .npz, for numpy.load."""
+"""A series as one .npz, for numpy.load."""
 
 import contextlib
 import io
@@ -93,7 +93,7 @@ class NpzSeries(Series):
 
 
 class SeriesWriter(NpzSeries):
-    """Writes a recording, frame by frame, to one .npz; memory does not grow with it.
+    """Writes a series, frame by frame, to one .npz; memory does not grow with it.
 
     The file holds `index` (F,) int64, `time_ms` (F,) float64, every array that `append` gets
     stacked along a first axis of F frames, and the constants (positions at rest, unit) as they are;

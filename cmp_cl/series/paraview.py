@@ -1,4 +1,4 @@
-"""A recording for ParaView: NAME.pvd, and a .vtp for every frame in the folder NAME_frames."""
+"""A series for ParaView: NAME.pvd, and a .vtp for every frame in the folder NAME_frames."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Recordings read back: .npz and HDF5."""
+"""Series read back: .npz and HDF5."""
 
 import os
 import struct
@@ -26,12 +26,12 @@ _MOST_UNPACKED = 1100  # unpacked bytes for each byte of the file; deflate reach
 
 
 def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a recording by name: `index`, `time_ms`, constants, and (F, ...) frames.
+    """Read the arrays of a series by name: `index`, `time_ms`, constants, and (F, ...) frames.
 
     From an HDF5 file that still grows, or whose writer was killed, it reads the frames so far.
 
     Raises ConfigError on a suffix other than .npz, .h5 and .hdf5, FieldError if the file
-    cannot be read or is no recording.
+    cannot be read or is no series.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (".npz", ".h5", ".hdf5"):

@@ -1,4 +1,4 @@
-"""Recordings as tables: a row for each node of each frame, or a line for each frame."""
+"""Series as tables: a row for each node of each frame, or a line for each frame."""
 
 import json
 import os

@@ -36,6 +36,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
             "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step,
             "noise": 8 * frames * plan.bands,
             "band_counts": 4 * frames * plan.bands * plan.lists,
+            "finished": 4 * frames,
         }
     return {**sizes, "noise": 8 * frames * noise.bands(plan)}
 
@@ -243,7 +244,7 @@ def _work_rows(plan: PlanBase) -> int:
 def _by_bands(plan: PlanBase) -> list[Launch]:
     b, rule, size = plan.arrays, _rule(plan), plan.size
     band_rows = -(-plan.working[0] // plan.bands)
-    capacity, full_scale = np.uint32(plan.list_capacity), np.uint32(_full_scale(plan))
+    corners = plan.corner_list
     band = plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
@@ -252,36 +253,24 @@ def _by_bands(plan: PlanBase) -> list[Launch]:
         area=b["area"],
         **size,
         band_rows=np.uint32(band_rows),
-        capacity=capacity,
-        full_scale=full_scale,
+        capacity=np.uint32(plan.list_capacity),
+        full_scale=np.uint32(_full_scale(plan)),
         inverse=np.float32(1 / _full_scale(plan)),
         **_checks(plan),
         work=b["work"],
         work_size=np.uint32(_work_rows(plan) * plan.step),
-        noise=b["noise"],
-        band_counts=b["band_counts"],
-        lists=b["lists"],
-    )
-    corners = plan.corner_list
-    decide = plan.few(
-        "decide",
-        plan.frames,
-        1,
-        noise=b["noise"],
-        band_counts=b["band_counts"],
-        lists=b["lists"],
-        **size,
-        bands=np.uint32(plan.bands),
-        capacity=capacity,
-        full_scale=full_scale,
         coarse_noise=np.uint32(rule.coarse_noise),
         coarse_share=np.int32(rule.coarse_share),
         fine_share=np.int32(rule.fine_share),
         corner_capacity=corners["capacity"],
         count_offset=corners["count_offset"],
         length=corners["length"],
+        finished=b["finished"],
+        noise=b["noise"],
+        band_counts=b["band_counts"],
+        lists=b["lists"],
         maxima=b["maxima"],
         corners=b["corners"],
         counts=b["counts"],
     )
-    return [band, decide]
+    return [band]

@@ -53,7 +53,7 @@ class Plan(PlanBase):
     frames: number of frames at a time. form: the form of the kernels; None chooses it by device.
     """
 
-    _last: cl.Event | None = None  # the last of the kernels
+    _last: cl.Event | None = None  # the last of the kernels, until the host has waited for it
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class Plan(PlanBase):
         self.awaited = False  # a stream is waiting for its results
         self.events: list[tuple[str, cl.Event]] = []
         self.uploads: list[cl.Event] = []  # unfinished, in another queue
-        self._here: dict[str, NDArray[np.uint8]] = {}  # shared buffers as arrays of the host
+        self._here: dict[str, NDArray[Any]] = {}  # what the host writes or reads of shared buffers
         self._mask = mask
         self._programs = programs
         self.detection: ModuleType = rings if isinstance(self.rule, BinaryRings) else harmonic
@@ -161,9 +161,19 @@ class Plan(PlanBase):
         """Return a buffer, in memory shared with the host if it is one of SHARED and the device
         can."""
         if name in SHARED and shares_memory(self.device.handle):
-            buffer, self._here[name] = shared_buffer(self.queue.context, size)
+            buffer, memory = shared_buffer(self.queue.context, size)
+            self._here[name] = self._pixels(memory) if name == "image" else self._results(memory)
             return buffer
         return cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, size)
+
+    def _pixels(self, memory: NDArray[np.uint8]) -> NDArray[Any]:
+        """Return the pixels of all frames in the buffer "image", one frame below the other."""
+        lines = memory.view(self.dtype).reshape(-1, self.full_step)
+        return lines[1:-1, self.pad : self.pad + self.shape[1]]
+
+    def _results(self, memory: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return the buffer "result" with a row for each frame."""
+        return memory.view(np.float32).reshape(self.frames, -1)
 
     def _clear(self, buffer: cl.Buffer) -> None:
         cl.enqueue_fill_buffer(self.queue, buffer, np.zeros(1, np.uint8), 0, buffer.size)
@@ -241,10 +251,9 @@ class Plan(PlanBase):
     def _write(self, frames: Sequence[GreyImage]) -> None:
         """Copy the frames into the memory that the device shares."""
         self._wait()  # for an earlier frame that may still run
-        (rows, columns), image = self.shape, self._here["image"].view(self.dtype)
-        lines = image.reshape(-1, self.full_step)[1:, self.pad : self.pad + columns]
+        rows = self.shape[0]
         for n, frame in enumerate(frames):
-            lines[n * rows : (n + 1) * rows] = frame
+            self._here["image"][n * rows : (n + 1) * rows] = frame
 
     def copy(self, frames: cl.Buffer) -> None:
         """Take the frames from a buffer of the device that holds them without gaps."""
@@ -280,6 +289,7 @@ class Plan(PlanBase):
         """Wait until no kernel runs."""
         if self._last is not None:
             self._last.wait()
+            self._last = None
 
     def read(self, queue: cl.CommandQueue) -> NDArray[np.float32]:
         """Read the result of each frame as kernels/result.clh lays it out, (frames, numbers), once
@@ -301,8 +311,7 @@ class Plan(PlanBase):
         numbers = RESULT_HEAD + RESULT_FIELDS * multiple(most, LANES)
         if "result" in self._here:
             self._wait()
-            result = self._here["result"].view(np.float32).reshape(self.frames, -1)
-            return result[:, :numbers].copy()
+            return self._here["result"][:, :numbers].copy()
         rows = np.empty((self.frames, numbers), np.float32)
         _copy_rectangle(
             queue,

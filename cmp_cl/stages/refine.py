@@ -158,9 +158,11 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
     for row, count in zip(rows, rows[:, 0].view(np.uint32).tolist(), strict=True):
         padded = multiple(count, LANES)
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
-        decisions = fields[METHOD].view(np.uint8)  # methods, then why another was refused
+        decisions = fields[METHOD].view(np.uint8)  # methods, then why another was rejected
         method = decisions[:count]
-        accepted = 0 if math.isnan(radius) else int(np.count_nonzero(method == Method.EDGE_STEP))
+        # A number, which an array is compared with faster than with a member of an enumeration.
+        step = Method.EDGE_STEP.value
+        accepted = 0 if math.isnan(radius) else int(np.count_nonzero(method == step))
         sigma, doubtful = _deviation(fields[:, :count], accepted)
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError
+from cmp_cl.errors import CalibrationError, FieldError, check_kind
 from cmp_cl.files import write_text
-from cmp_cl.grid.filter import bend_shift
+from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.stereo.adjustment import CAMERA, POSE
 from cmp_cl.stereo.points import Points3D, PointStatus
@@ -157,8 +157,10 @@ class StereoRig:
         A node without a position is NaN, and `Points3D.status` says why: the rays must enclose
         at least MIN_PARALLAX px, and the point must lie in front of both cameras.
 
-        Raises FieldError if the grids have different rows or columns.
+        Raises FieldError if an argument is no Grid, or if the grids have different rows or columns.
         """
+        check_kind("left", left, Grid, FieldError)
+        check_kind("right", right, Grid, FieldError)
         if (left.origin, left.shape) != (right.origin, right.shape):
             raise FieldError(
                 f"the left grid has {left.extent}, the right one {right.extent}; cut both to "
@@ -166,7 +168,7 @@ class StereoRig:
             )
         both = left.valid & right.valid
         seen = np.hstack([left.xy[both], right.xy[both]]).astype(np.float64)
-        deviation = np.column_stack([left.sigma[both], right.sigma[both]]).astype(np.float64)
+        deviation = np.column_stack([image_sigma(grid)[both] for grid in (left, right)])
         deviation[~(deviation > 0)] = sigma if sigma > 0 else np.nan
         xyz, status = self._first_order(seen)
         error = np.full(len(seen), np.nan)

@@ -1,5 +1,6 @@
 """The reflectance of the gel: its print, the wear, and the light on it."""
 
+import functools
 import math
 
 import cv2
@@ -12,7 +13,6 @@ from cmp_cl.synthetic.surface import derivatives, surface
 SAMPLES = 2  # samples a pixel, along each axis
 
 _TEXTURE = 1024  # texels a side of the fields over the material
-_BLACK, _WHITE = 0.17, 0.76  # grey levels of the print, of full scale
 _BLACK, _WHITE = 0.17, 0.76  # grey levels of the print, of full scale
 _SURROUND = {Surround.WHITE: 0.80, Surround.BLACK: 0.12, Surround.GREY: 0.45}
 
@@ -53,26 +53,32 @@ def _wear(scene: Scene, points: Image) -> tuple[Image, Image, Image]:
     if scene.corrosion == 0:
         none = np.zeros((1, 1, 2), dtype=np.float32)
         return none, none[..., 0], none[..., 0] + 1
-    draw = np.random.default_rng([scene.seed, 3])
-    cell = _TEXTURE / (scene.markers + 1)
     texel = scene.side / _TEXTURE
     strain, area = _strain(scene)
     # Chosen so that the detector of the paper finds every corner in nearly all frames at severity
     # 0.5, in half of them at 1 and in hardly any at 1.5.
     worn = scene.corrosion * (0.1 + 2.5 * strain**2 / ((0.15 + strain) * (1 + strain)))
-    ragged = np.stack([_grain(draw, 3.0) for _ in range(2)], axis=-1)
-    torn = np.stack([_grain(draw, 0.5 * cell) for _ in range(2)], axis=-1)
+    ragged, torn, wide, fine, soft = _grains(scene.seed, scene.markers)
     warp = worn[..., None] * 0.5 * ragged + (0.2 * scene.corrosion + 0.4 * worn)[..., None] * torn
-    growth = scene.corrosion * area + worn * (
-        1.0 * _grain(draw, 0.45 * cell) + 0.5 * _grain(draw, 3.0)
-    )
+    growth = scene.corrosion * area + worn * (1.0 * wide + 0.5 * fine)
     growth = 2.2 * np.tanh(growth / 2.2)
-    smear = 1 + worn * np.abs(_grain(draw, 0.5 * cell))
+    smear = 1 + worn * np.abs(soft)
     texels = points / np.float32(texel) + np.float32(_TEXTURE / 2 - 0.5)
     fields = np.dstack([warp, growth, smear]).astype(np.float32)
     x, y = cv2.split(texels)
     sampled = cv2.remap(fields, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return sampled[..., :2], sampled[..., 2], sampled[..., 3]
+
+
+@functools.lru_cache(maxsize=1)  # both views of a scene, and all its frames, have one print
+def _grains(seed: int, markers: int) -> tuple[Image, Image, Image, Image, Image]:
+    """Return the random fields of the wear: two of two components, and three of one."""
+    draw = np.random.default_rng([seed, 3])
+    cell = _TEXTURE / (markers + 1)
+    ragged = np.stack([_grain(draw, 3.0) for _ in range(2)], axis=-1)
+    torn = np.stack([_grain(draw, 0.5 * cell) for _ in range(2)], axis=-1)
+    wide, fine, soft = (_grain(draw, size) for size in (0.45 * cell, 3.0, 0.5 * cell))
+    return ragged, torn, wide, fine, soft
 
 
 def _grain(draw: np.random.Generator, size: float) -> Image:

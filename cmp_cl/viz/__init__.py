@@ -1,4 +1,4 @@
-"""Overlays, figures, films and recordings of the results."""
+"""Overlays, figures, videos and recordings of the results."""
 
 from cmp_cl.viz.figures import (
     METHOD_COLOURS,

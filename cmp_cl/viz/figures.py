@@ -399,7 +399,7 @@ class RerunLog(Closing):
         grid: Grid | None = None,
         field: DisplacementField | None = None,
     ) -> None:
-        """Show a frame: its picture, its grid on it, its surface with the displacements.
+        """Show a frame: its image, its grid on it, its surface with the displacements.
 
         index: its number. image: (H, W), stored as JPEG if it has 8 bits, as PNG if it has 16.
         field: the displacement of the nodes, or None.

@@ -1,4 +1,4 @@
-"""Pictures of a recording: maps of a quantity at one frame, and curves over time."""
+"""Pictures of a series: maps of a quantity at one frame, and curves over time."""
 
 import dataclasses
 import enum
@@ -41,10 +41,10 @@ class Quantity(enum.Enum):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recorded:
-    """A recording, as `cmp_cl.series.read_series` reads it, after checks.
+    """A series, as `cmp_cl.series.read_series` reads it, after checks.
 
     rest: (R, C, 2) or (R, C, 3) in `unit`. shift: (F, R, C, 2 or 3). sigma: (F, R, C), NaN
-    where the recording has none. index, time_ms: (F,).
+    where the series has none. index, time_ms: (F,).
     """
 
     rest: Array
@@ -56,14 +56,14 @@ class Recorded:
 
     @classmethod
     def of(cls, series: Series) -> "Recorded":
-        """Take the arrays of a recording; raises FieldError without frames, rest or positions."""
+        """Take the arrays of a series; raises FieldError without frames, rest or positions."""
         missing = [name for name in ("index", "time_ms", "rest") if name not in series]
         if missing or not ("displacement" in series or "xy" in series):
             what = missing or ["displacement or xy"]
-            raise FieldError(f"the recording has no {' and no '.join(what)}")
+            raise FieldError(f"the series has no {' and no '.join(what)}")
         rest = np.asarray(series["rest"], np.float64)
         if not len(series["index"]):
-            raise FieldError("the recording has no frame")
+            raise FieldError("the series has no frame")
         if "displacement" in series:
             shift = np.asarray(series["displacement"], np.float64)
         else:
@@ -81,7 +81,7 @@ class Recorded:
         )
 
     def frame_of(self, index: int | None) -> int:
-        """Return the position in the recording of the frame of that number.
+        """Return the position in the series of the frame of that number.
 
         None means the frame of the largest displacement.
 
@@ -190,7 +190,7 @@ def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> 
 def sheet_figure(
     recorded: Recorded, *, index: int | None = None, node: tuple[int, int] | None = None
 ) -> "Figure":
-    """Draw the recording on one sheet: the maps of a frame and the curve of a node.
+    """Draw the series on one sheet: the maps of a frame and the curve of a node.
 
     index, node: as in `map_figure` and `curve_figure`. Raises FieldError, and ConfigError without
     matplotlib.
@@ -219,7 +219,7 @@ def _figure(size: tuple[float, float]) -> "Figure":
 def draw_map(
     figure: "Figure", axes: "Axes", recorded: Recorded, quantity: Quantity, frame: int
 ) -> None:
-    """Draw the content of `map_figure` into axes; frame: its index in the recording."""
+    """Draw the content of `map_figure` into axes; frame: its index in the series."""
     from matplotlib.collections import PolyCollection
 
     values, unit = recorded.values(quantity, frame)

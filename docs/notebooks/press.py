@@ -10,7 +10,7 @@
 # ---
 
 # %% [markdown]
-# # Notebook: a press, from two pictures to a strain field
+# # Notebook: a press, from two images to a strain field
 #
 # We render a gel at rest and under a ball, find the corners, number them, and look at how the
 # gel has moved. Everything here works in the same way on images of your own.

@@ -1,7 +1,8 @@
 #include "plane.clh"
 
 /* The grey-level rule for CPUs: one launch takes bands of rows from the image to the maxima of
- * both responses, a second one decides for the frame. kernels/harmonic.cl has the equations.
+ * both responses, and the last band to finish decides for the frame, because a launch of its own
+ * costs as much as half of the decision. kernels/harmonic.cl has the equations.
  *
  * Only the noise and the reference need the whole frame. A band therefore goes down its rows
  * once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
@@ -130,29 +131,50 @@ ROW_LOOP void coarse_response_of_row RESPONSE_OF_ROW((short)(o - QUARTER(o)) +
                                             (short)(QUARTER(e) + EIGHTH(e)))
 ROW_LOOP void fine_response_of_row RESPONSE_OF_ROW((short)(o + e) - QUARTER((short)(o + e)))
 
-/* List the columns at which the response of a row exceeds those above and to the left, and is not
- * less than those to the right and below. Return how many there are. Only these few pixels are
+/* Sixteen responses, beginning at any element of a row. */
+typedef short16 __attribute__((aligned(2))) SIXTEEN_ANYWHERE;
+#define SIXTEEN_AT(p) *(__global const SIXTEEN_ANYWHERE *)(p)
+
+/* A bit for each of sixteen columns at which the response of a row exceeds those above and to the
+ * left, and is not less than those to the right and below. */
+#define BIT_OF_LANE                                                                 \
+  (short16)(1 << 0, 1 << 1, 1 << 2, 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7, 1 << 8, 1 << 9, \
+            1 << 10, 1 << 11, 1 << 12, 1 << 13, 1 << 14, (short)(1 << 15))
+short16 peaks_at(__global const short *above, __global const short *response,
+                 __global const short *below) {
+  const short16 up = SIXTEEN_AT(above), left = SIXTEEN_AT(response - 1);
+  const short16 right = SIXTEEN_AT(response + 1), down = SIXTEEN_AT(below);
+  const short16 r = SIXTEEN_AT(response);
+  const short16 before = up > left ? up : left, behind = down > right ? down : right;
+  return (r > before) & (r >= behind) & (r > (short16)(LEAST)) & BIT_OF_LANE;
+}
+
+/* The bits of all lanes in one number. */
+uint bits_of(const short16 v) {
+  const ulong2 two = as_ulong2(v.lo | v.hi);
+  const ulong four = two.x | two.y, pair = four | four >> 32;
+  return (uint)(pair | pair >> 16) & 0xffff;
+}
+
+int any_of(const short8 v) {
+  const ulong2 two = as_ulong2(v);
+  return (two.x | two.y) != 0;
+}
+
+/* List the columns of the peaks of a row. Return how many there are. Only these few pixels are
  * then compared with their whole window. */
 ROW_LOOP int peaks_of_row(__global const short *restrict above,
-                          __global const short *restrict left,
                           __global const short *restrict response,
-                          __global const short *restrict right,
-                          __global const short *restrict below, __global short *restrict kept,
+                          __global const short *restrict below,
                           __global ushort *restrict places, const int width) {
   int count = 0;
   for (int first = 0; first < width; first += 32) {
-    ushort any = 0;
-    for (int k = first; k < first + 32; ++k) {
-      const short before = above[k] > left[k] ? above[k] : left[k];
-      const short behind = below[k] > right[k] ? below[k] : right[k];
-      const short r = response[k]; /* three comparisons: the larger of two bounds takes 32 bits */
-      const short peak = ((r > before) & (r >= behind) & (r > LEAST)) ? r : (short)0;
-      kept[k] = peak;
-      any = (ushort)(any | (ushort)peak);
-    }
-    if (!any) continue;
-    uint word = 0;
-    for (int k = 0; k < 32; ++k) word |= kept[first + k] ? 1u << k : 0;
+    const int next = first + 16;
+    const short16 left = peaks_at(above + first, response + first, below + first);
+    const short16 right = peaks_at(above + next, response + next, below + next);
+    const short16 both = left | right;
+    if (!any_of(both.lo | both.hi)) continue;
+    uint word = bits_of(left) | bits_of(right) << 16;
     if (first + 32 > width) word &= (1u << (width - first)) - 1;
     for (; word; word &= word - 1) places[count++] = (ushort)(first + (int)lowest_bit(word));
   }
@@ -176,8 +198,7 @@ int is_maximum(__global const short *const *row, const int x, const short r) {
       some |= (EIGHT_AT(row[-line] + x + d) >= r) | (EIGHT_AT(row[line] + x + d) > r);
     larger |= some & (at <= (short8)NMS_RADIUS);
   }
-  const ulong2 any = as_ulong2(larger);
-  return !(any.x | any.y);
+  return !any_of(larger);
 }
 
 /* The rows that ring (a, d) around row y meets. */
@@ -235,16 +256,171 @@ void append(__global int *restrict list, const uint n, const uint capacity, cons
   list[5 * capacity + n] = 2 * SUM5(far) + SUM5(near);
 }
 
+/* The least response that the noise allows. */
+int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
+                const ulong full_scale) {
+  if (!pixels) return LEAST;
+  const ulong whole = 100 * pixels * full_scale;
+  const ulong bound = (factor * amplitude * 255 + whole - 1) / whole;
+  return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
+}
+
+/* The sum of the squares of those responses of a list that are at least `least`. */
+ROW_LOOP ulong squares_from(__global const int *restrict response, const uint count,
+                            const int least) {
+  ulong sum = 0;
+  for (uint n = 0; n < count; ++n)
+    sum += response[n] >= least ? (uint)(response[n] * response[n]) : 0;
+  return sum;
+}
+ulong squares_of_frame(__global const int *lists, __global const uint *band_counts,
+                       const uint fine, const uint bands, const uint capacity, const int least) {
+  ulong sum = 0;
+  for (uint own = fine; own < bands * (1 + FINE); own += 1 + FINE)
+    sum += squares_from(lists + ((size_t)own * LIST_COLUMNS + 2) * capacity,
+                        SMALLER(band_counts[own], capacity), least);
+  return sum;
+}
+
+/* The reference W: the largest number at which the responses from it on have at least half of the
+ * sum of the squares of all above a bound; 0 if there are none. It is found bit by bit. */
+#define HIGHEST_BIT_OF_RESPONSE (1 << 13)
+int reference_of(__global const int *lists, __global const uint *band_counts, const uint fine,
+                 const uint bands, const uint capacity, const int bound) {
+#define SQUARES_FROM(least) squares_of_frame(lists, band_counts, fine, bands, capacity, least)
+  const ulong all = bound < INT_MAX ? SQUARES_FROM(bound + 1) : 0;
+  int reference = 0;
+  for (int bit = HIGHEST_BIT_OF_RESPONSE; all && bit; bit >>= 1)
+    if (2 * SQUARES_FROM(reference + bit) >= all) reference += bit;
+  return reference;
+}
+
+#if FINE
+
+/* True if a bit is set within NMS_RADIUS of a pixel. The nearest rows come first: most bits are
+ * within one or two rows. */
+int any_near(__global const uint *bits, const int x, const int y, const int height,
+             const uint width) {
+  const uint first = (uint)(x - NMS_RADIUS);
+  for (int line = 0; line <= 2 * NMS_RADIUS; ++line) {
+    const int dy = line % 2 ? line / 2 + 1 : -(line / 2);
+    if (y + dy < 0 || y + dy >= height) continue;
+    __global const uint *word = bits + (uint)(y + dy) * width + first / 32;
+    const ulong both = (ulong)word[1] << 32 | word[0];
+    if (both >> first % 32 & ((2ul << 2 * NMS_RADIUS) - 1)) return 1;
+  }
+  return 0;
+}
+
+#endif
+
+/* Copy entries of a list to another one, whose columns lie `length` apart. */
+void copy_entries(__global const int *from, const uint capacity, const uint count,
+                  __global int *to, const uint length) {
+  for (uint k = 0; k < LIST_COLUMNS; ++k)
+    for (uint n = 0; n < count; ++n) to[(size_t)k * length + n] = from[k * capacity + n];
+}
+
+/* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
+ * noise, and not below a share of the reference; a fine one counts only if no coarse corner is
+ * within NMS_RADIUS. `maxima` gets a bit for each coarse corner. The lists keep the corners. */
+void decide(const size_t p, __global const ulong *noise, __global uint *band_counts,
+            __global int *lists, const uint rows, const uint columns, const uint step,
+            const uint bands, const uint capacity, const uint full_scale,
+            const uint coarse_noise, const int coarse_share, const int fine_share,
+            const uint corner_capacity, const uint count_offset, const uint length,
+            __global uint *maxima, __global int *corners, __global uint *counts) {
+  ulong amplitude = 0;
+  for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
+  const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
+  const int coarse_bound = noise_bound(coarse_noise, amplitude, pixels, full_scale);
+  const int fine_bound = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
+  lists += p * bands * (1 + FINE) * LIST_COLUMNS * capacity;
+  band_counts += p * bands * (1 + FINE);
+  maxima += p * rows * step / 32;
+  corners += p * corner_capacity;
+  const uint width = step / 32;
+  int reference = reference_of(lists, band_counts, 0, bands, capacity, coarse_bound);
+#if FINE
+  if (reference == 0)
+    reference = reference_of(lists, band_counts, 1, bands, capacity, fine_bound);
+  for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
+#endif
+  uint total = 0, most = 0;
+  for (uint band = 0; band < bands; ++band) {
+    const uint own = band * (1 + FINE);
+    __global int *list = lists + (size_t)own * LIST_COLUMNS * capacity;
+    const uint count = SMALLER(band_counts[own], capacity);
+    most = LARGER(most, LARGER(band_counts[own], band_counts[own + FINE]));
+    uint kept = 0;
+    for (uint n = 0; n < count; ++n) {
+      const int r = list[2 * capacity + n];
+      if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
+#if FINE
+      const uint x = (uint)list[n] + PAD;
+      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
+#endif
+      if (kept < n) copy_entries(list + n, capacity, 1, list + kept, capacity);
+      ++kept;
+    }
+    band_counts[own] = kept;
+  }
+  for (uint band = 0; band < bands; ++band) {
+    const uint own = band * (1 + FINE), coarse_count = band_counts[own];
+    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
+    uint fine_count = 0; /* few are kept: the merge copies the coarse ones between them at once */
+#if FINE
+    __global int *fine = lists + (size_t)(own + 1) * LIST_COLUMNS * capacity;
+    for (uint f = 0; f < SMALLER(band_counts[own + 1], capacity); ++f) {
+      const int r = fine[2 * capacity + f], x = fine[f] + PAD, y = fine[capacity + f];
+      if (r <= fine_bound || 128 * r < fine_share * reference ||
+          any_near(maxima, x, y, (int)rows, width))
+        continue;
+      copy_entries(fine + f, capacity, 1, fine + fine_count, capacity);
+      ++fine_count;
+    }
+#else
+    __global const int *fine = coarse;
+#endif
+    for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
+      uint next = f == fine_count ? coarse_count : c;
+      while (next < coarse_count &&
+             (coarse[capacity + next] < fine[capacity + f] ||
+              (coarse[capacity + next] == fine[capacity + f] && coarse[next] < fine[f])))
+        ++next;
+      const int is_fine = next == c;
+      const uint count = is_fine ? 1 : next - c;
+      const uint room = corner_capacity - SMALLER(total, corner_capacity);
+      copy_entries(is_fine ? fine + f : coarse + c, capacity, SMALLER(count, room),
+                   corners + total, length);
+      total += count;
+      f += is_fine ? 1 : 0;
+      c = next;
+    }
+  }
+  counts[p * (1 + FINE)] = most;
+#if FINE
+  counts[p * (1 + FINE) + 1] = 0;
+#endif
+  counts[count_offset + p] = total;
+}
+
 /* List the maxima of a band of the image, and fill the padding of its rows. A count may exceed the
- * capacity of its list. `area` has a bit for every pixel. One work-item per band. */
+ * capacity of its list. `area` has a bit for every pixel. One work-item per band. The last one of a
+ * frame to finish decides for the frame; `finished` counts them, and is 0 between launches. */
 __kernel void harmonic_band(__global PIXEL *restrict image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
                             const uint capacity, const uint full_scale, const float inverse,
                             const int alignment, const int support,
                             __global ushort *restrict work, const uint work_size,
-                            __global ulong *restrict noise, __global uint *restrict band_counts,
-                            __global int *restrict lists) {
+                            const uint coarse_noise, const int coarse_share,
+                            const int fine_share, const uint corner_capacity,
+                            const uint count_offset, const uint length,
+                            volatile __global uint *finished, __global ulong *noise,
+                            __global uint *band_counts, __global int *lists,
+                            __global uint *restrict maxima, __global int *restrict corners,
+                            __global uint *restrict counts) {
   const uint band = get_global_id(0), bands = get_global_size(0);
   const size_t p = get_global_id(1), own = p * bands + band;
   const int height = (int)rows, width = (int)columns;
@@ -254,7 +430,6 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
   __global ushort *s3 = s2 + 4 * step, *column = s3 + SMOOTH_ROWS * step;
   __global short *nothing = (__global short *)(column + 2 * step) + PAD;
   __global short *first_response = (__global short *)(column + 3 * step);
-  __global short *kept = (__global short *)(column + step);
   const size_t kind = (size_t)RESPONSE_ROWS * step;
   ulong noise_of_band = 0;
   uint found[2] = {0, 0};
@@ -315,7 +490,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
       for (int dy = -BESIDE_MAXIMUM; dy <= BESIDE_MAXIMUM; ++dy)
         rows_of[BESIDE_MAXIMUM + dy] =
             y + dy < 0 || y + dy >= height ? nothing : responses + RESPONSE_AT(y + dy);
-      const int peaks = peaks_of_row(row[-1], row[0] - 1, row[0], row[0] + 1, row[1], kept, column, width);
+      const int peaks = peaks_of_row(row[-1], row[0], row[1], column, width);
       const Ring inner = fine ? ring_of(s1, y, 2, 1, height, step)
                               : ring_of(s1, y, 3, 2, height, step);
       const Ring outer = fine ? ring_of(s1, y, 3, 2, height, step)
@@ -325,7 +500,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
       for (int k = 0; k < peaks; ++k) {
         const int x = column[k];
         const uint at = (uint)y * step + PAD + (uint)x;
-        if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, kept[x])) continue;
+        if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, row[0][x])) continue;
         if (fine) {
           const int2 v2 = harmonics_of(&inner, x, 2, 1).second;
           const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
@@ -336,7 +511,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
           const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
           const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
           if (alignment && (long)alignment * along < all) continue;
-          const int r = kept[x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
+          const int r = row[0][x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
                                       ((h4.centre >> 2) + (h4.centre >> 3));
           if (support && (support * r4 < r || r4 > 2 * r)) continue;
           if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
@@ -349,142 +524,11 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
   }
   noise[own] = noise_of_band;
   for (int fine = 0; fine <= FINE; ++fine) band_counts[own * (1 + FINE) + fine] = found[fine];
-}
-
-/* The least response that the noise allows. */
-int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
-                const ulong full_scale) {
-  if (!pixels) return LEAST;
-  const ulong whole = 100 * pixels * full_scale;
-  const ulong bound = (factor * amplitude * 255 + whole - 1) / whole;
-  return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
-}
-
-/* The reference W: of the responses above a bound, in descending order, the first at which twice
- * the sum of the squares so far reaches the sum of all; 0 if there are none. The search goes by
- * bins of 64 responses. */
-#define BINS 256
-#define SPAN_BITS 6
-uint reference_of(__global const int *lists, __global const uint *band_counts, const uint fine,
-                  const uint bands, const uint capacity, const int bound, ulong *squares) {
-  ulong all = 0, so_far = 0;
-  uint base = 0, span_bits = SPAN_BITS, bins = BINS;
-  for (;;) {
-    for (uint bin = 0; bin < bins; ++bin) squares[bin] = 0;
-    for (uint band = 0; band < bands; ++band) {
-      const size_t own = band * (1 + FINE) + fine;
-      __global const int *value = lists + (own * LIST_COLUMNS + 2) * capacity;
-      const uint count = SMALLER(band_counts[own], capacity);
-      for (uint n = 0; n < count; ++n) {
-        const uint bin = ((uint)value[n] - base) >> span_bits;
-        if (value[n] > bound && (uint)value[n] >= base && bin < bins)
-          squares[bin] += (ulong)((long)value[n] * value[n]);
-      }
-    }
-    if (span_bits)
-      for (uint bin = 0; bin < bins; ++bin) all += squares[bin];
-    if (!all) return 0;
-    uint bin = bins - 1;
-    for (; 2 * (so_far + squares[bin]) < all; --bin) so_far += squares[bin];
-    base += bin << span_bits;
-    if (!span_bits) return base;
-    span_bits = 0;
-    bins = 1 << SPAN_BITS;
-  }
-}
-
-#if FINE
-
-/* True if a bit is set within NMS_RADIUS of a pixel. The nearest rows come first: most bits are
- * within one or two rows. */
-int any_near(__global const uint *bits, const int x, const int y, const int height,
-             const uint width) {
-  const uint first = (uint)(x - NMS_RADIUS);
-  for (int line = 0; line <= 2 * NMS_RADIUS; ++line) {
-    const int dy = line % 2 ? line / 2 + 1 : -(line / 2);
-    if (y + dy < 0 || y + dy >= height) continue;
-    __global const uint *word = bits + (uint)(y + dy) * width + first / 32;
-    const ulong both = (ulong)word[1] << 32 | word[0];
-    if (both >> first % 32 & ((2ul << 2 * NMS_RADIUS) - 1)) return 1;
-  }
-  return 0;
-}
-
-#endif
-
-/* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
- * noise, and not below a share of the reference; a fine one counts only if no coarse corner is
- * within NMS_RADIUS. `maxima` gets a bit for each coarse corner. One work-item per frame. */
-__kernel void decide(__global const ulong *restrict noise, __global const uint *restrict band_counts,
-                     __global int *restrict lists, const uint rows, const uint columns,
-                     const uint step, const uint bands, const uint capacity,
-                     const uint full_scale, const uint coarse_noise, const int coarse_share,
-                     const int fine_share, const uint corner_capacity, const uint count_offset,
-                     const uint length, __global uint *restrict maxima,
-                     __global int *restrict corners, __global uint *restrict counts) {
-  const size_t p = get_global_id(0);
-  ulong amplitude = 0, squares[BINS];
-  for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
-  const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
-  const int coarse_bound = noise_bound(coarse_noise, amplitude, pixels, full_scale);
-  const int fine_bound = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
-  lists += p * bands * (1 + FINE) * LIST_COLUMNS * capacity;
-  band_counts += p * bands * (1 + FINE);
-  const uint width = step / 32;
-  int reference = (int)reference_of(lists, band_counts, 0, bands, capacity, coarse_bound, squares);
-#if FINE
-  maxima += p * rows * width;
-  if (reference == 0)
-    reference = (int)reference_of(lists, band_counts, 1, bands, capacity, fine_bound, squares);
-  for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
-  for (uint band = 0; band < bands; ++band) {
-    __global const int *list = lists + (size_t)band * (1 + FINE) * LIST_COLUMNS * capacity;
-    const uint count = SMALLER(band_counts[band * (1 + FINE)], capacity);
-    for (uint n = 0; n < count; ++n) {
-      const int r = list[2 * capacity + n];
-      if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
-      const uint x = (uint)list[n] + PAD;
-      maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
-    }
-  }
-#endif
-  uint total = 0, most = 0;
-  for (uint band = 0; band < bands; ++band) {
-    const uint own = band * (1 + FINE);
-    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
-    const uint coarse_count = SMALLER(band_counts[own], capacity);
-    most = LARGER(most, LARGER(band_counts[own], band_counts[own + FINE]));
-    uint fine_count = 0; /* few are kept: the merge seldom has to choose */
-#if FINE
-    __global int *fine = lists + (size_t)(own + 1) * LIST_COLUMNS * capacity;
-    for (uint f = 0; f < SMALLER(band_counts[own + 1], capacity); ++f) {
-      const int r = fine[2 * capacity + f], x = fine[f] + PAD, y = fine[capacity + f];
-      if (r <= fine_bound || 128 * r < fine_share * reference ||
-          any_near(maxima, x, y, (int)rows, width))
-        continue;
-      for (uint k = 0; k < LIST_COLUMNS; ++k) fine[k * capacity + fine_count] = fine[k * capacity + f];
-      ++fine_count;
-    }
-#else
-    __global const int *fine = coarse;
-#endif
-    for (uint c = 0, f = 0; c < coarse_count || f < fine_count;) {
-      const int before = f == fine_count ||
-                         (c < coarse_count &&
-                          (coarse[capacity + c] < fine[capacity + f] ||
-                           (coarse[capacity + c] == fine[capacity + f] && coarse[c] < fine[f])));
-      __global const int *list = before ? coarse + c++ : fine + f++;
-      const int r = list[2 * capacity];
-      if (before && (r <= coarse_bound || 128 * r < coarse_share * reference)) continue;
-      if (total < corner_capacity)
-        for (uint k = 0; k < LIST_COLUMNS; ++k)
-          corners[(size_t)k * length + p * corner_capacity + total] = list[k * capacity];
-      ++total;
-    }
-  }
-  counts[p * (1 + FINE)] = most;
-#if FINE
-  counts[p * (1 + FINE) + 1] = 0;
-#endif
-  counts[count_offset + p] = total;
+  mem_fence(CLK_GLOBAL_MEM_FENCE);
+  if (atomic_inc(finished + p) + 1 < bands) return;
+  mem_fence(CLK_GLOBAL_MEM_FENCE);
+  finished[p] = 0;
+  decide(p, noise, band_counts, lists, rows, columns, step, bands, capacity, full_scale,
+         coarse_noise, coarse_share, fine_share, corner_capacity, count_offset, length, maxima,
+         corners, counts);
 }

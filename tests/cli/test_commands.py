@@ -21,6 +21,7 @@ from disks import full_after
 from messages import fails_in_one_line
 from plane_images import moved_board
 from stereo_data import bumblebee_rig, grid_of, photographs
+from videos import write_video
 
 from cmp_cl import (
     BinocularSplit,
@@ -200,11 +201,7 @@ def test_run_uses_the_settings_of_a_file(run, recording):
 
 
 def test_a_video_has_a_clock(run, recording, press):
-    rows, columns = press[0].frame.shape
-    writer = cv2.VideoWriter("a.avi", cv2.VideoWriter_fourcc(*"FFV1"), 25, (columns, rows))
-    for shot in press:
-        writer.write(cv2.cvtColor(shot.frame, cv2.COLOR_GRAY2BGR))
-    writer.release()
+    write_video("a.avi", [shot.frame for shot in press])
     assert run("run", "a.avi", *STEREO)[0] == 0
     series = np.load("press.npz")
     np.testing.assert_allclose(series["time_ms"], [0, 40, 80])
@@ -276,7 +273,7 @@ def without_nohup():
 @pytest.mark.usefixtures("without_nohup")
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("name", some(STOPS, ("SIGINT", "SIGTERM")))
-def test_a_stopped_recording_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
+def test_a_stopped_run_keeps_what_it_has(run, recording, press, monkeypatch, name, times):
     def frames_of(path, **_):
         if path.name == "1.png":
             for _ in range(times):
@@ -329,13 +326,13 @@ def test_a_video_that_a_full_disk_cuts_is_not_written_but_the_series_is(
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     Path("old.rrd").write_text("old")
     with contextlib.ExitStack() as disk:
-        enter = run_module._Film.__enter__
+        enter = run_module._Display.__enter__
 
-        def filling(film):
+        def filling(display):
             disk.enter_context(full_after(60_000))  # once kernels are compiled
-            return enter(film)
+            return enter(display)
 
-        monkeypatch.setattr(run_module._Film, "__enter__", filling)
+        monkeypatch.setattr(run_module._Display, "__enter__", filling)
         status, out, err = run("run", recording, *STEREO, "--rerun", "old.rrd")
     assert status == 2
     assert (err.count("\n"), "old.rrd: File too large" in err) == (1, True)
@@ -537,11 +534,11 @@ def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
 
 
 def test_one_annotated_video_is_written(run, recording, press):
-    status, out, _ = run("run", recording, *STEREO, "--overlay", "film.mp4")
-    assert (status, out.splitlines()[-1]) == (0, "wrote film.mp4")
-    capture = cv2.VideoCapture("film.mp4")
+    status, out, _ = run("run", recording, *STEREO, "--overlay", "shown.mp4")
+    assert (status, out.splitlines()[-1]) == (0, "wrote shown.mp4")
+    capture = cv2.VideoCapture("shown.mp4")
     assert sum(capture.read()[0] for _ in range(len(press) + 3)) == len(press)
-    fails_in_one_line(run("run", recording, *STEREO, "--overlay", "film.gif"), "film.gif", ".mp4")
+    fails_in_one_line(run("run", recording, *STEREO, "--overlay", "shown.gif"), "shown.gif", ".mp4")
 
 
 # demo
@@ -1007,18 +1004,9 @@ def test_single_views_given_as_pairs_say_what_is_expected(run, tmp_path):
     assert "--camera NAME=IMAGE" in err.splitlines()[-1]
 
 
-def film_of(path, images, rate=25):
-    """Write a lossless video of grey images."""
-    size = images[0].shape[::-1]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), rate, size, False)
-    for image in images:
-        writer.write(image)
-    writer.release()
-
-
 def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press):
-    film_of("left.avi", [shot.left.image for shot in press])
-    film_of("right.avi", [shot.right.image for shot in press])
+    write_video("left.avi", [shot.left.image for shot in press])
+    write_video("right.avi", [shot.right.image for shot in press])
     pair = "--left", "left.avi", "--right", "right.avi"
     status, out, _ = run("run", *pair, *STEREO)
     assert status == 0
@@ -1028,7 +1016,7 @@ def test_two_recordings_are_measured_as_one_of_both_views(run, recording, press)
     assert run("run", recording, *STEREO)[0] == 0
     np.testing.assert_array_equal(apart["displacement"], np.load("press.npz")["displacement"])
 
-    film_of("right.avi", [shot.right.image for shot in press[:2]])
+    write_video("right.avi", [shot.right.image for shot in press[:2]])
     status, out, _ = run("run", *pair, *STEREO)
     assert status == 0
     assert "2 frames" in out

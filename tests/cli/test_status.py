@@ -48,20 +48,6 @@ def least(name):
     return arguments
 
 
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-    def run_in_folder(*arguments):
-        try:
-            status = cli.main(arguments)
-        except SystemExit as stop:
-            status = stop.code
-        return (status, *capsys.readouterr())
-
-    return run_in_folder
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_is_0_and_an_unknown_option_is_2(run, name):
     status, out, err = run(name, "--help")
@@ -73,16 +59,12 @@ def test_help_is_0_and_an_unknown_option_is_2(run, name):
     assert "--no-such-option" in err
 
 
-@pytest.mark.parametrize("failure", FAILURES)
-@pytest.mark.parametrize("name", COMMANDS)
-def test_what_a_command_raises_is_a_status_and_one_line(run, monkeypatch, name, failure):
-    error, status, line = FAILURES[failure]
-
+@pytest.mark.parametrize(("error", "status", "line"), FAILURES.values(), ids=FAILURES)
+def test_what_a_command_raises_is_a_status_and_one_line(run, monkeypatch, error, status, line):
     def raises(_):
         raise error
 
     parser = cli._parser()
-
     parse = parser.parse_args
 
     def parsed(argv):
@@ -92,7 +74,8 @@ def test_what_a_command_raises_is_a_status_and_one_line(run, monkeypatch, name, 
 
     monkeypatch.setattr(parser, "parse_args", parsed)
     monkeypatch.setattr(cli, "_parser", lambda: parser)
-    assert run(*least(name)) == (status, "", line)
+    for name in COMMANDS:
+        assert run(*least(name)) == (status, "", line), name
 
 
 def test_the_statuses_are_those_of_the_documentation():

@@ -19,7 +19,7 @@ from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import Grid, NodeStatus, build_grid
 from cmp_cl.grid.grow import drop_misfits
 from cmp_cl.grid.joints import cut
-from cmp_cl.grid.lattice import _counted, lattice
+from cmp_cl.grid.lattice import _counted, lattice, near_pairs
 from cmp_cl.grid.nodes import Nodes, boxed
 from cmp_cl.grid.predict import mean_steps, predict, predict_within
 from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
@@ -437,6 +437,23 @@ def test_numbering_is_quick():
     assert min(times) < 6e-3  # about 1.7 ms; a loop over corners would take 20
 
 
+@pytest.mark.parametrize(
+    ("wide", "high", "outlier"),
+    [(600, 400, False), (600, 3, False), (3, 600, False), (900, 600, True)],
+)
+def test_near_pairs_are_all_pairs_as_near_as_the_farthest_of_them(wide, high, outlier):
+    random = np.random.default_rng(5)
+    z = random.uniform(0, wide, 400) + 1j * random.uniform(0, high, 400)
+    z = np.append(z, 4000 + 3000j if outlier else 1j).astype(np.complex64)
+    order, first, second, step = near_pairs(z)
+    np.testing.assert_array_equal(step, z[order[second]] - z[order[first]])
+    assert (first < second).all()
+    away = np.abs(z[order][:, None] - z[order])
+    every = np.triu(away <= np.abs(step).max(), 1)
+    assert len(first) == np.count_nonzero(every) > len(z)
+    assert every[first, second].all()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_links_that_agree_give_the_components_that_votes_give(monkeypatch, seed):
     corners = board(20, 16, lost=0.25, seed=seed).corners
@@ -453,7 +470,7 @@ def test_links_that_agree_give_the_components_that_votes_give(monkeypatch, seed)
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", lambda *_: None)
     other = lattice(z, corners.edges)
     assert len(one.size) > 1
-    for name in ("component", "size", "support", "bend"):
+    for name in ("component", "size", "support"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     for component in range(len(one.size)):
         member = one.component == component
@@ -529,7 +546,7 @@ def test_rings_are_the_refinements():
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_a_second_look_finds_the_corner_and_refuses_the_other_colour(dtype):
+def test_a_second_look_finds_the_corner_and_rejects_the_other_colour(dtype):
     scene = synthetic.Scene(markers=20, severity=0.5, noise=2.0, seed=4)
     rendered = synthetic.render(scene)
     image = rendered.image.astype(dtype) * (257 if dtype == np.uint16 else 1)

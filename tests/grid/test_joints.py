@@ -29,7 +29,6 @@ def linked(at: np.ndarray, *, unit: complex = 1) -> tuple[np.ndarray, Lattice]:
         node=((column + 1j * row) / unit).astype(np.complex64),
         turn=np.ones(len(z), np.complex64),
         support=np.zeros(len(z), np.int64),
-        bend=np.zeros(len(z), np.float32),
         axis=np.array([np.nanmean(axis)]),
     )
     return z, found
@@ -73,7 +72,6 @@ def test_a_larger_component_stays_before_the_parts():
         node=np.append(found.node, plane(9, 9, 1).ravel()),
         turn=np.append(found.turn, np.ones(81)),
         support=np.zeros(len(z) + 81, np.int64),
-        bend=np.zeros(len(z) + 81, np.float32),
         axis=np.append(found.axis, 12),
     )
     z = np.append(z, other.ravel())

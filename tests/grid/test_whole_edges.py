@@ -10,20 +10,21 @@ import cmp_cl
 from cmp_cl import NodeStatus
 from cmp_cl.grid import build_grid
 from cmp_cl.grid.nodes import Nodes
+from cmp_cl.grid.predict import mean_steps
 from cmp_cl.grid.whole_edges import along_edges
 
 SIZE = 9  # inner corners a side
 TORN = (4, 5)  # row, column
 
 
-def picture(cell, tear=0, size=SIZE):
-    """Return a blurred checkerboard with size x size corners, a white disc torn into one of them,
+def picture(cell, tear=0, size=SIZE, torn=(TORN,)):
+    """Return a blurred checkerboard with size x size corners, a white disc torn into some of them,
     and the corners (size, size), complex px."""
     fine, side = 4, cell * (size + 1)
     y, x = (np.mgrid[: fine * side, : fine * side] + 0.5) / (fine * cell)
     grey = np.where((np.floor(x) + np.floor(y)) % 2 == 0, 40.0, 200.0)
-    row, column = np.array(TORN) + 1
-    grey[np.hypot(x - column, y - row) * cell < tear] = 200
+    for row, column in torn:
+        grey[np.hypot(x - column - 1, y - row - 1) * cell < tear] = 200
     small = cv2.resize(grey, (side, side), interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(np.pad(small, cell, constant_values=120), (0, 0), 0.8)
     column, row = np.meshgrid(np.arange(size), np.arange(size))
@@ -42,7 +43,8 @@ def asked(image, corners, expected, parity=0):
     nodes.parity = parity
     row, column = (np.array([each]) for each in TORN)
     nodes.drop(row, column)
-    return along_edges(nodes, image, row, column, np.array([expected]))[0]
+    steps = mean_steps(nodes.at, row, column)
+    return along_edges(nodes, image, row, column, np.array([expected]), steps)[0]
 
 
 @pytest.mark.parametrize("wide", [1.5, -1.5, 1.5j, 1 - 1j])
@@ -57,7 +59,7 @@ def test_a_node_that_lies_on_its_edges_stays():
     assert abs(asked(image, corners, corners[TORN]) - corners[TORN]) < 0.15
 
 
-def test_a_node_whose_two_lines_nearly_coincide_is_refused():
+def test_a_node_whose_two_lines_nearly_coincide_is_rejected():
     image, corners = picture(12)
     column, row = corners.real, corners.imag
     flat = column + row + 0.05j * row
@@ -70,7 +72,7 @@ def test_edges_of_the_other_polarity_are_not_taken():
     assert np.isnan(asked(image, corners, corners[TORN], parity=1))
 
 
-def test_a_node_with_an_invisible_edge_is_refused():
+def test_a_node_with_an_invisible_edge_is_rejected():
     image, corners = picture(12)
     x, y = round(corners[TORN].real), round(corners[TORN].imag)
     hidden = np.random.default_rng(1).integers(118, 123, (13, 13))
@@ -78,7 +80,7 @@ def test_a_node_with_an_invisible_edge_is_refused():
     assert np.isnan(asked(image, corners, corners[TORN]))
 
 
-def test_a_node_with_faint_edges_beside_a_much_brighter_spot_is_refused():
+def test_a_node_with_faint_edges_beside_a_much_brighter_spot_is_rejected():
     image, corners = picture(12)
     faint = (100 + image / 10).astype(np.uint8)
     assert not np.isnan(asked(faint, corners, corners[TORN]))
@@ -90,7 +92,9 @@ def test_noise_has_no_edges():
     noise = np.random.default_rng(3).integers(0, 256, (144, 144)).astype(np.uint8)
     _, corners = picture(12)
     row, column = (each.ravel() for each in np.mgrid[1 : SIZE - 1, 1 : SIZE - 1])
-    assert np.isnan(along_edges(nodes_at(corners), noise, row, column, corners[row, column])).all()
+    steps = mean_steps(corners, row, column)
+    found = along_edges(nodes_at(corners), noise, row, column, corners[row, column], steps)
+    assert np.isnan(found).all()
 
 
 def test_a_corner_that_is_torn_open_is_measured():
@@ -100,6 +104,29 @@ def test_a_corner_that_is_torn_open_is_measured():
     grid = build_grid(found, image, shape=(SIZE, SIZE))
     assert grid.status[TORN] == NodeStatus.SECOND_LOOK
     assert abs(grid.xy[TORN] @ [1, 1j] - corners[TORN]) < 0.2
+
+
+def test_a_torn_corner_whose_four_neighbours_are_torn_is_measured_after_them():
+    row, column = TORN
+    cross = [TORN, (row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)]
+    image, corners = picture(18, tear=5.4, torn=cross)
+    grid = build_grid(cmp_cl.detect(image, cmp_cl.DetectorConfig()), image, shape=(SIZE, SIZE))
+    assert [grid.status[each] for each in cross] == [NodeStatus.SECOND_LOOK] * 5
+    assert abs(grid.xy[TORN] @ [1, 1j] - corners[TORN]) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("off", "status"), [(0.06, NodeStatus.DETECTED), (0.08, NodeStatus.SECOND_LOOK)]
+)
+def test_a_torn_corner_is_moved_from_seven_hundredths_of_a_cell(off, status):
+    image, corners = picture(18)
+    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
+    moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
+    xy, sigma = found.xy.copy(), found.sigma.copy()
+    xy[moved, 0] += off * 18
+    sigma[moved] = np.nan
+    torn = dataclasses.replace(found, xy=xy, sigma=sigma)
+    assert build_grid(torn, image, shape=(SIZE, SIZE)).status[TORN] == status
 
 
 @pytest.mark.parametrize(
@@ -126,7 +153,7 @@ def test_a_corner_far_from_its_prediction_is_moved_if_its_own_image_is_torn(cell
     assert (others == NodeStatus.DETECTED).all()
 
 
-def test_a_corner_whose_refinement_was_refused_counts_as_torn():
+def test_a_corner_whose_refinement_was_rejected_counts_as_torn():
     image, corners = picture(12)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
     moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()

@@ -40,12 +40,17 @@ def detector_of_form(device, image, mask=None, **settings):
 @pytest.mark.parametrize("rule", [rings(), DetectorConfig()], ids=["rings", "harmonic"])
 def test_which_form_is_taken(detector_in_form, form, rule, scale):
     image = EIGHT["board"]
-    for refinement in (EdgeLines(), EdgeStep(), Midlines(), None):
-        config = rule.replace(refinement=refinement, scale=scale)
-        detector = detector_in_form(image, config)
+    for refinement, kernels in (
+        (EdgeLines(), {"edge_lines"}),
+        (EdgeStep(), {"edge_step"}),
+        (Midlines(), set()),
+        (None, set()),
+    ):
+        detector = detector_in_form(image, rule.replace(refinement=refinement, scale=scale))
         launched = {launch.stage for launch in detector._plan(scale).launches}
-        eight = form is Form.CPU and isinstance(refinement, EdgeLines | EdgeStep)
-        assert bool(launched & {"edge_lines_eight", "edge_step_eight"}) is eight
+        expected = {f"{name}_eight" for name in kernels} if form is Form.CPU else kernels
+        both = {"edge_lines", "edge_step", "edge_lines_eight", "edge_step_eight"}
+        assert launched & both == expected
 
 
 @LINES

@@ -8,22 +8,9 @@ from comparison import assert_corners_equal
 from configs import rings
 from corner_images import board
 
-from cmp_cl import EdgeLines, EdgeStep, Method, reference
-from cmp_cl.stages.form import Form
+from cmp_cl import EdgeStep, Method, reference
 from cmp_cl.stages.moments import moments
 from cmp_cl.stages.refine import CORRELATION, METHOD, RESULT_FIELDS, RESULT_HEAD
-
-
-@pytest.mark.parametrize("scale", [None, 0.63])
-def test_which_form_is_taken(detector_in_form, form, scale):
-    image = images.eight_bits()["board"]
-    for refinement, names in (
-        (EdgeLines(), set()),
-        (EdgeStep(), {"edge_step_eight"} if form is Form.CPU else {"edge_step"}),
-    ):
-        detector = detector_in_form(image, rings(refinement=refinement, scale=scale))
-        launched = {launch.stage for launch in detector._plan(scale).launches}
-        assert launched & {"edge_step", "edge_step_eight"} == names
 
 
 @pytest.mark.parametrize("cell", some([4.0, 6.7, 10.0, 30.0], (6.7, 30.0)))
@@ -91,7 +78,7 @@ def test_the_table_of_moments_holds_the_integrals_of_the_model(radius):
     assert (np.abs(between[..., :6] - exact) < 0.002 * size).all()
 
 
-def test_a_refused_step_has_no_autocorrelation(detector_in_form):
+def test_a_rejected_step_has_no_autocorrelation(detector_in_form):
     """The median that tells doubtful corners is that of the accepted ones."""
     image = images.texture((120, 150), seed=9)
     detector = detector_in_form(image, rings(refinement=EdgeStep(), contrast=None))

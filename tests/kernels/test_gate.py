@@ -144,7 +144,7 @@ def test_a_difference_at_the_noise_bound_is_kept(detector_for):
     assert decided > 3
 
 
-def test_without_the_gate_nothing_is_refused(detector_for):
+def test_without_the_gate_nothing_is_rejected(detector_for):
     image = EIGHT["texture"]
     maps = check(detector_for, image, contrast=None)
     assert maps.contrast is None

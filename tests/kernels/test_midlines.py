@@ -35,7 +35,7 @@ def test_perfect_squares_have_parallel_centrelines(detector_for, fit):
 
 
 @pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
-def test_a_midline_beyond_the_largest_shift_is_refused(detector_for, max_shift):
+def test_a_midline_beyond_the_largest_shift_is_rejected(detector_for, max_shift):
     image = images.scene(1.5, seed=3).image
     kept = [
         (corners.method == Method.KEPT).sum()

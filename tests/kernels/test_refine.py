@@ -71,7 +71,7 @@ def test_positions_of_sixteen_bits_are_the_oracles(detector_for, name, refinemen
 
 @refinements
 def test_any_maximum_with_four_sectors_is_refined_as_by_the_oracle(detector_for, refinement):
-    """Without the gate: noise and texture, of which refinement refuses most."""
+    """Without the gate: noise and texture, of which refinement rejects most."""
     image = np.vstack([images.texture((800, 83)), EIGHT["noise"], EIGHT["worn scene"]])
     wide = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
     corners = check(detector_for, image, refinement, contrast=None, nms_radius=1, criteria=wide)
@@ -81,8 +81,8 @@ def test_any_maximum_with_four_sectors_is_refined_as_by_the_oracle(detector_for,
         assert (corners.method != Method.KEPT).any()
     first = {"edge step": Method.EDGE_STEP, "edge lines": Method.EDGE_LINES}
     first |= {"midlines": Method.MIDLINE, "quadratic midlines": Method.MIDLINE}
-    refused = corners.method != first.get(refinement, Method.CENTROID)
-    assert np.array_equal(refused, corners.refusal != Refusal.NONE)
+    rejected = corners.method != first.get(refinement, Method.CENTROID)
+    assert np.array_equal(rejected, corners.refusal != Refusal.NONE)
     reasons = {
         "centroid": {Refusal.NONE},
         "edge lines": set(Refusal) - {Refusal.FLAT},
@@ -101,7 +101,7 @@ def test_positions_on_scenes_are_the_oracles(detector_for, refinement, severity)
 
 
 @pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
-def test_a_position_beyond_the_largest_shift_is_refused(detector_for, max_shift):
+def test_a_position_beyond_the_largest_shift_is_rejected(detector_for, max_shift):
     image = images.scene(1.5, seed=3).image
     config = DetectorConfig(detection=BinaryRings(), refinement=EdgeLines(max_shift=max_shift))
     corners = assert_corners_equal(detector_for(image, config), image)

@@ -170,7 +170,7 @@ def test_the_step_is_right_with_its_default_cell(cell):
     assert (errors[2] > errors[1]) == (cell == 6)
 
 
-def test_refused_corners_keep_their_centroid():
+def test_corners_whose_refinement_is_rejected_keep_their_centroid():
     image = corner(20.3, 20.4, 0.7)
     kept = one(image, EdgeLines(max_shift=0))
     plain = one(image, None)
@@ -261,7 +261,7 @@ def test_the_midpoints_of_rays_meet_where_the_rays_do():
     np.testing.assert_allclose(shift, [[0, 0]], atol=1e-9)
 
 
-def test_lines_at_a_small_angle_are_refused():
+def test_lines_at_a_small_angle_are_rejected():
     kept, taken = (Method.KEPT, Refusal.ANGLE), (Method.EDGE_LINES, Refusal.NONE)
     for angle, expected in [(0.16, kept), (0.18, taken)]:
         points = rays([0.0, angle, math.pi, math.pi + angle])
@@ -271,7 +271,7 @@ def test_lines_at_a_small_angle_are_refused():
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 @pytest.mark.parametrize(("off", "expected"), [(0.49, Method.EDGE_LINES), (0.51, Method.KEPT)])
-def test_edge_points_off_their_lines_are_refused(scale, off, expected):
+def test_edge_points_off_their_lines_are_rejected(scale, off, expected):
     """Those of e0 and e2 lie to the left and to the right of their line in turns."""
     points = rays([0.0, np.pi / 2, np.pi, 3 * np.pi / 2])
     points.point[0] /= scale
@@ -470,7 +470,7 @@ def test_uneven_light_moves_no_corner():
     np.testing.assert_allclose(step.position, [[0.02, -0.03]], atol=5e-3)
 
 
-def test_a_step_of_more_than_0_3_px_is_refused():
+def test_a_step_of_more_than_0_3_px_is_rejected():
     points = rays([0.2, 1.7, 0.2 + math.pi, 1.7 + math.pi])
     start = np.array([[20, 20]])
     for t, accepted in [(0.25, True), (0.4, False)]:
@@ -481,7 +481,7 @@ def test_a_step_of_more_than_0_3_px_is_refused():
         assert np.isnan(step.sigma[0]) != accepted
 
 
-def test_a_step_without_contrast_is_refused():
+def test_a_step_without_contrast_is_rejected():
     points = rays([0.2, 1.7, 0.2 + math.pi, 1.7 + math.pi])
     grey = np.full((41, 41), 90, np.uint8)
     step = edge_step.edge_step(

@@ -87,7 +87,7 @@ def test_the_response_and_the_contrast_equal_the_vector_where_both_have_them(nam
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_maxima_equal_the_vector(name):
-    """On the photograph with the gate, candidates that the gate refuses move or suppress a maximum
+    """On the photograph with the gate, candidates that the gate rejects move or suppress a maximum
     beside them. With the gate after suppression, those corners differ."""
     vector, config = load(name)
     corners = reference.detect(vector["image"], config)

@@ -44,7 +44,7 @@ def assert_corners_equal(
 ) -> Corners:
     """Assert that the corners of an image are the oracle's within the tolerances, and return them.
 
-    Corners whose guards lie within the margin are few, and are not compared.
+    Corners whose checks lie within the margin are few, and are not compared.
     """
     found = detector(image)
     expected, margin = reference.detect_with_margin(image, detector.config, mask)

@@ -22,11 +22,17 @@ def corner(
 
 
 def board(
-    rows: int, columns: int, cell: float, *, angle: float = 0.1, blur: float = 0.7
+    rows: int,
+    columns: int,
+    cell: float,
+    *,
+    angle: float = 0.1,
+    blur: float = 0.7,
+    samples: int = OVERSAMPLING,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """Return an image full of a rotated checkerboard, and its corners 6 px inside, (N, 2)."""
     height, width = rows, columns
-    x, y = ((np.arange(n * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 for n in (width, height))
+    x, y = ((np.arange(n * samples) + 0.5) / samples - 0.5 for n in (width, height))
     cos, sin = math.cos(angle) / cell, math.sin(angle) / cell
     u = cos * x[None] + sin * y[:, None] + 0.37
     v = cos * y[:, None] - sin * x[None] + 0.21
@@ -37,13 +43,15 @@ def board(
     scale = cell * cell
     place = np.stack([(cos * i - sin * j) * scale, (sin * i + cos * j) * scale], axis=1)
     inside = ((place >= 6) & (place <= np.array([width, height]) - 7)).all(axis=1)
-    return _pixels(grey, blur), place[inside]
+    return _pixels(grey, blur, samples), place[inside]
 
 
-def _pixels(fine: NDArray[np.float64], blur: float) -> NDArray[np.uint8]:
-    fine = cv2.GaussianBlur(fine, (0, 0), blur * OVERSAMPLING, borderType=cv2.BORDER_REPLICATE)
-    height, width = (n // OVERSAMPLING for n in fine.shape)
-    grey = fine.reshape(height, OVERSAMPLING, width, OVERSAMPLING).mean(axis=(1, 3))
+def _pixels(
+    fine: NDArray[np.float64], blur: float, samples: int = OVERSAMPLING
+) -> NDArray[np.uint8]:
+    fine = cv2.GaussianBlur(fine, (0, 0), blur * samples, borderType=cv2.BORDER_REPLICATE)
+    height, width = (n // samples for n in fine.shape)
+    grey = fine.reshape(height, samples, width, samples).mean(axis=(1, 3))
     return np.rint(grey).astype(np.uint8)
 
 

@@ -12,12 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.grid.filter import (
     Filtered,
     bend_shift_of,
     filter_at_rest,
     filter_grid,
+    image_sigma,
     noise_of_change,
 )
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
@@ -147,19 +148,24 @@ def plane_displacement(
     share is in `raw.shared`, see `with_measured_noise`. The field has the rows and columns of the
     grid at rest; nodes beyond them have no displacement.
 
-    Raises FieldError if now does not have all rows and columns of the grid at rest.
+    Raises FieldError if an argument is of another type, or if now does not have all rows and
+    columns of the grid at rest.
     """
+    check_kind("rest", rest, Grid, FieldError)
+    check_kind("now", now, Grid, FieldError)
     if not now.covers(rest):
         raise FieldError(f"rest has {rest.extent}, now has {now.extent}")
     now = now.cut_to(rest)
     scale = PlaneScale.pixels() if scale is None else scale
+    check_kind("scale", scale, PlaneScale, FieldError)
     both = rest.valid & now.valid
     seen_at_rest = np.isin(rest.status, MEASURED)
     (before, slope_before), (after, slope_after) = scale(rest.xy), scale(now.xy)
 
     def deviation(grid: Grid, slope: Array) -> Array:
         per_axis = np.sqrt(np.square(slope).sum(axis=(-2, -1)) / 2)
-        return np.where(both & (grid.sigma > 0), grid.sigma * per_axis, np.nan)
+        own = image_sigma(grid)
+        return np.where(both & (own > 0), own * per_axis, np.nan)
 
     missing = np.uint8(NodeStatus.MISSING)
     position = np.where(both[..., None], before, np.nan)

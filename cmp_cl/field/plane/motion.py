@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.plane.displacement import PlaneField
 
 Array = NDArray[np.float64]
@@ -36,8 +36,9 @@ def motion_of(field: PlaneField, *, zoom: bool = True) -> Motion:
 
     zoom: whether lengths may change; False fits a rigid motion, with a zoom of 1.
 
-    Raises FieldError if fewer than two nodes are valid.
+    Raises FieldError if fewer than two nodes are valid, or field is of another type.
     """
+    check_kind("field", field, PlaneField, FieldError)
     valid = field.valid
     if np.count_nonzero(valid) < 2:
         raise FieldError("a motion needs at least two valid nodes")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, FieldError, check_kind
 from cmp_cl.field.plane.displacement import PlaneField
 from cmp_cl.field.strain import slope_weights
 
@@ -89,8 +89,10 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
     their sigma says.
 
     The strain is NaN if the node is missing, if its window has fewer than 6 nodes, or if these lie
-    on a line. Raises ConfigError if radius is not a whole number from 1 to 50.
+    on a line. Raises FieldError if field is of another type, ConfigError if radius is not a whole
+    number from 1 to 50.
     """
+    check_kind("field", field, PlaneField, FieldError)
     if type(radius) is not int or not 1 <= radius <= 50:
         raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
     valid = field.valid

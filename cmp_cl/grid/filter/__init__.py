@@ -6,7 +6,7 @@ its row and its column. Stein's unbiased risk estimate chooses their widths and 
 node, so that there are no parameters to set.
 """
 
-from cmp_cl.grid.filter.bends import bend_shift, bend_shift_of
+from cmp_cl.grid.filter.bends import bend_shift, bend_shift_of, image_sigma, with_bends
 from cmp_cl.grid.filter.lattice import Filtered, filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid.filter.positions import filter_positions
 
@@ -17,5 +17,7 @@ __all__ = [
     "filter_at_rest",
     "filter_grid",
     "filter_positions",
+    "image_sigma",
     "noise_of_change",
+    "with_bends",
 ]

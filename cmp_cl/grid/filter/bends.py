@@ -1,5 +1,6 @@
 """The shift of corners by bent edges, from the curvature of the lattice."""
 
+import dataclasses
 import functools
 import math
 
@@ -30,6 +31,46 @@ def bend_shift_of(grid: Grid) -> Array:
     return bend_shift(filtered.values, grid.edge_radius)
 
 
+def with_bends(grid: Grid) -> Grid:
+    """Return the grid with the shift by bent edges in its sigma, which was that of the corners.
+
+    The shift is known, but raw positions keep it, so half of its square is added to the variance
+    per axis. It comes from raw positions: their noise adds a hundredth of itself.
+    """
+    if not math.isfinite(grid.edge_radius):
+        return grid
+    return dataclasses.replace(
+        grid, sigma=np.sqrt(np.square(grid.sigma) + _variance(grid)).astype(np.float32)
+    )
+
+
+def image_sigma(grid: Grid) -> Array:
+    """Return the part of a grid's sigma that comes from the images of its corners, (R, C) float64,
+        px: without the shift by bent edges.
+
+    A sigma smaller than that shift does not contain it, and is returned as it is.
+    """
+    whole = np.square(grid.sigma, dtype=np.float64)
+    if not math.isfinite(grid.edge_radius):
+        return np.sqrt(whole)
+    own = whole - _variance(grid)
+    return np.sqrt(np.where(own > 0, own, whole))
+
+
+def _variance(grid: Grid) -> Array:
+    """Return the variance per axis of raw positions by bent edges, (R, C), px^2.
+
+    Nodes whose neighbours do not show the bend get the mean of the others.
+    """
+    shift, known = _shift_of(grid.xy.astype(np.float64), grid.edge_radius)
+    variance: Array = np.square(shift).sum(axis=2) / 2
+    return (
+        variance
+        if known.all() or not known.any()
+        else np.where(known, variance, variance[known].mean())
+    )
+
+
 def bend_shift(xy: Array, radius: float) -> Array:
     """Return the shift of each corner by bent edges, (R, C, 2) float64, in the unit of `xy`.
 
@@ -39,17 +80,22 @@ def bend_shift(xy: Array, radius: float) -> Array:
     middle, on the inner side; the corner moves with both of its lines. The shift is 0 if too few
     nodes show the curvature, or if the lines enclose less than 10 degrees.
     """
+    return _shift_of(xy, radius)[0]
+
+
+def _shift_of(xy: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the shift, as `bend_shift` does, and whether it is known, (R, C)."""
     there = np.asarray(np.isfinite(xy).all(axis=2), np.bool_)
     rows, columns = there.shape
-    if not math.isfinite(radius) or min(rows, columns) <= 2 * _HALF or not there.any():
-        return np.zeros_like(xy)
+    if not math.isfinite(radius) or min(rows, columns) < 3 or not there.any():
+        return np.zeros_like(xy), np.zeros((rows, columns), np.bool_)
     data = xy.transpose(2, 0, 1)
     support: Array | bool = True
     if not there.all():
         plane = bilinear_surface(xy, there)
         bent = np.where(there[..., None], xy - plane, 0).transpose(2, 0, 1)
         data = plane.transpose(2, 0, 1) + filled(bent.astype(np.float32), there)
-        near = [np.not_equal(_derivatives(n)[2], 0) / (2 * _HALF + 1) for n in there.shape]
+        near = [np.not_equal(_derivatives(n)[2], 0) / (2 * _half(n) + 1) for n in there.shape]
         support = near[0] @ there @ near[1].T
     slope_down, second_down, mean_down = _derivatives(rows)
     slope_along, second_along, mean_along = _derivatives(columns)
@@ -63,7 +109,7 @@ def bend_shift(xy: Array, radius: float) -> Array:
     divisor = np.where(known, sine, 1)
     x = (off0 * n1[1] - off1 * n0[1]) / divisor
     y = (off1 * n0[0] - off0 * n1[0]) / divisor
-    return np.where(known[..., None], np.stack([x, y], axis=-1), 0)
+    return np.where(known[..., None], np.stack([x, y], axis=-1), 0), known
 
 
 def _line(slope: Array, second: Array, radius: float) -> tuple[Array, Array]:
@@ -80,6 +126,13 @@ def _line(slope: Array, second: Array, radius: float) -> tuple[Array, Array]:
 @functools.lru_cache(maxsize=64)
 def _derivatives(n: int) -> tuple[Array, Array, Array]:
     """Return three matrices (n, n): the first and second derivative of the parabola fitted to five
-    nodes, and the value of the line fitted to five. The five are moved inwards at the ends."""
-    first, second = (polynomial(n, _HALF, 2, order) for order in (1, 2))
-    return first, second, polynomial(n, _HALF, 1)
+    nodes, and the value of the line fitted to five. The five are moved inwards at the ends. Where
+    a line has three nodes or four, they are fitted to three."""
+    half = _half(n)
+    first, second = (polynomial(n, half, 2, order) for order in (1, 2))
+    return first, second, polynomial(n, half, 1)
+
+
+def _half(n: int) -> int:
+    """Return the half width of the window along lines of n nodes, at least 3."""
+    return min(_HALF, (n - 1) // 2)

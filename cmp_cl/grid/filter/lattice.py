@@ -22,13 +22,13 @@ _OPENED = 3.0  # largest ratio of the wear of a strained print to its wear at re
 class Filtered:
     """A filtered lattice of R x C nodes with K coordinates.
 
-    values: (R, C, K) float64, in the unit of the input, NaN where that is NaN. A refused node
-        keeps its own value.
+    values: (R, C, K) float64, in the unit of the input, NaN where that is NaN. A rejected
+        node keeps its own value.
     sigma: (R, C) float64, standard deviation of `values` per coordinate, NaN where it has too few
         neighbours.
     noise: (R, C) float64, standard deviation of the values before the filter.
-    refused: (R, C) bool, nodes that are more than REFUSED standard deviations from the prediction
-        of their neighbours. They have no influence on others.
+    refused: (R, C) bool, the rejected nodes, which are more than REJECTED standard deviations from
+        the prediction of their neighbours. They have no influence on others.
     """
 
     values: Array

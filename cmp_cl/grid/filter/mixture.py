@@ -26,7 +26,7 @@ Bools = NDArray[np.bool_]
 Box = tuple[slice, slice]
 
 _SHARPNESS = 2 * math.pi * RISK_REACH**2 / 3  # exponent of the weights, per unit of risk
-_ROUNDS = 3  # rounds of the search for nodes to refuse
+_ROUNDS = 3  # rounds of the search for outliers
 _MOST_KEPT = 1 << 20  # most numbers in a thread's scratch memory
 _kept = threading.local()
 
@@ -103,7 +103,7 @@ class Mixture:
 def mixed(
     data: Single, votes: Bools, part: Bools, most: Single, box: Box, *, bends: bool
 ) -> Mixture:
-    """Return the mixture for data (K, R, C), without the nodes that are refused.
+    """Return the mixture for data (K, R, C), without the nodes that are rejected.
 
     votes, part, box, bends: as in `Mixture`. most: (R, C), an upper bound on the standard deviation
         of the noise, NaN where unknown.
@@ -114,10 +114,10 @@ def mixed(
     residual, noise = noise_of(data, votes, whole=whole)
     allowed = votes
     for _ in range(_ROUNDS):
-        refused = outliers(residual, noise, allowed)
-        if not refused.any():
+        rejected = outliers(residual, noise, allowed)
+        if not rejected.any():
             break
-        allowed = allowed & ~refused
+        allowed = allowed & ~rejected
         data = filled(np.where(votes, data, 0), allowed)
         residual, noise = noise_of(data, allowed, whole=False)
     shape_noise = noise_along(data, allowed, noise) if bends else noise

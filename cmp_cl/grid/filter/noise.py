@@ -10,7 +10,7 @@ from cmp_cl.grid.filter.polynomials import LEAST_SUPPORT, axis_of, pairs_of
 Single = NDArray[np.float32]
 Bools = NDArray[np.bool_]
 
-REFUSED = 6.0  # standard deviations from what the neighbours predict
+REJECTED = 6.0  # standard deviations from what the neighbours predict
 LEAST_VARIANCE = 1e-30  # of the noise
 _FLOOR = 1e-10  # of the variance of the noise, relative to the mean square of the values
 # Variance of white noise, over the mean of the least of its five estimates below.
@@ -125,7 +125,7 @@ def outliers(residual: Single, noise: Single, votes: Bools) -> Bools:
     size = np.where(votes, np.square(residual).mean(axis=0), 0)
     pairs = pairs_of(*votes.shape)
     with np.errstate(invalid="ignore"):
-        large: Bools = size > REFUSED**2 * noise * (1 - pairs.pilot_own)
+        large: Bools = size > REJECTED**2 * noise * (1 - pairs.pilot_own)
     if not large.any():
         return large
     padded = np.pad(size, 1)

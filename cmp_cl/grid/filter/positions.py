@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import GridError
-from cmp_cl.grid.filter.bends import bend_shift
+from cmp_cl.errors import GridError, check_kind
+from cmp_cl.grid.filter.bends import bend_shift, image_sigma, with_bends
 from cmp_cl.grid.filter.lattice import (
     Filtered,
     filter_at_rest,
@@ -27,41 +27,50 @@ def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid
 
     rest: the same pattern at rest, numbered alike. With it the displacements are filtered and added
         to the filtered positions at rest; a node that is missing at rest keeps its position. The
-        shift by bent edges is subtracted from filtered positions. Interpolated nodes follow their
-        neighbours. If the lattice is too small for an estimate, sigma is that of the corners.
+        shift by bent edges is subtracted from filtered positions, and is part of the sigma of raw
+        ones. Interpolated nodes follow their neighbours. If the lattice is too small for an
+        estimate, sigma is that of the corners.
 
-    Raises GridError if the grid does not have all rows and columns of the one at rest.
+    Raises GridError if an argument is not a Grid, or if the grid does not have all rows and columns
+    of the one at rest.
     """
+    check_kind("now", now, Grid, GridError)
+    own_now = image_sigma(now)
     if rest is None:
         found = filter_grid(now.xy, measured=np.isin(now.status, MEASURED))
         values = found.values - bend_shift(found.values, now.edge_radius)
-        return _with(now, values, found.sigma), _with(now, now.xy, found.noise)
+        return _with(now, values, found.sigma, own_now), _raw(now, found.noise, own_now)
+    check_kind("rest", rest, Grid, GridError)
     if not now.covers(rest):
         raise GridError(f"the grid at rest has {rest.extent}, the other {now.extent}")
     rest = rest.cut_to(now)
     measured = np.isin(rest.status, MEASURED)
     start = filter_at_rest(rest.xy, measured=measured)
     moved = now.xy.astype(np.float64) - rest.xy
+    own = image_sigma(rest), own_now
     change = filter_grid(
         moved,
         measured=measured & np.isin(now.status, MEASURED),
         bends=True,
-        most_noise=noise_of_change(start, rest.sigma, now.sigma),
+        most_noise=noise_of_change(start, *own),
     )
     values = np.where(np.isnan(moved), now.xy, start.values + change.values)
     values -= bend_shift(values, now.edge_radius)
-    sigma, noise = _deviations(start, change, rest, now)
-    return _with(now, values, sigma), _with(now, now.xy, noise)
+    sigma, noise = _deviations(start, change, *own)
+    return _with(now, values, sigma, own_now), _raw(now, noise, own_now)
 
 
-def _deviations(start: Filtered, change: Filtered, rest: Grid, now: Grid) -> tuple[Array, Array]:
+def _deviations(
+    start: Filtered, change: Filtered, own_rest: Array, own_now: Array
+) -> tuple[Array, Array]:
     """Return the standard deviations (R, C) of filtered positions and of raw ones.
 
     The noise of the image at rest is also in the displacement, with the opposite sign, so that the
-    parts that both filters leave cancel in the sum. Its size is given by the sigma of the corners,
-    and is at most its share of the noise of the displacement.
+    parts that both filters leave cancel in the sum. Its size is given by own_rest and own_now, the
+    standard deviations of the corners from their images, and is at most its share of the noise of
+    the displacement.
     """
-    before, after = (np.square(grid.sigma, dtype=np.float64) for grid in (rest, now))
+    before, after = np.square(own_rest), np.square(own_now)
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.square(change.noise) * before / (before + after)
         own = np.fmin(np.fmin(before, np.square(start.noise)), share)
@@ -72,10 +81,15 @@ def _deviations(start: Filtered, change: Filtered, rest: Grid, now: Grid) -> tup
         return np.sqrt(sum(both) - 2 * own * left), np.sqrt(sum(raw) - 2 * own)
 
 
-def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array) -> Grid:
-    """Return the grid with other positions, and with their sigma where that is known."""
+def _raw(grid: Grid, noise: Array, own: Array) -> Grid:
+    """Return the grid with raw positions; their sigma is the noise and the shift by bent edges."""
+    return with_bends(_with(grid, grid.xy, noise, own))
+
+
+def _with(grid: Grid, values: NDArray[np.floating[Any]], sigma: Array, own: Array) -> Grid:
+    """Return the grid with other positions, and with their sigma, or `own` where it is unknown."""
     return dataclasses.replace(
         grid,
         xy=values.astype(np.float32),
-        sigma=np.where(np.isfinite(sigma), sigma, grid.sigma).astype(np.float32),
+        sigma=np.where(np.isfinite(sigma), sigma, own).astype(np.float32),
     )

@@ -1,4 +1,4 @@
-"""One annotated video of a recording: the nodes on the image, coloured by their displacement."""
+"""One annotated video: the nodes on the image, coloured by their displacement."""
 
 import os
 from os import PathLike
@@ -15,16 +15,16 @@ from cmp_cl.files import check_target, temporary_beside
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
 
-FILM_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
+OVERLAY_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
 _STRIP = 40  # px below the image for the text and the colour bar
-_WIDEST = 1920  # px, the widest film; wider images are reduced by a whole factor
-_NARROWEST = 480  # px, the narrowest film, so that its text fits
+_WIDEST = 1920  # px, the widest video; wider images are reduced by a whole factor
+_NARROWEST = 480  # px, the narrowest video, so that its text fits
 _DISC = [(y, x) for y in range(-2, 3) for x in range(-2, 3) if y * y + x * x <= 5]
 _LINE = (150, 110, 50)  # BGR
 _NO_VALUE = (150, 150, 150)
 
 
-class OverlayFilm(Closing):
+class OverlayVideo(Closing):
     """Writes an annotated video, frame by frame; use it in a with statement.
 
     path: .mp4, .mkv or .avi. fps: frames per second. unit: of the displacement. The colour scale
@@ -37,14 +37,14 @@ class OverlayFilm(Closing):
 
     def __init__(self, path: str | PathLike[str], *, fps: float = 25.0, unit: str = "px") -> None:
         suffix = Path(path).suffix.lower()
-        if suffix not in FILM_SUFFIXES:
-            raise ConfigError(f"{str(path)!r}: a video must end in {', '.join(FILM_SUFFIXES)}")
+        if suffix not in OVERLAY_SUFFIXES:
+            raise ConfigError(f"{str(path)!r}: a video must end in {', '.join(OVERLAY_SUFFIXES)}")
         if not 0 < fps < 1e4:
             raise ConfigError(f"fps must be from 0 to 10000, not {fps!r}")
         self._target = check_target(path)
         self._suffix = suffix
         self._temporary = self._target
-        self._fourcc = cv2.VideoWriter.fourcc(*FILM_SUFFIXES[suffix])
+        self._fourcc = cv2.VideoWriter.fourcc(*OVERLAY_SUFFIXES[suffix])
         self._fps, self._unit = fps, unit
         self._writer: Any = None
         self._frames = 0
