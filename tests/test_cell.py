@@ -125,7 +125,7 @@ def test_blurred_wide_cells_are_found_and_exact(device):
 
 
 def test_a_large_image_is_sampled(monkeypatch):
-    image, _ = board(480, 620, 14.5, angle=0.1)
+    image, _ = board(480, 620, 14.5, angle=0.1, samples=2)
     whole = estimate_cell(image)
     looked_at = []
     differences = cell_module._differences

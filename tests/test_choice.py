@@ -62,7 +62,7 @@ def test_corners_nearer_than_the_estimated_cell_are_refined_as_such(device):
 
 @pytest.mark.parametrize(("cell", "blur"), [(10, 0.7), (30, 0.7), (60, 3)])
 def test_on_a_pattern_that_fills_the_image_the_estimate_is_used(device, cell, blur):
-    image, _ = board(240, 320, cell, blur=blur)
+    image, _ = board(240, 320, cell, blur=blur, samples=3)
     assert cmp_cl.choose_config(image, device=device) == DetectorConfig.for_image(image)
 
 

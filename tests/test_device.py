@@ -117,6 +117,8 @@ def test_without_a_text_the_variable_decides(lab):
     lab.setenv("CMP_CL_DEVICE", "intel")
     with pytest.raises(DeviceError, match="from CMP_CL_DEVICE"):
         select_device()
+    lab.setenv("CMP_CL_DEVICE", "")
+    assert select_device() == CARD
 
 
 def test_without_either_a_gpu_comes_before_a_cpu(lab):

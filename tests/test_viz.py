@@ -149,7 +149,8 @@ def test_no_two_statuses_share_a_colour():
 
 def test_an_empty_grid_is_a_picture_too():
     picture = grid_overlay(np.zeros((40, 40), np.uint16), grid_of(np.full((2, 2, 2), np.nan)))
-    assert picture.ndim == 3
+    assert picture.shape[2] == 3
+    assert not picture[: picture.shape[1]].any()
 
 
 def test_arrows_go_from_rest_to_now(tmp_path):
@@ -229,6 +230,8 @@ def test_no_movement_is_a_picture_too(tmp_path):
     save_figure(tmp_path / "still.png", surface_figure(field))
     still = grid_of(lattice())
     save_figure(tmp_path / "arrows.png", arrow_figure(np.zeros((9, 9), np.uint8), still, still))
+    for name in ("still.png", "arrows.png"):
+        assert cv2.imread(str(tmp_path / name)).std() > 5
 
 
 def test_a_recording_for_rerun_appears_whole(tmp_path):

@@ -42,6 +42,13 @@ def refuse_to_overwrite(
         written.add(real)
 
 
+def unit_name(text: str) -> str:
+    """Return the name of a unit as it is given, if it is one."""
+    if not text.strip() or not text.isprintable():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a unit such as mm")
+    return text
+
+
 def distinct_inputs(*groups: Sequence[str]) -> list[list[Path]]:
     """Return the files of each group, as `media.find_inputs` does.
 

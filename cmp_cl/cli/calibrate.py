@@ -23,6 +23,7 @@ from cmp_cl.cli.arguments import (
     refuse_to_overwrite,
     regions_in,
     split_of,
+    unit_name,
     views_of,
     whole,
 )
@@ -72,6 +73,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--unit",
         metavar="UNIT",
+        type=unit_name,
         default="mm",
         help="unit of --square and of the result; default: mm",
     )

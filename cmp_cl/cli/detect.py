@@ -32,6 +32,7 @@ from cmp_cl.files import whole_file
 from cmp_cl.grid import Grid, build_grid
 from cmp_cl.image import GreyImage
 from cmp_cl.marks import drop_marks
+from cmp_cl.measure.patterns import is_of_few_bits, of_few_bits
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.viz import corner_overlay, grid_overlay
 
@@ -95,6 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
     tell_what_opencv_hides(paths)
     device = None if arguments.device is None else select_device(arguments.device)
     status = 0
+    told = False  # that weak corners may be missing
     table = None
     with contextlib.suppress(_NothingToWrite), contextlib.ExitStack() as stack:
         if out is not None:
@@ -147,10 +149,10 @@ def run(arguments: argparse.Namespace) -> int:
                 progress.say(f"cmp-cl: {shown(path)}: {tally.broken_line()}", sys.stderr)
             if tally.counts:
                 progress.say(f"{shown(path)}: {tally.line()}", sys.stdout)
-            if tally.is_dark():
+            if tally.is_dark() and not (told and any(tally.counts)):
+                told = True
                 progress.say(
-                    f"cmp-cl: {shown(path)}: the brightest of its 16-bit pixels is "
-                    f"{tally.brightest}; for a 12-bit camera, give --full-scale 4095",
+                    f"cmp-cl: {shown(path)}: {of_few_bits(tally.brightest)}",
                     sys.stderr,
                 )
             if empty:
@@ -225,8 +227,8 @@ class _Tally:
         return line
 
     def is_dark(self) -> bool:
-        """Return whether a 16-bit file uses fewer than 16 bits, and nothing was found in it."""
-        return 0 < self.brightest < 2**14 and not any(self.counts)
+        """Return whether 16-bit pixels seem to be of fewer bits, so that corners may be missing."""
+        return is_of_few_bits(np.uint16, self.brightest)
 
     def refused_line(self) -> str:
         (first, why), *more = self.refused.items()

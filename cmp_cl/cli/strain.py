@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.cli.arguments import unit_name
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.field import (
     PlaneField,
@@ -42,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for one view of a flat pattern: side of its cells at rest, in --unit; the series "
         "then holds displacement, its sigma and rest in that unit",
     )
-    group.add_argument("--unit", metavar="UNIT", help="unit of --cell; default: mm")
+    group.add_argument("--unit", metavar="UNIT", type=unit_name, help="unit of --cell; default: mm")
     group.add_argument(
         "--strain",
         action="store_true",

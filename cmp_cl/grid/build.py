@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
-from cmp_cl.grid.filter import with_bends
+from cmp_cl.grid.detached import drop_detached
+from cmp_cl.grid.filter import bent_sigma
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
@@ -141,6 +142,7 @@ def build_grid(
         return _empty(len(corners), shape, like)
     found, nodes = _whole(seen, found)
     grow(nodes, seen)
+    drop_detached(nodes)
     numbered, ends = _numbered(nodes, seen, found, shape=shape, like=like, previous=previous)
     boards = [] if numbered is None else [Board(numbered, ends)]
     if like is None and len(found.size) > 1 and found.size[1] >= OTHER:
@@ -206,6 +208,7 @@ def _boards(
         small = found.component >= np.count_nonzero(found.size >= LEAST_BOARD)
         nodes.free &= ~taken & ((found.component < 0) | small)
         grow(nodes, seen)
+        drop_detached(nodes)
         numbered, ends = _numbered(nodes, seen, found, shape=shape, alone=True)
         if numbered is None or np.count_nonzero(numbered.nodes.there) < least:
             continue
@@ -474,10 +477,11 @@ def _result(corners: Corners, inside: Index, board: Board) -> Grid:
     index[owner, 0], index[owner, 1] = row, place - row * nodes.at.shape[1]
     sigma = np.full(nodes.at.shape, np.nan, np.float32)
     sigma.ravel()[place] = corners.sigma.take(owner)
-    grid = Grid(
-        xy=nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2),
+    xy = nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2)
+    return Grid(
+        xy=xy,
         status=nodes.status,
-        sigma=sigma,
+        sigma=bent_sigma(xy, sigma, corners.edge_radius),
         index=index,
         parity=nodes.parity,
         origin=numbered.origin,
@@ -492,4 +496,3 @@ def _result(corners: Corners, inside: Index, board: Board) -> Grid:
         margin=numbered.margin,
         edge_radius=corners.edge_radius,
     )
-    return with_bends(grid)

@@ -10,6 +10,7 @@ from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, NodeStatus, filter_positions
+from cmp_cl.grid.filter import image_sigma
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.patterns import (
     Region,
@@ -98,10 +99,10 @@ def find_board(
 def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
     """Return the filtered grid of a board with only the nodes that calibration may use.
 
-    It leaves out nodes that were not detected, and nodes whose raw sigma exceeds max_sigma, px. The
-    sigma of the others is that of their filtered positions.
+    It leaves out nodes that were not detected, and nodes whose corner has a sigma above max_sigma,
+    px. The sigma of the others is that of their filtered positions.
     """
-    good = (grid.status == NodeStatus.DETECTED) & (grid.sigma <= max_sigma)
+    good = (grid.status == NodeStatus.DETECTED) & (image_sigma(grid) <= max_sigma)
     kept = dataclasses.replace(
         grid,
         xy=np.where(good[..., None], grid.xy, np.float32(np.nan)),

@@ -3,6 +3,7 @@
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
@@ -15,6 +16,7 @@ from cmp_cl.opencl.device import Device, select_device
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
+_FEW_BITS = 2**14  # a grey level that a picture of 16 bits reaches, unless it is very dark
 _USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried if the estimated cell does not find the pattern
 
 
@@ -55,9 +57,27 @@ def find_pattern(
     cell = np.nan if best is None else cell_of(best)
     if best is None or not cell >= 4:
         size = "" if shape is None else f" of {shape[0]} x {shape[1]} corners"
-        raise GridError(f"no pattern{size} is found: {why}")
+        brightest = int(view.max(initial=0)) if full_scale is None else 0
+        hint = f"; {of_few_bits(brightest)}" if is_of_few_bits(view.dtype, brightest) else ""
+        raise GridError(f"no pattern{size} is found: {why}{hint}")
     check_size(best)
     return cell, best
+
+
+def is_of_few_bits(dtype: DTypeLike, brightest: int) -> bool:
+    """Return whether 16-bit pixels seem to come from a camera of fewer bits.
+
+    brightest: the largest grey level.
+    """
+    return dtype == np.uint16 and 0 < brightest < _FEW_BITS
+
+
+def of_few_bits(brightest: int) -> str:
+    """Return what to do about such pixels, in words."""
+    return (
+        f"the brightest of the 16-bit pixels is {brightest}; for a 12-bit camera, give "
+        "--full-scale 4095, for a 10-bit one 1023 (full_scale= in Python)"
+    )
 
 
 def check_size(grid: Grid) -> None:

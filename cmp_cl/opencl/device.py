@@ -109,15 +109,15 @@ def select_device(text: str | None = None) -> Device:
     name or of its platform's name, case ignored. If several match, it is the first in
     `list_devices`.
 
-    None means the variable CMP_CL_DEVICE if it is set, else the first GPU, else the first
-    CPU, else the first device.
+    None means the variable CMP_CL_DEVICE if it is set and not empty, else the first GPU, else the
+    first CPU, else the first device.
 
     Raises DeviceError, which lists what there is, if nothing matches.
     """
     if text is not None and not isinstance(text, str):
         raise DeviceError(f"a device is named by a text such as '0:0' or 'cpu', not {text!r}")
     devices = list_devices()
-    wanted = text if text is not None else os.environ.get(DEVICE_VARIABLE)
+    wanted = text if text is not None else os.environ.get(DEVICE_VARIABLE) or None
     if not devices:
         stuck = caches.pocl_is_stuck()
         raise DeviceError(f"no OpenCL device found; {stuck or _INSTALL_HINT}")

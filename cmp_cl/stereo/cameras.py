@@ -167,7 +167,8 @@ def _one(
     seen = _seen(grids, spacing)
     if len(seen) < _MIN_VIEWS:
         raise CalibrationError(
-            f"{name}: {len(seen)} views with at least {_MIN_NODES} corners, {_MIN_VIEWS} are needed"
+            f"{name}: {_MIN_VIEWS} views with at least {_MIN_NODES} corners are needed, not "
+            f"{len(seen)}"
         )
     boards = [board.reshape(-1, 1, 3).astype(np.float32) for board, _ in seen.values()]
     points = [xy.reshape(-1, 1, 2).astype(np.float32) for _, xy in seen.values()]

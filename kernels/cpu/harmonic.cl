@@ -484,6 +484,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
     }
     const int y = y_response - BESIDE_MAXIMUM;
     if (y < top || y >= end) continue;
+#pragma unroll
     for (int fine = 0; fine <= FINE; ++fine) {
       __global const short *responses = first_response + fine * kind;
       __global const short *rows_of[2 * BESIDE_MAXIMUM + 1], *const *row = rows_of + BESIDE_MAXIMUM;

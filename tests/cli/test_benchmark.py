@@ -1,4 +1,5 @@
 import importlib.util
+import json
 import sys
 from pathlib import Path
 
@@ -114,6 +115,24 @@ def test_an_implementation_that_is_gone_is_named():
     gone["rows"] = gone["rows"][:1]
     lines, single = load("compare").comparison(implementations(), gone, 1.15)
     assert (lines, single) == ([], ["other: digests"])
+
+
+def test_an_answer_that_is_silently_wrong_now_is_worse():
+    row = {"ground": "keys", "method": "cmp_cl", "right": 3, "silently wrong": 0}
+    row |= {"right, with a warning": 1, "background alone": 0, "refused": 1}
+    old = {"kind": "surroundings", "boards": [row], "mirrors": []}
+    new = old | {"boards": [row | {"right": 2, "silently wrong": 1}]}
+    assert load("compare").comparison(old, new, 1.15)[0] == [
+        "keys: cmp_cl: wrong 0 -> 1",
+        "keys: cmp_cl: success 3 -> 2 of 5",
+    ]
+
+
+def test_every_kind_of_result_is_known():
+    known = load("compare").READERS
+    for path in (BENCH / "results").glob("*.json"):
+        kind = json.loads(path.read_text(encoding="utf-8"))["kind"]
+        assert kind in known or kind in ("run", "peer settings"), kind
 
 
 def test_results_of_different_kinds_are_refused():

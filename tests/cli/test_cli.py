@@ -4,6 +4,7 @@ import csv
 import os
 import re
 import shlex
+import shutil
 import signal
 import struct
 import subprocess
@@ -203,6 +204,20 @@ def test_images_of_a_12_bit_camera_get_a_hint_about_full_scale(run):
     status, out, err = run("detect", "deep.png", "--full-scale", 4095)
     assert "deep.png: 400 corners" in out
     assert err == ""
+
+
+def test_a_10_bit_camera_gets_one_hint_though_corners_are_found_and_where_none_is(run):
+    run("render", "--markers", 20, "--severity", 0, "--noise", 1, "--bits", 12, "--out", "deep.png")
+    shutil.copy("deep.png", "again.png")
+    status, out, err = run("detect", "deep.png", "again.png")
+    assert status == 0
+    assert "again.png: 400 corners" in out
+    assert err.count("--full-scale 4095") == 1
+    media.write_image("deep.png", media.read_image("deep.png") // 4)
+    for command in ("run --out x.npz", "tune --grid 20x20 --out x.toml", "detect"):
+        _, _, err = run(*command.split(), "deep.png")
+        assert "one 1023" in err
+        assert "\n" not in err.strip()
 
 
 def test_colour_gives_the_corners_of_its_grey(run):
@@ -436,6 +451,22 @@ PATTERN = "pattern", "--grid", "4x4"
         (("detect", BOARD, "--config", "long.toml"), ["max_corners", "111 ... 111"]),
         (("detect", BOARD, "--config", "large.toml"), ["large.toml", "over 65536 bytes"]),
         (("bench", "--repeats", "0"), ["--repeats", "0"]),
+        (("run", BOARD, "--out", "u.npz", "--cell", "1", "--unit", ""), ["--unit", "mm"]),
+        (
+            (
+                "calibrate",
+                BOARD,
+                "--board",
+                "9x6",
+                "--square",
+                "1",
+                "--unit",
+                " ",
+                "--out",
+                "u.yaml",
+            ),
+            ["--unit", "mm"],
+        ),
         (("render",), ["--out"]),
         (("render", "--out", "g.png", "--markers", "2"), ["--markers must", "[3, 100]", "2"]),
         (("render", "--out", "g.png", "--severity", "nan"), ["--severity must", "nan"]),

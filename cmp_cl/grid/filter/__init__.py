@@ -6,7 +6,13 @@ its row and its column. Stein's unbiased risk estimate chooses their widths and 
 node, so that there are no parameters to set.
 """
 
-from cmp_cl.grid.filter.bends import bend_shift, bend_shift_of, image_sigma, with_bends
+from cmp_cl.grid.filter.bends import (
+    bend_shift,
+    bend_shift_of,
+    bent_sigma,
+    image_sigma,
+    with_bends,
+)
 from cmp_cl.grid.filter.lattice import Filtered, filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid.filter.positions import filter_positions
 
@@ -14,6 +20,7 @@ __all__ = [
     "Filtered",
     "bend_shift",
     "bend_shift_of",
+    "bent_sigma",
     "filter_at_rest",
     "filter_grid",
     "filter_positions",

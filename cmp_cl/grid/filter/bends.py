@@ -32,16 +32,23 @@ def bend_shift_of(grid: Grid) -> Array:
 
 
 def with_bends(grid: Grid) -> Grid:
-    """Return the grid with the shift by bent edges in its sigma, which was that of the corners.
+    """Return the grid with the shift by bent edges in its sigma, which was that of the corners."""
+    return dataclasses.replace(grid, sigma=bent_sigma(grid.xy, grid.sigma, grid.edge_radius))
 
-    The shift is known, but raw positions keep it, so half of its square is added to the variance
-    per axis. It comes from raw positions: their noise adds a hundredth of itself.
+
+def bent_sigma(
+    xy: NDArray[np.float32], sigma: NDArray[np.float32], radius: float
+) -> NDArray[np.float32]:
+    """Return the standard deviation of raw positions with the shift by bent edges, (R, C), px.
+
+    xy, sigma, radius: as the grid's `xy`, `sigma` without that shift, and `edge_radius`. The shift
+    is known, but raw positions keep it, so half of its square is added to the variance per axis.
+    It comes from raw positions: their noise adds a hundredth of itself.
     """
-    if not math.isfinite(grid.edge_radius):
-        return grid
-    return dataclasses.replace(
-        grid, sigma=np.sqrt(np.square(grid.sigma) + _variance(grid)).astype(np.float32)
-    )
+    if not math.isfinite(radius):
+        return sigma
+    whole: NDArray[np.float32] = np.sqrt(np.square(sigma) + _variance(xy, radius)).astype("f4")
+    return whole
 
 
 def image_sigma(grid: Grid) -> Array:
@@ -53,17 +60,17 @@ def image_sigma(grid: Grid) -> Array:
     whole = np.square(grid.sigma, dtype=np.float64)
     if not math.isfinite(grid.edge_radius):
         return np.sqrt(whole)
-    own = whole - _variance(grid)
+    own = whole - _variance(grid.xy, grid.edge_radius)
     return np.sqrt(np.where(own > 0, own, whole))
 
 
-def _variance(grid: Grid) -> Array:
+def _variance(xy: NDArray[np.float32], radius: float) -> Array:
     """Return the variance per axis of raw positions by bent edges, (R, C), px^2.
 
     Nodes whose neighbours do not show the bend get the mean of the others.
     """
-    shift, known = _shift_of(grid.xy.astype(np.float64), grid.edge_radius)
-    variance: Array = np.square(shift).sum(axis=2) / 2
+    shift, known = _shift_of(xy.astype(np.float64), radius)
+    variance: Array = (shift[0] * shift[0] + shift[1] * shift[1]) / 2
     return (
         variance
         if known.all() or not known.any()
@@ -80,16 +87,24 @@ def bend_shift(xy: Array, radius: float) -> Array:
     middle, on the inner side; the corner moves with both of its lines. The shift is 0 if too few
     nodes show the curvature, or if the lines enclose less than 10 degrees.
     """
-    return _shift_of(xy, radius)[0]
+    shift, _ = _shift_of(xy, radius)
+    return np.ascontiguousarray(shift.transpose(1, 2, 0))
 
 
 def _shift_of(xy: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the shift, as `bend_shift` does, and whether it is known, (R, C)."""
-    there = np.asarray(np.isfinite(xy).all(axis=2), np.bool_)
+    """Return the shift, as `bend_shift` does, by coordinate, (2, R, C), and whether it is known,
+    (R, C).
+
+    Let t and k be the first and second derivatives along a line of nodes, by the number of the
+    node, and q = |t|^2. The fit to the line lies (t x k) r^2 / (6 q^1.5) off it along its normal.
+    The point that lies so on both lines is r^2 / 6 ((t0 x k0) / q0 t1 - (t1 x k1) / q1 t0) /
+    (t0 x t1) from the corner.
+    """
+    data = np.ascontiguousarray(xy.transpose(2, 0, 1))
+    there = np.asarray(np.isfinite(data).all(axis=0), np.bool_)
     rows, columns = there.shape
     if not math.isfinite(radius) or min(rows, columns) < 3 or not there.any():
-        return np.zeros_like(xy), np.zeros((rows, columns), np.bool_)
-    data = xy.transpose(2, 0, 1)
+        return np.zeros_like(data), np.zeros((rows, columns), np.bool_)
     support: Array | bool = True
     if not there.all():
         plane = bilinear_surface(xy, there)
@@ -99,28 +114,20 @@ def _shift_of(xy: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
         support = near[0] @ there @ near[1].T
     slope_down, second_down, mean_down = _derivatives(rows)
     slope_along, second_along, mean_along = _derivatives(columns)
-    lines = (
-        (slope_down @ data @ mean_along.T, second_down @ data @ mean_along.T),
-        (mean_down @ data @ slope_along.T, mean_down @ data @ second_along.T),
-    )
-    (n0, off0), (n1, off1) = (_line(*each, radius) for each in lines)
-    sine = n0[0] * n1[1] - n0[1] * n1[0]
-    known = (np.abs(sine) > _LEAST_SINE) & (support >= LEAST_SUPPORT)
-    divisor = np.where(known, sine, 1)
-    x = (off0 * n1[1] - off1 * n0[1]) / divisor
-    y = (off1 * n0[0] - off0 * n1[0]) / divisor
-    return np.where(known[..., None], np.stack([x, y], axis=-1), 0), known
+    along, down = mean_down @ data, data @ mean_along.T
+    t0, k0 = slope_down @ down, second_down @ down
+    t1, k1 = along @ slope_along.T, along @ second_along.T
+    q0, q1 = (np.maximum(x * x + y * y, 1e-30) for x, y in (t0, t1))
+    area = _cross(t0, t1)
+    known = (area * area > _LEAST_SINE**2 * q0 * q1) & (support >= LEAST_SUPPORT)
+    share = np.where(known, radius**2 / 6 / np.where(known, area, 1), 0)
+    return share * (_cross(t0, k0) / q0 * t1 - _cross(t1, k1) / q1 * t0), known
 
 
-def _line(slope: Array, second: Array, radius: float) -> tuple[Array, Array]:
-    """Return the normal of a line at each node, (2, R, C), and the shift of its straight fit along
-    the normal, (R, C).
-
-    slope, second: (2, R, C), the first and second derivatives by the number of the node.
-    """
-    square = np.maximum(np.square(slope).sum(axis=0), 1e-30)
-    normal = np.stack([-slope[1], slope[0]]) / np.sqrt(square)
-    return normal, (second * normal).sum(axis=0) / square * (radius**2 / 6)
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross product of vectors, (2, R, C) each."""
+    product: Array = a[0] * b[1] - a[1] * b[0]
+    return product
 
 
 @functools.lru_cache(maxsize=64)
