@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.evidence import HIDDEN, grey, in_view
 from cmp_cl.grid.grid import NO_SIDES, UNSEEN, Grid, Sides, turned_sides
-from cmp_cl.grid.nodes import NOWHERE, Entry, Float, Index, Mask, Nodes, Points, for_film, median
+from cmp_cl.grid.nodes import (
+    NOWHERE,
+    Entry,
+    Float,
+    Index,
+    Mask,
+    Nodes,
+    Points,
+    kept_by_mask,
+    median,
+)
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
@@ -166,14 +176,14 @@ def _outer(at: NDArray[Entry], nothing: complex) -> NDArray[Entry]:
     return lines
 
 
-@for_film
+@kept_by_mask
 def _pairs(there: Mask) -> tuple[Index, Index]:
     """Return the sides of some pairs of neighbouring squares, and the first nodes on them."""
     seen = np.logical_and(*_outer(there, False))
     return _sampled(seen[:, :-2] & seen[:, 1:-1] & seen[:, 2:], PAIRS)
 
 
-@for_film
+@kept_by_mask
 def _ends(there: Mask) -> tuple[Index, Index]:
     """Return the sides of some squares, and the first nodes on them.
 

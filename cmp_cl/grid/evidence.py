@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, for_film, median, turned_lines
+from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, kept_by_mask, median, turned_lines
 from cmp_cl.grid.predict import Stencil, Steps
 from cmp_cl.image import GreyImage
 
@@ -98,7 +98,7 @@ def refuse_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]
     return dropped
 
 
-@for_film
+@kept_by_mask
 def _has_few(there: Mask) -> bool:
     """Return whether a last line has at most half as many nodes as the line inside."""
     ways = (turned_lines(there, quarters) for quarters in range(4))
@@ -119,7 +119,7 @@ def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index]:
     return row, column
 
 
-@for_film
+@kept_by_mask
 def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
     """Return the nodes with a neighbour, of eight, that is neither there nor bracketed, a mask of
     those in a whole cell, and their stencil.
@@ -159,7 +159,7 @@ def _some_inside(seen: Mask) -> tuple[Index, Index]:
     return row[some], column[some]
 
 
-@for_film
+@kept_by_mask
 def _rim_and_inside(seen: Mask) -> tuple[Index, Index, Steps]:
     """Return the nodes at the rim, then some inside, and the steps around them."""
     row, column = np.concatenate([_rim(seen)[:2], _some_inside(seen)], axis=1)
