@@ -100,7 +100,8 @@ class Stencil(NamedTuple):
         """Return the predictions, NaN where nothing is known; at: (R, C), px."""
         known = bordered(np.where(np.isnan(at.real), 0, at), nothing=0)
         near = known.take(self.near).view(np.float64)
-        predicted: Points = (self.factors * near).sum(0).view(np.complex128) * self.share
+        near *= self.factors
+        predicted: Points = near.sum(0).view(np.complex128) * self.share
         return predicted
 
 
