@@ -7,14 +7,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.grid.evidence import grey
+from cmp_cl.grid.evidence import HIDDEN, grey, in_view
 from cmp_cl.grid.grid import NO_SIDES, UNSEEN, Grid, Sides, turned_sides
-from cmp_cl.grid.nodes import NOWHERE, Entry, Float, Index, Mask, Nodes, Points, for_film, median
+from cmp_cl.grid.nodes import (
+    NOWHERE,
+    Entry,
+    Float,
+    Index,
+    Mask,
+    Nodes,
+    Points,
+    kept_by_mask,
+    median,
+)
 from cmp_cl.image import GreyImage
 
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
 JUST_BEYOND = (0.8, 1.1, 1.2)  # cells: late in the first squares beyond, early in the second
-HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the image may be missed
 FLAT = 0.3  # share of the contrast of the last cells: below it, no cells follow
 # Cells from a square's middle: points at which its grey level is sampled.
 SPOTS = np.array([-0.15, 0.0, 0.15])
@@ -134,7 +143,7 @@ def _reaches(nodes: Nodes, squares: Points, ended: Sides, image: GreyImage) -> F
     asked = np.array(ended)[side]
     side, first = side[asked], first[asked]
     middle, out, along = squares[:, side[:, None], first[:, None] + [0, 1]]
-    shown = _inside(middle + DEPTHS[-1] * out, image).all(axis=1)
+    shown = in_view(middle + DEPTHS[-1] * out, image).all(axis=1)
     middle, out, along = (each[shown, :, None] for each in (middle, out, along))
     depths = np.concatenate([[-0.5], DEPTHS])
     spots = middle + depths * out + SPOTS[:, None, None, None] * along
@@ -167,14 +176,14 @@ def _outer(at: NDArray[Entry], nothing: complex) -> NDArray[Entry]:
     return lines
 
 
-@for_film
+@kept_by_mask
 def _pairs(there: Mask) -> tuple[Index, Index]:
     """Return the sides of some pairs of neighbouring squares, and the first nodes on them."""
     seen = np.logical_and(*_outer(there, False))
     return _sampled(seen[:, :-2] & seen[:, 1:-1] & seen[:, 2:], PAIRS)
 
 
-@for_film
+@kept_by_mask
 def _ends(there: Mask) -> tuple[Index, Index]:
     """Return the sides of some squares, and the first nodes on them.
 
@@ -259,7 +268,7 @@ def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
     reaches = np.array(reach)[:, None, None]
     depth = reaches.repeat(2, axis=0) + ACROSS_LINE
     spots = corner[:, None, None] + depth * out + (reaches[ASIDE] + PAST) * along
-    shown = _inside(spots, image).all(axis=(1, 2))
+    shown = in_view(spots, image).all(axis=(1, 2))
     spots[~shown] = 0
     level = grey(image, spots).mean(axis=2)
     step = np.where(shown, (level[:, 1] - level[:, 0]) / contrast, math.nan)
@@ -279,7 +288,7 @@ def _ends_at(nodes: Nodes, squares: Points, image: GreyImage, depth: float, show
     middle, out, along = squares[:, side, first]
     sign = 1 - 2 * (first % 2)
     far: Points = middle + shown * out
-    seen = _inside(far, image)
+    seen = in_view(far, image)
     spots = np.array([middle + depth * out, middle - out / 2]) + SPOTS[:, None, None] * along
     level = (sign * grey(image, spots).sum(axis=0))[:, seen]
     group = (2 * side + (sign > 0))[seen]  # dark squares of the first side, bright ones, ...
@@ -300,15 +309,8 @@ def _cut(at: Points, image: GreyImage) -> bool:
     second = np.minimum(first + 1, len(at) - 1)
     one, two = at[first, column], at[second, column]
     known = ~np.isnan(two.real) & (second > first)
-    beyond = ~_inside((one + (1 + HIDDEN) * (one - two))[known], image)
+    beyond = ~in_view((one + (1 + HIDDEN) * (one - two))[known], image)
     return 2 * int(np.count_nonzero(beyond)) > len(beyond)
-
-
-def _inside(at: Points, image: GreyImage) -> Mask:
-    """Return a mask of the points that lie in the image."""
-    rows, columns = image.shape
-    inside: Mask = (at.real >= 0) & (at.real < columns) & (at.imag >= 0) & (at.imag < rows)
-    return inside
 
 
 def full_lines(there: NDArray[np.bool_]) -> tuple[int, int, int, int]:

@@ -1,6 +1,7 @@
 """Corners are arranged by row and column here: numbers, orientation, holes, second look."""
 
 import dataclasses
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
+from cmp_cl.grid.detached import drop_detached
 from cmp_cl.grid.filter import bent_sigma
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
@@ -17,7 +19,7 @@ from cmp_cl.grid.joints import cut
 from cmp_cl.grid.lattice import Lattice, bends, lattice
 from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
-from cmp_cl.grid.nodes import NOWHERE, Index, Nodes, boxed, check_room
+from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, boxed, check_room
 from cmp_cl.grid.numbering import Numbered, like_rest
 from cmp_cl.grid.sizes import in_shape
 from cmp_cl.image import GreyImage, check_image
@@ -27,6 +29,9 @@ RIVAL = 0.5  # a second component of this share of the first is a second pattern
 # Of the area of the first pattern; a pattern of cells a quarter as wide is texture.
 RIVAL_AREA = 1 / 16
 OTHER = 12  # corners: a lattice of so many may be the pattern that is meant
+WHOLE = 0.9  # share of the nodes of a known shape
+BORDERS = 3  # sides; the edge of the image, or things beside, may hide one
+FEW = 0.01  # share of the corners that may be sparser than those of a board among many others
 LEAST_BOARD = 9  # corners of a board among several
 TORN = 0.15  # px: a corner whose sigma is not below it is torn, as is one not refined as asked
 
@@ -43,6 +48,35 @@ class Ended(NamedTuple):
     sides: Sides = NO_SIDES
     border: Border = Border()
     reflected: bool = False
+
+
+class Board(NamedTuple):
+    """A pattern: its numbered nodes, and what is known besides."""
+
+    numbered: Numbered
+    ends: Ended
+
+    def is_whole(self, shape: tuple[int, int] | None) -> bool:
+        """Return whether it is a full rectangle, or has nearly all nodes of that shape."""
+        there = self.numbered.nodes.there
+        if shape is None:
+            return there.size >= OTHER and bool(there.all())
+        if self.numbered.seen_shape is not None:
+            return False
+        top, bottom, left, right = full_lines(there)
+        every = (top, left, bottom + 1, right + 1) == (0, 0, *there.shape)
+        return every and bool(np.count_nonzero(there) >= WHOLE * there.size)
+
+    def is_bordered(self) -> bool:
+        """Return whether its border is seen, but for one side at most."""
+        return sum(self.ends.border.sides) >= BORDERS
+
+    def owned(self, count: int) -> Mask:
+        """Return a mask of the corners, (count,), that are its nodes."""
+        owned = np.zeros(count, np.bool_)
+        owner = self.numbered.nodes.owner
+        owned[owner[owner >= 0]] = True
+        return owned
 
 
 def build_grid(
@@ -91,7 +125,11 @@ def build_grid(
     continue past the pattern. If no closed cell is found the grid is empty, (0, 0) or of the known
     shape.
 
-    Raises GridError if corners have no finite position or no edge angles, if two
+    If several patterns are seen, the grid is that of the only one that is seen whole: with nearly
+    all nodes of the known shape, or, in an image, a full rectangle with its borders. If that does
+    not decide, it is the largest, unless another is comparable.
+
+    Raises GridError if corners have no finite position or no edge angles, if two comparable
     patterns are seen, if the largest lattice holds few of the corners, if
     a shape is far larger than the number of corners, if `like` is empty or contradicts
     `shape`; ImageError for an image that is not one, or not the corners' own.
@@ -99,21 +137,29 @@ def build_grid(
     shape = _known_shape(shape, like)
     _check_previous(previous, like)
     inside, seen = _checked(corners, image, shape, region)
-    found = _found(seen)
+    found = _found(seen, sparse_boards=like is None)
     if found is None:
         return _empty(len(corners), shape, like)
-    if found.size[0] < SMALL * len(inside):
+    found, nodes = _whole(seen, found)
+    grow(nodes, seen)
+    drop_detached(nodes)
+    numbered, ends = _numbered(nodes, seen, found, shape=shape, like=like, previous=previous)
+    boards = [] if numbered is None else [Board(numbered, ends)]
+    if like is None and len(found.size) > 1 and found.size[1] >= OTHER:
+        taken = boards[0].owned(len(inside)) if boards else np.zeros(len(inside), np.bool_)
+        boards += _boards(seen, found, shape, taken, first=1)
+    whole = [each for each in boards if each.is_whole(shape)]
+    alone = len(whole) == 1 and (shape is not None or whole[0].is_bordered())
+    if not alone and found.size[0] < SMALL * len(inside):
         raise GridError(
             f"the largest lattice has {found.size[0]} of {len(inside)} corners, "
             f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
         )
-    found, nodes = _whole(seen, found)
-    grow(nodes, seen)
-    numbered, ends = _numbered(nodes, seen, found, shape=shape, like=like, previous=previous)
-    if numbered is None:
+    if not boards:
         return _empty(len(corners), shape, like)
-    others = _others(found, numbered.nodes, seen)
-    grid = _result(corners, inside, numbered, ends)
+    board = whole[0] if alone or len(whole) > 1 else boards[0]
+    others = _others(found, board, seen, alone=alone)
+    grid = _result(corners, inside, board)
     if shape is None:
         grid = dataclasses.replace(grid, others=others)
     if strict and grid.doubts:
@@ -140,21 +186,34 @@ def build_grids(
     found = _found(seen)
     if found is None:
         return []
-    least = LEAST_BOARD if shape is None else max(shape[0] * shape[1] / 2, 1)
-    grids: list[Grid] = []
     taken = np.zeros(len(inside), np.bool_)
-    component = -1
+    boards = _boards(seen, found, shape, taken)
+    grids = [_result(corners, inside, board) for board in boards]
+    return sorted(grids, key=lambda grid: -int(np.count_nonzero(grid.valid)))
+
+
+def _boards(
+    seen: Seen, found: Lattice, shape: tuple[int, int] | None, taken: Mask, first: int = 0
+) -> Iterator[Board]:
+    """Yield the boards in a view, those of more corners first.
+
+    taken: (N,) bool, corners that belong to other boards. first: the component to begin with.
+    """
+    least = LEAST_BOARD if shape is None else max(shape[0] * shape[1] / 2, 1)
+    component = first - 1
     while (component := component + 1) < np.count_nonzero(found.size >= min(least, LEAST_BOARD)):
+        if 2 * np.count_nonzero(taken[found.component == component]) > found.size[component]:
+            continue
         found, nodes = _whole(seen, found, component)
         small = found.component >= np.count_nonzero(found.size >= LEAST_BOARD)
         nodes.free &= ~taken & ((found.component < 0) | small)
         grow(nodes, seen)
+        drop_detached(nodes)
         numbered, ends = _numbered(nodes, seen, found, shape=shape, alone=True)
         if numbered is None or np.count_nonzero(numbered.nodes.there) < least:
             continue
         taken[numbered.nodes.owner[numbered.nodes.owner >= 0]] = True
-        grids.append(_result(corners, inside, numbered, ends))
-    return sorted(grids, key=lambda grid: -int(np.count_nonzero(grid.valid)))
+        yield Board(numbered, ends)
 
 
 def _checked(
@@ -183,12 +242,41 @@ def _checked(
     return inside, Seen(z, edges, image, torn)
 
 
-def _found(seen: Seen) -> Lattice | None:
-    """Return the lattice of the corners; None if no closed cell is seen."""
+def _found(seen: Seen, *, sparse_boards: bool = True) -> Lattice | None:
+    """Return the lattice of the corners; None if no closed cell is seen.
+
+    sparse_boards: whether a board of few corners among many others is looked for.
+    """
     if len(seen.z) < 4:
         return None
-    found = lattice(seen.z.astype(np.complex64), seen.edges)
+    z = seen.z.astype(np.complex64)
+    found = lattice(z, seen.edges)
+    left = np.flatnonzero(found.component < 0)
+    if sparse_boards and len(left) >= OTHER:
+        found = _with_wider(found, left, lattice(z[left], seen.edges[left], FEW))
     return found if len(found.size) else None
+
+
+def _with_wider(found: Lattice, left: Index, wider: Lattice) -> Lattice:
+    """Return the lattice with the boards among the corners that were left, whose cells are wider.
+
+    A board of few corners before fine texture is sparse: its neighbours are out of reach at first.
+    """
+    count = int(np.count_nonzero(wider.size >= LEAST_BOARD))
+    if not count:
+        return found
+    mine = (wider.component >= 0) & (wider.component < count)
+    here, size = left[mine], np.concatenate([found.size, wider.size[:count]])
+    order = np.argsort(-size, kind="stable")
+    rank = np.append(np.argsort(order, kind="stable"), -1)
+    label = found.component.copy()
+    label[here] = len(found.size) + wider.component[mine]
+    node, turn, support = found.node.copy(), found.turn.copy(), found.support.copy()
+    node[here], turn[here], support[here] = (
+        values[mine] for values in (wider.node, wider.turn, wider.support)
+    )
+    axis = np.concatenate([found.axis, wider.axis[:count]])[order]
+    return Lattice(rank[label], size[order], node, turn, support, axis)
 
 
 def _whole(seen: Seen, found: Lattice, component: int = 0) -> tuple[Lattice, Nodes]:
@@ -340,28 +428,32 @@ def _empty(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None
     )
 
 
-def _others(found: Lattice, nodes: Nodes, seen: Seen) -> int:
-    """Return the corners of the largest other lattice that was not joined, 0 where it is small.
+def _others(found: Lattice, board: Board, seen: Seen, *, alone: bool) -> int:
+    """Return the corners of the largest other lattice that may be the pattern that is meant, or 0.
 
-    Raises GridError if it is comparable. What counts are its corners and the area that they
-    cover: fine texture in a room's background forms lattices too.
+    alone: whether that board alone is seen whole. If so, another lattice counts if it is
+    comparable; if not, GridError is raised then, and smaller ones count. What counts are its
+    corners and the area that they cover: fine texture in a room's background forms lattices too.
     """
     if len(found.size) < 2 or found.size[1] < OTHER:
         return 0
-    free = np.ones(len(seen.z), np.bool_)
-    free[nodes.owner[nodes.owner >= 0]] = False
-    first, area = _box(seen.z[found.component == 0])
-    for component in range(1, int(np.count_nonzero(found.size >= OTHER))):
-        other = (found.component == component) & free
+    owned = board.owned(len(seen.z))
+    own = int(np.bincount(found.component[owned] + 1).argmax()) - 1
+    first, area = _box(seen.z[owned])
+    comparable = RIVAL * (np.count_nonzero(owned) if alone else found.size[own])
+    for component in range(int(np.count_nonzero(found.size >= OTHER))):
+        other = (found.component == component) & ~owned
         count = int(np.count_nonzero(other))
-        if count < OTHER or 2 * count < found.size[component]:
+        if component == own or count < OTHER or 2 * count < found.size[component]:
             continue
         second, covered = _box(seen.z[other])
         if covered < RIVAL_AREA * area:
             continue
-        if count >= RIVAL * found.size[0]:
+        if alone:
+            return count if count >= comparable else 0
+        if count >= comparable:
             raise GridError(
-                f"two patterns are seen, of {found.size[0]} and {found.size[component]} corners, "
+                f"two patterns are seen, of {found.size[own]} and {found.size[component]} corners, "
                 f"within {first} and {second}; say which is meant with a region (x0, y0, x1, y1)"
             )
         return count
@@ -375,7 +467,8 @@ def _box(z: NDArray[np.complex128]) -> tuple[str, float]:
     return words, float(np.ptp(x) * np.ptp(y))
 
 
-def _result(corners: Corners, inside: Index, numbered: Numbered, ends: Ended) -> Grid:
+def _result(corners: Corners, inside: Index, board: Board) -> Grid:
+    numbered, ends = board
     nodes = numbered.nodes
     place = np.flatnonzero(nodes.owner >= 0)
     owner = inside.take(nodes.owner.take(place))

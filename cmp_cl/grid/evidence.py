@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
 from cmp_cl.grid.lattice import lines_of
-from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, for_film, median
+from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, kept_by_mask, median, turned_lines
 from cmp_cl.grid.predict import Stencil, Steps
 from cmp_cl.image import GreyImage
 
@@ -33,6 +33,8 @@ USUAL = Least(0.4, 0.2, 0.85, 0.12)
 ALONE = Least(0.8, 0.7, 0.95, 0.12)  # for a node without a whole cell
 # px: a node in a whole cell may be so far from its prediction, however small the cells are.
 NEAR = 1.5
+HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the image may be missed
+STRAY = 0.5  # px: nodes of a last line that has few may be so far from their predictions
 BESIDE = 2  # nodes to each side whose distances from their predictions are compared
 SHARE, ALIKE = 0.25, 4.0  # quantile of these distances, and the largest multiple of it
 BENT = 0.25  # cells: largest distance that a bend of the surface explains
@@ -67,7 +69,58 @@ def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
         dropped = True
 
 
-@for_film
+def refuse_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
+    """Drop the few nodes of a last line that are not as good as the others; return whether any was.
+
+    Where a board touches things behind it, some of these complete its outer squares by chance. A
+    line at which less than half of the nodes in view are there is probably beyond the border.
+    """
+    dropped = False
+    while _has_few(nodes.there):
+        row, column = place = _stragglers(nodes, image)
+        if not len(row):
+            return dropped
+        look = _look(nodes, image, *place)
+        inside = _look(nodes, image, *_some_inside(nodes.there))
+        off, others = (
+            np.abs(Stencil.of(nodes.there, *each).predict(nodes.at) - nodes.at[each])
+            for each in (place, _rim(nodes.there)[:2])
+        )
+        others = others[~np.isnan(others)]
+        contrast, usual = look.bright - look.dark, median(inside.bright - inside.dark)
+        kept = look.known & (contrast >= np.maximum(ALONE.span * look.span, ALONE.contrast * usual))
+        kept &= off <= np.minimum(np.maximum(STRAY, ALIKE * median(others)), ALONE.off * look.cell)
+        kept &= ~(_cosine(nodes, edges, row, column, look.along, look.down) < ALONE.cosine)
+        if kept.all():
+            return dropped
+        nodes.drop(row[~kept], column[~kept])
+        nodes.crop()
+        dropped = True
+    return dropped
+
+
+@kept_by_mask
+def _has_few(there: Mask) -> bool:
+    """Return whether a last line has at most half as many nodes as the line inside."""
+    ways = (turned_lines(there, quarters) for quarters in range(4))
+    return any(len(way) > 2 and 2 * way[0].sum() <= way[1].sum() for way in ways)
+
+
+def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index]:
+    """Return the nodes of the last lines at which half of the nodes are missing though in view."""
+    few = np.zeros(nodes.at.shape, np.bool_)
+    for quarters in range(4):
+        at, found = turned_lines(nodes.at, quarters), turned_lines(few, quarters)
+        if len(at) > 2:
+            there = ~np.isnan(at[0].real)
+            beyond = in_view(at[1] + (1 + HIDDEN) * (at[1] - at[2]), image)
+            if 2 * np.count_nonzero(there) <= np.count_nonzero(there | beyond):
+                found[0] = there
+    row, column = np.nonzero(few)
+    return row, column
+
+
+@kept_by_mask
 def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
     """Return the nodes with a neighbour, of eight, that is neither there nor bracketed, a mask of
     those in a whole cell, and their stencil.
@@ -107,7 +160,7 @@ def _some_inside(seen: Mask) -> tuple[Index, Index]:
     return row[some], column[some]
 
 
-@for_film
+@kept_by_mask
 def _rim_and_inside(seen: Mask) -> tuple[Index, Index, Steps]:
     """Return the nodes at the rim, then some inside, and the steps around them."""
     row, column = np.concatenate([_rim(seen)[:2], _some_inside(seen)], axis=1)
@@ -163,6 +216,13 @@ def grey(image: GreyImage, at: Points) -> Float:
     y = np.rint(at.imag).clip(0, rows - 1)
     level: Float = image.take((y * columns + x).astype(np.int64)).astype(np.float64)
     return level
+
+
+def in_view(at: Points, image: GreyImage) -> Mask:
+    """Return a mask of the points that lie in the image."""
+    rows, columns = image.shape
+    inside: Mask = (at.real >= 0) & (at.real < columns) & (at.imag >= 0) & (at.imag < rows)
+    return inside
 
 
 def _convincing(

@@ -60,6 +60,8 @@ def grow(nodes: Nodes, seen: Seen) -> None:
         drop_misfits(nodes)
         _reject(nodes, seen)
     nodes.crop()
+    if seen.image is not None:
+        evidence.refuse_stragglers(nodes, seen.image, seen.edges)
 
 
 def extend(nodes: Nodes, seen: Seen) -> None:

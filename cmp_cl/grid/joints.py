@@ -2,8 +2,8 @@
 
 A cell that closes by chance can link a board to squares behind it, or two parts of a torn
 pattern by wrong numbers. The steps tell: on one pattern they change little from one cell to the
-next, and where it is bent they go on changing as they did. So cells whose steps agree with those
-of a cell nearby belong together. What is linked to them only through cells that do not agree is
+next, and where it is bent they go on changing as they did. So neighbouring cells whose steps agree
+belong together. What is linked to them only through cells that do not agree is
 another lattice.
 """
 
@@ -19,14 +19,10 @@ from cmp_cl.grid.nodes import Nodes, upright
 Steps = NDArray[np.complex64]
 
 ALIKE = 0.25  # of the steps: largest difference between two cells of one pattern
-OFF = 0.15  # of the steps: largest distance of a cell from where they lead from the other
 BENT = 0.3  # of the steps: largest difference of their change from the ones before and after
 CONTACTS = 3  # pairs of cells that show a bend between two parts
-REACH = 2  # cells to every side, some of which may be lost
 LEAST = 4  # cells that may be another pattern
-AROUND = np.array(
-    [(r, c) for r in range(REACH + 1) for c in range(-REACH, REACH + 1) if (r, c) > (0, 0)]
-)
+NEIGHBOURS = (0, 1), (1, -1), (1, 0), (1, 1)  # the other four are their opposites
 
 
 def cut(found: Lattice, nodes: Nodes, component: int = 0) -> Lattice | None:
@@ -39,7 +35,7 @@ def cut(found: Lattice, nodes: Nodes, component: int = 0) -> Lattice | None:
     along, down = along[1:] + along[:-1], down[:, 1:] + down[:, :-1]  # twice the steps of a cell
     if _hang_together(along, down):
         return None
-    cells = _whole_cells(lines, along, down)
+    cells = _whole_cells(along, down)
     part = _parts(cells)
     size = np.bincount(part)
     large = np.flatnonzero(size >= LEAST)
@@ -76,51 +72,46 @@ def _square(step: Steps) -> NDArray[np.float32]:
 
 
 class _Cells(NamedTuple):
-    """Whole cells, (K,): row, column, the middle and the steps, and the number of each place."""
+    """Whole cells, (K,): row, column and steps, and the number of each place."""
 
     row: Index
     column: Index
-    middle: Steps
     along: Steps
     down: Steps
     number: Index
 
     def beside(self, cell: Index | slice, r: int, c: int) -> Index:
         """Return the numbers of the cells r rows and c columns away, -1 where there is none."""
-        beside: Index = self.number[self.row[cell] + r + REACH, self.column[cell] + c + REACH]
+        beside: Index = self.number[self.row[cell] + r + 1, self.column[cell] + c + 1]
         return beside
 
     def size(self) -> NDArray[np.float32]:
         return _square(self.along) + _square(self.down)
 
 
-def _whole_cells(at: Steps, along: Steps, down: Steps) -> _Cells:
+def _whole_cells(along: Steps, down: Steps) -> _Cells:
     """Return the cells; along, down: twice the steps of each place."""
     row, column = np.nonzero(~np.isnan(along.real + down.real))
-    number = np.full(np.add(along.shape, 2 * REACH), -1)
-    number[row + REACH, column + REACH] = np.arange(len(row))
-    corners = [at[row + r, column + c] for r in (0, 1) for c in (0, 1)]
-    along, down = along[row, column] / 2, down[row, column] / 2
-    return _Cells(row, column, np.mean(corners, axis=0), along, down, number)
+    number = np.full(np.add(along.shape, 2), -1)
+    number[row + 1, column + 1] = np.arange(len(row))
+    return _Cells(row, column, along[row, column] / 2, down[row, column] / 2, number)
 
 
 def _parts(cells: _Cells) -> Index:
     """Return the part of each cell, numbered by one of its cells.
 
-    Cells that agree and are near each other are of one part. Where cells are missing between
-    two, each must also lie where the steps lead from the other.
+    Neighbours that agree are of one part.
     """
     size = cells.size()
     pairs = []
-    for r, c in AROUND:
+    for r, c in NEIGHBOURS:
         other = cells.beside(slice(None), r, c)
         one = np.flatnonzero(other >= 0)
         other = other[one]
         along, down = cells.along[[one, other]], cells.down[[one, other]]
-        way = cells.middle[other] - cells.middle[one] - (c * along.sum(0) + r * down.sum(0)) / 2
         least = np.minimum(size[one], size[other])
         apart = _square(along[1] - along[0]) + _square(down[1] - down[0])
-        agree = (apart < ALIKE**2 * least) & (_square(way) < OFF**2 * least)
+        agree = apart < ALIKE**2 * least
         pairs.append(np.stack([one[agree], other[agree]]))
     part = _components(len(size), np.concatenate(pairs, axis=1))
     bent = np.concatenate([_bends(cells, part, r, c) for r, c in ((0, 1), (1, 0))], axis=1)

@@ -17,6 +17,7 @@ Mask = NDArray[np.bool_]
 
 # Cells: largest distance of a neighbour; the cell is that of the sparser parts.
 FARTHEST_NEIGHBOUR = 1.6
+SPARSE = 0.1  # share of the points that may be farther apart than the cells
 BINS = 4  # of the points, along a row, to the largest distance of neighbours
 MOST_BINS = 8  # for each point
 CROWD = 64  # most points within reach on one side of a point of a lattice
@@ -45,9 +46,12 @@ class Lattice(NamedTuple):
     axis: Complex
 
 
-def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
-    """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad."""
-    order, first, second, step = near_pairs(z)
+def lattice(z: Complex, edges: NDArray[np.float32], sparse: float = SPARSE) -> Lattice:
+    """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad.
+
+    sparse: as of `near_pairs`.
+    """
+    order, first, second, step = near_pairs(z, sparse)
     lines = lines_of(edges)
     z, lines = z.take(order), lines.take(order, axis=1)
     half, other = _links(lines, first, second, step)
@@ -64,12 +68,12 @@ def lattice(z: Complex, edges: NDArray[np.float32]) -> Lattice:
     return _arranged(lines, order, half, other, trees, agree)
 
 
-def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
+def near_pairs(z: Complex, sparse: float = SPARSE) -> tuple[Index, Index, Index, Complex]:
     """Return the pairs of points that are at most FARTHEST_NEIGHBOUR cells apart.
 
     Returns an order of the points, the pairs as places in that order, each pair once, the lower
     place first, and the step from the first to the second. The cell follows from the density
-    that all but a tenth of the points exceed.
+    that all but a share of the points, `sparse`, exceed.
     """
     x, y = z.real.astype(np.float64), z.imag.astype(np.float64)
     x -= x.min()
@@ -80,7 +84,7 @@ def near_pairs(z: Complex) -> tuple[Index, Index, Index, Complex]:
     column = (x / tile).astype(np.int64)
     tiles = (y / tile).astype(np.int64) * (column.max() + 1) + column
     crowds = np.sort(np.bincount(tiles))
-    crowd = crowds[crowds.cumsum().searchsorted(len(z) // 10, side="right")]
+    crowd = crowds[crowds.cumsum().searchsorted(int(sparse * len(z)), side="right")]
     reach = max(FARTHEST_NEIGHBOUR * tile / np.sqrt(crowd), extent / 1024)
 
     # Bins of the image, in rows `reach` high, are laid end to end on one axis, with empty ones

@@ -26,6 +26,7 @@ LOST = 2  # successive nodes that may be lost at a seam
 SHARE = 0.4  # share of the rows that may cross a seam without a step
 SEAM, SEAM_PIXELS = 0.03, 0.6  # cells and px: least step at a seam; drawn edges may step by .5 px
 ABOVE_OTHERS = 2.5  # times the step at any other line
+ABOVE_OTHERS_ACROSS = 4.0  # the same for diagonal lines
 APART = 1.5  # lines: nearer ones show a part of the seam's step
 OTHERS = 3  # least number of other lines to compare with
 CLIP = 2.5  # times the median: a larger error counts as that
@@ -47,10 +48,23 @@ def has_seam(at: Points) -> bool:
 
     at: (R, C) measured nodes, px, NaN where there is none.
     """
-    return _has_seam(at) or _has_seam(at.T)
+    return _has_seam(at, ABOVE_OTHERS) or _has_seam(at.T, ABOVE_OTHERS)
 
 
-def _has_seam(at: Points) -> bool:
+def has_diagonal_seam(at: Points) -> bool:
+    """Return whether the steps along diagonals are different across one of those that cross them.
+
+    at: (R, C) measured nodes, px, NaN where there is none. Waves bend diagonals more than rows, and
+    short ones have few steps to compare with, so more is asked.
+    """
+    return any(
+        _has_seam(lines, ABOVE_OTHERS_ACROSS)
+        for way in (at, at[:, ::-1])
+        for lines in _diagonals(way, NOWHERE)
+    )
+
+
+def _has_seam(at: Points, above_others: float) -> bool:
     """Return the same for the lines between columns."""
     at = _some(at)
     step = at[:, 1:] - at[:, :-1]
@@ -65,7 +79,7 @@ def _has_seam(at: Points) -> bool:
     others = off[(np.abs(place - place[best]) > APART) & (off > 0)]
     if len(others) < OTHERS:
         return False
-    return bool(off[best] >= max(SEAM * cell, SEAM_PIXELS, ABOVE_OTHERS * others.max()))
+    return bool(off[best] >= max(SEAM * cell, SEAM_PIXELS, above_others * others.max()))
 
 
 def _off(at: Points, step: Points, lost: int) -> Float:
@@ -94,7 +108,7 @@ def repeats_reversed(at: Points) -> bool:
     """
     error, cell = _errors(at)
     if not error.size:
-        return False
+        return has_diagonal_seam(at)
     scores = [
         _scores([_some(error)], COLUMNS, cell),
         _scores([_some(error.T)], ROWS, cell),
@@ -140,12 +154,12 @@ def _some(lines: NDArray[Any]) -> NDArray[Any]:
     return lines[:: max(-(-len(lines) // LINES), 1)]
 
 
-def _diagonals(error: Points) -> list[Points]:
+def _diagonals(values: Points, nothing: complex = 0) -> list[Points]:
     """Return some falling diagonals: (K, L) those on which row plus column is even, then odd.
 
-    A diagonal's errors lie by half that sum.
+    A diagonal's values lie by half that sum, with `nothing` beside them.
     """
-    high, wide = error.shape
+    high, wide = values.shape
     half = np.arange((high + wide) // 2)
     found = []
     for odd in (0, 1):
@@ -154,7 +168,7 @@ def _diagonals(error: Points) -> list[Points]:
         row = half + (ahead + odd) // 2
         column = row - ahead
         inside = (row >= 0) & (row < high) & (column >= 0) & (column < wide)
-        found.append(np.where(inside, error[row * inside, column * inside], 0))
+        found.append(np.where(inside, values[row * inside, column * inside], nothing))
     return found
 
 

@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 NOWHERE = complex(np.nan, np.nan)
 Entry = TypeVar("Entry", bound=np.generic)
 Answer = TypeVar("Answer")
-KEPT, MOST_KEPT = 4, 1 << 14  # results that `for_film` keeps, and entries of their grids
+KEPT, MOST_KEPT = 4, 1 << 14  # results that `kept_by_mask` keeps, and entries of their grids
 MOST_NODES, NODES_EACH = 65536, 64  # the most of any grid, and the most for each corner
 
 
@@ -112,7 +112,7 @@ class Nodes:
         return cut
 
 
-def for_film(function: Callable[[Mask], Answer]) -> Callable[[Mask], Answer]:
+def kept_by_mask(function: Callable[[Mask], Answer]) -> Callable[[Mask], Answer]:
     """Keep the last results of a function of the mask of nodes, which many frames share.
 
     Callers must not write to the arrays of a result. Results for large grids are not kept.

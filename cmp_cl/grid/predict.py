@@ -5,7 +5,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Points, for_film
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Points, kept_by_mask
 
 
 # (weight, {(row, column): factor, ...}) of each prediction of a node from its neighbours
@@ -115,7 +115,7 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
     return stencil.predict(at), stencil.weight
 
 
-@for_film
+@kept_by_mask
 def beside_missing(there: Mask) -> tuple[Index, Stencil]:
     """Return the places, (M,), of the nodes that `predict_within` leaves, and their stencil."""
     unknown = np.isnan(predict_within(np.where(there, 0, NOWHERE)).real)

@@ -407,7 +407,9 @@ void decide(const size_t p, __global const ulong *noise, __global uint *band_cou
 
 /* List the maxima of a band of the image, and fill the padding of its rows. A count may exceed the
  * capacity of its list. `area` has a bit for every pixel. One work-item per band. The last one of a
- * frame to finish decides for the frame; `finished` counts them, and is 0 between launches. */
+ * frame to finish decides for the frame; `finished` counts them, and is 0 between launches. The
+ * fences and the count order the lists of all bands before the decision, on every CPU: OpenCL 1.2
+ * alone does not promise it between groups. */
 __kernel void harmonic_band(__global PIXEL *restrict image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,

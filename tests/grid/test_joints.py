@@ -114,6 +114,15 @@ def test_parts_with_the_same_steps_but_another_position_are_two():
     np.testing.assert_array_equal(found.size, [56, 48])
 
 
+def test_a_single_contact_is_no_bend_but_a_whole_line_is():
+    at = plane(8, 14, 10)
+    at[:, 10:] += 3.9 * np.arange(1, 5)  # wider cells, by less than a bend may change them
+    assert cut_of(at)[0] is None
+    at[[0, 1, 2, 5, 6, 7], 9] = np.nan
+    found, _ = cut_of(at)
+    np.testing.assert_array_equal(found.size[:2], [74, 32])
+
+
 def before_squares(seed: int = 0, *, turn: float = 0.45, square: float = 19.0) -> np.ndarray:
     """Draw a board on white paper in front of a floor of grey squares."""
     high, wide = 330, 400
@@ -149,31 +158,83 @@ def test_a_board_in_front_of_a_floor_of_squares_is_numbered_alone(turn, square):
     assert on_board(grid).all()
 
 
-@pytest.mark.parametrize("square", [22, 26])
-def test_a_floor_of_many_squares_is_a_second_pattern(square):
-    image = before_squares(turn=0.15, square=square)
+FLOORS = [(0.15, 22), (0.15, 26), (0.45, 19)]  # of more corners than the board has
+
+
+@pytest.mark.parametrize(("turn", "square"), FLOORS)
+def test_a_board_is_the_grid_and_a_floor_of_many_squares_is_reported(turn, square):
+    image = before_squares(turn=turn, square=square)
     with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
         corners = detector(image)
-    with pytest.raises(GridError, match="two patterns"):
-        build_grid(corners, image)
+    grid = build_grid(corners, image)
+    assert grid.shape in (BOARD, BOARD[::-1])
+    assert on_board(grid).all()
+    assert grid.doubts[0].startswith(f"another pattern of {grid.others} corners is seen")
+    with pytest.raises(GridError, match="another pattern"):
+        build_grid(corners, image, strict=True)
     own = [on_board(grid).mean() for grid in build_grids(corners, image)]
     assert own.count(1.0) == 1
     assert own.count(0.0) == len(own) - 1
 
 
-def test_a_board_that_is_the_smaller_pattern_is_reported():
-    image = before_squares(turn=0.45, square=19)
+@pytest.mark.parametrize(("turn", "square"), FLOORS)
+def test_a_known_size_or_a_region_leaves_no_doubt(turn, square):
+    image = before_squares(turn=turn, square=square)
     with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
         corners = detector(image)
-    grid = build_grid(corners, image)
-    assert not on_board(grid).any()
-    assert 60 <= grid.others <= BOARD[0] * BOARD[1]
-    assert grid.doubts[0].startswith(f"another pattern of {grid.others} corners is seen")
-    with pytest.raises(GridError, match="another pattern"):
-        build_grid(corners, image, strict=True)
-    board = build_grid(corners, image, region=(75, 65, 300, 245))
-    assert on_board(board).all()
-    assert not board.doubts
+    for grid in (
+        build_grid(corners, image, shape=BOARD),
+        build_grid(corners, image, region=(75, 65, 300, 245)),
+    ):
+        assert on_board(grid).all()
+        assert np.count_nonzero(grid.valid) == BOARD[0] * BOARD[1]
+        assert not grid.doubts
+
+
+def test_of_two_boards_the_one_of_the_known_size_is_numbered():
+    floor = np.full((330, 560), 180, np.uint8)
+    floor[:, :400] = before_squares(square=1000)
+    row, column = np.indices((300, 140)) // 20
+    floor[15:315, 410:550] = np.where((row + column) % 2, 30, 220)
+    with Detector(shape=floor.shape, config=DetectorConfig.for_cell(CELL)) as detector:
+        corners = detector(floor)
+    with pytest.raises(GridError, match="two patterns are seen, of 84 and 63 corners"):
+        build_grid(corners, floor)
+    assert on_board(build_grid(corners, floor, shape=BOARD)).all()
+    other = build_grid(corners, floor, shape=(14, 6))
+    assert other.valid.all()
+    assert not other.doubts
+    assert other.xy[..., 0].min() > 400
+
+
+def test_a_board_of_wide_cells_in_fine_clutter_is_found():
+    blocks = np.random.default_rng(1).uniform(20, 235, (90, 110)).repeat(5, 0).repeat(5, 1)
+    image = blocks.astype(np.uint8)
+    image[40:280, 50:330] = before_squares()[40:280, 50:330]
+    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
+        corners = detector(image)
+    assert BOARD[0] * BOARD[1] < 0.1 * len(corners)
+    for shape in (None, BOARD):
+        grid = build_grid(corners, image, shape=shape)
+        assert on_board(grid).all()
+        assert np.count_nonzero(grid.valid) == BOARD[0] * BOARD[1]
+
+
+@pytest.mark.parametrize("shape", [None, BOARD])
+def test_things_that_complete_a_few_squares_are_beyond_the_border(shape):
+    image = before_squares(square=1000)
+    image[:, 310:] = 120
+    for number, level in enumerate((45, 215, 45)):  # beside white, black, white squares
+        top = 105 + number * CELL
+        image[top : top + CELL, 310:335] = level
+    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
+        corners = detector(image)
+    beside = (np.abs(corners.xy[:, 0] - 310) < 3) & (corners.xy[:, 1] > 80)
+    assert np.count_nonzero(beside) >= 2
+    grid = build_grid(corners, image, shape=shape)
+    assert on_board(grid).all()
+    assert np.count_nonzero(grid.valid) == BOARD[0] * BOARD[1]
+    assert not grid.doubts
 
 
 def test_cells_between_the_corners_of_a_part_are_not_cut_again_and_again():

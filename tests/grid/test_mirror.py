@@ -7,7 +7,7 @@ import pytest
 from cmp_cl import Detector, DetectorConfig, build_grid
 from cmp_cl.errors import GridError
 from cmp_cl.grid import NodeStatus
-from cmp_cl.grid.mirror import has_seam, repeats_reversed
+from cmp_cl.grid.mirror import has_diagonal_seam, has_seam, repeats_reversed
 
 CELL = 14  # px
 HIGH, WIDE = 15 * CELL, 12 * CELL  # px: the view of a pattern without end
@@ -50,6 +50,19 @@ def test_a_reflection_of_a_worn_print_is_doubted():
     assert "reflection" in grid.doubts[0]
     with pytest.raises(GridError, match="reflection"):
         numbered(image, strict=True)
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_seam_along_a_diagonal_shows_on_a_perfect_print(quarters):
+    row, column = np.indices((20, 24))
+    at = CELL * (column + 1j * row)
+    normal = np.exp(1j * (np.pi / 4 + 0.02))  # of the mirror, which goes through row + column = 20
+    before = CELL * (20 - row + 1j * (20 - column)) - CELL * 20
+    at = np.where(row + column > 20, CELL * 20 - normal**2 * before.conj(), at)
+    at += np.random.default_rng(4).normal(0, 0.03, at.shape)
+    at = np.rot90(at, quarters)
+    assert has_diagonal_seam(at)
+    assert repeats_reversed(at)
 
 
 def test_a_reflection_with_a_seam_is_doubted_on_a_perfect_print():

@@ -19,7 +19,7 @@ from cmp_cl.grid.border import common_reach
 from cmp_cl.grid.evidence import _typical
 from cmp_cl.grid.fingerprint import Fingerprint, turn_to
 from cmp_cl.grid.nearest import Reference
-from cmp_cl.grid.nodes import for_film, median, turned_lines
+from cmp_cl.grid.nodes import kept_by_mask, median, turned_lines
 
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
 PERIODS = ((1, 1), (2, 0), (-1, 3))
@@ -460,7 +460,7 @@ def test_nodes_off_their_predictions_are_compared_with_a_quarter_of_those_around
 def test_a_cached_result_is_used_only_for_the_same_mask_of_nodes():
     asked = []
 
-    @for_film
+    @kept_by_mask
     def count(there):
         asked.append(there.shape)
         return int(there.sum())

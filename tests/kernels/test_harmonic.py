@@ -217,6 +217,16 @@ def test_the_largest_harmonics_fit_with_the_largest_factors(detector_in_form):
     assert len(corners) > 20
 
 
+def test_the_reference_of_the_largest_responses_is_the_oracles(detector_in_form):
+    """Corners of black and white in cells of 8 px respond most, and only the reference is kept."""
+    image = board(61, 83, 8.0, angle=1.22, blur=0.1, samples=4)[0]
+    image = np.where(image > 120, 255, 0).astype(np.uint8)
+    config = configured(relative=1)
+    found = harmonic.corners(image, config.detection, 3, 255, np.ones(image.shape, np.bool_))
+    assert found.reference > 2**13
+    assert len(assert_corners_equal(detector_in_form(image, config), image)) > 0
+
+
 @pytest.mark.parametrize("pixel", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
 def test_the_largest_noise_does_not_overflow(detector_in_form, pixel):
     """The bound of such noise is beyond every response, and its product near 64 bits."""
