@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
+from cmp_cl.grid.lattice import lines_of
 from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, kept_by_mask, median, turned_lines
 from cmp_cl.grid.predict import Stencil, Steps
 from cmp_cl.image import GreyImage
@@ -293,13 +294,10 @@ def _cosine(
 ) -> Float:
     """Return the smaller |cos| of the angles between a corner's two lines and the steps, or NaN."""
     owner = nodes.owner[row, column]
-    angle = edges[owner].T.astype(np.float64, order="C")
-    lines = np.exp(1j * angle)
-    lines = lines[:2] - lines[2:]
+    lines = lines_of(edges[owner])
     level = (nodes.parity + row + column) % 2 == 0  # e0 and e2 lie along the row
     steps = np.where(level, (along, down), (down, along))
-    size = np.abs(lines) * np.abs(steps)
-    cosine = np.abs((lines * steps.conj()).real) / np.maximum(size, 1e-9)
+    cosine = np.abs((lines * steps.conj()).real) / np.maximum(np.abs(steps), 1e-9)
     least: Float = cosine.min(axis=0)
     least[owner < 0] = np.nan
     return least

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from cmp_cl.grid.grid import MEASURED, Grid
-from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Points, median, turned_lines
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Points, median, turned_lines
 
 CLIP = 2.5  # times the median: larger errors are clipped to it
 PRINTED = 0.1  # px per axis: smaller errors may be the camera's, which do not move with the pattern
@@ -32,7 +32,7 @@ class Fingerprint(NamedTuple):
     """The printing errors of a pattern.
 
     error: (R, C) complex, cells, along rows plus 1j along columns, 0 where unknown. known: (R, C)
-        bool. cell: side of a cell, px.
+        bool. cell: mean side of a cell, px.
     """
 
     error: Points
@@ -43,7 +43,7 @@ class Fingerprint(NamedTuple):
     def of(cls, at: Points) -> "Fingerprint":
         """Take the fingerprint of measured nodes; at: (R, C), x + 1j y, px, NaN where missing."""
         error, known = np.zeros(at.shape, np.complex128), np.zeros(at.shape, np.bool_)
-        rough, step = _rough(at)
+        rough, length = _rough(at)
         inner = ~np.isnan(rough.real)
         if not inner.any():
             return cls(error, known, 0.0)
@@ -52,7 +52,7 @@ class Fingerprint(NamedTuple):
         rough *= np.minimum(1, limit / np.maximum(size, 1e-12))
         known[2:-2, 2:-2] = inner
         np.copyto(error[2:-2, 2:-2], rough, where=inner)
-        return cls(error, known, median(np.abs(step[inner])))
+        return cls(error, known, float(length[inner].mean()))
 
     @classmethod
     def at_rest(cls, rest: Grid) -> "Fingerprint":
@@ -79,22 +79,25 @@ def _kept(shape: tuple[int, int], kind: DTypeLike, xy: bytes, status: bytes) -> 
     return Fingerprint.of(np.where(measured, at, NOWHERE))
 
 
-def _rough(at: Points) -> tuple[Points, Points]:
-    """Return the distances of nodes from the cubics through their neighbours, cells, and the steps,
-        px.
+def _rough(at: Points) -> tuple[Points, Float]:
+    """Return the distances of nodes from the cubics through their neighbours, cells, and the
+        lengths of the steps, px.
 
     (R - 4, C - 4) each, without the two outermost lines of each side, or empty. A distance is the
     mean of x - (4 (L + R) - (LL + RR)) / 6 along the row and along the column, divided by the step
     along the row. Independent errors of variance 1 give it the variance GAIN.
     """
     if min(at.shape) < 5:
-        return np.zeros((0, 0), np.complex128), np.zeros((0, 0), np.complex128)
+        return np.zeros((0, 0), np.complex128), np.zeros((0, 0))
     pixels = np.ascontiguousarray(at).view(np.float64).reshape(*at.shape, 2)
-    off = np.ascontiguousarray(cv2.filter2D(pixels, -1, FROM_CUBICS)[2:-2, 2:-2])
+    border = cv2.BORDER_CONSTANT  # the fastest; it is cut off
+    filtered = cv2.filter2D(pixels, -1, FROM_CUBICS, borderType=border)
+    off = np.ascontiguousarray(filtered[2:-2, 2:-2])
     step = 0.5 * (at[2:-2, 3:-1] - at[2:-2, 1:-3])
-    step[~(np.abs(step) > 1e-6)] = NOWHERE
+    length = np.abs(step)
+    step[~(length > 1e-6)] = NOWHERE
     with np.errstate(invalid="ignore"):  # NaN over NaN
-        return off.view(np.complex128)[..., 0] / step, step
+        return off.view(np.complex128)[..., 0] / step, length
 
 
 def turn_to(rest: Fingerprint, now: Fingerprint, turns: Sequence[int]) -> int | None:

@@ -52,7 +52,7 @@ def lattice(z: Complex, edges: NDArray[np.float32], sparse: float = SPARSE) -> L
     sparse: as of `near_pairs`.
     """
     order, first, second, step = near_pairs(z, sparse)
-    lines = _lines(edges)
+    lines = lines_of(edges)
     z, lines = z.take(order), lines.take(order, axis=1)
     half, other = _links(lines, first, second, step)
     cells = _cells(z, half, other)
@@ -127,7 +127,7 @@ def bends(edges: NDArray[np.float32]) -> NDArray[np.float32]:
     return bend
 
 
-def _lines(edges: NDArray[np.float32]) -> Complex:
+def lines_of(edges: NDArray[np.float32]) -> Complex:
     """Return the corners' two lines, (2, N) units along e0 - e2 and e1 - e3."""
     edges = np.ascontiguousarray(edges.T)
     x, y = np.cos(edges), np.sin(edges)

@@ -100,7 +100,8 @@ class Stencil(NamedTuple):
         """Return the predictions, NaN where nothing is known; at: (R, C), px."""
         known = bordered(np.where(np.isnan(at.real), 0, at), nothing=0)
         near = known.take(self.near).view(np.float64)
-        predicted: Points = (self.factors * near).sum(0).view(np.complex128) * self.share
+        near *= self.factors
+        predicted: Points = near.sum(0).view(np.complex128) * self.share
         return predicted
 
 
@@ -126,7 +127,8 @@ def beside_missing(there: Mask) -> tuple[Index, Stencil]:
 def predict_within(at: Points) -> Points:
     """Return the predictions of all nodes, (R, C); NaN where one of the nodes around is missing."""
     padded = bordered(at).view(np.float64).reshape(*np.add(at.shape, 6), 2)
-    filtered = cv2.filter2D(padded, -1, KERNEL)[3:-3, 3:-3]  # leaves out factors that are 0
+    border = cv2.BORDER_CONSTANT  # the fastest; it does not reach the nodes
+    filtered = cv2.filter2D(padded, -1, KERNEL, borderType=border)[3:-3, 3:-3]  # skips factors of 0
     return np.ascontiguousarray(filtered).view(np.complex128)[..., 0]
 
 

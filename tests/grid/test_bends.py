@@ -74,6 +74,15 @@ def test_a_missing_node_hardly_changes_the_shift_of_its_neighbours():
     assert np.abs(shift - whole).max() < 0.1 * np.abs(whole).max()
 
 
+def test_single_precision_hardly_changes_the_sigma_of_raw_positions():
+    xy = (arcs(30, 40, cell=20.0, bend=2000.0)[0] + 3000).astype(np.float32)
+    shift = bend_shift(xy.astype(np.float64), RADIUS)
+    expected = np.sqrt(0.02**2 + np.square(shift).sum(axis=2) / 2)
+    flat = dataclasses.replace(grid_of(xy), sigma=np.full(xy.shape[:2], 0.02, np.float32))
+    bent = with_bends(dataclasses.replace(flat, edge_radius=RADIUS))
+    np.testing.assert_allclose(bent.sigma, expected, rtol=1e-3)
+
+
 def test_the_sigma_of_raw_positions_holds_the_shift_and_gives_that_of_the_image_back():
     xy, _ = arcs()
     flat = dataclasses.replace(grid_of(xy), sigma=np.full(xy.shape[:2], 0.02, np.float32))

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from cmp_cl.grid.filter.polynomials import LEAST_SUPPORT, polynomial
 from cmp_cl.grid.grid import MEASURED, Grid
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+Float = TypeVar("Float", np.float32, np.float64)
 
 _HALF = 2  # nodes on each side of a node that show the curvature of a line
 _LEAST_SINE = math.sin(math.radians(10))  # of the angle between the two lines at a corner
@@ -64,13 +67,14 @@ def image_sigma(grid: Grid) -> Array:
     return np.sqrt(np.where(own > 0, own, whole))
 
 
-def _variance(xy: NDArray[np.float32], radius: float) -> Array:
+def _variance(xy: Single, radius: float) -> Single:
     """Return the variance per axis of raw positions by bent edges, (R, C), px^2.
 
-    Nodes whose neighbours do not show the bend get the mean of the others.
+    Nodes whose neighbours do not show the bend get the mean of the others. Single precision, which
+    raw positions have, changes their sigma by less than a thousandth.
     """
-    shift, known = _shift_of(xy.astype(np.float64), radius)
-    variance: Array = (shift[0] * shift[0] + shift[1] * shift[1]) / 2
+    shift, known = _shift_of(xy, radius)
+    variance: Single = (shift[0] * shift[0] + shift[1] * shift[1]) / 2
     return (
         variance
         if known.all() or not known.any()
@@ -91,9 +95,9 @@ def bend_shift(xy: Array, radius: float) -> Array:
     return np.ascontiguousarray(shift.transpose(1, 2, 0))
 
 
-def _shift_of(xy: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
+def _shift_of(xy: NDArray[Float], radius: float) -> tuple[NDArray[Float], NDArray[np.bool_]]:
     """Return the shift, as `bend_shift` does, by coordinate, (2, R, C), and whether it is known,
-    (R, C).
+    (R, C). The shift is as precise as `xy`.
 
     Let t and k be the first and second derivatives along a line of nodes, by the number of the
     node, and q = |t|^2. The fit to the line lies (t x k) r^2 / (6 q^1.5) off it along its normal.
@@ -105,15 +109,15 @@ def _shift_of(xy: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
     rows, columns = there.shape
     if not math.isfinite(radius) or min(rows, columns) < 3 or not there.any():
         return np.zeros_like(data), np.zeros((rows, columns), np.bool_)
+    slope_down, second_down, mean_down = _derivatives(rows, xy.dtype)
+    slope_along, second_along, mean_along = _derivatives(columns, xy.dtype)
     support: Array | bool = True
     if not there.all():
-        plane = bilinear_surface(xy, there)
+        plane = bilinear_surface(np.asarray(xy, np.float64), there)
         bent = np.where(there[..., None], xy - plane, 0).transpose(2, 0, 1)
-        data = plane.transpose(2, 0, 1) + filled(bent.astype(np.float32), there)
-        near = [np.not_equal(_derivatives(n)[2], 0) / (2 * _half(n) + 1) for n in there.shape]
+        data = (plane.transpose(2, 0, 1) + filled(bent.astype(np.float32), there)).astype(xy.dtype)
+        near = [np.not_equal(m, 0) / (2 * _half(len(m)) + 1) for m in (mean_down, mean_along)]
         support = near[0] @ there @ near[1].T
-    slope_down, second_down, mean_down = _derivatives(rows)
-    slope_along, second_along, mean_along = _derivatives(columns)
     along, down = mean_down @ data, data @ mean_along.T
     t0, k0 = slope_down @ down, second_down @ down
     t1, k1 = along @ slope_along.T, along @ second_along.T
@@ -124,20 +128,20 @@ def _shift_of(xy: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
     return share * (_cross(t0, k0) / q0 * t1 - _cross(t1, k1) / q1 * t0), known
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: NDArray[Float], b: NDArray[Float]) -> NDArray[Float]:
     """Return the cross product of vectors, (2, R, C) each."""
-    product: Array = a[0] * b[1] - a[1] * b[0]
+    product: NDArray[Float] = a[0] * b[1] - a[1] * b[0]
     return product
 
 
 @functools.lru_cache(maxsize=64)
-def _derivatives(n: int) -> tuple[Array, Array, Array]:
+def _derivatives(n: int, kind: np.dtype[Float]) -> tuple[NDArray[Float], ...]:
     """Return three matrices (n, n): the first and second derivative of the parabola fitted to five
     nodes, and the value of the line fitted to five. The five are moved inwards at the ends. Where
     a line has three nodes or four, they are fitted to three."""
     half = _half(n)
-    first, second = (polynomial(n, half, 2, order) for order in (1, 2))
-    return first, second, polynomial(n, half, 1)
+    degrees = (2, 1), (2, 2), (1, 0)
+    return tuple(polynomial(n, half, *each).astype(kind) for each in degrees)
 
 
 def _half(n: int) -> int:
