@@ -305,12 +305,15 @@ def _numbered(
     """
     if not nodes.there.any():
         return None, Ended()
-    if shape is not None and seen.image is not None and np.less(nodes.at.shape, shape).any():
-        extend(nodes, seen)
     border = Border()  # it decides the numbers in a known shape, or those of a frame at rest
     numbering = like is not None or shape not in (None, nodes.at.shape)
     if seen.image is not None and numbering:
         border = border_of(nodes, seen.image)
+        if shape is not None and np.less(nodes.at.shape, shape).any():
+            before = nodes.at
+            extend(nodes, seen, border.sides)
+            if not np.array_equal(nodes.at, before, equal_nan=True):
+                border = border_of(nodes, seen.image)
     if like is not None:
         numbered = like_rest(nodes, border, like, previous)
     elif shape is not None and numbering:

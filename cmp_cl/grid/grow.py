@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.grid import evidence
-from cmp_cl.grid.grid import NodeStatus
+from cmp_cl.grid.grid import NodeStatus, Sides
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 from cmp_cl.grid.predict import (
     REACHED,
@@ -64,11 +64,19 @@ def grow(nodes: Nodes, seen: Seen) -> None:
         evidence.refuse_stragglers(nodes, seen.image, seen.edges)
 
 
-def extend(nodes: Nodes, seen: Seen) -> None:
-    """Search for further rows and columns around the grid until no more are found."""
+def extend(nodes: Nodes, seen: Seen, closed: Sides) -> None:
+    """Search for further rows and columns around the grid until no more are found.
+
+    closed: the sides on which the pattern ends; beyond them nothing is searched for.
+    """
     while seen.image is not None:
         nodes.pad()
-        found = _look_again(nodes, np.zeros(nodes.at.shape), seen.image, WEAK)
+        looked = np.zeros(nodes.at.shape)
+        rim = looked[0], looked[-1], looked[:, 0], looked[:, -1]
+        for line, ends in zip(rim, closed, strict=True):
+            if ends:
+                line[:] = np.inf
+        found = _look_again(nodes, looked, seen.image, WEAK)
         drop_misfits(nodes)
         found &= not evidence.reject(nodes, seen.image, seen.edges)
         nodes.crop()

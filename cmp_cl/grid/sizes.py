@@ -5,11 +5,12 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.border import Ends
 from cmp_cl.grid.grid import Sides
-from cmp_cl.grid.nodes import Nodes
+from cmp_cl.grid.nodes import Index, Mask, Nodes
 from cmp_cl.grid.numbering import Numbered
 
 WHOLE = 1024  # weight of a corner with straight boundaries
 STRAIGHT = 0.5  # largest bend of a corner that is no junction with the surround
+LEAST_LINE = 3  # corners: half of fewer may be a single false one
 
 
 def in_shape(
@@ -102,8 +103,7 @@ def _seen_shape(
     """Return the shape that the pattern seems to have, None for the given one, and the sides on
     which it continues.
 
-    start: first row and column of the window of that shape. A line beyond it counts if it holds at
-        least half the usual number of straight corners.
+    start: first row and column of the window of that shape.
     """
     straight = _straight(nodes, bend)
     seen, goes_on = list(shape), []
@@ -116,9 +116,22 @@ def _seen_shape(
                 seen[axis] = lines
             continue
         count = straight.sum(axis=1 - axis)
-        full = 2 * count >= max(np.median(count), 1)
-        before, after = full[: start[axis]], full[start[axis] + size :]
+        begin, end = start[axis], start[axis] + size
+        before = _full(count[: begin + 1][::-1], float(np.median(count)))
+        after = _full(count[end - 1 :], float(np.median(count)))
         goes_on += [bool(before.any()), bool(after.any())]
         seen[axis] += int(np.count_nonzero(before) + np.count_nonzero(after))
     told = None if tuple(seen) == tuple(shape) else (seen[0], seen[1])
     return told, Sides(*goes_on)
+
+
+def _full(count: Index, usual: float) -> Mask:
+    """Return a mask of the lines beyond the window that belong to the pattern, from it outward.
+
+    count: the straight corners of the window's last line and of each line beyond. usual: of all
+        lines. A line belongs to the pattern if it holds half of the usual number, or half of the
+        line before it: a pattern that is partly hidden, or out of view, gets shorter line by line.
+    """
+    before = np.maximum(count[:-1], LEAST_LINE)
+    full: Mask = 2 * count[1:] >= np.maximum(np.minimum(usual, before), 1)
+    return full

@@ -521,6 +521,29 @@ def test_a_wrong_size_is_reported(asked, goes_on):
     assert build_grid(corners, picture, shape=(9, 6)).seen_shape is None
 
 
+@pytest.mark.parametrize("shown", [3, 4])
+def test_a_wrong_size_is_reported_though_most_of_the_last_line_is_hidden(shown):
+    picture, nodes = drawn(6, 9)
+    corner = nodes.reshape(6, 9, 2)[5, shown - 1].astype(int)
+    picture[corner[1] - 28 :, corner[0] + 8 :] = 128
+    corners = seen_in(picture)
+    grid = build_grid(corners, picture, shape=(5, 9))
+    assert grid.seen_shape == (6, 9)
+    assert grid.continues == Sides(bottom=True)
+    assert build_grid(corners, picture, shape=(6, 9)).seen_shape is None
+
+
+@pytest.mark.parametrize(("seed", "size"), [(910011, 6), (910017, 6), (910038, 3)])
+def test_spots_beside_a_border_are_no_further_row(seed, size):
+    picture, _ = drawn(6, 5)
+    noise = np.random.default_rng(seed).normal(0, 1, picture.shape)
+    noise = cv2.GaussianBlur(noise, (0, 0), size)
+    view = np.clip(128 + 70 * noise / noise.std(), 0, 255)
+    view[37:-37, 37:-37] = picture[37:-37, 37:-37]
+    view = np.rint(cv2.GaussianBlur(view, (0, 0), 0.8)).astype(np.uint8)
+    assert build_grid(seen_in(view), view, shape=(7, 5)).doubts
+
+
 def test_a_board_that_ends_just_inside_the_image_is_not_cut_off():
     picture, _ = drawn(6, 9)
     for room in (4, 5, 6, 7):  # px of the surround
