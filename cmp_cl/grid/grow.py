@@ -61,7 +61,7 @@ def grow(nodes: Nodes, seen: Seen) -> None:
         _reject(nodes, seen)
     nodes.crop()
     if seen.image is not None:
-        evidence.refuse_stragglers(nodes, seen.image, seen.edges)
+        evidence.reject_stragglers(nodes, seen.image, seen.edges)
 
 
 def extend(nodes: Nodes, seen: Seen, closed: Sides) -> None:

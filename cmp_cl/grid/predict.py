@@ -40,11 +40,11 @@ REACHED = np.array(  # nodes whose prediction or cell changes with the node in t
 
 
 class Steps(NamedTuple):
-    """The steps from node to node whose means M nodes take.
+    """The steps from node to node around M nodes.
 
-    near: (2, 3, 5, M), the nodes between them by number in the grid with three missing nodes on
-    every side. unknown: (24, M) bool, steps from or to a missing node. share: (2, M), 1 over the
-    number of the known ones, NaN if there are none.
+    near: (2, 3, 5, M), the nodes that they join, by number in the grid with three missing nodes on
+    every side. unknown: (24, M) bool, the steps from or to a missing node. share: (2, M), 1 over
+    the weight of the known steps, NaN if there are none.
     """
 
     near: Index

@@ -82,7 +82,7 @@ def _deviations(
 
 
 def _raw(grid: Grid, noise: Array, own: Array) -> Grid:
-    """Return the grid with raw positions; their sigma is the noise and the shift by bent edges."""
+    """Return the grid with raw positions; sigma combines the noise and the shift by bent edges."""
     return with_bends(_with(grid, grid.xy, noise, own))
 
 
