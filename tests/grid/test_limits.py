@@ -1,4 +1,4 @@
-"""Input of which no grid is built: too many nodes, corners without a position."""
+"""Input from which no grid is built: too many nodes, corners without a position."""
 
 import dataclasses
 

@@ -70,8 +70,8 @@ def test_positions_of_sixteen_bits_are_the_oracles(detector_for, name, refinemen
 
 
 @refinements
-def test_any_maximum_with_four_sectors_is_refined_as_by_the_oracle(detector_for, refinement):
-    """Without the gate: noise and texture, of which refinement rejects most."""
+def test_any_maximum_with_four_sectors_is_refined_as_in_the_oracle(detector_for, refinement):
+    """Without the gate, most maxima in noise and texture are rejected by refinement."""
     image = np.vstack([images.texture((800, 83)), EIGHT["noise"], EIGHT["worn scene"]])
     wide = RapidCriteria(sector_threshold=16, ring_threshold=17, corrosion_threshold=17)
     corners = check(detector_for, image, refinement, contrast=None, nms_radius=1, criteria=wide)
@@ -137,7 +137,7 @@ def test_positions_after_every_kind_of_response_equal_the_oracles(detector_for, 
 
 @refinements
 @pytest.mark.parametrize("inside", some([0, 1, 3, 5], (1,)))
-def test_positions_at_the_border_are_the_oracles(detector_for, refinement, inside):
+def test_positions_at_the_edge_of_the_image_are_the_oracles(detector_for, refinement, inside):
     image = np.ascontiguousarray(np.tile(corner(20, 20, 0.35), 2)[20 - inside :])
     check(detector_for, image, refinement)
     check(detector_for, np.ascontiguousarray(image.T), refinement)
@@ -146,7 +146,7 @@ def test_positions_at_the_border_are_the_oracles(detector_for, refinement, insid
 @pytest.mark.parametrize("steep", some([1, 20], (20,)))
 @refinements
 def test_positions_on_clipped_profiles_are_the_oracles(detector_for, refinement, steep):
-    """Saturated black and white: edges of two grey levels, equal neighbours everywhere."""
+    """Grey levels are clipped at 0 and 255, so that most neighbours are equal."""
     grey = (EIGHT["board"].astype(np.float64) - 120) * steep + 120
     image = np.where(grey < 0, 0, np.where(grey > 255, 255, grey)).astype(np.uint8)
     check(detector_for, image, refinement)
@@ -168,19 +168,21 @@ def test_positions_on_clipped_profiles_are_the_oracles(detector_for, refinement,
     ],
 )
 def test_far_columns_are_equally_exact(detector_for, refinement, columns):
-    """The same corners at x + columns move by exactly that, up to float32's grid."""
+    """If columns are added on the left, corners move by their number, up to float32's spacing."""
     image = board(*images.SHAPE, 12)[0]
-    shift = columns - images.SHAPE[1]
-    wide = np.pad(image, ((0, 0), (shift, 0)), mode="edge")
+    added = columns - images.SHAPE[1]
+    wide = np.pad(image, ((0, 0), (added, 0)), mode="edge")
     config = DetectorConfig(detection=BinaryRings(), refinement=REFINEMENTS[refinement])
     near = reference.detect(image, config)
     far = detector_for(wide, config)(wide)
     clear = near.pixel[:, 0] > 20
-    same = far.pixel[:, 0] > shift + 20
-    np.testing.assert_array_equal(far.pixel[same], near.pixel[clear] + [shift, 0])
-    grid = np.spacing(np.float32(columns)) / 2
-    moved = far.xy[same].astype(np.float64) - [shift, 0]
-    np.testing.assert_allclose(moved, near.xy[clear], rtol=0, atol=grid + tolerances.POSITION / 10)
+    same = far.pixel[:, 0] > added + 20
+    np.testing.assert_array_equal(far.pixel[same], near.pixel[clear] + [added, 0])
+    rounding = np.spacing(np.float32(columns)) / 2
+    moved = far.xy[same].astype(np.float64) - [added, 0]
+    np.testing.assert_allclose(
+        moved, near.xy[clear], rtol=0, atol=rounding + tolerances.POSITION / 10
+    )
 
 
 def test_positions_are_near_the_truth(detector_for):
@@ -191,7 +193,7 @@ def test_positions_are_near_the_truth(detector_for):
         assert distance.mean() < error
 
 
-def test_noise_is_refined_as_the_oracle_does(detector_for):
+def test_corners_in_noise_are_refined_as_in_the_oracle(detector_for):
     rng = np.random.default_rng(0)
     board_image = board(121, 83, 12)[0].astype(np.float64)
     for sigma in (5, 15, 25):

@@ -74,7 +74,7 @@ def test_each_bound_decides_as_in_the_oracle(detector_for, criteria):
     assert found.sum() != detector_for(image, usual).maps(image).candidate.sum()
 
 
-def test_a_correlation_at_the_bound_fails(detector_for):
+def test_a_correlation_at_the_bound_is_no_candidate(detector_for):
     image = EIGHT["texture"]
     maps = check(detector_for, image, correlation=0.75, phase=math.pi)
     square = np.rint(np.float64(maps.correlation) ** 2 * 65536) / 65536
