@@ -61,7 +61,7 @@ class Steps(NamedTuple):
         return cls(near, unknown, _inverse(TOUCHED @ ~unknown))
 
     def mean(self, at: Points) -> tuple[Points, Points, Float]:
-        """Return the step to the next column, to the next row, and the cell at each node, px.
+        """Return the step to the next column, to the next row, and the cell at each node, (M,), px.
 
         They are means of the steps to and from the 3 x 3 nodes around; at: (R, C), px.
         """
@@ -117,7 +117,7 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
 
 @kept_by_mask
 def beside_missing(there: Mask) -> tuple[Index, Stencil]:
-    """Return the places, (M,), of the nodes that `predict_within` leaves, and their stencil."""
+    """Return the places, (M,), of the nodes that `predict_within` leaves out, and their stencil."""
     unknown = np.isnan(predict_within(np.where(there, 0, NOWHERE)).real)
     place = np.flatnonzero(there & unknown)
     row, column = np.divmod(place, there.shape[1])
@@ -133,7 +133,7 @@ def predict_within(at: Points) -> Points:
 
 
 def bordered(at: Points, nothing: complex = NOWHERE) -> Points:
-    """Add three missing nodes on every side."""
+    """Return the nodes with three more on every side, `nothing`: missing ones by default."""
     rows, columns = at.shape
     padded = np.full((rows + 6, columns + 6), nothing, np.complex128)
     padded[3:-3, 3:-3] = at

@@ -22,11 +22,9 @@ _LEAST_SINE = math.sin(math.radians(10))  # of the angle between the two lines a
 
 
 def bend_shift_of(grid: Grid) -> Array:
-    """Return the shift of the nodes of a grid by bent edges, (R, C, 2) float64, px, see
-        `bend_shift`.
+    """Return the shift of the nodes of a grid by bent edges, (R, C, 2) float64, px.
 
-    It is 0 if the radius of the corners' refinement is unknown.
-
+    It is 0 if the radius of the corners' refinement is unknown; see `bend_shift`.
     """
     if not math.isfinite(grid.edge_radius):
         return np.zeros(grid.xy.shape)
@@ -85,11 +83,11 @@ def _variance(xy: Single, radius: float) -> Single:
 def bend_shift(xy: Array, radius: float) -> Array:
     """Return the shift of each corner by bent edges, (R, C, 2) float64, in the unit of `xy`.
 
-    xy: (R, C, 2), filtered positions, NaN where missing. radius: radius within which a refinement
-    takes the edges to be straight, in the same unit; NaN for a refinement that does not. The
-    straight line that fits an arc of curvature k best within the radius r lies k r^2 / 6 from its
-    middle, on the inner side; the corner moves with both of its lines. The shift is 0 if too few
-    nodes show the curvature, or if the lines enclose less than 10 degrees.
+    xy: (R, C, 2), filtered positions, NaN where missing. radius: the radius within which the
+    refinement takes edges to be straight, in the same unit; NaN if it does not. The straight line
+    that fits an arc of curvature k best within the radius r lies k r^2 / 6 from its middle, on the
+    inner side; the corner moves with both of its lines. The shift is 0 if too few nodes show the
+    curvature, or if the lines enclose less than 10 degrees.
     """
     shift, _ = _shift_of(xy, radius)
     return np.ascontiguousarray(shift.transpose(1, 2, 0))

@@ -20,11 +20,9 @@ Array = NDArray[np.float64]
 
 
 def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid]:
-    """Return the grid with filtered positions, and the raw one, each with its sigma from the
-        lattice.
+    """Return the grid with filtered positions, and with raw ones, each with sigma from the lattice.
 
     now: the grid.
-
     rest: the same pattern at rest, numbered alike. With it the displacements are filtered and added
         to the filtered positions at rest; a node that is missing at rest keeps its position. The
         shift by bent edges is subtracted from filtered positions, and is part of the sigma of raw
