@@ -235,10 +235,10 @@ def _codec_messages() -> Iterator[list[str]]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Frame:
-    """One image of a file.
+    """One image of a file or a camera.
 
-    index: its number in the file, from 0.
-    image: (H, W) uint8 or uint16, or None if a frame of a video is broken.
+    index: its number there, from 0.
+    image: (H, W) uint8 or uint16, or None if it cannot be read.
     time_ms: the time in the video, or from its frame rate if PyAV is not installed; NaN if unknown.
     """
 
