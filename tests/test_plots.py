@@ -51,7 +51,7 @@ def test_maps_show_what_was_recorded(recorded):
     assert recorded.values(Quantity.SIGMA, last)[0][0, 0] == 0.02
 
 
-def test_height_is_towards_the_cameras_and_of_two_views_only(tmp_path):
+def test_height_is_towards_the_cameras_and_needs_two_views(tmp_path):
     two = Recorded.of(read_series(record(tmp_path / "two.npz", views=2)))
     height, unit = two.values(Quantity.HEIGHT, 4)
     assert unit == "mm"

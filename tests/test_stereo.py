@@ -123,7 +123,7 @@ def test_no_node_in_common_gives_an_empty_result():
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_two_points_are_no_special_case(count):
+def test_one_to_three_points_are_no_special_case(count):
     rig, truth = toed_in_rig(), gel()[:1, :count]
     left, right = project(rig, truth)
     np.testing.assert_allclose(rig.triangulate(grid_of(left), grid_of(right)).xyz, truth, atol=2e-5)
@@ -183,7 +183,7 @@ def test_nodes_without_depth_are_flagged(left, right, status):
         assert np.isnan(values).all() == (status != PointStatus.VALID)
 
 
-def test_cameras_that_look_at_each_others_side_see_far_points_as_parallel():
+def test_toed_in_cameras_see_far_points_as_parallel():
     rig = toed_in_rig()
     far = np.array([[[-2e4, 0, 1e5], [-1e4, 0, 1e5]]])
     points = rig.triangulate(*(grid_of(view) for view in project(rig, far)))
@@ -372,8 +372,8 @@ def boards(rig, rng, count=12, sigma=0.05, tilt=0.5):
     flat = np.stack([(column - 4) * 3.0, (row - 3) * 3.0, np.zeros((7, 9))], axis=-1)
     views = []
     for _ in range(count):
-        turn = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
-        place = flat @ turn.T + [*rng.uniform(-3, 3, 2), 50 + rng.uniform(-6, 6)]
+        rotation = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
+        place = flat @ rotation.T + [*rng.uniform(-3, 3, 2), 50 + rng.uniform(-6, 6)]
         views.append(tuple(noisy(view, sigma, rng) for view in project(rig, place)))
     return views
 
@@ -469,7 +469,7 @@ def test_the_bumblebee_pairs_show_squares_of_30_mm():
     assert lengths.std() < 0.14
 
 
-def test_opencvs_pairs_measure_a_board_they_were_not_calibrated_on():
+def test_opencvs_pairs_measure_a_board_in_a_view_that_calibration_did_not_see():
     folder = photographs("stereo_opencv")
     views = [
         tuple(truth_grid(folder / f"{side}{pair:02}.json") for side in ("left", "right"))
