@@ -17,6 +17,7 @@ def test_the_misfit_is_what_the_residuals_have_beyond_their_nodes(extra):
     variance = draw.uniform(0.001, 0.1, 20_000)
     off = draw.normal(size=(20_000, 2)) * np.sqrt(variance + extra)[:, None]
     found = misfit(np.square(off).sum(axis=1), variance, 40_000)
+    # A variance from 40 000 residuals has a standard error of 0.7 %.
     assert found == pytest.approx(extra, rel=0.03, abs=3e-4)
 
 

@@ -22,7 +22,7 @@ GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, se
 
 @pytest.fixture(scope="session")
 def rest_and_now():
-    """Return two frames, at rest and pressed: both views in one image; the nodes in space, mm."""
+    """Return two frames, at rest and pressed: an image of both views and the nodes in space, mm."""
     found = []
     for severity in (0.0, 0.4):
         left, right, xyz = render_stereo(dataclasses.replace(GEL, severity=severity), RIG)

@@ -17,7 +17,7 @@ from cmp_cl.viz.video import OverlayVideo
 
 
 def record(path, *, views, frames=5):
-    """Return a series of 8 x 10 nodes that stretch by 1 % a frame along x; (2, 3) is missing."""
+    """Write a series of 8 x 10 nodes that stretch by 1 % a frame along x, without (2, 3)."""
     row, column = np.mgrid[:8, :10]
     rest = np.stack([5.0 * column, 5.0 * row, 0 * row + 40.0], axis=-1)[..., : views + 1]
     constants = {"rest": rest, "unit": "px" if views == 1 else "mm"}

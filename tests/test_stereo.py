@@ -73,7 +73,7 @@ def test_the_covariance_is_that_of_the_errors(sigma_left, sigma_right):
     miss = (points.xyz - truth).reshape(-1, 3)
     covariance = points.covariance.reshape(-1, 3, 3)
     chi2 = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(covariance), miss)
-    assert chi2.mean() == pytest.approx(3, rel=0.08)
+    assert chi2.mean() == pytest.approx(3, rel=0.08)  # 4 standard errors of 1600 nodes
     rmse = math.sqrt(np.square(miss).sum(axis=1).mean())
     assert rmse == pytest.approx(math.sqrt(np.trace(covariance.mean(axis=0))), rel=0.05)
     largest = np.linalg.eigvalsh(covariance)[:, 2]
@@ -114,7 +114,7 @@ def test_the_source_is_the_less_direct_of_both_sides():
     ]
 
 
-def test_no_node_in_common_gives_an_empty_result():
+def test_grids_without_nodes_give_an_empty_result():
     rig = toed_in_rig()
     nothing = grid_of(np.full((4, 5, 2), np.nan))
     points = rig.triangulate(nothing, nothing)
@@ -449,6 +449,7 @@ def test_the_sigma_of_the_focal_length_is_that_of_its_error():
         views = boards(rig, np.random.default_rng(seed), count=6, tilt=0.3)
         found = calibrate_camera([left for left, _ in views], spacing=3, image_size=(800, 1200))
         deviations.append((found.matrix[0, 0] - rig.K1[0, 0]) / found.focal_sigma)
+    # From 20 calibrations, the ratio has a standard error of 16 %.
     assert 0.6 < np.sqrt(np.mean(np.square(deviations))) < 1.5
 
 

@@ -52,6 +52,7 @@ def test_the_inner_circle_is_that_of_the_sampler():
 )
 @pytest.mark.parametrize("scale", [None, 0.7, 1.5])
 def test_a_perfect_corner_is_found_where_it_is(refinement, method, bound, scale):
+    # A centroid is as exact as pixels of the working image, which are 1.4 px wide at 0.7.
     bound *= 1.5 if refinement is None and scale == 0.7 else 1
     for x, y, angle in PLACES:
         corners = one(corner(x, y, angle), refinement, scale=scale)

@@ -83,7 +83,7 @@ def test_working_pixels_lie_where_the_mapping_says():
         working = scale.to_working(ramp, factor)[5].astype(np.float64)
         place = scale.to_full(np.arange(len(working)), factor)
         inner = (place > 2) & (place < 97)
-        assert np.abs(working - 2 * place)[inner].max() < 0.6
+        assert np.abs(working - 2 * place)[inner].max() < 0.6  # 0.5 by rounding
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.62])
