@@ -41,6 +41,7 @@ from cmp_cl import (
     EdgeLines,
     EdgeStep,
     Fit,
+    ImageError,
     Midlines,
     Pyramid,
     RapidCriteria,
@@ -245,8 +246,9 @@ FIELDS = [(part, field.name) for part in PARTS for field in dataclasses.fields(p
 
 
 def invalid_case(seed: int, number: int, device: str | None) -> bool:
-    """Try a value for a field; if it is valid, try an image that no detector takes. Return whether
-    either was refused by an error of cmp_cl."""
+    """Try a value for a field; if it is valid, try an image that no detector takes: with a detector
+    of fixed shape and dtype, or with one made for that image. Return whether either was refused by
+    an error of cmp_cl."""
     rng = np.random.default_rng([seed, number, 1])
     values: list[Any] = [None, -1, 0, 2, 1e9, -1e9, float("nan"), float("inf"), "3", b"", [], {}]
     values += [True, object(), 2**70, (1.0,), np.float32(0.5), np.int64(7), 1.5, 256, ()]
@@ -263,17 +265,18 @@ def invalid_case(seed: int, number: int, device: str | None) -> bool:
     frame: Any = _one(
         rng,
         *(None, 3, "image.png", [[1, 2]], np.zeros(5, np.uint8), np.zeros((2, 2, 3), np.uint8)),
-        *(np.zeros((4, 4), np.float64), np.zeros((4, 4), bool), np.zeros((3, 4), np.int16)),
+        *(np.zeros((8, 8), np.float64), np.zeros((8, 8), bool), np.zeros((8, 8), np.int16)),
         np.zeros((8, 8), np.uint8)[::-1],
         np.zeros((8, 16), np.uint8)[:, ::2],
-        np.array([["a"]], object),
+        np.full((8, 8), "a", object),
     )
+    own = isinstance(frame, np.ndarray) and rng.random() < 0.5
+    shape, dtype = (frame.shape, frame.dtype) if own else ((8, 8), np.uint8)
     try:
-        Detector(shape=frame.shape, dtype=frame.dtype, device=device)(frame)
-    except CmpClError:
+        with Detector(shape=shape, dtype=dtype, device=device) as detector:
+            detector(frame)
+    except ImageError:
         return True
-    except AttributeError:  # an object without a shape is no image
-        return not isinstance(frame, np.ndarray)
     return False
 
 
