@@ -327,14 +327,15 @@ def test_a_prediction_is_the_weighted_mean_of_those_from_cubics_lines_and_parall
     line = t**3 + 1j * (t**2 - t)
     row = np.tile(line, (7, 1)) + 1j * np.arange(7)[:, None] * 9
     at, weight = predict(row, np.array([3]), np.array([3]))
-    assert weight[0] == pytest.approx(12 + 12 + 4 + 4 + 4 * 1.5 + 4 * 1.4)
+    # Cubics along both axes, the column's lines and the parallelograms are exact here.
+    exact = 27 + 33j
+    off = 4 * (9 + 1j) + 0.7 * ((-24 - 2j) + (-12 - 2j) + 6 - 6)  # px, times the weights
+    assert abs(at[0] - (exact + off / 43.6)) < 1e-10
+    assert weight[0] == pytest.approx(2 * 12 + 2 * 4 + 4 * 1.5 + 8 * 0.7)
     alone = np.full((7, 7), complex(np.nan, np.nan))
     alone[3, [1, 2, 4, 5]] = line[[1, 2, 4, 5]]
     at, weight = predict(alone, np.array([3]), np.array([3]))
-    cubic = (4 * (line[2] + line[4]) - line[1] - line[5]) / 6
-    assert abs(cubic - line[3]) < 1e-12
-    sides = [(line[2] + line[4]) / 2, 2 * line[2] - line[1], 2 * line[4] - line[5]]
-    expected = (12 * cubic + 4 * sides[0] + 0.7 * (sides[1] + sides[2])) / 17.4
+    expected = (12 * (27 + 6j) + 4 * (36 + 7j) + 0.7 * ((15 + 4j) + (3 + 4j))) / 17.4
     assert abs(at[0] - expected) < 1e-12
     assert weight[0] == pytest.approx(17.4)
 
