@@ -60,9 +60,10 @@ def test_straight_and_stretched_lattices_are_not_shifted():
     assert np.abs(bend_shift(stretched, RADIUS)).max() < 1e-9
 
 
-@pytest.mark.parametrize("shape", [(2, 9), (1, 1), (0, 3)])
-def test_tiny_lattices_and_unknown_radii_show_no_shift(shape):
-    assert not bend_shift(np.ones((*shape, 2)), RADIUS).any()
+@pytest.mark.parametrize("shape", [(2, 9), (9, 2), (1, 1), (0, 3)])
+def test_fewer_than_three_rows_or_columns_and_unknown_radii_show_no_shift(shape):
+    assert not bend_shift(arcs(*shape)[0], RADIUS).any()
+    assert bend_shift(arcs(3, 3)[0], RADIUS).any(axis=2).all()
     assert not bend_shift(arcs()[0], math.nan).any()
     assert not bend_shift_of(grid_of(arcs()[0])).any()
 
