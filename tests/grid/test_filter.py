@@ -125,7 +125,8 @@ def test_lattices_of_every_shape_are_filtered(shape):
     assert np.isfinite(filtered.values).all()
     assert rms(filtered.values - truth) < 0.2
     known = np.isfinite(filtered.sigma)
-    assert known.all() or min(shape) < 5 or max(shape) < 5
+    # A line of five nodes or more leaves a residual, which shows the noise.
+    np.testing.assert_array_equal(known, max(shape) >= 5)
     assert (filtered.sigma[known] <= filtered.noise[known] * 1.5).all()
 
 
