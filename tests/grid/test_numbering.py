@@ -539,7 +539,7 @@ def test_a_wrong_size_is_reported_though_most_of_the_last_line_is_hidden(shown):
 
 
 @pytest.mark.parametrize(("seed", "size"), [(910011, 6), (910017, 6), (910038, 3)])
-def test_spots_beside_a_border_are_no_further_row(seed, size):
+def test_spots_beside_a_border_do_not_make_a_wrong_size_sure(seed, size):
     image, _ = drawn(6, 5)
     noise = np.random.default_rng(seed).normal(0, 1, image.shape)
     noise = cv2.GaussianBlur(noise, (0, 0), size)
@@ -554,7 +554,8 @@ def test_a_board_that_ends_just_inside_the_image_is_not_taken_for_one_that_is_cu
     for room in (4, 5, 6, 7):  # px of the surround
         view = np.ascontiguousarray(image[:, : 40 + 10 * 20 + room])
         grid = build_grid(seen_in(view), view, shape=(6, 10))
-        assert grid.doubts or not grid.valid.any()
+        assert grid.valid.any()
+        assert grid.doubts
 
 
 # several views and several boards
