@@ -642,21 +642,6 @@ def test_an_island_between_two_places_is_left_out():
 # corners that come from no image
 
 
-def test_corners_without_a_position_are_refused():
-    for value in (np.nan, np.inf, 3e38):
-        corners = board(5, 5).corners
-        corners.xy[3, 0] = value
-        with pytest.raises(GridError, match="1 of the 25 corners have no finite position"):
-            build_grid(corners)
-
-
-def test_a_shape_far_larger_than_the_corners_is_refused():
-    corners = board(6, 6).corners
-    for shape in ((1500, 1500), (9999, 9999), (10**9, 10**9)):
-        with pytest.raises(GridError, match=r"too large for 36 corners|beyond the limit"):
-            build_grid(corners, shape=shape)
-
-
 def test_many_corners_at_one_position_take_little_time():
     corners = board(12, 12).corners
     heap = dataclasses.replace(
