@@ -101,13 +101,20 @@ def test_positions_on_scenes_are_the_oracles(detector_for, refinement, severity)
 
 
 @pytest.mark.parametrize("max_shift", [0.0, 0.2, 5.0])
-def test_a_position_beyond_the_largest_shift_is_rejected(detector_for, max_shift):
+def test_only_a_position_beyond_the_largest_shift_is_rejected_for_it(detector_for, max_shift):
     image = images.scene(1.5, seed=3).image
     config = DetectorConfig(detection=BinaryRings(), refinement=EdgeLines(max_shift=max_shift))
     corners = assert_corners_equal(detector_for(image, config), image)
-    kept = (corners.method == Method.KEPT).sum()
-    usual = (check(detector_for, image, "edge lines").method == Method.KEPT).sum()
-    assert kept == len(corners) if max_shift == 0 else kept > usual if max_shift < 1 else True
+    usual = check(detector_for, image, "edge lines")
+    stricter, other = (corners, usual) if max_shift < 2 else (usual, corners)  # px, the default
+    changed = corners.refusal != usual.refusal
+    assert (stricter.refusal[changed] == Refusal.SHIFT).all()
+    kept, others_kept = (each.method == Method.KEPT for each in (stricter, other))
+    assert (kept | ~others_kept).all()
+    if max_shift < 2:
+        assert np.count_nonzero(kept) > np.count_nonzero(others_kept)
+    if max_shift == 0:
+        assert kept.all()
 
 
 def test_the_step_gives_its_sigma(detector_for):
