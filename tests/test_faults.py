@@ -88,7 +88,7 @@ def test_a_kernel_that_does_not_compile_says_why(device, monkeypatch):
         Detector(shape=images.SHAPE, device=device)
 
 
-# --- kept programs -------------------------------------------------------------------------
+# --- cached programs -----------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -209,7 +209,7 @@ def test_a_binary_that_the_device_does_not_take_is_compiled_again(device, cache)
     build(device)
 
 
-def test_without_a_folder_to_write_to_it_is_compiled_each_time(device, cache):
+def test_without_a_folder_to_write_to_programs_are_compiled(device, cache):
     cache.write_text("a file where the folder would be")
     build(device)
     assert cache.read_text() == "a file where the folder would be"

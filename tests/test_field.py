@@ -150,9 +150,9 @@ def test_points_of_other_shapes_or_units_are_refused():
         displacement(points(gel(3, 4)), points(gel(3, 4), unit="um"))
 
 
-def turned(xyz):
-    turn = cv2.Rodrigues(np.array([0.5, -0.3, 0.8]))[0]
-    return xyz @ turn.T + [3, -2, 70]
+def rotated(xyz):
+    rotation = cv2.Rodrigues(np.array([0.5, -0.3, 0.8]))[0]
+    return xyz @ rotation.T + [3, -2, 70]
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3])
@@ -162,7 +162,7 @@ def test_a_homogeneous_deformation_has_its_strain_everywhere(radius):
     now = flat.copy()
     now[..., :2] = flat[..., :2] @ gradient.T
     expected = (gradient.T @ gradient - np.eye(2)) / 2
-    strain = green_lagrange(turned(flat), turned(turned(now)), radius=radius)
+    strain = green_lagrange(rotated(flat), rotated(rotated(now)), radius=radius)
     inner = ~np.isnan(strain[..., 0])
     assert inner.sum() == (9 * 11 - (4 if radius == 1 else 0))
     np.testing.assert_allclose(
@@ -172,7 +172,7 @@ def test_a_homogeneous_deformation_has_its_strain_everywhere(radius):
 
 def test_a_rotated_bump_has_no_strain():
     bump = gel(15, 15)
-    np.testing.assert_allclose(green_lagrange(bump, turned(bump)), 0, atol=1e-10)
+    np.testing.assert_allclose(green_lagrange(bump, rotated(bump)), 0, atol=1e-10)
 
 
 def test_a_cylinder_rolled_from_a_plane_has_hardly_any_strain():
@@ -509,7 +509,7 @@ INTERRUPTED = """
 import signal, sys, time
 import numpy as np
 from cmp_cl import SeriesWriter
-signal.signal(signal.SIGINT, signal.default_int_handler)  # where it began in the background
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a background job ignores
 with SeriesWriter(sys.argv[1]) as series:
     for index in range(10**6):
         series.append(index=index, time_ms=index, value=np.full((20, 20), index))
