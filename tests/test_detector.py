@@ -32,9 +32,20 @@ from cmp_cl import (
     RingHarmonic,
     SectorContrast,
     SpectralCriteria,
+    errors,
     reference,
 )
-from cmp_cl.errors import CapacityError, CmpClError, ConfigError, DeviceError, GridError, ImageError
+from cmp_cl.errors import (
+    CalibrationError,
+    CapacityError,
+    CmpClError,
+    ConfigError,
+    DeviceError,
+    FieldError,
+    GridError,
+    ImageError,
+    KernelBuildError,
+)
 from cmp_cl.stages.plan import Overflow
 
 VECTORS = sorted((Path(__file__).resolve().parent / "data").glob("*.npz"))
@@ -93,11 +104,10 @@ def test_the_last_row_of_a_crop_may_end_the_buffer(detector):
     assert_same_bytes(detector(buffer[:, 83:]), detector(BOARD))
 
 
-def test_read_only_arrays_and_views_are_accepted(detector):
+def test_read_only_arrays_are_accepted(detector):
     frozen = BOARD.copy()
     frozen.flags.writeable = False
     assert_same_bytes(detector(frozen), detector(BOARD))
-    assert_same_bytes(detector(BOARD.view(np.recarray).view(np.ndarray)), detector(BOARD))
 
 
 @pytest.mark.exhaustive
@@ -219,15 +229,18 @@ def test_an_image_without_pixels_has_no_corners(device, shape):
 # --- stream and batch ----------------------------------------------------------------------
 
 
+QUICK_SETTINGS = [(EdgeLines(), None), (EdgeStep(), 0.63)]
+
+
 @pytest.mark.parametrize(
     ("refinement", "scale"),
     [
-        (EdgeLines(), None),
-        (EdgeStep(), 0.63),
+        *QUICK_SETTINGS,
         *(
             pytest.param(refinement, scale, marks=pytest.mark.exhaustive)
             for refinement in (EdgeLines(), EdgeStep(), None)
             for scale in (None, 0.63)
+            if (refinement, scale) not in QUICK_SETTINGS
         ),
     ],
 )
@@ -353,7 +366,7 @@ def test_a_stream_may_reuse_its_buffer(detector):
 
 
 def test_a_stream_reads_one_frame_ahead(detector):
-    taken = []
+    expected, taken = detector(BOARD), []
 
     def camera():
         for number, frame in enumerate(FRAMES):
@@ -365,7 +378,8 @@ def test_a_stream_reads_one_frame_ahead(detector):
     next(stream)
     assert taken == [0, 1]
     stream.close()
-    assert_same_bytes(detector(BOARD), detector(BOARD))
+    assert taken == [0, 1]
+    assert_same_bytes(detector(BOARD), expected)
 
 
 def test_streams_and_calls_may_alternate(detector):
@@ -489,8 +503,8 @@ def test_an_exception_in_the_loop_leaves_the_detector_usable(detector):
     assert len(detector(BOARD)) > 20
 
 
-def test_streams_that_are_begun_and_dropped_keep_nothing(detector_for):
-    with Detector(shape=images.SHAPE) as detector:
+def test_streams_that_are_begun_and_dropped_keep_nothing(device):
+    with Detector(shape=images.SHAPE, device=device) as detector:
         expected = detector(BOARD)
         list(detector.stream(FRAMES))
         usual = detector.memory
@@ -615,9 +629,9 @@ def test_nothing_is_allocated_per_frame(detector):
     assert after == buffers
 
 
-def test_memory_is_stated_before_it_is_allocated(device):
-    tiny = dataclasses.replace(device, memory=1000)
-    with pytest.raises(CapacityError, match=r"needs \d+ bytes.* has 1000"):
+def test_a_device_with_memory_for_an_image_alone_is_refused(device):
+    tiny = dataclasses.replace(device, memory=BOARD.nbytes)
+    with pytest.raises(CapacityError, match=r"the plan needs \d+ bytes, .* has 5063; use smaller"):
         Detector(shape=images.SHAPE, device=tiny)
 
 
@@ -691,11 +705,13 @@ def test_a_wrong_configuration_is_refused(device):
 
 
 def test_errors_have_one_root():
-    for error in (CapacityError, ConfigError, DeviceError, ImageError):
-        assert issubclass(error, CmpClError)
-    assert issubclass(ConfigError, ValueError)
-    assert issubclass(ImageError, ValueError)
-    assert issubclass(CapacityError, RuntimeError)
+    of_arguments = {CalibrationError, ConfigError, FieldError, GridError, ImageError}
+    of_devices = {CapacityError, DeviceError, KernelBuildError}
+    assert all(issubclass(error, ValueError) for error in of_arguments)
+    assert all(issubclass(error, RuntimeError) for error in of_devices)
+    assert all(issubclass(error, CmpClError) for error in of_arguments | of_devices)
+    raised = {value for value in vars(errors).values() if isinstance(value, type)}
+    assert raised == of_arguments | of_devices | {CmpClError}
 
 
 # --- the configuration ---------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Cameras of several kinds, and corners and cameras as other tools read them."""
 
 import csv
+import dataclasses
 import math
 import shutil
 import subprocess
@@ -228,20 +229,36 @@ def loaded(path):
     return yaml.safe_load(Path(path).read_text())
 
 
-@pytest.mark.parametrize("lens", list(Lens))
-def test_a_file_for_ros_holds_each_camera(tmp_path, lens):
-    pair = {"left": camera(lens), "right": camera(lens, translation=(-1e-7, 0, 0))}
+@pytest.mark.parametrize(
+    ("lens", "model"),
+    [
+        (Lens.PINHOLE, "plumb_bob"),
+        (Lens.RATIONAL, "rational_polynomial"),
+        (Lens.FISHEYE, "equidistant"),
+    ],
+)
+def test_a_file_for_ros_holds_each_camera(tmp_path, lens, model):
+    larger = np.diag([1.25, 1.25, 1]) @ MATRIX
+    right = camera(lens, translation=(-50.0, 0, 0))
+    pair = {
+        "left": camera(lens),
+        "right": dataclasses.replace(right, size=(800, 600), matrix=larger),
+    }
     files = save_cameras(tmp_path / "rig.camera_info.yaml", pair)
     assert [file.name for file in files] == [
         "rig-left.camera_info.yaml",
         "rig-right.camera_info.yaml",
     ]
-    info = loaded(files[0])
-    assert (info["image_width"], info["image_height"]) == SIZE
-    assert info["camera_matrix"]["data"] == MATRIX.ravel().tolist()
-    assert info["distortion_coefficients"]["data"] == DISTORTIONS[lens].tolist()
-    assert info["distortion_model"] in ("plumb_bob", "rational_polynomial", "equidistant")
-    assert info["projection_matrix"]["cols"] == 4
+    for file, (name, each) in zip(files, pair.items(), strict=True):
+        info = loaded(file)
+        assert info["camera_name"] == name
+        assert (info["image_width"], info["image_height"]) == each.size
+        assert info["camera_matrix"]["data"] == each.matrix.ravel().tolist()
+        assert info["distortion_coefficients"]["data"] == DISTORTIONS[lens].tolist()
+        assert info["distortion_model"] == model
+        unrectified = np.column_stack([each.matrix, np.zeros(3)])
+        projection = {"rows": 3, "cols": 4, "data": unrectified.ravel().tolist()}
+        assert info["projection_matrix"] == projection
 
 
 def test_a_file_for_kalibr_holds_a_chain_in_metres(tmp_path):

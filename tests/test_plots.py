@@ -128,8 +128,11 @@ def test_a_file_that_is_no_series_of_nodes_is_refused(tmp_path):
         )
     with open_series(tmp_path / "none.npz", None, {"rest": np.zeros((2, 2, 2))}):
         pass
-    with pytest.raises(FieldError, match="no"):
+    with pytest.raises(FieldError, match="no displacement or xy"):
         Recorded.of(read_series(tmp_path / "none.npz"))
+    rest, xy = np.zeros((2, 2, 2)), np.zeros((0, 2, 2, 2))
+    with pytest.raises(FieldError, match="no frame"):
+        Recorded.of({"index": np.arange(0), "time_ms": np.zeros(0), "rest": rest, "xy": xy})
 
 
 # videos
