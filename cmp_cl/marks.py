@@ -53,7 +53,7 @@ def drop_marks(corners: Corners, image: Frame) -> Corners:
         uint8 or uint16.
 
     Raises ImageError if the image is not grey, or a corner lies outside it; ConfigError if the
-    corners were refined by Midlines, not at all, or are no Corners.
+    corners are no Corners, or were refined by Midlines or not at all.
     """
     check_kind("corners", corners, Corners, ConfigError)
     grey = as_frame(image)

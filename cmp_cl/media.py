@@ -108,7 +108,7 @@ def is_video(path: str | PathLike[str]) -> bool:
 def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> GreyImage:
     """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
-    It reads the first of several pages, and turns the picture as its EXIF tag says. Raises
+    It reads the first of several pages, and rotates the image as its EXIF tag says. Raises
     ImageError if the file cannot be read, is damaged, has more than `max_pixels` pixels, or is not
     an image of 8 or 16 bits.
     """
@@ -117,7 +117,7 @@ def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Gr
 
 def read_pages(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[GreyImage]:
     """Read the pages of an image file, such as a TIFF stack, one by one; the arguments are those of
-    `read_image`. Of an animation, such as a GIF, it reads the first picture only."""
+    `read_image`. Of an animation, such as a GIF, it reads only the first image."""
     return decoded_pages(_bytes_of(path), path, max_pixels=max_pixels)
 
 
@@ -235,10 +235,10 @@ def _codec_messages() -> Iterator[list[str]]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Frame:
-    """One image of a file.
+    """One image of a file or a camera.
 
-    index: its number in the file, from 0.
-    image: (H, W) uint8 or uint16, or None if a frame of a video is broken.
+    index: its number there, from 0.
+    image: (H, W) uint8 or uint16, or None if it cannot be read.
     time_ms: the time in the video, or from its frame rate if PyAV is not installed; NaN if unknown.
     """
 

@@ -1,10 +1,10 @@
-"""Random valid configurations and small images against the oracle, and invalid ones refused.
+"""Compares random configurations and small images with the oracle, and tries invalid ones.
 
     python tests/fuzz.py --images 100000 --configs 500 --seed 1 --processes 2 [--device TEXT]
 
-Each configuration gets its share of the images through batch, every eighth batch also one by
-one and as maps. Compiling takes longer than anything else, so the compiled settings are drawn once
-for SHARING configurations in a row; everything else, shapes and images too, is drawn for each.
+Each configuration gets its share of the images in batches, every eighth of them also one by one
+and as maps. Compiling takes longer than anything else, so the compiled settings are drawn once for
+SHARING configurations in a row. All else, shapes and images too, is drawn for each configuration.
 
 Case K of a seed is always the same, in however many processes: a failure prints the line that
 repeats it, and the status is 1. The last line says how much was done.
@@ -41,6 +41,7 @@ from cmp_cl import (
     EdgeLines,
     EdgeStep,
     Fit,
+    ImageError,
     Midlines,
     Pyramid,
     RapidCriteria,
@@ -53,7 +54,7 @@ from cmp_cl.stages import plan
 
 BATCH = 25
 SHARING = 5  # configurations in a row that compile the same
-ROUNDING = 3e-7  # px, of an edge point some px away, in float32
+ROUNDING = 3e-7  # px: of an edge point some px from the corner, in float32
 Rng = np.random.Generator
 
 
@@ -68,7 +69,7 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
     """
     masks = _one(compiled, 1, 1, 3)
     window = _one(compiled, 21, 9, 3, 255, 2 * int(compiled.integers(1, 40)) + 1)
-    rings = _one(compiled, 4, 5)
+    outer_radius = _one(compiled, 4, 5)
     nms_radius = _one(compiled, 3, 1, 15, int(compiled.integers(1, 16)))
     has_offset, has_corrosion, has_gate, is_scaled = compiled.random(4) < (0.5, 0.67, 0.67, 0.33)
     kind = _one(compiled, RapidCriteria, RapidCriteria, SpectralCriteria)
@@ -120,7 +121,7 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
         ),
         False: BinaryRings(
             threshold=AdaptiveMean(window=window, offset=offset, masks=masks),
-            outer_radius=rings,
+            outer_radius=outer_radius,
             criteria=criteria[kind],
             contrast=contrast if has_gate else None,
         ),
@@ -136,7 +137,7 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
 
 
 def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
-    """Return a small image: noise, texture, board, ramp, levels, stripes, or parts of several."""
+    """Return a small image: noise, two or three levels, a texture, a board, a ramp or spots."""
     kind = int(rng.integers(9))
     high = 256 if dtype == np.uint8 else _one(rng, 256, 4096, 65536)
     if kind == 0:
@@ -157,15 +158,15 @@ def random_image(rng: Rng, shape: tuple[int, int], dtype: Any) -> np.ndarray:
     else:
         image = np.full(shape, int(rng.integers(high)))
         image[rng.random(shape) < 0.3] = int(rng.integers(high))
-    if kind > 1 and rng.random() < 0.2:  # an edge through the middle
+    if kind > 1 and rng.random() < 0.2:  # inverted on one side of the middle
         image = np.array(image)
         image[:, shape[1] // 2 :] = high - 1 - image[:, shape[1] // 2 :]
     return np.ascontiguousarray(np.clip(image, 0, high - 1).astype(dtype))
 
 
 def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarray:
-    """Return (N,): how far the oracle's own positions move, px, when its edge points are rounded
-    to float32: centrelines through points that nearly coincide depend on every digit."""
+    """Return how far the oracle's own positions move, (N,) px, if its edge points are rounded to
+    float32. Centrelines through points that nearly coincide depend on every digit."""
     exact, rng = reference.refine.edge_points, np.random.default_rng(0)
 
     def rounded(*arguments: Any) -> Any:
@@ -183,7 +184,7 @@ def movement_by_rounding(image: np.ndarray, config: DetectorConfig) -> np.ndarra
 def assert_as_expected(
     found: Corners, image: np.ndarray, config: DetectorConfig, counts: Counter[str]
 ) -> None:
-    """Assert that the corners are the oracle's; count those that float32 may decide otherwise."""
+    """Assert that the corners are the oracle's; count those where float32 may decide otherwise."""
     expected, margin = reference.detect_with_margin(image, config)
     np.testing.assert_array_equal(found.pixel, expected.pixel)
     np.testing.assert_array_equal(found.response, expected.response)
@@ -193,7 +194,7 @@ def assert_as_expected(
     loose = (distance > tolerances.POSITION) | (found.method != expected.method)
     if loose[decided].any():
         moved = movement_by_rounding(image, config)
-        decided &= margin > moved  # a check that rounding may carry over its bound
+        decided &= margin > moved  # rounding may carry a check over its bound
         np.testing.assert_array_equal(found.method[decided], expected.method[decided])
         assert (distance <= tolerances.POSITION + 5 * moved)[decided].all(), (distance, moved)
         counts["loose"] += int((decided & loose).sum())
@@ -245,8 +246,9 @@ FIELDS = [(part, field.name) for part in PARTS for field in dataclasses.fields(p
 
 
 def invalid_case(seed: int, number: int, device: str | None) -> bool:
-    """Try a value that no field takes, or an image that no detector takes. It must raise an error
-    of cmp_cl, or turn out to be valid. Return whether it was refused."""
+    """Try a value for a field; if it is valid, try an image that no detector takes: with a detector
+    of fixed shape and dtype, or with one made for that image. Return whether either was refused by
+    an error of cmp_cl."""
     rng = np.random.default_rng([seed, number, 1])
     values: list[Any] = [None, -1, 0, 2, 1e9, -1e9, float("nan"), float("inf"), "3", b"", [], {}]
     values += [True, object(), 2**70, (1.0,), np.float32(0.5), np.int64(7), 1.5, 256, ()]
@@ -263,22 +265,23 @@ def invalid_case(seed: int, number: int, device: str | None) -> bool:
     frame: Any = _one(
         rng,
         *(None, 3, "image.png", [[1, 2]], np.zeros(5, np.uint8), np.zeros((2, 2, 3), np.uint8)),
-        *(np.zeros((4, 4), np.float64), np.zeros((4, 4), bool), np.zeros((3, 4), np.int16)),
+        *(np.zeros((8, 8), np.float64), np.zeros((8, 8), bool), np.zeros((8, 8), np.int16)),
         np.zeros((8, 8), np.uint8)[::-1],
         np.zeros((8, 16), np.uint8)[:, ::2],
-        np.array([["a"]], object),
+        np.full((8, 8), "a", object),
     )
+    own = isinstance(frame, np.ndarray) and rng.random() < 0.5
+    shape, dtype = (frame.shape, frame.dtype) if own else ((8, 8), np.uint8)
     try:
-        Detector(shape=frame.shape, dtype=frame.dtype, device=device)(frame)
-    except CmpClError:
+        with Detector(shape=shape, dtype=dtype, device=device) as detector:
+            detector(frame)
+    except ImageError:
         return True
-    except AttributeError:  # an object without a shape is no image
-        return not isinstance(frame, np.ndarray)
     return False
 
 
 def _megabytes() -> int:
-    """Return the resident memory now, if the system reports it; otherwise its peak."""
+    """Return the resident memory, MB: now if the system reports it, otherwise its peak."""
     try:
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * resource.getpagesize() // 2**20
@@ -300,7 +303,7 @@ def digest(text: str) -> str:
 
 
 def one_case(number: int, seed: int, images: int, device: str | None) -> Case:
-    """Check a valid configuration with its images, and twenty invalid ones; print the failures."""
+    """Check a valid configuration with its images, and twenty invalid cases; print the failures."""
     counts: Counter[str] = Counter()
     again = f"--seed {seed} --first {number} --configs 1 --images {images}"
 

@@ -1,11 +1,11 @@
-"""Damaged files of every kind that is read: settings, rigs, images, videos, stores, series.
+"""Reads damaged files of every kind: settings, rigs, images, videos, stores, series, MCAP files.
 
     python tests/fuzz_files.py --cases 5000 --seed 1 [--megabytes 3000] [--seconds 600]
 
-Each case changes an intact file: bytes, numbers, pieces left out, repeated or put elsewhere. It
-reads the file in a child process whose memory is limited, within 20 s. The outcome must be a result
-or an error of cmp_cl. Case K of a seed is always the same: a failure prints its number, and the
-status is 1.
+Each case changes an intact file: its bytes or numbers, or pieces are left out, repeated or inserted
+elsewhere. A child process with limited memory reads the file within 20 s. The outcome must be a
+result or an error of cmp_cl. Case K of a seed is always the same: a failure prints its number, and
+the status is 1.
 """
 
 import argparse
@@ -47,7 +47,7 @@ from cmp_cl.viz.plots import Quantity, Recorded, sheet_figure
 
 LIMIT_S = 20
 MOST_PIXELS = 1 << 20
-FRAMES = 40  # of a video
+FRAMES = 40  # most that are read of a file
 IMAGE_DEFINITION = """\
 std_msgs/Header header
 uint32 height
@@ -69,7 +69,7 @@ Rng = np.random.Generator
 
 
 def settings(folder: Path) -> Iterator[Path]:
-    """Write settings with every table."""
+    """Write settings that together have every table."""
     for number, config in enumerate(
         (
             DetectorConfig(refinement=EdgeStep(cell=17.5)),
@@ -94,33 +94,35 @@ def rigs(folder: Path) -> Iterator[Path]:
         yield path
 
 
-def picture() -> np.ndarray:
+def checkerboard() -> np.ndarray:
     y, x = np.indices((60, 80))
     return ((y // 9 + x // 9) % 2 * 150 + 40).astype(np.uint8)
 
 
 def images(folder: Path) -> Iterator[Path]:
-    """Write every format, and a stack."""
+    """Write an image in every format, and a stack."""
     for suffix in ("png", "jpg", "bmp", "pgm", "tif", "webp", "jp2", "gif"):
-        image = np.dstack([picture()] * 3) if suffix == "gif" else picture()
+        image = np.dstack([checkerboard()] * 3) if suffix == "gif" else checkerboard()
         media.write_image(folder / f"a.{suffix}", image)
         yield folder / f"a.{suffix}"
-    cv2.imwritemulti(str(folder / "stack.tif"), [picture(), picture().T.copy(), picture()])
+    cv2.imwritemulti(
+        str(folder / "stack.tif"), [checkerboard(), checkerboard().T.copy(), checkerboard()]
+    )
     yield folder / "stack.tif"
 
 
 def videos(folder: Path) -> Iterator[Path]:
-    """Write the containers and codecs that OpenCV brings."""
+    """Write videos in the containers and codecs that OpenCV brings."""
     for name, codec in (("a.avi", "FFV1"), ("b.avi", "MJPG"), ("c.mp4", "mp4v"), ("d.mkv", "FFV1")):
         writer = cv2.VideoWriter(str(folder / name), cv2.VideoWriter_fourcc(*codec), 25, (80, 60))
         for _ in range(4):
-            writer.write(np.dstack([picture()] * 3))
+            writer.write(np.dstack([checkerboard()] * 3))
         writer.release()
         yield folder / name
 
 
 def stores(folder: Path) -> Iterator[Path]:
-    """Write a part of a store, and the metadata of the store."""
+    """Write a store of one part and its metadata."""
     count = 5
     lengths = np.array([3, 2])
     arrays: dict[str, Any] = {
@@ -140,7 +142,7 @@ def stores(folder: Path) -> Iterator[Path]:
 
 
 def series(folder: Path) -> Iterator[Path]:
-    """Write series of one view and of two, as `cmp-cl run` does."""
+    """Write series of one view and of two views, as `cmp-cl run` does."""
     rows, columns = np.indices((4, 5)) * 10.0
     rest = np.stack([columns, rows, np.full((4, 5), 80.0)], axis=2)
     for suffix, size in itertools.product(("npz", "h5"), (2, 3)):
@@ -155,14 +157,14 @@ def series(folder: Path) -> Iterator[Path]:
 
 
 def bags(folder: Path) -> Iterator[Path]:
-    """Write images in an MCAP: as they are, compressed, and of 16 bits."""
+    """Write images of 8 and of 16 bits in an MCAP file."""
     writing = importlib.import_module("mcap_ros2.writer")
     path = folder / "a.mcap"
     with open(path, "wb") as file:
         writer = writing.Writer(file)
         image = writer.register_msgdef("sensor_msgs/msg/Image", IMAGE_DEFINITION)
         for number, (encoding, pixels) in enumerate(
-            (("mono8", picture()), ("mono16", picture().astype(np.uint16) << 4))
+            (("mono8", checkerboard()), ("mono16", checkerboard().astype(np.uint16) << 4))
         ):
             message = {
                 "header": {"stamp": {"sec": number, "nanosec": 5}, "frame_id": "camera"},
@@ -191,7 +193,7 @@ def read_video(path: Path) -> None:
 
 
 def read_store(path: Path) -> None:
-    """Read a part beside the other file of the store, which is whole."""
+    """Read a store, of which at most one file is damaged."""
     store = cluster.open_store(path.parent)
     if store.count > 100:
         return
@@ -256,7 +258,7 @@ def _changed(data: bytes, rng: Rng) -> bytes:
         return data[:start] + data[end:]
     if kind == 3:  # repeated
         return data[:end] + data[start:end] * int(rng.integers(1, 2000)) + data[end:]
-    if kind == 4:  # somewhere else
+    if kind == 4:  # inserted elsewhere
         place = int(rng.integers(len(data)))
         return data[:place] + data[start:end] + data[place:]
     if kind == 5:  # another number, in text
@@ -279,7 +281,7 @@ def one_case(seed: int, number: int, folder: Path) -> str:
     make, read = KINDS[kind]
     paths = list(make(folder))
     path = paths[int(rng.integers(len(paths)))]
-    read(path)  # whole, it is read
+    read(path)  # the intact file
     path.write_bytes(damaged(path.read_bytes(), rng))
     try:
         read(path)
@@ -289,13 +291,13 @@ def one_case(seed: int, number: int, folder: Path) -> str:
 
 
 def child(seed: int, first: int, last: int, megabytes: int) -> None:
-    """Read case by case; print each number before it, and the outcome after it."""
+    """Read the files of some cases; print the number of each before, and its outcome after."""
     size = megabytes << 20
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
     cv2.setNumThreads(1)
     for number in range(first, last):
         print(number, end=" ", flush=True)
-        signal.alarm(LIMIT_S)  # ends the process
+        signal.alarm(LIMIT_S)  # the signal ends the process
         with tempfile.TemporaryDirectory() as folder:
             print(one_case(seed, number, Path(folder)), flush=True)
         signal.alarm(0)

@@ -1,4 +1,4 @@
-"""Frames with their times, and pairs of them."""
+"""Frames of cameras and files have times, and are paired by them."""
 
 import itertools
 import math
@@ -75,7 +75,7 @@ def test_folders_have_no_times_and_broken_images_are_frames(tmp_path):
 
 
 class Capture:
-    """A camera of ten frames, that takes no exposure."""
+    """A camera that gives ten frames and rejects an exposure."""
 
     def __init__(self, _):
         self.left, self.set_to = 10, {}

@@ -14,8 +14,8 @@ from cmp_cl.errors import ImageError
 
 
 def by_definition(image: np.ndarray) -> float:
-    """Return the cell by window 63 and the runs of 3 px and more between two changes along rows and
-    columns."""
+    """Return the median, by length, of the runs of 3 px and more between two changes along rows and
+    columns. The threshold is the mean of a window of 63 px."""
     padded = np.pad(image.astype(np.int64), 31, mode="edge")
     total = cv2.integral(padded.astype(np.float64))
     total = total[63:, 63:] - total[:-63, 63:] - total[63:, :-63] + total[:-63, :-63]
@@ -52,14 +52,14 @@ def test_the_cell_is_24_if_there_is_nothing_to_measure(shape):
     assert estimate_cell(np.full(shape, 200, np.uint8)) == 24
 
 
-def test_a_row_step_makes_no_difference():
+def test_padding_at_the_ends_of_rows_makes_no_difference():
     image, _ = board(90, 100, 12)
     wide = np.full((90, 130), 77, np.uint8)
     wide[:, :100] = image
     assert estimate_cell(wide[:, :100]) == estimate_cell(image)
 
 
-def test_the_image_is_checked():
+def test_an_image_of_floats_is_refused():
     with pytest.raises(ImageError, match="uint8"):
         estimate_cell(np.zeros((5, 5), np.float32))
 

@@ -38,7 +38,7 @@ def test_a_small_board_in_front_of_wide_shapes_is_found(device):
     assert errors(image, truth, None, device).max() < 0.05
 
 
-def test_the_oracle_without_settings_takes_the_same(device):
+def test_the_oracle_without_settings_chooses_the_same(device):
     image, _ = before_rings(100, 3)
     chosen = cmp_cl.choose_config(image, device=device)
     estimated = DetectorConfig.for_image(image)
@@ -50,7 +50,7 @@ def test_the_oracle_without_settings_takes_the_same(device):
     )
 
 
-def test_corners_nearer_than_the_estimated_cell_are_refined_as_such(device):
+def test_corners_nearer_than_the_estimated_cell_are_refined_with_their_own_cell(device):
     image, truth = before_rings(40, 0)
     estimated = DetectorConfig.for_image(image)
     chosen = cmp_cl.choose_config(image, device=device)

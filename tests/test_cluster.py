@@ -123,7 +123,7 @@ def test_a_damaged_part_is_computed_again(client, tmp_path, damage):
         "empty": b"",
         "last part": last.read_bytes(),  # of one frame
         "next part": (tmp_path / "part-00000003.npz").read_bytes(),  # whole, of as many frames
-        "written anew": moved.getvalue(),  # whole for a zip
+        "written anew": moved.getvalue(),  # a whole zip file
         "directory": bytes(directory),
         "older": older.getvalue(),  # whole, but written before a field was added
     }
@@ -155,7 +155,7 @@ def test_a_folder_is_for_one_recording_and_configuration(client, tmp_path):
         cluster.open_store(tmp_path / "elsewhere")
 
 
-def test_wrong_arguments_and_frames_are_errors_here(client, tmp_path):
+def test_wrong_arguments_and_frames_raise_errors_in_the_client(client, tmp_path):
     with pytest.raises(ConfigError, match="count must be"):
         cluster.detect(client, tmp_path, count=-1, read=frame)
     with pytest.raises(ImageError, match="cvtColor"):

@@ -23,7 +23,7 @@ from cmp_cl.config import (
 )
 from cmp_cl.errors import ConfigError
 
-# part, field, the least and the greatest value allowed, a step beyond them
+# part, field, the least and the greatest value allowed, and a step that leads beyond them
 BOUNDS = [
     (RingHarmonic, "noise", 0, 100, 1e-3),
     (RingHarmonic, "relative", 0, 1, 1e-3),
@@ -297,7 +297,8 @@ def test_wide_cells_get_a_scale_if_they_are_blurred_or_their_blur_is_unknown(cel
 
 
 def test_the_bounds_of_the_rule_are_whole_numbers():
-    """2 standard deviations of the noise, twice that for the small ring, 24/128 and 40/128."""
+    """They are 2 standard deviations of the noise, twice that for the small ring, and the shares
+    24/128 and 40/128."""
     rule = RingHarmonic()
     assert (rule.coarse_noise, rule.fine_noise) == (668, 1336)
     assert (rule.coarse_share, rule.fine_share) == (24, 40)
@@ -317,7 +318,7 @@ def test_the_papers_preset_holds_the_windows_of_table_2(markers, window):
     assert paper.refinement == Midlines(fit=Fit.LINEAR)
 
 
-def test_a_pyramid_has_as_many_factors_as_can_be_searched():
+def test_a_pyramid_has_at_most_32_factors():
     assert len(Pyramid(factors=(0.5,) * 32, expected=1).factors) == 32
     with pytest.raises(ConfigError, match="1 to 32"):
         Pyramid(factors=(0.5,) * 33, expected=1)

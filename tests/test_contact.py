@@ -6,39 +6,41 @@ import pytest
 from cmp_cl.errors import FieldError
 from cmp_cl.field import DisplacementField, contact_of, surface_normals
 
-DEPTH, RADIUS, TOP = 30.0, 4.0, 0.8  # mm: distance of the gel, width and depth of the press
+DEPTH, RADIUS, TOP = 30.0, 4.0, 0.8  # mm: distance of the gel, sigma and height of the bell
 
 
 def surface(tilt):
-    """Return the nodes of a gel of 20 mm, and the rotation about y that turns it."""
+    """Return the nodes of a gel of 20 mm, and its rotation about y."""
     row, column = np.indices((81, 81))
     flat = np.stack([(column - 40) * 0.25, (row - 40) * 0.25, np.zeros((81, 81))], axis=2)
-    turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
-    return flat, turn
+    rotation = np.array(
+        [[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]]
+    )
+    return flat, rotation
 
 
 def pressed(tilt=0.0, sigma=0.01):
     """Return a bell of height TOP towards the camera on a gel rotated about y, and the gel."""
-    flat, turn = surface(tilt)
+    flat, rotation = surface(tilt)
     bell = TOP * np.exp(-np.square(flat).sum(axis=2) / (2 * RADIUS**2))
     shift = np.zeros_like(flat)
     shift[..., 2] = -bell
     covariance = np.broadcast_to(np.eye(3) * sigma**2, (81, 81, 3, 3))
     field = DisplacementField(
-        position=flat @ turn.T + [0, 0, DEPTH],
-        displacement=shift @ turn.T,
+        position=flat @ rotation.T + [0, 0, DEPTH],
+        displacement=shift @ rotation.T,
         covariance=covariance,
         position_covariance=covariance,
         status=np.ones((81, 81), np.uint8),
         source=np.ones((81, 81), np.uint8),
         unit="mm",
     )
-    return field, bell, turn
+    return field, bell, rotation
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.4])
 def test_depth_area_and_normals_are_those_of_the_bell(tilt):
-    field, bell, turn = pressed(tilt)
+    field, bell, rotation = pressed(tilt)
     contact = contact_of(field, deeper_than=TOP / 2)
     np.testing.assert_allclose(contact.depth, bell, atol=1e-9)
     np.testing.assert_allclose(contact.sigma, 0.01)
@@ -46,12 +48,12 @@ def test_depth_area_and_normals_are_those_of_the_bell(tilt):
     np.testing.assert_array_equal(contact.inside, bell > TOP / 2)
     disc = np.pi * 2 * np.log(2) * RADIUS**2  # the area on which the bell is above half its height
     assert contact.area == pytest.approx(disc, rel=0.01)
-    along = np.array([1.0, 0, 0]) @ turn.T
+    along = np.array([1.0, 0, 0]) @ rotation.T
     slope = (contact.normal @ along)[40, 40 - 16]  # one RADIUS from the top
     steepest = TOP * np.exp(-0.5) / RADIUS
     assert slope == pytest.approx(-np.sin(np.arctan(steepest)), rel=0.01)
     np.testing.assert_allclose(np.linalg.norm(contact.normal, axis=2), 1)
-    np.testing.assert_allclose(contact.normal[40, 40], [0, 0, -1] @ turn.T, atol=1e-9)
+    np.testing.assert_allclose(contact.normal[40, 40], [0, 0, -1] @ rotation.T, atol=1e-9)
 
 
 def test_normals_point_to_the_cameras_whichever_way_rows_run():
@@ -78,6 +80,6 @@ def test_missing_nodes_have_no_depth_and_no_area():
 
 
 @pytest.mark.parametrize("depth", [np.nan, np.inf])
-def test_a_depth_is_a_number(depth):
+def test_a_depth_that_is_not_finite_is_refused(depth):
     with pytest.raises(FieldError, match="finite"):
         contact_of(pressed()[0], deeper_than=depth)

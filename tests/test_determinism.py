@@ -1,7 +1,8 @@
 """The same image gives the same whole numbers on every device, driver and machine.
 
-The scenes are stored, because rendering one rounds floats. A change of the algorithm changes
-the digests: `python tests/test_determinism.py` prints the new ones, computed by the oracle.
+The scenes are stored, because rendering may round floats differently on another machine.
+A change of the algorithm changes the digests: `python tests/test_determinism.py` prints the new
+ones, computed by the oracle.
 """
 
 import dataclasses
@@ -88,8 +89,8 @@ def config_for(name: str, image: np.ndarray) -> DetectorConfig:
 
 
 def digest(maps: Maps, corners: Corners) -> str:
-    """Return a digest of every whole number in the maps and the corners, whatever byte order and
-    width of ints."""
+    """Return a digest of every whole number in the maps and the corners; it does not depend on the
+    byte order and width of integers."""
     hashed = hashlib.sha256()
     arrays = {f.name: getattr(maps, f.name) for f in dataclasses.fields(maps)}
     arrays |= {"pixel": corners.pixel, "method": corners.method}

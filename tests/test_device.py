@@ -18,15 +18,15 @@ def made_up(index: str, name: str, platform: str, kind: DeviceKind) -> Device:
 
 
 POCL = made_up("0:0", "cpu-haswell", "Portable Computing Language", DeviceKind.CPU)
-CARD = made_up("1:0", "NVIDIA A100", "NVIDIA CUDA", DeviceKind.GPU)
+FIRST = made_up("1:0", "NVIDIA A100", "NVIDIA CUDA", DeviceKind.GPU)
 SECOND = made_up("1:1", "NVIDIA T4", "NVIDIA CUDA", DeviceKind.GPU)
 OTHER = made_up("2:0", "FPGA board", "Boards", DeviceKind.ACCELERATOR)
 
 
 @pytest.fixture
 def lab(monkeypatch):
-    """Pretend four devices on three platforms, and no variable."""
-    monkeypatch.setattr(module, "list_devices", lambda: [POCL, CARD, SECOND, OTHER])
+    """Pretend that three platforms have four devices, and that no variable chooses one."""
+    monkeypatch.setattr(module, "list_devices", lambda: [POCL, FIRST, SECOND, OTHER])
     monkeypatch.delenv("CMP_CL_DEVICE", raising=False)
     return monkeypatch
 
@@ -72,9 +72,9 @@ def test_indices_are_platform_and_device():
         ("0:0", POCL),
         ("1:1", SECOND),
         ("cpu", POCL),
-        ("GPU", CARD),
+        ("GPU", FIRST),
         ("accelerator", OTHER),
-        ("nvidia", CARD),
+        ("nvidia", FIRST),
         ("t4", SECOND),
         (" Portable ", POCL),
         ("boards", OTHER),
@@ -88,13 +88,13 @@ def test_the_requested_device_is_selected(lab, text, expected):
 def test_a_device_that_is_not_there_is_an_error_that_lists_the_devices(lab, text):
     with pytest.raises(DeviceError, match="no OpenCL device matches") as error:
         select_device(text)
-    for known in (POCL, CARD, SECOND, OTHER):
+    for known in (POCL, FIRST, SECOND, OTHER):
         assert f"{known.index} {known}" in str(error.value)
 
 
 def test_an_index_is_no_part_of_a_name(lab):
-    lab.setattr(module, "list_devices", lambda: [dataclasses.replace(CARD, name="card 11:0")])
-    assert select_device("card 11") == select_device("1:0")
+    lab.setattr(module, "list_devices", lambda: [dataclasses.replace(FIRST, name="model 11:0")])
+    assert select_device("model 11") == select_device("1:0")
     with pytest.raises(DeviceError, match="'11:0'"):
         select_device("11:0")
 
@@ -118,11 +118,11 @@ def test_without_a_text_the_variable_decides(lab):
     with pytest.raises(DeviceError, match="from CMP_CL_DEVICE"):
         select_device()
     lab.setenv("CMP_CL_DEVICE", "")
-    assert select_device() == CARD
+    assert select_device() == FIRST
 
 
 def test_without_either_a_gpu_comes_before_a_cpu(lab):
-    assert select_device() == CARD
+    assert select_device() == FIRST
     lab.setattr(module, "list_devices", lambda: [OTHER, POCL])
     assert select_device() == POCL
     lab.setattr(module, "list_devices", lambda: [OTHER])

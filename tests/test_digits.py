@@ -32,6 +32,7 @@ def test_numbers_are_read_back_to_nine_digits_or_decimals():
     table = np.array([[float(word) for word in line.split(",")] for line in lines])
     np.testing.assert_array_equal(table[:, :2], np.tile([12, 0.5], (500, 1)))
     for found, (name, given) in zip(table[:, 2:].T, COLUMNS.items(), strict=True):
+        # Half a unit of the ninth digit or decimal, with 2 % of room for rounding.
         relative = 5.1e-9 if name in ("small", "huge", "mixed") else 0
         absolute = 0 if name in ("small", "huge", "whole", "flags", "large") else 5.1e-10
         np.testing.assert_allclose(found, given.astype(float), rtol=relative, atol=absolute)

@@ -1,6 +1,7 @@
 """Cameras of several kinds, and corners and cameras as other tools read them."""
 
 import csv
+import dataclasses
 import math
 import shutil
 import subprocess
@@ -25,27 +26,27 @@ DISTORTIONS = {
 }
 
 
-def camera(lens, turn=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0)):
+def camera(lens, rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)):
     return Camera(
         lens=lens,
         size=SIZE,
         matrix=MATRIX,
         distortion=DISTORTIONS[lens],
-        R=cv2.Rodrigues(np.array(turn))[0],
-        T=np.array(shift),
+        R=cv2.Rodrigues(np.array(rotation))[0],
+        T=np.array(translation),
         unit="mm",
     )
 
 
 def views(cameras, count=12, noise=0.03):
-    """Return grids of a 7 x 9 board of 20 mm squares in random poses; partly outside is missing."""
+    """Return grids of a 7 x 9 board of 20 mm squares in random poses, without nodes outside."""
     rng = np.random.default_rng(900001)
     row, column = np.mgrid[:7, :9]
     board = np.stack([column, row, 0 * row], axis=-1) * 20.0 - [80, 60, 0]
     seen = {name: [] for name in cameras}
     for _ in range(count):
-        turn = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))[0]
-        place = board @ turn.T + [*rng.uniform(-60, 60, 2), rng.uniform(190, 330)]
+        rotation = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))[0]
+        place = board @ rotation.T + [*rng.uniform(-60, 60, 2), rng.uniform(190, 330)]
         for name, each in cameras.items():
             xy = each.project(place) + rng.normal(0, noise, (7, 9, 2))
             outside = (xy < 0).any(axis=-1) | (xy > np.array(SIZE) - 1).any(axis=-1)
@@ -60,15 +61,15 @@ def test_a_camera_of_each_lens_is_found_again(lens):
     found = calibrate_cameras(views(truth), spacing=20, sizes={"front": SIZE}, lens=lens)
     assert found.error == pytest.approx(0.03 * math.sqrt(2), rel=0.1)
     assert 0.6 < found.coverage["front"] <= 1
-    missed = np.sqrt(np.nanmean(np.square(np.stack(found.residuals["front"])).sum(axis=-1)))
-    assert missed == pytest.approx(found.error)
+    rms = np.sqrt(np.nanmean(np.square(np.stack(found.residuals["front"])).sum(axis=-1)))
+    assert rms == pytest.approx(found.error)
     row, column = np.mgrid[-3:4, -3:4]
     rays = np.stack([column * 0.2, row * 0.15, np.ones((7, 7))], axis=-1)
     off = found.cameras["front"].project(rays) - truth["front"].project(rays)
     assert np.abs(off).max() < 1.0
 
 
-def test_three_cameras_are_located_though_none_sees_every_moment():
+def test_three_cameras_are_located_though_two_of_them_miss_views():
     truth = {
         "a": camera(Lens.PINHOLE),
         "b": camera(Lens.PINHOLE, (0.01, 0.15, -0.02), (-50, 2, 5)),
@@ -96,7 +97,7 @@ def test_views_that_do_not_determine_a_camera_are_refused():
     assert "\n" not in str(refusal.value)
     with pytest.raises(CalibrationError, match=r"3 views .* are needed, not 2"):
         calibrate_cameras({"front": flat[:2]}, spacing=20, sizes={"front": SIZE})
-    seen = views({"a": camera(Lens.PINHOLE), "b": camera(Lens.PINHOLE, shift=(-20.0, 0, 0))})
+    seen = views({"a": camera(Lens.PINHOLE), "b": camera(Lens.PINHOLE, translation=(-20.0, 0, 0))})
     apart = {"a": [*seen["a"][:6], *[None] * 6], "b": [*[None] * 6, *seen["b"][6:]]}
     with pytest.raises(CalibrationError, match="b: no moment"):
         calibrate_cameras(apart, spacing=20, sizes=dict.fromkeys(apart, SIZE))
@@ -125,11 +126,11 @@ def corners():
     return {"a.png": one, "b.png": None}
 
 
-def test_vnl_holds_missing_nodes_and_weights(tmp_path):
+def test_a_vnl_holds_missing_nodes_and_weights(tmp_path):
     save_corners(tmp_path / "corners.vnl", corners())
     lines = (tmp_path / "corners.vnl").read_text().splitlines()
     assert lines[0] == "# filename x y level"
-    assert lines[1] == "a.png 5.000000 5.000000 2"  # 4 times less certain
+    assert lines[1] == "a.png 5.000000 5.000000 2"  # its sigma is 4 times as large
     assert lines[2] == "a.png 15.000000 5.000000 0"
     assert lines[6] == "a.png - - -"
     assert lines[7] == "b.png - - -"
@@ -150,7 +151,7 @@ def test_opencv_reads_the_corners(tmp_path, suffix):
     np.testing.assert_array_equal(view.getNode("image_points").mat(), points[:, 0])
 
 
-def test_csv_has_a_row_a_corner(tmp_path):
+def test_a_csv_has_a_row_for_each_corner(tmp_path):
     save_corners(tmp_path / "corners.csv", corners())
     with open(tmp_path / "corners.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -228,23 +229,39 @@ def loaded(path):
     return yaml.safe_load(Path(path).read_text())
 
 
-@pytest.mark.parametrize("lens", list(Lens))
-def test_ros_reads_each_camera(tmp_path, lens):
-    pair = {"left": camera(lens), "right": camera(lens, shift=(-1e-7, 0, 0))}
+@pytest.mark.parametrize(
+    ("lens", "model"),
+    [
+        (Lens.PINHOLE, "plumb_bob"),
+        (Lens.RATIONAL, "rational_polynomial"),
+        (Lens.FISHEYE, "equidistant"),
+    ],
+)
+def test_a_file_for_ros_holds_each_camera(tmp_path, lens, model):
+    larger = np.diag([1.25, 1.25, 1]) @ MATRIX
+    right = camera(lens, translation=(-50.0, 0, 0))
+    pair = {
+        "left": camera(lens),
+        "right": dataclasses.replace(right, size=(800, 600), matrix=larger),
+    }
     files = save_cameras(tmp_path / "rig.camera_info.yaml", pair)
     assert [file.name for file in files] == [
         "rig-left.camera_info.yaml",
         "rig-right.camera_info.yaml",
     ]
-    info = loaded(files[0])
-    assert (info["image_width"], info["image_height"]) == SIZE
-    assert info["camera_matrix"]["data"] == MATRIX.ravel().tolist()
-    assert info["distortion_coefficients"]["data"] == DISTORTIONS[lens].tolist()
-    assert info["distortion_model"] in ("plumb_bob", "rational_polynomial", "equidistant")
-    assert info["projection_matrix"]["cols"] == 4
+    for file, (name, each) in zip(files, pair.items(), strict=True):
+        info = loaded(file)
+        assert info["camera_name"] == name
+        assert (info["image_width"], info["image_height"]) == each.size
+        assert info["camera_matrix"]["data"] == each.matrix.ravel().tolist()
+        assert info["distortion_coefficients"]["data"] == DISTORTIONS[lens].tolist()
+        assert info["distortion_model"] == model
+        unrectified = np.column_stack([each.matrix, np.zeros(3)])
+        projection = {"rows": 3, "cols": 4, "data": unrectified.ravel().tolist()}
+        assert info["projection_matrix"] == projection
 
 
-def test_kalibr_reads_a_chain_in_metres(tmp_path):
+def test_a_file_for_kalibr_holds_a_chain_in_metres(tmp_path):
     chain = {
         "a": camera(Lens.PINHOLE),
         "b": camera(Lens.FISHEYE, (0, 0.1, 0), (-50, 0, 0)),
@@ -261,7 +278,7 @@ def test_kalibr_reads_a_chain_in_metres(tmp_path):
         save_cameras(tmp_path / "rig.camchain.yaml", {"a": camera(Lens.RATIONAL)})
 
 
-def test_colmap_gets_its_models_with_its_pixel_centres(tmp_path):
+def test_a_file_for_colmap_holds_its_models_with_its_pixel_centres(tmp_path):
     save_cameras(tmp_path / "cameras.txt", {lens.value: camera(lens) for lens in Lens})
     lines = (tmp_path / "cameras.txt").read_text().splitlines()[3:]
     models = [line.split()[1] for line in lines]
@@ -270,6 +287,6 @@ def test_colmap_gets_its_models_with_its_pixel_centres(tmp_path):
     assert lines[0].split()[6:8] == ["325.5", "236.5"]
 
 
-def test_an_unknown_name_of_cameras_is_refused(tmp_path):
+def test_a_file_name_of_no_known_format_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"cameras\.txt"):
         save_cameras(tmp_path / "rig.xml", {"a": camera(Lens.PINHOLE)})

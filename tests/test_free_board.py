@@ -36,9 +36,9 @@ def pairs(board, count=10, noise=0.05, seed=0):
     draw = np.random.default_rng(seed)
     views = []
     for _ in range(count):
-        turn = cv2.Rodrigues(draw.uniform(-0.5, 0.5, 3))[0]
-        shift = [*draw.uniform(-3, 3, 2), 50 + draw.uniform(-6, 6)]
-        seen = project(toed_in_rig(), board @ turn.T + shift)
+        rotation = cv2.Rodrigues(draw.uniform(-0.5, 0.5, 3))[0]
+        translation = [*draw.uniform(-3, 3, 2), 50 + draw.uniform(-6, 6)]
+        seen = project(toed_in_rig(), board @ rotation.T + translation)
         views.append(tuple(grid_of(view + draw.normal(0, noise, view.shape)) for view in seen))
     return views
 
@@ -52,8 +52,8 @@ def aligned(found, truth):
     one, other = found.reshape(-1, 3), truth.reshape(-1, 3)
     first, second = one - one.mean(axis=0), other - other.mean(axis=0)
     u, _, v = np.linalg.svd(first.T @ second)
-    turn = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
-    return (first @ turn + other.mean(axis=0)).reshape(truth.shape)
+    rotation = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
+    return (first @ rotation + other.mean(axis=0)).reshape(truth.shape)
 
 
 def test_a_bent_board_spoils_a_calibration_unless_it_is_free():
@@ -115,7 +115,7 @@ def test_a_free_board_takes_partial_views():
     assert np.argwhere(np.isnan(free.board[..., 0])).tolist() == [[ROWS - 1, COLUMNS - 1]]
 
 
-def test_views_that_are_numbered_from_the_other_end_are_rotated():
+def test_grids_that_are_numbered_from_the_other_end_are_rotated():
     truth = cylinder(flat_board()) + np.random.default_rng(1).normal(0, 0.05, (ROWS, COLUMNS, 3))
     views = pairs(truth)
     mixed = [
@@ -137,12 +137,12 @@ def test_too_few_or_unlike_views_of_a_free_board_are_refused():
         calibrate_camera(lefts, spacing=SQUARE, image_size=SIZE, free_board=True)
 
 
-def picture(matrix, rotation, shift, bend):
+def rendered(matrix, rotation, translation, bend):
     """Return an image of a board of 6 x 9 inner corners, 25 mm apart, on z = bend x^2 / 2."""
     high, wide, fine = 480, 640, 2
     v, u = (np.mgrid[: high * fine, : wide * fine] + 0.5) / fine - 0.5
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(matrix).T @ rotation
-    centre = -rotation.T @ shift
+    centre = -rotation.T @ translation
     reach = -centre[2] / rays[..., 2]
     for _ in range(4):
         x = centre[0] + reach * rays[..., 0]
@@ -153,20 +153,19 @@ def picture(matrix, rotation, shift, bend):
     inside = (column >= 0) & (column < 10) & (row >= 0) & (row < 7)
     grey = np.where(inside & ((column + row) % 2 == 0), 40.0, 210.0)
     grey = grey.reshape(high, fine, wide, fine).mean(axis=(1, 3))
-    noise = np.random.default_rng(int(abs(shift[0]) * 100)).normal(0, 2, grey.shape)
+    noise = np.random.default_rng(int(abs(translation[0]) * 100)).normal(0, 2, grey.shape)
     return np.clip(np.rint(cv2.GaussianBlur(grey, (0, 0), 0.7) + noise), 0, 255).astype(np.uint8)
 
 
 def test_images_of_a_bent_board_give_the_camera_when_it_is_free():
     matrix = np.array([[600.0, 0, 322], [0, 602.0, 236], [0, 0, 1]])
     draw = np.random.default_rng(980_000)
-    grids, away = [], []
+    grids = []
     for _ in range(6):
         rotation = cv2.Rodrigues(draw.uniform([-0.5, -0.5, -0.15], [0.5, 0.5, 0.15]))[0]
-        shift = np.array([*draw.uniform(-30, 30, 2), draw.uniform(360, 420)])
-        image = picture(matrix, rotation, shift, bend=2 * 3.0 / 112**2)  # 3 mm at its ends
+        translation = np.array([*draw.uniform(-30, 30, 2), draw.uniform(360, 420)])
+        image = rendered(matrix, rotation, translation, bend=2 * 3.0 / 112**2)  # 3 mm at its ends
         grids.append(trusted(find_board(image, (6, 9))))
-        away.append(shift[2])
     stiff, free = (
         calibrate_camera(grids, spacing=25.0, image_size=(640, 480), free_board=free)
         for free in (False, True)

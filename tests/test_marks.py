@@ -48,7 +48,8 @@ def marked(mark: str, cell: float = 24, shape: tuple[int, int] = (230, 300)):
 
 
 def judged(corners: cmp_cl.Corners, truth: np.ndarray, shape: tuple[int, int]) -> tuple[int, int]:
-    """Return how many corners are missed, and how many are false and a cell from the rim."""
+    """Return how many corners are missed, and how many false ones lie inside, a cell or more from
+    the edges of the image."""
     partner = match(corners.xy, truth, 3)
     other = corners.xy[partner < 0]
     far = ((other >= 24) & (other <= (shape[1] - 25, shape[0] - 25))).all(axis=1)
@@ -133,7 +134,7 @@ def test_an_edge_ends_where_its_polarity_changes():
     assert (against == 0).all()
 
 
-def test_no_corners_stay_no_corners(detector_for):
+def test_an_image_without_corners_stays_without_corners(detector_for):
     flat = np.full((60, 70), 90, np.uint8)
     assert len(drop_marks(detector_for(flat)(flat), flat)) == 0
 

@@ -66,7 +66,7 @@ def image_message(number, image, encoding, *, padding=0, big=False):
 
 
 def write(ros, path, messages):
-    """Write messages: topic, definition, message of each."""
+    """Write messages: topic, kind, definition and content of each."""
     with open(path, "wb") as file:
         writer = ros.Writer(file)
         schemas = {}

@@ -21,8 +21,8 @@ GEL = Scene(markers=12, shape=VIEW, indenter=Indenter.TORUS, mode=Mode.TWIST, se
 
 
 @pytest.fixture(scope="session")
-def shots():
-    """Return two frames, at rest and pressed: both views in one image; the nodes in space, mm."""
+def rest_and_now():
+    """Return two frames, at rest and pressed: an image of both views and the nodes in space, mm."""
     found = []
     for severity in (0.0, 0.4):
         left, right, xyz = render_stereo(dataclasses.replace(GEL, severity=severity), RIG)
@@ -41,10 +41,12 @@ def test_the_readme_shows_the_same_lines():
     assert f"```python\n{example()}\n```" in readme
 
 
-def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(shots, tmp_path, monkeypatch):
+def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(
+    rest_and_now, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     StereoRig(*RIG).save("rig.yaml")
-    write_video("press.mp4", [frame for frame, _ in shots], "mp4v")
+    write_video("press.mp4", [frame for frame, _ in rest_and_now], "mp4v")
     assert len([line for line in example().splitlines() if line]) <= 10
     exec(example().replace("(40, 40)", "(12, 12)"), {})  # the video is small
     assert [path.name for path in sorted(tmp_path.glob("*.vtp"))] == ["press-0001.vtp"]
@@ -53,15 +55,15 @@ def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(shots, tmp_path
     rig = StereoRig.load("rig.yaml")
     with measure.TwoViews(frames[0], rig, split, shape=(12, 12)) as against_rest:
         field = against_rest(frames[1]).field
-    truth = shots[1][1] - shots[0][1]
+    truth = rest_and_now[1][1] - rest_and_now[0][1]
     assert np.count_nonzero(field.valid) > 0.95 * field.status.size
     off = np.linalg.norm(field.displacement - truth, axis=2)[field.valid]
     assert np.sqrt(np.mean(off**2)) < 0.1 * np.linalg.norm(truth, axis=2).max()
 
 
-def test_a_view_is_measured_against_the_view_at_rest(shots):
-    half = shots[0][0].shape[1] // 2
-    rest, now = (frame[:, :half] for frame, _ in shots)
+def test_a_view_is_measured_against_the_view_at_rest(rest_and_now):
+    half = rest_and_now[0][0].shape[1] // 2
+    rest, now = (frame[:, :half] for frame, _ in rest_and_now)
     with measure.OneView(rest, shape=(12, 12)) as against_rest:
         still, moved = against_rest(rest), against_rest(now)
         empty = against_rest(np.zeros_like(rest))
@@ -76,8 +78,8 @@ def test_a_view_is_measured_against_the_view_at_rest(shots):
         against_rest(rest)
 
 
-def test_both_the_filtered_and_the_raw_values_are_there_and_named(shots):
-    rest, now = (frame for frame, _ in shots)
+def test_both_the_filtered_and_the_raw_values_are_there_and_named(rest_and_now):
+    rest, now = (frame for frame, _ in rest_and_now)
     split, rig = cmp_cl.BinocularSplit.halves(*rest.shape[::-1]), StereoRig(*RIG)
     views = [(frame, frame[:, : frame.shape[1] // 2]) for frame in (rest, now)]
     for k, kind, name, extra in (
@@ -100,8 +102,8 @@ def test_both_the_filtered_and_the_raw_values_are_there_and_named(shots):
         assert np.nanmedian(filtered["sigma"]) < np.nanmedian(raw["sigma"])
 
 
-def test_a_pattern_is_found_without_its_cell(shots):
-    view = shots[0][0][:, : shots[0][0].shape[1] // 2]
+def test_a_pattern_is_found_without_its_cell(rest_and_now):
+    view = rest_and_now[0][0][:, : rest_and_now[0][0].shape[1] // 2]
     cell, grid = measure.find_pattern(view, shape=(12, 12))
     assert grid.shape == (12, 12)
     assert cell == pytest.approx(measure.cell_of(grid))
@@ -149,10 +151,9 @@ def moved_by(cells: float) -> np.ndarray:
 
 
 def shifts_of(frames: list[float | None], *, track: bool) -> tuple[list[float], list[bool]]:
-    """Return the mean displacement, cells along x, of frames that moved so far, and which are
-    ambiguous.
+    """Return the mean displacement of each frame, in cells along x, and which are ambiguous.
 
-    None is a frame without a pattern.
+    frames: how far the pattern has moved in each, in cells; None for a frame without a pattern.
     """
     shifts, ambiguous = [], []
     config = cmp_cl.DetectorConfig.for_cell(12)

@@ -1,4 +1,4 @@
-"""Images and videos read as grey; CSV with units."""
+"""Images and videos are read as grey levels; a CSV names its units."""
 
 import contextlib
 import csv
@@ -40,7 +40,7 @@ def corners_at(xy):
     )
 
 
-def test_grey_comes_back_as_it_was_written(tmp_path):
+def test_grey_levels_come_back_as_they_were_written(tmp_path):
     deep = NOISE.astype(np.uint16) * 16
     for suffix in (".png", ".tif", ".pgm"):
         for image in (NOISE, deep):
@@ -114,7 +114,7 @@ def test_an_image_comes_through_a_pipe(tmp_path):
     writer.join()
 
 
-def test_colour_is_read_as_opencv_reads_it_grey(tmp_path):
+def test_colour_becomes_grey_as_in_opencv(tmp_path):
     colour = np.dstack([NOISE, NOISE[::-1], NOISE[:, ::-1]])
     alpha = np.dstack([colour, NOISE])
     for name, image in (("c.png", colour), ("c.jpg", colour), ("a.png", alpha)):
@@ -126,7 +126,7 @@ def test_colour_is_read_as_opencv_reads_it_grey(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.bmp", "a.xyz", "a"])
-def test_16_bits_are_refused_by_formats_that_would_cut_them(name, tmp_path):
+def test_formats_that_would_cut_16_bits_refuse_them(name, tmp_path):
     with pytest.raises(ImageError, match="cannot write uint16 pixels"):
         media.write_image(tmp_path / name, NOISE.astype(np.uint16))
     assert os.listdir(tmp_path) == []
@@ -236,8 +236,8 @@ def test_a_damaged_frame_is_none_and_those_after_it_are_read(tmp_path):
 def test_frames_of_another_size_come_as_they_are(tmp_path):
     pytest.importorskip("av", reason="PyAV is not installed")
     sizes = [(60, 80), (90, 120), (60, 80)]
-    pictures = [cv2.imencode(".jpg", np.full(size, 90, np.uint8))[1].tobytes() for size in sizes]
-    (tmp_path / "press.mjpeg").write_bytes(b"".join(pictures))
+    jpegs = [cv2.imencode(".jpg", np.full(size, 90, np.uint8))[1].tobytes() for size in sizes]
+    (tmp_path / "press.mjpeg").write_bytes(b"".join(jpegs))
     frames = list(media.read_frames(tmp_path / "press.mjpeg"))
     assert [frame.image.shape for frame in frames] == sizes
     few = list(media.read_frames(tmp_path / "press.mjpeg", max_pixels=5000))
@@ -313,7 +313,7 @@ def test_a_file_pattern_that_the_shell_did_not_expand_stands_for_its_files(tmp_p
         media.find_inputs([tmp_path / "d*.png"])
 
 
-def test_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
+def test_a_csv_has_units_in_its_header_and_every_digit_in_its_rows(tmp_path):
     corners = corners_at([[1.1, 2.2], [63.000004, 47]])
     name = 'a "b",\nc.png'
     with whole_file(tmp_path / "c.csv") as file:

@@ -57,7 +57,11 @@ def plan_of(detector_for, config):
 
 
 def left_out(detector_for, config, *, files=(), launches=(), buffers=(), than=FULL):
-    """Check that a configuration does without these files, kernels and buffers."""
+    """Assert that a configuration does without these files, kernels and buffers, which another one
+    has.
+
+    launches: kernels. than: the other configuration.
+    """
     plan, launched, kernels = plan_of(detector_for, config)
     full, full_launched, full_kernels = plan_of(detector_for, than)
     assert set(files) <= set(full.stages)
@@ -123,8 +127,8 @@ def test_the_kernels_of_the_other_rule_are_left_out(detector_for):
     assert not {"fine", "coarse", "lists", "taken"} & set(binary.arrays)
 
 
-def test_without_squeezed_cells_their_kernels_are_left_out(detector_for, form):
-    """Without them there is one list, and one response."""
+def test_without_the_response_of_squeezed_cells_its_kernels_are_left_out(detector_for, form):
+    """There is then one list, and one response."""
     wide = HARMONIC.replace(detection=RingHarmonic(fine=False))
     plan, launched, kernels = plan_of(detector_for, wide)
     full, _, _ = plan_of(detector_for, HARMONIC)
@@ -166,7 +170,7 @@ def test_the_kernels_of_the_other_refinements_are_left_out(detector_for):
 
 @pytest.mark.parametrize("criteria", [RapidCriteria, SpectralCriteria])
 def test_without_its_criterion_corrosion_is_not_computed(detector_for, criteria):
-    """Its region of 21 pixels is not looked at: the macro that reads it is not compiled."""
+    """The macro that reads its region of 21 pixels is not compiled."""
     options = []
     for threshold in (6, None):
         config = DetectorConfig(
@@ -182,8 +186,8 @@ def test_without_its_criterion_corrosion_is_not_computed(detector_for, criteria)
 
 
 @pytest.mark.parametrize("refinement", [None, EdgeLines(), EdgeStep(), Midlines()])
-def test_a_flat_frame_needs_no_refinement(device_in_form, refinement):
-    """Refinement stops at the number of corners: without corners it writes nothing."""
+def test_refinement_writes_nothing_for_a_frame_without_corners(device_in_form, refinement):
+    """Refinement stops at the number of corners."""
     config = DetectorConfig(refinement=refinement)
     with Detector(shape=IMAGE.shape, device=device_in_form, config=config) as detector:
         plan = detector._plan(None)
@@ -199,7 +203,7 @@ def test_a_flat_frame_needs_no_refinement(device_in_form, refinement):
         assert (after != before)[RESULT_HEAD:].any()
 
 
-# --- memory and arguments, in every configuration --------------------------------------------
+# --- arguments and memory, in every configuration --------------------------------------------
 
 DETECTIONS = {
     "harmonic": RingHarmonic(),
@@ -276,15 +280,15 @@ class Unbuilt(Plan):
 
 
 @pytest.mark.parametrize("shape", [(480, 640), (1200, 1600)], ids=str)
-def test_at_most_eight_bytes_a_pixel_beyond_the_image(device_in_form, shape):
+def test_buffers_need_at_most_eight_bytes_a_pixel_besides_the_image(device_in_form, shape):
     for (name, config), dtype in itertools.product(CONFIGS.items(), (np.uint8, np.uint16)):
         sizes = sizes_of(device_in_form, config, dtype, shape)
-        beyond = sum(sizes.values()) - sizes["image"]
-        assert beyond <= 8 * shape[0] * shape[1], (name, dtype, sizes)
+        besides = sum(sizes.values()) - sizes["image"]
+        assert besides <= 8 * shape[0] * shape[1], (name, dtype, sizes)
 
 
 def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[int, int]):
-    """Return the bytes of every buffer of a detector, without allocating any."""
+    """Return the size of every buffer of a detector, bytes, without allocating any."""
     plan = Unbuilt(None, None, device, shape, np.dtype(dtype), config, config.scale, None, 1)
     return plan.sizes
 

@@ -25,7 +25,7 @@ from cmp_cl.field.poisson import Boundary, integrate, projected_density, surface
 
 SIGMA = 0.02  # px
 WAVE = 2 * math.pi / 120 * np.array([0.8, 0.6])  # rad/px
-LENGTH = 60.0  # px, displacement by slope
+LENGTH = 60.0  # px: displacement over slope
 
 
 def lattice(rows=40, columns=40, side=12.0):
@@ -59,10 +59,10 @@ def slope(xy):
 @pytest.mark.parametrize("wear", [0.0, 0.2])
 @pytest.mark.parametrize("strain", some([1e-4, 1e-2, 0.3], (1e-2,)))
 def test_strain_is_right_within_its_sigma(strain, wear):
-    """Filtered and raw; wear moves with the nodes and is in no corner's own sigma."""
+    """Both filtered and raw. Wear moves with the nodes, and is in the sigma of no corner."""
     gradient, rest = gradient_of(strain), lattice()
-    off = np.random.default_rng(7).normal(0, wear, rest.shape)
-    field = plane_displacement(noisy(rest + off, 1), noisy(rest @ gradient.T + off, 2))
+    worn = np.random.default_rng(7).normal(0, wear, rest.shape)
+    field = plane_displacement(noisy(rest + worn, 1), noisy(rest @ gradient.T + worn, 2))
     found = plane_strain(field)
     errors = []
     for each in (plane_strain(field.raw), found):
@@ -74,9 +74,9 @@ def test_strain_is_right_within_its_sigma(strain, wear):
     if strain > 1e-3:
         seen = found.principal()
         assert 0.9 <= np.mean(np.abs((seen.strain - principal[::-1]) / seen.sigma) < 1.96) <= 0.98
-        turn = seen.direction - math.atan2(direction[1, 1], direction[0, 1])
-        turn = (turn + math.pi / 2) % math.pi - math.pi / 2
-        assert 0.9 <= np.mean(np.abs(turn / seen.sigma_direction) < 1.96) <= 0.98
+        off = seen.direction - math.atan2(direction[1, 1], direction[0, 1])
+        off = (off + math.pi / 2) % math.pi - math.pi / 2
+        assert 0.9 <= np.mean(np.abs(off / seen.sigma_direction) < 1.96) <= 0.98
 
 
 def test_wear_that_stretches_with_the_material_makes_sigma_too_large_and_not_too_small():
@@ -94,8 +94,8 @@ def test_a_direction_that_noise_decides_has_the_sigma_of_an_unknown_one():
 
 def test_rotation_and_translation_give_no_strain():
     rest = lattice(8, 8)
-    turn = np.array([[math.cos(1.0), -math.sin(1.0)], [math.sin(1.0), math.cos(1.0)]])
-    field = plane_displacement(grid_of(rest), grid_of(rest @ turn.T + [500, 0]))
+    rotation = np.array([[math.cos(1.0), -math.sin(1.0)], [math.sin(1.0), math.cos(1.0)]])
+    field = plane_displacement(grid_of(rest), grid_of(rest @ rotation.T + [500, 0]))
     for each in (field, field.raw):
         assert np.nanmax(np.abs(plane_strain(each).tensor)) < 1e-5
 
@@ -116,7 +116,7 @@ def test_a_node_that_a_frame_does_not_show_has_no_position_and_spoils_none_at_re
     np.testing.assert_array_equal(field.position[there], whole.position[there])
 
 
-def test_without_neighbours_and_without_sigma_errors_are_unknown():
+def test_without_neighbours_and_without_the_sigma_of_corners_sigma_is_unknown():
     rest = lattice(4, 4)
     field = plane_displacement(grid_of(rest), grid_of(rest * 1.01))
     assert np.isnan(field.sigma).all()
@@ -174,7 +174,7 @@ def test_cells_of_known_side_give_millimetres_through_a_homography():
 
 @functools.cache
 def wave():
-    """Return the displacement by a wave, on the pixels."""
+    """Return the displacement that a wave shows, at the pixels."""
     rest = lattice()
     return rasterize(plane_displacement(grid_of(rest), grid_of(rest - LENGTH * slope(rest))))
 
@@ -185,7 +185,7 @@ def test_a_raster_holds_the_displacement_at_every_pixel():
     inside = ~np.isnan(raster.values[..., 0])
     assert 0.9 < inside.mean() < 0.95  # the board is rotated
     off = np.square(raster.values + LENGTH * slope(xy))[inside].mean()
-    assert math.sqrt(off) < 0.005 * 5
+    assert math.sqrt(off) < 0.005 * 5  # px: the wave moves nodes by up to 5 px
 
 
 def test_a_missing_node_empties_its_four_cells_only():
@@ -200,7 +200,7 @@ def test_a_missing_node_empties_its_four_cells_only():
 
 
 @pytest.mark.parametrize("masked", [False, True])
-def test_a_wave_has_its_height_within_2_percent(masked):
+def test_the_height_of_a_wave_is_right_within_2_percent(masked):
     raster = wave()
     xy = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
     mask = np.linalg.norm(xy - [250, 260], axis=-1) < 190 if masked else None
@@ -212,7 +212,7 @@ def test_a_wave_has_its_height_within_2_percent(masked):
     assert np.sqrt(np.nanmean(np.square(found.misfit))) < 0.01 * np.abs(WAVE).max()
 
 
-def test_a_membrane_held_at_its_rim_has_its_absolute_height():
+def test_the_height_of_a_membrane_that_is_held_at_its_rim_is_absolute():
     rest = np.stack(np.meshgrid(np.arange(0, 121, 6.0), np.arange(0, 121, 6.0)), axis=-1)
     xy = np.stack(np.meshgrid(np.arange(121.0), np.arange(121.0)), axis=-1)
     k = math.pi / 120
@@ -244,7 +244,7 @@ def test_two_parts_of_a_mask_have_a_mean_of_zero_each():
     assert np.nanmean(found[:, 250:]) == pytest.approx(0, abs=1e-9)
 
 
-def test_water_and_gas_scale_the_gradient_by_their_optics():
+def test_gradients_in_water_and_gas_are_scaled_by_depth_distance_and_refraction():
     raster = wave()
     water = surface_height(raster, depth=240.24, index=1.333)
     np.testing.assert_allclose(
@@ -264,7 +264,7 @@ def test_water_and_gas_scale_the_gradient_by_their_optics():
 
 
 def detected(*images, cell):
-    """Return grids of images, all numbered like the first."""
+    """Return the grids of images, all numbered as in the first."""
     config = cmp_cl.DetectorConfig.for_cell(cell).replace(refinement=cmp_cl.EdgeStep(cell=cell))
     with cmp_cl.Detector(shape=images[0].shape, dtype=np.uint8, config=config) as detector:
         rest = cmp_cl.build_grid(detector(images[0]), images[0])
@@ -277,8 +277,9 @@ def test_the_strain_of_images_is_right_within_the_noise_that_they_show(way):
     gradient, centre = gradient_of(1e-2), np.array([130.0, 130.0])
     covered = []
     for seed in range(2):
-        turn = 0.1 + 0.2 * seed
-        turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+        angle = 0.1 + 0.2 * seed
+        cos, sin = math.cos(angle), math.sin(angle)
+        rotation = np.array([[cos, -sin], [sin, cos]])
         images = [
             moved_board(
                 (260, 260),
@@ -288,42 +289,42 @@ def test_the_strain_of_images_is_right_within_the_noise_that_they_show(way):
                 noise=3,
                 seed=900000 + 2 * seed + number,
             )
-            for number, by in enumerate((turned, turned @ gradient))
+            for number, by in enumerate((rotation, rotation @ gradient))
         ]
         field = way(plane_displacement(*detected(*images, cell=12)))
         found = plane_strain(field)
-        off = (found.tensor - green(turned @ gradient @ turned.T)) / found.sigma
+        off = (found.tensor - green(rotation @ gradient @ rotation.T)) / found.sigma
         covered.append(np.mean(np.abs(off[~np.isnan(off)]) < 1.96))
     assert 0.9 < np.mean(covered) < 0.98
 
 
-def edge_noise(seed, part, turn):
-    """Return errors (20, 20, 2) of unit variance; neighbours share this part of those across their
-    edge.
+def edge_noise(seed, part, rotation):
+    """Return errors (20, 20, 2) of unit variance, of which neighbours share a part.
 
-    turn: (2, 2), from the lattice's axes to the plane's.
+    part: of the variance across the edge between them. rotation: (2, 2), from the lattice's axes to
+    the plane's.
     """
     rng = np.random.default_rng(seed)
     own = rng.normal(size=(20, 20, 2)) * math.sqrt(1 - 2 * part)
     of_rows, of_columns = rng.normal(size=(2, 21, 21)) * math.sqrt(part)
-    own[..., 0] += of_columns[1:, 1:] + of_columns[:-1, 1:]  # edges along a column: across is x
+    own[..., 0] += of_columns[1:, 1:] + of_columns[:-1, 1:]  # across the edges along a column
     own[..., 1] += of_rows[1:, 1:] + of_rows[1:, :-1]
-    return own @ turn.T
+    return own @ rotation.T
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3])
 @pytest.mark.parametrize("part", [0.0, 0.33])
 def test_strain_counts_the_errors_that_neighbours_share(part, angle):
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    rotation = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     row, column = np.mgrid[:20, :20]
     rest = np.stack([12.0 * column, 12.0 * row], axis=-1)
     relative, parts = [], []
     for seed in range(900000, 900040, 2):  # the board rotates, and the shared errors with it
         before = rest + 0.05 * edge_noise(seed, part, np.eye(2))
-        now = rest @ turn.T @ gradient_of(1e-2).T + 0.05 * edge_noise(seed + 1, part, turn)
+        now = rest @ rotation.T @ gradient_of(1e-2).T + 0.05 * edge_noise(seed + 1, part, rotation)
         field = with_measured_noise(plane_displacement(grid_of(before), grid_of(now), raw=True))
         found = plane_strain(field)
-        off = (found.tensor - green(gradient_of(1e-2) @ turn)) / found.sigma
+        off = (found.tensor - green(gradient_of(1e-2) @ rotation)) / found.sigma
         relative.append(np.mean(np.square(off[4:-4, 4:-4])))
         variance = np.mean(np.square(field.sigma_position))
         parts.append([np.diag(shared) / variance for shared in field.shared[0]])
@@ -332,7 +333,7 @@ def test_strain_counts_the_errors_that_neighbours_share(part, angle):
 
 
 @pytest.mark.parametrize("part", [0.0, 0.33])
-def test_raw_sigma_is_that_of_the_errors_if_neighbours_share_a_part(part):
+def test_raw_sigma_is_right_if_neighbours_share_a_part_of_the_errors(part):
     row, column = np.mgrid[:20, :20]
     rest = np.stack([12.0 * column, 12.0 * row], axis=-1)
     relative = []
@@ -363,20 +364,20 @@ def test_the_strain_of_a_filtered_field_counts_the_errors_that_neighbours_share(
 
 
 def test_the_errors_that_neighbours_share_rotate_with_the_nodes():
-    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    rotation = np.array([[0.0, -1.0], [1.0, 0.0]])
     row, column = np.mgrid[:20, :20]
     rest = np.stack([12.0 * column, 12.0 * row], axis=-1)
-    now = (rest + 0.05 * edge_noise(900000, 0.33, np.eye(2))) @ turn.T
+    now = (rest + 0.05 * edge_noise(900000, 0.33, np.eye(2))) @ rotation.T
     field = with_measured_noise(plane_displacement(grid_of(rest), grid_of(now), raw=True))
-    at_rest, turned = field.shared
+    at_rest, rotated = field.shared
     assert at_rest[0, 1, 1] > 2e-4
-    np.testing.assert_allclose(turned, at_rest[:, ::-1, ::-1], atol=1e-6)
+    np.testing.assert_allclose(rotated, at_rest[:, ::-1, ::-1], atol=1e-6)
     back = without_motion(field, motion_of(field))
     np.testing.assert_allclose(back.shared[1], at_rest, atol=1e-6)
 
 
 @pytest.mark.exhaustive
-def test_the_height_of_an_imaged_wave_agrees_with_its_form_and_with_openfcd():
+def test_the_height_of_an_imaged_wave_agrees_with_its_formula_and_with_openfcd():
     board = (24, 24, 276, 276)
     images = [
         moved_board((300, 300), 12, lambda q: 0 * q, board=board, noise=2),

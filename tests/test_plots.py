@@ -17,7 +17,7 @@ from cmp_cl.viz.video import OverlayVideo
 
 
 def record(path, *, views, frames=5):
-    """Return a series of 8 x 10 nodes that stretch by 1 % a frame along x; (2, 3) is missing."""
+    """Write a series of 8 x 10 nodes that stretch by 1 % a frame along x, without (2, 3)."""
     row, column = np.mgrid[:8, :10]
     rest = np.stack([5.0 * column, 5.0 * row, 0 * row + 40.0], axis=-1)[..., : views + 1]
     constants = {"rest": rest, "unit": "px" if views == 1 else "mm"}
@@ -51,7 +51,7 @@ def test_maps_show_what_was_recorded(recorded):
     assert recorded.values(Quantity.SIGMA, last)[0][0, 0] == 0.02
 
 
-def test_height_is_towards_the_cameras_and_of_two_views_only(tmp_path):
+def test_height_is_towards_the_cameras_and_needs_two_views(tmp_path):
     two = Recorded.of(read_series(record(tmp_path / "two.npz", views=2)))
     height, unit = two.values(Quantity.HEIGHT, 4)
     assert unit == "mm"
@@ -128,8 +128,11 @@ def test_a_file_that_is_no_series_of_nodes_is_refused(tmp_path):
         )
     with open_series(tmp_path / "none.npz", None, {"rest": np.zeros((2, 2, 2))}):
         pass
-    with pytest.raises(FieldError, match="no"):
+    with pytest.raises(FieldError, match="no displacement or xy"):
         Recorded.of(read_series(tmp_path / "none.npz"))
+    rest, xy = np.zeros((2, 2, 2)), np.zeros((0, 2, 2, 2))
+    with pytest.raises(FieldError, match="no frame"):
+        Recorded.of({"index": np.arange(0), "time_ms": np.zeros(0), "rest": rest, "xy": xy})
 
 
 # videos

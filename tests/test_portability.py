@@ -1,6 +1,6 @@
-"""The features of every OpenCL 1.2 device are enough, and every form of a stage runs on each.
+"""The features that every OpenCL 1.2 device has are enough, and each form runs on all of them.
 
-The set is small enough for a simulator that checks each memory access.
+The tests are few enough for a simulator that checks each memory access.
 """
 
 import re
@@ -67,15 +67,15 @@ SIXTEEN_BITS = {
 
 @pytest.fixture
 def other_form(device, form):
-    """Return the device under test in the form that is not its own, which all other tests run."""
+    """Return the device under test in the form that is not its own, which no other test runs."""
     if form is form_for(device) and "Oclgrind" not in device.platform:
-        pytest.skip("all other tests run this form here")
+        pytest.skip("other tests run this form here")
     return in_form(device, form)
 
 
 def check(device, config, frames):
-    """Check frames alone, in a batch and in a stream; the counts of corners differ from frame to
-    frame."""
+    """Assert that frames give the oracle's corners, alone, in a batch and in a stream; return the
+    numbers of corners."""
     with Detector(
         shape=frames[0].shape, dtype=frames[0].dtype, config=config, device=device
     ) as detector:
@@ -94,7 +94,7 @@ def test_every_kernel_equals_the_oracle_in_every_form(other_form, name):
 
 
 @pytest.mark.parametrize("name", SIXTEEN_BITS)
-def test_every_kernel_equals_the_oracle_in_every_form_of_sixteen_bits(other_form, name):
+def test_every_kernel_for_sixteen_bits_equals_the_oracle_in_every_form(other_form, name):
     assert check(other_form, SIXTEEN_BITS[name], [DEEP, DEEP[::-1].copy()])[0] > 0
 
 
@@ -120,9 +120,9 @@ def test_groups_of_64_are_enough(device, monkeypatch):
 
 
 def test_kernels_use_nothing_optional():
-    """No local memory, doubles, images, printf, sub-groups or extensions; so 16 KB are enough.
+    """No local memory, barriers, doubles, halves, images, printf, sub-groups or extensions.
 
-    A compiler that does not know `#pragma unroll` ignores it (C99, 6.10.6).
+    `#pragma unroll` is allowed: a compiler that does not know it ignores it (C99, 6.10.6).
     """
     words = r"\b(__local|local|double\d*|image\dd\w*|printf|sub_group\w*|barrier|half)\b"
     words += r"|#\s*pragma(?! unroll$)"

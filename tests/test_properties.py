@@ -1,4 +1,4 @@
-"""Properties for any image: rotated, mirrored, inverted, cropped from a buffer, in a batch."""
+"""What holds for any image: rotated, mirrored, inverted, cropped from a buffer, in a batch."""
 
 import hypothesis
 import numpy as np
@@ -87,7 +87,7 @@ def test_rotating_an_image_rotates_its_maps(detector_for, seed, config, turn):
 
 
 def assert_same_places(found, expected, *, tolerance):
-    """Assert that every position has its partner within the tolerance, px."""
+    """Assert that every position, (N, 2), has a partner within the tolerance, px."""
     assert len(found) == len(expected) > 4
     distance = np.linalg.norm(found[:, None] - expected, axis=2)
     assert distance.min(axis=0).max() < tolerance

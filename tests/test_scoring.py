@@ -1,3 +1,5 @@
+"""A score tells which corners are found, missed or false, and how far off they are."""
+
 import numpy as np
 import pytest
 

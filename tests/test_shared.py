@@ -38,7 +38,9 @@ def test_what_the_host_writes_a_kernel_reads_and_the_other_way_round(handle):
             np.testing.assert_array_equal(here, value + 1)
 
 
-def test_a_detector_gives_the_same_corners_with_and_without_it(handle, device, monkeypatch):
+def test_a_detector_gives_the_same_corners_with_and_without_shared_memory(
+    handle, device, monkeypatch
+):
     results = []
     for shares in (True, False):
         monkeypatch.setattr(plans, "shares_memory", lambda _, shares=shares: shares)
@@ -51,7 +53,7 @@ def test_a_detector_gives_the_same_corners_with_and_without_it(handle, device, m
 
 @pytest.fixture
 def large(handle, device):
-    """Yield a detector of frames that take it milliseconds, and two such frames."""
+    """Yield a detector of large frames, which take milliseconds each, and two such frames."""
     board = np.tile(BOARD, (16, 16))
     with Detector(shape=board.shape, device=device) as detector:
         yield detector, board, np.roll(board, 7, axis=1)

@@ -3,8 +3,6 @@
 import dataclasses
 import itertools
 import math
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -73,7 +71,7 @@ def test_the_covariance_is_that_of_the_errors(sigma_left, sigma_right):
     miss = (points.xyz - truth).reshape(-1, 3)
     covariance = points.covariance.reshape(-1, 3, 3)
     chi2 = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(covariance), miss)
-    assert chi2.mean() == pytest.approx(3, rel=0.08)
+    assert chi2.mean() == pytest.approx(3, rel=0.08)  # 4 standard errors of 1600 nodes
     rmse = math.sqrt(np.square(miss).sum(axis=1).mean())
     assert rmse == pytest.approx(math.sqrt(np.trace(covariance.mean(axis=0))), rel=0.05)
     largest = np.linalg.eigvalsh(covariance)[:, 2]
@@ -114,16 +112,26 @@ def test_the_source_is_the_less_direct_of_both_sides():
     ]
 
 
-def test_no_node_in_common_gives_an_empty_result():
+def test_grids_without_nodes_give_an_empty_result():
     rig = toed_in_rig()
     nothing = grid_of(np.full((4, 5, 2), np.nan))
     points = rig.triangulate(nothing, nothing)
-    assert points.xyz.shape == (4, 5, 3)
-    assert not points.valid.any()
+    np.testing.assert_array_equal(points.xyz, np.full((4, 5, 3), np.nan))
+    assert (points.status == PointStatus.MISSING).all()
+
+
+def test_grids_that_share_no_node_give_an_empty_result():
+    rig = toed_in_rig()
+    left, right = project(rig, gel())
+    left[:, 10:] = right[:, :10] = np.nan
+    points = rig.triangulate(grid_of(left), grid_of(right))
+    np.testing.assert_array_equal(points.xyz, np.full((20, 20, 3), np.nan))
+    assert (points.status == PointStatus.MISSING).all()
+    assert (points.source == NodeStatus.MISSING).all()
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_two_points_are_no_special_case(count):
+def test_one_to_three_points_are_no_special_case(count):
     rig, truth = toed_in_rig(), gel()[:1, :count]
     left, right = project(rig, truth)
     np.testing.assert_allclose(rig.triangulate(grid_of(left), grid_of(right)).xyz, truth, atol=2e-5)
@@ -183,7 +191,7 @@ def test_nodes_without_depth_are_flagged(left, right, status):
         assert np.isnan(values).all() == (status != PointStatus.VALID)
 
 
-def test_cameras_that_look_at_each_others_side_see_far_points_as_parallel():
+def test_toed_in_cameras_see_far_points_as_parallel():
     rig = toed_in_rig()
     far = np.array([[[-2e4, 0, 1e5], [-1e4, 0, 1e5]]])
     points = rig.triangulate(*(grid_of(view) for view in project(rig, far)))
@@ -372,8 +380,8 @@ def boards(rig, rng, count=12, sigma=0.05, tilt=0.5):
     flat = np.stack([(column - 4) * 3.0, (row - 3) * 3.0, np.zeros((7, 9))], axis=-1)
     views = []
     for _ in range(count):
-        turn = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
-        place = flat @ turn.T + [*rng.uniform(-3, 3, 2), 50 + rng.uniform(-6, 6)]
+        rotation = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
+        place = flat @ rotation.T + [*rng.uniform(-3, 3, 2), 50 + rng.uniform(-6, 6)]
         views.append(tuple(noisy(view, sigma, rng) for view in project(rig, place)))
     return views
 
@@ -449,6 +457,7 @@ def test_the_sigma_of_the_focal_length_is_that_of_its_error():
         views = boards(rig, np.random.default_rng(seed), count=6, tilt=0.3)
         found = calibrate_camera([left for left, _ in views], spacing=3, image_size=(800, 1200))
         deviations.append((found.matrix[0, 0] - rig.K1[0, 0]) / found.focal_sigma)
+    # From 20 calibrations, the ratio has a standard error of 16 %.
     assert 0.6 < np.sqrt(np.mean(np.square(deviations))) < 1.5
 
 
@@ -469,7 +478,7 @@ def test_the_bumblebee_pairs_show_squares_of_30_mm():
     assert lengths.std() < 0.14
 
 
-def test_opencvs_pairs_measure_a_board_they_were_not_calibrated_on():
+def test_opencvs_pairs_measure_a_board_in_a_view_that_calibration_did_not_see():
     folder = photographs("stereo_opencv")
     views = [
         tuple(truth_grid(folder / f"{side}{pair:02}.json") for side in ("left", "right"))
@@ -492,12 +501,6 @@ def test_a_rendered_pair_lies_where_it_was_rendered():
     left, right, truth = render_stereo(scene, rig)
     points = rig.triangulate(grid_of(left.truth), grid_of(right.truth))
     np.testing.assert_allclose(points.xyz, truth, atol=2e-4)  # mm, of float32 pixels
-
-
-def test_importing_the_module_imports_no_extra():
-    code = "import sys, cmp_cl.stereo, cmp_cl.field; print('matplotlib' in sys.modules)"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-    assert result.stdout.strip() == b"False"
 
 
 def test_the_calibrations_own_covariance_is_that_of_its_errors():

@@ -20,7 +20,7 @@ CLEAN = {"corrosion": 0.0, "noise": 0.0, "light": 0.0, "vignetting": 1.0, "bits"
 def saddles(image, points):
     """Return the saddle of the grey levels near each point, by quadrics over 5 x 5 samples.
 
-    Each is fitted again around the saddle of the last, where a corner's symmetry cancels
+    The fit is repeated around the saddle that it finds, where the symmetry of a corner cancels
     what is not quadratic.
     """
     grey = image.astype(np.float32)
@@ -36,7 +36,7 @@ def saddles(image, points):
     return np.array(found)
 
 
-def test_markers_are_the_inner_corners_of_a_side():
+def test_markers_counts_the_inner_corners_along_a_side():
     rendered = synthetic.render(Scene(markers=44))
     assert rendered.image.shape == (480, 640)
     assert rendered.image.dtype == np.uint8
@@ -135,7 +135,7 @@ def test_displacement_grows_with_severity(indenter, mode):
     assert (np.diff(moved) > 0.1).all()
 
 
-def test_severity_one_is_two_millimetres_down_and_a_shear_and_twist_of_their_size():
+def test_severity_one_is_a_press_of_2_mm_a_shear_of_1_2_mm_or_a_twist_of_20_degrees():
     middle = np.zeros((1, 2))
     press = surface(Scene(indenter=Indenter.CUBE), middle)[0]
     np.testing.assert_allclose(press, [0, 0, -2], atol=1e-9)
@@ -148,7 +148,7 @@ def test_severity_one_is_two_millimetres_down_and_a_shear_and_twist_of_their_siz
     assert math.degrees(math.atan2(twist[1], twist[0])) == pytest.approx(20, abs=0.01)
 
 
-def test_junctions_lie_on_the_rim_around_the_nodes():
+def test_junctions_lie_on_the_sides_of_the_pattern_one_cell_from_the_nodes():
     rendered = synthetic.render(Scene(markers=20, indenter=Indenter.NONE, surround=Surround.WHITE))
     cell = 0.92 * 480 / 21
     half = 0.92 * 480 / 2
@@ -177,8 +177,8 @@ def test_points_in_space_project_to_the_truth_of_both_views(pair):
         (left, np.eye(3), np.zeros(3), rig.K1, rig.D1),
         (right, rig.R, rig.T, rig.K2, rig.D2),
     ]
-    for view, turn, shift, matrix, distortion in cameras:
-        seen = cv2.projectPoints(flat, cv2.Rodrigues(turn)[0], shift, matrix, distortion)[0]
+    for view, R, T, matrix, distortion in cameras:
+        seen = cv2.projectPoints(flat, cv2.Rodrigues(R)[0], T, matrix, distortion)[0]
         np.testing.assert_allclose(seen.reshape(view.truth.shape), view.truth, atol=1e-9)
         assert view.truth.min() > 0
         assert (view.truth < [399, 599]).all()
@@ -194,7 +194,7 @@ def test_both_images_show_the_corners_of_the_rig_with_distortion(pair):
         assert error.max() < 0.15
 
 
-def test_the_rest_frame_is_a_flat_sheet_of_the_stated_size(pair):
+def test_the_gel_at_rest_is_a_flat_sheet_of_the_stated_size(pair):
     scene, rig, (_, _, xyz) = pair
     rest = synthetic.render_stereo(scene.at_rest(), rig)[2]
     pitch = 32 / 21

@@ -72,7 +72,7 @@ def test_colours_and_legend_tell_the_methods_apart():
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (3, 2000), (2500, 10)])
-def test_any_size_can_be_drawn(shape):
+def test_an_image_of_any_size_can_be_drawn(shape):
     image = np.zeros(shape, np.uint8)
     picture = corner_overlay(image, corners_at([], Method.KEPT))
     assert picture.dtype == np.uint8
@@ -147,7 +147,7 @@ def test_no_two_statuses_share_a_colour():
     assert len(set(STATUS_COLOURS.values())) == len(NodeStatus)
 
 
-def test_an_empty_grid_is_a_picture_too():
+def test_an_empty_grid_can_be_drawn():
     picture = grid_overlay(np.zeros((40, 40), np.uint16), grid_of(np.full((2, 2, 2), np.nan)))
     assert picture.shape[2] == 3
     assert not picture[: picture.shape[1]].any()
@@ -225,7 +225,7 @@ def test_a_field_that_makes_no_surface_is_refused():
         surface_figure(field_of(gel(1, 5, depth=0), gel(1, 5)))
 
 
-def test_no_movement_is_a_picture_too(tmp_path):
+def test_a_field_without_displacement_can_be_drawn(tmp_path):
     field = field_of(gel(3, 4, depth=0), gel(3, 4, depth=0))
     save_figure(tmp_path / "still.png", surface_figure(field))
     still = grid_of(lattice())
@@ -234,7 +234,7 @@ def test_no_movement_is_a_picture_too(tmp_path):
         assert cv2.imread(str(tmp_path / name)).std() > 5
 
 
-def test_a_recording_for_rerun_appears_whole(tmp_path):
+def test_a_recording_for_rerun_appears_as_a_whole(tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     path = tmp_path / "press.rrd"
     now = gel(4, 5)
@@ -266,7 +266,7 @@ def recorded(path, column):
     return [value for _, value in sorted(found)]
 
 
-def test_a_recording_keeps_its_pictures_small_and_its_lines_apart_at_gaps(tmp_path):
+def test_a_recording_for_rerun_has_compressed_images_and_lines_that_end_at_gaps(tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     path = tmp_path / "press.rrd"
     noise = np.random.default_rng(0).normal(128, 40, (480, 640))
@@ -291,10 +291,10 @@ def test_a_recording_keeps_its_pictures_small_and_its_lines_apart_at_gaps(tmp_pa
     assert none == []
 
 
-def test_importing_the_module_imports_no_extra():
+def test_importing_the_modules_imports_no_extra():
     code = (
-        "import sys, cmp_cl.viz; print([name for name in ('matplotlib', 'rerun', 'pyvista') "
-        "if name in sys.modules])"
+        "import sys, cmp_cl.viz, cmp_cl.stereo, cmp_cl.field; "
+        "print([name for name in ('matplotlib', 'rerun', 'pyvista') if name in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
     assert result.stdout.strip() == b"[]"

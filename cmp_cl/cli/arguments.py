@@ -43,7 +43,7 @@ def refuse_to_overwrite(
 
 
 def unit_name(text: str) -> str:
-    """Return the name of a unit as it is given, if it is one."""
+    """Return the name of a unit; raises ArgumentTypeError if the text is none."""
     if not text.strip() or not text.isprintable():
         raise argparse.ArgumentTypeError(f"{text!r} is not a unit such as mm")
     return text

@@ -32,12 +32,13 @@ from cmp_cl.cli.arguments import (
 )
 from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
-from cmp_cl.cli.shots import PAIR_WITHIN, Pairs, Shot, Source
+from cmp_cl.cli.sources import PAIR_WITHIN, Pairs, Source
 from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
+from cmp_cl.media import Frame
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, open_series
 from cmp_cl.stereo import StereoRig
@@ -379,7 +380,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     settings = _Settings.of(arguments)
     source = settings.source
-    rest, shots = source.rest(settings.rest_frame)
+    rest, frames = source.rest(settings.rest_frame)
     tally, stop, display = _Tally(track=settings.track), Stop(), _Display(settings)
     full: OSError | None = None
     with contextlib.ExitStack() as stack:
@@ -392,24 +393,24 @@ def run(arguments: argparse.Namespace) -> int:
         )
         stack.callback(ignore)  # no signal stops the closing of the series
         progress = stack.enter_context(Progress(source.total, "frames"))
-        for shot in stack.enter_context(contextlib.closing(shots)):
+        for frame in stack.enter_context(contextlib.closing(frames)):
             if stop.name:
                 break
             progress.step()
-            image = shot.image
+            image = frame.image
             if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
                 tally.broken += 1
                 measure.skip()
                 if tally.broken <= _LINES_OF_BROKEN:
-                    progress.say(f"cmp-cl: {_why_broken(shot, rest)}", sys.stderr)
+                    progress.say(f"cmp-cl: {_why_broken(frame, rest)}", sys.stderr)
                 continue
             start = time.perf_counter()
             measured = measure(image)
             spent = (time.perf_counter() - start) * 1e3
             try:
                 series.append(
-                    index=shot.number,
-                    time_ms=shot.time_ms,
+                    index=frame.index,
+                    time_ms=frame.time_ms,
                     ambiguous=measured.ambiguous,
                     **measured.arrays,
                 )
@@ -418,8 +419,8 @@ def run(arguments: argparse.Namespace) -> int:
             except OSError as error:
                 full = error
                 break
-            tally.add(shot.number, measured, spent)
-            display.frame(shot, measured, at_rest)
+            tally.add(frame.index, measured, spent)
+            display.frame(frame, measured, at_rest)
     ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
     if isinstance(source, Pairs):
@@ -481,7 +482,7 @@ class _Display(contextlib.AbstractContextManager["_Display"]):
             except OSError as error:
                 self.error = error
 
-    def frame(self, shot: Shot, measured: Measured, rest: NDArray[Any]) -> None:
+    def frame(self, frame: Frame, measured: Measured, rest: NDArray[Any]) -> None:
         """Add a frame; rest: the positions at rest, (R, C, 2) px or (R, C, 3)."""
         if self.error is not None:
             return
@@ -490,28 +491,28 @@ class _Display(contextlib.AbstractContextManager["_Display"]):
         try:
             if self._log is not None:
                 self._log.frame(
-                    index=shot.number,
-                    time_ms=shot.time_ms,
+                    index=frame.index,
+                    time_ms=frame.time_ms,
                     image=image,
                     grid=grid,
                     field=field,
                 )
             if self._overlay is not None:
                 moved = grid.xy - rest if field is None else field.displacement
-                time_s = "" if np.isnan(shot.time_ms) else f"  {shot.time_ms / 1e3:.3f} s"
-                text = f"frame {shot.number}{time_s}  {measured.nodes} nodes"
+                time_s = "" if np.isnan(frame.time_ms) else f"  {frame.time_ms / 1e3:.3f} s"
+                text = f"frame {frame.index}{time_s}  {measured.nodes} nodes"
                 self._overlay.frame(image, grid, np.linalg.norm(moved, axis=2), text=text)
         except OSError as error:
             self.error = error
 
 
-def _why_broken(shot: Shot, rest: GreyImage) -> str:
-    if shot.image is None:
-        return f"frame {shot.number} cannot be read and is skipped"
-    rows, columns = shot.image.shape
+def _why_broken(frame: Frame, rest: GreyImage) -> str:
+    if frame.image is None:
+        return f"frame {frame.index} cannot be read and is skipped"
+    rows, columns = frame.image.shape
     return (
-        f"frame {shot.number} is {columns} x {rows} px of {shot.image.dtype}, the frame at rest is "
-        f"{rest.shape[1]} x {rest.shape[0]} of {rest.dtype}; it is left out"
+        f"frame {frame.index} is {columns} x {rows} px of {frame.image.dtype}, the frame at rest "
+        f"is {rest.shape[1]} x {rest.shape[0]} of {rest.dtype}; it is left out"
     )
 
 

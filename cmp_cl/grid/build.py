@@ -26,12 +26,12 @@ from cmp_cl.image import GreyImage, check_image
 
 SMALL = 0.1  # least share of the corners that the pattern must hold
 RIVAL = 0.5  # a second component of this share of the first is a second pattern
-# Of the area of the first pattern; a pattern of cells a quarter as wide is texture.
+# Share of the area of the first pattern; a pattern of cells a quarter as wide is texture.
 RIVAL_AREA = 1 / 16
 OTHER = 12  # corners: a lattice of so many may be the pattern that is meant
 WHOLE = 0.9  # share of the nodes of a known shape
 BORDERS = 3  # sides; the edge of the image, or things beside, may hide one
-FEW = 0.01  # share of the corners that may be sparser than those of a board among many others
+FEW = 0.01  # share of the corners that may be sparser than those of a board in fine texture
 LEAST_BOARD = 9  # corners of a board among several
 TORN = 0.15  # px: a corner whose sigma is not below it is torn, as is one not refined as asked
 
@@ -130,9 +130,9 @@ def build_grid(
     not decide, it is the largest, unless another is comparable.
 
     Raises GridError if corners have no finite position or no edge angles, if two comparable
-    patterns are seen, if the largest lattice holds few of the corners, if
-    a shape is far larger than the number of corners, if `like` is empty or contradicts
-    `shape`; ImageError for an image that is not one, or not the corners' own.
+    patterns are seen, if the largest lattice holds few of the corners, if a shape is far larger
+    than the number of corners, if `like` is empty or contradicts `shape`; ImageError for an image
+    that is not one, or not the corners' own.
     """
     shape = _known_shape(shape, like)
     _check_previous(previous, like)
@@ -219,7 +219,7 @@ def _boards(
 def _checked(
     corners: Corners, image: GreyImage | None, shape: tuple[int, int] | None, region: Region | None
 ) -> tuple[Index, Seen]:
-    """Check the arguments; return the mask of the corners in the region, and their data."""
+    """Check the arguments; return the indices of the corners in the region, and their data."""
     if not isinstance(corners, Corners):
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
@@ -258,9 +258,10 @@ def _found(seen: Seen, *, sparse_boards: bool = True) -> Lattice | None:
 
 
 def _with_wider(found: Lattice, left: Index, wider: Lattice) -> Lattice:
-    """Return the lattice with the boards among the corners that were left, whose cells are wider.
+    """Return the lattice together with boards of wider cells among the corners that were left over.
 
-    A board of few corners before fine texture is sparse: its neighbours are out of reach at first.
+    left: (M,), these corners. wider: their lattice. A board of few corners in front of fine texture
+    is sparse: its corners are at first too far apart for neighbours.
     """
     count = int(np.count_nonzero(wider.size >= LEAST_BOARD))
     if not count:
@@ -280,7 +281,7 @@ def _with_wider(found: Lattice, left: Index, wider: Lattice) -> Lattice:
 
 
 def _whole(seen: Seen, found: Lattice, component: int = 0) -> tuple[Lattice, Nodes]:
-    """Return the lattice with that component cut until it is one pattern, and that in its box."""
+    """Return the lattice with that component cut until it is one pattern, and its boxed nodes."""
     while True:
         nodes = boxed(seen.z, found, component)
         parts = cut(found, nodes, component)
@@ -434,9 +435,9 @@ def _empty(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None
 def _others(found: Lattice, board: Board, seen: Seen, *, alone: bool) -> int:
     """Return the corners of the largest other lattice that may be the pattern that is meant, or 0.
 
-    alone: whether that board alone is seen whole. If so, another lattice counts if it is
-    comparable; if not, GridError is raised then, and smaller ones count. What counts are its
-    corners and the area that they cover: fine texture in a room's background forms lattices too.
+    alone: whether that board alone is seen whole. If so, only a comparable lattice may be meant. If
+    not, a comparable one raises GridError, and a smaller one may be meant. Lattices are compared by
+    their corners and the area that these cover: fine texture in a room forms lattices too.
     """
     if len(found.size) < 2 or found.size[1] < OTHER:
         return 0

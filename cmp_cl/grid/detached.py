@@ -1,4 +1,4 @@
-"""Parts of a lattice that nothing links to the rest any more, and whose numbers are wrong."""
+"""Drops parts of a lattice that nothing links to the rest any more and whose numbers are wrong."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ def drop_detached(nodes: Nodes) -> None:
     """Drop small parts of the nodes that lie elsewhere than the nodes around them say.
 
     A cell that closes by chance, across something that hides the pattern, can link a part with
-    wrong numbers. When its nodes are dropped as misfits, the part is left without a link.
+    wrong numbers. When the nodes of that cell are dropped as misfits, no link to the part is left.
     """
     there = nodes.there
     if there.all() or not there.any():

@@ -33,8 +33,8 @@ USUAL = Least(0.4, 0.2, 0.85, 0.12)
 ALONE = Least(0.8, 0.7, 0.95, 0.12)  # for a node without a whole cell
 # px: a node in a whole cell may be so far from its prediction, however small the cells are.
 NEAR = 1.5
-HIDDEN = 0.4  # cells: nodes nearer than that to the edge of the image may be missed
-STRAY = 0.5  # px: nodes of a last line that has few may be so far from their predictions
+HIDDEN = 0.4  # cells: nodes nearer to the edge of the image than that may be missed
+STRAY = 0.5  # px: stragglers may be so far from their predictions
 BESIDE = 2  # nodes to each side whose distances from their predictions are compared
 SHARE, ALIKE = 0.25, 4.0  # quantile of these distances, and the largest multiple of it
 BENT = 0.25  # cells: largest distance that a bend of the surface explains
@@ -43,7 +43,7 @@ EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
 
 
 def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
-    """Reject nodes at the rim that do not look like corners of the pattern; return whether any was.
+    """Reject nodes at the rim that do not look like the pattern's; return whether there were any.
 
     Junctions with the surround, dots and codes in cells, T junctions and the corners of a room fail
     in one of two ways: they do not have four sectors with the colours of their number, or their
@@ -69,11 +69,12 @@ def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
         dropped = True
 
 
-def refuse_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
-    """Drop the few nodes of a last line that are not as good as the others; return whether any was.
+def reject_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
+    """Reject stragglers that are not as good as other nodes; return whether there were any.
 
     Where a board touches things behind it, some of these complete its outer squares by chance. A
-    line at which less than half of the nodes in view are there is probably beyond the border.
+    last line that has at most half of the nodes in view is probably beyond the border; its nodes
+    are stragglers. edges: (N, 4) rad, as in `Corners`.
     """
     dropped = False
     while _has_few(nodes.there):
@@ -107,7 +108,7 @@ def _has_few(there: Mask) -> bool:
 
 
 def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index]:
-    """Return the nodes of the last lines at which half of the nodes are missing though in view."""
+    """Return the nodes of the last lines that have at most half of the nodes in view."""
     few = np.zeros(nodes.at.shape, np.bool_)
     for quarters in range(4):
         at, found = turned_lines(nodes.at, quarters), turned_lines(few, quarters)

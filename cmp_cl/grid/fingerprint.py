@@ -81,7 +81,7 @@ def _kept(shape: tuple[int, int], kind: DTypeLike, xy: bytes, status: bytes) -> 
 
 def _rough(at: Points) -> tuple[Points, Float]:
     """Return the distances of nodes from the cubics through their neighbours, cells, and the
-        lengths of the steps, px.
+    lengths of the steps, px.
 
     (R - 4, C - 4) each, without the two outermost lines of each side, or empty. A distance is the
     mean of x - (4 (L + R) - (LL + RR)) / 6 along the row and along the column, divided by the step

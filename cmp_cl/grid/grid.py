@@ -99,7 +99,7 @@ class Grid:
     reflected: whether a part of the pattern may be the reflection of another part. The grid is then
         ambiguous.
     others: corners of the largest other lattice in view that may be the pattern that is meant,
-        0 where none is: a board before squares, or a part of a torn pattern without numbers.
+        0 where none is: squares behind a board, or a part of a torn pattern without numbers.
         It is not looked for where the shape is known.
     margin: the motion of the pattern's middle according to the rival, minus that according to these
         numbers, cells; NaN without a rival, or if too few nodes show it.

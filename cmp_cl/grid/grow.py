@@ -23,7 +23,7 @@ from cmp_cl.image import GreyImage
 NEAR = 0.3  # cells: largest distance of a node from its prediction
 ASTRAY = 0.07  # cells: a torn node that is farther from its prediction is looked for again,
 OUTLYING = 3.5  # if it is farther by this factor than nodes of its frame usually are
-PASSES = 2  # the nodes that are found the first time show where others are
+PASSES = 2  # nodes that the first pass finds show where others are
 USUAL = 25  # so many nodes show what is usual
 WIDEST = 18.0  # px: in wider cells a torn corner's own image is worth more than its neighbours
 ALONG = 0.25  # cells: how far from its prediction its edges may put it
@@ -61,7 +61,7 @@ def grow(nodes: Nodes, seen: Seen) -> None:
         _reject(nodes, seen)
     nodes.crop()
     if seen.image is not None:
-        evidence.refuse_stragglers(nodes, seen.image, seen.edges)
+        evidence.reject_stragglers(nodes, seen.image, seen.edges)
 
 
 def extend(nodes: Nodes, seen: Seen, closed: Sides) -> None:
@@ -109,7 +109,7 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
 
 
 def _reject(nodes: Nodes, seen: Seen) -> None:
-    """Drop nodes at the rim that do not look like corners of the pattern."""
+    """Reject nodes at the rim that do not look like corners of the pattern."""
     if seen.image is not None:
         evidence.reject(nodes, seen.image, seen.edges)
 
@@ -117,8 +117,8 @@ def _reject(nodes: Nodes, seen: Seen) -> None:
 def drop_misfits(nodes: Nodes) -> None:
     """Drop nodes far from a well supported prediction, the worst of each neighbourhood first.
 
-    It examines only nodes near a change since the last call. Corners that
-    are far enough from their prediction to be astray are marked.
+    It examines only nodes near a change since the last call. Corners that are far enough from their
+    prediction to be astray are marked.
     """
     while nodes.changed.any():
         place = _near_changes(nodes)
@@ -138,7 +138,7 @@ def drop_misfits(nodes: Nodes) -> None:
 
 
 def _near_changes(nodes: Nodes) -> Index:
-    """Return the places of the nodes whose misfit may have changed."""
+    """Return the flat indices of the nodes whose misfit may have changed."""
     seen = nodes.there
     rows, columns = seen.shape
     if not nodes.changed.all():
@@ -151,7 +151,7 @@ def _near_changes(nodes: Nodes) -> Index:
 
 
 def _misfits(at: Points, place: Index) -> Float:
-    """Return the distances of nodes from well supported predictions, cells; 0 below a pixel."""
+    """Return the distances of nodes from well supported predictions, cells; 0 up to a pixel."""
     columns = at.shape[1]
     if len(place) > FEW:
         outside, outer = beside_missing(~np.isnan(at.real))

@@ -3,8 +3,7 @@
 A cell that closes by chance can link a board to squares behind it, or two parts of a torn
 pattern by wrong numbers. The steps tell: on one pattern they change little from one cell to the
 next, and where it is bent they go on changing as they did. So neighbouring cells whose steps agree
-belong together. What is linked to them only through cells that do not agree is
-another lattice.
+belong together. What is linked to them only through cells that do not agree is another lattice.
 """
 
 from typing import NamedTuple
@@ -20,7 +19,7 @@ Steps = NDArray[np.complex64]
 
 ALIKE = 0.25  # of the steps: largest difference between two cells of one pattern
 BENT = 0.3  # of the steps: largest difference of their change from the ones before and after
-CONTACTS = 3  # pairs of cells that show a bend between two parts
+PAIRS = 3  # of cells, which show that there is a bend between two parts
 LEAST = 4  # cells that may be another pattern
 NEIGHBOURS = (0, 1), (1, -1), (1, 0), (1, 1)  # the other four are their opposites
 
@@ -100,7 +99,7 @@ def _whole_cells(along: Steps, down: Steps) -> _Cells:
 def _parts(cells: _Cells) -> Index:
     """Return the part of each cell, numbered by one of its cells.
 
-    Neighbours that agree are of one part.
+    Neighbours that agree belong to one part, and so do cells before and after a bend.
     """
     size = cells.size()
     pairs = []
@@ -136,8 +135,8 @@ def _bends(cells: _Cells, part: Index, r: int, c: int) -> Index:
     size = cells.size()
     bent = off < BENT**2 * np.minimum(size[one], size[other])
     low, high = np.minimum(part[one], part[other]), np.maximum(part[one], part[other])
-    contacts, pair = np.unique(low * len(part) + high, return_inverse=True)
-    joined = contacts[np.bincount(pair, bent) >= CONTACTS]
+    touching, pair = np.unique(low * len(part) + high, return_inverse=True)
+    joined = touching[np.bincount(pair, bent) >= PAIRS]
     return np.stack(np.divmod(joined, len(part)))
 
 

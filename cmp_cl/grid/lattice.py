@@ -18,7 +18,7 @@ Mask = NDArray[np.bool_]
 # Cells: largest distance of a neighbour; the cell is that of the sparser parts.
 FARTHEST_NEIGHBOUR = 1.6
 SPARSE = 0.1  # share of the points that may be farther apart than the cells
-BINS = 4  # of the points, along a row, to the largest distance of neighbours
+BINS = 4  # along a row, for the largest distance of neighbours
 MOST_BINS = 8  # for each point
 CROWD = 64  # most points within reach on one side of a point of a lattice
 COSINE = 0.75  # least cosine between a boundary and the direction to the neighbour
@@ -35,7 +35,7 @@ class Lattice(NamedTuple):
     node: (N,) complex64, column + 1j row, whole numbers, from an arbitrary origin.
     turn: (N,) complex64, boundary e0 points along this unit of the lattice.
     support: (N,) int64, consistent links of the corner.
-    axis: (K,) complex, along the mean direction of +1 in the image, of each component.
+    axis: (K,) complex, of each component: along the mean direction of +1 in the image.
     """
 
     component: Index
@@ -49,7 +49,7 @@ class Lattice(NamedTuple):
 def lattice(z: Complex, edges: NDArray[np.float32], sparse: float = SPARSE) -> Lattice:
     """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad.
 
-    sparse: as of `near_pairs`.
+    sparse: as in `near_pairs`.
     """
     order, first, second, step = near_pairs(z, sparse)
     lines = lines_of(edges)
@@ -73,7 +73,7 @@ def near_pairs(z: Complex, sparse: float = SPARSE) -> tuple[Index, Index, Index,
 
     Returns an order of the points, the pairs as places in that order, each pair once, the lower
     place first, and the step from the first to the second. The cell follows from the density
-    that all but a share of the points, `sparse`, exceed.
+    that is exceeded around all points but a share, `sparse`.
     """
     x, y = z.real.astype(np.float64), z.imag.astype(np.float64)
     x -= x.min()
@@ -87,8 +87,8 @@ def near_pairs(z: Complex, sparse: float = SPARSE) -> tuple[Index, Index, Index,
     crowd = crowds[crowds.cumsum().searchsorted(int(sparse * len(z)), side="right")]
     reach = max(FARTHEST_NEIGHBOUR * tile / np.sqrt(crowd), extent / 1024)
 
-    # Bins of the image, in rows `reach` high, are laid end to end on one axis, with empty ones
-    # between the rows. Their number is in proportion to the points at most.
+    # The image is divided into bins, in rows `reach` high. They are numbered row by row, with empty
+    # ones between the rows. Their number is at most proportional to that of the points.
     bin_width = max(reach / BINS, wide * high / (reach * MOST_BINS * len(z)))
     margin = int(reach / bin_width) + 1
     columns = int(wide / bin_width) + 1 + margin
@@ -101,7 +101,7 @@ def near_pairs(z: Complex, sparse: float = SPARSE) -> tuple[Index, Index, Index,
     number, z = number.take(order), z.take(order)
     until = np.bincount(number + 1, minlength=rows * columns + margin + 1).cumsum()
     depth = row + 1 - y  # from a point to the next row
-    width = np.sqrt(1 - depth * depth) * (reach / bin_width)  # of that row, within reach, half
+    width = np.sqrt(1 - depth * depth) * (reach / bin_width)  # bins: half of what is in reach there
     next_row = (row + 1) * columns
     below = np.maximum(x - width, 0).astype(np.int64) + next_row
     beyond = (x + width).astype(np.int64) + (next_row + 1)
@@ -143,8 +143,8 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
 
     A corner looks along that half of its two lines which is nearest to the direction of the other
     corner. On a checkerboard one of two neighbours crosses from white to black there and the other
-    from black to white, so the sum of the boundaries' numbers is odd. The choice is by length * (1
-    + 4 (1 - cos)) of both ends.
+    from black to white, so the sum of the boundaries' numbers is odd. A half-edge chooses the least
+    product of the length and the factors 1 + 4 (1 - cos) of both ends.
     """
     length = np.abs(step)
     k, ahead = _boundary(lines.take(first, axis=1), step)
@@ -352,9 +352,10 @@ def _arranged(
     trees: _Trees,
     agree: Mask | None,
 ) -> Lattice:
-    """Return the components by size, in the corners' own order; the lines are in that order.
+    """Return the components by size, with the corners in their own order.
 
-    agree: the links that agree with the trees, None if all do.
+    order: of the corners in the other arguments. agree: a mask of the links that agree with the
+    trees, None if all do.
     """
     root, node, turn = trees
     a, b = half >> 2, other >> 2

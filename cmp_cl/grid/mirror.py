@@ -52,10 +52,10 @@ def has_seam(at: Points) -> bool:
 
 
 def has_diagonal_seam(at: Points) -> bool:
-    """Return whether the steps along diagonals are different across one of those that cross them.
+    """Return whether the steps along diagonals differ across one of the diagonals that cross them.
 
     at: (R, C) measured nodes, px, NaN where there is none. Waves bend diagonals more than rows, and
-    short ones have few steps to compare with, so more is asked.
+    short diagonals have few steps to compare with, so the difference must be larger.
     """
     return any(
         _has_seam(lines, ABOVE_OTHERS_ACROSS)
@@ -65,7 +65,10 @@ def has_diagonal_seam(at: Points) -> bool:
 
 
 def _has_seam(at: Points, above_others: float) -> bool:
-    """Return the same for the lines between columns."""
+    """Return whether the steps differ across one line between columns.
+
+    above_others: the least difference there, times the largest at any other line.
+    """
     at = _some(at)
     step = at[:, 1:] - at[:, :-1]
     known = ~np.isnan(step.real)
@@ -104,7 +107,7 @@ def repeats_reversed(at: Points) -> bool:
     """Return whether the printing errors are repeated beyond a line, reversed.
 
     at: (R, C) measured nodes, px, NaN where there is none. The lines are the middles of cells
-    along rows or columns, and the diagonals.
+    along rows or columns, and the diagonals. If no errors show, a seam along a diagonal counts.
     """
     error, cell = _errors(at)
     if not error.size:
@@ -122,7 +125,7 @@ def repeats_reversed(at: Points) -> bool:
 
 def _errors(at: Points) -> tuple[Points, float]:
     """Return the errors of nodes against the 3 x 3 nodes around, cells, (R - 2, C - 2), and the
-        cell, px.
+    cell, px.
 
     An error is x minus the mean of its neighbours on the row, and the result minus the same mean on
     the column. It is zero if x is a function of the row plus a function of the column. Independent

@@ -40,11 +40,11 @@ REACHED = np.array(  # nodes whose prediction or cell changes with the node in t
 
 
 class Steps(NamedTuple):
-    """The steps from node to node whose means M nodes take.
+    """The steps from node to node around M nodes.
 
-    near: (2, 3, 5, M), the nodes between them by number in the grid with three missing nodes on
-    every side. unknown: (24, M) bool, steps from or to a missing node. share: (2, M), 1 over the
-    number of the known ones, NaN if there are none.
+    near: (2, 3, 5, M), the nodes that they join, by number in the grid with three missing nodes on
+    every side. unknown: (24, M) bool, the steps from or to a missing node. share: (2, M), 1 over
+    the weight of the known steps, NaN if there are none.
     """
 
     near: Index
@@ -61,7 +61,7 @@ class Steps(NamedTuple):
         return cls(near, unknown, _inverse(TOUCHED @ ~unknown))
 
     def mean(self, at: Points) -> tuple[Points, Points, Float]:
-        """Return the step to the next column, to the next row, and the cell at each node, px.
+        """Return the step to the next column, to the next row, and the cell at each node, (M,), px.
 
         They are means of the steps to and from the 3 x 3 nodes around; at: (R, C), px.
         """
@@ -117,7 +117,7 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
 
 @kept_by_mask
 def beside_missing(there: Mask) -> tuple[Index, Stencil]:
-    """Return the places, (M,), of the nodes that `predict_within` leaves, and their stencil."""
+    """Return the places, (M,), of the nodes that `predict_within` leaves out, and their stencil."""
     unknown = np.isnan(predict_within(np.where(there, 0, NOWHERE)).real)
     place = np.flatnonzero(there & unknown)
     row, column = np.divmod(place, there.shape[1])
@@ -133,7 +133,7 @@ def predict_within(at: Points) -> Points:
 
 
 def bordered(at: Points, nothing: complex = NOWHERE) -> Points:
-    """Add three missing nodes on every side."""
+    """Return the nodes with three more on every side, `nothing`: missing ones by default."""
     rows, columns = at.shape
     padded = np.full((rows + 6, columns + 6), nothing, np.complex128)
     padded[3:-3, 3:-3] = at

@@ -24,7 +24,7 @@ def in_shape(
     also leave as many rows as the shape has columns. If more nodes are seen, the fullest window is
     taken, the one nearest to the top left.
 
-    bend: (N,), as of `bends`. ends: the sides on which the pattern ends.
+    bend: (N,), as `bends` returns it. ends: the sides on which the pattern ends.
     """
     turns = [0]
     if shape[0] != shape[1]:
@@ -128,9 +128,10 @@ def _seen_shape(
 def _full(count: Index, usual: float) -> Mask:
     """Return a mask of the lines beyond the window that belong to the pattern, from it outward.
 
-    count: the straight corners of the window's last line and of each line beyond. usual: of all
-        lines. A line belongs to the pattern if it holds half of the usual number, or half of the
-        line before it: a pattern that is partly hidden, or out of view, gets shorter line by line.
+    count: the straight corners of the window's last line and of each line beyond. usual: the median
+        of all lines. A line belongs to the pattern if it holds half of the usual number, or half as
+        many as the line before it: where a pattern is partly hidden, or out of view, its lines get
+        shorter one by one.
     """
     before = np.maximum(count[:-1], LEAST_LINE)
     full: Mask = 2 * count[1:] >= np.maximum(np.minimum(usual, before), 1)

@@ -36,7 +36,8 @@ def along_edges(
     """Return the positions of these nodes from the edges to their neighbours, (M,) px; NaN if an
     edge is not visible.
 
-    expected: (M,) px, the positions that the neighbours predict. steps: as of `mean_steps`.
+    expected: (M,) px, the positions that the neighbours predict. steps: as `mean_steps` returns
+        them.
 
     An edge is searched on profiles across the curve through the expected position and both
     neighbours. The node moves with the mean distances of its two lines from their curves, by the

@@ -16,7 +16,7 @@ from cmp_cl.opencl.device import Device, select_device
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
-_FEW_BITS = 2**14  # a grey level that a picture of 16 bits reaches, unless it is very dark
+_FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
 _USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried if the estimated cell does not find the pattern
 
 
@@ -73,7 +73,7 @@ def is_of_few_bits(dtype: DTypeLike, brightest: int) -> bool:
 
 
 def of_few_bits(brightest: int) -> str:
-    """Return what to do about such pixels, in words."""
+    """Return, as text, what to do about pixels of fewer than 16 bits."""
     return (
         f"the brightest of the 16-bit pixels is {brightest}; for a 12-bit camera, give "
         "--full-scale 4095, for a 10-bit one 1023 (full_scale= in Python)"

@@ -160,7 +160,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
         decisions = fields[METHOD].view(np.uint8)  # methods, then why another was rejected
         method = decisions[:count]
-        # A number, which an array is compared with faster than with a member of an enumeration.
+        # A plain number: comparing an array with a member of an enumeration is slower.
         step = Method.EDGE_STEP.value
         accepted = 0 if math.isnan(radius) else int(np.count_nonzero(method == step))
         sigma, doubtful = _deviation(fields[:, :count], accepted)

@@ -125,11 +125,12 @@ def test_lattices_of_every_shape_are_filtered(shape):
     assert np.isfinite(filtered.values).all()
     assert rms(filtered.values - truth) < 0.2
     known = np.isfinite(filtered.sigma)
-    assert known.all() or min(shape) < 5 or max(shape) < 5
+    # A line of five nodes or more leaves a residual, which shows the noise.
+    np.testing.assert_array_equal(known, max(shape) >= 5)
     assert (filtered.sigma[known] <= filtered.noise[known] * 1.5).all()
 
 
-def test_one_node_is_left_as_it_is_and_its_error_is_unknown():
+def test_one_node_is_left_as_it_is_and_its_sigma_is_unknown():
     filtered = filter_grid(np.array([[[3.0, 4.0]]]))
     assert filtered.values.tolist() == [[[3.0, 4.0]]]
     assert np.isnan(filtered.sigma).all()
@@ -147,21 +148,21 @@ def test_the_unit_does_not_matter():
     assert np.allclose(other.sigma, one.sigma * 1e-3, rtol=1e-3)
 
 
-def test_deviation_of_gives_the_error_of_a_difference_of_neighbours():
+def test_deviation_of_gives_the_sigma_of_a_difference_of_neighbours():
     truth = surface(30, 30, bend=1.0)
     stencil = np.zeros((30, 30, 3, 3))
     stencil[:, 1:-1, 1, 2], stencil[:, 1:-1, 1, 0] = 0.5, -0.5
-    ratio, naive = [], []
+    ratio, ratio_if_independent = [], []
     for seed in range(4):
         filtered = filter_grid(noisy(truth, 0.1, seed))
         error = filtered.values - truth
         slope = (error[:, 2:] - error[:, :-2]) / 2
-        said = filtered.deviation_of(stencil)[:, 1:-1]
-        ratio.append(rms(slope / said[..., None]))
+        sigma = filtered.deviation_of(stencil)[:, 1:-1]
+        ratio.append(rms(slope / sigma[..., None]))
         independent = np.sqrt(filtered.sigma[:, 2:] ** 2 + filtered.sigma[:, :-2] ** 2) / 2
-        naive.append(rms(slope / independent[..., None]))
+        ratio_if_independent.append(rms(slope / independent[..., None]))
     assert 0.8 < np.mean(ratio) < 1.2
-    assert np.mean(naive) < 0.7
+    assert np.mean(ratio_if_independent) < 0.7
 
 
 def test_the_covariance_shows_which_coordinate_is_less_certain():
@@ -188,7 +189,7 @@ def grid_at(xy, sigma=0.03):
 
 
 def test_current_positions_are_those_at_rest_plus_filtered_displacements():
-    """Wear of .2 px that travels with the nodes, and .02 px of each image's own."""
+    """Wear of 0.2 px moves with the nodes; each image adds noise of 0.02 px."""
     rng = np.random.default_rng(2)
     r, c = np.mgrid[:30, :30]
     truth = 50 + 12.0 * np.stack([c, r], axis=-1)
@@ -221,11 +222,11 @@ def test_interpolated_nodes_follow_their_neighbours():
     assert np.allclose(filter_positions(grid)[0].xy, filter_positions(off)[0].xy, atol=1e-3)
 
 
-def assert_as_the_oracle(values, measured=None, *, bends=False, most_noise=None):
-    """Assert that the fast form in float32 is the oracle's in float64, to 5e-3 of the noise."""
+def assert_equals_the_oracle(values, measured=None, *, bends=False, most_noise=None):
+    """Assert that the fast form in float32 equals the oracle in float64 to 0.005 of the noise."""
     found = filter_grid(values, measured=measured, bends=bends, most_noise=most_noise)
     expected = lattice_filter.filter_grid(values, measured, bends=bends, most_noise=most_noise)
-    assert expected.margin.min() > 1e-4
+    assert expected.margin.min() > 1e-4  # no decision is left to rounding
     np.testing.assert_array_equal(found.refused, expected.refused)
     np.testing.assert_array_equal(np.isnan(found.sigma), np.isnan(expected.sigma))
     np.testing.assert_array_equal(np.isnan(found.values), np.isnan(expected.values))
@@ -238,41 +239,42 @@ def assert_as_the_oracle(values, measured=None, *, bends=False, most_noise=None)
 
 @pytest.mark.parametrize("bends", [False, True])
 def test_the_fast_form_equals_the_oracle(bends):
-    assert_as_the_oracle(noisy(surface(17, 20), 0.1) + 300, bends=bends)
+    assert_equals_the_oracle(noisy(surface(17, 20), 0.1) + 300, bends=bends)
 
 
 @pytest.mark.parametrize("bends", [False, True])
-def test_the_fast_form_equals_the_oracle_if_the_noise_is_known(bends):
+def test_the_fast_form_equals_the_oracle_with_a_bound_on_the_noise(bends):
     most = np.full((17, 20), 0.05)
     most[4:9, 3:12] = np.nan
     values = noisy(surface(17, 20), 0.1)
     values[12, 4] = np.nan
-    assert_as_the_oracle(values, bends=bends, most_noise=most)
+    assert_equals_the_oracle(values, bends=bends, most_noise=most)
 
 
 def pyramid() -> np.ndarray:
-    """Return the displacement (20, 20, 2), px, under a pyramid that is rotated against the lattice:
-    its edges, eight nodes apart, look like noise along rows, columns and diagonals.
+    """Return the displacement (20, 20, 2), px, under a pyramid that is rotated against the lattice.
+
+    Its edges, eight nodes apart, look like noise along rows, columns and diagonals.
     """
     x, y = np.moveaxis(np.stack(np.mgrid[:20, :20], axis=-1) - [9.3, 10.1], -1, 0)
     aside = np.maximum(np.abs(x + 0.3 * y), np.abs(y - 0.3 * x))
     return np.maximum(0, 1 - aside / 4)[..., None] * [8.0, -5.6]
 
 
-def test_a_filter_that_knows_the_noise_keeps_sharp_edges():
+def test_a_filter_with_a_bound_on_the_noise_keeps_sharp_edges():
     values = noisy(pyramid(), 0.02, seed=3)
-    free, held = (
+    unbounded, bounded = (
         rms(filter_grid(values, bends=True, most_noise=most).values - pyramid())
         for most in (None, np.full((20, 20), 0.025))
     )
     raw = rms(values - pyramid())
-    assert free > 1.1 * raw
-    assert held < 0.85 * raw
+    assert unbounded > 1.1 * raw
+    assert bounded < 0.85 * raw
 
 
 @pytest.mark.parametrize("worn", [False, True])
-def test_displacements_keep_sharp_edges_of_a_perfect_print(worn):
-    """In the image, in the plane and in space the corners' sigma shows how large the noise is."""
+def test_displacements_keep_sharp_edges_on_a_perfect_print_but_not_on_a_worn_one(worn):
+    """In the image, in the plane and in space, the sigma of the corners bounds the noise."""
     flat = np.stack(np.mgrid[:20, :20], axis=-1) * 20.0
     print_ = flat + (noisy(np.zeros_like(flat), 0.3, seed=5) if worn else 0)
     before, after = (
@@ -293,9 +295,9 @@ def test_displacements_keep_sharp_edges_of_a_perfect_print(worn):
         assert (rms(moved - pyramid()) < 0.9 * raw) != worn, name
 
 
-def test_without_wear_the_noise_of_a_displacement_is_that_of_the_images():
+def test_the_bound_on_the_noise_of_a_displacement_is_that_of_the_images_and_of_opened_wear():
     own = np.full((20, 20), 0.02)
-    for wear, most in ((0.0, 0.02 * math.sqrt(2)), (0.2, 0.6)):
+    for wear, most in ((0.0, 0.02 * math.sqrt(2)), (0.2, 3 * 0.2)):  # strain may open wear
         at_rest = filter_grid(noisy(surface(20, 20), math.hypot(0.015, wear)))
         found = noise_of_change(at_rest, own, own)
         assert np.median(found) == pytest.approx(most, rel=0.1)
@@ -310,7 +312,7 @@ def test_the_fast_form_equals_the_oracle_for_holes_and_errors():
     values[10, 5] += 4
     measured = np.random.default_rng(8).random((18, 19)) > 0.05
     for bends in (False, True):
-        assert_as_the_oracle(values, measured, bends=bends)
+        assert_equals_the_oracle(values, measured, bends=bends)
 
 
 def test_the_fast_form_equals_the_oracle_for_components():
@@ -318,13 +320,13 @@ def test_the_fast_form_equals_the_oracle_for_components():
     values[:9, :8] = noisy(surface(9, 8), 0.1)[..., [0, 1, 1]]
     values[12:, 12:] = 5 + noisy(surface(8, 10), 0.2, seed=1)[..., [0, 1, 1]]
     values[1, 20] = 3
-    assert_as_the_oracle(values)
+    assert_equals_the_oracle(values)
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (4, 4), (5, 6), (7, 8), (15, 3)])
 def test_the_fast_form_equals_the_oracle_for_small_lattices(shape):
     for bends in (False, True):
-        assert_as_the_oracle(noisy(surface(*shape), 0.1), bends=bends)
+        assert_equals_the_oracle(noisy(surface(*shape), 0.1), bends=bends)
 
 
 def test_the_oracles_interior_filters_are_those_of_savitzky_and_golay():

@@ -1,4 +1,4 @@
-"""From corners to rows and columns."""
+"""Corners are numbered by row and column."""
 
 import copy
 import dataclasses
@@ -41,7 +41,7 @@ def test_a_warped_board_is_numbered(shape):
     np.testing.assert_array_equal(grid.index, index)
     assert grid.shape == (44, 40)
     assert (grid.status == NodeStatus.DETECTED).all()
-    assert np.abs(grid.xy @ [1, 1j] - truth).max() < 1.5
+    assert np.abs(grid.xy @ [1, 1j] - truth).max() < 1.5  # px; the jitter is 0.2 px per axis
     np.testing.assert_array_equal(grid.xy[tuple(index.T)], corners.xy)
     np.testing.assert_array_equal(grid.sigma[tuple(index.T)], corners.sigma)
 
@@ -61,7 +61,7 @@ def test_lost_and_false_corners_do_not_shift_the_numbers(seed):
     assert (index[grid.index[:, 0] >= 0, 0] < 0).sum() < 5
 
 
-def test_a_tenth_lost_and_half_as_many_false_again():
+def test_numbers_are_right_with_a_tenth_of_the_corners_lost_and_half_as_many_false_ones():
     corners, index, _ = board(30, 30, lost=0.1, false=0.5, seed=1)
     grid = build_grid(corners, shape=(30, 30))
     assert right(grid, index).mean() > 0.98
@@ -85,7 +85,7 @@ def test_false_cells_do_not_join_parts_of_different_numbers(seed):
 
 @pytest.mark.parametrize("quarters", range(4))
 def test_rows_run_down_and_columns_right_however_the_camera_is_rotated(quarters):
-    corners, index, _ = board(12, 9, turn=0.1 + quarters * np.pi / 2)
+    corners, index, _ = board(12, 9, rotation=0.1 + quarters * np.pi / 2)
     grid = build_grid(corners)
     row, column = index.T
     row, column = [
@@ -156,24 +156,26 @@ def test_the_colour_of_the_cells_tells_which_part_of_a_board_is_out_of_view():
 
 
 def test_the_colour_of_the_cells_decides_if_a_view_moved_by_most_of_a_cell():
-    rest = build_grid(board(12, 12, pull=0, twist=0, turn=0).corners)
-    corners, index, _ = board(12, 12, pull=0, twist=0, turn=0, origin=60 + 50j + 0.7 * 13)
+    rest = build_grid(board(12, 12, pull=0, twist=0, rotation=0).corners)
+    corners, index, _ = board(12, 12, pull=0, twist=0, rotation=0, origin=60 + 50j + 0.7 * 13)
     seen = (index[:, 1] > 0) & (index[:, 1] < 9)
     grid = build_grid(keep(corners, seen), like=rest)
     np.testing.assert_array_equal(grid.index, index[seen])
 
 
 def test_the_colour_of_the_cells_decides_if_all_but_one_column_seem_in_place():
-    corners, index, _ = board(12, 13, pull=0, twist=0, turn=0)
+    corners, index, _ = board(12, 13, pull=0, twist=0, rotation=0)
     rest = build_grid(keep(corners, index[:, 1] < 12))
-    corners, index, _ = board(12, 13, pull=0, twist=0, turn=0, origin=60 + 50j - 0.6 * 13, seed=1)
+    corners, index, _ = board(
+        12, 13, pull=0, twist=0, rotation=0, origin=60 + 50j - 0.6 * 13, seed=1
+    )
     seen = index[:, 1] > 0
     grid = build_grid(keep(corners, seen), like=rest)
     assert grid.shape == (12, 13)
     np.testing.assert_array_equal(grid.index, index[seen])
 
 
-def test_junctions_with_the_surroundings_do_not_shift_the_window():
+def test_junctions_with_the_surround_do_not_move_the_window():
     corners, index, _ = board(8, 8, pull=0, twist=0)
     rim = index[:, 0] == 0
     corners.edges[rim, 1] += 0.9
@@ -183,8 +185,8 @@ def test_junctions_with_the_surroundings_do_not_shift_the_window():
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_rotated_grid_at_rest_gives_its_orientation(sign):
-    sideways = build_grid(board(9, 14, turn=sign * 0.6).corners)
-    now = board(9, 14, turn=sign * 0.9, pull=0.5, twist=0.1)
+    sideways = build_grid(board(9, 14, rotation=sign * 0.6).corners)
+    now = board(9, 14, rotation=sign * 0.9, pull=0.5, twist=0.1)
     by_axes = build_grid(now.corners)
     assert by_axes.shape == (14, 9)
     grid = build_grid(now.corners, like=sideways)
@@ -203,7 +205,7 @@ def test_a_shape_with_rows_and_columns_exchanged_rotates_the_numbers():
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_known_shape_keeps_its_numbers_beyond_a_rotation_by_45_degrees(sign):
-    before, after = (board(6, 9, turn=sign * turn, twist=0) for turn in (0.74, 0.84))
+    before, after = (board(6, 9, rotation=sign * rotation, twist=0) for rotation in (0.74, 0.84))
     np.testing.assert_array_equal(build_grid(before.corners, shape=(6, 9)).index, before.index)
     np.testing.assert_array_equal(build_grid(after.corners, shape=(6, 9)).index, after.index)
 
@@ -320,19 +322,20 @@ def test_requests_that_make_no_sense_are_refused():
         build_grid(corners)
 
 
-def test_a_prediction_is_exact_on_a_cubic():
+def test_a_prediction_is_the_weighted_mean_of_those_from_cubics_lines_and_parallelograms():
     t = np.arange(7.0)
     line = t**3 + 1j * (t**2 - t)
     row = np.tile(line, (7, 1)) + 1j * np.arange(7)[:, None] * 9
     at, weight = predict(row, np.array([3]), np.array([3]))
-    assert weight[0] == pytest.approx(12 + 12 + 4 + 4 + 4 * 1.5 + 4 * 1.4)
+    # Cubics along both axes, the column's lines and the parallelograms are exact here.
+    exact = 27 + 33j
+    off = 4 * (9 + 1j) + 0.7 * ((-24 - 2j) + (-12 - 2j) + 6 - 6)  # px, times the weights
+    assert abs(at[0] - (exact + off / 43.6)) < 1e-10
+    assert weight[0] == pytest.approx(2 * 12 + 2 * 4 + 4 * 1.5 + 8 * 0.7)
     alone = np.full((7, 7), complex(np.nan, np.nan))
     alone[3, [1, 2, 4, 5]] = line[[1, 2, 4, 5]]
     at, weight = predict(alone, np.array([3]), np.array([3]))
-    cubic = (4 * (line[2] + line[4]) - line[1] - line[5]) / 6
-    assert abs(cubic - line[3]) < 1e-12
-    sides = [(line[2] + line[4]) / 2, 2 * line[2] - line[1], 2 * line[4] - line[5]]
-    expected = (12 * cubic + 4 * sides[0] + 0.7 * (sides[1] + sides[2])) / 17.4
+    expected = (12 * (27 + 6j) + 4 * (36 + 7j) + 0.7 * ((15 + 4j) + (3 + 4j))) / 17.4
     assert abs(at[0] - expected) < 1e-12
     assert weight[0] == pytest.approx(17.4)
 
@@ -373,7 +376,7 @@ def pattern(at):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_search_around_changes_alone_finds_all_misfits(seed):
+def test_a_search_around_the_changes_alone_finds_all_misfits(seed):
     draw = np.random.default_rng(seed)
     at = board(30, 26).truth
     everywhere = pattern(at)
@@ -434,7 +437,7 @@ def test_numbering_is_quick():
         start = time.perf_counter()
         lattice(z, corners.edges)
         times.append(time.perf_counter() - start)
-    assert min(times) < 6e-3  # about 1.7 ms; a loop over corners would take 20
+    assert min(times) < 6e-3  # s: about 1.7 ms; a loop over corners would take 20 ms
 
 
 @pytest.mark.parametrize(
@@ -474,9 +477,9 @@ def test_links_that_agree_give_the_components_that_votes_give(monkeypatch, seed)
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     for component in range(len(one.size)):
         member = one.component == component
-        turn = one.turn[member] / other.turn[member]
-        assert (turn == turn[0]).all()
-        shift = one.node[member] - turn[0] * other.node[member]
+        rotation = one.turn[member] / other.turn[member]
+        assert (rotation == rotation[0]).all()
+        shift = one.node[member] - rotation[0] * other.node[member]
         assert (shift == shift[0]).all()
 
 
@@ -539,7 +542,7 @@ def test_a_frame_without_holes_is_not_looked_at_again(monkeypatch):
     assert np.count_nonzero(build_grid(holed, image).status == NodeStatus.INTERPOLATED) == 1
 
 
-def test_rings_are_the_refinements():
+def test_the_rings_of_a_second_look_are_those_of_refinement():
     assert [len(ring(radius)) for radius in (4, 5)] == [24, 28]
     assert ring(4)[0] == -4j
     assert (np.abs(np.abs(ring(6)) - 6) < 0.6).all()
@@ -608,9 +611,10 @@ def photograph(name: str) -> tuple[np.ndarray, dict]:
 
 
 def agreeing(grid: Grid, listed: dict) -> tuple[int, int]:
-    """Return measured nodes at listed corners, and how many have one lattice's indices for both.
+    """Return the number of measured nodes at listed corners, and of those that one numbering fits.
 
-    A node belongs to the nearest corner: squeezed cells are narrower than twice the reach.
+    It may differ from the listed one by quarter turns, a reflection and an offset. A node belongs
+    to the nearest corner: squeezed cells are narrower than twice the reach.
     """
     corners = np.array([(c["x"], c["y"], c["i"], c["j"]) for c in listed["corners"]])
     row, column = np.nonzero(np.isin(grid.status, MEASURED))
@@ -676,12 +680,12 @@ def test_boards_in_a_room_are_found_whole(name):
 def test_no_node_lies_beyond_the_corners_of_a_board_that_is_partly_out_of_view():
     image, listed = photograph("stereo_opencv/left02")
     truth = np.array([(corner["x"], corner["y"]) for corner in listed["corners"]])
-    cut = int(np.quantile(truth[:, 0], 0.7))
-    view = np.ascontiguousarray(image[:, :cut])
+    wide = int(np.quantile(truth[:, 0], 0.7))
+    view = np.ascontiguousarray(image[:, :wide])
     corners = reference.detect(view, DetectorConfig.for_cell(listed["cell_px"]["median"]))
     for shape in (None, (6, 9)):
         grid = build_grid(corners, view, shape=shape)
         node = grid.xy[np.isin(grid.status, MEASURED)]
         away = np.linalg.norm(node[:, None] - truth, axis=2).min(axis=1)
         assert (away < 5).all()
-        assert len(node) >= 0.95 * np.count_nonzero(truth[:, 0] < cut - 3)
+        assert len(node) >= 0.95 * np.count_nonzero(truth[:, 0] < wide - 3)

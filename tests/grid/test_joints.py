@@ -17,7 +17,7 @@ CELL = 24  # px
 
 
 def linked(at: np.ndarray, *, unit: complex = 1) -> tuple[np.ndarray, Lattice]:
-    """Return positions, and a lattice with all of them in one component, rotated by a unit."""
+    """Return positions, and their lattice of one component, whose numbers are rotated by a unit."""
     row, column = np.nonzero(~np.isnan(at.real))
     z = at[row, column]
     steps = at[:, 1:] - at[:, :-1]
@@ -45,7 +45,7 @@ def plane(rows: int, columns: int, step: complex) -> np.ndarray:
 
 
 def two_boards() -> tuple[np.ndarray, np.ndarray]:
-    """Return 8 x 9 nodes and 8 x 5 larger, rotated ones beyond, and a mask of the latter."""
+    """Return 8 x 9 nodes, then 8 x 5 with larger, rotated cells, and a mask of the latter."""
     jitter = np.random.default_rng(5).normal(0, 0.2, (2, 8, 14))
     second = 110 - 20j + plane(8, 5, 16 * cmath.exp(0.5j))
     at = np.hstack([plane(8, 9, 10), second]) + jitter[0] + 1j * jitter[1]
@@ -53,7 +53,7 @@ def two_boards() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("unit", [1, 1j, -1, -1j])
-def test_two_boards_that_false_cells_link_are_two(unit):
+def test_two_boards_that_false_cells_link_are_cut_apart(unit):
     at, second = two_boards()
     found, z = cut_of(at, unit=unit)
     np.testing.assert_array_equal(found.size, [72, 40])
@@ -102,11 +102,11 @@ def test_a_bend_is_no_joint(radius):
     angle = (column - 2.0) / radius
     at = 20 * (radius * np.sin(angle) + 1j * (row - 0.7 * radius * (1 - np.cos(angle))))
     steps = np.abs(np.diff(at, 2, axis=1)).max()
-    assert steps > 0.27 * 20
+    assert steps > 0.27 * 20  # more than two cells may differ without a bend
     assert cut_of(at)[0] is None
 
 
-def test_parts_with_the_same_steps_but_another_position_are_two():
+def test_parts_with_the_same_steps_but_other_positions_are_cut_apart():
     at = plane(8, 14, 10)
     at[:, 7:] += 5 + 4j
     at[[0, 1, 2, 4, 5, 6, 7], 7] = np.nan
@@ -114,7 +114,7 @@ def test_parts_with_the_same_steps_but_another_position_are_two():
     np.testing.assert_array_equal(found.size, [56, 48])
 
 
-def test_a_single_contact_is_no_bend_but_a_whole_line_is():
+def test_a_single_pair_of_cells_shows_no_bend_but_a_whole_line_does():
     at = plane(8, 14, 10)
     at[:, 10:] += 3.9 * np.arange(1, 5)  # wider cells, by less than a bend may change them
     assert cut_of(at)[0] is None
@@ -123,11 +123,11 @@ def test_a_single_contact_is_no_bend_but_a_whole_line_is():
     np.testing.assert_array_equal(found.size[:2], [74, 32])
 
 
-def before_squares(seed: int = 0, *, turn: float = 0.45, square: float = 19.0) -> np.ndarray:
-    """Draw a board on white paper in front of a floor of grey squares."""
+def before_squares(seed: int = 0, *, rotation: float = 0.45, square: float = 19.0) -> np.ndarray:
+    """Draw a board on white paper in front of a rotated floor of grey squares, `square` px wide."""
     high, wide = 330, 400
     y, x = np.indices((4 * high, 4 * wide)) / 4
-    u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    u, v = x * np.cos(rotation) + y * np.sin(rotation), y * np.cos(rotation) - x * np.sin(rotation)
     level = np.where((np.floor(u / square) + np.floor(v / square)) % 2 == 0, 85.0, 150.0)
     across, down = (x - 70) / CELL, (y - 60) / CELL
     rows, columns = BOARD[0] + 1, BOARD[1] + 1
@@ -149,9 +149,9 @@ def on_board(grid) -> np.ndarray:
     return near & (number >= 1).all(axis=1) & (number <= BOARD[::-1]).all(axis=1)
 
 
-@pytest.mark.parametrize(("turn", "square"), [(0.25, 30), (0.45, 30)])
-def test_a_board_in_front_of_a_floor_of_squares_is_numbered_alone(turn, square):
-    image = before_squares(turn=turn, square=square)
+@pytest.mark.parametrize(("rotation", "square"), [(0.25, 30), (0.45, 30)])
+def test_a_board_in_front_of_a_floor_of_squares_is_numbered_alone(rotation, square):
+    image = before_squares(rotation=rotation, square=square)
     with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
         grid = build_grid(detector(image), image)
     assert grid.shape in (BOARD, BOARD[::-1])
@@ -161,9 +161,9 @@ def test_a_board_in_front_of_a_floor_of_squares_is_numbered_alone(turn, square):
 FLOORS = [(0.15, 22), (0.15, 26), (0.45, 19)]  # of more corners than the board has
 
 
-@pytest.mark.parametrize(("turn", "square"), FLOORS)
-def test_a_board_is_the_grid_and_a_floor_of_many_squares_is_reported(turn, square):
-    image = before_squares(turn=turn, square=square)
+@pytest.mark.parametrize(("rotation", "square"), FLOORS)
+def test_a_board_is_the_grid_and_a_floor_of_many_squares_is_reported(rotation, square):
+    image = before_squares(rotation=rotation, square=square)
     with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
         corners = detector(image)
     grid = build_grid(corners, image)
@@ -177,9 +177,9 @@ def test_a_board_is_the_grid_and_a_floor_of_many_squares_is_reported(turn, squar
     assert own.count(0.0) == len(own) - 1
 
 
-@pytest.mark.parametrize(("turn", "square"), FLOORS)
-def test_a_known_size_or_a_region_leaves_no_doubt(turn, square):
-    image = before_squares(turn=turn, square=square)
+@pytest.mark.parametrize(("rotation", "square"), FLOORS)
+def test_a_known_size_or_a_region_leaves_no_doubt(rotation, square):
+    image = before_squares(rotation=rotation, square=square)
     with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
         corners = detector(image)
     for grid in (
@@ -192,16 +192,16 @@ def test_a_known_size_or_a_region_leaves_no_doubt(turn, square):
 
 
 def test_of_two_boards_the_one_of_the_known_size_is_numbered():
-    floor = np.full((330, 560), 180, np.uint8)
-    floor[:, :400] = before_squares(square=1000)
+    image = np.full((330, 560), 180, np.uint8)
+    image[:, :400] = before_squares(square=1000)
     row, column = np.indices((300, 140)) // 20
-    floor[15:315, 410:550] = np.where((row + column) % 2, 30, 220)
-    with Detector(shape=floor.shape, config=DetectorConfig.for_cell(CELL)) as detector:
-        corners = detector(floor)
+    image[15:315, 410:550] = np.where((row + column) % 2, 30, 220)
+    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
+        corners = detector(image)
     with pytest.raises(GridError, match="two patterns are seen, of 84 and 63 corners"):
-        build_grid(corners, floor)
-    assert on_board(build_grid(corners, floor, shape=BOARD)).all()
-    other = build_grid(corners, floor, shape=(14, 6))
+        build_grid(corners, image)
+    assert on_board(build_grid(corners, image, shape=BOARD)).all()
+    other = build_grid(corners, image, shape=(14, 6))
     assert other.valid.all()
     assert not other.doubts
     assert other.xy[..., 0].min() > 400

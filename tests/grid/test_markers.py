@@ -25,16 +25,16 @@ def grid_at(xy: np.ndarray, parity: int = 0) -> Grid:
     )
 
 
-def test_the_papers_count_and_density():
+def test_three_markers_on_each_edge_give_the_papers_count_and_density():
     grid = build_grid(board(40, 40).corners)
     dense = grid.with_virtual_markers(3)
     assert dense.valid.sum() == 1600 + 3 * 2 * 40 * 39
-    assert round(dense.valid.sum() / 32**2, 1) == 10.7
+    assert round(dense.valid.sum() / 32**2, 1) == 10.7  # per mm^2, on 32 mm
     assert (dense.status == NodeStatus.VIRTUAL).sum() == 9360
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5])
-def test_nodes_stay_and_markers_divide_the_edges(count):
+def test_nodes_stay_where_they_are_and_markers_divide_the_edges(count):
     corners, _, _ = board(6, 9)
     grid = build_grid(corners)
     dense = grid.with_virtual_markers(count)
@@ -148,5 +148,5 @@ def test_the_kernel_equals_the_oracle(shape, dtype):
     )
     refined = refine_markers(dense, 3, image, select_device().index)
     apart = np.abs(refined.xy - expected)[dense.valid].max(1)
-    # a crossing within rounding of a sample or of a second one may go the other way
+    # rounding may decide on which side of a sample a crossing lies, or which of two is nearer
     assert np.count_nonzero(apart > 1e-3) <= 0.002 * len(apart)

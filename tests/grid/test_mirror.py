@@ -13,12 +13,18 @@ CELL = 14  # px
 HIGH, WIDE = 15 * CELL, 12 * CELL  # px: the view of a pattern without end
 
 
-def picture(*, wear: float, wave: float = 0.0, phase: float = 0.5, seed: int = 3) -> np.ndarray:
-    """Draw a checkerboard past all edges; wear: of its nodes, cells; wave: cells."""
+def checkerboard(
+    *, errors: float, wave: float = 0.0, phase: float = 0.5, seed: int = 3
+) -> np.ndarray:
+    """Draw a checkerboard that continues past the image.
+
+    errors: standard deviation of the printing errors, wave: size of a bend, phase: position of the
+    first column, all in cells.
+    """
     draw = np.random.default_rng(seed)
     y, x = np.indices((4 * HIGH, 4 * WIDE), np.float32) / 4 / CELL
     x, y = x + np.float32(wave) * np.sin(y / 3), y + np.float32(wave) * np.sin(x / 2)
-    error = draw.normal(0, wear, (2, 24, 24)).astype(np.float32)
+    error = draw.normal(0, errors, (2, 24, 24)).astype(np.float32)
     x, y = (
         line + cv2.remap(each, x + 2, y + 2, cv2.INTER_LINEAR)
         for line, each in zip((x, y), error, strict=True)
@@ -31,7 +37,7 @@ def picture(*, wear: float, wave: float = 0.0, phase: float = 0.5, seed: int = 3
 
 def mirrored(image: np.ndarray) -> np.ndarray:
     """Return the left part of an image and, beyond it, its reflection, as a mirror shows it."""
-    kept = image[:, : -(-7 * CELL)]
+    kept = image[:, : 7 * CELL]
     noise = np.random.default_rng(8).integers(-2, 3, kept.shape)
     return np.hstack([kept, np.clip(kept[:, ::-1] + noise, 0, 255).astype(np.uint8)])
 
@@ -41,8 +47,8 @@ def numbered(image, **known):
         return build_grid(detector(image), image, **known)
 
 
-def test_a_reflection_of_a_worn_print_is_doubted():
-    image = mirrored(picture(wear=0.03))
+def test_a_reflection_of_a_print_with_errors_is_doubted():
+    image = mirrored(checkerboard(errors=0.03))
     grid = numbered(image)
     assert grid.shape[1] > 12
     assert grid.reflected
@@ -66,39 +72,39 @@ def test_a_seam_along_a_diagonal_shows_on_a_perfect_print(quarters):
 
 
 def test_a_reflection_with_a_seam_is_doubted_on_a_perfect_print():
-    grid = numbered(mirrored(picture(wear=0.0, phase=0.57)))
+    grid = numbered(mirrored(checkerboard(errors=0.0, phase=0.57)))
     assert grid.shape[1] > 12
     assert grid.reflected
 
 
-@pytest.mark.parametrize("wear", [0.0, 0.03])
+@pytest.mark.parametrize("errors", [0.0, 0.03])
 @pytest.mark.parametrize("wave", [0.0, 0.3])
-def test_a_pattern_without_a_mirror_is_not_doubted(wear, wave):
-    assert not numbered(picture(wear=wear, wave=wave)).doubts
+def test_a_pattern_without_a_mirror_is_not_doubted(errors, wave):
+    assert not numbered(checkerboard(errors=errors, wave=wave)).doubts
 
 
-def nodes(rows=20, columns=24, wear=0.03, seed=0):
+def nodes(rows=20, columns=24, errors=0.03, seed=0):
     draw = np.random.default_rng(seed)
     row, column = np.indices((rows, columns))
-    error = draw.normal(0, wear, (2, rows, columns))
+    error = draw.normal(0, errors, (2, rows, columns))
     return 12 * (column + error[0] + 1j * (row + error[1]))
 
 
-@pytest.mark.parametrize("turn", range(4))
-def test_errors_reversed_across_a_line_of_cells_are_a_reflection(turn):
+@pytest.mark.parametrize("quarters", range(4))
+def test_errors_reversed_across_a_line_of_cells_are_a_reflection(quarters):
     at = nodes()
-    assert not repeats_reversed(np.rot90(at, turn))
+    assert not repeats_reversed(np.rot90(at, quarters))
     at[:, 14:] = 12 * 27 - at[:, 13:3:-1].conj()
-    assert repeats_reversed(np.rot90(at, turn))
-    assert not has_seam(np.rot90(at, turn))
+    assert repeats_reversed(np.rot90(at, quarters))
+    assert not has_seam(np.rot90(at, quarters))
 
 
-@pytest.mark.parametrize("turn", range(4))
-def test_errors_reversed_across_a_diagonal_are_a_reflection(turn):
+@pytest.mark.parametrize("quarters", range(4))
+def test_errors_reversed_across_a_diagonal_are_a_reflection(quarters):
     at = nodes(20, 20)
     row, column = np.nonzero(np.tri(20, k=-1))
     at[row, column] = 1j * at[column, row].conj()
-    assert repeats_reversed(np.rot90(at, turn))
+    assert repeats_reversed(np.rot90(at, quarters))
 
 
 def test_errors_repeated_in_the_same_order_are_no_reflection():
@@ -107,15 +113,15 @@ def test_errors_repeated_in_the_same_order_are_no_reflection():
     assert not repeats_reversed(at)
 
 
-def test_small_errors_may_come_from_the_camera():
-    at = nodes(wear=0.002)
+def test_errors_that_may_be_the_cameras_are_no_reflection():
+    at = nodes(errors=0.002)
     at[:, 14:] = 12 * 27 - at[:, 13:3:-1].conj()
     assert not repeats_reversed(at)
 
 
 @pytest.mark.parametrize("lost", [0, 1, 2])
 def test_a_step_across_one_line_is_a_seam_even_if_nodes_are_lost_there(lost):
-    at = nodes(wear=0.005)
+    at = nodes(errors=0.005)
     assert not has_seam(at)
     at[:, 10:] += 0.2 * 12
     at[:, 10 : 10 + lost] = np.nan
@@ -124,14 +130,14 @@ def test_a_step_across_one_line_is_a_seam_even_if_nodes_are_lost_there(lost):
 
 
 def test_a_frame_like_one_with_a_reflection_is_doubted_too():
-    rest = numbered(mirrored(picture(wear=0.03)))
-    grid = numbered(picture(wear=0.03), like=rest)
+    rest = numbered(mirrored(checkerboard(errors=0.03)))
+    grid = numbered(checkerboard(errors=0.03), like=rest)
     assert (grid.status == NodeStatus.DETECTED).any()
     assert grid.reflected
 
 
-def test_errors_repeated_many_times_come_from_the_printer():
-    at = nodes(20, 32, wear=0.002)
+def test_errors_that_are_repeated_many_times_are_no_reflection():
+    at = nodes(20, 32, errors=0.002)
     row, column = np.indices(at.shape)
     ripple = np.random.default_rng(4).normal(0, 1, 20)[row] * np.sin((column - 15.5) * np.pi / 4)
     assert not repeats_reversed(at + 12 * 0.06 * ripple)

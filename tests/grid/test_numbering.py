@@ -22,7 +22,6 @@ from cmp_cl.grid.nearest import Reference
 from cmp_cl.grid.nodes import kept_by_mask, median, turned_lines
 
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
-PERIODS = ((1, 1), (2, 0), (-1, 3))
 
 
 def numbers(grid: Grid) -> np.ndarray:
@@ -31,57 +30,59 @@ def numbers(grid: Grid) -> np.ndarray:
 
 
 def offset(grid: Grid, seen: Board) -> np.ndarray:
-    """Return the one difference of the true numbers from a grid's, the same for all nodes."""
+    """Return the difference of the true numbers from a grid's, which is the same for all nodes."""
     known = grid.index[:, 0] >= 0
     off = np.unique((seen.index - numbers(grid))[known], axis=0)
     assert len(off) == 1
     return off[0]
 
 
-def like_rest(*, worn: float = 0.0, **moved) -> tuple[Grid, bool]:
+def like_rest(*, errors: float = 0.0, **moved) -> tuple[Grid, bool]:
     """Return the grid of an endless pattern that moved, and whether its numbers are right."""
-    rest = endless(worn=worn, seed=1)
+    rest = endless(errors=errors, seed=1)
     at_rest = build_grid(rest.corners)
-    now = endless(worn=worn, **moved)
+    now = endless(errors=errors, **moved)
     grid = build_grid(now.corners, like=at_rest)
     return grid, bool((offset(grid, now) == offset(at_rest, rest)).all())
 
 
 # patterns without a border in view
 
-WORN = 0.03  # cells: standard deviation of the printing errors
+ERRORS = 0.03  # cells: standard deviation of the printing errors
 
 
 @pytest.mark.parametrize("zoom", [0.9, 0.94, 0.97, 1.0, 1.03, 1.06, 1.1])
-@pytest.mark.parametrize("worn", [0, WORN])
-def test_an_endless_pattern_keeps_its_numbers_at_any_zoom(zoom, worn):
-    grid, right = like_rest(zoom=zoom, worn=worn)
+@pytest.mark.parametrize("errors", [0, ERRORS])
+def test_an_endless_pattern_keeps_its_numbers_at_any_zoom(zoom, errors):
+    grid, right = like_rest(zoom=zoom, errors=errors)
     assert right
-    assert grid.ambiguous == (worn == 0)
+    assert grid.ambiguous == (errors == 0)
 
 
 @pytest.mark.parametrize("degrees", [-20, 5, 30, 100])
 def test_an_endless_pattern_keeps_its_numbers_when_it_is_rotated(degrees):
-    grid, right = like_rest(turn=np.deg2rad(degrees), worn=WORN)
+    grid, right = like_rest(rotation=np.deg2rad(degrees), errors=ERRORS)
     assert right
     assert not grid.ambiguous
 
 
-@pytest.mark.parametrize("shift", [0, 0.4 + 0.4j, 1.6 + 0.2j, 1 + 1j, 2j, 3 - 5j, 7.3 - 4.1j])
-def test_printing_errors_show_where_a_pattern_has_moved(shift):
-    grid, right = like_rest(shift=shift, zoom=1.02, turn=0.1, worn=WORN)
+@pytest.mark.parametrize("translation", [0, 0.4 + 0.4j, 1.6 + 0.2j, 1 + 1j, 2j, 3 - 5j, 7.3 - 4.1j])
+def test_printing_errors_show_where_a_pattern_has_moved(translation):
+    grid, right = like_rest(translation=translation, zoom=1.02, rotation=0.1, errors=ERRORS)
     assert right
     assert not grid.ambiguous
 
 
-@pytest.mark.parametrize("shift", [0, 0.3, 0.4 + 0.4j, 1.2, 1.6 + 0.2j, 3.3 - 1.1j, 1 + 1j, 2, 4j])
-def test_a_shift_that_the_period_hides_is_never_silently_wrong(shift):
-    grid, _ = like_rest(shift=shift)
+@pytest.mark.parametrize(
+    "translation", [0, 0.3, 0.4 + 0.4j, 1.2, 1.6 + 0.2j, 3.3 - 1.1j, 1 + 1j, 2, 4j]
+)
+def test_a_translation_that_the_period_hides_is_never_silently_wrong(translation):
+    grid, _ = like_rest(translation=translation)
     assert grid.ambiguous
 
 
 def test_errors_that_do_not_move_with_the_pattern_are_no_printing_errors():
-    rest, now = endless(jitter=0), endless(jitter=0, shift=1 + 1j)
+    rest, now = endless(jitter=0), endless(jitter=0, translation=1 + 1j)
     np.testing.assert_allclose(rest.corners.xy, now.corners.xy, atol=1e-3)
     of_camera = np.random.default_rng(0).normal(0, 0.06, rest.corners.xy.shape)
     for seen in (rest, now):
@@ -91,7 +92,7 @@ def test_errors_that_do_not_move_with_the_pattern_are_no_printing_errors():
 
 
 def test_the_rival_of_a_wrong_numbering_is_the_right_one():
-    now = endless(shift=0.7 + 0.5j)
+    now = endless(translation=0.7 + 0.5j)
     rest = endless()
     at_rest = build_grid(rest.corners)
     grid = build_grid(now.corners, like=at_rest)
@@ -106,42 +107,44 @@ def test_frames_in_order_continue_the_numbers_over_any_distance():
     rest = endless()
     before = at_rest = build_grid(rest.corners)
     for step in np.arange(0.4, 4.2, 0.4):
-        now = endless(shift=step * (1 + 0.3j), seed=int(10 * step))
+        now = endless(translation=step * (1 + 0.3j), seed=int(10 * step))
         before = build_grid(now.corners, like=at_rest, previous=before)
         assert (offset(before, now) == offset(at_rest, rest)).all()
 
 
 def test_a_frame_is_ambiguous_if_the_frame_at_rest_and_the_previous_one_disagree():
-    rest = endless(worn=WORN)
+    rest = endless(errors=ERRORS)
     at_rest = build_grid(rest.corners)
-    before = build_grid(endless(shift=1.8).corners, like=at_rest, previous=shifted(at_rest, 0, 2))
+    before = build_grid(
+        endless(translation=1.8).corners, like=at_rest, previous=translated(at_rest, 0, 2)
+    )
     assert not before.ambiguous
-    now = endless(shift=2.0, worn=WORN)
+    now = endless(translation=2.0, errors=ERRORS)
     assert not build_grid(now.corners, like=at_rest).ambiguous
-    grid = build_grid(now.corners, like=at_rest, previous=shifted(before, 0, 2))
+    grid = build_grid(now.corners, like=at_rest, previous=translated(before, 0, 2))
     assert grid.ambiguous
     assert (offset(grid, now) == offset(at_rest, rest)).all()
 
 
-def shifted(grid: Grid, rows: int, columns: int) -> Grid:
+def translated(grid: Grid, rows: int, columns: int) -> Grid:
     """Return the grid with the nodes numbered as if the pattern had moved by whole cells."""
     return dataclasses.replace(grid, origin=(grid.origin[0] - rows, grid.origin[1] - columns))
 
 
-def test_a_motion_of_half_a_cell_between_frames_is_not_followed_silently():
+def test_a_motion_by_more_than_half_a_cell_between_frames_is_ambiguous():
     at_rest = build_grid(endless().corners)
-    grid = build_grid(endless(shift=0.6).corners, like=at_rest, previous=at_rest)
+    grid = build_grid(endless(translation=0.6).corners, like=at_rest, previous=at_rest)
     assert grid.ambiguous
 
 
 def test_what_follows_an_ambiguous_frame_is_ambiguous():
     at_rest = build_grid(endless().corners)
-    jumped = build_grid(endless(shift=0.6).corners, like=at_rest, previous=at_rest)
-    after = build_grid(endless(shift=0.7).corners, like=at_rest, previous=jumped)
+    jumped = build_grid(endless(translation=0.6).corners, like=at_rest, previous=at_rest)
+    after = build_grid(endless(translation=0.7).corners, like=at_rest, previous=jumped)
     assert after.ambiguous
 
 
-def test_nodes_beyond_the_rest_grid_keep_their_numbers():
+def test_nodes_beyond_the_grid_at_rest_keep_their_numbers():
     grid, right = like_rest(zoom=0.9)
     assert right
     assert (grid.index >= 0).all()
@@ -151,7 +154,9 @@ def test_nodes_beyond_the_rest_grid_keep_their_numbers():
     assert (cut.shape, cut.origin, cut.parity) == (rest.shape, (0, 0), rest.parity)
     inside = cut.index[:, 0] >= 0
     np.testing.assert_array_equal(cut.index[inside], numbers(grid)[inside])
-    np.testing.assert_array_equal(cut.xy[tuple(cut.index[inside].T)].shape, (inside.sum(), 2))
+    assert 0 < np.count_nonzero(inside) < len(inside)
+    now = endless(zoom=0.9).corners
+    np.testing.assert_array_equal(cut.xy[tuple(cut.index[inside].T)], now.xy[inside])
     assert np.nanmax(np.hypot(*(cut.xy - rest.xy).transpose(2, 0, 1))) < 0.1 * 300
 
 
@@ -167,12 +172,12 @@ def test_a_grid_with_doubts_is_refused_on_demand():
 # patterns with a border in view
 
 
-def seen_in(picture: np.ndarray) -> Corners:
-    return reference.detect(picture, DetectorConfig.for_cell(20))
+def seen_in(image: np.ndarray) -> Corners:
+    return reference.detect(image, DetectorConfig.for_cell(20))
 
 
 def true(grid: Grid, corners: np.ndarray, within: float = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the measured nodes and those of the true corners there, (-1, -1) for
+    """Return the numbers of the measured nodes and of the true corners there, (-1, -1) for
     none."""
     row, column = np.nonzero(np.isin(grid.status, MEASURED))
     away = np.linalg.norm(grid.xy[row, column][:, None] - corners.reshape(-1, 2), axis=2)
@@ -193,19 +198,19 @@ def test_a_pattern_that_moved_by_cells_is_numbered_by_its_border():
     assert not grid.ambiguous
 
 
-def turned(picture: np.ndarray, degrees: float) -> np.ndarray:
-    rows, columns = picture.shape
+def rotated(image: np.ndarray, degrees: float) -> np.ndarray:
+    rows, columns = image.shape
     around = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), -degrees, 1)
-    return cv2.warpAffine(picture, around, (columns, rows), borderValue=210)
+    return cv2.warpAffine(image, around, (columns, rows), borderValue=210)
 
 
 @pytest.mark.parametrize(
     ("degrees", "ambiguous"), [(-35, False), (35, False), (43, True), (48, True)]
 )
 def test_a_square_pattern_rotated_by_45_degrees_may_have_rotated_either_way(degrees, ambiguous):
-    picture, _ = drawn(8, 8, origin=(60, 60))
-    rest = build_grid(seen_in(picture), picture)
-    now = turned(picture, degrees)
+    image, _ = drawn(8, 8, origin=(60, 60))
+    rest = build_grid(seen_in(image), image)
+    now = rotated(image, degrees)
     grid = build_grid(seen_in(now), now, like=rest)
     assert all(grid.border)
     assert grid.ambiguous == ambiguous
@@ -216,10 +221,10 @@ def test_a_square_pattern_rotated_by_45_degrees_may_have_rotated_either_way(degr
 
 
 def test_a_square_pattern_is_followed_beyond_a_rotation_by_45_degrees():
-    picture, _ = drawn(8, 8, origin=(60, 60))
-    before = rest = build_grid(seen_in(picture), picture)
+    image, _ = drawn(8, 8, origin=(60, 60))
+    before = rest = build_grid(seen_in(image), image)
     for degrees in (25, 50, 75):
-        now = turned(picture, degrees)
+        now = rotated(image, degrees)
         before = build_grid(seen_in(now), now, like=rest, previous=before)
         assert not before.ambiguous
     ahead = row_direction(before) / row_direction(rest)
@@ -278,13 +283,13 @@ def test_rotated_lines_and_medians_are_those_of_numpy():
         assert median(values) == np.median(values)
 
 
-def behind(picture: np.ndarray, x: int, slope: float = 0.0) -> np.ndarray:
-    """Return the image with something dark in front of everything to the right of a line."""
-    row, column = np.indices(picture.shape)
-    return np.where(column > x + slope * row, 16, picture).astype(np.uint8)
+def behind(image: np.ndarray, x: int, slope: float = 0.0) -> np.ndarray:
+    """Return the image with a dark object in front of all that lies to the right of a line."""
+    row, column = np.indices(image.shape)
+    return np.where(column > x + slope * row, 16, image).astype(np.uint8)
 
 
-def test_the_edge_of_an_object_in_front_of_a_pattern_is_not_its_border():
+def test_a_pattern_is_not_numbered_by_the_edge_of_an_object_in_front_of_it():
     whole, _ = drawn(6, 20)
     views = [behind(np.ascontiguousarray(whole[:, x : x + 240]), 190) for x in (60, 106)]
     rest, now = (build_grid(seen_in(view), view) for view in views)
@@ -309,9 +314,9 @@ def test_a_pattern_that_moved_by_a_period_behind_an_edge_is_ambiguous():
 def test_a_sheet_that_was_cut_along_its_squares_has_borders_on_both_sides():
     views = []
     for x in (40, 80):
-        picture, corners = drawn(7, 9, origin=(x, 40))
-        picture[:, : x + 1] = picture[:, x + 10 * 20 - 1 :] = 90
-        views.append(np.ascontiguousarray(picture[70:]))
+        image, corners = drawn(7, 9, origin=(x, 40))
+        image[:, : x + 1] = image[:, x + 10 * 20 - 1 :] = 90
+        views.append(np.ascontiguousarray(image[70:]))
     rest = build_grid(seen_in(views[0]), views[0])
     grid = build_grid(seen_in(views[1]), views[1], like=rest)
     assert rest.border == grid.border == Sides(False, True, True, True)
@@ -322,11 +327,11 @@ def test_a_sheet_that_was_cut_along_its_squares_has_borders_on_both_sides():
     assert not grid.ambiguous
 
 
-def mirrored(picture: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(picture[:, ::-1])
+def mirrored(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image[:, ::-1])
 
 
-def test_an_edge_that_goes_on_past_the_pattern_is_not_its_border():
+def test_a_pattern_is_not_numbered_by_an_edge_that_continues_past_it():
     whole, _ = drawn(7, 9)
     right_hidden = behind(whole, 40 + 6 * 20 - 1)
     left_hidden = mirrored(behind(mirrored(whole), whole.shape[1] - 1 - (40 + 4 * 20)))
@@ -342,16 +347,16 @@ def test_an_edge_that_goes_on_past_the_pattern_is_not_its_border():
 
 
 def test_nodes_that_were_hidden_at_rest_are_not_cut_off():
-    picture, corners = drawn(7, 9)
-    hidden = behind(picture, 40 + 6 * 20 - 1)
+    image, corners = drawn(7, 9)
+    hidden = behind(image, 40 + 6 * 20 - 1)
     rest = build_grid(seen_in(hidden), hidden)
-    grid = build_grid(seen_in(picture), picture, like=rest)
+    grid = build_grid(seen_in(image), image, like=rest)
     assert (rest.shape, grid.shape) == ((7, 5), (7, 9))
     number, place = true(grid, corners)
     np.testing.assert_array_equal(number, place)
 
 
-def test_an_edge_that_shows_a_sliver_of_the_next_squares_reaches_beyond_whole_ones():
+def test_a_sliver_of_squares_beyond_the_last_ones_counts_to_their_reach():
     whole, _ = drawn(7, 9)
     view = behind(whole, 40 + 6 * 20 + 2)
     grid = build_grid(seen_in(view), view)
@@ -362,7 +367,7 @@ def test_an_edge_that_shows_a_sliver_of_the_next_squares_reaches_beyond_whole_on
 @pytest.mark.parametrize(("moved", "ambiguous"), [(0, False), (6, False), (40, True)])
 def test_if_a_side_contradicts_the_others_decide_about_half_a_cell_only(moved, ambiguous):
     at_rest, _ = drawn(7, 9)
-    at_rest[:, :52] = 210  # to this side the pattern ends in its squares
+    at_rest[:, :52] = 210  # on this side the pattern ends within its squares
     rest = build_grid(seen_in(at_rest), at_rest)
     now, corners = drawn(7, 9, origin=(40 + moved, 40))
     grid = build_grid(seen_in(now), now, like=rest)
@@ -391,9 +396,9 @@ def test_an_oblique_edge_is_no_border():
 
 
 def test_a_pattern_that_is_cut_through_its_last_squares_has_a_border():
-    picture, _ = drawn(7, 9)
-    picture[:, :52] = 210
-    grid = build_grid(seen_in(picture), picture)
+    image, _ = drawn(7, 9)
+    image[:, :52] = 210
+    grid = build_grid(seen_in(image), image)
     assert grid.border == Sides(True, True, True, True)
     np.testing.assert_allclose(grid.reach, [1, 1, 0.4, 1], atol=0.07)
     np.testing.assert_allclose(grid.turned(1).reach, [1, 0.4, 1, 1], atol=0.07)
@@ -401,50 +406,50 @@ def test_a_pattern_that_is_cut_through_its_last_squares_has_a_border():
 
 @pytest.mark.parametrize("side", ["left", "top", "right", "bottom"])
 def test_a_board_partly_out_of_view_is_numbered_by_the_borders_that_are_seen(side):
-    picture, corners = drawn(6, 9)
+    image, corners = drawn(6, 9)
     cut = {"left": (85, 0), "top": (0, 85)}.get(side, (0, 0))
-    picture = picture[cut[1] :, cut[0] :]
-    picture = picture[: -85 if side == "bottom" else None, : -85 if side == "right" else None]
-    picture = np.ascontiguousarray(picture)
+    image = image[cut[1] :, cut[0] :]
+    image = image[: -85 if side == "bottom" else None, : -85 if side == "right" else None]
+    image = np.ascontiguousarray(image)
     corners = corners - np.array(cut)
-    grid = build_grid(seen_in(picture), picture, shape=(6, 9))
+    grid = build_grid(seen_in(image), image, shape=(6, 9))
     number, place = true(grid, corners)
     np.testing.assert_array_equal(number, place)
     x, y = corners.reshape(-1, 2).T
-    inside = (x > 4) & (y > 4) & (x < picture.shape[1] - 5) & (y < picture.shape[0] - 5)
+    inside = (x > 4) & (y > 4) & (x < image.shape[1] - 5) & (y < image.shape[0] - 5)
     assert len(place) >= inside.sum() > 30
     assert not grid.ambiguous
     assert grid.doubts == []
 
 
 def test_a_board_without_a_border_in_view_is_ambiguous():
-    picture, _ = drawn(6, 9)
-    picture = np.ascontiguousarray(picture[:, 70:-70])
-    grid = build_grid(seen_in(picture), picture, shape=(6, 9))
+    image, _ = drawn(6, 9)
+    image = np.ascontiguousarray(image[:, 70:-70])
+    grid = build_grid(seen_in(image), image, shape=(6, 9))
     assert grid.valid.any()
     assert grid.ambiguous
 
 
 @pytest.mark.parametrize("squares", [6, 6.5, 6.85])
 def test_a_board_behind_an_edge_is_ambiguous(squares):
-    picture, _ = drawn(6, 9)
-    view = behind(picture, 40 + round(squares * 20) - 1)
+    image, _ = drawn(6, 9)
+    view = behind(image, 40 + round(squares * 20) - 1)
     view = np.ascontiguousarray(view[:, 85:])
     grid = build_grid(seen_in(view), view, shape=(6, 9))
     assert grid.valid.any()
     assert grid.ambiguous
 
 
-def test_an_edge_that_leaves_as_many_columns_as_a_board_has_rows_does_not_turn_it_for_sure():
-    picture, _ = drawn(5, 8)
-    view = behind(picture, 40 + 6 * 20 - 1)
+def test_an_edge_that_leaves_as_many_columns_as_a_board_has_rows_leaves_its_rotation_ambiguous():
+    image, _ = drawn(5, 8)
+    view = behind(image, 40 + 6 * 20 - 1)
     view = np.ascontiguousarray(view[: 40 + 5 * 20 + 10])
     grid = build_grid(seen_in(view), view, shape=(5, 8))
     assert grid.valid.any()
     assert grid.ambiguous
 
 
-def test_nodes_off_their_predictions_are_compared_with_a_quarter_of_those_around():
+def test_nodes_off_their_predictions_are_compared_with_the_lower_quartile_of_those_around():
     draw = np.random.default_rng(0)
     row, column = np.nonzero(draw.random((9, 9)) < 0.6)
     off, cell = draw.uniform(0, 5, len(row)), np.full(len(row), 9.0)
@@ -485,20 +490,20 @@ def test_one_pair_of_squares_of_many_does_not_tell_that_an_edge_is_parallel():
 
 
 def test_junctions_with_the_surround_are_no_nodes():
-    picture, corners = drawn(6, 9)
-    picture = np.ascontiguousarray(picture[:, 85:])
+    image, corners = drawn(6, 9)
+    image = np.ascontiguousarray(image[:, 85:])
     for shape in (None, (6, 9)):
-        grid = build_grid(seen_in(picture), picture, shape=shape)
+        grid = build_grid(seen_in(image), image, shape=shape)
         assert (true(grid, corners - np.array([85, 0]))[1] >= 0).all()
 
 
 def test_objects_in_front_of_a_pattern_add_no_nodes_at_its_rim():
-    picture, corners = drawn(14, 14)
-    y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
-    picture[np.hypot(x - 191, y - 183) < 66] = 220
-    grid = build_grid(seen_in(picture), picture)
+    image, corners = drawn(14, 14)
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]]
+    image[np.hypot(x - 191, y - 183) < 66] = 220
+    grid = build_grid(seen_in(image), image)
     number, place = true(grid, corners, within=1.5)
-    assert np.count_nonzero((number != place).any(axis=1)) <= 1  # 3 without a look at the place
+    assert np.count_nonzero((number != place).any(axis=1)) <= 1  # 3 if positions are not checked
     assert len(place) > 150
 
 
@@ -507,64 +512,65 @@ def test_objects_in_front_of_a_pattern_add_no_nodes_at_its_rim():
     [((5, 9), "rows"), ((6, 8), "columns"), ((4, 7), "both"), ((7, 9), ""), ((6, 10), "")],
 )
 def test_a_wrong_size_is_reported(asked, goes_on):
-    picture, _ = drawn(6, 9)
-    corners = seen_in(picture)
-    grid = build_grid(corners, picture, shape=asked)
+    image, _ = drawn(6, 9)
+    corners = seen_in(image)
+    grid = build_grid(corners, image, shape=asked)
     assert grid.seen_shape == (6, 9)
     assert any(grid.continues[:2]) == (goes_on in ("rows", "both"))
     assert any(grid.continues[2:]) == (goes_on in ("columns", "both"))
     (line,) = grid.doubts
     assert line == f"the board looks like 6 x 9 corners; {asked[0]} x {asked[1]} were asked for"
     with pytest.raises(GridError, match="looks like 6 x 9"):
-        build_grid(corners, picture, shape=asked, strict=True)
-    assert build_grid(corners, picture, shape=(6, 9)).seen_shape is None
-    assert build_grid(corners, picture, shape=(9, 6)).seen_shape is None
+        build_grid(corners, image, shape=asked, strict=True)
+    assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
+    assert build_grid(corners, image, shape=(9, 6)).seen_shape is None
 
 
 @pytest.mark.parametrize("shown", [3, 4])
 def test_a_wrong_size_is_reported_though_most_of_the_last_line_is_hidden(shown):
-    picture, nodes = drawn(6, 9)
+    image, nodes = drawn(6, 9)
     corner = nodes.reshape(6, 9, 2)[5, shown - 1].astype(int)
-    picture[corner[1] - 28 :, corner[0] + 8 :] = 128
-    corners = seen_in(picture)
-    grid = build_grid(corners, picture, shape=(5, 9))
+    image[corner[1] - 28 :, corner[0] + 8 :] = 128
+    corners = seen_in(image)
+    grid = build_grid(corners, image, shape=(5, 9))
     assert grid.seen_shape == (6, 9)
     assert grid.continues == Sides(bottom=True)
-    assert build_grid(corners, picture, shape=(6, 9)).seen_shape is None
+    assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
 
 
 @pytest.mark.parametrize(("seed", "size"), [(910011, 6), (910017, 6), (910038, 3)])
-def test_spots_beside_a_border_are_no_further_row(seed, size):
-    picture, _ = drawn(6, 5)
-    noise = np.random.default_rng(seed).normal(0, 1, picture.shape)
+def test_spots_beside_a_border_do_not_make_a_wrong_size_sure(seed, size):
+    image, _ = drawn(6, 5)
+    noise = np.random.default_rng(seed).normal(0, 1, image.shape)
     noise = cv2.GaussianBlur(noise, (0, 0), size)
     view = np.clip(128 + 70 * noise / noise.std(), 0, 255)
-    view[37:-37, 37:-37] = picture[37:-37, 37:-37]
+    view[37:-37, 37:-37] = image[37:-37, 37:-37]
     view = np.rint(cv2.GaussianBlur(view, (0, 0), 0.8)).astype(np.uint8)
     assert build_grid(seen_in(view), view, shape=(7, 5)).doubts
 
 
-def test_a_board_that_ends_just_inside_the_image_is_not_cut_off():
-    picture, _ = drawn(6, 9)
+def test_a_board_that_ends_just_inside_the_image_is_not_taken_for_one_that_is_cut_off():
+    image, _ = drawn(6, 9)
     for room in (4, 5, 6, 7):  # px of the surround
-        view = np.ascontiguousarray(picture[:, : 40 + 10 * 20 + room])
+        view = np.ascontiguousarray(image[:, : 40 + 10 * 20 + room])
         grid = build_grid(seen_in(view), view, shape=(6, 10))
-        assert grid.doubts or not grid.valid.any()
+        assert grid.valid.any()
+        assert grid.doubts
 
 
 # several views and several boards
 
 
 def test_all_views_of_a_board_have_one_origin():
-    views = [board(9, 6, turn=0.1 + turn, twist=0) for turn in (0, 1.4, 2.9, -1.5)]
+    views = [board(9, 6, rotation=0.1 + rotation, twist=0) for rotation in (0, 1.4, 2.9, -1.5)]
     grids = align([build_grid(view.corners, shape=(9, 6)) for view in views])
     for view, grid in zip(views, grids, strict=True):
         np.testing.assert_array_equal(grid.index, view.index)
         assert grid.parity == grids[0].parity
 
 
-def test_views_that_no_colour_tells_apart_are_numbered_by_their_rows():
-    views = [board(6, 6, turn=turn, twist=0) for turn in (0.1, -0.4)]
+def test_views_that_colours_do_not_tell_apart_are_numbered_by_the_direction_of_their_rows():
+    views = [board(6, 6, rotation=rotation, twist=0) for rotation in (0.1, -0.4)]
     first, second = align([build_grid(views[0].corners), build_grid(views[1].corners).turned(2)])
     np.testing.assert_array_equal(second.index, views[1].index)
     assert first.shape == second.shape
@@ -590,7 +596,8 @@ def test_all_boards_of_a_view_are_found():
 
 
 def island(aside: complex) -> tuple[Board, np.ndarray]:
-    """Return a board with a ring of corners missing, the inner ones moved; which are inner ones."""
+    """Return a board in which a square ring of corners is missing and those inside it have moved,
+    and a mask of the latter. aside: px."""
     whole = board(30, 30, pull=0, twist=0)
     away = np.abs(whole.index - 14.5).max(axis=1)
     inside = away < 5
@@ -632,25 +639,10 @@ def test_an_island_between_two_places_is_left_out():
     assert (grid.index[inside] == -1).all()
 
 
-# lists of corners that come from no image
+# corners that come from no image
 
 
-def test_corners_without_a_position_are_refused():
-    for value in (np.nan, np.inf, 3e38):
-        corners = board(5, 5).corners
-        corners.xy[3, 0] = value
-        with pytest.raises(GridError, match="1 of the 25 corners have no finite position"):
-            build_grid(corners)
-
-
-def test_a_shape_far_larger_than_the_corners_is_refused():
-    corners = board(6, 6).corners
-    for shape in ((1500, 1500), (9999, 9999), (10**9, 10**9)):
-        with pytest.raises(GridError, match=r"too large for 36 corners|beyond the limit"):
-            build_grid(corners, shape=shape)
-
-
-def test_many_corners_at_one_position_take_no_time():
+def test_many_corners_at_one_position_take_little_time():
     corners = board(12, 12).corners
     heap = dataclasses.replace(
         corners,
@@ -662,4 +654,4 @@ def test_many_corners_at_one_position_take_no_time():
     )
     start = time.perf_counter()
     assert build_grid(heap).shape == (0, 0)
-    assert time.perf_counter() - start < 3  # about 0.2 s; every pair of them would take minutes
+    assert time.perf_counter() - start < 3  # s: about 0.2 s; all pairs would take minutes

@@ -17,9 +17,9 @@ SIZE = 9  # inner corners a side
 TORN = (4, 5)  # row, column
 
 
-def picture(cell, tear=0, size=SIZE, torn=(TORN,)):
-    """Return a blurred checkerboard with size x size corners, a white disc torn into some of them,
-    and the corners (size, size), complex px."""
+def checkerboard(cell, tear=0, size=SIZE, torn=(TORN,)):
+    """Return a blurred checkerboard with size x size corners, and these corners, (size, size),
+    x + 1j y px. Some are torn: there is a white disc of radius `tear`, px."""
     fine, side = 4, cell * (size + 1)
     y, x = (np.mgrid[: fine * side, : fine * side] + 0.5) / (fine * cell)
     grey = np.where((np.floor(x) + np.floor(y)) % 2 == 0, 40.0, 200.0)
@@ -47,33 +47,33 @@ def asked(image, corners, expected, parity=0):
     return along_edges(nodes, image, row, column, np.array([expected]), steps)[0]
 
 
-@pytest.mark.parametrize("wide", [1.5, -1.5, 1.5j, 1 - 1j])
-def test_a_node_moves_towards_where_its_edges_meet(wide):
-    image, corners = picture(12, tear=3.5)
-    found = asked(image, corners, corners[TORN] + wide)
-    assert abs(found - corners[TORN]) < 0.6 * abs(wide)
+@pytest.mark.parametrize("off", [1.5, -1.5, 1.5j, 1 - 1j])
+def test_a_node_moves_towards_where_its_edges_meet(off):
+    image, corners = checkerboard(12, tear=3.5)
+    found = asked(image, corners, corners[TORN] + off)
+    assert abs(found - corners[TORN]) < 0.6 * abs(off)
 
 
 def test_a_node_that_lies_on_its_edges_stays():
-    image, corners = picture(12, tear=3.5)
+    image, corners = checkerboard(12, tear=3.5)
     assert abs(asked(image, corners, corners[TORN]) - corners[TORN]) < 0.15
 
 
 def test_a_node_whose_two_lines_nearly_coincide_is_rejected():
-    image, corners = picture(12)
+    image, corners = checkerboard(12)
     column, row = corners.real, corners.imag
     flat = column + row + 0.05j * row
     assert np.isnan(asked(image, flat, flat[TORN]))
 
 
 def test_edges_of_the_other_polarity_are_not_taken():
-    image, corners = picture(12)
+    image, corners = checkerboard(12)
     assert not np.isnan(asked(image, corners, corners[TORN]))
     assert np.isnan(asked(image, corners, corners[TORN], parity=1))
 
 
 def test_a_node_with_an_invisible_edge_is_rejected():
-    image, corners = picture(12)
+    image, corners = checkerboard(12)
     x, y = round(corners[TORN].real), round(corners[TORN].imag)
     hidden = np.random.default_rng(1).integers(118, 123, (13, 13))
     image[y - 6 : y + 7, x + 1 : x + 14] = hidden
@@ -81,7 +81,7 @@ def test_a_node_with_an_invisible_edge_is_rejected():
 
 
 def test_a_node_with_faint_edges_beside_a_much_brighter_spot_is_rejected():
-    image, corners = picture(12)
+    image, corners = checkerboard(12)
     faint = (100 + image / 10).astype(np.uint8)
     assert not np.isnan(asked(faint, corners, corners[TORN]))
     faint[round(corners[TORN].imag) + 4, round(corners[TORN].real) + 4] = 255
@@ -90,7 +90,7 @@ def test_a_node_with_faint_edges_beside_a_much_brighter_spot_is_rejected():
 
 def test_noise_has_no_edges():
     noise = np.random.default_rng(3).integers(0, 256, (144, 144)).astype(np.uint8)
-    _, corners = picture(12)
+    _, corners = checkerboard(12)
     row, column = (each.ravel() for each in np.mgrid[1 : SIZE - 1, 1 : SIZE - 1])
     steps = mean_steps(corners, row, column)
     found = along_edges(nodes_at(corners), noise, row, column, corners[row, column], steps)
@@ -98,7 +98,7 @@ def test_noise_has_no_edges():
 
 
 def test_a_corner_that_is_torn_open_is_measured():
-    image, corners = picture(16, tear=8)
+    image, corners = checkerboard(16, tear=8)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
     assert np.abs(found.xy @ [1, 1j] - corners[TORN]).min() > 3
     grid = build_grid(found, image, shape=(SIZE, SIZE))
@@ -109,7 +109,7 @@ def test_a_corner_that_is_torn_open_is_measured():
 def test_a_torn_corner_whose_four_neighbours_are_torn_is_measured_after_them():
     row, column = TORN
     cross = [TORN, (row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)]
-    image, corners = picture(18, tear=5.4, torn=cross)
+    image, corners = checkerboard(18, tear=5.4, torn=cross)
     grid = build_grid(cmp_cl.detect(image, cmp_cl.DetectorConfig()), image, shape=(SIZE, SIZE))
     assert [grid.status[each] for each in cross] == [NodeStatus.SECOND_LOOK] * 5
     assert abs(grid.xy[TORN] @ [1, 1j] - corners[TORN]) < 0.2
@@ -118,8 +118,8 @@ def test_a_torn_corner_whose_four_neighbours_are_torn_is_measured_after_them():
 @pytest.mark.parametrize(
     ("off", "status"), [(0.06, NodeStatus.DETECTED), (0.08, NodeStatus.SECOND_LOOK)]
 )
-def test_a_torn_corner_is_moved_from_seven_hundredths_of_a_cell(off, status):
-    image, corners = picture(18)
+def test_a_torn_corner_is_moved_if_it_is_seven_hundredths_of_a_cell_off(off, status):
+    image, corners = checkerboard(18)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
     moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
     xy, sigma = found.xy.copy(), found.sigma.copy()
@@ -139,7 +139,7 @@ def test_a_torn_corner_is_moved_from_seven_hundredths_of_a_cell(off, status):
     ],
 )
 def test_a_corner_far_from_its_prediction_is_moved_if_its_own_image_is_torn(cell, sigma, status):
-    image, corners = picture(cell)
+    image, corners = checkerboard(cell)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
     moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
     xy, sigmas = found.xy.copy(), found.sigma.copy()
@@ -154,7 +154,7 @@ def test_a_corner_far_from_its_prediction_is_moved_if_its_own_image_is_torn(cell
 
 
 def test_a_corner_whose_refinement_was_rejected_counts_as_torn():
-    image, corners = picture(12)
+    image, corners = checkerboard(12)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
     moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
     xy, refusal = found.xy.copy(), found.refusal.copy()
@@ -167,7 +167,7 @@ def test_a_corner_whose_refinement_was_rejected_counts_as_torn():
 @pytest.mark.parametrize("seed", range(3))
 def test_only_outliers_among_the_corners_of_a_worn_print_are_moved(seed):
     size = 20
-    image, corners = picture(12, size=size)
+    image, corners = checkerboard(12, size=size)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
     scatter = np.random.default_rng(seed).normal(0, 0.35, found.xy.shape)
     moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
@@ -180,7 +180,7 @@ def test_only_outliers_among_the_corners_of_a_worn_print_are_moved(seed):
 
 
 def test_the_only_node_with_all_its_neighbours_does_not_count_as_usual():
-    image, corners = picture(12, size=7)
+    image, corners = checkerboard(12, size=7)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
     moved = np.abs(found.xy @ [1, 1j] - corners[3, 3]).argmin()
     xy, sigma = found.xy.copy(), found.sigma.copy()

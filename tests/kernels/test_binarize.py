@@ -57,7 +57,8 @@ def test_an_offset_of_sixteen_bits_equals_the_oracle(detector_for, name, offset)
     check(detector_for, DEEP[name], offset=offset)
 
 
-def test_an_offset_beyond_32_bits_is_addressed(detector_for):
+def test_a_threshold_beyond_32_bits_does_not_overflow(detector_for):
+    """The sums of 255 x 255 pixels at full scale, and of as many offsets, are near 2^32 each."""
     image = DEEP["white"]
     assert not check(detector_for, image, offset=65535, window=255).any()
 

@@ -1,4 +1,4 @@
-"""kernels/centroid.cl, centroids.cl: the corners in order, and the response around them."""
+"""kernels/centroid.cl, centroids.cl: corners in raster order, at the centroid of the response."""
 
 import images
 import numpy as np
@@ -29,7 +29,7 @@ def test_centroids_are_in_raster_order(detector_in_form, name, rule):
     y, x = np.nonzero(reference.maps(image, RULES[rule]).maximum)
     np.testing.assert_array_equal(corners.pixel, np.stack([x, y], axis=1))
     assert (corners.method == Method.CENTROID).all()
-    assert (np.abs(corners.xy - corners.pixel) <= 2).all()
+    assert (np.abs(corners.xy - corners.pixel) <= 2).all()  # px: the window has 5 x 5
     assert (corners.xy != corners.pixel).any()
 
 

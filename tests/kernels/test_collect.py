@@ -1,4 +1,4 @@
-"""kernels/collect.cl and the maxima: each is listed once; counts may exceed the capacity."""
+"""kernels/collect.cl: each maximum is listed once, and is found if the list overflows too."""
 
 import images
 import numpy as np
@@ -34,8 +34,8 @@ def test_every_maximum_is_listed_once_in_raster_order(detector_for, name, config
     np.testing.assert_array_equal(corners.pixel, np.stack([x, y], axis=1))
 
 
-def test_maxima_in_the_corners_of_the_image_are_found(detector_for):
-    """Cut so that corners lie on the first and last row and column."""
+def test_maxima_in_the_outermost_rows_and_columns_are_found(detector_for):
+    """The image is cut so that corners lie in the first and last row and column."""
     image = images.texture((61, 83))
     seen = set()
     for dy, dx in np.ndindex(4, 4):
@@ -48,7 +48,7 @@ def test_maxima_in_the_corners_of_the_image_are_found(detector_for):
 
 
 @pytest.mark.parametrize("shape", some([(1, 31), (31, 1), (2, 3), (23, 29)], ((1, 31),)))
-def test_images_of_few_pixels_have_the_oracles_corners(detector_for, shape):
+def test_corners_of_images_of_few_pixels_are_the_oracles(detector_for, shape):
     image = noise(shape, seed=8)
     assert_corners_equal(detector_for(image, DENSE), image)
 
@@ -88,7 +88,7 @@ def test_a_frame_beyond_the_capacity_is_counted_and_processed_again(detector_for
     assert detector.regrown == times
 
 
-def test_spectral_responses_are_listed_by_being_not_zero(detector_for):
+def test_every_maximum_of_a_spectral_response_is_listed(detector_for):
     image = EIGHT["texture"]
     config = rings(DENSE, criteria=SpectralCriteria(correlation=0))
     corners = assert_corners_equal(detector_for(image, config), image)

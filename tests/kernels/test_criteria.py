@@ -27,7 +27,7 @@ def test_every_map_is_the_oracles(detector_for, name, outer_radius):
 
 
 @pytest.mark.parametrize("name", some(["noise", "near levels", "worn scene"], ("noise",)))
-def test_every_map_of_three_thresholds(detector_for, name):
+def test_every_map_of_three_thresholds_is_the_oracles(detector_for, name):
     maps = check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
     assert maps.candidate.shape == (3, *images.SHAPE)
 
@@ -83,7 +83,7 @@ def test_each_sample_is_its_own_bit(detector_for, sample, name, ring_of):
     assert getattr(check(detector_for, image), name)[30, 40] == 1 << sample
 
 
-def test_candidates_are_centred_inside_the_mask(detector_for):
+def test_candidates_lie_inside_the_mask(detector_for):
     image = EIGHT["texture"]
     mask = np.zeros(images.SHAPE, np.bool_)
     mask[10:40, 5:83] = True

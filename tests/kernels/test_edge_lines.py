@@ -38,7 +38,9 @@ def detector_of_form(device, image, mask=None, **settings):
 
 @pytest.mark.parametrize("scale", [None, 0.63])
 @pytest.mark.parametrize("rule", [rings(), DetectorConfig()], ids=["rings", "harmonic"])
-def test_which_form_is_taken(detector_in_form, form, rule, scale):
+def test_refinement_launches_the_kernels_of_the_form_of_the_device(
+    detector_in_form, form, rule, scale
+):
     image = EIGHT["board"]
     for refinement, kernels in (
         (EdgeLines(), {"edge_lines"}),
@@ -49,13 +51,13 @@ def test_which_form_is_taken(detector_in_form, form, rule, scale):
         detector = detector_in_form(image, rule.replace(refinement=refinement, scale=scale))
         launched = {launch.stage for launch in detector._plan(scale).launches}
         expected = {f"{name}_eight" for name in kernels} if form is Form.CPU else kernels
-        both = {"edge_lines", "edge_step", "edge_lines_eight", "edge_step_eight"}
-        assert launched & both == expected
+        all_forms = {"edge_lines", "edge_step", "edge_lines_eight", "edge_step_eight"}
+        assert launched & all_forms == expected
 
 
 @LINES
 def test_every_number_of_corners_equals_the_oracle(device_in_form, refinement):
-    """A mask leaves that many corners: vectors that are full, and the last one that is not."""
+    """A mask leaves that many corners, so that the last vector of eight is full or not."""
     image = images.texture((120, 150), seed=9)
     with detector_of_form(device_in_form, image, refinement=refinement) as detector:
         whole = assert_corners_equal(detector, image)
@@ -78,14 +80,14 @@ def test_every_number_of_corners_equals_the_oracle(device_in_form, refinement):
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("depth", [8, 16])
 def test_both_forms_give_the_oracles_corners(device_in_form, refinement, depth):
-    pictures = EIGHT if depth == 8 else DEEP
+    inputs = EIGHT if depth == 8 else DEEP
     changes = {} if depth == 8 else {"full_scale": 4095}
-    first = next(iter(pictures.values()))
+    first = next(iter(inputs.values()))
     with (
         detector_of_form(device_in_form, first, refinement=refinement, **changes) as plain,
         detector_of_form(device_in_form, first, refinement=refinement, **changes, **DENSE) as noisy,
     ):
-        for image in pictures.values():
+        for image in inputs.values():
             assert_corners_equal(plain, image)
             assert_corners_equal(noisy, image)
 
@@ -100,8 +102,8 @@ def test_images_smaller_than_the_rings_equal_the_oracle(device_in_form, refineme
 
 @pytest.mark.parametrize("factor", some([0.2, 0.63, 2.0], (0.63,)))
 @pytest.mark.parametrize("depth", [8, 16])
-def test_rings_of_a_scaled_image_that_leave_it(device_in_form, factor, depth):
-    """Corners everywhere, so that rings in a vector are inside, some, all or none of them."""
+def test_rings_that_leave_a_scaled_image_equal_the_oracle(device_in_form, factor, depth):
+    """Corners lie everywhere, so that some, all or none of the rings in a vector are inside."""
     cell = 12 / factor
     image = board(int(8 * cell), int(9 * cell), cell)[0]
     image += np.random.default_rng(1).integers(0, 20, image.shape, dtype=np.uint8)
@@ -133,7 +135,7 @@ def test_the_forms_agree_to_the_bit_on_a_scaled_image(device, factor):
 
 @LINES
 def test_the_largest_responses_do_not_overflow(device_in_form, refinement):
-    """Of the spectral criteria, whose responses are integers, and of three thresholds together."""
+    """Those of the spectral criteria, and those of three thresholds together."""
     image = EIGHT["texture"]
     for changes in (
         {"criteria": SpectralCriteria(correlation=0), "contrast": None},

@@ -1,4 +1,4 @@
-"""kernels/edge_step.cl and kernels/cpu/edge_step.cl: both forms of the step, held to the oracle."""
+"""kernels/edge_step.cl and kernels/cpu/edge_step.cl: both forms of EdgeStep equal the oracle."""
 
 import images
 import numpy as np
@@ -21,8 +21,8 @@ def test_the_cell_sets_the_radius(detector_in_form, cell):
     assert (corners.method == Method.EDGE_STEP).sum() > 20
 
 
-def test_a_corner_in_the_very_middle_of_a_pixel_is_refined(detector_in_form):
-    """There the distance is 0, and grey levels are saturated all around."""
+def test_corners_between_saturated_cells_are_refined_as_in_the_oracle(detector_in_form):
+    """Nearly all grey levels are 0 or 255."""
     grey = (images.eight_bits()["board"].astype(np.float64) - 120) * 20 + 120
     image = np.clip(grey, 0, 255).astype(np.uint8)
     detector = detector_in_form(image, rings(refinement=EdgeStep()))
@@ -39,8 +39,8 @@ def test_soft_corners_are_refined_as_in_the_oracle(detector_in_form, depth):
     assert (corners.method == Method.EDGE_STEP).sum() > 20
 
 
-def test_steep_light_is_counted_as_in_the_oracle(detector_in_form):
-    """Grey levels that grow tenfold over the image: far more than noise could."""
+def test_corners_in_light_that_grows_steeply_are_refined_as_in_the_oracle(detector_in_form):
+    """Grey levels grow tenfold over the image, by far more than noise."""
     image = board(121, 83, 12)[0]
     image = (image * np.geomspace(0.1, 1.0, image.shape[1])).astype(np.uint8)
     detector = detector_in_form(image, rings(refinement=EdgeStep(cell=12)))
@@ -50,7 +50,7 @@ def test_steep_light_is_counted_as_in_the_oracle(detector_in_form):
 
 @pytest.mark.parametrize("cell", some([20.0, 60.0, 130.0], (60.0,)))
 def test_discs_of_a_scaled_image_equal_the_oracle(detector_in_form, cell):
-    """Of a radius of 0.6 cells: in one part, in several, and with rows that leave the image."""
+    """Discs have a radius of 0.6 cells: one part, or several; some leave the image."""
     image = board(int(4 * cell), int(5 * cell), cell)[0]
     config = {"scale": 15 / cell, "refinement": EdgeStep(cell=cell)}
     detector = detector_in_form(image, rings(**config))
@@ -63,7 +63,7 @@ def test_discs_of_a_scaled_image_equal_the_oracle(detector_in_form, cell):
 
 @pytest.mark.parametrize("radius", [4.5, 6.45, 9.0, 40.0])
 def test_the_table_of_moments_holds_the_integrals_of_the_model(radius):
-    """At the angles of the table, and between them by linear interpolation."""
+    """The integrals hold at the angles of the table, and between them by linear interpolation."""
     table = moments(radius).astype(np.float64)
     place = np.array([9.0, 20.0, 31.5, 40.5, 55.0]) * (len(table) // 64)
     below = place.astype(int)
@@ -79,7 +79,7 @@ def test_the_table_of_moments_holds_the_integrals_of_the_model(radius):
 
 
 def test_a_rejected_step_has_no_autocorrelation(detector_in_form):
-    """The median that tells doubtful corners is that of the accepted ones."""
+    """The median that shows which corners are doubtful is that of the accepted steps."""
     image = images.texture((120, 150), seed=9)
     detector = detector_in_form(image, rings(refinement=EdgeStep(), contrast=None))
     count = len(detector(image))

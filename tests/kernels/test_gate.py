@@ -55,7 +55,7 @@ def test_three_thresholds_of_sixteen_bits_equal_the_oracle(detector_for, name):
     "name", some(["noise", "two levels", "near levels", "worn scene"], ("noise",))
 )
 def test_any_number_of_sectors_equals_the_oracle(detector_for, name):
-    """The spectral form lets rings with two, six and more runs through."""
+    """The spectral criteria accept rings with two, six and more sectors."""
     check(detector_for, EIGHT[name], criteria=SpectralCriteria(correlation=0))
 
 
@@ -114,7 +114,7 @@ def test_three_thresholds_ask_for_three_deviations(detector_for):
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_the_percentile_of_short_lists_has_the_right_rank(detector_for, dtype):
-    """Views of a texture with 1 to 10 maxima or so; the bound is one of their contrasts."""
+    """Parts of a texture have about 1 to 10 candidates; the bound is the contrast of one."""
     texture = images.texture((200, 200)).astype(dtype)
     contrast = SectorContrast(minimum=0, relative=1, noise=0)
     counts = set()
@@ -126,7 +126,7 @@ def test_the_percentile_of_short_lists_has_the_right_rank(detector_for, dtype):
 
 
 def test_a_difference_at_the_noise_bound_is_kept(detector_for):
-    """One candidate: 2 N sm = F A and one more deviation."""
+    """Bounds 2 N sm = F A at the sm of a candidate, and just above it."""
     image = images.texture((200, 200))[:60, :61]
     maps = reference.maps(image, DetectorConfig(detection=BinaryRings(contrast=None)))
     amplitude, pixels = gate.noise_amplitude(image)
@@ -137,21 +137,21 @@ def test_a_difference_at_the_noise_bound_is_kept(detector_for):
         level = -(-factor * amplitude // (2 * pixels))  # the least sm that is kept
         if level in sm or level - 1 in sm:
             decided += 1
-            contrast = SectorContrast(minimum=0, relative=0, noise=factor / 6.68)
+            contrast = SectorContrast(minimum=0, relative=0, noise=factor / 6.68)  # F = 6.68 noise
             check(detector_for, image, contrast=contrast)
         if decided == 6:  # each is a detector of its own
             break
     assert decided > 3
 
 
-def test_without_the_gate_nothing_is_rejected(detector_for):
+def test_without_the_gate_more_maxima_are_found(detector_for):
     image = EIGHT["texture"]
     maps = check(detector_for, image, contrast=None)
     assert maps.contrast is None
     assert maps.maximum.sum() > check(detector_for, image).maximum.sum()
 
 
-def test_one_candidate_sets_the_percentile(detector_for):
+def test_a_single_candidate_is_kept_by_its_own_percentile(detector_for):
     image = np.full(images.SHAPE, 200, np.uint8)
     image[10:51, 20:61] = corner(20, 20, 0.4)
     contrast = SectorContrast(minimum=0, relative=1, noise=0)
@@ -165,7 +165,7 @@ def test_images_without_an_inner_pixel_equal_the_oracle(detector_for, shape):
 
 @pytest.mark.parametrize("relative", [0.3, 1])
 def test_both_levels_of_the_percentile_equal_the_oracle(detector_for, relative):
-    """Contrasts whose lower eight bits decide, frame after frame."""
+    """The lower eight bits of the contrasts decide, frame after frame."""
     texture = images.texture((90, 80)).astype(np.uint16) * 3 + 100
     contrast = SectorContrast(minimum=0, relative=relative, noise=0)
     config = DetectorConfig(detection=BinaryRings(contrast=contrast))

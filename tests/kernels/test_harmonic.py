@@ -37,11 +37,11 @@ DENSE = configured(nms_radius=1, **EVERYTHING)
 LINES = configured(EdgeLines(), **EVERYTHING)
 
 
-# --- vectors -------------------------------------------------------------------------------
+# --- stored vectors -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
-def test_corners_equal_the_vector(detector_in_form, path):
+def test_corners_are_those_of_the_stored_vector(detector_in_form, path):
     with np.load(path) as file:
         vector = dict(file)
     config = configured(full_scale=int(vector["full_scale"]))
@@ -52,7 +52,7 @@ def test_corners_equal_the_vector(detector_in_form, path):
 
 
 @pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
-def test_maps_equal_the_vector(detector_for, path):
+def test_maps_are_those_of_the_stored_vector(detector_for, path):
     with np.load(path) as file:
         vector = dict(file)
     config = configured(full_scale=int(vector["full_scale"]))
@@ -63,7 +63,7 @@ def test_maps_equal_the_vector(detector_for, path):
     np.testing.assert_array_equal(np.stack([x, y], axis=1), vector["kept"][:, :2])
 
 
-def test_there_are_nine_vectors():
+def test_nine_vectors_are_stored():
     assert len(VECTORS) == 9
 
 
@@ -72,7 +72,7 @@ def test_there_are_nine_vectors():
 
 @pytest.mark.parametrize("name", some(EIGHT, FEW))
 def test_corners_of_eight_bits_are_the_oracles(detector_in_form, name):
-    """With the checks, without any, and as starts of refinement."""
+    """Corners with all checks, with none, and refined."""
     image = EIGHT[name]
     for config in (DetectorConfig(), DENSE, LINES):
         assert_corners_equal(detector_in_form(image, config), image)
@@ -86,7 +86,7 @@ def test_maps_of_eight_bits_are_the_oracles(detector_for, name):
 
 @pytest.mark.parametrize("full_scale", [1, 200, 255, 4095, 65535])
 @pytest.mark.parametrize("name", some(DEEP, ("12-bit board", "noise")))
-def test_greys_above_full_scale_count_as_full_scale(detector_in_form, name, full_scale):
+def test_grey_levels_above_full_scale_count_as_full_scale(detector_in_form, name, full_scale):
     image = DEEP[name]
     config = configured(full_scale=full_scale, **EVERYTHING)
     assert_corners_equal(detector_in_form(image, config), image)
@@ -95,11 +95,11 @@ def test_greys_above_full_scale_count_as_full_scale(detector_in_form, name, full
     maps = reference.maps(image, config)
     clipped = reference.maps(np.minimum(image, full_scale).astype(np.uint16), config)
     np.testing.assert_array_equal(maps.fine, clipped.fine)
-    assert maps.fine.max() <= 4080
+    assert maps.fine.max() <= 4080  # 255 grey levels in sixteenths
 
 
 @pytest.mark.parametrize("full_scale", [1, 200])
-def test_bytes_above_full_scale_equal_the_oracle(detector_in_form, full_scale):
+def test_eight_bits_above_full_scale_equal_the_oracle(detector_in_form, full_scale):
     image = EIGHT["scene"]
     config = configured(full_scale=full_scale, **EVERYTHING)
     assert_corners_equal(detector_in_form(image, config), image)
@@ -107,7 +107,7 @@ def test_bytes_above_full_scale_equal_the_oracle(detector_in_form, full_scale):
 
 
 def test_levels_of_every_full_scale_equal_the_oracle(detector_in_form):
-    """Quotients of every remainder: the forms divide in different ways."""
+    """Divisions leave every remainder; the forms divide in different ways."""
     image = np.arange(61 * 83, dtype=np.uint16).reshape(61, 83)
     for full_scale in (3, 254, 1000, 4079, 4080, 4081, 5062, 40_000):
         scaled = (image.astype(np.int64) * full_scale // 5062).astype(np.uint16)
@@ -134,7 +134,7 @@ WIDTHS = [31, 32, 33, 47, 48, 49, 63, 64, 65, 95, 96, 97, 127, 128, 129, 159, 16
 
 @pytest.mark.parametrize("width", some(WIDTHS, (32, 33, 97)))
 def test_widths_around_words_and_vectors_equal_the_oracle(detector_in_form, width):
-    """With maxima in the first and in the last column."""
+    """Maxima lie in the first and the last columns too."""
     tall = images.texture((500, width), seed=6)
     seen = set()
     for top in (0, 50, 100):
@@ -146,7 +146,7 @@ def test_widths_around_words_and_vectors_equal_the_oracle(detector_in_form, widt
 
 
 @pytest.mark.parametrize("rows", some([31, 32, 63, 64, 65, 96, 127, 128], (65,)))
-def test_images_of_any_height_are_divided_into_bands(detector_in_form, rows):
+def test_corners_of_images_of_any_height_are_the_oracles(detector_in_form, rows):
     image = images.texture((rows, 64), seed=6)
     corners = assert_corners_equal(detector_in_form(image, DENSE), image)
     y = corners.pixel[:, 1]
@@ -156,7 +156,7 @@ def test_images_of_any_height_are_divided_into_bands(detector_in_form, rows):
 
 @pytest.mark.parametrize("bands", some([1, 2, 3, 5, 7, 36, 70], (2, 7)))
 def test_any_number_of_bands_gives_the_same_corners(device, monkeypatch, bands):
-    """Also with so many that the last ones have no row."""
+    """Even so many that the last ones have no row."""
     monkeypatch.setattr(PlanBase, "bands", bands)
     image = images.texture((70, 64), seed=2)
     for nms_radius in (1, 3, 15):
@@ -208,7 +208,7 @@ def test_every_setting_of_the_rule_equals_the_oracle(detector_in_form, name, rul
 
 
 def test_the_largest_harmonics_fit_with_the_largest_factors(detector_in_form):
-    """Products of two second harmonics and a factor are beyond 32 bits."""
+    """The product of two second harmonics and a factor is beyond 32 bits."""
     y, x = np.indices(images.SHAPE)
     image = np.where((x // 12 + y // 12) % 2 == 0, 0, 255).astype(np.uint8)
     config = configured(alignment=64, support=64)
@@ -229,7 +229,7 @@ def test_the_reference_of_the_largest_responses_is_the_oracles(detector_in_form)
 
 @pytest.mark.parametrize("pixel", [np.uint8, np.uint16], ids=["8 bits", "16 bits"])
 def test_the_largest_noise_does_not_overflow(detector_in_form, pixel):
-    """The bound of such noise is beyond every response, and its product near 64 bits."""
+    """The bound is above every response, and the product that gives it is near 64 bits."""
     most = np.iinfo(pixel).max
     image = (np.indices((200, 220)).sum(0) % 2 * most).astype(pixel)
     corners = assert_corners_equal(detector_in_form(image, configured(noise=100)), image)
@@ -246,7 +246,7 @@ def test_fine_maxima_alone_have_a_reference_of_their_own(detector_in_form):
 
 
 def test_plateaus_have_one_winner_the_first_in_raster_order(detector_in_form):
-    """Of four equal responses around a corner between pixels; in the same way at every corner."""
+    """A corner between pixels has four equal responses around it; the same one wins everywhere."""
     y, x = np.indices(images.SHAPE)
     image = np.where((x // 12 + y // 12) % 2 == 0, 40, 200).astype(np.uint8)
     corners = assert_corners_equal(detector_in_form(image, configured()), image)
@@ -276,8 +276,8 @@ def test_a_mask_leaves_corners_inside_and_suppression_as_it_is(detector_in_form)
     assert 0 < len(corners) < whole.sum()
 
 
-def test_a_corner_is_found_in_every_row_of_a_band(detector_in_form):
-    """The list is in (y, x) order, whatever the order in which work-items found its entries."""
+def test_corners_in_any_row_of_a_band_are_listed_in_raster_order(detector_in_form):
+    """The order in which work-items find them does not matter."""
     tile = corner(20, 20, 0.35)[:31, :31]
     image = np.ascontiguousarray(np.tile(tile, (5, 4)))
     for shift in (0, 7, 19):
@@ -360,7 +360,7 @@ def test_no_image_takes_more_than_ten_times_a_typical_one(device):
         memory = detector.memory
 
         def least(image):
-            """Return seconds, the best of some runs: others use the machine too."""
+            """Return the least of some times, s: other programs use the machine too."""
             spent = []
             for _ in range(7):
                 start = time.perf_counter()

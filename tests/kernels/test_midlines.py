@@ -1,4 +1,4 @@
-"""kernels/midlines.cl: the paper's refinement, held to the oracle."""
+"""kernels/midlines.cl: the paper's refinement equals the oracle."""
 
 import images
 import numpy as np
@@ -15,7 +15,7 @@ FITS = pytest.mark.parametrize("fit", Fit, ids=lambda fit: fit.value)
 @RULES
 @FITS
 @pytest.mark.parametrize("scale", [None, 0.63])
-def test_midlines_follow_both_rules(detector_for, rule, fit, scale):
+def test_midlines_after_both_rules_are_the_oracles(detector_for, rule, fit, scale):
     image = images.scene(1.5, seed=3).image
     config = rule.replace(refinement=Midlines(fit=fit), scale=scale)
     corners = assert_corners_equal(detector_for(image, config), image)
@@ -23,12 +23,14 @@ def test_midlines_follow_both_rules(detector_for, rule, fit, scale):
 
 
 @FITS
-def test_perfect_squares_have_parallel_centrelines(detector_for, fit):
+def test_perfect_squares_whose_midlines_are_parallel_are_refined_as_in_the_oracle(
+    detector_for, fit
+):
     y, x = np.indices(images.SHAPE)
     image = np.where((x // 12 + y // 12) % 2 == 0, 40, 200).astype(np.uint8)
     config = rings(refinement=Midlines(fit=fit))
     corners = assert_corners_equal(detector_for(image, config), image)
-    assert len(corners) == 30
+    assert len(corners) == 6 * 5
     assert np.isfinite(corners.xy).all()
     if fit is Fit.LINEAR:
         assert (corners.method != Method.MIDLINE).all()
@@ -41,7 +43,7 @@ def test_a_midline_beyond_the_largest_shift_is_rejected(detector_for, max_shift)
         (corners.method == Method.KEPT).sum()
         for corners in (
             assert_corners_equal(detector_for(image, config), image)
-            for config in (rings(refinement=Midlines(max_shift=m)) for m in (max_shift, 2.0))
+            for config in (rings(refinement=Midlines(max_shift=most)) for most in (max_shift, 2.0))
         )
     ]
     if max_shift == 0:

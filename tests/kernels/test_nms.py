@@ -50,13 +50,13 @@ def test_a_larger_radius_keeps_fewer(detector_for):
 
 
 @pytest.mark.parametrize("name", ["texture", "worn scene", "board"])
-def test_the_responses_of_three_thresholds_add_up(detector_for, name):
+def test_the_sum_of_the_responses_of_three_thresholds_is_the_oracles(detector_for, name):
     maps = check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
     assert maps.response.shape == maps.maximum.shape == images.SHAPE
 
 
 def test_the_largest_scores_do_not_overflow(detector_for):
-    """Plateaus of the response 16 under the whole tent, four times over."""
+    """Plateaus of large responses are as wide as the tent, and three thresholds add up."""
     bars = np.kron(np.indices((8, 11)).sum(0) % 2, np.ones((8, 8)))[:61, :83] * 255
     maps = check(detector_for, bars.astype(np.uint8), threshold=AdaptiveMean(masks=3))
     assert maps.response.max() > 50
@@ -79,7 +79,7 @@ def test_a_plateau_has_one_winner_the_first_in_raster_order(detector_for):
     maps = check(detector_for, image)
     y, x = np.nonzero(maps.maximum)
     inside = (y > 10) & (y < 50) & (x > 10) & (x < 70)
-    # One in every 8 x 8, at the same place in each of a colour.
+    # One in every cell of 8 x 8 px, at the same place in all cells of a colour.
     assert len(set(zip(y[inside] % 8, x[inside] % 8, strict=True))) <= 2
     near = (maps.score == maps.score[y[0], x[0]])[y[0] : y[0] + 4, x[0] : x[0] + 4]
     assert near.sum() > 1
@@ -94,7 +94,7 @@ def test_windows_larger_than_the_image_equal_the_oracle(detector_for, shape, rad
 
 
 def test_frames_of_a_batch_do_not_see_each_other(device):
-    """Cut so that corners lie on the first and the last row: there is no response beyond."""
+    """Frames are cut so that corners lie in the first and the last row; no response lies beyond."""
     texture = images.texture((120, 83))
     frames = [np.ascontiguousarray(texture[y : y + 40]) for y in range(16)]
     with Detector(shape=frames[0].shape, config=DENSE, device=device) as detector:

@@ -39,7 +39,7 @@ def test_sixteen_bits_are_scaled_as_in_the_oracle(detector_for, name, factor):
 
 
 @pytest.mark.parametrize("factor", some([0.05, 0.1, 1 / 3, 0.999, 1.001, 1.5, 4.0], (0.1, 1.5)))
-def test_odd_factors_give_the_oracles_image(detector_for, factor):
+def test_odd_factors_give_the_oracles_maps(detector_for, factor):
     image = noise((30, 23), seed=2)
     assert_maps_equal(
         detector_for(image, DetectorConfig(detection=BinaryRings(), scale=factor)), image
@@ -73,14 +73,14 @@ def test_weights_are_those_of_the_oracle(length, factor):
     "refinement", some([EdgeLines(), EdgeStep(cell=24.0), Midlines(), None], (EdgeStep(cell=24.0),))
 )
 @pytest.mark.parametrize("factor", FACTORS)
-def test_corners_are_those_of_the_full_image(detector_for, factor, refinement):
+def test_corners_of_a_scaled_image_are_the_oracles(detector_for, factor, refinement):
     image = board(*images.SHAPE, 24 if factor < 1 else 9)[0]
     config = DetectorConfig(detection=BinaryRings(), scale=factor, refinement=refinement)
     corners = assert_corners_equal(detector_for(image, config), image)
     assert len(corners) > 4
 
 
-def test_a_mask_follows_the_scale(detector_for):
+def test_a_mask_is_scaled_with_the_image(detector_for):
     image = board(*images.SHAPE, 20)[0]
     mask = np.zeros(images.SHAPE, np.bool_)
     mask[:, :41] = True

@@ -21,7 +21,7 @@ def window(image: np.ndarray, row: int, column: int, size: int) -> list[int]:
 
 
 def by_definition(image: np.ndarray, threshold: AdaptiveMean) -> np.ndarray:
-    """Return the layers in integer arithmetic of any length: mean - k sigma, k = 0, -1/2, 1/2."""
+    """Return the layers of the thresholds mean - k sigma, k = 0, -1/2, 1/2, in exact integers."""
     n = threshold.window**2
     result = np.zeros((threshold.masks, *image.shape), np.bool_)
     for row, column in np.ndindex(image.shape):
@@ -53,7 +53,7 @@ def test_the_largest_sums_fit():
     np.testing.assert_array_equal(binarize(image, threshold), by_definition(image, threshold))
 
 
-def test_a_grey_on_the_outer_threshold_is_white():
+def test_a_grey_level_on_an_outer_threshold_is_white():
     image = np.array([[2, 0, 1], [0, 0, 0], [0, 0, 0]], np.uint8)
     # S = 3 and Q = 5, so that 4 d^2 = 36 = 9 Q - S^2: the centre lies at mean - sigma / 2.
     _, more, less = binarize(image, AdaptiveMean(window=3, masks=3))
@@ -79,12 +79,13 @@ def test_a_flat_image_is_white_whatever_its_level():
         assert not binarize(image, AdaptiveMean(window=5, masks=3)).any()
 
 
-def test_the_outer_layers_lie_on_either_side():
+def test_one_outer_layer_has_more_black_and_the_other_less():
     middle, more, less = binarize(noise((40, 40)), AdaptiveMean(window=9, masks=3))
     assert (more >= middle).all()
     assert (middle >= less).all()
     share = [mask.mean() for mask in (less, middle, more)]
-    # Uniform greys have sigma = range / sqrt(12): thresholds at .5 -+ .5 / sqrt(12) of it.
+    # Uniform grey levels have sigma = range / sqrt(12): thresholds at .5 -+ .5 / sqrt(12) of it.
+    # 0.05 is four standard errors of a share of 1600 pixels.
     np.testing.assert_allclose(
         share, [0.5 - 0.5 / math.sqrt(12), 0.5, 0.5 + 0.5 / math.sqrt(12)], atol=0.05
     )

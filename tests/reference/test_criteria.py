@@ -18,7 +18,7 @@ def at_centre(binary: np.ndarray, rules: RapidCriteria, radius: int = 5) -> dict
 
 
 def lines(angle: float, opening: float, x: float = 0, y: float = 0) -> np.ndarray:
-    """Return an image, black between two lines through (x, y), whose normals are on one side."""
+    """Return an image, black where a pixel lies on the same side of two lines through (x, y)."""
     sides = [(X - x) * math.cos(a) + (Y - y) * math.sin(a) for a in (angle, angle + opening)]
     return sides[0] * sides[1] > 0
 
@@ -47,7 +47,7 @@ def test_an_upright_corner_has_the_values_worked_out_by_hand():
     assert found["response"] == 3
 
 
-def test_fig_8_a_stripe_falls_to_corrosion_alone_and_a_corner_passes():
+def test_fig_8_corrosion_alone_rejects_a_stripe_and_passes_a_corner():
     found = at_centre(stripe(3.25, math.radians(10), 0.25), RapidCriteria(corrosion_threshold=4))
     assert found["corrosion"] == 7
     assert found["candidate"] == 0
@@ -77,7 +77,7 @@ def test_corrosion_treats_black_and_white_alike():
     assert len(np.unique(black)) > 5
 
 
-def test_corrosion_at_its_ends():
+def test_corrosion_is_16_where_ring_and_region_have_opposite_colours():
     ring_only = np.zeros((21, 21), np.bool_)
     for dx, dy in ring.OUTER_5:
         ring_only[10 + dy, 10 + dx] = True

@@ -27,7 +27,7 @@ CONFIGS = {
     "no gate": DetectorConfig(detection=BinaryRings(contrast=None)),
     "paper": DetectorConfig.paper(40),
 }
-TURNS = {  # the others are made of these
+SYMMETRIES = {  # all others of a square are combinations of these
     "quarter turn": lambda image: np.rot90(image),
     "mirror": lambda image: np.fliplr(image),
 }
@@ -58,21 +58,21 @@ def test_every_corner_of_a_board_is_found(config):
     assert (np.diff(order) > 0).all()
 
 
-@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+@pytest.mark.parametrize("symmetry", SYMMETRIES.values(), ids=SYMMETRIES)
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
 @pytest.mark.parametrize("image", [IMAGE, noise((50, 61))], ids=["board", "noise"])
-def test_maps_turn_with_the_image(turn, config, image):
-    before, after = (reference.maps(each, config) for each in (image, turn(image).copy()))
+def test_maps_rotate_and_reflect_with_the_image(symmetry, config, image):
+    before, after = (reference.maps(each, config) for each in (image, symmetry(image).copy()))
     for name in (*LAYERED, *INVARIANT, *SINGLE):
         values = getattr(before, name)
         if values is None:
             assert getattr(after, name) is None
             continue
         layers = values if values.ndim == 3 else values[None]
-        turned = getattr(after, name)
-        turned_layers = turned if turned.ndim == 3 else turned[None]
-        for one, other in zip(layers, turned_layers, strict=True):
-            np.testing.assert_array_equal(turn(one), other, err_msg=name)
+        moved = getattr(after, name)
+        moved_layers = moved if moved.ndim == 3 else moved[None]
+        for one, other in zip(layers, moved_layers, strict=True):
+            np.testing.assert_array_equal(symmetry(one), other, err_msg=name)
 
 
 @pytest.mark.parametrize("config", CONFIGS.values(), ids=CONFIGS)
@@ -207,11 +207,11 @@ def test_refinement_does_not_change_what_is_found():
 
 
 @pytest.mark.parametrize("seed", [20, 30])
-def test_salt_and_pepper_is_gated(seed):
+def test_the_gate_rejects_salt_and_pepper(seed):
     image = IMAGE.copy()
     rng = np.random.default_rng(seed)
     hit = rng.random(IMAGE.shape) < 0.5
     image[hit] = np.where(rng.random(hit.sum()) < 0.5, 0, 255)
-    gated, all_of_them = reference.maps(image, rings()), reference.maps(image, rings(contrast=None))
+    gated, ungated = reference.maps(image, rings()), reference.maps(image, rings(contrast=None))
     assert not gated.maximum.any()
-    assert all_of_them.maximum.sum() > 0
+    assert ungated.maximum.sum() > 0

@@ -62,7 +62,7 @@ def test_the_bound_rounds_up():
 def test_the_noise_amplitude_is_that_of_the_definition():
     image = np.zeros((5, 6), np.uint8)
     image[2, 2] = 9
-    # One pixel answers as 4, four neighbours 2, four diagonals 1, all inside.
+    # The filter weighs a pixel by 4, its four neighbours by 2 and the diagonal ones by 1.
     assert gate.noise_amplitude(image) == (9 * 16, 3 * 4)
     ramp = (np.arange(6)[None] * 3 + np.arange(5)[:, None] * 7).astype(np.uint8)
     assert gate.noise_amplitude(ramp) == (0, 12)
@@ -71,7 +71,7 @@ def test_the_noise_amplitude_is_that_of_the_definition():
 
 
 @pytest.mark.parametrize("sigma", [2, 15])
-def test_noise_amplitude_measures_gaussian_noise(sigma):
+def test_the_noise_amplitude_measures_gaussian_noise(sigma):
     normal = np.random.default_rng(1).normal(128, sigma, (300, 300))
     amplitude, pixels = gate.noise_amplitude(np.rint(normal).astype(np.uint8))
     # Immerkaer: the mean absolute response is 6 sigma sqrt(2 / pi).
@@ -137,7 +137,7 @@ def test_of_three_thresholds_one_that_passes_is_enough():
     assert 0 < np.all(passed, axis=0).sum() < maps.maximum.sum() < free.maximum.sum()
 
 
-def test_twelve_bits_raise_the_floor_and_nothing_else():
+def test_twelve_bits_raise_the_least_contrast_and_nothing_else():
     image, _ = board(80, 90, 12)
     deep = image.astype(np.uint16) * 16
     eight = reference.maps(image, rings())

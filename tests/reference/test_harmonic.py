@@ -1,4 +1,4 @@
-"""The rule of the ring's harmonics against vectors, by definition, and at its limits."""
+"""The oracle of `RingHarmonic` against stored vectors, its definition, and at its limits."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ NAMES = [
 ]
 EIGHT = images.eight_bits()
 DEEP = images.sixteen_bits()
-TURNS = {
+SYMMETRIES = {
     "quarter turn": lambda image: np.rot90(image),
     "half turn": lambda image: np.rot90(image, 2),
     "mirror": lambda image: np.fliplr(image),
@@ -136,7 +136,7 @@ def test_the_reference_is_where_half_of_the_squares_are_reached():
     assert harmonic.reference(np.array([3, 5, 4])) == 5  # 2 * 25 reaches 50 exactly
     assert harmonic.reference(np.array([3, 4, 5, 1])) == 4
     many = np.concatenate([np.full(100, 1000), np.full(90_000, 30)])
-    assert harmonic.reference(many) == 1000  # not so the 90th percentile
+    assert harmonic.reference(many) == 1000  # the 90th percentile would be 30
     assert harmonic.reference(np.full(200_000, 11_220)) == 11_220  # beyond 32 bits
 
 
@@ -170,7 +170,7 @@ def test_the_noise_bound_is_exact_and_rounded_up():
 
 @pytest.mark.parametrize("name", ["scene", "worn scene", "fine board", "texture"])
 def test_the_kept_maxima_follow_the_definition(name):
-    """The corners from the maps alone, one pixel at a time."""
+    """The corners are found once more, one pixel at a time."""
     found = corners_of(EIGHT[name])
     coarse, fine = (
         values.astype(np.int64) for values in (found.maps.coarse_response, found.maps.fine_response)
@@ -194,7 +194,7 @@ def test_the_kept_maxima_follow_the_definition(name):
         middle = harmonic.coarse_measure(at(y, x, (4, 3), thrice))[0]
         along, whole = small.a * large.a + small.b * large.b, large.a**2 + large.b**2
         alike = 8 * along >= whole
-        alike &= large.centre / large.length <= 11 / 8 + along / whole  # far from equality here
+        alike &= large.centre / large.length <= 11 / 8 + along / whole  # no case is near equality
         if alike and 6 * middle >= coarse[y, x] and middle <= 2 * coarse[y, x]:
             checked.append((y, x))
     level = harmonic.reference(np.array([coarse[at] for at in checked], np.int64))
@@ -309,21 +309,21 @@ def test_suppression_looks_beyond_the_mask():
 # --- symmetry ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
+@pytest.mark.parametrize("symmetry", SYMMETRIES.values(), ids=SYMMETRIES)
 @pytest.mark.parametrize("name", ["noise", "near levels", "worn scene", "fine board"])
-def test_every_map_turns_with_the_image_exactly(turn, name):
+def test_every_map_rotates_and_reflects_with_the_image(symmetry, name):
     before = reference.maps(EIGHT[name], DetectorConfig())
-    after = reference.maps(np.ascontiguousarray(turn(EIGHT[name])), DetectorConfig())
+    after = reference.maps(np.ascontiguousarray(symmetry(EIGHT[name])), DetectorConfig())
     for field in DENSE:
-        np.testing.assert_array_equal(turn(getattr(before, field)), getattr(after, field))
+        np.testing.assert_array_equal(symmetry(getattr(before, field)), getattr(after, field))
 
 
-@pytest.mark.parametrize("turn", TURNS.values(), ids=TURNS)
-def test_the_corners_turn_with_the_image_where_no_two_tie(turn):
+@pytest.mark.parametrize("symmetry", SYMMETRIES.values(), ids=SYMMETRIES)
+def test_the_corners_rotate_and_reflect_with_the_image_where_no_two_tie(symmetry):
     image = EIGHT["worn scene"]
     before = reference.maps(image, DetectorConfig()).maximum
-    after = reference.maps(np.ascontiguousarray(turn(image)), DetectorConfig()).maximum
-    np.testing.assert_array_equal(turn(before), after)
+    after = reference.maps(np.ascontiguousarray(symmetry(image)), DetectorConfig()).maximum
+    np.testing.assert_array_equal(symmetry(before), after)
 
 
 @pytest.mark.parametrize("name", EIGHT)
@@ -417,7 +417,7 @@ def test_stripes_at_any_angle_have_no_corner(width, blur):
 
 
 def test_stripes_without_their_check_would_have_corners():
-    """Its other checks pass many maxima of these stripes."""
+    """The other checks pass many maxima of these stripes."""
     found = corners_of(images.stripes(7, 0.5))
     once, thrice = harmonic.smoothed(images.stripes(7, 0.5), 255)
     response = found.maps.coarse_response.astype(np.int64)
@@ -442,7 +442,7 @@ def test_deep_images_find_what_eight_bits_find(bits):
     assert np.abs(plain.maps.fine.astype(int) - other.maps.fine).max() <= 1
 
 
-def test_greys_above_full_scale_count_as_full_scale():
+def test_grey_levels_above_full_scale_count_as_full_scale():
     image = DEEP["12-bit board"]
     bright = np.where(image > 2000, np.uint16(65535), image)
     limit = np.where(image > 2000, np.uint16(4095), image)

@@ -1,4 +1,4 @@
-"""Suppression of the oracle against a walk over every pixel."""
+"""The oracle's non-maximum suppression against a walk over every pixel."""
 
 import itertools
 
@@ -26,11 +26,11 @@ def kept(response: np.ndarray, score: np.ndarray, radius: int) -> set[tuple[int,
 
     result = set()
     for row, column in np.argwhere(response > 0):
-        rivals = itertools.product(
+        neighbours = itertools.product(
             range(max(row - radius, 0), min(row + radius + 1, height)),
             range(max(column - radius, 0), min(column + radius + 1, width)),
         )
-        if all(key(row, column) >= key(*rival) for rival in rivals if response[rival] > 0):
+        if all(key(row, column) >= key(*other) for other in neighbours if response[other] > 0):
             result.add((int(row), int(column)))
     return result
 
@@ -52,14 +52,14 @@ def test_maxima_are_those_of_a_walk_over_the_pixels(radius, share, shape):
     assert found == kept(response, score, radius)
 
 
-def test_a_plateau_has_one_winner_at_its_upper_left_centre():
+def test_a_plateau_has_one_maximum_at_its_upper_left_centre():
     response = np.zeros((30, 30), np.int32)
     response[10:14, 11:15] = 5
     score = nms.score(response)
     assert np.argwhere(nms.maxima(response, score, 3)).tolist() == [[11, 12]]
 
 
-def test_an_endless_plateau_keeps_maxima_apart():
+def test_maxima_of_an_endless_plateau_are_more_than_the_radius_apart():
     response = np.full((40, 40), 4, np.int32)
     row, column = np.nonzero(nms.maxima(response, nms.score(response), 3))
     distance = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))

@@ -52,6 +52,7 @@ def test_the_inner_circle_is_that_of_the_sampler():
 )
 @pytest.mark.parametrize("scale", [None, 0.7, 1.5])
 def test_a_perfect_corner_is_found_where_it_is(refinement, method, bound, scale):
+    # A centroid is as exact as pixels of the working image, which are 1.4 px wide at 0.7.
     bound *= 1.5 if refinement is None and scale == 0.7 else 1
     for x, y, angle in PLACES:
         corners = one(corner(x, y, angle), refinement, scale=scale)
@@ -73,8 +74,8 @@ def test_edges_point_along_the_lines_from_white_to_black_first():
         corners = one(image, EdgeLines())
         edges = corners.edges[0].astype(np.float64)
         assert np.abs(np.sin(2 * (edges - angle))).max() < 0.5  # seen from the rounded start
-        turns = np.diff([*edges, edges[0]]) % math.tau
-        assert turns.sum() == pytest.approx(math.tau)
+        angles = np.diff([*edges, edges[0]]) % math.tau
+        assert angles.sum() == pytest.approx(math.tau)
         for k, edge in enumerate(edges):
             # A clockwise rotation on the screen is towards larger angles.
             after = edge + (edges[(k + 1) % 4] - edge) % math.tau / 2
@@ -82,7 +83,7 @@ def test_edges_point_along_the_lines_from_white_to_black_first():
             assert (image[row, column] < 120) == (k % 2 == 0)
 
 
-def test_a_step_brings_edge_lines_nearer():
+def test_a_step_brings_edge_lines_nearer_to_the_truth():
     image, truth = board(150, 160, 11)
     errors = {}
     for refinement in (EdgeLines(), EdgeStep(cell=11)):
@@ -93,7 +94,7 @@ def test_a_step_brings_edge_lines_nearer():
     assert errors[EdgeStep] < errors[EdgeLines] / 2 < 0.02
 
 
-def test_every_refined_corner_has_a_sigma_and_the_step_doubts():
+def test_every_refined_corner_has_a_sigma_and_no_whole_one_is_doubtful():
     image, truth = board(150, 160, 11)
     image[60:66, 60:90] = 120  # a torn place
     corners = found(image, EdgeStep(cell=11))
@@ -105,6 +106,7 @@ def test_every_refined_corner_has_a_sigma_and_the_step_doubts():
     torn = np.linalg.norm(corners.xy - np.array([75, 63]), axis=1) < 25
     whole = ((corners.xy > 9) & (corners.xy < np.array([150, 140]))).all(axis=1)
     assert not (corners.doubtful & whole & ~torn).any()
+    # The excess of a doubtful corner is above 0.010; 1000 times its square is in the variance.
     assert corners.sigma[corners.doubtful].min() > math.sqrt(1000) * 0.010
     lines = found(image, EdgeLines())
     assert np.array_equal(np.isnan(lines.sigma), lines.method == Method.KEPT)
@@ -145,7 +147,7 @@ def test_sigma_grows_with_noise(refinement):
     assert medians == sorted(medians)
 
 
-def test_the_cell_sets_how_much_the_step_sees():
+def test_the_cell_sets_the_radius_of_the_step_up_to_9_px():
     image, _ = board(80, 80, 11)
     wide = np.clip(image.astype(np.int64) + noise(image.shape) // 12, 0, 255).astype(np.uint8)
     near, far = (found(wide, EdgeStep(cell=cell)).xy for cell in (6, 12))
@@ -157,7 +159,7 @@ def test_the_cell_sets_how_much_the_step_sees():
 
 @pytest.mark.parametrize("cell", [6, 8, 15])
 def test_the_step_is_right_with_its_default_cell(cell):
-    """A disc that is right for wide cells extends over the next edges of narrow ones."""
+    """A disc that is right for wide cells reaches over the next edges of narrow ones."""
     image, truth = board(90, 90, cell)
     speckled = np.clip(image.astype(np.int64) + noise(image.shape) // 12, 0, 255).astype(np.uint8)
     errors = []
@@ -272,7 +274,7 @@ def test_lines_at_a_small_angle_are_rejected():
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 @pytest.mark.parametrize(("off", "expected"), [(0.49, Method.EDGE_LINES), (0.51, Method.KEPT)])
 def test_edge_points_off_their_lines_are_rejected(scale, off, expected):
-    """Those of e0 and e2 lie to the left and to the right of their line in turns."""
+    """Points of e0 and e2 lie to the left and to the right of their line alternately."""
     points = rays([0.0, np.pi / 2, np.pi, 3 * np.pi / 2])
     points.point[0] /= scale
     sideways = np.array([0.5, -1.0, 0.5]) * np.sqrt(2) * off / scale  # their mean square is off^2
@@ -303,12 +305,12 @@ def test_quadratic_centrelines_meet_where_parabolas_meet():
     lines = [edges.fit_lines(middle[:, :, k], np.ones((1, 3), np.bool_)) for k in (0, 1)]
     straight = edges.intersect(*lines)
     curved = midlines._intersect_curves(*lines, middle, straight.position)
-    # Not the origin exactly: v is quadratic along a rotated axis.
+    # They do not meet at the origin exactly: v is quadratic along a rotated axis.
     assert np.linalg.norm(curved.position) < np.linalg.norm(straight.position) / 3
 
 
 @pytest.mark.parametrize("far", [4000, 16000])
-def test_far_from_the_origin_a_corner_moves_by_exactly_that(far):
+def test_a_corner_far_from_the_origin_is_refined_exactly_like_one_near_it(far):
     image = corner(20.3, 19.8, 0.7)
     wide = np.pad(image, ((0, 0), (far, 0)), mode="edge")
     start = np.array([[20, 20]])
@@ -411,7 +413,7 @@ def step_by_least_squares(
     whole = system(ux, uy, fine_p, fine_slopes)
     matrix = whole.T @ (fine_weight[:, None] * whole) / 16**2
 
-    # Freely first: how much better the light's gradient makes the fit, and the noise that is left.
+    # A free fit first: how much the gradient of the light improves it, and the noise that is left.
     free, edges = np.linalg.solve(matrix, right), np.linalg.solve(matrix[:2, :2], right[:2])
     gained = right @ free - right[:2] @ edges
     noise = ((weight * residual**2).sum() - right @ free) / weight.sum()
@@ -490,7 +492,7 @@ def test_a_step_without_contrast_is_rejected():
     assert step.refusal[0] == Refusal.FLAT
 
 
-def test_the_margin_tells_how_near_a_guard_is():
+def test_the_margin_tells_how_near_a_check_is_to_its_bound():
     image = corner(20.3, 20.4, 0.7)
     shift = np.linalg.norm(one(image, EdgeLines()).xy[0] - np.array([20, 20]))
     _, wide = reference.detect_with_margin(image, DetectorConfig(refinement=EdgeLines()))

@@ -1,4 +1,4 @@
-"""The sampler's tables, and the claims about all 65 536 rings."""
+"""The offsets of the rings, and what holds for all 65 536 rings."""
 
 import itertools
 import math
@@ -15,8 +15,8 @@ def run_lengths(mask: int) -> list[int]:
     """Return the lengths of the circular runs of a ring, by walking around it."""
     samples = [mask >> i & 1 for i in range(16)]
     start = next((i for i in range(16) if samples[i] != samples[i - 1]), 0)
-    turned = samples[start:] + samples[:start]
-    return [len(list(group)) for _, group in itertools.groupby(turned)]
+    rotated = samples[start:] + samples[:start]
+    return [len(list(group)) for _, group in itertools.groupby(rotated)]
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def runs() -> list[list[int]]:
 
 
 @pytest.mark.parametrize("name", RINGS)
-def test_rings_turn_clockwise_from_twelve_and_look_alike_from_all_sides(name):
+def test_rings_go_clockwise_from_twelve_and_have_the_symmetries_of_a_square(name):
     offsets, radius = RINGS[name]
     assert offsets[0] == (0, -radius)
     angles = [math.atan2(dx, -dy) % math.tau for dx, dy in offsets]

@@ -12,7 +12,7 @@ from cmp_cl.reference import scale
 
 @pytest.mark.parametrize("factor", [0.05, 0.3, 0.5, 0.75, 1.1, 2.0, 3.7])
 @pytest.mark.parametrize("length", [1, 2, 7, 100])
-def test_weights_are_shares_of_2048_of_pixels_in_the_image(factor, length):
+def test_weights_are_of_pixels_in_the_image_and_add_up_to_2048(factor, length):
     index, weight = scale.weights(length, factor)
     assert len(index) == max(1, int(length * factor + 0.5))
     assert (weight >= 0).all()
@@ -61,13 +61,13 @@ def test_stretching_agrees_with_opencv(factor):
 
 
 @pytest.mark.parametrize("factor", [0.05, 0.31, 0.99, 1.01, 4.0])
-def test_flat_stays_flat_and_full_scale_stays_full(factor):
+def test_a_flat_image_keeps_its_level_even_full_scale(factor):
     for level in (0, 1, 65535):
         image = np.full((9, 30), level, np.uint16)
         assert (scale.to_working(image, factor) == level).all()
 
 
-def test_scale_one_is_the_image():
+def test_at_scale_one_the_image_itself_is_used():
     image = noise((9, 9))
     assert scale.to_working(image, 1.0) is image
     config = DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(window=9)))
@@ -83,7 +83,7 @@ def test_working_pixels_lie_where_the_mapping_says():
         working = scale.to_working(ramp, factor)[5].astype(np.float64)
         place = scale.to_full(np.arange(len(working)), factor)
         inner = (place > 2) & (place < 97)
-        assert np.abs(working - 2 * place)[inner].max() < 0.6
+        assert np.abs(working - 2 * place)[inner].max() < 0.6  # 0.5 by rounding
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.62])
@@ -102,7 +102,7 @@ def test_large_cells_are_found_at_a_smaller_scale(factor):
     np.testing.assert_array_equal(corners.pixel, place)
 
 
-def test_the_pyramid_takes_the_nearest_count_and_the_larger_of_equals():
+def test_the_pyramid_takes_the_nearest_count_and_of_equals_the_larger_scale():
     assert scale.best_factor({0.5: 10, 1.0: 14, 2.0: 7}, 11) == 0.5
     assert scale.best_factor({0.5: 10, 1.0: 12, 2.0: 7}, 11) == 1.0
     image, _ = board(200, 210, 28)

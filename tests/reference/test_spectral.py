@@ -22,7 +22,7 @@ def correlations(inner: int, outer: int) -> list[int]:
 
 
 def phase(values: list[int]) -> float:
-    """Return the smallest |centre| of the circular runs of the largest value, samples."""
+    """Return the smallest |centre|, in samples, of the circular runs of the largest value."""
     best = [value == max(values) for value in values]
     if all(best):
         return 0.0
@@ -90,15 +90,16 @@ def test_a_perfect_corner_passes_and_its_response_is_the_formula():
 
 def test_each_bound_of_the_spectrum_decides():
     free = SpectralCriteria(correlation=0, phase=math.pi, corrosion_threshold=None)
-    turned = int(ring.rotate(np.array([0x0F0F], np.uint16), 1)[0])
-    assert around(0x0F0F, free, turned).candidate[0, 0]
-    assert around(0x0F0F, free, turned).phase[0, 0] == np.float32(math.pi / 8)
+    rotated = int(ring.rotate(np.array([0x0F0F], np.uint16), 1)[0])
+    assert around(0x0F0F, free, rotated).candidate[0, 0]
+    assert around(0x0F0F, free, rotated).phase[0, 0] == np.float32(math.pi / 8)
     strict = SpectralCriteria(correlation=0, phase=math.pi / 8, corrosion_threshold=None)
-    assert not around(0x0F0F, strict, turned).candidate[0, 0]
+    assert not around(0x0F0F, strict, rotated).candidate[0, 0]
     exact = SpectralCriteria(correlation=1, corrosion_threshold=None)
     assert not around(0x0F0F, exact).candidate[0, 0]
     with_corrosion = SpectralCriteria(corrosion_threshold=8)
-    assert not around(0x0F0F, with_corrosion).candidate[0, 0]  # 8 black around, none within
+    # 8 of the ring are black, and none of the region.
+    assert not around(0x0F0F, with_corrosion).candidate[0, 0]
     assert around(0x0F0F, SpectralCriteria(corrosion_threshold=9)).candidate[0, 0]
 
 
@@ -127,7 +128,7 @@ def test_candidates_follow_the_definition():
 
 
 @pytest.mark.parametrize("mask", [0, 0xFFFF])
-def test_constant_rings_fail_with_no_correlation_of_white(mask):
+def test_constant_rings_are_no_candidates_and_white_ones_have_no_correlation(mask):
     found = around(mask, SpectralCriteria(correlation=0, corrosion_threshold=None))
     assert not found.candidate[0, 0]
     assert found.correlation[0, 0] == (1 if mask else 0)

@@ -11,7 +11,7 @@ from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, RapidCriter
 FOLDER = Path(__file__).resolve().parents[1] / "data"
 SHARED = (
     Path(__file__).resolve().parents[3] / "shared" / "vectors"
-)  # of photographs, if it is there
+)  # those of photographs, if it exists
 FILES = {
     path.stem: path
     for path in sorted([*FOLDER.glob("*.npz"), *SHARED.glob("water-*.npz")])
@@ -29,7 +29,7 @@ MAPS = (
     "corrosion",
     "candidate",
 )
-MOVED = {"water-default": (1, 1), "water-dense": (0, 5)}  # corners that are new, that are gone
+MOVED = {"water-default": (1, 1), "water-dense": (0, 5)}  # how many corners are new, how many gone
 
 
 def load(name: str) -> tuple[dict[str, np.ndarray], DetectorConfig]:

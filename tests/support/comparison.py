@@ -44,7 +44,7 @@ def assert_corners_equal(
 ) -> Corners:
     """Assert that the corners of an image are the oracle's within the tolerances, and return them.
 
-    Corners whose checks lie within the margin are few, and are not compared.
+    Corners with a check within the margin of its bound are few, and are not compared.
     """
     found = detector(image)
     expected, margin = reference.detect_with_margin(image, detector.config, mask)
@@ -61,9 +61,9 @@ def assert_corners_equal(
     np.testing.assert_allclose(
         found.sigma[decided], expected.sigma[decided], rtol=tolerances.SIGMA, atol=0
     )
-    turn = np.remainder(found.edges - expected.edges + np.pi, 2 * np.pi) - np.pi
+    apart = np.remainder(found.edges - expected.edges + np.pi, 2 * np.pi) - np.pi
     np.testing.assert_array_equal(np.isnan(found.edges[decided]), np.isnan(expected.edges[decided]))
-    assert not (np.abs(turn[decided]) > tolerances.ANGLE).any()
+    assert not (np.abs(apart[decided]) > tolerances.ANGLE).any()
     return found
 
 

@@ -9,7 +9,7 @@ _OF_RINGS = [field.name for field in dataclasses.fields(BinaryRings)]
 
 
 def rings(base: DetectorConfig | None = None, **changes: Any) -> DetectorConfig:
-    """Return a configuration with BinaryRings and some changes, each to the part that has that
+    """Return a configuration with BinaryRings and some changes, each to the part that has this
     field."""
     base = base or DetectorConfig(detection=BinaryRings())
     inner = {name: changes.pop(name) for name in _OF_RINGS if name in changes}

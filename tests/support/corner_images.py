@@ -6,13 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-OVERSAMPLING = 8
+OVERSAMPLING = 8  # samples of a pixel, along each axis
 
 
 def corner(
     x: float, y: float, angle: float, *, opening: float = math.pi / 2, blur: float = 0.7
 ) -> NDArray[np.uint8]:
-    """Return (41, 41): two lines through (x, y) at angle and angle + opening, grey 40 and 200."""
+    """Return (41, 41): grey levels 40 and 200, divided by two lines through (x, y) at angle and at
+    angle + opening, rad."""
     u = (np.arange(41 * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5
     sides = [
         (u[:, None] - y) * math.cos(a) - (u[None] - x) * math.sin(a)
@@ -30,7 +31,11 @@ def board(
     blur: float = 0.7,
     samples: int = OVERSAMPLING,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Return an image full of a rotated checkerboard, and its corners 6 px inside, (N, 2)."""
+    """Return an image full of a rotated checkerboard, (rows, columns), and its corners that are at
+    least 6 px inside, (N, 2) px.
+
+    cell, blur: px. angle: rad. samples: of a pixel, along each axis.
+    """
     height, width = rows, columns
     x, y = ((np.arange(n * samples) + 0.5) / samples - 0.5 for n in (width, height))
     cos, sin = math.cos(angle) / cell, math.sin(angle) / cell

@@ -13,7 +13,7 @@ MakeDetector = Callable[..., Detector]
 
 @contextlib.contextmanager
 def detectors_on(device: Device) -> Iterator[MakeDetector]:
-    """Yield make(image, config, mask): a detector for images like it, made only once."""
+    """Yield make(image, config, mask), which returns a detector for such images, made only once."""
     made: dict[Any, Detector] = {}
 
     def make(

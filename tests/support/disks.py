@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def full_after(size: int) -> Iterator[None]:
-    """Let no file grow beyond that many bytes: more is an OSError, as on a full disk."""
+    """Let no file grow beyond `size` bytes: more is an OSError, as on a full disk."""
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -30,7 +30,7 @@ def salt_and_pepper(shape: tuple[int, int], share: float, seed: int = 0) -> NDAr
 
 
 def texture(shape: tuple[int, int], seed: int = 7) -> NDArray[np.uint8]:
-    """Return a random texture as fine as the rings, which has candidates of every kind."""
+    """Return a random texture as fine as the rings, with candidates of every kind."""
     rng = np.random.default_rng(seed)
     smooth = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 1.5)
     grey = 128 + 60 * smooth / smooth.std() + rng.normal(0, 3, shape)
@@ -47,14 +47,16 @@ def scene(severity: float = 1.0, *, bits: int = 8, seed: int = 1) -> synthetic.R
 
 @functools.cache
 def eight_bits() -> dict[str, Image]:
-    """Return images by name of their content."""
+    """Return images by the name of their content."""
     y, x = np.indices(SHAPE)
     images = {
         "black": np.zeros(SHAPE, np.uint8),
         "white": np.full(SHAPE, 255, np.uint8),
         "noise": noise(SHAPE),
         "two levels": noise(SHAPE, seed=1) // 128 * 255,
-        "near levels": (noise(SHAPE, seed=2) // 86 + 100).astype(np.uint8),  # threshold ties
+        "near levels": (noise(SHAPE, seed=2) // 86 + 100).astype(
+            np.uint8
+        ),  # levels at the threshold
         "texture": texture(SHAPE),
         "ramp": (x * 3).astype(np.uint8),
         "slope": (x + 2 * y).astype(np.uint8),
@@ -74,7 +76,7 @@ def eight_bits() -> dict[str, Image]:
 
 @functools.cache
 def sixteen_bits() -> dict[str, Image]:
-    """Return images by name of their content, of a 12-bit camera and over the whole range."""
+    """Return images by the name of their content: of 12-bit cameras, and over the whole range."""
     rng = np.random.default_rng(5)
     eight = eight_bits()
     return {

@@ -2,7 +2,7 @@
 
 
 def fails_in_one_line(result, *words):
-    """Assert status 2 and one line on stderr that has these words."""
+    """Assert that a command ended with status 2 and one line on stderr that has these words."""
     status, _, err = result
     err = besides_pyav(err)
     assert status == 2
@@ -14,5 +14,5 @@ def fails_in_one_line(result, *words):
 
 
 def besides_pyav(err):
-    """Return the stderr of a command without the line that PyAV is not installed."""
+    """Return the stderr of a command without the line which says that PyAV is not installed."""
     return "".join(line for line in err.splitlines(keepends=True) if "PyAV is not" not in line)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 Map = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-_SAMPLES = 4  # a pixel, along each axis
+_SAMPLES = 4  # of a pixel, along each axis
 
 
 def moved_board(
@@ -22,17 +22,18 @@ def moved_board(
 ) -> NDArray[np.uint8]:
     """Return a checkerboard whose point q at rest appears at q + displacement(q), px.
 
-    board: (x0, y0, x1, y1) of the pattern at rest, the rest is grey; None means everywhere.
-    Its corners lie at whole multiples of the cell. noise: standard deviation, grey levels.
+    board: (x0, y0, x1, y1) of the pattern at rest, px; it is grey around it. None means that the
+    pattern is everywhere. Its corners lie at whole multiples of the cell, px. noise: standard
+    deviation, grey levels.
     """
     rows, columns = shape
-    fine = (np.arange(columns * _SAMPLES) + 0.5) / _SAMPLES - 0.5
+    across = (np.arange(columns * _SAMPLES) + 0.5) / _SAMPLES - 0.5
     down = (np.arange(rows * _SAMPLES) + 0.5) / _SAMPLES - 0.5
-    seen = np.stack(np.meshgrid(fine, down), axis=-1)
+    seen = np.stack(np.meshgrid(across, down), axis=-1)
     rest = seen
     for _ in range(60):
         rest = seen - displacement(rest)
-    # Edges are as soft as a sample is wide: hard ones would snap to the raster of the samples.
+    # Edges are as soft as a sample is wide; hard ones would move to the raster of the samples.
     phase = rest / cell % 2
     to_edge = cell * np.select([phase < 0.5, phase < 1.5], [phase, 1 - phase], phase - 2)
     image = 125.0 - 85.0 * np.clip(2 * _SAMPLES * to_edge, -1, 1).prod(axis=-1)

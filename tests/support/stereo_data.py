@@ -1,4 +1,4 @@
-"""Grids and rigs for the tests of the two-view part: projected lattices and photographs."""
+"""Grids, points and rigs for the tests in space: projected lattices and photographs."""
 
 import json
 import re
@@ -72,32 +72,32 @@ def bumblebee_rig(path: Path) -> StereoRig:
         )
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), [*listed(block, "radial"), t1, t2]
 
-    turn = np.reshape(listed(pose, "rotation"), (3, 3))
-    shift = np.array([number(pose, key) for key in "xyz"])
-    return StereoRig(*camera(left), *camera(right), turn.T, -turn.T @ shift)
+    rotation = np.reshape(listed(pose, "rotation"), (3, 3))
+    translation = np.array([number(pose, key) for key in "xyz"])
+    return StereoRig(*camera(left), *camera(right), rotation.T, -rotation.T @ translation)
 
 
 def toed_in_rig(unit: str = "mm") -> StereoRig:
     """Return two cameras 16 mm apart that look at a point 46 mm away, with lens distortion."""
-    turn = cv2.Rodrigues(np.array([0.01, 0.35, -0.02]))[0]
+    rotation = cv2.Rodrigues(np.array([0.01, 0.35, -0.02]))[0]
     centre = np.array([0.0, 0.0, 46.0])
     return StereoRig(
         [[1260, 0, 401], [0, 1262, 598], [0, 0, 1]],
         [-0.12, 0.05, 0.0006, -0.0004, 0.0],
         [[1255, 0, 397], [0, 1254, 603], [0, 0, 1]],
         [-0.11, 0.04, -0.0005, 0.0007, 0.0],
-        turn,
-        centre - turn @ centre,
+        rotation,
+        centre - rotation @ centre,
         unit=unit,
     )
 
 
 def project(rig: StereoRig, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the projections of the points (..., 3) in both cameras: two arrays (..., 2), px."""
-    turn = cv2.Rodrigues(rig.R)[0]
+    rotation = cv2.Rodrigues(rig.R)[0]
     flat = np.ascontiguousarray(xyz, np.float64).reshape(-1, 1, 3)
     left, _ = cv2.projectPoints(flat, np.zeros(3), np.zeros(3), rig.K1, rig.D1)
-    right, _ = cv2.projectPoints(flat, turn, rig.T, rig.K2, rig.D2)
+    right, _ = cv2.projectPoints(flat, rotation, rig.T, rig.K2, rig.D2)
     shape = (*xyz.shape[:-1], 2)
     return left.reshape(shape), right.reshape(shape)
 
@@ -110,7 +110,7 @@ def gel(rows: int = 20, columns: int = 20, depth: float = 2.0) -> np.ndarray:
 
 
 def points(xyz: np.ndarray, sigma: float = 0.01, unit: str = "mm") -> Points3D:
-    """Return triangulated points without the triangulation; NaN where missing."""
+    """Return points as triangulation returns them, from positions (R, C, 3); NaN where missing."""
     xyz = np.asarray(xyz, float)
     missing = np.isnan(xyz[..., 0])
     covariance = np.broadcast_to(np.eye(3) * sigma**2, (*missing.shape, 3, 3)).copy()
@@ -126,5 +126,5 @@ def points(xyz: np.ndarray, sigma: float = 0.01, unit: str = "mm") -> Points3D:
 
 
 def field_of(rest: np.ndarray, now: np.ndarray) -> DisplacementField:
-    """Return the displacement between two sets of positions (R, C, 3), mm."""
+    """Return the displacement from positions at rest to current ones, (R, C, 3) each, mm."""
     return displacement(points(rest), points(now))

@@ -15,20 +15,20 @@ def frame(number):
 
 
 def slow_frame(number):
-    """Return the same after a tenth of a second."""
+    """Return `frame(number)` after a tenth of a second."""
     time.sleep(0.1)
     return frame(number)
 
 
 def broken_frame(number):
-    """Return the same, but for one frame."""
+    """Return `frame(number)`, but raise OSError for frame 17."""
     if number == 17:
         raise OSError("frame 17 is broken")
     return frame(number)
 
 
 def colour_frame(number):
-    """Return the same with three channels."""
+    """Return `frame(number)` with three channels."""
     return np.dstack([frame(number)] * 3)
 
 
@@ -38,7 +38,7 @@ def process():
 
 
 def corners_of_board(device):
-    """Return how many corners a detector of this process finds."""
+    """Return how many corners a detector in this process finds on a board."""
     board = images.eight_bits()["board"]
     with Detector(shape=board.shape, device=device) as detector:
         return len(detector(board))

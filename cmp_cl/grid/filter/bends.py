@@ -22,11 +22,9 @@ _LEAST_SINE = math.sin(math.radians(10))  # of the angle between the two lines a
 
 
 def bend_shift_of(grid: Grid) -> Array:
-    """Return the shift of the nodes of a grid by bent edges, (R, C, 2) float64, px, see
-        `bend_shift`.
+    """Return the shift of the nodes of a grid by bent edges, (R, C, 2) float64, px.
 
-    It is 0 if the radius of the corners' refinement is unknown.
-
+    It is 0 if the radius of the corners' refinement is unknown; see `bend_shift`.
     """
     if not math.isfinite(grid.edge_radius):
         return np.zeros(grid.xy.shape)
@@ -35,7 +33,7 @@ def bend_shift_of(grid: Grid) -> Array:
 
 
 def with_bends(grid: Grid) -> Grid:
-    """Return the grid with the shift by bent edges in its sigma, which was that of the corners."""
+    """Return the grid with the shift by bent edges added to its sigma, which must be without it."""
     return dataclasses.replace(grid, sigma=bent_sigma(grid.xy, grid.sigma, grid.edge_radius))
 
 
@@ -44,9 +42,9 @@ def bent_sigma(
 ) -> NDArray[np.float32]:
     """Return the standard deviation of raw positions with the shift by bent edges, (R, C), px.
 
-    xy, sigma, radius: as the grid's `xy`, `sigma` without that shift, and `edge_radius`. The shift
-    is known, but raw positions keep it, so half of its square is added to the variance per axis.
-    It comes from raw positions: their noise adds a hundredth of itself.
+    xy, sigma, radius: the grid's `xy`, its `sigma` without that shift, and its `edge_radius`. The
+    shift is known, but raw positions keep it, so half of its square is added to the variance per
+    axis. It is computed from raw positions, whose noise adds a hundredth of itself.
     """
     if not math.isfinite(radius):
         return sigma
@@ -55,10 +53,10 @@ def bent_sigma(
 
 
 def image_sigma(grid: Grid) -> Array:
-    """Return the part of a grid's sigma that comes from the images of its corners, (R, C) float64,
-        px: without the shift by bent edges.
+    """Return a grid's sigma without the shift by bent edges, (R, C) float64, px.
 
-    A sigma smaller than that shift does not contain it, and is returned as it is.
+    It is the part that comes from the images of the corners. A sigma smaller than that shift does
+    not contain it, and is returned as it is.
     """
     whole = np.square(grid.sigma, dtype=np.float64)
     if not math.isfinite(grid.edge_radius):
@@ -68,7 +66,7 @@ def image_sigma(grid: Grid) -> Array:
 
 
 def _variance(xy: Single, radius: float) -> Single:
-    """Return the variance per axis of raw positions by bent edges, (R, C), px^2.
+    """Return the variance per axis that bent edges add to raw positions, (R, C), px^2.
 
     Nodes whose neighbours do not show the bend get the mean of the others. Single precision, which
     raw positions have, changes their sigma by less than a thousandth.
@@ -85,24 +83,23 @@ def _variance(xy: Single, radius: float) -> Single:
 def bend_shift(xy: Array, radius: float) -> Array:
     """Return the shift of each corner by bent edges, (R, C, 2) float64, in the unit of `xy`.
 
-    xy: (R, C, 2), filtered positions, NaN where missing. radius: radius within which a refinement
-    takes the edges to be straight, in the same unit; NaN for a refinement that does not. The
-    straight line that fits an arc of curvature k best within the radius r lies k r^2 / 6 from its
-    middle, on the inner side; the corner moves with both of its lines. The shift is 0 if too few
-    nodes show the curvature, or if the lines enclose less than 10 degrees.
+    xy: (R, C, 2), filtered positions, NaN where missing. radius: the radius within which the
+    refinement takes edges to be straight, in the same unit; NaN if it does not. The straight line
+    that fits an arc of curvature k best within the radius r lies k r^2 / 6 from its middle, on the
+    inner side; the corner moves with both of its lines. The shift is 0 if too few nodes show the
+    curvature, or if the lines enclose less than 10 degrees.
     """
     shift, _ = _shift_of(xy, radius)
     return np.ascontiguousarray(shift.transpose(1, 2, 0))
 
 
 def _shift_of(xy: NDArray[Float], radius: float) -> tuple[NDArray[Float], NDArray[np.bool_]]:
-    """Return the shift, as `bend_shift` does, by coordinate, (2, R, C), and whether it is known,
-    (R, C). The shift is as precise as `xy`.
+    """Return the shift of `bend_shift` by coordinate, (2, R, C), and where it is known, (R, C).
 
-    Let t and k be the first and second derivatives along a line of nodes, by the number of the
-    node, and q = |t|^2. The fit to the line lies (t x k) r^2 / (6 q^1.5) off it along its normal.
-    The point that lies so on both lines is r^2 / 6 ((t0 x k0) / q0 t1 - (t1 x k1) / q1 t0) /
-    (t0 x t1) from the corner.
+    The shift has the dtype of `xy`. Let t and k be the first and second derivatives along a line of
+    nodes, by the number of the node, and q = |t|^2. The straight fit to that edge lies
+    (t x k) r^2 / (6 q^1.5) off the node, along the normal. The fits to both edges meet at
+    r^2 / 6 ((t0 x k0) / q0 t1 - (t1 x k1) / q1 t0) / (t0 x t1) from the node.
     """
     data = np.ascontiguousarray(xy.transpose(2, 0, 1))
     there = np.asarray(np.isfinite(data).all(axis=0), np.bool_)
@@ -137,8 +134,8 @@ def _cross(a: NDArray[Float], b: NDArray[Float]) -> NDArray[Float]:
 @functools.lru_cache(maxsize=64)
 def _derivatives(n: int, kind: np.dtype[Float]) -> tuple[NDArray[Float], ...]:
     """Return three matrices (n, n): the first and second derivative of the parabola fitted to five
-    nodes, and the value of the line fitted to five. The five are moved inwards at the ends. Where
-    a line has three nodes or four, they are fitted to three."""
+    nodes, and the value of the line fitted to five. The five are moved inwards at the ends. On a
+    line of three or four nodes, the fits are to three."""
     half = _half(n)
     degrees = (2, 1), (2, 2), (1, 0)
     return tuple(polynomial(n, half, *each).astype(kind) for each in degrees)

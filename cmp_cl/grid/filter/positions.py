@@ -20,11 +20,9 @@ Array = NDArray[np.float64]
 
 
 def filter_positions(now: Grid, *, rest: Grid | None = None) -> tuple[Grid, Grid]:
-    """Return the grid with filtered positions, and the raw one, each with its sigma from the
-        lattice.
+    """Return the grid with filtered positions, and with raw ones, each with sigma from the lattice.
 
     now: the grid.
-
     rest: the same pattern at rest, numbered alike. With it the displacements are filtered and added
         to the filtered positions at rest; a node that is missing at rest keeps its position. The
         shift by bent edges is subtracted from filtered positions, and is part of the sigma of raw
@@ -82,7 +80,7 @@ def _deviations(
 
 
 def _raw(grid: Grid, noise: Array, own: Array) -> Grid:
-    """Return the grid with raw positions; their sigma is the noise and the shift by bent edges."""
+    """Return the grid with raw positions; sigma combines the noise and the shift by bent edges."""
     return with_bends(_with(grid, grid.xy, noise, own))
 
 

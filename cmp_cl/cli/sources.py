@@ -5,7 +5,6 @@ import contextlib
 import time
 from collections.abc import Generator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,17 +13,10 @@ from cmp_cl.cameras import CameraSettings, PairCount, is_live, paired
 from cmp_cl.cli.messages import counted
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
+from cmp_cl.media import Frame
 from cmp_cl.series.mcap import mcap_images
 
 PAIR_WITHIN = 20.0  # ms
-
-
-class Shot(NamedTuple):
-    """A frame of the source; image is None if it cannot be read, time_ms NaN if unknown."""
-
-    number: int
-    time_ms: float
-    image: GreyImage | None
 
 
 class Source:
@@ -58,56 +50,56 @@ class Source:
                 total += media.count_frames(path) or 1
         return total
 
-    def shots(self) -> Generator[Shot, None, None]:
+    def frames(self) -> Generator[Frame, None, None]:
         """Yield all frames or pairs, from the first; one that cannot be read has no image."""
         start: float | None = None
         if self.live and self._number is not None:
             for frame in media.read_camera(self._number):
                 now = time.monotonic() * 1e3
                 start = now if start is None else start
-                yield Shot(frame.index, now - start, frame.image)
+                yield Frame(frame.index, frame.image, now - start)
             return
         if self._camera is not None:
             for taken in self._camera.frames():
                 start = taken.time_ms if start is None else start
-                yield Shot(taken.index, taken.time_ms - start, taken.image)
+                yield Frame(taken.index, taken.image, taken.time_ms - start)
             return
         if self.paths[0].suffix.lower() == ".mcap":
             for number, (stamp, image) in enumerate(
                 mcap_images(self.paths[0], max_pixels=self._max_pixels)
             ):
                 self.start_ns = self.start_ns or stamp
-                yield Shot(number, (stamp - self.start_ns) / 1e6, image)
+                yield Frame(number, image, (stamp - self.start_ns) / 1e6)
             return
         index = 0
         for path in self.paths:
             try:
                 for frame in media.read_frames(path, max_pixels=self._max_pixels):
                     time_ms = frame.time_ms if len(self.paths) == 1 else np.nan
-                    yield Shot(index, time_ms, frame.image)
+                    yield Frame(index, frame.image, time_ms)
                     index += 1
             except ImageError:
                 if len(self.paths) == 1:
                     raise
-                yield Shot(index, np.nan, None)
+                yield Frame(index, None)
                 index += 1
 
-    def rest(self, number: int) -> tuple[GreyImage, Generator[Shot, None, None]]:
+    def rest(self, number: int) -> tuple[GreyImage, Generator[Frame, None, None]]:
         """Return the frame at rest of that number, and the frames to measure.
 
         Those of a camera begin with the frame at rest; those of a file are all its frames. Raises
         ConfigError if the frame cannot be read or does not exist.
         """
-        shots = self.shots()
-        for shot in shots:
-            if shot.number < number:
+        frames = self.frames()
+        for frame in frames:
+            if frame.index < number:
                 continue
-            if shot.image is None:
+            if frame.image is None:
                 raise ConfigError(f"--rest-frame {number} cannot be read; choose another one")
             if self.live:
-                return shot.image, _chained(shot, shots)
-            shots.close()
-            return shot.image, self.shots()
+                return frame.image, _chained(frame, frames)
+            frames.close()
+            return frame.image, self.frames()
         raise ConfigError(f"--rest-frame {number} is beyond the last frame")
 
 
@@ -146,7 +138,7 @@ class Pairs(Source):
         """Return how many frames or pairs there are, None if unknown."""
         return None
 
-    def shots(self) -> Generator[Shot, None, None]:
+    def frames(self) -> Generator[Frame, None, None]:
         """Yield all frames or pairs, from the first; one that cannot be read has no image."""
         self.count = PairCount()
         start = None
@@ -155,7 +147,8 @@ class Pairs(Source):
             found = paired(*sides, tolerance_ms=self._within, count=self.count, endless=self.live)
             for number, (left, right) in enumerate(found):
                 start = left.time_ms if start is None else start
-                yield Shot(number, left.time_ms - start, _side_by_side(left.image, right.image))
+                both = _side_by_side(left.image, right.image)
+                yield Frame(number, both, left.time_ms - start)
 
     def alone(self) -> str:
         """Return how many frames had no partner, as text; "" if all had one."""
@@ -181,7 +174,7 @@ def _size(image: GreyImage) -> str:
     return f"{image.shape[1]} x {image.shape[0]} px of {image.dtype}"
 
 
-def _chained(first: Shot, others: Generator[Shot, None, None]) -> Generator[Shot, None, None]:
+def _chained(first: Frame, others: Generator[Frame, None, None]) -> Generator[Frame, None, None]:
     with contextlib.closing(others):
         yield first
         yield from others
