@@ -20,6 +20,7 @@ from cmp_cl.grid.evidence import _typical
 from cmp_cl.grid.fingerprint import Fingerprint, turn_to
 from cmp_cl.grid.nearest import Reference
 from cmp_cl.grid.nodes import kept_by_mask, median, turned_lines
+from cmp_cl.grid.sizes import _full
 
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
 
@@ -524,6 +525,11 @@ def test_a_wrong_size_is_reported(asked, goes_on):
         build_grid(corners, image, shape=asked, strict=True)
     assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
     assert build_grid(corners, image, shape=(9, 6)).seen_shape is None
+
+
+def test_a_line_of_a_pattern_has_half_the_corners_of_the_one_before_it_but_more_than_one():
+    np.testing.assert_array_equal(_full(np.array([7, 6, 4, 2, 1]), 7.0), [True, True, True, False])
+    np.testing.assert_array_equal(_full(np.array([2, 1]), 7.0), [False])
 
 
 @pytest.mark.parametrize("shown", [3, 4])
