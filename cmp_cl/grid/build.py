@@ -442,7 +442,11 @@ def _others(found: Lattice, board: Board, seen: Seen, *, alone: bool) -> int:
     if len(found.size) < 2 or found.size[1] < OTHER:
         return 0
     owned = board.owned(len(seen.z))
-    own = int(np.bincount(found.component[owned] + 1).argmax()) - 1
+    linked = found.component[owned]
+    linked = linked[linked >= 0]  # others were attached
+    if not len(linked):
+        return 0
+    own = int(np.bincount(linked).argmax())
     first, area = _box(seen.z[owned])
     comparable = RIVAL * (np.count_nonzero(owned) if alone else found.size[own])
     for component in range(int(np.count_nonzero(found.size >= OTHER))):

@@ -437,7 +437,7 @@ def test_numbering_is_quick():
         start = time.perf_counter()
         lattice(z, corners.edges)
         times.append(time.perf_counter() - start)
-    assert min(times) < 6e-3  # s: about 1.7 ms; a loop over corners would take 20 ms
+    assert min(times) < 6e-3  # s: about 1 ms; a loop over corners would take 20 ms
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,12 @@ import pytest
 
 from cmp_cl import Detector, DetectorConfig, build_grid, build_grids
 from cmp_cl.errors import GridError
+from cmp_cl.grid.build import Board, Ended, _others
+from cmp_cl.grid.grow import Seen
 from cmp_cl.grid.joints import cut
 from cmp_cl.grid.lattice import Lattice
 from cmp_cl.grid.nodes import boxed
+from cmp_cl.grid.numbering import Numbered
 
 BOARD = (7, 9)  # inner corners
 CELL = 24  # px
@@ -189,6 +192,29 @@ def test_a_known_size_or_a_region_leaves_no_doubt(rotation, square):
         assert on_board(grid).all()
         assert np.count_nonzero(grid.valid) == BOARD[0] * BOARD[1]
         assert not grid.doubts
+
+
+@pytest.mark.parametrize(("missing", "whole"), [(10, True), (11, False)])
+def test_a_pattern_is_seen_whole_in_a_known_shape_with_nine_tenths_of_its_nodes(missing, whole):
+    at = plane(10, 10, 20)
+    at.ravel()[11:89:7][:missing] = np.nan
+    board = Board(Numbered(boxed(*linked(at))), Ended())
+    assert board.is_whole((10, 10)) is whole
+    assert not board.is_whole(None)
+
+
+def test_another_lattice_is_compared_with_the_linked_corners_though_most_are_attached():
+    z, found = linked(plane(8, 10, 20))
+    board = Board(Numbered(boxed(z, found)), Ended())
+    other = 300 + plane(4, 4, 20).ravel()
+    label = np.where(np.arange(96) < 36, 0, -1)
+    label[80:] = 1
+    found = found._replace(component=label, size=np.array([36, 16]))
+    board.numbered.nodes.owner.ravel()[36:] = np.arange(36, 80)
+    seen = Seen(np.append(z, other), np.zeros((96, 4), np.float32), None, np.zeros(97, np.bool_))
+    assert _others(found, board, seen, alone=False) == 16
+    found = found._replace(component=np.where(label == 0, -1, label))
+    assert _others(found, board, seen, alone=False) == 0
 
 
 def test_of_two_boards_the_one_of_the_known_size_is_numbered():
