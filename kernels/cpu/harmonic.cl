@@ -170,6 +170,9 @@ ROW_LOOP int peaks_of_row(__global const short *restrict above,
   int count = 0;
   for (int first = 0; first < width; first += 32) {
     const int next = first + 16;
+    const short16 r = SIXTEEN_AT(response + first), s = SIXTEEN_AT(response + next);
+    const short16 large = (r > s ? r : s) > (short16)(LEAST);
+    if (!any_of(large.lo | large.hi)) continue; /* most of an image has no response */
     const short16 left = peaks_at(above + first, response + first, below + first);
     const short16 right = peaks_at(above + next, response + next, below + next);
     const short16 both = left | right;
