@@ -238,7 +238,7 @@ def _work_rows(plan: PlanBase) -> int:
     radius = plan.config.nms_radius
     smooth = 16 if radius <= 4 else 32
     responses = 8 if radius <= 3 else 16 if radius <= 7 else 32
-    return 4 + smooth + 4 + smooth + 2 + 1 + responses * plan.lists
+    return 4 + smooth + 4 + smooth + 2 + 1 + 2 + responses * plan.lists
 
 
 def _by_bands(plan: PlanBase) -> list[Launch]:

@@ -74,7 +74,7 @@ ROW_LOOP void smooth_row ALONG_ROW(AS_IT_IS)
 ROW_LOOP void smooth_row_by_16 ALONG_ROW(BY_16)
 #define NEIGHBOURS(row) (row) - 1, row, (row) + 1
 
-/* [1 -2 1] down the columns, and the sum of |[1 -2 1]| of it over the inner columns of a row. */
+/* [1 -2 1] down the columns. */
 ROW_LOOP void curvature_of_row(__global const PIXEL *restrict above,
                                __global const PIXEL *restrict middle,
                                __global const PIXEL *restrict below,
@@ -82,15 +82,25 @@ ROW_LOOP void curvature_of_row(__global const PIXEL *restrict above,
   for (int x = 0; x < width; ++x)
     curvature[x] = (CURVATURE)((CURVATURE)(above[x] + below[x]) - (CURVATURE)(middle[x] << 1));
 }
-ROW_LOOP ulong noise_of_row(__global const CURVATURE *restrict left,
-                            __global const CURVATURE *restrict middle,
-                            __global const CURVATURE *restrict right, const int width) {
-  ROW_NOISE sum = 0;
-  for (int x = 1; x < width - 1; ++x) {
+
+/* Add |[1 -2 1]| of it along a row to a sum for each column. A sum has room for NOISE_ROWS rows. */
+#define NOISE_ROWS 32
+ROW_LOOP void add_noise(__global const CURVATURE *restrict left,
+                        __global const CURVATURE *restrict middle,
+                        __global const CURVATURE *restrict right,
+                        __global NOISE *restrict noise, const int width) {
+  for (int x = 0; x < width; ++x) {
     const CURVATURE sides = (CURVATURE)(left[x] + right[x]);
     const CURVATURE both = (CURVATURE)(sides - (CURVATURE)(middle[x] << 1));
-    sum += (ROW_NOISE)(both < 0 ? -both : both);
+    noise[x] += (NOISE)(both < 0 ? -both : both);
   }
+}
+
+/* The sum of the inner columns. All are emptied. */
+ROW_LOOP ulong take_noise(__global NOISE *restrict noise, const int width) {
+  ROW_NOISE sum = 0;
+  for (int x = 1; x < width - 1; ++x) sum += noise[x];
+  for (int x = 0; x < width; ++x) noise[x] = 0;
   return sum;
 }
 
@@ -434,11 +444,13 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
   __global ushort *s1 = levels + 4 * step, *s2 = s1 + SMOOTH_ROWS * step;
   __global ushort *s3 = s2 + 4 * step, *column = s3 + SMOOTH_ROWS * step;
   __global short *nothing = (__global short *)(column + 2 * step) + PAD;
-  __global short *first_response = (__global short *)(column + 3 * step);
+  __global NOISE *noise_of_column = (__global NOISE *)(column + 3 * step) + PAD;
+  __global short *first_response = (__global short *)(column + 5 * step);
   const size_t kind = (size_t)RESPONSE_ROWS * step;
   ulong noise_of_band = 0;
   uint found[2] = {0, 0};
   for (int x = -PAD; x < (int)step - PAD; ++x) nothing[x] = 0;
+  take_noise(noise_of_column, width);
   for (int y = top; y < end; ++y) REPEAT_BORDER(PIXEL, image + ROW(p, y) + PAD)
 
   for (int y_in = LARGER(top - BEYOND, -1); y_in < end + BEYOND; ++y_in) {
@@ -461,7 +473,9 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
         __global CURVATURE *curvature = (__global CURVATURE *)column + PAD;
         curvature_of_row(image + ROW(p, y1 - 1) + PAD, image + ROW(p, y1) + PAD,
                          image + ROW(p, y1 + 1) + PAD, curvature, width);
-        noise_of_band += noise_of_row(NEIGHBOURS(curvature), width);
+        add_noise(NEIGHBOURS(curvature), noise_of_column, width);
+        if ((y1 - top) % NOISE_ROWS == NOISE_ROWS - 1)
+          noise_of_band += take_noise(noise_of_column, width);
       }
     }
     if (y2 >= LARGER(top - BEYOND + 1, 0) && y2 < height) {
@@ -528,7 +542,7 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
       }
     }
   }
-  noise[own] = noise_of_band;
+  noise[own] = noise_of_band + take_noise(noise_of_column, width);
   for (int fine = 0; fine <= FINE; ++fine) band_counts[own * (1 + FINE) + fine] = found[fine];
   mem_fence(CLK_GLOBAL_MEM_FENCE);
   if (atomic_inc(finished + p) + 1 < bands) return;
