@@ -27,7 +27,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers."""
     frames, plane = plan.frames, plan.working[0] * plan.step
-    lists = frames * plan.bands * plan.lists * CORNER_COLUMNS * plan.list_capacity
+    lists = frames * plan.segments * plan.lists * CORNER_COLUMNS * plan.list_capacity
     sizes = {"area": plane // 8, "lists": 4 * lists}
     if plan.form is Form.CPU:
         return {
@@ -35,7 +35,8 @@ def sizes(plan: PlanBase) -> dict[str, int]:
             "maxima": _bits(plan),
             "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step,
             "noise": 8 * frames * plan.bands,
-            "band_counts": 4 * frames * plan.bands * plan.lists,
+            "spans": 8 * frames * plan.bands * plan.lists,
+            "taken": 4 * frames * plan.segments,
             "finished": 4 * frames,
         }
     return {**sizes, "noise": 8 * frames * noise.bands(plan)}
@@ -265,9 +266,10 @@ def _by_bands(plan: PlanBase) -> list[Launch]:
         corner_capacity=corners["capacity"],
         count_offset=corners["count_offset"],
         length=corners["length"],
+        taken=b["taken"],
         finished=b["finished"],
         noise=b["noise"],
-        band_counts=b["band_counts"],
+        spans=b["spans"],
         lists=b["lists"],
         maxima=b["maxima"],
         corners=b["corners"],
