@@ -320,10 +320,10 @@ class Detector(Closing):
         plan.events.clear()
         try:
             if isinstance(frames, list):
-                plan.upload(transfers, frames)
+                plan.launch(plan.upload(transfers, frames))
             else:
                 plan.copy(frames)
-            plan.launch(plan.launches)
+                plan.launch(plan.launches)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 

@@ -66,7 +66,17 @@ def _bits(plan: PlanBase) -> int:
 
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the image to the list of corners."""
-    return _by_bands(plan) if plan.form is Form.CPU else _by_pixels(plan)
+    if plan.form is not Form.CPU:
+        return _by_pixels(plan)
+    return [_by_bands(plan, plan.step + plan.pad, plan.step)]
+
+
+def launches_in_place(plan: PlanBase) -> list[Launch]:
+    """Return the same for a frame in a buffer of its own, the first argument of the first launch;
+    none if the image must be there before."""
+    if plan.form is not Form.CPU or plan.scale is not None:
+        return []
+    return [_by_bands(plan, 0, plan.shape[1])]
 
 
 def _rule(plan: PlanBase) -> RingHarmonic:
@@ -242,14 +252,18 @@ def _work_rows(plan: PlanBase) -> int:
     return 4 + smooth + 4 + smooth + 2 + 1 + 2 + responses * plan.lists
 
 
-def _by_bands(plan: PlanBase) -> list[Launch]:
+def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
+    """Bind the launch from a frame, its first element and the elements of a row."""
     b, rule, size = plan.arrays, _rule(plan), plan.size
     band_rows = -(-plan.working[0] // plan.bands)
     corners = plan.corner_list
-    band = plan.stage(
+    return plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
         (1, 1),
+        frame=plan.image,
+        frame_start=np.uint32(frame_start),
+        frame_step=np.uint32(frame_step),
         image=plan.image,
         area=b["area"],
         **size,
@@ -275,4 +289,3 @@ def _by_bands(plan: PlanBase) -> list[Launch]:
         corners=b["corners"],
         counts=b["counts"],
     )
-    return [band]

@@ -49,6 +49,11 @@ ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort 
   }
 }
 
+ROW_LOOP void copy_row(__global const PIXEL *restrict from, __global PIXEL *restrict to,
+                       const int width) {
+  for (int x = 0; x < width; ++x) to[x] = from[x];
+}
+
 /* [1 2 1] down the columns. */
 #define DOWN_COLUMNS(T)                                                             \
   (__global const T *restrict above, __global const T *restrict middle,             \
@@ -439,14 +444,18 @@ int take_rows(volatile __global uint *taken, const int next, const int height, c
   return upward ? next % ROWS_AT_A_TIME + 1 : SMALLER(ROWS_AT_A_TIME, height - next);
 }
 
-/* List the maxima of a band of the image, and fill the padding of its rows. One work-item per band;
- * an odd one goes up. Two bands share a segment of the image and its list, which the second one
- * fills from the end; together they may count more than its capacity. `area` has a bit for every
- * pixel. `taken` counts how often the bands of a segment have taken rows. The last band of a frame
- * to finish decides for the frame; `finished` counts them. Both counts are 0 between launches. The
- * fences and the counts order the lists of all bands before the decision, on every CPU: OpenCL 1.2
- * alone does not promise it between groups. */
-__kernel void harmonic_band(__global PIXEL *restrict image,
+/* Row y of the frame. */
+#define FRAME_ROW(y) (frame + frame_start + ((size_t)p * rows + (size_t)(y)) * frame_step)
+
+/* List the maxima of a band of the image, copy its rows to `image` unless the frame lies there, and
+ * fill their padding. One work-item per band; an odd one goes up. Two bands share a segment of the
+ * image and its list, which the second one fills from the end; together they may count more than
+ * its capacity. `area` has a bit for every pixel. `taken` counts how often the bands of a segment
+ * have taken rows. The last band of a frame to finish decides for the frame; `finished` counts
+ * them. Both counts are 0 between launches. The fences and the counts order the lists of all bands
+ * before the decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. */
+__kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
+                            const uint frame_step, __global PIXEL *image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
                             const uint capacity, const uint full_scale, const float inverse,
@@ -485,12 +494,12 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
     const int y_in = y + way * BEYOND, y1 = y_in - way, y2 = y1 - way, y3 = y2 - way;
 #if !WHOLE_LEVELS
     if (y_in >= 0 && y_in < height)
-      scale_levels(image + ROW(p, y_in) + PAD, levels + LEVEL_AT(y_in), full_scale, inverse, width);
+      scale_levels(FRAME_ROW(y_in), levels + LEVEL_AT(y_in), full_scale, inverse, width);
 #endif
     if (done > -2 * BEYOND && y1 >= 0 && y1 < height) {
 #if WHOLE_LEVELS
-      column_of_greys(image + ROW(p, HELD(y1 - 1)) + PAD, image + ROW(p, y1) + PAD,
-                      image + ROW(p, HELD(y1 + 1)) + PAD, column + PAD, width);
+      column_of_greys(FRAME_ROW(HELD(y1 - 1)), FRAME_ROW(y1), FRAME_ROW(HELD(y1 + 1)),
+                      column + PAD, width);
       smooth_row(NEIGHBOURS(column + PAD), s1 + SMOOTH_AT(y1), width);
 #else
       column_of_levels(levels + LEVEL_AT(HELD(y1 - 1)), levels + LEVEL_AT(y1),
@@ -522,11 +531,11 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
 #endif
     }
     if (done < 0) continue;
+    if (frame != image) copy_row(FRAME_ROW(y), image + ROW(p, y) + PAD, width);
     REPEAT_BORDER(PIXEL, image + ROW(p, y) + PAD)
     if (y > 0 && y + 1 < height) {
       __global CURVATURE *curvature = (__global CURVATURE *)column + PAD;
-      curvature_of_row(image + ROW(p, y - 1) + PAD, image + ROW(p, y) + PAD,
-                       image + ROW(p, y + 1) + PAD, curvature, width);
+      curvature_of_row(FRAME_ROW(y - 1), FRAME_ROW(y), FRAME_ROW(y + 1), curvature, width);
       add_noise(NEIGHBOURS(curvature), noise_of_column, width);
       if (done % NOISE_ROWS == NOISE_ROWS - 1) noise_of_band += take_noise(noise_of_column, width);
     }
