@@ -283,22 +283,19 @@ class Detector(Closing):
     def _plan(self, factor: float | None, frames: int = 1) -> Plan:
         """Return a plan that no stream is using."""
         slot = 0
-        while (frames, slot, factor) in self._plans and self._plans[frames, slot, factor].awaited:
+        while (plan := self._plans.get((frames, slot, factor))) is not None and plan.awaited:
             slot += 1
-        dropped = [
-            key
-            for key, plan in self._plans.items()
-            if (key[0], key[2]) == (frames, factor) and key[1] > max(slot, 1) and not plan.awaited
-        ]
-        for key in dropped:  # plans of abandoned streams
-            self._plans.pop(key).release()
-        key = (frames, slot, factor)
-        if key not in self._plans:
+        spare = max(slot, 1) + 1
+        while (old := self._plans.get((frames, spare, factor))) is not None:
+            if not old.awaited:  # its stream has ended or was abandoned
+                self._plans.pop((frames, spare, factor)).release()
+            spare += 1
+        if plan is None:
             if frames > 1:  # plans of one batch size are kept
-                for old in [old for old in self._plans if old[0] > 1 and old[0] != frames]:
-                    self._plans.pop(old).release()
-            self._plans[key] = self._made(factor, frames)
-        return self._plans[key]
+                for key in [key for key in self._plans if key[0] > 1 and key[0] != frames]:
+                    self._plans.pop(key).release()
+            plan = self._plans[frames, slot, factor] = self._made(factor, frames)
+        return plan
 
     def _made(self, factor: float | None, frames: int, form: Form | None = None) -> Plan:
         return Plan(
