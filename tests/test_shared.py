@@ -75,7 +75,8 @@ def test_a_frame_is_kept_while_kernels_read_it_and_no_longer(large):
     detector(board)
     plan, references = detector._plan(None), sys.getrefcount(board)
     plan.launch(plan.upload(plan.queue, [board]))
-    assert sys.getrefcount(board) == references + 1
+    if plan._in_place:
+        assert sys.getrefcount(board) == references + 1
     plan.read(plan.queue)
     assert sys.getrefcount(board) == references
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device, is_forked
+from cmp_cl.opencl.device import Device, is_forked, is_pocl
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages import harmonic, noise, refine, rings, scale
@@ -217,8 +217,11 @@ class Plan(PlanBase):
         self.image = self.arrays["image" if self.scale is None else "working"]
         detection = [*scale.launches(self), *self.detection.launches(self)]
         self.launches = [*detection, *refine.launches(self)]
-        self._in_place: list[Launch] = []  # the same for a frame that lies elsewhere
-        if "image" in self._here and self.detection is harmonic and self.frames == 1:
+        # The same for a frame that lies elsewhere. Intel's runtime copies such a frame, and PoCL
+        # reads it where it lies.
+        self._in_place: list[Launch] = []
+        shared = "image" in self._here and is_pocl(self.device.handle)
+        if shared and self.detection is harmonic and self.frames == 1:
             first = harmonic.launches_in_place(self)
             self._in_place = [*first, *self.launches[1:]] if first else []
         self._likely = self.corner_capacity  # corners of a frame, at most
