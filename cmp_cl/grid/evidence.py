@@ -11,7 +11,6 @@ from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, kept_by_mask, m
 from cmp_cl.grid.predict import Stencil, Steps
 from cmp_cl.image import GreyImage
 
-DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
 # Shares of a cell's diagonal: points at which its grey level is sampled.
 WITHIN = np.array([0.2, 0.3])
 HOLE = 6  # nodes: those beside a larger hole count as nodes at the rim
@@ -197,13 +196,14 @@ def _look(
     along, down, cell = (steps or Steps.of(nodes.there, row, column)).mean(nodes.at)
     known = ~np.isnan(along.real + down.real)
     along[~known] = down[~known] = 0
-    step = DIAGONAL.real[:, None] * along + DIAGONAL.imag[:, None] * down
+    falling, rising = along + down, along - down
+    step = np.array([falling, rising, -falling, -rising])  # to the four cells
     at = nodes.at[row, column] + WITHIN[:, None, None] * step
     level = grey(image, at).sum(axis=0)
+    high, low = np.maximum(level[:2], level[2:]), np.minimum(level[:2], level[2:])
     black = (nodes.parity + row + column) % 2 == 0  # the cells after and before on the diagonal
-    level = np.where(black, level, level[[1, 2, 3, 0]])
-    dark, bright = np.maximum(level[0], level[2]), np.minimum(level[1], level[3])
-    span = level.max(axis=0) - level.min(axis=0)
+    dark, bright = np.where(black, *high), np.where(black, *low[::-1])
+    span = np.maximum(*high) - np.minimum(*low)
     return _Look(row, column, along, down, cell, known, bright, dark, span)
 
 

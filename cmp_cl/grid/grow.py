@@ -164,7 +164,8 @@ def _misfits(at: Points, place: Index) -> Float:
     gap = np.abs(at.take(place) - prediction)
     far = np.flatnonzero(gap > 1)
     off = np.zeros(len(place))
-    off[far] = gap[far] / mean_steps(at, *np.divmod(place[far], columns))[2]
+    if len(far):
+        off[far] = gap[far] / mean_steps(at, *np.divmod(place[far], columns))[2]
     return off
 
 
