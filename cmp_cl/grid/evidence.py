@@ -297,8 +297,9 @@ def _cosine(
     owner = nodes.owner[row, column]
     lines = lines_of(edges[owner])
     level = (nodes.parity + row + column) % 2 == 0  # e0 and e2 lie along the row
-    steps = np.where(level, (along, down), (down, along))
+    steps = np.array([along, down])
+    steps = np.where(level, steps, steps[::-1])
     cosine = np.abs((lines * steps.conj()).real) / np.maximum(np.abs(steps), 1e-9)
-    least: Float = cosine.min(axis=0)
+    least: Float = np.minimum(*cosine)
     least[owner < 0] = np.nan
     return least

@@ -178,13 +178,11 @@ def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     parity = int(2 * np.count_nonzero(odd) > len(odd))
     nodes = Nodes(shape, parity, free)
     place = row * shape[1] + column
-    owner = nodes.owner.ravel()
-    owner[place] = member
-    seen = nodes.owner >= 0
-    if np.count_nonzero(seen) < len(member):  # of several with one number the best supported stays
-        best = np.argsort(found.support[member], kind="stable")
-        owner[place[best]] = member[best]
-    nodes.at = np.where(seen, z.take(nodes.owner), NOWHERE)
-    nodes.status[seen] = NodeStatus.DETECTED
+    nodes.status.ravel()[place] = NodeStatus.DETECTED
+    if np.count_nonzero(nodes.there) < len(member):  # of several with one number the last stays
+        best_last = np.argsort(found.support[member], kind="stable")
+        member, place = member[best_last], place[best_last]
+    nodes.owner.ravel()[place] = member
+    nodes.at.ravel()[place] = z.take(member)
     nodes.changed[:] = True
     return nodes

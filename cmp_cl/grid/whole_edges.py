@@ -100,8 +100,9 @@ def _crossing(rising: Float) -> Float:
     crossed = (before < 0) & (after >= 0)
     part = before / np.where(crossed, before - after, 1)
     place = np.where(crossed, _ACROSS[:-1] + part * (2 * WIDE / (SAMPLES - 1)), np.inf)
-    least = np.abs(place).argmin(axis=0)
-    nearest = np.take_along_axis(place, least[None], axis=0)[0]
+    each = place.reshape(len(place), -1)
+    least = np.abs(each).argmin(axis=0)
+    nearest = each[least, np.arange(len(least))].reshape(place.shape[1:])
     found = np.isfinite(nearest)
     count = found.sum(axis=0)
     mean = np.where(found, nearest, 0).sum(axis=0) / np.maximum(count, 1)
