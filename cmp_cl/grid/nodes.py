@@ -68,9 +68,9 @@ class Nodes:
     def crop(self) -> None:
         """Remove the empty rows and columns around the nodes."""
         seen = self.there
-        rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
-        if not len(rows) or (len(rows), len(columns)) == seen.shape:
+        if seen.all() or not seen.any():
             return
+        rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
         box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         self.at, self.owner = self.at[box], self.owner[box]
         self.status, self.changed = self.status[box], self.changed[box]
