@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cmp_cl.grid.grid import NodeStatus
 from cmp_cl.grid.lattice import lines_of
 from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, kept_by_mask, median, turned_lines
-from cmp_cl.grid.predict import Stencil, Steps
+from cmp_cl.grid.predict import Steps, predict
 from cmp_cl.image import GreyImage
 
 # Shares of a cell's diagonal: points at which its grey level is sampled.
@@ -51,7 +51,7 @@ def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
     dropped = False
     usual: float | None = None
     while True:
-        row, column, whole, stencil = _rim(nodes.there)
+        row, column, whole = _rim(nodes.there)
         if not len(row):
             return dropped
         if usual is None:
@@ -61,7 +61,7 @@ def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
             look = every.first(len(row))
         else:
             look = _look(nodes, image, row, column)
-        kept = _convincing(nodes, image, edges, look, whole, stencil, usual)
+        kept = _convincing(nodes, image, edges, look, whole, usual)
         if kept.all():
             return dropped
         nodes.drop(row[~kept], column[~kept])
@@ -83,7 +83,7 @@ def reject_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]
         look = _look(nodes, image, *place)
         inside = _look(nodes, image, *_some_inside(nodes.there))
         off, others = (
-            np.abs(Stencil.of(nodes.there, *each).predict(nodes.at) - nodes.at[each])
+            np.abs(predict(nodes, *each)[0] - nodes.at[each])
             for each in (place, _rim(nodes.there)[:2])
         )
         others = others[~np.isnan(others)]
@@ -121,9 +121,9 @@ def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index]:
 
 
 @kept_by_mask
-def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
-    """Return the nodes with a neighbour, of eight, that is neither there nor bracketed, a mask of
-    those in a whole cell, and their stencil.
+def _rim(seen: Mask) -> tuple[Index, Index, Mask]:
+    """Return the nodes with a neighbour, of eight, that is neither there nor bracketed, and a mask
+    of those in a whole cell.
 
     An index is bracketed if it lies in a small hole, between nodes of its row and of its column.
     """
@@ -137,7 +137,7 @@ def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
     cell = around[:-1, :-1] & around[1:, :-1] & around[:-1, 1:] & around[1:, 1:]
     inside = cell[row, column] | cell[row + 1, column]
     inside |= cell[row, column + 1] | cell[row + 1, column + 1]
-    return row, column, inside, Stencil.of(seen, row, column)
+    return row, column, inside
 
 
 def _hole(seen: Mask) -> Mask:
@@ -232,7 +232,6 @@ def _convincing(
     edges: NDArray[np.float32],
     look: _Look,
     in_cell: Mask,
-    stencil: Stencil,
     usual: float,
 ) -> Mask:
     """Return a mask of the nodes that look like corners of the pattern."""
@@ -244,8 +243,7 @@ def _convincing(
     inward = np.minimum(
         np.minimum(at.real, far[0] - at.real), np.minimum(at.imag, far[1] - at.imag)
     )
-    expected = stencil.predict(nodes.at)
-    off = np.abs(expected - at)
+    off = np.abs(predict(nodes, row, column)[0] - at)
     off[np.isnan(off)] = np.inf
     typical = _typical(off, cell, row, column, nodes.at.shape)
     near = np.maximum(NEAR, np.minimum(ALIKE * typical, BENT * cell))

@@ -32,7 +32,8 @@ class Nodes:
     status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, where a node was put or dropped
     since misfits were looked for; parity: as in Grid; free: (N,) bool, corners that have not
     been in the grid; astray: (N + 1,) bool, corners that were far from the prediction of their
-    neighbours, and True at the end, for nodes without a corner.
+    neighbours, and True at the end, for nodes without a corner; predicted: the predictions of
+    all nodes, (R, C) px, and their weights, None if a node has changed since.
     """
 
     def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
@@ -43,6 +44,7 @@ class Nodes:
         self.parity = parity
         self.free = free
         self.astray: Mask = np.arange(len(free) + 1) == len(free)
+        self.predicted: tuple[Points, Float] | None = None
 
     @property
     def there(self) -> Mask:
@@ -53,6 +55,7 @@ class Nodes:
         self.at[row, column] = at
         self.status[row, column] = status
         self.changed[row, column] = True
+        self.predicted = None
 
     def drop(self, row: Index, column: Index) -> None:
         self.put(row, column, np.full(len(row), NOWHERE), NodeStatus.MISSING)
@@ -64,6 +67,7 @@ class Nodes:
         self.owner = np.pad(self.owner, 1, constant_values=-1)
         self.status = np.pad(self.status, 1)
         self.changed = np.pad(self.changed, 1)
+        self.predicted = None
 
     def crop(self) -> None:
         """Remove the empty rows and columns around the nodes."""
@@ -75,13 +79,14 @@ class Nodes:
         self.at, self.owner = self.at[box], self.owner[box]
         self.status, self.changed = self.status[box], self.changed[box]
         self.parity = (self.parity + int(rows[0]) + int(columns[0])) % 2
+        self.predicted = None
 
     def turned(self, quarters: int) -> "Nodes":
         """Return the same nodes with the numbers turned: row 0 is the last column, and so on."""
         if not quarters:
             return self
         turned = copy.copy(self)
-        turned.parity = self.turned_parity(quarters)
+        turned.parity, turned.predicted = self.turned_parity(quarters), None
         for name in ("at", "owner", "status", "changed"):
             setattr(turned, name, turned_lines(getattr(self, name), quarters))
         return turned

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Points, kept_by_mask
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, kept_by_mask
 
 
 # (weight, {(row, column): factor, ...}) of each prediction of a node from its neighbours
@@ -29,6 +29,7 @@ WEIGHTS = np.array([weight for weight, _ in PREDICTORS])
 FACTORS = np.array([[factors.get((r, c), 0) for r, c in STEPS] for _, factors in PREDICTORS])
 USES = (FACTORS != 0).astype(np.float64)
 WEIGHTED = WEIGHTS[:, None] * FACTORS
+FULL: float = WEIGHTS.sum()
 KERNEL = np.zeros((7, 7))  # the mean of all predictions
 KERNEL[tuple(STEPS.T + 3)] = WEIGHTED.sum(axis=0) / WEIGHTS.sum()
 ALONG = np.array([[(r, c) for c in range(-2, 3)] for r in (-1, 0, 1)])  # parts of three rows
@@ -105,23 +106,39 @@ class Stencil(NamedTuple):
         return predicted
 
 
-def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
+def predict(nodes: Nodes, row: Index, column: Index) -> tuple[Points, Float]:
     """Predict nodes from their neighbours; also return the weight of the prediction.
 
     Along a row or column (4 (L + R) - (LL + RR)) / 6 with weight 12 and (L + R) / 2 with 4,
     the parallelograms with 1.5, linear and quadratic extrapolation with 0.7 each.
     """
-    stencil = Stencil.of(~np.isnan(at.real), row, column)
-    return stencil.predict(at), stencil.weight
+    if nodes.predicted is not None:
+        predicted, weight = nodes.predicted
+        return predicted[row, column], weight[row, column]
+    stencil = Stencil.of(nodes.there, row, column)
+    return stencil.predict(nodes.at), stencil.weight
+
+
+def predict_all(nodes: Nodes) -> tuple[Points, Float]:
+    """Return the predictions of all nodes, and their weights, (R, C); keep them until a node
+    changes."""
+    if nodes.predicted is None:
+        place, stencil, weight = _beside_missing(nodes.there)
+        predicted = predict_within(nodes.at)
+        predicted.ravel()[place] = stencil.predict(nodes.at)
+        nodes.predicted = predicted, weight
+    return nodes.predicted
 
 
 @kept_by_mask
-def beside_missing(there: Mask) -> tuple[Index, Stencil]:
-    """Return the places, (M,), of the nodes that `predict_within` leaves out, and their stencil."""
-    unknown = np.isnan(predict_within(np.where(there, 0, NOWHERE)).real)
-    place = np.flatnonzero(there & unknown)
-    row, column = np.divmod(place, there.shape[1])
-    return place, Stencil.of(there, row, column)
+def _beside_missing(there: Mask) -> tuple[Index, Stencil, Float]:
+    """Return the places, (M,), that `predict_within` leaves out, their stencil, and the weights of
+    the predictions of all nodes, (R, C)."""
+    place = np.flatnonzero(np.isnan(predict_within(np.where(there, 0, NOWHERE)).real))
+    stencil = Stencil.of(there, *np.divmod(place, there.shape[1]))
+    weight = np.full(there.shape, FULL)
+    weight.ravel()[place] = stencil.weight
+    return place, stencil, weight
 
 
 def predict_within(at: Points) -> Points:

@@ -21,7 +21,7 @@ from cmp_cl.grid.grow import drop_misfits
 from cmp_cl.grid.joints import cut
 from cmp_cl.grid.lattice import _counted, lattice, near_pairs
 from cmp_cl.grid.nodes import Nodes, boxed
-from cmp_cl.grid.predict import mean_steps, predict, predict_within
+from cmp_cl.grid.predict import mean_steps, predict, predict_all, predict_within
 from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -326,7 +326,7 @@ def test_a_prediction_is_the_weighted_mean_of_those_from_cubics_lines_and_parall
     t = np.arange(7.0)
     line = t**3 + 1j * (t**2 - t)
     row = np.tile(line, (7, 1)) + 1j * np.arange(7)[:, None] * 9
-    at, weight = predict(row, np.array([3]), np.array([3]))
+    at, weight = predict(nodes_at(row), np.array([3]), np.array([3]))
     # Cubics along both axes, the column's lines and the parallelograms are exact here.
     exact = 27 + 33j
     off = 4 * (9 + 1j) + 0.7 * ((-24 - 2j) + (-12 - 2j) + 6 - 6)  # px, times the weights
@@ -334,7 +334,7 @@ def test_a_prediction_is_the_weighted_mean_of_those_from_cubics_lines_and_parall
     assert weight[0] == pytest.approx(2 * 12 + 2 * 4 + 4 * 1.5 + 8 * 0.7)
     alone = np.full((7, 7), complex(np.nan, np.nan))
     alone[3, [1, 2, 4, 5]] = line[[1, 2, 4, 5]]
-    at, weight = predict(alone, np.array([3]), np.array([3]))
+    at, weight = predict(nodes_at(alone), np.array([3]), np.array([3]))
     expected = (12 * (27 + 6j) + 4 * (36 + 7j) + 0.7 * ((15 + 4j) + (3 + 4j))) / 17.4
     assert abs(at[0] - expected) < 1e-12
     assert weight[0] == pytest.approx(17.4)
@@ -354,23 +354,47 @@ def test_a_mean_step_includes_the_steps_of_the_nodes_around():
     assert np.isnan([down[0], along[1], cell[1]]).all()
 
 
-def test_nodes_with_known_neighbours_are_predicted_alike_at_once_and_one_by_one():
+def test_nodes_are_predicted_alike_at_once_and_one_by_one():
     at = board(12, 9).truth
     at[2, 7] = complex(np.nan, np.nan)
     row, column = (index.ravel() for index in np.indices(at.shape))
-    one_by_one, weight = predict(at, row, column)
-    at_once = predict_within(at).ravel()
+    one_by_one, weight = predict(nodes_at(at), row, column)
+    at_once, weights = predict_all(nodes_at(at))
+    np.testing.assert_allclose(at_once.ravel(), one_by_one, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(weights.ravel(), weight, rtol=0, atol=1e-10)
     whole = weight > weight.max() - 0.1
     assert 0 < whole.sum() < len(whole)
-    np.testing.assert_array_equal(~np.isnan(at_once), whole)
-    np.testing.assert_allclose(at_once[whole], one_by_one[whole], rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(~np.isnan(predict_within(at).ravel()), whole)
+
+
+@pytest.mark.parametrize("change", ["put", "pad", "crop", "turned"])
+def test_a_node_that_changes_changes_the_predictions_of_its_neighbours(change):
+    at = board(9, 9).truth
+    at[0] = complex(np.nan, np.nan)
+    nodes = nodes_at(at)
+    predict_all(nodes)
+    if change == "put":
+        nodes.put(np.array([4]), np.array([4]), at[4, 4] + 3, NodeStatus.DETECTED)
+    elif change == "turned":
+        nodes = nodes.turned(1)
+    else:
+        getattr(nodes, change)()
+    predicted, weight = predict(nodes, np.array([4]), np.array([3]))
+    again, weight_again = predict(nodes_at(nodes.at), np.array([4]), np.array([3]))
+    np.testing.assert_allclose(predicted, again, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(weight, weight_again, rtol=0, atol=1e-10)
+
+
+def nodes_at(at):
+    nodes = Nodes(at.shape, 0, np.zeros(0, np.bool_))
+    row, column = np.nonzero(~np.isnan(at.real))
+    nodes.put(row, column, at[row, column], NodeStatus.DETECTED)
+    return nodes
 
 
 def pattern(at):
     """Return these nodes as a pattern without misfits."""
-    nodes = Nodes(at.shape, 0, np.zeros(0, np.bool_))
-    row, column = np.nonzero(~np.isnan(at.real))
-    nodes.put(row, column, at[row, column], NodeStatus.DETECTED)
+    nodes = nodes_at(at)
     drop_misfits(nodes)
     return nodes
 
