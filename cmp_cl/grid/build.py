@@ -481,8 +481,8 @@ def _result(corners: Corners, inside: Index, board: Board) -> Grid:
     place = np.flatnonzero(nodes.owner >= 0)
     owner = inside.take(nodes.owner.take(place))
     index = np.full((len(corners), 2), -1, np.int32)
-    row = place // nodes.at.shape[1]
-    index[owner, 0], index[owner, 1] = row, place - row * nodes.at.shape[1]
+    rows, columns = index.T
+    rows[owner], columns[owner] = np.divmod(place.astype(np.int32), np.int32(nodes.at.shape[1]))
     sigma = np.full(nodes.at.shape, np.nan, np.float32)
     sigma.ravel()[place] = corners.sigma.take(owner)
     xy = nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2)

@@ -366,8 +366,7 @@ def _arranged(
         support = np.bincount(a, minlength=corners) + np.bincount(b, minlength=corners)
     linked = links > 0
     count = np.bincount(root.compress(linked), minlength=corners)
-    largest = count.nonzero()[0]
-    largest = largest.take((-count.take(largest)).argsort(kind="stable"))
+    largest = (-count).argsort(kind="stable")[: np.count_nonzero(count)]
     label = np.full(corners, -1)
     label[largest] = np.arange(len(largest))
     label = np.where(linked, label.take(root), -1)

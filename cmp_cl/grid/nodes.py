@@ -171,7 +171,7 @@ def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     """
     member = np.flatnonzero(found.component == component)
     unit = upright(complex(found.axis[component]))
-    node, turn = found.node[member] * unit, found.turn[member] * unit
+    node, turn = found.node.take(member) * unit, found.turn.take(member) * unit
     row, column = node.imag.astype(np.int64), node.real.astype(np.int64)
     row -= row.min()
     column -= column.min()

@@ -71,8 +71,8 @@ class Steps(NamedTuple):
         np.copyto(step, 0, where=self.unknown)
         mean: Points = (TOUCHED @ step.view(np.float64)).view(np.complex128) * self.share
         length = np.abs(mean)
-        cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
-        return mean[0], mean[1], cell
+        np.copyto(length, length[::-1], where=np.isnan(length))
+        return mean[0], mean[1], (length[0] + length[1]) / 2
 
 
 class Stencil(NamedTuple):
