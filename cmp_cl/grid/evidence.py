@@ -3,10 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.grid.lattice import lines_of
+from cmp_cl.grid.lattice import Complex
 from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, kept_by_mask, median, turned_lines
 from cmp_cl.grid.predict import Steps, predict
 from cmp_cl.image import GreyImage
@@ -41,12 +40,12 @@ EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the edge of the image, and from the 
 EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
 
 
-def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
+def reject(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
     """Reject nodes at the rim that do not look like the pattern's; return whether there were any.
 
     Junctions with the surround, dots and codes in cells, T junctions and the corners of a room fail
     in one of two ways: they do not have four sectors with the colours of their number, or their
-    edges do not lead to their neighbours. edges: (N, 4) rad, as in `Corners`.
+    edges do not lead to their neighbours. lines: of the corners, see `lines_of`.
     """
     dropped = False
     usual: float | None = None
@@ -61,19 +60,19 @@ def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
             look = every.first(len(row))
         else:
             look = _look(nodes, image, row, column)
-        kept = _convincing(nodes, image, edges, look, whole, usual)
+        kept = _convincing(nodes, image, lines, look, whole, usual)
         if kept.all():
             return dropped
         nodes.drop(row[~kept], column[~kept])
         dropped = True
 
 
-def reject_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
+def reject_stragglers(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
     """Reject stragglers that are not as good as other nodes; return whether there were any.
 
     Where a board touches things behind it, some of these complete its outer squares by chance. A
     last line that has at most half of the nodes in view is probably beyond the border; its nodes
-    are stragglers. edges: (N, 4) rad, as in `Corners`.
+    are stragglers. lines: of the corners, see `lines_of`.
     """
     dropped = False
     while _has_few(nodes.there):
@@ -90,7 +89,7 @@ def reject_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]
         contrast, usual = look.bright - look.dark, median(inside.bright - inside.dark)
         kept = look.known & (contrast >= np.maximum(ALONE.span * look.span, ALONE.contrast * usual))
         kept &= off <= np.minimum(np.maximum(STRAY, ALIKE * median(others)), ALONE.off * look.cell)
-        kept &= ~(_cosine(nodes, edges, row, column, look.along, look.down) < ALONE.cosine)
+        kept &= ~(_cosine(nodes, lines, row, column, look.along, look.down) < ALONE.cosine)
         if kept.all():
             return dropped
         nodes.drop(row[~kept], column[~kept])
@@ -229,7 +228,7 @@ def in_view(at: Points, image: GreyImage) -> Mask:
 def _convincing(
     nodes: Nodes,
     image: GreyImage,
-    edges: NDArray[np.float32],
+    lines: Complex,
     look: _Look,
     in_cell: Mask,
     usual: float,
@@ -237,7 +236,7 @@ def _convincing(
     """Return a mask of the nodes that look like corners of the pattern."""
     row, column, along, down, cell, known, bright, dark, span = look
     contrast = bright - dark
-    cosine = _cosine(nodes, edges, row, column, along, down)
+    cosine = _cosine(nodes, lines, row, column, along, down)
     at = nodes.at[row, column]
     far = np.array(image.shape[::-1]) - 1
     inward = np.minimum(
@@ -289,15 +288,15 @@ def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[in
 
 
 def _cosine(
-    nodes: Nodes, edges: NDArray[np.float32], row: Index, column: Index, along: Points, down: Points
+    nodes: Nodes, lines: Complex, row: Index, column: Index, along: Points, down: Points
 ) -> Float:
     """Return the smaller |cos| of the angles between a corner's two lines and the steps, or NaN."""
     owner = nodes.owner[row, column]
-    lines = lines_of(edges[owner])
     level = (nodes.parity + row + column) % 2 == 0  # e0 and e2 lie along the row
     steps = np.array([along, down])
-    steps = np.where(level, steps, steps[::-1])
-    cosine = np.abs((lines * steps.conj()).real) / np.maximum(np.abs(steps), 1e-9)
+    steps = np.where(level, steps, steps[::-1]).conj()
+    ahead = np.abs((lines.take(owner, axis=1) * steps).real)
+    cosine = ahead / np.maximum(np.abs(steps), 1e-9)
     least: Float = np.minimum(*cosine)
     least[owner < 0] = np.nan
     return least

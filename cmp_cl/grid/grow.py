@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid import evidence
 from cmp_cl.grid.grid import NodeStatus, Sides
+from cmp_cl.grid.lattice import Complex
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 from cmp_cl.grid.predict import (
     FULL,
@@ -35,14 +36,15 @@ FEW = 400  # up to so many nodes are predicted one by one, which is faster
 class Seen(NamedTuple):
     """The data that a grid is built from.
 
-    z: (N,) positions of the corners, x + 1j y, px. edges: (N, 4) rad, as in `Corners`. image: (H,
-    W), or None; without it there is no second look and no check of the rim. torn: (N + 1,) bool,
-    corners whose own image does not show their position, and True at the end, for nodes without a
-    corner.
+    z: (N,) positions of the corners, x + 1j y, px. edges: (N, 4) rad, as in `Corners`. lines: (2,
+    N), of the corners, see `lines_of`. image: (H, W), or None; without it there is no second look
+    and no check of the rim. torn: (N + 1,) bool, corners whose own image does not show their
+    position, and True at the end, for nodes without a corner.
     """
 
     z: Points
     edges: NDArray[np.float32]
+    lines: Complex
     image: GreyImage | None
     torn: Mask
 
@@ -61,7 +63,7 @@ def grow(nodes: Nodes, seen: Seen) -> None:
         _reject(nodes, seen)
     nodes.crop()
     if seen.image is not None:
-        evidence.reject_stragglers(nodes, seen.image, seen.edges)
+        evidence.reject_stragglers(nodes, seen.image, seen.lines)
 
 
 def extend(nodes: Nodes, seen: Seen, closed: Sides) -> None:
@@ -78,7 +80,7 @@ def extend(nodes: Nodes, seen: Seen, closed: Sides) -> None:
                 line[:] = np.inf
         found = _look_again(nodes, looked, seen.image, WEAK)
         drop_misfits(nodes)
-        found &= not evidence.reject(nodes, seen.image, seen.edges)
+        found &= not evidence.reject(nodes, seen.image, seen.lines)
         nodes.crop()
         if not found:
             return
@@ -111,7 +113,7 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
 def _reject(nodes: Nodes, seen: Seen) -> None:
     """Reject nodes at the rim that do not look like corners of the pattern."""
     if seen.image is not None:
-        evidence.reject(nodes, seen.image, seen.edges)
+        evidence.reject(nodes, seen.image, seen.lines)
 
 
 def drop_misfits(nodes: Nodes) -> None:

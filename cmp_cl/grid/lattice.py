@@ -46,13 +46,12 @@ class Lattice(NamedTuple):
     axis: Complex
 
 
-def lattice(z: Complex, edges: NDArray[np.float32], sparse: float = SPARSE) -> Lattice:
-    """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad.
+def lattice(z: Complex, lines: Complex, sparse: float = SPARSE) -> Lattice:
+    """Number the corners at z, (N,) complex px, by their lines, see `lines_of`.
 
     sparse: as in `near_pairs`.
     """
     order, first, second, step = near_pairs(z, sparse)
-    lines = lines_of(edges)
     z, lines = z.take(order), lines.take(order, axis=1)
     half, other = _links(lines, first, second, step)
     cells = _cells(z, half, other)

@@ -19,7 +19,7 @@ from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import Grid, NodeStatus, build_grid
 from cmp_cl.grid.grow import drop_misfits
 from cmp_cl.grid.joints import cut
-from cmp_cl.grid.lattice import _counted, lattice, near_pairs
+from cmp_cl.grid.lattice import _counted, lattice, lines_of, near_pairs
 from cmp_cl.grid.nodes import Nodes, boxed
 from cmp_cl.grid.predict import mean_steps, predict, predict_all, predict_within
 from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
@@ -529,7 +529,8 @@ def test_numbers_that_contradict_each_other_around_a_tear_are_left_to_votes(monk
 
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
     edges = (np.arange(4) + first[:, None]) * np.pi / 2
-    found = lattice((100 + 100j + 13 * place).astype(np.complex64), edges.astype(np.float32))
+    lines = lines_of(edges.astype(np.float32))
+    found = lattice((100 + 100j + 13 * place).astype(np.complex64), lines)
     assert found.size[0] > 200
     assert answers == [None]
 
