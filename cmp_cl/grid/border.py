@@ -143,9 +143,9 @@ def _reaches(nodes: Nodes, squares: Points, ended: Sides, image: GreyImage) -> F
     side, first = _pairs(nodes.there)
     asked = np.array(ended)[side]
     side, first = side[asked], first[asked]
-    middle, out, along = squares[:, side[:, None], first[:, None] + [0, 1]]
-    shown = in_view(middle + DEPTHS[-1] * out, image).all(axis=1)
-    middle, out, along = (each[shown, :, None] for each in (middle, out, along))
+    pairs = squares[:, side[:, None], first[:, None] + [0, 1]]
+    shown = in_view(pairs[0] + DEPTHS[-1] * pairs[1], image).all(axis=1)
+    middle, out, along = pairs[:, shown, :, None]
     spots = middle + SHOWN * out + SPOTS[:, None, None, None] * along
     level = grey(image, spots).sum(axis=0)
     contrast = np.abs(level[:, 0] - level[:, 1])

@@ -54,7 +54,7 @@ def along_edges(
     rising = levels * (_FALLS[:, None] * (1 - 2 * odd))
     offset = _crossing(rising) * cell
     step = (rising[-OUTER:] - rising[:OUTER]).mean(axis=(0, 1))
-    contrast = levels.max(axis=(0, 1, 2)) - levels.min(axis=(0, 1, 2))
+    contrast = np.ptp(levels.reshape(-1, len(row)), axis=0)
     shown = known & (step > LEAST_STEP * contrast).all(axis=0)
     shown &= step.mean(axis=0) > LEAST_MEAN_STEP * contrast
     return np.where(shown, expected + MOVED * _move(ends, offset), NOWHERE)
