@@ -7,7 +7,7 @@ import numpy as np
 from cmp_cl.grid.grid import NodeStatus
 from cmp_cl.grid.lattice import Complex
 from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, kept_by_mask, median, turned_lines
-from cmp_cl.grid.predict import Steps, predict
+from cmp_cl.grid.predict import Steps, predict_some
 from cmp_cl.image import GreyImage
 
 # Shares of a cell's diagonal: points at which its grey level is sampled.
@@ -82,7 +82,7 @@ def reject_stragglers(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
         look = _look(nodes, image, *place)
         inside = _look(nodes, image, *_some_inside(nodes.there))
         off, others = (
-            np.abs(predict(nodes, *each)[0] - nodes.at[each])
+            np.abs(predict_some(nodes, *each)[0] - nodes.at[each])
             for each in (place, _rim(nodes.there)[:2])
         )
         others = others[~np.isnan(others)]
@@ -242,7 +242,7 @@ def _convincing(
     inward = np.minimum(
         np.minimum(at.real, far[0] - at.real), np.minimum(at.imag, far[1] - at.imag)
     )
-    off = np.abs(predict(nodes, row, column)[0] - at)
+    off = np.abs(predict_some(nodes, row, column)[0] - at)
     off[np.isnan(off)] = np.inf
     typical = _typical(off, cell, row, column, nodes.at.shape)
     near = np.maximum(NEAR, np.minimum(ALIKE * typical, BENT * cell))

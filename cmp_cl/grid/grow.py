@@ -14,8 +14,8 @@ from cmp_cl.grid.predict import (
     REACHED,
     bordered,
     mean_steps,
-    predict,
     predict_all,
+    predict_some,
 )
 from cmp_cl.grid.second_look import second_look
 from cmp_cl.grid.whole_edges import along_edges
@@ -158,7 +158,7 @@ def _misfits(nodes: Nodes, place: Index) -> Float:
     if len(place) > FEW:
         prediction, weight = (each.take(place) for each in predict_all(nodes))
     else:
-        prediction, weight = predict(nodes, *np.divmod(place, columns))
+        prediction, weight = predict_some(nodes, *np.divmod(place, columns))
     prediction[weight < STRONG] = NOWHERE
     gap = np.abs(at.take(place) - prediction)
     far = np.flatnonzero(gap > 1)
@@ -178,7 +178,7 @@ def _expected(nodes: Nodes, least: float) -> tuple[Index, Index, Points, Float, 
     row, column = np.divmod(missing, nodes.at.shape[1])
     if not len(row):
         return row, column, nodes.at[:0, 0], np.zeros(0), np.zeros(0), nodes.at[:0, 0]
-    at, weight = predict(nodes, row, column)
+    at, weight = predict_some(nodes, row, column)
     kept = weight >= least
     row, column, at, weight = row[kept], column[kept], at[kept], weight[kept]
     along, down, cell = mean_steps(nodes.at, row, column)
@@ -265,7 +265,7 @@ def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
     row, column = np.divmod(np.flatnonzero(asked), nodes.at.shape[1])
     if not len(row):
         return False
-    expected, weight = predict(nodes, row, column)
+    expected, weight = predict_some(nodes, row, column)
     along, down, cell = mean_steps(nodes.at, row, column)
     off = np.abs(nodes.at[row, column] - expected)
     settled = off <= np.maximum(ASTRAY * cell, OUTLYING * _usual(nodes))

@@ -106,17 +106,23 @@ class Stencil(NamedTuple):
         return predicted
 
 
-def predict(nodes: Nodes, row: Index, column: Index) -> tuple[Points, Float]:
+def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
     """Predict nodes from their neighbours; also return the weight of the prediction.
 
     Along a row or column (4 (L + R) - (LL + RR)) / 6 with weight 12 and (L + R) / 2 with 4,
     the parallelograms with 1.5, linear and quadratic extrapolation with 0.7 each.
     """
-    if nodes.predicted is not None:
-        predicted, weight = nodes.predicted
-        return predicted[row, column], weight[row, column]
-    stencil = Stencil.of(nodes.there, row, column)
-    return stencil.predict(nodes.at), stencil.weight
+    stencil = Stencil.of(~np.isnan(at.real), row, column)
+    return stencil.predict(at), stencil.weight
+
+
+def predict_some(nodes: Nodes, row: Index, column: Index) -> tuple[Points, Float]:
+    """Return the predictions of some nodes and their weights; if those of all nodes are kept, take
+    them from there."""
+    if nodes.predicted is None:
+        return predict(nodes.at, row, column)
+    predicted, weight = nodes.predicted
+    return predicted[row, column], weight[row, column]
 
 
 def predict_all(nodes: Nodes) -> tuple[Points, Float]:

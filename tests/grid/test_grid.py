@@ -21,7 +21,7 @@ from cmp_cl.grid.grow import drop_misfits
 from cmp_cl.grid.joints import cut
 from cmp_cl.grid.lattice import _counted, lattice, lines_of, near_pairs
 from cmp_cl.grid.nodes import Nodes, boxed
-from cmp_cl.grid.predict import mean_steps, predict, predict_all, predict_within
+from cmp_cl.grid.predict import mean_steps, predict, predict_all, predict_some, predict_within
 from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -74,7 +74,7 @@ def test_false_cells_do_not_join_parts_of_different_numbers(seed):
         36, 36, lost=0.1, false=0.4, seed=seed, jitter=0.4, twist=0.5, pull=2.0
     )
     z = corners.xy @ np.array([1, 1j])
-    found = lattice(z.astype(np.complex64), corners.edges)
+    found = lattice(z.astype(np.complex64), lines_of(corners.edges))
     found = cut(found, boxed(z, found)) or found
     member = (found.component == 0) & (index[:, 0] >= 0)
     assert member.sum() > 300
@@ -326,7 +326,7 @@ def test_a_prediction_is_the_weighted_mean_of_those_from_cubics_lines_and_parall
     t = np.arange(7.0)
     line = t**3 + 1j * (t**2 - t)
     row = np.tile(line, (7, 1)) + 1j * np.arange(7)[:, None] * 9
-    at, weight = predict(nodes_at(row), np.array([3]), np.array([3]))
+    at, weight = predict(row, np.array([3]), np.array([3]))
     # Cubics along both axes, the column's lines and the parallelograms are exact here.
     exact = 27 + 33j
     off = 4 * (9 + 1j) + 0.7 * ((-24 - 2j) + (-12 - 2j) + 6 - 6)  # px, times the weights
@@ -334,7 +334,7 @@ def test_a_prediction_is_the_weighted_mean_of_those_from_cubics_lines_and_parall
     assert weight[0] == pytest.approx(2 * 12 + 2 * 4 + 4 * 1.5 + 8 * 0.7)
     alone = np.full((7, 7), complex(np.nan, np.nan))
     alone[3, [1, 2, 4, 5]] = line[[1, 2, 4, 5]]
-    at, weight = predict(nodes_at(alone), np.array([3]), np.array([3]))
+    at, weight = predict(alone, np.array([3]), np.array([3]))
     expected = (12 * (27 + 6j) + 4 * (36 + 7j) + 0.7 * ((15 + 4j) + (3 + 4j))) / 17.4
     assert abs(at[0] - expected) < 1e-12
     assert weight[0] == pytest.approx(17.4)
@@ -358,7 +358,7 @@ def test_nodes_are_predicted_alike_at_once_and_one_by_one():
     at = board(12, 9).truth
     at[2, 7] = complex(np.nan, np.nan)
     row, column = (index.ravel() for index in np.indices(at.shape))
-    one_by_one, weight = predict(nodes_at(at), row, column)
+    one_by_one, weight = predict(at, row, column)
     at_once, weights = predict_all(nodes_at(at))
     np.testing.assert_allclose(at_once.ravel(), one_by_one, rtol=0, atol=1e-10)
     np.testing.assert_allclose(weights.ravel(), weight, rtol=0, atol=1e-10)
@@ -379,8 +379,8 @@ def test_a_node_that_changes_changes_the_predictions_of_its_neighbours(change):
         nodes = nodes.turned(1)
     else:
         getattr(nodes, change)()
-    predicted, weight = predict(nodes, np.array([4]), np.array([3]))
-    again, weight_again = predict(nodes_at(nodes.at), np.array([4]), np.array([3]))
+    predicted, weight = predict_some(nodes, np.array([4]), np.array([3]))
+    again, weight_again = predict(nodes.at, np.array([4]), np.array([3]))
     np.testing.assert_allclose(predicted, again, rtol=0, atol=1e-10)
     np.testing.assert_allclose(weight, weight_again, rtol=0, atol=1e-10)
 
@@ -459,7 +459,7 @@ def test_numbering_is_quick():
     times = []
     for _ in range(60):
         start = time.perf_counter()
-        lattice(z, corners.edges)
+        lattice(z, lines_of(corners.edges))
         times.append(time.perf_counter() - start)
     assert min(times) < 6e-3  # s: about 1 ms; a loop over corners would take 20 ms
 
@@ -492,10 +492,10 @@ def test_links_that_agree_give_the_components_that_votes_give(monkeypatch, seed)
         return answers[-1]
 
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
-    one = lattice(z, corners.edges)
+    one = lattice(z, lines_of(corners.edges))
     assert answers[0] is not None
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", lambda *_: None)
-    other = lattice(z, corners.edges)
+    other = lattice(z, lines_of(corners.edges))
     assert len(one.size) > 1
     for name in ("component", "size", "support"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
