@@ -11,7 +11,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from cmp_cl.errors import ConfigError
-from cmp_cl.files import read_toml, write_text
+from cmp_cl.files import check_path, read_toml, write_text
 
 if TYPE_CHECKING:
     from cmp_cl.image import GreyImage
@@ -420,6 +420,7 @@ class DetectorConfig:
         Raises ConfigError if the file cannot be read, is not TOML, or has an unknown
         key or a value outside its range.
         """
+        check_path(path, ConfigError)
         try:
             data = read_toml(path)
         except OSError as error:

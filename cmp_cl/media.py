@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ImageError
-from cmp_cl.files import write_bytes
+from cmp_cl.files import check_path, suffix_of, write_bytes
 from cmp_cl.image import GreyImage
 from cmp_cl.image_size import page_sizes
 
@@ -55,7 +55,7 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
         or the format cannot hold such pixels; OSError if the folder is missing or not writable.
     """
     known = IMAGE_SUFFIXES if image.dtype == np.uint8 else SUFFIXES_OF_16_BITS
-    written = Path(path).suffix.lower() in known
+    written = suffix_of(path, ImageError) in known
     if written:
         try:
             written, data = cv2.imencode(Path(path).suffix, image)
@@ -79,9 +79,8 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """
     found: list[Path] = []
     for name in paths:
+        check_path(name, FileNotFoundError)
         path = Path(name)
-        if not os.fspath(name):
-            raise FileNotFoundError("there is no file ''")
         if path.is_dir():
             inside = [
                 entry
@@ -101,8 +100,8 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
 
 
 def is_video(path: str | PathLike[str]) -> bool:
-    """Return whether the suffix of a path is that of a video."""
-    return Path(path).suffix.lower() in VIDEO_SUFFIXES
+    """Return whether the suffix of a path is that of a video; raises ImageError for no path."""
+    return suffix_of(path, ImageError) in VIDEO_SUFFIXES
 
 
 def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> GreyImage:
@@ -151,6 +150,7 @@ def decoded_pages(
 
 def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
     """Return the bytes of a file, mapped into memory, or those that come through a pipe."""
+    check_path(path, ImageError)
     try:
         kind = os.stat(path).st_mode
         if stat.S_ISREG(kind):

@@ -421,6 +421,8 @@ def run(arguments: argparse.Namespace) -> int:
                 break
             tally.add(frame.index, measured, spent)
             display.frame(frame, measured, at_rest)
+        if stop.name and not tally.frames:  # an older series stays
+            raise KeyboardInterrupt
     ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
     if isinstance(source, Pairs):

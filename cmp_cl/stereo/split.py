@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Self
 
-from cmp_cl.errors import ConfigError, ImageError
+from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage
 
 
@@ -41,6 +41,7 @@ class BinocularSplit:
 
         Raises ConfigError if the frame is narrower than 2 px or has no row.
         """
+        check_kind("width", width, int, ConfigError)
         half = width // 2
         return cls((0, 0, half, height), (width - half, 0, half, height))
 

@@ -57,13 +57,13 @@ class Recorded:
     @classmethod
     def of(cls, series: Series) -> "Recorded":
         """Take the arrays of a series; raises FieldError without frames, rest or positions."""
+        if not len(series.get("index", [0])):
+            raise FieldError("the series has no frame")
         missing = [name for name in ("index", "time_ms", "rest") if name not in series]
         if missing or not ("displacement" in series or "xy" in series):
             what = missing or ["displacement or xy"]
             raise FieldError(f"the series has no {' and no '.join(what)}")
         rest = np.asarray(series["rest"], np.float64)
-        if not len(series["index"]):
-            raise FieldError("the series has no frame")
         if "displacement" in series:
             shift = np.asarray(series["displacement"], np.float64)
         else:

@@ -288,6 +288,21 @@ def test_a_stopped_run_keeps_what_it_has(run, recording, press, monkeypatch, nam
     assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
 
 
+def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
+    run, recording, press, monkeypatch
+):
+    enter = run_module._Display.__enter__
+
+    def stopped(display):
+        signal.raise_signal(signal.SIGINT)
+        return enter(display)
+
+    Path("press.npz").write_text("old")
+    monkeypatch.setattr(run_module._Display, "__enter__", stopped)
+    assert run("run", recording, *STEREO) == (130, "", "cmp-cl: interrupted\n")
+    assert Path("press.npz").read_text() == "old"
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
 def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
     def frames_of(path, **_):

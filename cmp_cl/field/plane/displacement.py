@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.errors import FieldError, check_kind, check_positive
 from cmp_cl.grid.filter import (
     Filtered,
     bend_shift_of,
@@ -57,8 +57,7 @@ class PlaneScale:
 
         length: of one px. unit: name of its unit. Raises FieldError if it is not positive.
         """
-        if not 0 < length < math.inf:
-            raise FieldError(f"the length of a px must be positive, not {length!r}")
+        check_positive("length", length, FieldError)
         return cls(np.diag([length, length, 1.0]), unit)
 
     @classmethod
@@ -70,8 +69,8 @@ class PlaneScale:
             Raises FieldError if side is not positive, if fewer than 4 nodes are valid, or if all
             lie on a line.
         """
-        if not 0 < side < math.inf:
-            raise FieldError(f"the side of a cell must be positive, not {side!r}")
+        check_kind("rest", rest, Grid, FieldError)
+        check_positive("side", side, FieldError)
         row, column = np.nonzero(rest.valid)
         matrix = None
         if len(row) >= 4 and len(set(row)) > 1 and len(set(column)) > 1:
