@@ -407,6 +407,8 @@ def run(arguments: argparse.Namespace) -> int:
             start = time.perf_counter()
             measured = measure(image)
             spent = (time.perf_counter() - start) * 1e3
+            if frame.index == settings.rest_frame:  # the numbers are those of this frame
+                measured = dataclasses.replace(measured, ambiguous=False)
             try:
                 series.append(
                     index=frame.index,

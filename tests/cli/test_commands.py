@@ -288,6 +288,14 @@ def test_a_stopped_run_keeps_what_it_has(run, recording, press, monkeypatch, nam
     assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
 
 
+def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
+    board = np.kron(np.indices((9, 11)).sum(0) % 2, np.full((20, 20), 180)).astype(np.uint8) + 30
+    for number in range(2):  # no border of the pattern is in view
+        cv2.imwrite(str(tmp_path / f"{number}.png"), board[10:170, 10:210])
+    assert "1 with ambiguous numbers" in run("run", tmp_path, "--out", "press.npz")[1]
+    assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
+
+
 def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
     run, recording, press, monkeypatch
 ):
