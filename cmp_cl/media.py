@@ -12,6 +12,7 @@ import glob
 import importlib.util
 import math
 import os
+import re
 import stat
 import sys
 import tempfile
@@ -72,8 +73,8 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """Return the files to read: folders are replaced by the images and videos in them, by name.
 
-    A name with `*`, `?` or `[` that is not a file is a pattern, because some shells do not expand
-    it.
+    Numbers in names count: 9.png comes before 10.png. Hidden files of a folder are left out. A name
+    with `*`, `?` or `[` that is not a file is a pattern, because some shells do not expand it.
 
     Raises FileNotFoundError if a path does not exist, or a folder holds no image and no video.
     """
@@ -84,19 +85,27 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
         if path.is_dir():
             inside = [
                 entry
-                for entry in sorted(path.iterdir())
-                if entry.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES and entry.is_file()
+                for entry in sorted(path.iterdir(), key=_by_number)
+                if entry.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES
+                and not entry.name.startswith(".")
+                and entry.is_file()
             ]
             if not inside:
                 raise FileNotFoundError(f"no image and no video in the folder {str(path)!r}")
             found += inside
         elif path.exists():
             found.append(path)
-        elif matches := sorted(glob.glob(str(path))):
-            found += map(Path, matches)
+        elif matches := glob.glob(str(path)):
+            found += sorted(map(Path, matches), key=_by_number)
         else:
-            raise FileNotFoundError(f"there is no file {str(path)!r}")
+            raise FileNotFoundError(f"there is no file {os.fspath(name)!r}")
     return found
+
+
+def _by_number(path: Path) -> list[str | int]:
+    """Return the name in parts, texts and numbers in turn, by which 9.png sorts before 10.png."""
+    parts = re.split(r"([0-9]+)", path.as_posix())
+    return [int(part) if place % 2 else part for place, part in enumerate(parts)]
 
 
 def is_video(path: str | PathLike[str]) -> bool:
@@ -124,6 +133,8 @@ def decoded_pages(
     data: NDArray[np.uint8], path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS
 ) -> Iterator[GreyImage]:
     """Decode the pages of an image from its bytes, as `read_pages`; path names it in messages."""
+    if not data.size:
+        raise ImageError(f"{str(path)!r} is empty")
     try:
         sizes = page_sizes(data.data)
     except ValueError as error:
@@ -171,10 +182,8 @@ def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, s
     """Decode a page, None if that fails; return the codec's messages too."""
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     pages: Sequence[NDArray[Any]] = ()
-    with _codec_messages() as said:
-        if data.size:
-            with contextlib.suppress(cv2.error):
-                pages = cv2.imdecodemulti(data, flags, range=(page, page + 1))[1]
+    with _codec_messages() as said, contextlib.suppress(cv2.error):
+        pages = cv2.imdecodemulti(data, flags, range=(page, page + 1))[1]
     return (pages[0] if pages else None), "; ".join(said)
 
 

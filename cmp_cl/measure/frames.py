@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 BRIDGED = 1
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
+_BETTER = 0.25  # share of the reprojection error that is left if the views were swapped or mirrored
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -266,7 +268,31 @@ class TwoViews(Measurement):
                 f"{_FITS:g} px; check the calibration, the number of corners, the split, mirrored "
                 "views, and which view is the left one"
             )
+        self._check_order(left, right, _middle(points.error))
         return points
+
+    def _check_order(self, left: Grid, right: Grid, error: float) -> None:
+        """Raise GridError if the rig fits far better to views that are swapped or mirrored.
+
+        A flat pattern near the point at which the cameras look fits to 1 px even so, with its
+        heights reversed. error: the median reprojection error of the views as they are, px.
+        """
+        flipped = [
+            dataclasses.replace(grid, xy=(view[2] - 1, 0) + grid.xy * np.float32([-1, 1]))
+            for grid, view in ((left, self._split.left), (right, self._split.right))
+        ]
+        other, how = min(
+            (_middle(self._rig.triangulate(*views).error), how)
+            for how, views in (
+                ("left and right swapped", (right, left)),
+                ("both views mirrored", flipped),
+            )
+        )
+        if other < _BETTER * error:
+            raise GridError(
+                f"the rig fits the nodes to {error:.2g} px, but with {how} to {other:.2g} px; give "
+                "the views as they were in the calibration"
+            )
 
     def __call__(self, frame: GreyImage) -> MeasuredInSpace:
         """Measure one frame, see `Measurement.__call__`."""
@@ -297,6 +323,12 @@ class TwoViews(Measurement):
             points=points,
             field=field,
         )
+
+
+def _middle(error: NDArray[np.float64]) -> float:
+    """Return the median of the known errors; infinity if none is known."""
+    known = error[~np.isnan(error)]
+    return float(np.median(known)) if len(known) else math.inf
 
 
 @dataclasses.dataclass(frozen=True)

@@ -384,7 +384,7 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
     ("arguments", "words"),
     [
         (["none", *STEREO], ["none"]),
-        (["frames", *STEREO, "--rest-frame", "9"], ["beyond the last"]),
+        (["frames", *STEREO, "--rest-frame", "9"], ["no --rest-frame 9", "3 frames"]),
         (["frames", *STEREO, "--rest-frame", "-1"], ["0 or more"]),
         (["frames", *STEREO, "--split", "thirds"], ["halves", "thirds"]),
         (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["extends past the frame"]),
