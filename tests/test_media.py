@@ -140,7 +140,7 @@ def test_a_file_that_is_no_image_is_an_image_error_with_its_name(tmp_path):
     for name in ("text.png", "cut.png"):
         with pytest.raises(ImageError, match=f"{name}' is not an image"):
             media.read_image(tmp_path / name)
-    with pytest.raises(ImageError, match="empty.png' is empty"):
+    with pytest.raises(ImageError, match=r"empty\.png.* is empty"):
         media.read_image(tmp_path / "empty.png")
     with pytest.raises(ImageError, match=r"cannot read .*missing.png"):
         media.read_image(tmp_path / "missing.png")

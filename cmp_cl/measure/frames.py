@@ -32,6 +32,7 @@ from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 BRIDGED = 1
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
+_FLIP = np.array([-1, 1], np.float32)
 _BETTER = 0.25  # share of the reprojection error that is left if the views were swapped or mirrored
 
 
@@ -278,7 +279,7 @@ class TwoViews(Measurement):
         heights reversed. error: the median reprojection error of the views as they are, px.
         """
         flipped = [
-            dataclasses.replace(grid, xy=(view[2] - 1, 0) + grid.xy * np.float32([-1, 1]))
+            dataclasses.replace(grid, xy=grid.xy * _FLIP + (view[2] - 1, 0))
             for grid, view in ((left, self._split.left), (right, self._split.right))
         ]
         other, how = min(
