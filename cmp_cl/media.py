@@ -18,6 +18,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ImageError
+from cmp_cl.errors import ImageError, check_kind
 from cmp_cl.files import check_path, suffix_of, write_bytes
 from cmp_cl.image import GreyImage
 from cmp_cl.image_size import page_sizes
@@ -55,8 +56,9 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
     image: (H, W) or (H, W, 3) BGR. Raises ImageError if the suffix is not that of an image format,
         or the format cannot hold such pixels; OSError if the folder is missing or not writable.
     """
+    check_kind("image", image, np.ndarray, ImageError)
     known = IMAGE_SUFFIXES if image.dtype == np.uint8 else SUFFIXES_OF_16_BITS
-    written = suffix_of(path, ImageError) in known
+    written = suffix_of(path, ImageError) in known and image.dtype in (np.uint8, np.uint16)
     if written:
         try:
             written, data = cv2.imencode(Path(path).suffix, image)
@@ -78,6 +80,8 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
 
     Raises FileNotFoundError if a path does not exist, or a folder holds no image and no video.
     """
+    if isinstance(paths, str | PathLike):
+        raise FileNotFoundError(f"paths must be several names of files, not {os.fspath(paths)!r}")
     found: list[Path] = []
     for name in paths:
         check_path(name, FileNotFoundError)
@@ -193,6 +197,7 @@ def _tells_damage(said: str) -> bool:
 
 
 def _check_size(path: str | PathLike[str], size: tuple[int, int], most: int) -> None:
+    check_kind("max_pixels", most, Real, ImageError)
     width, height = size
     if width * height > most:
         raise ImageError(
@@ -423,6 +428,7 @@ def read_camera(number: int) -> Iterator[Frame]:
     It ends when `LONGEST_GAP` frames in a row are missing. Raises ImageError if there is no
     such camera.
     """
+    check_kind("number", number, int, ImageError)
     capture = cv2.VideoCapture(number)
     try:
         if not capture.isOpened():

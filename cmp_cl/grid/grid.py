@@ -215,6 +215,7 @@ class Grid:
 
     def covers(self, rest: "Grid") -> bool:
         """Return whether the grid has all rows and columns of the grid `rest`, by their numbers."""
+        check_kind("rest", rest, Grid, GridError)
         first = np.subtract(rest.origin, self.origin)
         last = first + rest.shape
         return bool((first >= 0).all() and (last <= self.shape).all())

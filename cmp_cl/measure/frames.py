@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import Grid, build_grid, filter_positions
-from cmp_cl.image import GreyImage
+from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.patterns import (
     Region,
     align_views,
@@ -224,6 +225,10 @@ class TwoViews(Measurement):
         self._rig = rig
         self._split = split
         search = _Search(selected(device), shape, config, full_scale, track)
+        if not (isinstance(regions, Sequence) and len(regions) == 2):
+            raise ConfigError(
+                f"regions must be those of the left and the right view, not {regions!r}"
+            )
         with contextlib.ExitStack() as stack:
             patterns = []
             for side, view, region in zip(("left", "right"), split(rest), regions, strict=True):
@@ -351,6 +356,7 @@ class _Pattern:
 
     def __init__(self, view: GreyImage, search: _Search, region: Region | None) -> None:
         config, shape, device = search.config, search.shape, search.device
+        view = check_image(view)
         self._region = region
         self._track = search.track
         self._previous: Grid | None = None
@@ -360,7 +366,8 @@ class _Pattern:
                 view, shape=shape, region=region, full_scale=search.full_scale, device=device
             )
             config = exact_config(cell, search.full_scale)
-        elif search.full_scale is not None:
+        check_kind("config", config, DetectorConfig, ConfigError)
+        if search.config is not None and search.full_scale is not None:
             config = config.replace(full_scale=search.full_scale)
         with contextlib.ExitStack() as stack:
             self.detector = stack.enter_context(
