@@ -54,7 +54,7 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     image. A circle surrounds each corner and a dot marks its position. Raises ImageError, and
     FieldError if `corners` is of another type.
     """
-    check_image(image)
+    image = check_image(image)
     check_kind("corners", corners, Corners, FieldError)
     cell = _spacing(corners.xy)
     longest = max(*image.shape, 1)
@@ -149,7 +149,7 @@ def grid_overlay(
     first row is drawn in red and the first column in blue. Raises ImageError, and FieldError if
     there are not as many corners as the grid was built from.
     """
-    check_image(image)
+    image = check_image(image)
     check_kind("grid", grid, Grid, FieldError)
     if corners is not None:
         check_kind("corners", corners, Corners, FieldError)
@@ -218,7 +218,7 @@ def draw_arrows(
     axes: "Axes", image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
 ) -> None:
     """Draw the content of `arrow_figure` into axes."""
-    check_image(image)
+    image = check_image(image)
     if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
         shapes = [rest.shape, now.shape, *([] if field is None else [field.status.shape])]
         raise FieldError(f"rest, now and field must have one shape, not {shapes}")
