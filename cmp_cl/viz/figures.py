@@ -208,8 +208,8 @@ def arrow_figure(
     """
     from matplotlib.figure import Figure
 
-    rows, columns = image.shape
-    figure = Figure(figsize=(9, max(7.2 * rows / columns, 2) + 0.7), layout="constrained")
+    rows, columns = check_image(image).shape
+    figure = Figure(figsize=(9, max(7.2 * rows / max(columns, 1), 2) + 0.7), layout="constrained")
     draw_arrows(figure.add_subplot(), image, rest, now, field=field)
     return figure
 
@@ -219,6 +219,10 @@ def draw_arrows(
 ) -> None:
     """Draw the content of `arrow_figure` into axes."""
     image = check_image(image)
+    check_kind("rest", rest, Grid, FieldError)
+    check_kind("now", now, Grid, FieldError)
+    if field is not None:
+        check_kind("field", field, DisplacementField, FieldError)
     if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
         shapes = [rest.shape, now.shape, *([] if field is None else [field.status.shape])]
         raise FieldError(f"rest, now and field must have one shape, not {shapes}")
@@ -343,6 +347,7 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
 
     Raises FieldError if fewer than three nodes are valid, or all lie on a line.
     """
+    check_kind("field", field, DisplacementField, FieldError)
     points = field.position[field.valid]
     if len(points) < 3:
         raise FieldError(f"{len(points)} nodes are valid, at least 3 are needed to draw a surface")
