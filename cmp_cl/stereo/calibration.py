@@ -3,13 +3,14 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from numbers import Integral
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError
+from cmp_cl.errors import CalibrationError, FieldError, check_positive, listed
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import CAMERA, Adjusted, View, adjust
 from cmp_cl.stereo.free_board import adjust_board
@@ -89,7 +90,9 @@ def calibrate_camera(
     determine the focal length (the board faces the camera in all of them), or if the views of a
     free board are numbered differently.
     """
-    _check_spacing(spacing)
+    check_positive("spacing", spacing, CalibrationError)
+    image_size = _checked_size(image_size)
+    grids = listed("grids", grids, Grid, CalibrationError)
     grids = _numbered_alike(grids) if free_board else grids
     parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
     _check_views(len(parts))
@@ -158,6 +161,7 @@ def calibrate(
     Raises CalibrationError as `calibrate_camera` does, and if no pose between the cameras
     fits all views. Raises FieldError if the grids of a view have different shapes.
     """
+    views = [_pair(pair) for pair in listed("views", views, Sequence, CalibrationError)]
     for view, (left, right) in enumerate(views):
         if left.shape != right.shape:
             raise FieldError(
@@ -349,9 +353,19 @@ def _double(value: ArrayLike) -> Array:
     return np.asarray(value, np.float64)
 
 
-def _check_spacing(spacing: float) -> None:
-    if not 0 < spacing < math.inf:
-        raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")
+def _pair(views: Sequence[Grid]) -> tuple[Grid, Grid]:
+    """Return the grids of the left and of the right view; raises CalibrationError if not both."""
+    found = listed("views", views, Grid, CalibrationError)
+    if len(found) != 2:
+        raise CalibrationError(f"each of views must be (left, right), not {len(found)} grids")
+    return found[0], found[1]
+
+
+def _checked_size(size: Any) -> tuple[int, int]:
+    sides = listed("image_size", size, Integral, CalibrationError)
+    if len(sides) != 2 or min(sides) < 1:
+        raise CalibrationError(f"image_size must be (width, height), px, not {size!r}")
+    return int(sides[0]), int(sides[1])
 
 
 def _check_views(count: int) -> None:

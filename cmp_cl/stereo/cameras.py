@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError
+from cmp_cl.errors import CalibrationError, check_positive
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.rig import StereoRig
 from cmp_cl.stereo.threads import one_thread
@@ -118,8 +118,7 @@ def calibrate_cameras(
     Raises CalibrationError if a camera has too few views or nodes, if its views do not
     determine the focal length, or if it shares no moment with the others.
     """
-    if not 0 < spacing < math.inf:
-        raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")
+    check_positive("spacing", spacing, CalibrationError)
     if not views:
         raise CalibrationError("no camera is given")
     moments = {len(grids) for grids in views.values()}

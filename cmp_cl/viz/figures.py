@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.corners import Corners, Method
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field import DisplacementField, mesh
 from cmp_cl.files import whole_file
 from cmp_cl.grid.grid import Grid, NodeStatus
@@ -51,9 +51,11 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
     factor, each pixel to a block, until a cell is about 32 px wide and the longer side at least
     1000 px; the result is at most 2400 px long unless the image is longer. The legend is below the
-    image. A circle surrounds each corner and a dot marks its position. Raises ImageError.
+    image. A circle surrounds each corner and a dot marks its position. Raises ImageError, and
+    FieldError if `corners` is of another type.
     """
-    check_image(image)
+    image = check_image(image)
+    check_kind("corners", corners, Corners, FieldError)
     cell = _spacing(corners.xy)
     longest = max(*image.shape, 1)
     factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
@@ -147,7 +149,10 @@ def grid_overlay(
     first row is drawn in red and the first column in blue. Raises ImageError, and FieldError if
     there are not as many corners as the grid was built from.
     """
-    check_image(image)
+    image = check_image(image)
+    check_kind("grid", grid, Grid, FieldError)
+    if corners is not None:
+        check_kind("corners", corners, Corners, FieldError)
     if corners is not None and len(corners) != len(grid.index):
         raise FieldError(f"the grid was built from {len(grid.index)} corners, not {len(corners)}")
     xy = grid.xy[grid.valid]
@@ -203,8 +208,8 @@ def arrow_figure(
     """
     from matplotlib.figure import Figure
 
-    rows, columns = image.shape
-    figure = Figure(figsize=(9, max(7.2 * rows / columns, 2) + 0.7), layout="constrained")
+    rows, columns = check_image(image).shape
+    figure = Figure(figsize=(9, max(7.2 * rows / max(columns, 1), 2) + 0.7), layout="constrained")
     draw_arrows(figure.add_subplot(), image, rest, now, field=field)
     return figure
 
@@ -213,7 +218,11 @@ def draw_arrows(
     axes: "Axes", image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
 ) -> None:
     """Draw the content of `arrow_figure` into axes."""
-    check_image(image)
+    image = check_image(image)
+    check_kind("rest", rest, Grid, FieldError)
+    check_kind("now", now, Grid, FieldError)
+    if field is not None:
+        check_kind("field", field, DisplacementField, FieldError)
     if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
         shapes = [rest.shape, now.shape, *([] if field is None else [field.status.shape])]
         raise FieldError(f"rest, now and field must have one shape, not {shapes}")
@@ -338,6 +347,7 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
 
     Raises FieldError if fewer than three nodes are valid, or all lie on a line.
     """
+    check_kind("field", field, DisplacementField, FieldError)
     points = field.position[field.valid]
     if len(points) < 3:
         raise FieldError(f"{len(points)} nodes are valid, at least 3 are needed to draw a surface")
@@ -372,7 +382,7 @@ class RerunLog(Closing):
     """Shows frames in Rerun's viewer, or records them to a .rrd file for it.
 
     path: the file; None opens the viewer. It needs rerun-sdk 0.23 or newer. The file appears when
-    the `with` block ends, even by an exception or Ctrl-C.
+    the `with` block ends, even by an exception or Ctrl-C; without a frame an older file is kept.
 
     Raises ImportError without rerun-sdk, RuntimeError if its viewer is not found on the
     PATH, OSError if the file cannot be written.
@@ -384,6 +394,7 @@ class RerunLog(Closing):
         self._rerun = rerun
         self._stream = rerun.RecordingStream("cmp_cl")
         self._file: PipedFile | None = None
+        self._empty = True
         self._top = 0.0
         if path is None:
             self._stream.spawn()
@@ -409,6 +420,7 @@ class RerunLog(Closing):
         """
         if self._file is not None:
             self._file.check()
+        self._empty = False
         rerun, stream = self._rerun, self._stream
         stream.set_time("frame", sequence=index)
         if not math.isnan(time_ms):
@@ -453,7 +465,9 @@ class RerunLog(Closing):
         """
         self._stream.disconnect()
         file, self._file = self._file, None
-        if file is not None:
+        if file is not None and self._empty:
+            file.abandon()
+        elif file is not None:
             file.close()
 
 
