@@ -9,7 +9,6 @@ false. Times are those of the same calls, one frame at a time, after one warm-up
 """
 
 import argparse
-import json
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -18,7 +17,7 @@ from typing import Any
 
 import methods
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, write_result
 from methods import DEFAULT, FILTERED, FOR_CELL, FULL, GRIDDED, LINES, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
@@ -230,10 +229,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         **tables.as_json(),
     }
     show(unpacked(result))
-    out = arguments.out or (None if arguments.quick else RESULTS / "accuracy.json")
-    if out is not None:
-        out.write_text(json.dumps(result) + "\n")
-        print(f"wrote {out}")
+    write_result(result, arguments.out, quick=arguments.quick, indent=None)
     return 0
 
 

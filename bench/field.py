@@ -13,7 +13,6 @@ import argparse
 import contextlib
 import dataclasses
 import hashlib
-import json
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -22,7 +21,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import RESULTS, environment
+from environment import DATA, environment, write_result
 from scenes import TEST_SEED
 
 from cmp_cl import (
@@ -75,7 +74,6 @@ CONFIGS = {
     "run (EDGE_STEP)": exact_config(CELL),
     "EDGE_LINES": exact_config(CELL).replace(refinement=EdgeLines()),
 }
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 class Shot(NamedTuple):
@@ -467,10 +465,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "boards": boards(),
     }
     show(result)
-    out = arguments.out or (None if arguments.quick else RESULTS / "field.json")
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
-        print(f"wrote {out}")
+    write_result(result, arguments.out, quick=arguments.quick)
     return 0
 
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl
-from environment import RESULTS, environment
+from environment import environment
 
 import cmp_cl
 
@@ -107,7 +107,7 @@ def oracle() -> dict[str, Any]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS / "implementations.json")
+    parser.add_argument("--out", type=Path, help="the JSON to write")
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args(argv)
     if arguments.measure:

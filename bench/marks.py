@@ -8,14 +8,13 @@ must lose nothing.
 """
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, write_result
 from scenes import TEST_SEED, rendered
 
 from cmp_cl import Detector, DetectorConfig, drop_marks
@@ -145,7 +144,7 @@ def gels(densities: Sequence[int]) -> dict[str, Any]:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a third of the boards")
-    parser.add_argument("--out", type=Path, default=RESULTS / "marks.json")
+    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     cells = CELLS[1:2] if arguments.quick else CELLS
     rows = [boards(mark, cells) for mark in MARKS]
@@ -162,8 +161,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "cells": cells,
         "rows": rows,
     }
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(result, arguments.out, quick=arguments.quick)
     return 0
 
 

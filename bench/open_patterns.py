@@ -13,14 +13,13 @@ nodes are corners, and whether their numbers fit one lattice.
 """
 
 import argparse
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, write_result
 from partial_views import Found, View, agreeing, each_answer
 
 from cmp_cl import Detector, DetectorConfig, build_grid
@@ -357,7 +356,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="a third of the frames")
     parser.add_argument("--drawn", type=int, metavar="N", help="N frames drawn by chance instead")
     parser.add_argument("--seed", type=int, default=900_000, help="of what is drawn by chance")
-    parser.add_argument("--out", type=Path, default=RESULTS / "open_patterns.json")
+    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     asked = cases(quick=arguments.quick)
     if arguments.drawn is not None:
@@ -379,8 +378,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "unavailable": reasons,
         "rows": rows,
     }
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(result, arguments.out, quick=arguments.quick)
     return 0
 
 

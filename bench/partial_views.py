@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import RESULTS, environment
+from environment import DATA, environment, write_result
 
 from cmp_cl import Detector, DetectorConfig, build_grid
 from cmp_cl.errors import GridError
@@ -27,7 +27,6 @@ from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import random_scene, render
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SETS: dict[str, tuple[tuple[str, ...], tuple[float, ...], tuple[int, int] | None]] = {
     "stereo_opencv": (
         tuple(f"{side}{number:02}" for number in range(1, 6) for side in ("left", "right")),
@@ -376,7 +375,7 @@ def show(result: dict[str, Any]) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS / "partial_views.json")
+    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     if not DATA.is_dir():
         print(f"there are no photographs: {DATA} is missing")
@@ -391,8 +390,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "island": island(),
     }
     show(result)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(result, arguments.out)
     return 0
 
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import cv2
 import methods
 import numpy as np
-from environment import RESULTS, environment
+from environment import DATA, environment, write_result
 from peers import PEERS, Detect, Pattern, available, keep_freed_memory
 from scipy.spatial import cKDTree
 
@@ -35,7 +35,6 @@ from cmp_cl.config import window_for_cell
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.scoring import match
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 PICTURES = ("water/reference_df", "water/ellipse_10", "puzzleboard/example1", "curved/curve_4")
 BOARDS = ("stereo_opencv", "stereo_bumblebee2")  # folders of boards in a room
 CELLS = {20: 21.0, 30: 14.2, 40: 10.8, 44: 9.8}  # px, of the densities that were searched
@@ -300,7 +299,7 @@ def show(table: list[dict[str, Any]]) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS / "photographs.json")
+    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     if not DATA.is_dir():
         print(f"there are no photographs: {DATA} is missing")
@@ -326,8 +325,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "not_asked": {PEERS[name].label: "finds only boards of a known size" for name in AT_ONCE},
         "rows": whole,
     }
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(result, arguments.out)
     return 0
 
 

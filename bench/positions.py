@@ -13,7 +13,6 @@ normal and sigma is right.
 import argparse
 import dataclasses
 import itertools
-import json
 import math
 import time
 from collections import defaultdict
@@ -24,7 +23,7 @@ from typing import Any
 import cv2
 import numpy as np
 from accuracy import DENSITIES, INDENTERS, SEVERITIES, by_corner, scenes
-from environment import RESULTS, environment
+from environment import environment, write_result
 from methods import peer
 from peers import PEERS, Detect, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
@@ -576,10 +575,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "ms_bends": filter_time(bends=True),
     }
     show(result)
-    out = arguments.out or (None if arguments.quick else RESULTS / "positions.json")
-    if out is not None:
-        out.write_text(json.dumps(result) + "\n")
-        print(f"wrote {out}")
+    write_result(result, arguments.out, quick=arguments.quick, indent=None)
     return 0
 
 

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from environment import RESULTS, environment
+from environment import environment, write_result
 from scenes import TEST_SEED, rendered, vga
 
 import cmp_cl
@@ -307,11 +307,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         f"one frame takes {least['alone_times_the_floor']:.1f} times its upload, launches and "
         f"answer; the best of many {least['times_the_floor']:.0f} times its bytes and operations"
     )
-    name = "scaling-gpu.json" if on_gpu else "scaling.json"
-    out = arguments.out or (None if arguments.quick else RESULTS / name)
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
-        print(f"wrote {out}")
+    stem = "scaling-gpu" if on_gpu else "scaling"
+    write_result(result, arguments.out, quick=arguments.quick, stem=stem)
     return 0
 
 

@@ -8,7 +8,6 @@ is not counted. The time is from an image in host memory to positions in host me
 """
 
 import argparse
-import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 
 import methods
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, write_result
 from methods import DEFAULT, LINES, RINGS, THREE, Method
 from peers import PEERS, Pattern, available, keep_freed_memory
 from scenes import TEST_SEED, Frame, vga, wide
@@ -233,11 +232,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for scene in [arguments.scene] if arguments.scene else list(SCENES):
         results.append(compare(scene, names, own, count, rounds))
         show(results[-1])
-    out = arguments.out or (None if arguments.quick else RESULTS / "speed.json")
-    if out is not None:
-        whole = {"kind": "speed", "environment": around, "unavailable": reasons, "scenes": results}
-        out.write_text(json.dumps(whole, indent=1) + "\n")
-        print(f"wrote {out}")
+    whole = {"kind": "speed", "environment": around, "unavailable": reasons, "scenes": results}
+    write_result(whole, arguments.out, quick=arguments.quick)
     return 0
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import methods
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, write_result
 from methods import DEFAULT, FOR_CELL, LINES, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
@@ -447,10 +447,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         result["breaking_points"] = breaking_points(result["breaking"])
     result |= {"unavailable": reasons, "first_seed": SEED, "repeats": repeats}
     show(result)
-    out = arguments.out or (None if arguments.quick else RESULTS / "stability.json")
-    if out is not None:
-        out.write_text(json.dumps(result) + "\n")
-        print(f"wrote {out}")
+    write_result(result, arguments.out, quick=arguments.quick, indent=None)
     return 0
 
 

@@ -13,14 +13,13 @@ asin(e / r). From this follows how the coefficients change with the shift.
 """
 
 import argparse
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, write_result
 
 from cmp_cl.reference import ring
 
@@ -143,15 +142,14 @@ def _rounded(value: Any) -> Any:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS / "theory.json")
+    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     whole = curves()
     figures = agreement(whole)
     for what, rms in figures.items():
         print(f"{what:24} differs by {rms:.3f} rms")
     result = {"kind": "theory", "environment": environment(), "agreement": figures, **whole}
-    arguments.out.write_text(json.dumps(_rounded(result)) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(_rounded(result), arguments.out, indent=None)
     return 0
 
 
