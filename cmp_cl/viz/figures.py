@@ -2,6 +2,7 @@
 
 import enum
 import math
+from collections.abc import Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import Axes3D
 
-METHOD_COLOURS = {  # BGR
+Colour = tuple[int, int, int]  # BGR
+
+METHOD_COLOURS = {
     Method.CENTROID: (0, 215, 255),
     Method.EDGE_LINES: (60, 230, 60),
     Method.EDGE_STEP: (255, 200, 0),
@@ -31,7 +34,7 @@ METHOD_COLOURS = {  # BGR
     Method.CUSP: (0, 140, 255),
     Method.KEPT: (60, 60, 255),
 }
-STATUS_COLOURS = {  # BGR
+STATUS_COLOURS = {
     NodeStatus.MISSING: (128, 128, 128),
     NodeStatus.DETECTED: (60, 230, 60),
     NodeStatus.ATTACHED: (255, 200, 0),
@@ -40,8 +43,8 @@ STATUS_COLOURS = {  # BGR
     NodeStatus.VIRTUAL: (255, 255, 255),
 }
 JPEG_QUALITY = 80  # JPEG quality of the images in a recording
-_OFF_GRID = (150, 150, 190)  # BGR, of corners off the grid
-NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
+_OFF_GRID = (150, 150, 190)  # of corners off the grid
+_NARROWEST = 1e-5  # width of a surface over its length; a narrower one is a line
 _FRACTION_BITS = 4
 
 
@@ -55,16 +58,15 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     """
     check_image(image)
     cell = _spacing(corners.xy)
-    longest = max(*image.shape, 1)
-    factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
-    canvas = _enlarged(image, factor)
+    canvas, factor = _enlarged(image, cell)
     radius = min(max(3.0, 0.3 * cell * factor), 24.0)
     for xy, method in zip(corners.xy, corners.method, strict=True):
         centre = (np.asarray(xy, np.float64) + 0.5) * factor - 0.5
         colour = METHOD_COLOURS[Method(method)]
         _circle(canvas, centre, radius, colour, thickness=1)
         _circle(canvas, centre, max(1.0, radius / 8), colour, thickness=cv2.FILLED)
-    return _with_legend(canvas, corners)
+    head = (f"{len(corners)} corners", (255, 255, 255))
+    return _with_strip(canvas, [head, *_counted(corners.method, METHOD_COLOURS)])
 
 
 def _spacing(xy: NDArray[np.float32]) -> float:
@@ -79,20 +81,23 @@ def _spacing(xy: NDArray[np.float32]) -> float:
     return float(np.median(nearest)) if len(nearest) else 16.0
 
 
-def _enlarged(image: GreyImage, factor: int) -> NDArray[np.uint8]:
+def _enlarged(image: GreyImage, cell: float) -> tuple[NDArray[np.uint8], int]:
+    """Return the image in BGR, enlarged as `corner_overlay` says, and the factor."""
+    longest = max(*image.shape, 1)
+    factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
     grey = image
     if image.dtype != np.uint8:
         white = max(int(image.max()), 1) if image.size else 1
         grey = (image.astype(np.float32) * (255 / white)).round().astype(np.uint8)
     blocks = grey.repeat(factor, axis=0).repeat(factor, axis=1)
-    return np.repeat(blocks[:, :, None], 3, axis=2)
+    return np.repeat(blocks[:, :, None], 3, axis=2), factor
 
 
 def _circle(
     canvas: NDArray[np.uint8],
     centre: NDArray[np.float64],
     radius: float,
-    colour: tuple[int, int, int],
+    colour: Colour,
     *,
     thickness: int,
 ) -> None:
@@ -108,21 +113,15 @@ def _circle(
     )
 
 
-def _with_legend(canvas: NDArray[np.uint8], corners: Corners) -> NDArray[np.uint8]:
-    """Add a strip below the picture: the number of corners, and of each method."""
-    count = np.bincount(corners.method, minlength=len(Method))
-    entries = [(f"{len(corners)} corners", (255, 255, 255))]
-    entries += [
-        (f"{method.name} {count[method]}", METHOD_COLOURS[method])
-        for method in Method
-        if count[method]
-    ]
-    return _with_strip(canvas, entries)
+def _counted(
+    kinds: NDArray[np.uint8], colours: Mapping[Method, Colour] | Mapping[NodeStatus, Colour]
+) -> list[tuple[str, Colour]]:
+    """Return a word for each kind that occurs, with its count and its colour."""
+    count = np.bincount(kinds.ravel(), minlength=len(colours))
+    return [(f"{kind.name} {count[kind]}", bgr) for kind, bgr in colours.items() if count[kind]]
 
 
-def _with_strip(
-    canvas: NDArray[np.uint8], entries: list[tuple[str, tuple[int, int, int]]]
-) -> NDArray[np.uint8]:
+def _with_strip(canvas: NDArray[np.uint8], entries: list[tuple[str, Colour]]) -> NDArray[np.uint8]:
     """Add a strip with coloured words below the picture."""
     font, size, gap = cv2.FONT_HERSHEY_SIMPLEX, 0.6, 24
     widths = [cv2.getTextSize(text, font, size, 1)[0][0] for text, _ in entries]
@@ -152,9 +151,7 @@ def grid_overlay(
         raise FieldError(f"the grid was built from {len(grid.index)} corners, not {len(corners)}")
     xy = grid.xy[grid.valid]
     cell = _spacing(xy)
-    longest = max(*image.shape, 1)
-    factor = max(1, min(max(round(32 / cell), math.ceil(1000 / longest)), 2400 // longest))
-    canvas = _enlarged(image, factor)
+    canvas, factor = _enlarged(image, cell)
     nodes = (grid.xy.astype(np.float64) + 0.5) * factor - 0.5
     for along_row, lines in ((True, nodes), (False, nodes.transpose(1, 0, 2))):
         for number, line in enumerate(lines):
@@ -168,22 +165,15 @@ def grid_overlay(
         _circle(canvas, centre, 1.5 * radius, _OFF_GRID, thickness=1)
     for centre, status in zip(nodes[grid.valid], grid.status[grid.valid], strict=True):
         _circle(canvas, centre, radius, STATUS_COLOURS[NodeStatus(status)], thickness=cv2.FILLED)
-    count = np.bincount(grid.status.ravel(), minlength=len(NodeStatus))
     entries = [(f"{grid.shape[0]} x {grid.shape[1]} nodes", (255, 255, 255))]
-    entries += [
-        (f"{status.name} {count[status]}", STATUS_COLOURS[status])
-        for status in NodeStatus
-        if count[status]
-    ]
+    entries += _counted(grid.status, STATUS_COLOURS)
     if len(off):
         entries.append((f"off the grid {len(off)}", _OFF_GRID))
     return _with_strip(canvas, entries)
 
 
-def _polyline(
-    canvas: NDArray[np.uint8], line: NDArray[np.float64], colour: tuple[int, int, int]
-) -> None:
-    """Return the segments between successive points, (N, 2) px; none at a NaN."""
+def _polyline(canvas: NDArray[np.uint8], line: NDArray[np.float64], colour: Colour) -> None:
+    """Draw the segments between successive points, (N, 2) px; none at a NaN."""
     unit = 1 << _FRACTION_BITS
     segments = np.stack([line[:-1], line[1:]], axis=1)
     segments = segments[~np.isnan(segments).any(axis=(1, 2))]
@@ -290,10 +280,9 @@ def draw_surface(axes: "Axes3D", field: DisplacementField) -> None:
     length = np.linalg.norm(shift, axis=2)
     colours = ScalarMappable(Normalize(0, _top(length[field.valid])), "plasma")
 
-    cells = np.stack([now[:-1, :-1], now[:-1, 1:], now[1:, 1:], now[1:, :-1]], axis=2)
-    corner = [length[:-1, :-1], length[:-1, 1:], length[1:, 1:], length[1:, :-1]]
+    cells = np.stack(corners_of_cells(now), axis=2)
     whole = ~np.isnan(cells).any(axis=(2, 3))
-    faces = colours.to_rgba(np.mean(corner, axis=0)[whole])
+    faces = colours.to_rgba(np.mean(corners_of_cells(length), axis=0)[whole])
     axes.add_collection3d(
         Poly3DCollection(
             cells[whole], facecolors=faces, edgecolors=(0, 0, 0, 0.3), linewidths=0.3, zorder=1
@@ -338,15 +327,21 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
 
     Raises FieldError if fewer than three nodes are valid, or all lie on a line.
     """
-    points = field.position[field.valid]
+    return plane_of(field.position)
+
+
+def plane_of(rest: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Fit a plane to positions (R, C, 3), NaN where missing; see `rest_plane`."""
+    valid = ~np.isnan(rest[..., 0])
+    points = rest[valid]
     if len(points) < 3:
         raise FieldError(f"{len(points)} nodes are valid, at least 3 are needed to draw a surface")
     origin = points.mean(axis=0)
     _, spread, directions = np.linalg.svd(points - origin, full_matrices=False)
-    if spread[1] < NARROWEST * spread[0] or not spread[0]:
+    if spread[1] < _NARROWEST * spread[0] or not spread[0]:
         raise FieldError("all valid nodes lie on a line: they make no surface")
     normal = directions[2] if directions[2] @ origin < 0 else -directions[2]
-    row, column = np.nonzero(field.valid)
+    row, column = np.nonzero(valid)
     slopes = np.linalg.lstsq(
         np.column_stack([column, row, np.ones(len(row))]), points - origin, rcond=None
     )[0]
@@ -357,6 +352,11 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
     if across @ slopes[1] < 0:
         across = -across
     return np.stack([along, across, normal]), origin
+
+
+def corners_of_cells(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each."""
+    return [values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]]
 
 
 def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) -> None:
@@ -420,7 +420,7 @@ class RerunLog(Closing):
                 STATUS_COLOURS[NodeStatus(status)][::-1] for status in grid.status[grid.valid]
             ]
             stream.log("view/nodes", rerun.Points2D(grid.xy[grid.valid], colors=colours, radii=1.5))
-            stream.log("view/lines", rerun.LineStrips2D(_strips(grid), radii=0.4))
+            stream.log("view/lines", rerun.LineStrips2D(strips(grid.xy, grid.valid), radii=0.4))
         if field is not None:
             self._surface(field)
 
@@ -465,11 +465,15 @@ def _encoded(image: GreyImage) -> dict[str, Any]:
     return {"contents": cv2.imencode(".png", image)[1].tobytes(), "media_type": "image/png"}
 
 
-def _strips(grid: Grid) -> list[NDArray[np.float32]]:
-    """Return the lines through neighbouring nodes along rows and columns, (n, 2) px each."""
-    strips = []
-    for line in (*grid.xy, *grid.xy.transpose(1, 0, 2)):
-        ends = np.flatnonzero(np.diff(np.isnan(line[:, 0]))) + 1
-        parts = np.split(line, ends)
-        strips += [part for part in parts if len(part) > 1 and not np.isnan(part[0, 0])]
-    return strips
+def strips(xy: NDArray[Any], valid: NDArray[np.bool_]) -> list[NDArray[Any]]:
+    """Return the lines through neighbouring valid nodes along rows and columns, (n, 2) each.
+
+    xy: (R, C, 2). valid: (R, C).
+    """
+    found = []
+    for lines, known in ((xy, valid), (xy.swapaxes(0, 1), valid.T)):
+        for line, seen in zip(lines, known, strict=True):
+            ends = np.flatnonzero(np.diff(seen)) + 1
+            parts = zip(np.split(line, ends), np.split(seen, ends), strict=True)
+            found += [part for part, there in parts if len(part) > 1 and there[0]]
+    return found
