@@ -32,6 +32,10 @@ class Description:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         return {"cmp_cl": package_version(), "written": now, **self.settings}
 
+    def with_units(self) -> dict[str, Any]:
+        """Return the units of the arrays, then the entries."""
+        return {"units": dict(self.units), **self.entries()}
+
 
 class Series(Closing):
     """Writes a series frame by frame; use it in a with statement.

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.files import check_target, whole_file
 from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.disk import write_all
 
 
 class NpzSeries(Series):
@@ -31,8 +32,7 @@ class NpzSeries(Series):
         constants: Mapping[str, ArrayLike],
     ) -> None:
         if description is not None:
-            about = {"units": dict(description.units), **description.entries()}
-            constants = {"about": np.array(json.dumps(about)), **constants}
+            constants = {"about": np.array(json.dumps(description.with_units())), **constants}
         super().__init__(description or Description(), constants)
         self._path = check_target(path)
         self._files = contextlib.ExitStack()
@@ -166,6 +166,4 @@ class _Column:
 
     def _write_at(self, offset: int, data: bytes) -> None:
         self.file.seek(offset)
-        rest = memoryview(data)
-        while rest:  # a nearly full disk may take only part of it
-            rest = rest[self.file.write(rest) :]
+        write_all(self.file, data)

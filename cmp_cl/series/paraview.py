@@ -50,9 +50,7 @@ class ParaViewSeries(Series):
         write_text(name, _polydata(rest, shift.astype(np.float64), frame))
         if self._file is None:
             self._file = open(self._target, "w+b")  # noqa: SIM115, closed by _finish
-            about = json.dumps(
-                {"units": dict(self.description.units), **self.description.entries()}
-            )
+            about = json.dumps(self.description.with_units())
             self._file.write(
                 f'<?xml version="1.0"?>\n<!-- {escape(about).replace("--", "- -")} -->\n'
                 '<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">\n'

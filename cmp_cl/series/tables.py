@@ -93,11 +93,11 @@ class CsvSeries(Series):
 
     def _finish(self) -> None:
         self._file.close()
-        about = {"units": dict(self.description.units), **self.description.entries()}
-        about_constants = {name: plain(value) for name, value in self.constants.items()}
+        about = self.description.with_units()
+        about["constants"] = {name: plain(value) for name, value in self.constants.items()}
         beside = self._target.with_name(f"{self._target.name}-metadata.json")
         try:
-            write_text(beside, json.dumps({**about, "constants": about_constants}, indent=1))
+            write_text(beside, json.dumps(about, indent=1))
         except OSError:
             if self._file.error is None:  # otherwise append has reported the full disk
                 raise
@@ -117,7 +117,7 @@ class JsonLines(Series):
     ) -> None:
         super().__init__(description, constants)
         self._file = None if os.fspath(path) == "-" else Appended(path)
-        about = {"units": dict(description.units), **description.entries()}
+        about = description.with_units()
         parts = {name: json.dumps(text).encode() for name, text in about.items()}
         self._line({**parts, "constants": _members(_nested(self.constants))})
 
@@ -184,7 +184,7 @@ class ParquetSeries(Series):
         ]
         arrow = self._arrow
         if self._writer is None:
-            about = {**self.description.entries()}
+            about = self.description.entries()
             about["constants"] = json.dumps(
                 {name: plain(value) for name, value in self.constants.items()}
             )
