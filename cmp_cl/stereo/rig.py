@@ -13,7 +13,7 @@ from cmp_cl.errors import CalibrationError, FieldError, check_kind
 from cmp_cl.files import write_text
 from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.stereo.adjustment import CAMERA, POSE
+from cmp_cl.stereo.adjustment import CAMERA, OF_CAMERA, POSE
 from cmp_cl.stereo.points import Points3D, PointStatus
 from cmp_cl.stereo.reading import open_storage, read_matrix
 from cmp_cl.stereo.triangulation import (
@@ -270,8 +270,8 @@ class StereoRig:
             [by_left[..., translation], by_right[..., translation] @ self.R], axis=1
         )
         by_rig = np.zeros((len(xyz), 4, 2 * CAMERA + POSE))
-        by_rig[:, :2, :CAMERA] = by_left[..., POSE : POSE + CAMERA]
-        by_rig[:, 2:, CAMERA : 2 * CAMERA] = by_right[..., POSE : POSE + CAMERA]
+        by_rig[:, :2, :CAMERA] = by_left[..., OF_CAMERA]
+        by_rig[:, 2:, CAMERA : 2 * CAMERA] = by_right[..., OF_CAMERA]
         by_rig[:, 2:, 2 * CAMERA :] = by_right[..., :POSE]
         return np.hstack([left.reshape(-1, 2), right.reshape(-1, 2)]), jacobian, by_rig
 
