@@ -27,18 +27,10 @@ def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
     """
     if type(radius) is not int or not 1 <= radius <= 50:
         raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
-    both = np.concatenate([rest, now], axis=2)
-    valid = ~np.isnan(both).any(axis=2)
-    tangents = _tangents(np.where(valid[..., None], both, 0), valid, radius)
-    strain = np.full((*valid.shape, 3), np.nan)
-    area = np.linalg.norm(np.cross(tangents[..., 0, :3], tangents[..., 1, :3]), axis=-1)
-    good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
-    first, second = tangents[good, :, :3], tangents[good, :, 3:]
-    metric = first @ first.transpose(0, 2, 1)
+    good, _, second, inverse = _local_frames(rest, now, radius)
     deformed = second @ second.transpose(0, 2, 1)
-    lower = np.linalg.cholesky(metric)
-    inverse = np.linalg.inv(lower)
     relative = inverse @ deformed @ inverse.transpose(0, 2, 1)
+    strain = np.full((*good.shape, 3), np.nan)
     strain[good, 0] = (relative[:, 0, 0] - 1) / 2
     strain[good, 1] = (relative[:, 1, 1] - 1) / 2
     strain[good, 2] = relative[:, 0, 1] / 2
@@ -94,14 +86,7 @@ def strain_deviation(
     the position and of the displacement. radius: as in `green_lagrange`. The result is NaN if the
     strain is NaN or an error is unknown.
     """
-    both = np.concatenate([rest, now], axis=2)
-    valid = ~np.isnan(both).any(axis=2)
-    tangents = _tangents(np.where(valid[..., None], both, 0), valid, radius)
-    area = np.linalg.norm(np.cross(tangents[..., 0, :3], tangents[..., 1, :3]), axis=-1)
-    good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
-    first, second = tangents[good, :, :3], tangents[good, :, 3:]
-    lower = np.linalg.cholesky(first @ first.transpose(0, 2, 1))
-    inverse = np.linalg.inv(lower)  # from steps between nodes to the axes
+    good, first, second, inverse = _local_frames(rest, now, radius)
     axes, along = inverse @ first, inverse @ second
     strain = (along @ along.transpose(0, 2, 1) - np.eye(2)) / 2
     e11, e22, e12 = (strain[:, i, j, None] for i, j in ((0, 0), (1, 1), (0, 1)))
@@ -114,7 +99,7 @@ def strain_deviation(
         (none, two, -2 * e12 * turned, off_two),
         (two / 2, one / 2, off_two / 2 + (e22 - e11) * turned, off_one / 2),
     )
-    deviation = np.full((*valid.shape, 3), np.nan)
+    deviation = np.full((*good.shape, 3), np.nan)
     for number, (now_one, now_two, rest_one, rest_two) in enumerate(parts):
         variance = _variance(now_one, now_two, inverse, slopes, good)
         variance += _variance(rest_one, rest_two, inverse, rest_slopes, good)
@@ -133,6 +118,19 @@ def _variance(one: Array, two: Array, inverse: Array, slopes: Slopes, good: Bool
     spread = np.einsum("nik,njk,nk->nij", inverse, inverse, steps)
     total: Array = (sizes * spread).sum(axis=(1, 2)).clip(0)
     return total
+
+
+def _local_frames(rest: Array, now: Array, radius: int) -> tuple[Bools, Array, Array, Array]:
+    """Return the nodes that have a strain, (R, C), and for these N nodes the tangent vectors at
+    rest and now, (N, 2, 3), and the matrices (N, 2, 2) from steps between nodes to the axes."""
+    both = np.concatenate([rest, now], axis=2)
+    valid = ~np.isnan(both).any(axis=2)
+    tangents = _tangents(np.where(valid[..., None], both, 0), valid, radius)
+    area = np.linalg.norm(np.cross(tangents[..., 0, :3], tangents[..., 1, :3]), axis=-1)
+    good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
+    first, second = tangents[good, :, :3], tangents[good, :, 3:]
+    inverse = np.linalg.inv(np.linalg.cholesky(first @ first.transpose(0, 2, 1)))
+    return good, first, second, inverse
 
 
 def _tangents(values: Array, valid: Bools, radius: int) -> Array:

@@ -207,8 +207,8 @@ def _strain_covariance(gradient: Array, back: Array, errors: Array) -> Array:
     eye = np.eye(2)
     by_gradient = np.stack(
         [
-            (np.einsum("ni,j->nij", gradient[:, :, a], eye[b]))
-            + (np.einsum("ni,j->nij", gradient[:, :, b], eye[a]))
+            np.einsum("ni,j->nij", gradient[:, :, a], eye[b])
+            + np.einsum("ni,j->nij", gradient[:, :, b], eye[a])
             for a, b in ((0, 0), (1, 1), (0, 1))
         ],
         axis=1,
