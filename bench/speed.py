@@ -34,6 +34,7 @@ QUICK_PEERS = (
 )
 PACED_PEERS = ("good_features", "chess_corners_lean", "chess_opencl")  # the leanest
 PACE = 0.01  # s from a frame to the next, as a camera gives them
+PACED_FRAMES = 50  # of a method in a row
 SCENES: dict[str, Callable[[int], Frame]] = {"vga": vga, "wide": wide}
 
 
@@ -76,9 +77,7 @@ def measure(
     return rows
 
 
-def paced(
-    rows_of: Sequence[Method], frames: Sequence[Frame], rounds: int, block: int = 50
-) -> list[dict[str, Any]]:
+def paced(rows_of: Sequence[Method], frames: Sequence[Frame], rounds: int) -> list[dict[str, Any]]:
     """Time the methods on frames that come one every PACE seconds, and in a loop beside it.
 
     Between two frames the process sleeps: caches cool down and threads have to wake up.
@@ -89,7 +88,7 @@ def paced(
         for method in rows_of:
             for how, pause in pauses.items():
                 due = time.perf_counter()
-                for k in range(block + 1):
+                for k in range(PACED_FRAMES + 1):
                     image = frames[k % len(frames)].image
                     time.sleep(max(0.0, due - time.perf_counter()))
                     start = time.perf_counter()
@@ -115,12 +114,12 @@ def paced(
     return rows
 
 
-def stages(config: DetectorConfig, frame: Frame, repeats: int = 40) -> dict[str, Any]:
+def stages(config: DetectorConfig, frame: Frame) -> dict[str, Any]:
     """Return the median ms of each kernel, of all of them, and of the host and transfers around
     them."""
     with Detector(shape=frame.image.shape, config=config, profile=True) as detector:
         walls, kernels = [], []
-        for _ in range(repeats):
+        for _ in range(40):
             start = time.perf_counter()
             detector(frame.image)
             walls.append((time.perf_counter() - start) * 1e3)

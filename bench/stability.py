@@ -235,16 +235,13 @@ def _nearest(markers: int) -> int:
     return min((20, 30, 40), key=lambda known: abs(known - markers))
 
 
-def breaking_points(curves: dict[str, Any], limit: float = 10) -> list[dict[str, Any]]:
-    """Return, for each sweep and method, the levels at which at most `limit` per thousand are
-    wrong."""
+def breaking_points(curves: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return, for each sweep and method, the levels at which at most 10 per thousand are wrong."""
     rows = []
     for what, methods_ in curves.items():
         for name, points in methods_.items():
             holds = [
-                p["at"]
-                for p in points
-                if p["per_thousand"] is not None and p["per_thousand"] <= limit
+                p["at"] for p in points if p["per_thousand"] is not None and p["per_thousand"] <= 10
             ]
             rows.append({"sweep": what, "method": name, "holds": holds})
     return rows
