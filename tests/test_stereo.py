@@ -36,8 +36,8 @@ from cmp_cl.synthetic import default_rig, random_scene, render_stereo
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
 
 
-def parallel_rig(baseline=10.0, distortion=()):
-    return StereoRig(K, distortion, K, distortion, np.eye(3), [-baseline, 0, 0])
+def parallel_rig(distortion=()):
+    return StereoRig(K, distortion, K, distortion, np.eye(3), [-10.0, 0, 0])
 
 
 def noisy(xy, sigma, rng):
