@@ -17,7 +17,7 @@ import numpy as np
 from environment import environment, write_result
 from scenes import TEST_SEED, rendered
 
-from cmp_cl import Detector, DetectorConfig, drop_marks
+from cmp_cl import Detector, DetectorConfig, detect, drop_marks
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import random_scene
 from cmp_cl.synthetic.scoring import Score, score, total
@@ -118,8 +118,7 @@ def boards(mark: str, cells: Sequence[float]) -> dict[str, Any]:
         seed = FIRST_SEED + 100 * MARKS.index(mark) + round(cell)
         seen = board(mark, cell, seed)
         config = DetectorConfig.for_cell(cell)
-        with Detector(shape=SHAPE, config=config) as detector:
-            found = detector(seen.image)
+        found = detect(seen.image, config)
         for scores, corners in ((before, found), (after, drop_marks(found, seen.image))):
             scores.append(score(corners.xy, seen.truth, cell, seen.rim))
     return row_of(mark, before, after)

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from environment import DATA, environment, write_result
 
-from cmp_cl import Detector, DetectorConfig, build_grid
+from cmp_cl import Detector, DetectorConfig, build_grid, detect
 from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage
@@ -320,8 +320,7 @@ def wrong_sizes() -> list[dict[str, Any]]:
         path = DATA / "stereo_opencv" / listed["image"]
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         config = DetectorConfig.for_cell(listed["cell_px"]["median"])
-        with Detector(shape=image.shape, config=config) as detector:
-            corners = detector(image)
+        corners = detect(image, config)
         for asked in ((6, 9), (6, 8), (5, 9), (5, 8), (4, 7), (7, 9), (6, 10), (7, 10)):
             try:
                 grid = build_grid(corners, image, shape=asked)
@@ -342,8 +341,7 @@ def island() -> dict[str, Any]:
         listed = json.loads((DATA / "water" / f"{name}.json").read_text())
         image = cv2.imread(str(DATA / "water" / listed["image"]), cv2.IMREAD_GRAYSCALE)
         config = DetectorConfig.for_cell(listed["cell_px"]["median"])
-        with Detector(shape=image.shape, config=config) as detector:
-            corners = detector(image)
+        corners = detect(image, config)
         grids[name] = build_grid(corners, image)
     truth = np.array([[c["x"], c["y"], c["j"], c["i"], c["board"]] for c in listed["corners"]])
     liked = build_grid(corners, image, like=grids["reference_df"])

@@ -22,7 +22,15 @@ from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
 
-from cmp_cl import Corners, Detector, DetectorConfig, EdgeLines, EdgeStep, Midlines, reference
+from cmp_cl import (
+    Corners,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Midlines,
+    detect,
+    reference,
+)
 from cmp_cl.errors import ConfigError
 from cmp_cl.reference import edges
 from cmp_cl.synthetic import Scene, Surround, random_scene
@@ -57,8 +65,7 @@ def against_oracle(scenes: Sequence[Scene]) -> dict[str, Any]:
         other_branch = other_set = corners = 0
         for scene in scenes:
             image = rendered(scene).image
-            with Detector(shape=image.shape, dtype=image.dtype, config=config) as detector:
-                seen = detector(image)
+            seen = detect(image, config)
             expected, margin = reference.detect_with_margin(image, config)
             if not np.array_equal(seen.pixel, expected.pixel):
                 other_set += 1
@@ -130,8 +137,7 @@ def along_position(offsets: Sequence[int]) -> list[dict[str, Any]]:
         for offset in offsets:
             wide = np.full((image.shape[0], image.shape[1] + offset), image[0, 0], np.uint8)
             wide[:, offset:] = image
-            with Detector(shape=wide.shape, config=config) as detector:
-                found = detector(wide)
+            found = detect(wide, config)
             inside = found.pixel[:, 0] >= offset + 16
             xy = found.xy[inside].astype(float) - (offset, 0)
             if at_zero is None:
@@ -263,8 +269,7 @@ def depth(repeats: int) -> list[dict[str, Any]]:
                 frame = rendered(scene)
                 config = DetectorConfig(full_scale=full_scale)
                 image = frame.image
-                with Detector(shape=image.shape, dtype=image.dtype, config=config) as detector:
-                    scores.append(frame.score(detector(image).xy))
+                scores.append(frame.score(detect(image, config).xy))
             rows.append({"exposure": exposure, "bits": bits, **total(scores).summary()})
     return rows
 
@@ -282,8 +287,7 @@ def calibration(scenes: dict[str, list[Scene]]) -> list[dict[str, Any]]:
             frame = rendered(scene)
             cell = 0.92 * 480 / (scene.markers + 1)
             config = DetectorConfig(refinement=EdgeStep(cell=cell))
-            with Detector(shape=frame.image.shape, config=config) as detector:
-                found = detector(frame.image)
+            found = detect(frame.image, config)
             partner = match(found.xy, frame.truth, reach(frame.cell))
             hit = (partner >= 0) & np.isfinite(found.sigma)
             errors.append(np.hypot(*(found.xy[hit] - frame.truth[partner[hit]]).T))
@@ -335,8 +339,7 @@ def cases() -> list[dict[str, Any]]:
     def found(picture: np.ndarray, **changes: Any) -> Corners:
         picture = np.ascontiguousarray(picture)
         config = DetectorConfig(**changes)
-        with Detector(shape=picture.shape, dtype=picture.dtype, config=config) as detector:
-            return detector(picture)
+        return detect(picture, config)
 
     def case(what: str, figure: float, expected: str) -> None:
         rows.append({"case": what, "figure": figure, "expected": expected})
