@@ -1,6 +1,7 @@
 """The strain of a surface from the positions of its nodes, and its standard deviation."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,8 @@ from cmp_cl.errors import ConfigError
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+
+_LEAST_NODES = 6  # fewest nodes of a window to which a plane is fitted
 
 
 def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
@@ -53,7 +56,7 @@ def slope_weights(valid: Bools, radius: int) -> tuple[Array, Array]:
     ).reshape(3, -1)
     flat = there.reshape(rows, columns, -1)
     moments = np.einsum("rcs,is,js->rcij", flat, basis, basis, optimize=True)
-    solvable = valid & (moments[..., 0, 0] >= 6) & (np.linalg.det(moments) > 1e-6)
+    solvable = valid & fixes_plane(moments)
     moments[~solvable] = np.eye(3)
     weights = (np.linalg.inv(moments)[:, :, 1:] @ basis) * flat[:, :, None]
     weights = np.where(solvable[..., None, None], weights, 0)
@@ -135,19 +138,36 @@ def _local_frames(rest: Array, now: Array, radius: int) -> tuple[Bools, Array, A
 
 def _tangents(values: Array, valid: Bools, radius: int) -> Array:
     """Return slopes of the local plane by column and row: (R, C, K) -> (R, C, 2, K), or NaN."""
-    rows, columns = valid.shape
-    sums = np.zeros((rows, columns, 3, values.shape[2]))  # of 1, c, r times the values
-    moments = np.zeros((rows, columns, 3, 3))
-    pad = ((radius, radius), (radius, radius))
-    weights = np.pad(valid.astype(np.float64), pad)
-    padded = np.pad(values, (*pad, (0, 0)))
+    sums, moments = plane_moments(values, valid[..., None], radius)
+    count = moments[:, :, 0]
+    solvable = fixes_plane(count)
+    slopes = np.full((*valid.shape, 2, values.shape[2]), np.nan)
+    slopes[solvable] = np.linalg.solve(count[solvable], sums[solvable])[:, 1:]
+    return slopes
+
+
+def plane_moments(values: Array, weights: NDArray[Any], radius: int) -> tuple[Array, Array]:
+    """Return what the normal equations of a plane need from the window around each node.
+
+    values: (R, C, K), 0 where they do not count. weights: (R, C, L). With the basis b = (1, column,
+    row) from the node: the sums of b times the values, (R, C, 3, K), and of b b' times each weight,
+    (R, C, L, 3, 3).
+    """
+    rows, columns = values.shape[:2]
+    pad = ((radius, radius), (radius, radius), (0, 0))
+    values, weights = np.pad(values, pad), np.pad(weights.astype(np.float64), pad)
+    sums = np.zeros((rows, columns, 3, values.shape[2]))
+    moments = np.zeros((rows, columns, weights.shape[2], 3, 3))
     for row in range(2 * radius + 1):
         for column in range(2 * radius + 1):
             at = slice(row, row + rows), slice(column, column + columns)
             basis = np.array([1.0, column - radius, row - radius])
-            sums += basis[:, None] * padded[at][:, :, None]
-            moments += np.outer(basis, basis) * weights[at][:, :, None, None]
-    solvable = (moments[..., 0, 0] >= 6) & (np.linalg.det(moments) > 1e-6)
-    slopes = np.full((rows, columns, 2, values.shape[2]), np.nan)
-    slopes[solvable] = np.linalg.solve(moments[solvable], sums[solvable])[:, 1:]
-    return slopes
+            sums += basis[:, None] * values[at][:, :, None]
+            moments += np.outer(basis, basis) * weights[at][..., None, None]
+    return sums, moments
+
+
+def fixes_plane(moments: Array) -> Bools:
+    """Return whether the nodes of (..., 3, 3) moments are enough, and not on a line."""
+    fixed: Bools = (moments[..., 0, 0] >= _LEAST_NODES) & (np.linalg.det(moments) > 1e-6)
+    return fixed
