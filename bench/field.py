@@ -197,12 +197,10 @@ def grouped(rows: Sequence[dict[str, Any]], *keys: str) -> list[dict[str, Any]]:
             **{
                 f"{name}_rms_um": float(np.sqrt(np.mean([row[f"{name}_um2"] for row in group])))
                 for name in ("raw_place", "raw_moved")
-                if f"{name}_um2" in group[0]
             },
             **{
                 name: float(np.mean([row[name] for row in group]))
                 for name in ("within_2", "raw_within_2")
-                if name in group[0]
             },
             "ms": float(np.median([row["ms"] for row in group])),
         }

@@ -12,7 +12,6 @@ and are not part of it.
 """
 
 import argparse
-import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from environment import DATA, environment, write_result
+from scenes import read_listed
 
 from cmp_cl import Detector, DetectorConfig, build_grid, detect
 from cmp_cl.errors import GridError
@@ -74,8 +74,7 @@ def views(folder: str) -> Iterator[View]:
     """Yield the cut photographs of a folder."""
     names, shares, whole = SETS[folder]
     for name in names:
-        listed = json.loads((DATA / folder / f"{name}.json").read_text())
-        image = cv2.imread(str(DATA / folder / listed["image"]), cv2.IMREAD_GRAYSCALE)
+        listed, image = read_listed(f"{folder}/{name}")
         truth = np.array([[c["x"], c["y"], c["j"], c["i"]] for c in listed["corners"]])
         region = np.ones(image.shape, np.bool_)
         drawn = DATA / folder / f"{name}.region.png"
@@ -316,9 +315,7 @@ def wrong_sizes() -> list[dict[str, Any]]:
     """Ask for whole boards in a size that is wrong by one or two lines."""
     rows = []
     for name in SETS["stereo_opencv"][0]:
-        listed = json.loads((DATA / "stereo_opencv" / f"{name}.json").read_text())
-        path = DATA / "stereo_opencv" / listed["image"]
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        listed, image = read_listed(f"stereo_opencv/{name}")
         config = DetectorConfig.for_cell(listed["cell_px"]["median"])
         corners = detect(image, config)
         for asked in ((6, 9), (6, 8), (5, 9), (5, 8), (4, 7), (7, 9), (6, 10), (7, 10)):
@@ -338,8 +335,7 @@ def island() -> dict[str, Any]:
     answers: dict[str, Any] = {}
     grids: dict[str, Grid] = {}
     for name in ("reference_df", "ellipse_10"):
-        listed = json.loads((DATA / "water" / f"{name}.json").read_text())
-        image = cv2.imread(str(DATA / "water" / listed["image"]), cv2.IMREAD_GRAYSCALE)
+        listed, image = read_listed(f"water/{name}")
         config = DetectorConfig.for_cell(listed["cell_px"]["median"])
         corners = detect(image, config)
         grids[name] = build_grid(corners, image)

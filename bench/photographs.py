@@ -21,6 +21,7 @@ import methods
 import numpy as np
 from environment import DATA, environment, write_result
 from peers import PEERS, Detect, Pattern, available, keep_freed_memory
+from scenes import read_listed
 from scipy.spatial import cKDTree
 
 from cmp_cl import (
@@ -58,9 +59,7 @@ class Photograph(NamedTuple):
 
     @classmethod
     def read(cls, name: str) -> "Photograph":
-        listed = json.loads((DATA / name).with_suffix(".json").read_text())
-        picture = (DATA / name).with_name(listed["image"])
-        image = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
+        listed, image = read_listed(name)
         region = np.zeros_like(image)  # nowhere, if not every corner is listed
         if listed["region"] is not None:
             region = cv2.imread(str(DATA / f"{name}.region.png"), cv2.IMREAD_GRAYSCALE)
