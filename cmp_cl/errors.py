@@ -1,5 +1,9 @@
 """The errors of cmp_cl. Each message says what was given, what was expected and what to do."""
 
+import math
+from numbers import Real
+from typing import cast
+
 
 class CmpClError(Exception):
     """The base class of every error that cmp_cl raises on purpose."""
@@ -42,3 +46,9 @@ def check_kind(name: str, value: object, kind: type, error: type[CmpClError]) ->
     """Raise the error if an argument of that name is not of that kind."""
     if not isinstance(value, kind):
         raise error(f"{name} must be of type {kind.__name__}, not {type(value).__name__}")
+
+
+def check_positive(name: str, value: object, error: type[CmpClError]) -> None:
+    """Raise the error if an argument of that name is not a finite number above 0."""
+    if not (isinstance(value, Real) and 0 < cast(float, value) < math.inf):
+        raise error(f"{name} must be a positive number, not {value!r}")

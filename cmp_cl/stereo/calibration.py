@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError
+from cmp_cl.errors import CalibrationError, FieldError, check_positive
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import CAMERA, OF_CAMERA, POSE, Adjusted, View, adjust, matrix_of
 from cmp_cl.stereo.free_board import adjust_board
@@ -89,7 +89,7 @@ def calibrate_camera(
     determine the focal length (the board faces the camera in all of them), or if the views of a
     free board are numbered differently.
     """
-    check_spacing(spacing)
+    check_positive("spacing", spacing, CalibrationError)
     grids = _numbered_alike(grids) if free_board else grids
     parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
     if len(parts) < MIN_VIEWS:
@@ -345,12 +345,6 @@ def focal_sigma(slopes: Iterable[tuple[NDArray[Any], NDArray[Any]]], error: floa
 
 def _double(value: ArrayLike) -> Array:
     return np.asarray(value, np.float64)
-
-
-def check_spacing(spacing: float) -> None:
-    """Raise CalibrationError unless the side of a square is a positive length."""
-    if not 0 < spacing < math.inf:
-        raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")
 
 
 def _board(

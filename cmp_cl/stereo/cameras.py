@@ -15,14 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError
+from cmp_cl.errors import CalibrationError, check_positive
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import matrix_of
 from cmp_cl.stereo.calibration import (
     MAX_FOCAL_SIGMA,
     MIN_NODES,
     MIN_VIEWS,
-    check_spacing,
     focal_sigma,
     on_board,
 )
@@ -123,7 +122,7 @@ def calibrate_cameras(
     Raises CalibrationError if a camera has too few views or nodes, if its views do not
     determine the focal length, or if it shares no moment with the others.
     """
-    check_spacing(spacing)
+    check_positive("spacing", spacing, CalibrationError)
     if not views:
         raise CalibrationError("no camera is given")
     moments = {len(grids) for grids in views.values()}
