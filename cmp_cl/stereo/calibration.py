@@ -92,9 +92,7 @@ def calibrate_camera(
     check_positive("spacing", spacing, CalibrationError)
     grids = _numbered_alike(grids) if free_board else grids
     parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
-    if len(parts) < MIN_VIEWS:
-        noun = "view" if len(parts) == 1 else "views"
-        raise CalibrationError(f"{len(parts)} {noun} of the board, at least {MIN_VIEWS} are needed")
+    _check_views(len(parts))
     try:
         with one_thread():
             error, matrix, distortion, rotations, translations, _, _, _ = (
@@ -345,6 +343,12 @@ def focal_sigma(slopes: Iterable[tuple[NDArray[Any], NDArray[Any]]], error: floa
 
 def _double(value: ArrayLike) -> Array:
     return np.asarray(value, np.float64)
+
+
+def _check_views(count: int) -> None:
+    if count < MIN_VIEWS:
+        noun = "view" if count == 1 else "views"
+        raise CalibrationError(f"{count} {noun} of the board, at least {MIN_VIEWS} are needed")
 
 
 def _board(
