@@ -8,7 +8,7 @@ from collections.abc import Generator, Iterator
 import numpy as np
 
 from cmp_cl import cameras, media
-from cmp_cl.cameras import CameraSettings, PairCount, Timed, paired
+from cmp_cl.cameras import CameraSettings, PairCount, is_live, paired
 from cmp_cl.cli.messages import counted
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
@@ -27,7 +27,7 @@ class Source:
     def __init__(self, name: str, max_pixels: int, camera: CameraSettings) -> None:
         self._max_pixels = max_pixels
         self._source = cameras.Source(name, camera, max_pixels=max_pixels)
-        self.name, self.live, self.paths = name, self._source.live, self._source.paths
+        self.name, self.live, self.paths = name, is_live(name), self._source.paths
         plain = self.live and name.isdigit() and camera == CameraSettings()
         self._number = int(name) if plain else None
         self.start_ns: int | None = None  # since 1970, of an MCAP recording
@@ -140,10 +140,10 @@ class Pairs(Source):
         )
 
 
-def _now(number: int) -> Iterator[Timed]:
+def _now(number: int) -> Iterator[cameras.Timed]:
     """Yield the frames of a camera with the times at which they came."""
     for frame in media.read_camera(number):
-        yield Timed(frame.index, time.monotonic() * 1e3, frame.image)
+        yield cameras.Timed(frame.index, time.monotonic() * 1e3, frame.image)
 
 
 def _side_by_side(left: GreyImage | None, right: GreyImage | None) -> GreyImage | None:
