@@ -64,7 +64,7 @@ def rows_of(markers: int, frame: Frame, names: Sequence[str]) -> list[Method]:
     rows = [methods.own(name, config, frame.image.shape) for name, config in configs.items()]
     rows.append(methods.own_with_grid(GRIDDED, configs[DEFAULT], frame))
     rows.append(methods.own_with_grid(FULL, configs[FOR_CELL], frame))
-    rows.append(methods.own_with_filter(FILTERED, configs[DEFAULT], frame))
+    rows.append(methods.own_with_grid(FILTERED, configs[DEFAULT], frame, filtered=True))
     rows += [methods.peer(name, pattern) for name in names]
     rows += [methods.peer_with_grid(name, pattern) for name in names if name in GRID_PEERS]
     return rows

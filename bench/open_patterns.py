@@ -25,6 +25,7 @@ from partial_views import Found, View, agreeing, each_answer
 from cmp_cl import Detector, DetectorConfig, build_grid
 from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid
+from cmp_cl.grid.grid import MEASURED
 from cmp_cl.image import GreyImage
 
 SIDE = 400  # px, of the pictures
@@ -34,7 +35,6 @@ PERIOD = 256  # cells, after which the printing errors repeat
 WEAR = 0.03  # cells: standard deviation of the errors of a worn print
 EACH = 14  # the peers get one frame in so many
 NEAR = 0.25  # cells: a node that is farther from all corners is false
-MEASURED = (1, 2, 3)  # statuses of measured nodes
 
 
 class Case(NamedTuple):

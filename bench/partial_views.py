@@ -23,7 +23,8 @@ from scenes import read_listed
 
 from cmp_cl import Detector, DetectorConfig, build_grid, detect
 from cmp_cl.errors import GridError
-from cmp_cl.grid import Grid, NodeStatus
+from cmp_cl.grid import Grid
+from cmp_cl.grid.grid import MEASURED
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import random_scene, render
 
@@ -42,7 +43,6 @@ SETS: dict[str, tuple[tuple[str, ...], tuple[float, ...], tuple[int, int] | None
     "curved": (("curve_4",), (0.2, 0.4), None),
 }
 GELS = 3  # presses of each severity
-MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 
 class View(NamedTuple):
