@@ -8,16 +8,14 @@ Every method sees the same rendered frames. A frame fails if one corner is misse
 false. Times are those of the same calls, one frame at a time, after one warm-up call.
 """
 
-import argparse
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import methods
 import numpy as np
-from environment import environment, write_result
+from environment import environment, parser_of, write_result
 from methods import DEFAULT, FILTERED, FOR_CELL, FULL, GRIDDED, LINES, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
@@ -191,10 +189,8 @@ def show(result: dict[str, Any]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="30 scenes, few peers")
+    parser = parser_of(__doc__, quick="30 scenes, few peers")
     parser.add_argument("--repeats", type=int, help="scenes of each object and severity")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     found, reasons = available()
     for name, reason in reasons.items():

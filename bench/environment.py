@@ -1,5 +1,7 @@
-"""The environment of a measurement: device, driver, versions, commit, and the load by others."""
+"""The parts' arguments and results, and the environment of a measurement: device, driver, versions,
+commit, and the load by others."""
 
+import argparse
 import datetime
 import json
 import os
@@ -40,6 +42,15 @@ def environment() -> dict[str, Any]:
         "packages": packages,
         "others": others(),
     }
+
+
+def parser_of(doc: str, *, quick: str | None = None) -> argparse.ArgumentParser:
+    """Return the parser of a part with that docstring: --out, and --quick if its help is given."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    if quick is not None:
+        parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--out", type=Path, help="the JSON to write")
+    return parser
 
 
 def write_result(

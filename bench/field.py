@@ -9,7 +9,6 @@ cameras that are known exactly. Errors are of the nodes, in micrometres. The pho
 in ../shared/data beside the repository and are not part of it.
 """
 
-import argparse
 import contextlib
 import dataclasses
 import hashlib
@@ -21,7 +20,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import DATA, environment, write_result
+from environment import DATA, environment, parser_of, write_result
 from scenes import TEST_SEED
 
 from cmp_cl import (
@@ -427,10 +426,8 @@ def free_board_figures(row: dict[str, Any]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="about a minute")
+    parser = parser_of(__doc__, quick="about a minute")
     parser.add_argument("--seeds", type=int, default=2, help="presses of each kind; default: 2")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     around, device = environment(), select_device()
     print(f"{around['device']}, driver {around['driver']}, commit {around['commit']}")

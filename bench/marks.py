@@ -7,14 +7,12 @@ Boards with a mark in most of their cells, seen at an angle, and worn gels witho
 must lose nothing.
 """
 
-import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import environment, write_result
+from environment import environment, parser_of, write_result
 from scenes import TEST_SEED, rendered
 
 from cmp_cl import Detector, DetectorConfig, detect, drop_marks
@@ -141,10 +139,7 @@ def gels(densities: Sequence[int]) -> dict[str, Any]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a third of the boards")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__, quick="a third of the boards").parse_args(argv)
     cells = CELLS[1:2] if arguments.quick else CELLS
     rows = [boards(mark, cells) for mark in MARKS]
     rows.append(gels(GELS[2:3] if arguments.quick else GELS))

@@ -12,14 +12,12 @@ No peer can use a frame at rest. On some frames two results of the peers are com
 nodes are corners, and whether their numbers fit one lattice.
 """
 
-import argparse
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import environment, write_result
+from environment import environment, parser_of, write_result
 from partial_views import Found, View, agreeing, each_answer
 
 from cmp_cl import Detector, DetectorConfig, build_grid
@@ -352,11 +350,9 @@ def show_peers(rows: Sequence[dict[str, Any]]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a third of the frames")
+    parser = parser_of(__doc__, quick="a third of the frames")
     parser.add_argument("--drawn", type=int, metavar="N", help="N frames drawn by chance instead")
     parser.add_argument("--seed", type=int, default=900_000, help="of what is drawn by chance")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     asked = cases(quick=arguments.quick)
     if arguments.drawn is not None:

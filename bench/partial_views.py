@@ -11,14 +11,12 @@ the size of the board give such numbers. The photographs lie in ../shared/data b
 and are not part of it.
 """
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import DATA, environment, write_result
+from environment import DATA, environment, parser_of, write_result
 from scenes import read_listed
 
 from cmp_cl import Detector, DetectorConfig, build_grid, detect
@@ -368,9 +366,7 @@ def show(result: dict[str, Any]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="the JSON to write")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__).parse_args(argv)
     if not DATA.is_dir():
         print(f"there are no photographs: {DATA} is missing")
         return 2

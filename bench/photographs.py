@@ -9,17 +9,15 @@ soft shapes, which can be taken for cells. Peers have the settings of the densit
 cell, found on rendered scenes.
 """
 
-import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import methods
 import numpy as np
-from environment import DATA, environment, write_result
+from environment import DATA, environment, parser_of, write_result
 from peers import PEERS, Detect, Pattern, available, keep_freed_memory
 from scenes import read_listed
 from scipy.spatial import cKDTree
@@ -297,9 +295,7 @@ def show(table: list[dict[str, Any]]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="the JSON to write")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__).parse_args(argv)
     if not DATA.is_dir():
         print(f"there are no photographs: {DATA} is missing")
         return 2

@@ -10,20 +10,18 @@ whose error is within one and within two stated standard deviations: 68 and 95 %
 normal and sigma is right.
 """
 
-import argparse
 import dataclasses
 import itertools
 import math
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from accuracy import DENSITIES, INDENTERS, SEVERITIES, by_corner, scenes
-from environment import environment, write_result
+from environment import environment, parser_of, write_result
 from methods import peer
 from peers import PEERS, Detect, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
@@ -538,10 +536,7 @@ def chosen_scenes(quick: bool) -> Iterable[tuple[Scene, bool]]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="30 scenes, no slow peers")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__, quick="30 scenes, no slow peers").parse_args(argv)
     around = environment()
     found, reasons = available()
     found = [name for name in RIVALS if name in found]

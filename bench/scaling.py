@@ -19,12 +19,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from environment import environment, write_result
+from environment import environment, parser_of, write_result
 from scenes import TEST_SEED, rendered, vga
 
 import cmp_cl
@@ -274,10 +273,8 @@ def floor(frames: Sequence[dict[str, Any]], device: str | None) -> dict[str, flo
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes, half a minute")
+    parser = parser_of(__doc__, quick="small sizes, half a minute")
     parser.add_argument("--device", help="as for cmp-cl: a name, an index, cpu or gpu")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     parser.add_argument("--threads-child", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args(argv)
     device = arguments.device

@@ -7,15 +7,13 @@ Methods take turns: in each round each method does a few frames in a row, of whi
 is not counted. The time is from an image in host memory to positions in host memory.
 """
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import methods
 import numpy as np
-from environment import environment, write_result
+from environment import environment, parser_of, write_result
 from methods import DEFAULT, LINES, RINGS, THREE, Method
 from peers import PEERS, Pattern, available, keep_freed_memory
 from scenes import TEST_SEED, Frame, vga, wide
@@ -209,11 +207,9 @@ def show(result: dict[str, Any]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under two minutes")
+    parser = parser_of(__doc__, quick="under two minutes")
     parser.add_argument("--scene", choices=list(SCENES), help="only this one")
     parser.add_argument("--rounds", type=int, help="turns of each method")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
 
     found, reasons = available()

@@ -5,18 +5,16 @@ fails, and whether `corners.sigma` is right.
     python bench/stability.py           writes results/stability.json, about fifteen minutes
 """
 
-import argparse
 import dataclasses
 import itertools
 import json
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
 import methods
 import numpy as np
-from environment import environment, write_result
+from environment import environment, parser_of, write_result
 from methods import DEFAULT, FOR_CELL, LINES, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
@@ -408,10 +406,7 @@ def cases() -> list[dict[str, Any]]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="few levels, two minutes")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__, quick="few levels, two minutes").parse_args(argv)
     found, reasons = available()
     names = [name for name in PEERS_SHOWN if name in found]
     repeats = 1 if arguments.quick else 3

@@ -11,14 +11,12 @@ if one of its nodes is no corner of the pattern itself or has a wrong number. It
 if it carries no warning.
 """
 
-import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import environment, write_result
+from environment import environment, parser_of, write_result
 from open_patterns import Case, Print, place
 from partial_views import METHODS, Found, View, agreeing, each_answer, found
 
@@ -310,11 +308,9 @@ def show(rows: Sequence[dict[str, Any]]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a fifth of the scenes")
+    parser = parser_of(__doc__, quick="a fifth of the scenes")
     parser.add_argument("--first", type=int, default=FIRST, help="seed of the first scene")
     parser.add_argument("--show", action="store_true", help="write no file")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     reasons: dict[str, str] = {}
     fewer = QUICK if arguments.quick else 1

@@ -12,14 +12,12 @@ the corner crosses a boundary that passes the point at distance e at an angle th
 asin(e / r). From this follows how the coefficients change with the shift.
 """
 
-import argparse
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from environment import environment, write_result
+from environment import environment, parser_of, write_result
 
 from cmp_cl.reference import ring
 
@@ -141,9 +139,7 @@ def _rounded(value: Any) -> Any:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="the JSON to write")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__).parse_args(argv)
     whole = curves()
     figures = agreement(whole)
     for what, rms in figures.items():
