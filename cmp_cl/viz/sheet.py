@@ -8,7 +8,8 @@ import numpy as np
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.viz.figures import draw_arrows, draw_surface, grid_overlay
+from cmp_cl.viz.figures import draw_arrows, draw_surface
+from cmp_cl.viz.overlays import grid_overlay
 from cmp_cl.viz.plots import Quantity, Recorded, draw_map, new_figure
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.files import check_target, temporary_beside
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.viz.figures import strips
+from cmp_cl.viz.overlays import strips
 
 OVERLAY_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
 _STRIP = 40  # px below the image for the text and the colour bar
