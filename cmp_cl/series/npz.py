@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.files import check_target, whole_file
 from cmp_cl.series.base import Description, Frame, Series
-from cmp_cl.series.disk import write_all
 
 
 class NpzSeries(Series):
@@ -166,4 +165,6 @@ class _Column:
 
     def _write_at(self, offset: int, data: bytes) -> None:
         self.file.seek(offset)
-        write_all(self.file, data)
+        rest = memoryview(data)
+        while rest:  # a nearly full disk may take only part of it
+            rest = rest[self.file.write(rest) :]
