@@ -10,8 +10,10 @@ from collections.abc import Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
+import numpy as np
+
 from cmp_cl.errors import ConfigError
-from cmp_cl.files import read_toml, write_text
+from cmp_cl.files import check_path, read_toml, write_text
 
 if TYPE_CHECKING:
     from cmp_cl.image import GreyImage
@@ -411,7 +413,7 @@ class DetectorConfig:
         """Return the largest grey level of an image of that dtype."""
         if self.full_scale is not None:
             return self.full_scale
-        return 255 if dtype == "uint8" else 65535
+        return 255 if np.dtype(dtype) == np.uint8 else 65535
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the configuration as TOML, whole or not at all; raises OSError."""
@@ -424,6 +426,7 @@ class DetectorConfig:
         Raises ConfigError if the file cannot be read, is not TOML, or has an unknown
         key or a value outside its range.
         """
+        check_path(path, ConfigError)
         try:
             data = read_toml(path)
         except OSError as error:

@@ -146,11 +146,11 @@ class Detector(Closing):
         errors of a call, at the frame that causes them.
         """
         if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
-            yield from map(self, frames)
+            yield from map(self, _iterated("frames", frames))
             return
         waiting: Plan | None = None
         try:
-            for frame in frames:
+            for frame in _iterated("frames", frames):
                 image = self._checked(frame)
                 with self._lock:
                     self._check_alive()
@@ -187,7 +187,7 @@ class Detector(Closing):
             frames: cl.Buffer | list[GreyImage] = stack
             count = self._frames_in(stack)
         else:
-            frames = [self._checked(frame) for frame in stack]
+            frames = [self._checked(frame) for frame in _iterated("stack", stack)]
             count = len(frames)
         if not count or not (self.shape[0] and self.shape[1]):
             return [no_corners(str(self.device)) for _ in range(count)]
@@ -442,6 +442,14 @@ def choose_config(
     frame = as_frame(image)
     device = device if isinstance(device, Device) else select_device(device)
     return choose_by_corners(frame, full_scale, lambda config: detect(frame, config, device))
+
+
+def _iterated(name: str, frames: Iterable[Frame]) -> Iterator[Frame]:
+    """Return an iterator of an argument of that name; raises ImageError if it has none."""
+    try:
+        return iter(frames)
+    except TypeError as error:
+        raise ImageError(f"{name} must be several images, not {type(frames).__name__}") from error
 
 
 def _checked_shape(shape: Any) -> tuple[int, int]:

@@ -136,9 +136,11 @@ def test_a_file_that_is_no_image_is_an_image_error_with_its_name(tmp_path):
     (tmp_path / "empty.png").write_bytes(b"")
     media.write_image(tmp_path / "whole.png", NOISE)
     (tmp_path / "cut.png").write_bytes((tmp_path / "whole.png").read_bytes()[:60])
-    for name in ("text.png", "empty.png", "cut.png"):
+    for name in ("text.png", "cut.png"):
         with pytest.raises(ImageError, match=f"{name}' is not an image"):
             media.read_image(tmp_path / name)
+    with pytest.raises(ImageError, match=r"empty\.png.* is empty"):
+        media.read_image(tmp_path / "empty.png")
     with pytest.raises(ImageError, match=r"cannot read .*missing.png"):
         media.read_image(tmp_path / "missing.png")
 
@@ -276,7 +278,7 @@ def test_a_file_that_is_no_video_is_an_image_error(tmp_path, reader):
 
 
 def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
-    for name in ("b.png", "a.JPG", "c.avi", "notes.txt", "d.csv"):
+    for name in ("b.png", "a.JPG", "c.avi", "notes.txt", "d.csv", "._a.JPG"):
         (tmp_path / name).touch()
     (tmp_path / "e.png").mkdir()
     found = media.find_inputs([tmp_path, tmp_path / "notes.txt"])
@@ -288,9 +290,12 @@ def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
 
 
 def test_a_file_pattern_that_the_shell_did_not_expand_stands_for_its_files(tmp_path):
-    for name in ("b1.png", "b2.png", "c1.png", "b[1].png"):
+    for name in ("b1.png", "b2.png", "b10.png", "c1.png", "b[1].png"):
         (tmp_path / name).touch()
     assert [path.name for path in media.find_inputs([tmp_path / "b?.png"])] == ["b1.png", "b2.png"]
+    for numbered in (tmp_path / "b*.png", tmp_path):
+        names = [path.name for path in media.find_inputs([numbered])]
+        assert names[:3] == ["b1.png", "b2.png", "b10.png"]
     assert media.find_inputs([tmp_path / "b[1].png"]) == [tmp_path / "b[1].png"]
     with pytest.raises(FileNotFoundError, match=r"d\*\.png"):
         media.find_inputs([tmp_path / "d*.png"])

@@ -122,13 +122,15 @@ def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
 
 
 def test_a_file_that_is_no_series_of_nodes_is_refused(tmp_path):
+    with pytest.raises(FieldError, match="no displacement or xy"):
+        Recorded.of({"index": np.arange(2), "time_ms": np.arange(2.0), "rest": np.zeros((3, 3, 2))})
     with pytest.raises(FieldError, match="no rest"):
         Recorded.of(
             {"index": np.arange(2), "time_ms": np.arange(2.0), "xy": np.zeros((2, 3, 3, 2))}
         )
     with open_series(tmp_path / "none.npz", None, {"rest": np.zeros((2, 2, 2))}):
         pass
-    with pytest.raises(FieldError, match="no displacement or xy"):
+    with pytest.raises(FieldError, match="no frame"):
         Recorded.of(read_series(tmp_path / "none.npz"))
     rest, xy = np.zeros((2, 2, 2)), np.zeros((0, 2, 2, 2))
     with pytest.raises(FieldError, match="no frame"):

@@ -187,6 +187,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> None:
     if bool(arguments.images) == bool(arguments.left or arguments.right):
         raise ConfigError("give frames that show both views, or --left and --right")
+    if bool(arguments.left) != bool(arguments.right):
+        raise ConfigError(
+            "--left and --right need each other; --camera NAME=IMAGE... calibrates one camera"
+        )
     if len(arguments.left) != len(arguments.right):
         raise ConfigError(
             f"{len(arguments.left)} left views and {len(arguments.right)} right views do not form "

@@ -405,6 +405,8 @@ def run(arguments: argparse.Namespace) -> int:
             start = time.perf_counter()
             measured = measure(image)
             spent = (time.perf_counter() - start) * 1e3
+            if frame.index == settings.rest_frame:  # the numbers are those of this frame
+                measured = dataclasses.replace(measured, ambiguous=False)
             try:
                 series.append(
                     index=frame.index,
@@ -419,6 +421,8 @@ def run(arguments: argparse.Namespace) -> int:
                 break
             tally.add(frame.index, measured, spent)
             display.frame(frame, measured, at_rest)
+        if stop.name and not tally.frames:  # an older series stays
+            raise KeyboardInterrupt
     ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
     if isinstance(source, Pairs):

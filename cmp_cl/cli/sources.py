@@ -9,7 +9,7 @@ import numpy as np
 
 from cmp_cl import cameras, media
 from cmp_cl.cameras import CameraSettings, PairCount, is_live, paired
-from cmp_cl.cli.messages import counted
+from cmp_cl.cli.messages import counted, shown
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
@@ -70,8 +70,9 @@ class Source:
         Those of a camera begin with the frame at rest; those of a file are all its frames. Raises
         ConfigError if the frame cannot be read or does not exist.
         """
-        frames = self.frames()
+        frames, count = self.frames(), 0
         for frame in frames:
+            count = frame.index + 1
             if frame.index < number:
                 continue
             if frame.image is None:
@@ -80,7 +81,10 @@ class Source:
                 return frame.image, _chained(frame, frames)
             frames.close()
             return frame.image, self.frames()
-        raise ConfigError(f"--rest-frame {number} is beyond the last frame")
+        raise ConfigError(
+            f"there is no --rest-frame {number}: {shown(self.name)} has {counted(count, 'frame')}, "
+            "numbered from 0"
+        )
 
 
 class Pairs(Source):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,7 @@ def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
     Raises FieldError if the depth is not a finite number, or field is of another type.
     """
     check_kind("field", field, DisplacementField, FieldError)
+    check_kind("deeper_than", deeper_than, Real, FieldError)
     if not math.isfinite(deeper_than):
         raise FieldError(f"a depth must be a finite number, not {deeper_than!r}")
     before = surface_normals(field.position)

@@ -13,6 +13,7 @@ from cmp_cl.errors import FieldError
 from cmp_cl.version import package_version
 
 Frame = dict[str, NDArray[Any]]
+Raised = tuple[Any, Any, Any]  # the arguments of __exit__
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,7 +48,8 @@ class Series(Closing):
             series.append(index=i, time_ms=t, displacement=field.displacement)
 
     Every frame has the same arrays, of the same shapes and types; those of the nodes begin with (R,
-    C). The frames written before an exception or Ctrl-C are kept.
+    C). The frames written before an exception or Ctrl-C are kept; before the first one, an older
+    file stays.
     """
 
     def __init__(self, description: Description, constants: Mapping[str, ArrayLike]) -> None:
@@ -86,6 +88,12 @@ class Series(Closing):
         self._layout = layout
         self._count += 1
 
+    def __exit__(self, *raised: Any) -> None:
+        if raised[0] is not None and self._open and not self._count:
+            self._open = False
+            self._abandon(raised)
+        self.close()
+
     def close(self) -> None:
         """Finish the file; closing again does nothing. Raises OSError."""
         if self._open:
@@ -93,6 +101,10 @@ class Series(Closing):
             self._finish()
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        raise NotImplementedError
+
+    def _abandon(self, raised: Raised) -> None:
+        """Leave no file, because this error came before the first frame; an older file stays."""
         raise NotImplementedError
 
     def _finish(self) -> None:

@@ -17,11 +17,13 @@ class Appended:
     """A file that appears when it is closed, with all parts that were written completely.
 
     On a full disk it keeps those parts. If there is none, an older file stays.
+
+    files: on leaving this context the file appears, or is removed if an error was raised.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        self._files = contextlib.ExitStack()
-        buffered: Any = self._files.enter_context(whole_file(path))
+        self.files = contextlib.ExitStack()
+        buffered: Any = self.files.enter_context(whole_file(path))
         self._file = buffered.raw  # a buffer would keep the bytes that a full disk refused
         self._path = path
         self._end = 0
@@ -41,7 +43,7 @@ class Appended:
 
     def close(self) -> None:
         """Make the file appear under its name; raises OSError."""
-        with self._files:
+        with self.files:
             if self.error is not None and not self._end:
                 raise self.error
 

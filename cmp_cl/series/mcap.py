@@ -18,7 +18,7 @@ from cmp_cl import media
 from cmp_cl.errors import FieldError, ImageError
 from cmp_cl.extras import extra
 from cmp_cl.image import GreyImage
-from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.base import Description, Frame, Raised, Series
 from cmp_cl.series.disk import Finishable
 
 TOPIC = "/cmp_cl/nodes"
@@ -152,6 +152,9 @@ class McapSeries(Series):
             publish_time=stamp,
             sequence=self._count,
         )
+
+    def _abandon(self, raised: Raised) -> None:
+        self._file.files.__exit__(*raised)
 
     def _finish(self) -> None:
         with self._file.files:

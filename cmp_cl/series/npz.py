@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.files import check_target, whole_file
-from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.base import Description, Frame, Raised, Series
 
 
 class NpzSeries(Series):
@@ -63,6 +63,9 @@ class NpzSeries(Series):
         file = open(self._folder / f"{name}.npy", "w+b", buffering=0)  # noqa: SIM115, closed by _files
         self._columns[name] = _Column(self._files.enter_context(file), shape, dtype)
 
+    def _abandon(self, raised: Raised) -> None:
+        self._remove()
+
     def _finish(self) -> None:
         try:
             with self._files:
@@ -97,9 +100,9 @@ class SeriesWriter(NpzSeries):
     The file holds `index` (F,) int64, `time_ms` (F,) float64, every array that `append` gets
     stacked along a first axis of F frames, and the constants (positions at rest, unit) as they are;
     numpy.load reads it. It appears when the `with` block ends, even by an exception or Ctrl-C: then
-    with the frames so far. Until then the frames are in the folder NAME.parts beside it, one .npy
-    for each array, so the disk must hold two copies. If it cannot, or if the process is killed,
-    that folder stays; the OSError names it.
+    with the frames so far, if there are any. Until then the frames are in the folder NAME.parts
+    beside it, one .npy for each array, so the disk must hold two copies. If it cannot, or if the
+    process is killed, that folder stays; the OSError names it.
 
         with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.errors import FieldError
 from cmp_cl.files import check_target, write_text
-from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.base import Description, Frame, Raised, Series
 from cmp_cl.vtk import polydata, quadrilaterals
 
 _END = "</Collection>\n</VTKFile>\n"
@@ -63,6 +63,9 @@ class ParaViewSeries(Series):
         self._file.write((line + _END).encode())
         self._file.flush()
         self._file.seek(at + len(line.encode()))
+
+    def _abandon(self, raised: Raised) -> None:
+        self._finish()
 
     def _finish(self) -> None:
         if self._file is not None:

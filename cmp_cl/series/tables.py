@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, write_text
-from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.base import Description, Frame, Raised, Series
 from cmp_cl.series.digits import nested, plain, rows_of
 from cmp_cl.series.disk import Appended, Finishable
 
@@ -91,6 +91,9 @@ class CsvSeries(Series):
         rows = rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
         self._file.append(header + rows)
 
+    def _abandon(self, raised: Raised) -> None:
+        self._file.files.__exit__(*raised)
+
     def _finish(self) -> None:
         self._file.close()
         about = self.description.with_units()
@@ -132,6 +135,10 @@ class JsonLines(Series):
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         time = repr(float(time_ms)) if np.isfinite(time_ms) else "null"
         self._line({"frame": b"%d" % index, "time_ms": time.encode(), **_nested(frame)})
+
+    def _abandon(self, raised: Raised) -> None:
+        if self._file is not None:
+            self._file.files.__exit__(*raised)
 
     def _finish(self) -> None:
         if self._file is not None:
@@ -214,6 +221,9 @@ class ParquetSeries(Series):
         if self._waiting:
             self._writer.write_table(self._arrow.Table.from_batches(self._waiting))
         self._waiting, self._rows, self._bytes = [], 0, 0
+
+    def _abandon(self, raised: Raised) -> None:
+        self._file.files.__exit__(*raised)
 
     def _finish(self) -> None:
         with self._file.files:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError, check_positive
+from cmp_cl.errors import CalibrationError, FieldError, check_positive, listed
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import CAMERA, OF_CAMERA, POSE, Adjusted, View, adjust, matrix_of
 from cmp_cl.stereo.free_board import adjust_board
@@ -90,6 +90,8 @@ def calibrate_camera(
     free board are numbered differently.
     """
     check_positive("spacing", spacing, CalibrationError)
+    _check_size(image_size)
+    grids = listed("grids", grids, Grid, CalibrationError)
     grids = _numbered_alike(grids) if free_board else grids
     parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
     _check_views(len(parts))
@@ -158,6 +160,7 @@ def calibrate(
     Raises CalibrationError as `calibrate_camera` does, and if no pose between the cameras
     fits all views. Raises FieldError if the grids of a view have different shapes.
     """
+    views = [_pair(pair) for pair in listed("views", views, Sequence, CalibrationError)]
     for view, (left, right) in enumerate(views):
         if left.shape != right.shape:
             raise FieldError(
@@ -343,6 +346,20 @@ def focal_sigma(slopes: Iterable[tuple[NDArray[Any], NDArray[Any]]], error: floa
 
 def _double(value: ArrayLike) -> Array:
     return np.asarray(value, np.float64)
+
+
+def _pair(views: Sequence[Grid]) -> tuple[Grid, Grid]:
+    """Return the grids of the left and of the right view; raises CalibrationError if not both."""
+    found = listed("views", views, Grid, CalibrationError)
+    if len(found) != 2:
+        raise CalibrationError(f"each of views must be (left, right), not {len(found)} grids")
+    return found[0], found[1]
+
+
+def _check_size(size: Any) -> None:
+    sides = listed("image_size", size, int, CalibrationError)
+    if len(sides) != 2 or min(sides) < 1:
+        raise CalibrationError(f"image_size must be (width, height), px, not {size!r}")
 
 
 def _check_views(count: int) -> None:

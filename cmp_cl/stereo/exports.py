@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, ConfigError
-from cmp_cl.files import write_text
+from cmp_cl.files import check_path, suffix_of, write_text
 from cmp_cl.grid.grid import Grid
 from cmp_cl.media import csv_bytes
 from cmp_cl.stereo.cameras import Camera, Lens
@@ -59,12 +59,12 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
         raise ConfigError("no view shows the board: there are no corners to write")
     if len(shapes) > 1:
         raise CalibrationError(f"the views show boards of different shapes: {sorted(shapes)}")
-    write_text(path, _CORNER_WRITERS[Path(path).suffix.lower()](views, spacing))
+    write_text(path, _CORNER_WRITERS[suffix_of(path, ConfigError)](views, spacing))
 
 
 def check_corners(path: str | PathLike[str]) -> None:
     """Raise ConfigError if `save_corners` does not know the suffix of a path."""
-    if Path(path).suffix.lower() not in _CORNER_WRITERS:
+    if suffix_of(path, ConfigError) not in _CORNER_WRITERS:
         known = ", ".join(_CORNER_WRITERS)
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {known}")
 
@@ -345,6 +345,7 @@ def save_cameras(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> li
 
 def check_cameras(path: str | PathLike[str]) -> str:
     """Return the ending that names a format of `save_cameras`; raises ConfigError for any other."""
+    check_path(path, ConfigError)
     name = Path(path).name.lower()
     for ending in (".camchain.yaml", ".camera_info.yaml", ".yaml", ".yml"):
         if name.endswith(ending):

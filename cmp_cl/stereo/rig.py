@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from numbers import Real
 from os import PathLike
 from typing import Any, Self
 
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError, check_kind
+from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
 from cmp_cl.files import write_text
 from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
@@ -155,10 +156,13 @@ class StereoRig:
         A node without a position is NaN, and `Points3D.status` says why: the rays must enclose
         at least MIN_PARALLAX px, and the point must lie in front of both cameras.
 
-        Raises FieldError if an argument is no Grid, or if the grids have different rows or columns.
+        Raises FieldError if an argument is of another type, or if the grids have different rows or
+        columns.
         """
         check_kind("left", left, Grid, FieldError)
         check_kind("right", right, Grid, FieldError)
+        check_kind("sigma", sigma, Real, FieldError)
+        check_kind("max_error", max_error, Real, FieldError)
         if (left.origin, left.shape) != (right.origin, right.shape):
             raise FieldError(
                 f"the left grid has {left.extent}, the right one {right.extent}; cut both to "
@@ -282,10 +286,7 @@ def _spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:
 
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.array(value, np.float64)
-    except (TypeError, ValueError) as error:
-        raise CalibrationError(f"{name} must be numbers of shape {shape}: {error}") from error
+    array = as_numbers(name, value, CalibrationError)
     if shape == (3,) and array.shape in ((3, 1), (1, 3)):
         array = array.reshape(3)
     if array.shape != shape:
@@ -296,10 +297,11 @@ def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def _distortion(name: str, value: ArrayLike) -> Array:
-    size = np.size(value)
+    array = as_numbers(name, value, CalibrationError)
+    size = array.size
     if size not in (0, 4, 5, 8, 12, 14):
         raise CalibrationError(f"{name} must have 0, 4, 5, 8, 12 or 14 coefficients, not {size}")
-    return _numbers(name, np.reshape(value, -1), (size,)) if size else np.zeros(5)
+    return _numbers(name, array.reshape(-1), (size,)) if size else np.zeros(5)
 
 
 def _check_matrix(name: str, matrix: Array) -> None:

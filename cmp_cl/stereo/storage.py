@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
+from cmp_cl.files import check_path
 
 _MAX_FILE = 1 << 20  # bytes
 _MAX_NUMBERS = 484  # entries of the largest matrix, a covariance of 22 parameters
@@ -17,6 +18,7 @@ _OPENING = (b"[", b"{", b"<", b"- ", b"-\t", b"-\n")
 
 def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
     """Open a file at `path` of OpenCV's FileStorage; raises CalibrationError if that fails."""
+    check_path(path, CalibrationError)
     try:
         with Path(path).open("rb") as file:
             data = file.read(_MAX_FILE + 1)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners, Method
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage, check_image
 
@@ -41,9 +41,11 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     image: (H, W) uint8 or uint16. Returns (H', W', 3) uint8 BGR. The image is enlarged by a whole
     factor, each pixel to a block, until a cell is about 32 px wide and the longer side at least
     1000 px; the result is at most 2400 px long unless the image is longer. The legend is below the
-    image. A circle surrounds each corner and a dot marks its position. Raises ImageError.
+    image. A circle surrounds each corner and a dot marks its position. Raises ImageError, and
+    FieldError if `corners` is of another type.
     """
     check_image(image)
+    check_kind("corners", corners, Corners, FieldError)
     cell = _spacing(corners.xy)
     canvas, factor = _enlarged(image, cell)
     radius = min(max(3.0, 0.3 * cell * factor), 24.0)
@@ -134,6 +136,9 @@ def grid_overlay(
     there are not as many corners as the grid was built from.
     """
     check_image(image)
+    check_kind("grid", grid, Grid, FieldError)
+    if corners is not None:
+        check_kind("corners", corners, Corners, FieldError)
     if corners is not None and len(corners) != len(grid.index):
         raise FieldError(f"the grid was built from {len(grid.index)} corners, not {len(corners)}")
     xy = grid.xy[grid.valid]

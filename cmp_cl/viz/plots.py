@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Series = Mapping[str, NDArray[Any]]
 
 _SEQUENTIAL, _DIVERGING = "plasma", "RdBu_r"
+_ROUNDING = 1e-12  # smaller values, such as the strain of the frame at rest, are errors of rounding
 
 
 class Quantity(enum.Enum):
@@ -57,13 +58,13 @@ class Recorded:
     @classmethod
     def of(cls, series: Series) -> "Recorded":
         """Take the arrays of a series; raises FieldError without frames, rest or positions."""
+        if not len(series.get("index", [0])):
+            raise FieldError("the series has no frame")
         missing = [name for name in ("index", "time_ms", "rest") if name not in series]
         if missing or not ("displacement" in series or "xy" in series):
             what = missing or ["displacement or xy"]
             raise FieldError(f"the series has no {' and no '.join(what)}")
         rest = np.asarray(series["rest"], np.float64)
-        if not len(series["index"]):
-            raise FieldError("the series has no frame")
         if "displacement" in series:
             shift = np.asarray(series["displacement"], np.float64)
         else:
@@ -188,9 +189,8 @@ def sheet_figure(
     figure = new_figure((12.0, 4.6 * rows))
     grid = figure.add_gridspec(rows, 2)
     for number, quantity in enumerate(wanted):
-        last = number == len(wanted) - 1 and number % 2 == 0
-        at = grid[number // 2, :] if last else grid[number // 2, number % 2]
-        draw_map(figure, figure.add_subplot(at), recorded, quantity, frame)
+        axes = figure.add_subplot(grid[number // 2, number % 2])
+        draw_map(figure, axes, recorded, quantity, frame)
     _draw_curve(figure.add_subplot(grid[rows - 1, :]), recorded, recorded.node_of(node))
     return figure
 
@@ -221,7 +221,8 @@ def draw_map(
         edgecolors="face",
         linewidths=0.2,
     )
-    top = float(np.abs(mean[known]).max(initial=0)) or 1.0
+    top = float(np.abs(mean[known]).max(initial=0))
+    top = top if top > _ROUNDING else 1.0
     drawn.set_clim(-top if signed else 0.0, top)
     axes.add_collection(drawn)
     points = nodes[~np.isnan(nodes[..., 0])]

@@ -2,7 +2,6 @@
 
 import os
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.files import check_target, temporary_beside
+from cmp_cl.files import check_target, suffix_of, temporary_beside
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.viz.overlays import strips
@@ -37,7 +36,7 @@ class OverlayVideo(Closing):
     """
 
     def __init__(self, path: str | PathLike[str], *, fps: float = 25.0, unit: str = "px") -> None:
-        suffix = Path(path).suffix.lower()
+        suffix = suffix_of(path, ConfigError)
         if suffix not in OVERLAY_SUFFIXES:
             raise ConfigError(f"{str(path)!r}: a video must end in {', '.join(OVERLAY_SUFFIXES)}")
         if not 0 < fps < 1e4:

@@ -287,6 +287,29 @@ def test_a_stopped_run_keeps_what_it_has(run, recording, press, monkeypatch, nam
     assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
 
 
+def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
+    board = np.kron(np.indices((9, 11)).sum(0) % 2, np.full((20, 20), 180)).astype(np.uint8) + 30
+    for number in range(2):  # no border of the pattern is in view
+        cv2.imwrite(str(tmp_path / f"{number}.png"), board[10:170, 10:210])
+    assert "1 with ambiguous numbers" in run("run", tmp_path, "--out", "press.npz")[1]
+    assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
+
+
+def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
+    run, recording, press, monkeypatch
+):
+    enter = run_module._Display.__enter__
+
+    def stopped(display):
+        signal.raise_signal(signal.SIGINT)
+        return enter(display)
+
+    Path("press.npz").write_text("old")
+    monkeypatch.setattr(run_module._Display, "__enter__", stopped)
+    assert run("run", recording, *STEREO) == (130, "", "cmp-cl: interrupted\n")
+    assert Path("press.npz").read_text() == "old"
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
 def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
     def frames_of(path, **_):
@@ -360,7 +383,7 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
     ("arguments", "words"),
     [
         (["none", *STEREO], ["none"]),
-        (["frames", *STEREO, "--rest-frame", "9"], ["beyond the last"]),
+        (["frames", *STEREO, "--rest-frame", "9"], ["no --rest-frame 9", "3 frames"]),
         (["frames", *STEREO, "--rest-frame", "-1"], ["0 or more"]),
         (["frames", *STEREO, "--split", "thirds"], ["halves", "thirds"]),
         (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["extends past the frame"]),

@@ -1,13 +1,12 @@
 """Values of the nodes, interpolated on a regular raster of the plane at rest."""
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.errors import ConfigError, FieldError, check_positive
 from cmp_cl.field.plane.displacement import PlaneField
 
 Array = NDArray[np.float64]
@@ -56,8 +55,7 @@ def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float
         numbers = numbers[..., None]
     if numbers.ndim != 3 or numbers.shape[:2] != field.status.shape:
         raise FieldError(f"values are {numbers.shape}, the field has {field.status.shape} nodes")
-    if not 0 < step < math.inf:
-        raise ConfigError(f"step must be a positive length, not {step!r}")
+    check_positive("step", step, ConfigError)
     valid = field.valid & ~np.isnan(numbers).any(axis=2)
     cells = np.argwhere(valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:])
     if not len(cells):
