@@ -3,6 +3,7 @@
 import dataclasses
 import datetime
 from collections.abc import Mapping
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from cmp_cl.errors import FieldError
 from cmp_cl.version import package_version
 
 Frame = dict[str, NDArray[Any]]
+FileName = str | PathLike[str]
+Constants = Mapping[str, ArrayLike]
 Raised = tuple[Any, Any, Any]  # the arguments of __exit__
 
 
@@ -52,7 +55,7 @@ class Series(Closing):
     file stays.
     """
 
-    def __init__(self, description: Description, constants: Mapping[str, ArrayLike]) -> None:
+    def __init__(self, description: Description, constants: Constants) -> None:
         self.description = description
         self.constants = {name: np.asarray(value) for name, value in constants.items()}
         self._layout: dict[str, tuple[tuple[int, ...], str]] | None = None

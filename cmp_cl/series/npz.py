@@ -6,7 +6,6 @@ import json
 import math
 import shutil
 import zipfile
-from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.files import check_target, whole_file
-from cmp_cl.series.base import Description, Frame, Raised, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
 
 
 class NpzSeries(Series):
@@ -25,10 +24,7 @@ class NpzSeries(Series):
     """
 
     def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description | None,
-        constants: Mapping[str, ArrayLike],
+        self, path: FileName, description: Description | None, constants: Constants
     ) -> None:
         if description is not None:
             constants = {"about": np.array(json.dumps(description.with_units())), **constants}
