@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.files import check_target, whole_file
 from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
+from cmp_cl.series.disk import write_all
 
 
 class NpzSeries(Series):
@@ -164,6 +165,4 @@ class _Column:
 
     def _write_at(self, offset: int, data: bytes) -> None:
         self.file.seek(offset)
-        rest = memoryview(data)
-        while rest:  # a nearly full disk may take only part of it
-            rest = rest[self.file.write(rest) :]
+        write_all(self.file, data)
