@@ -18,6 +18,7 @@ from cmp_cl import (
     ImageError,
     StereoRig,
     align,
+    build_grid,
     calibrate,
     calibrate_camera,
     detect,
@@ -61,8 +62,8 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: TwoViews(IMAGE, None, None), "rig", "StereoRig"),
         (lambda: TwoViews(IMAGE, toed_in_rig(), (0, 1)), "split", "BinocularSplit"),
         (lambda: toed_in_rig().triangulate(GRID, IMAGE), "right", "Grid"),
-        (lambda: BinocularSplit.halves(width="a", height=2), "width", "int"),
-        (lambda: GRID.turned("a"), "quarters", "int"),
+        (lambda: BinocularSplit.halves(width="a", height=2), "width", "Integral"),
+        (lambda: GRID.turned("a"), "quarters", "Integral"),
         (lambda: GRID.cut_to(None), "rest", "Grid"),
         (lambda: PlaneScale.of_cells(None, 1), "rest", "Grid"),
         (lambda: PlaneScale(np.eye(3), None), "unit", "str"),
@@ -70,7 +71,11 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: align([GRID, 3]), "each of grids", "Grid"),
         (lambda: calibrate([(GRID, None)], spacing=1, image_size=SIZE), "each of views", "Grid"),
         (lambda: calibrate_camera(["a"], spacing=1, image_size=SIZE), "each of grids", "Grid"),
-        (lambda: calibrate_camera([], spacing=1, image_size=(9, "a")), "each of image_size", "int"),
+        (
+            lambda: calibrate_camera([], spacing=1, image_size=(9, "a")),
+            "each of image_size",
+            "Integral",
+        ),
         (lambda: toed_in_rig().triangulate(GRID, GRID, sigma="a"), "sigma", "Real"),
         (lambda: toed_in_rig().triangulate(GRID, GRID, max_error=None), "max_error", "Real"),
         (lambda: BinocularSplit((0, 0, 9, 9), (9, 0, 9, 9), "no"), "mirror_left", "bool"),
@@ -190,6 +195,21 @@ def test_frames_that_are_not_several_are_refused():
 def test_a_length_that_is_not_positive_is_refused(call, name, error, length):
     with pytest.raises(error, match=f"^{name} must be a positive number, not "):
         call(length)
+
+
+def test_numbers_of_numpy_are_whole_numbers():
+    assert GRID.turned(np.int64(1)).shape == GRID.turned(1).shape
+    assert BinocularSplit.halves(np.int64(70), np.uint16(60)) == BinocularSplit.halves(70, 60)
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_an_image_may_be_a_matrix():
+    board = np.kron(np.indices((6, 7)).sum(0) % 2, np.full((16, 16), 200)).astype(np.uint8)
+    corners, same = detect(board), detect(np.asmatrix(board))
+    np.testing.assert_array_equal(same.xy, corners.xy)
+    grid = build_grid(same, np.asmatrix(board))
+    np.testing.assert_array_equal(grid.xy, build_grid(corners, board).xy)
+    np.testing.assert_array_equal(grid_overlay(np.asmatrix(board), grid), grid_overlay(board, grid))
 
 
 def test_a_masked_image_is_refused_unless_nothing_is_masked():

@@ -3,6 +3,7 @@
 import dataclasses
 import enum
 import math
+from numbers import Integral
 from typing import Any, NamedTuple, TypeVar
 
 import cv2
@@ -177,8 +178,8 @@ class Grid:
 
     def turned(self, quarters: int) -> "Grid":
         """Return the grid after `quarters` quarter turns: after one, row 0 is the former last
-        column; raises GridError if `quarters` is no int."""
-        check_kind("quarters", quarters, int, GridError)
+        column; raises GridError if `quarters` is not whole."""
+        check_kind("quarters", quarters, Integral, GridError)
         quarters %= 4
         if not quarters:
             return self

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
+from numbers import Integral
 from typing import Any
 
 import cv2
@@ -90,7 +91,7 @@ def calibrate_camera(
     free board are numbered differently.
     """
     check_positive("spacing", spacing, CalibrationError)
-    _check_size(image_size)
+    image_size = _checked_size(image_size)
     grids = listed("grids", grids, Grid, CalibrationError)
     grids = _numbered_alike(grids) if free_board else grids
     parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
@@ -356,10 +357,11 @@ def _pair(views: Sequence[Grid]) -> tuple[Grid, Grid]:
     return found[0], found[1]
 
 
-def _check_size(size: Any) -> None:
-    sides = listed("image_size", size, int, CalibrationError)
+def _checked_size(size: Any) -> tuple[int, int]:
+    sides = listed("image_size", size, Integral, CalibrationError)
     if len(sides) != 2 or min(sides) < 1:
         raise CalibrationError(f"image_size must be (width, height), px, not {size!r}")
+    return int(sides[0]), int(sides[1])
 
 
 def _check_views(count: int) -> None:

@@ -1,6 +1,7 @@
 """The two views in a frame that shows both."""
 
 import dataclasses
+from numbers import Integral
 from typing import Self
 
 from cmp_cl.errors import ConfigError, ImageError, check_kind
@@ -43,7 +44,9 @@ class BinocularSplit:
 
         Raises ConfigError if the frame is narrower than 2 px or has no row.
         """
-        check_kind("width", width, int, ConfigError)
+        check_kind("width", width, Integral, ConfigError)
+        check_kind("height", height, Integral, ConfigError)
+        width, height = int(width), int(height)
         half = width // 2
         return cls((0, 0, half, height), (width - half, 0, half, height))
 

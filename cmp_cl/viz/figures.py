@@ -43,7 +43,7 @@ def draw_arrows(
     axes: "Axes", image: GreyImage, rest: Grid, now: Grid, *, field: DisplacementField | None = None
 ) -> None:
     """Draw the content of `arrow_figure` into axes."""
-    check_image(image)
+    image = check_image(image)
     if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
         shapes = [rest.shape, now.shape, *([] if field is None else [field.status.shape])]
         raise FieldError(f"rest, now and field must have one shape, not {shapes}")

@@ -44,7 +44,7 @@ def corner_overlay(image: GreyImage, corners: Corners) -> NDArray[np.uint8]:
     image. A circle surrounds each corner and a dot marks its position. Raises ImageError, and
     FieldError if `corners` is of another type.
     """
-    check_image(image)
+    image = check_image(image)
     check_kind("corners", corners, Corners, FieldError)
     cell = _spacing(corners.xy)
     canvas, factor = _enlarged(image, cell)
@@ -135,7 +135,7 @@ def grid_overlay(
     first row is drawn in red and the first column in blue. Raises ImageError, and FieldError if
     there are not as many corners as the grid was built from.
     """
-    check_image(image)
+    image = check_image(image)
     check_kind("grid", grid, Grid, FieldError)
     if corners is not None:
         check_kind("corners", corners, Corners, FieldError)
