@@ -26,23 +26,35 @@ from cmp_cl import (
     media,
     series,
 )
+from cmp_cl.cameras import CameraSettings
 from cmp_cl.field import (
     PlaneScale,
     contact_of,
     displacement,
+    green_lagrange,
+    integrate,
     motion_of,
     plane_displacement,
     plane_strain,
+    projected_density,
+    rasterize,
+    surface_height,
+    surface_normals,
+    with_measured_noise,
+    without_motion,
 )
 from cmp_cl.grid import filter_grid, filter_positions
-from cmp_cl.measure import OneView, TwoViews
+from cmp_cl.measure import OneView, TwoViews, trusted
 from cmp_cl.stereo import undistort
-from cmp_cl.viz import corner_overlay, grid_overlay
+from cmp_cl.synthetic import render
+from cmp_cl.viz import arrow_figure, corner_overlay, grid_overlay, surface_figure
 
 GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
 IMAGE = np.zeros((60, 70), np.uint8)
 SIZE = IMAGE.shape[::-1]
 BOARD = Path(media.__file__).parent / "data" / "board.png"
+PLANE = plane_displacement(GRID, GRID)
+RASTER = rasterize(PLANE, step=5.0)
 FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
 
 
@@ -81,6 +93,18 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: BinocularSplit((0, 0, 9, 9), (9, 0, 9, 9), "no"), "mirror_left", "bool"),
         (lambda: OneView(IMAGE, config="a", full_scale=255), "config", "DetectorConfig"),
         (lambda: contact_of(FIELD, deeper_than=None), "deeper_than", "Real"),
+        (lambda: integrate(None, np.zeros((3, 3, 2))), "raster", "Raster"),
+        (lambda: surface_height(None, depth=1.0), "displaced", "Raster"),
+        (lambda: surface_height(RASTER, depth=1.0, camera="a"), "camera", "Real"),
+        (lambda: projected_density(None, distance=1.0), "displaced", "Raster"),
+        (lambda: rasterize(FIELD, step=1.0), "field", "PlaneField"),
+        (lambda: without_motion(PLANE, None), "motion", "Motion"),
+        (lambda: with_measured_noise(None), "field", "PlaneField"),
+        (lambda: arrow_figure(IMAGE, GRID, None), "now", "Grid"),
+        (lambda: surface_figure(None), "field", "DisplacementField"),
+        (lambda: render(None), "scene", "Scene"),
+        (lambda: trusted(GRID, "a"), "max_sigma", "Real"),
+        (lambda: CameraSettings(size=(9, "a")), "each of size", "int"),
         (lambda: media.read_image(BOARD, max_pixels="a"), "max_pixels", "Real"),
         (lambda: next(media.read_camera("a")), "number", "int"),
         (lambda: media.write_image("a.png", None), "image", "ndarray"),
@@ -132,6 +156,10 @@ def test_what_names_no_file_is_refused(call, error, path):
         ),
         (lambda values: PlaneScale(values, "mm"), "matrix", FieldError),
         (PlaneScale.pixels(), "xy", FieldError),
+        (lambda values: integrate(RASTER, values), "gradient", FieldError),
+        (lambda values: rasterize(PLANE, values, step=5.0), "values", FieldError),
+        (surface_normals, "positions", FieldError),
+        (lambda values: green_lagrange(FIELD.position, values), "now", FieldError),
         (lambda values: undistort(values, np.eye(3), np.zeros(5)), "points", FieldError),
     ],
 )
@@ -185,6 +213,8 @@ def test_frames_that_are_not_several_are_refused():
         (PlaneScale.of_pixel, "length", FieldError),
         (lambda side: PlaneScale.of_cells(GRID, side), "side", FieldError),
         (GRID.to_opencv, "spacing", ConfigError),
+        (lambda depth: surface_height(RASTER, depth=depth), "depth", ConfigError),
+        (lambda fps: CameraSettings(fps=0 if fps is None else fps), "fps", ConfigError),
         (
             lambda side: calibrate_camera([], spacing=side, image_size=(70, 60)),
             "spacing",

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, FieldError, as_numbers
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -26,8 +26,12 @@ def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
     Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN if the node is missing, if its
     window has fewer than 6 nodes, or if these lie on a line.
 
-    Raises ConfigError if radius is not a whole number from 1 to 50.
+    Raises ConfigError if radius is not a whole number from 1 to 50, FieldError if rest or now has
+    another shape.
     """
+    rest, now = as_numbers("rest", rest, FieldError), as_numbers("now", now, FieldError)
+    if rest.ndim != 3 or rest.shape[2] != 3 or now.shape != rest.shape:
+        raise FieldError(f"rest and now must be (R, C, 3), not {rest.shape} and {now.shape}")
     if type(radius) is not int or not 1 <= radius <= 50:
         raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
     good, _, second, inverse = _local_frames(rest, now, radius)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field import DisplacementField
 from cmp_cl.files import whole_file
 from cmp_cl.grid.grid import Grid
@@ -33,8 +33,8 @@ def arrow_figure(
     """
     from matplotlib.figure import Figure
 
-    rows, columns = image.shape
-    figure = Figure(figsize=(9, max(7.2 * rows / columns, 2) + 0.7), layout="constrained")
+    rows, columns = check_image(image).shape
+    figure = Figure(figsize=(9, max(7.2 * rows / max(columns, 1), 2) + 0.7), layout="constrained")
     draw_arrows(figure.add_subplot(), image, rest, now, field=field)
     return figure
 
@@ -44,6 +44,10 @@ def draw_arrows(
 ) -> None:
     """Draw the content of `arrow_figure` into axes."""
     image = check_image(image)
+    check_kind("rest", rest, Grid, FieldError)
+    check_kind("now", now, Grid, FieldError)
+    if field is not None:
+        check_kind("field", field, DisplacementField, FieldError)
     if rest.shape != now.shape or (field is not None and field.status.shape != now.shape):
         shapes = [rest.shape, now.shape, *([] if field is None else [field.status.shape])]
         raise FieldError(f"rest, now and field must have one shape, not {shapes}")
@@ -167,6 +171,7 @@ def rest_plane(field: DisplacementField) -> tuple[NDArray[np.float64], NDArray[n
 
     Raises FieldError if fewer than three nodes are valid, or all lie on a line.
     """
+    check_kind("field", field, DisplacementField, FieldError)
     return plane_of(field.position)
 
 

@@ -21,7 +21,7 @@ class RerunLog(Closing):
     """Shows frames in Rerun's viewer, or records them to a .rrd file for it.
 
     path: the file; None opens the viewer. It needs rerun-sdk 0.23 or newer. The file appears when
-    the `with` block ends, even by an exception or Ctrl-C.
+    the `with` block ends, even by an exception or Ctrl-C; without a frame an older file is kept.
 
     Raises ImportError without rerun-sdk, RuntimeError if its viewer is not found on the
     PATH, OSError if the file cannot be written.
@@ -33,6 +33,7 @@ class RerunLog(Closing):
         self._rerun = rerun
         self._stream = rerun.RecordingStream("cmp_cl")
         self._file: PipedFile | None = None
+        self._empty = True
         self._top = 0.0
         if path is None:
             self._stream.spawn()
@@ -58,6 +59,7 @@ class RerunLog(Closing):
         """
         if self._file is not None:
             self._file.check()
+        self._empty = False
         rerun, stream = self._rerun, self._stream
         stream.set_time("frame", sequence=index)
         if not math.isnan(time_ms):
@@ -102,7 +104,9 @@ class RerunLog(Closing):
         """
         self._stream.disconnect()
         file, self._file = self._file, None
-        if file is not None:
+        if file is not None and self._empty:
+            file.abandon()
+        elif file is not None:
             file.close()
 
 

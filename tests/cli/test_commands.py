@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import dataclasses
+import importlib.util
 import json
 import os
 import signal
@@ -304,10 +305,17 @@ def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
         signal.raise_signal(signal.SIGINT)
         return enter(display)
 
-    Path("press.npz").write_text("old")
     monkeypatch.setattr(run_module._Display, "__enter__", stopped)
-    assert run("run", recording, *STEREO) == (130, "", "cmp-cl: interrupted\n")
-    assert Path("press.npz").read_text() == "old"
+    older = ["press.npz", "old.mp4"]
+    options = ["--overlay", "old.mp4"]
+    if importlib.util.find_spec("rerun") is not None:
+        older.append("old.rrd")
+        options += ["--rerun", "old.rrd"]
+    for name in older:
+        Path(name).write_text("old")
+    assert run("run", recording, *STEREO, *options) == (130, "", "cmp-cl: interrupted\n")
+    assert [Path(name).read_text() for name in older] == ["old"] * len(older)
+    assert not [entry for entry in Path().iterdir() if entry.name.startswith(".")]
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")

@@ -236,6 +236,7 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
 
     Raises FieldError if no 4 x 4 nodes are valid.
     """
+    check_kind("field", field, PlaneField, FieldError)
     field = field if field.raw is None else field.raw
     shown = _shown_by_neighbours(field)
     if shown is None:
