@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 from cmp_cl import media
 from cmp_cl.errors import ConfigError, ImageError, check_positive, listed
@@ -184,18 +183,12 @@ def _read(capture: Any, waiting: "queue.Queue[Timed | None]", done: threading.Ev
             if waiting.full():
                 with contextlib.suppress(queue.Empty):
                     waiting.get_nowait()
-            waiting.put(Timed(index, now, _grey(picture)))
+            waiting.put(Timed(index, now, media.grey_of(picture)))
             index += 1
     while not done.is_set():
         with contextlib.suppress(queue.Full):
             waiting.put(None, timeout=0.1)
             return
-
-
-def _grey(picture: Any) -> GreyImage:
-    if picture.ndim == 3 and picture.shape[2] == 3:
-        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
-    return np.ascontiguousarray(picture.reshape(picture.shape[:2]))
 
 
 @dataclasses.dataclass

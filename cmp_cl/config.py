@@ -388,8 +388,12 @@ class DetectorConfig:
 
         Raises ConfigError for another number.
         """
+        if type(markers) is not int or markers not in _TABLE_2_WINDOWS:
+            raise ConfigError(
+                f"the paper's Table 2 has 20, 30 or 40 markers a side, not {markers!r}"
+            )
         rings = BinaryRings(
-            threshold=AdaptiveMean(window=_table_2_window(markers)),
+            threshold=AdaptiveMean(window=_TABLE_2_WINDOWS[markers]),
             criteria=RapidCriteria(corrosion_threshold=4),
             contrast=None,
         )
@@ -453,12 +457,6 @@ class DetectorConfig:
 def window_for_cell(cell: float) -> int:
     """Return the window of binarization for a cell, both px: about 1.3 cells, odd, 9 to 255."""
     return min(max(2 * (math.floor(1.3 * cell) // 2) + 1, 9), 255)
-
-
-def _table_2_window(markers: int) -> int:
-    if type(markers) is not int or markers not in _TABLE_2_WINDOWS:
-        raise ConfigError(f"the paper's Table 2 has 20, 30 or 40 markers a side, not {markers!r}")
-    return _TABLE_2_WINDOWS[markers]
 
 
 def _check_part(part: str, field: str, value: object, *kinds: type) -> None:

@@ -312,7 +312,7 @@ def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
             if not read and index >= count:
                 return
             yield (
-                (_grey(picture) if read else None),
+                (grey_of(picture) if read else None),
                 math.nan if rate is None else 1e3 * index / rate,
             )
             index += 1
@@ -437,7 +437,7 @@ def read_camera(number: int) -> Iterator[Frame]:
         while gap < LONGEST_GAP:
             read, picture = capture.read()
             gap = 0 if read else gap + 1
-            yield Frame(index, _grey(picture) if read else None)
+            yield Frame(index, grey_of(picture) if read else None)
             index += 1
     finally:
         capture.release()
@@ -464,8 +464,11 @@ def _check_readable(path: str | PathLike[str]) -> None:
         raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
 
 
-def _grey(frame: NDArray[Any]) -> GreyImage:
-    return cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.uint8) if frame.ndim == 3 else frame
+def grey_of(frame: NDArray[Any]) -> GreyImage:
+    """Return a frame that OpenCV captured, in BGR or raw, as (H, W)."""
+    if frame.ndim == 3 and frame.shape[2] == 3:
+        return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8)
+    return np.ascontiguousarray(frame.reshape(frame.shape[:2]))
 
 
 def write_csv(

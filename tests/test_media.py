@@ -7,12 +7,11 @@ import os
 import re
 import struct
 import threading
-from fractions import Fraction
 
 import cv2
 import numpy as np
 import pytest
-from videos import write_video
+from videos import write_deep_video, write_video
 
 from cmp_cl import media
 from cmp_cl.cli.tables import CORNER_COLUMNS, Table, corner_rows
@@ -246,25 +245,9 @@ def test_frames_of_another_size_come_as_they_are(tmp_path):
     assert [frame.image is None for frame in few] == [False, True, False]
 
 
-def write_deep(path):
-    """Write three frames of 12 bits at 0, 35 and 110 ms."""
-    av = pytest.importorskip("av", reason="PyAV is not installed")
-    ramp = np.tile(np.arange(64, dtype=np.uint16) * 64, (48, 1))
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray12le"
-        stream.codec_context.time_base = Fraction(1, 1000)
-        for time in (0, 35, 110):
-            frame = av.VideoFrame(64, 48, "gray12le")
-            frame.planes[0].update(ramp.tobytes())
-            frame.pts, frame.time_base = time, Fraction(1, 1000)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-    return ramp
-
-
 def test_pyav_reads_12_bits_and_the_times_that_are_written(tmp_path):
-    ramp = write_deep(tmp_path / "deep.mkv")
+    ramp = np.tile(np.arange(64, dtype=np.uint16) * 64, (48, 1))
+    write_deep_video(tmp_path / "deep.mkv", ramp)
     frames = list(media.read_frames(tmp_path / "deep.mkv"))
     assert [frame.time_ms for frame in frames] == pytest.approx([0, 35, 110])
     assert frames[0].image.dtype == np.uint16

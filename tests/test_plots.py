@@ -16,13 +16,13 @@ from cmp_cl.viz.plots import Quantity, Recorded, curve_figure, map_figure, sheet
 from cmp_cl.viz.video import OverlayVideo
 
 
-def record(path, *, views, frames=5):
+def record(path, *, views):
     """Write a series of 8 x 10 nodes that stretch by 1 % a frame along x, without (2, 3)."""
     row, column = np.mgrid[:8, :10]
     rest = np.stack([5.0 * column, 5.0 * row, 0 * row + 40.0], axis=-1)[..., : views + 1]
     constants = {"rest": rest, "unit": "px" if views == 1 else "mm"}
     with open_series(path, None, constants) as series:
-        for number in range(frames):
+        for number in range(5):
             shift = 0 * rest
             shift[..., 0] = 0.01 * number * rest[..., 0]
             if views == 2:

@@ -316,13 +316,11 @@ class _Settings:
 
     def description(self, measure: Measurement) -> Description:
         """Return the description that is stored in the series."""
-        lengths = ["rest", "displacement", "sigma"]
-        pixels = ["left", "right", "left_rest", "right_rest"] if self.rig else ["xy", "rest_px"]
-        (lengths if self.rig else pixels).extend(
-            ("raw_rest", "raw_displacement", "raw_sigma")
-            if self.rig
-            else ("raw_rest", "raw_xy", "raw_sigma")
-        )
+        lengths: tuple[str, ...] = ("rest", "displacement", "sigma")
+        pixels: tuple[str, ...] = ("xy", "rest_px", "raw_rest", "raw_xy", "raw_sigma")
+        if self.rig is not None:
+            lengths += ("raw_rest", "raw_displacement", "raw_sigma")
+            pixels = ("left", "right", "left_rest", "right_rest")
         units = {
             **dict.fromkeys(lengths, measure.unit),
             **dict.fromkeys(pixels, "px"),

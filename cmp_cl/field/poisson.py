@@ -259,15 +259,13 @@ class _Poisson:
 
     def misfit(self, value: Array, slopes: Array) -> Array:
         """Return, for each point, the RMS difference from the measured slope over both axes."""
-        squares, counts = np.zeros_like(value), np.zeros_like(value)
         total = np.zeros_like(value)
         for axis, (found, wanted, pairs) in enumerate(
             zip(self._differences(value), self._means(slopes), self._pairs, strict=True)
         ):
-            squares[:], counts[:] = 0, 0
+            squares, counts = np.zeros_like(value), np.zeros_like(value)
             off = np.square(found - wanted)
-            ends = (slice(1, None), slice(None, -1))
-            for end in ends:
+            for end in (slice(1, None), slice(None, -1)):
                 at = (slice(None), end) if axis == 0 else (end, slice(None))
                 squares[at] += off
                 counts[at] += pairs

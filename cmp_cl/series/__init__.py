@@ -1,13 +1,10 @@
 """Series in the formats that other programs read, chosen by suffix."""
 
 from collections.abc import Callable, Mapping
-from os import PathLike
-
-from numpy.typing import ArrayLike
 
 from cmp_cl.errors import ConfigError, check_kind
 from cmp_cl.files import suffix_of
-from cmp_cl.series.base import Description, Series
+from cmp_cl.series.base import Constants, Description, FileName, Series
 from cmp_cl.series.hdf5 import Hdf5Series
 from cmp_cl.series.mcap import McapSeries
 from cmp_cl.series.npz import NpzSeries, SeriesWriter
@@ -31,8 +28,7 @@ __all__ = [
     "read_series",
 ]
 
-_WRITERS: dict[str, Callable[[str | PathLike[str], Description, Mapping[str, ArrayLike]], Series]]
-_WRITERS = {
+_WRITERS: dict[str, Callable[[FileName, Description, Constants], Series]] = {
     ".npz": NpzSeries,
     ".h5": Hdf5Series,
     ".hdf5": Hdf5Series,
@@ -46,9 +42,7 @@ SERIES_SUFFIXES = tuple(_WRITERS)
 
 
 def open_series(
-    path: str | PathLike[str],
-    description: Description | None = None,
-    constants: Mapping[str, ArrayLike] | None = None,
+    path: FileName, description: Description | None = None, constants: Constants | None = None
 ) -> Series:
     """Open a series to write, in the format of the suffix; `-` is JSON lines on standard output.
 

@@ -3,6 +3,7 @@
 import dataclasses
 import datetime
 from collections.abc import Mapping
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from cmp_cl.errors import FieldError
 from cmp_cl.version import package_version
 
 Frame = dict[str, NDArray[Any]]
+FileName = str | PathLike[str]
+Constants = Mapping[str, ArrayLike]
 Raised = tuple[Any, Any, Any]  # the arguments of __exit__
 
 
@@ -33,6 +36,10 @@ class Description:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         return {"cmp_cl": package_version(), "written": now, **self.settings}
 
+    def with_units(self) -> dict[str, Any]:
+        """Return the units of the arrays, then the entries."""
+        return {"units": dict(self.units), **self.entries()}
+
 
 class Series(Closing):
     """Writes a series frame by frame; use it in a with statement.
@@ -48,7 +55,7 @@ class Series(Closing):
     file stays.
     """
 
-    def __init__(self, description: Description, constants: Mapping[str, ArrayLike]) -> None:
+    def __init__(self, description: Description, constants: Constants) -> None:
         self.description = description
         self.constants = {name: np.asarray(value) for name, value in constants.items()}
         self._layout: dict[str, tuple[tuple[int, ...], str]] | None = None

@@ -32,7 +32,7 @@ class Appended:
     def append(self, part: bytes) -> None:
         """Write a part completely or not at all; raises OSError."""
         try:
-            _write_all(self._file, part)
+            write_all(self._file, part)
         except OSError as error:
             self.error = OSError(error.errno, error.strerror, str(self._path))
             with contextlib.suppress(OSError):  # a device or a pipe cannot be truncated
@@ -157,7 +157,8 @@ class Finishable:
         """Do nothing: there is no buffer."""
 
 
-def _write_all(file: Any, part: bytes) -> None:
+def write_all(file: Any, part: bytes) -> None:
+    """Write data to an unbuffered file; raises OSError."""
     rest = memoryview(part)
     while rest:  # a nearly full disk may take only some of it
         rest = rest[file.write(rest) :]

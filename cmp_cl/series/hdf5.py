@@ -2,16 +2,14 @@
 
 import os
 import re
-from collections.abc import Mapping
-from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, temporary_beside
-from cmp_cl.series.base import Description, Frame, Raised, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
 from cmp_cl.series.disk import Reserve
 
 _CHUNK = 1 << 16  # bytes of a chunk of several small frames
@@ -32,12 +30,7 @@ class Hdf5Series(Series):
     Raises ConfigError without h5py, and OSError.
     """
 
-    def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description,
-        constants: Mapping[str, ArrayLike],
-    ) -> None:
+    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
         super().__init__(description, constants)
         with extra("hdf5", "HDF5"):
             import h5py

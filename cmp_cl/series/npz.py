@@ -6,7 +6,6 @@ import json
 import math
 import shutil
 import zipfile
-from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any
@@ -15,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.files import check_target, whole_file
-from cmp_cl.series.base import Description, Frame, Raised, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
+from cmp_cl.series.disk import write_all
 
 
 class NpzSeries(Series):
@@ -25,14 +25,10 @@ class NpzSeries(Series):
     """
 
     def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description | None,
-        constants: Mapping[str, ArrayLike],
+        self, path: FileName, description: Description | None, constants: Constants
     ) -> None:
         if description is not None:
-            about = {"units": dict(description.units), **description.entries()}
-            constants = {"about": np.array(json.dumps(about)), **constants}
+            constants = {"about": np.array(json.dumps(description.with_units())), **constants}
         super().__init__(description or Description(), constants)
         self._path = check_target(path)
         self._files = contextlib.ExitStack()
@@ -169,6 +165,4 @@ class _Column:
 
     def _write_at(self, offset: int, data: bytes) -> None:
         self.file.seek(offset)
-        rest = memoryview(data)
-        while rest:  # a nearly full disk may take only part of it
-            rest = rest[self.file.write(rest) :]
+        write_all(self.file, data)

@@ -14,9 +14,9 @@ from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
 from cmp_cl.files import write_text
 from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.stereo.adjustment import CAMERA, POSE
+from cmp_cl.stereo.adjustment import CAMERA, OF_CAMERA, POSE
 from cmp_cl.stereo.points import Points3D, PointStatus
-from cmp_cl.stereo.reading import open_storage, read_matrix
+from cmp_cl.stereo.storage import new_storage, open_storage, read_matrix, yaml_text
 from cmp_cl.stereo.triangulation import (
     inverse_symmetric,
     rays_through,
@@ -134,15 +134,13 @@ class StereoRig:
 
         Raises OSError if the file cannot be written.
         """
-        mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
-        storage = cv2.FileStorage(".yml", mode)
+        storage = new_storage()
         for name in _ALIASES:
             storage.write(name, np.atleast_2d(getattr(self, name)).copy())
         if self.covariance is not None:
             storage.write(_COVARIANCE, self.covariance.copy())
         storage.write("unit", self.unit)
-        body = storage.releaseAndGetString().split("\n", 1)[1]
-        write_text(path, "%YAML:1.0\n" + body)
+        write_text(path, yaml_text(storage))
 
     def triangulate(
         self, left: Grid, right: Grid, *, sigma: float = math.nan, max_error: float = 3.0
@@ -274,8 +272,8 @@ class StereoRig:
             [by_left[..., translation], by_right[..., translation] @ self.R], axis=1
         )
         by_rig = np.zeros((len(xyz), 4, 2 * CAMERA + POSE))
-        by_rig[:, :2, :CAMERA] = by_left[..., POSE : POSE + CAMERA]
-        by_rig[:, 2:, CAMERA : 2 * CAMERA] = by_right[..., POSE : POSE + CAMERA]
+        by_rig[:, :2, :CAMERA] = by_left[..., OF_CAMERA]
+        by_rig[:, 2:, CAMERA : 2 * CAMERA] = by_right[..., OF_CAMERA]
         by_rig[:, 2:, 2 * CAMERA :] = by_right[..., :POSE]
         return np.hstack([left.reshape(-1, 2), right.reshape(-1, 2)]), jacobian, by_rig
 

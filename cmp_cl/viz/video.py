@@ -13,6 +13,7 @@ from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.files import check_target, suffix_of, temporary_beside
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
+from cmp_cl.viz.overlays import strips
 
 OVERLAY_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
 _STRIP = 40  # px below the image for the text and the colour bar
@@ -109,16 +110,7 @@ class OverlayVideo(Closing):
         """Draw lines between neighbours, then a disc on every node."""
         valid = ~np.isnan(xy[..., 0])
         whole = np.rint(np.where(valid[..., None], xy, 0)).astype(np.int32)
-        lines = []
-        across = np.ascontiguousarray(whole.transpose(1, 0, 2))
-        for points, there in ((whole, valid), (across, valid.T)):
-            for line, known in zip(points, there, strict=True):
-                ends = np.flatnonzero(np.diff(known)) + 1
-                lines += [
-                    part
-                    for part, seen in zip(np.split(line, ends), np.split(known, ends), strict=True)
-                    if seen[0] and len(part) > 1
-                ]
+        lines = [np.ascontiguousarray(line) for line in strips(whole, valid)]
         cv2.polylines(canvas, lines, False, _LINE, 1)
         level = np.rint(np.nan_to_num(moved[valid]) * (255 / (self._top or 1))).astype(np.uint8)
         colours = np.where(np.isnan(moved[valid])[:, None], _NO_VALUE, self._colours[level])
