@@ -1,17 +1,18 @@
 """`cmp-cl detect`: the corners of images, folders of images and videos."""
 
 import argparse
-import contextlib
 import itertools
 import os
 import statistics
 import sys
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl import media
 from cmp_cl.cli.arguments import (
@@ -24,16 +25,17 @@ from cmp_cl.cli.arguments import (
 from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.tables import CORNER_COLUMNS, NODE_COLUMNS, Table, corner_rows, node_rows
+from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector, choose_config
 from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import whole_file
-from cmp_cl.grid import Grid, build_grid
+from cmp_cl.grid import build_grid
 from cmp_cl.image import GreyImage
 from cmp_cl.marks import drop_marks
 from cmp_cl.measure.patterns import is_of_few_bits, of_few_bits
-from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.device import select_device
 from cmp_cl.viz import corner_overlay, grid_overlay
 
 
@@ -94,83 +96,31 @@ def run(arguments: argparse.Namespace) -> int:
     out = _csv_path(arguments.out)
     refuse_to_overwrite([*paths, arguments.config], [*overlays.values(), out])
     tell_what_opencv_hides(paths)
-    device = None if arguments.device is None else select_device(arguments.device)
-    status = 0
-    told = False  # that weak corners may be missing
-    table = None
-    with contextlib.suppress(_NothingToWrite), contextlib.ExitStack() as stack:
-        if out is not None:
-            columns = CORNER_COLUMNS if arguments.grid is None else NODE_COLUMNS
-            table = Table(stack.enter_context(whole_file(out)), columns)
-        finder = stack.enter_context(
-            contextlib.closing(
-                _Finder(
-                    config,
-                    arguments.full_scale,
-                    device,
-                    arguments.max_pixels,
-                    marks_go=arguments.drop_marks,
-                )
-            )
-        )
-        progress = stack.enter_context(Progress(_frames_in(paths), "frames"))
-        for path in paths:
-            tally = _Tally()
-            failures = []
-            try:
-                for number, image, corners in finder.find(path, tally):
-                    grid = None
-                    if arguments.grid is not None:
-                        grid = tally.numbered(number, image, corners, arguments.grid)
-                    if table is not None and arguments.grid is None:
-                        table.write(str(path), number, corner_rows(corners))
-                    elif table is not None and grid is not None:
-                        table.write(str(path), number, node_rows(grid))
-                    if path in overlays:
-                        name = _of_frame(overlays[path], path, number)
-                        drawn = corner_overlay(image, corners)
-                        media.write_image(
-                            name,
-                            drawn if grid is None else grid_overlay(image, grid, corners=corners),
-                        )
-                        tally.overlays.append(name)
-                    progress.step()
-            except ImageError as error:
-                failures.append(one_line(error))
-            if tally.refused:
-                failures.append(f"{shown(path)}: {tally.refused_line()}")
-            status = 2 if failures else status
-            empty = table is not None and status == 2 and not table.rows and path is paths[-1]
-            if empty:
-                failures.append(f"{shown(out)} was not written")
-            if failures:
-                progress.say(f"cmp-cl: {'; '.join(failures)}", sys.stderr)
-            if tally.broken and tally.counts:
-                progress.say(f"cmp-cl: {shown(path)}: {tally.broken_line()}", sys.stderr)
-            if tally.counts:
-                progress.say(f"{shown(path)}: {tally.line()}", sys.stdout)
-            if tally.is_dark() and not (told and any(tally.counts)):
-                told = True
-                progress.say(
-                    f"cmp-cl: {shown(path)}: {of_few_bits(tally.brightest)}",
-                    sys.stderr,
-                )
-            if empty:
-                raise _NothingToWrite
-    if table is not None and not (status and not table.rows):
-        what = "corners" if arguments.grid is None else "nodes"
-        print(f"wrote {shown(out)}: {table.rows} {what}")
-    return status
-
-
-class _NothingToWrite(Exception):
-    """Nothing was found and something failed, so that an older table is kept."""
+    finder = _Finder(config, arguments)
+    kind = _CornerOutput if arguments.grid is None else _NodeOutput
+    failed = told = lost = False
+    with ExitStack() as files:
+        output = kind(files, out, arguments.grid)
+        with finder, Progress(_frames_in(paths), "frames") as progress:
+            for path in paths:
+                tally = _Tally(path, overlays.get(path))
+                _search(tally, finder, output, progress)
+                failed = failed or bool(tally.failures)
+                lost = failed and path is paths[-1] and output.is_empty()
+                if lost:
+                    tally.failures.append(f"{shown(out)} was not written")
+                _tell(tally, progress, told=told)
+                told = told or tally.is_dark()
+        output.close(lost=lost)
+    return 2 if failed else 0
 
 
 class _Tally:
     """The counts and the failures of a file."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path, overlay: Path | None) -> None:
+        self.path, self.overlay = path, overlay
+        self.failures: list[str] = []
         self.counts: list[int] = []
         self.milliseconds: list[float] = []
         self.nodes: list[int] = []
@@ -181,32 +131,6 @@ class _Tally:
         self.brightest = 0
         self.device = ""
         self.size = 0  # nodes of the pattern
-
-    def add(self, corners: Corners, milliseconds: float) -> None:
-        self.counts.append(len(corners))
-        self.milliseconds.append(milliseconds)
-        self.device = corners.device
-
-    def numbered(
-        self, frame: int, image: GreyImage, corners: Corners, shape: tuple[int, int]
-    ) -> Grid | None:
-        """Number the corners of a frame by row and column; return None if that fails.
-
-        A board of another size is refused, because the wanted part of it is unknown.
-        """
-        try:
-            grid = build_grid(corners, image, shape=shape)
-        except GridError as error:
-            self.refused[frame] = one_line(error)
-            return None
-        if grid.seen_shape is not None:
-            self.refused[frame] = grid.doubts[0]
-            return None
-        if grid.ambiguous:
-            self.ambiguous.append(frame)
-        self.nodes.append(int(np.count_nonzero(grid.valid)))
-        self.size = grid.status.size
-        return grid
 
     def line(self) -> str:
         corners = f"{_span(self.counts)} corners"
@@ -253,37 +177,86 @@ def _span(counts: Sequence[int]) -> str:
     return f"{least}" if least == most else f"{least} to {most}"
 
 
-class _Finder:
+class _CornerOutput:
+    """Writes the corners of frames to a table of all files, and to a picture of each frame."""
+
+    noun = "corners"
+    columns: Sequence[str] = CORNER_COLUMNS
+
+    def __init__(self, files: ExitStack, out: Path | None, shape: tuple[int, int] | None) -> None:
+        self._files, self._out, self._shape = files, out, shape
+        self._table = None
+        if out is not None:
+            self._table = Table(files.enter_context(whole_file(out)), self.columns)
+
+    def is_empty(self) -> bool:
+        return self._table is not None and not self._table.rows
+
+    def close(self, *, lost: bool) -> None:
+        """Put the table in its place and say so; a lost one is dropped."""
+        with suppress(ImageError), self._files:
+            if lost:  # an error makes the file's block keep an older table
+                raise ImageError("nothing was found")
+        if self._table is not None and not lost:
+            print(f"wrote {shown(self._out)}: {self._table.rows} {self.noun}")
+
+    def add(self, tally: _Tally, number: int, image: GreyImage, corners: Corners) -> None:
+        """Write what was found in a frame."""
+        self._write(tally, number, corner_rows(corners))
+        self._draw(tally, number, lambda: corner_overlay(image, corners))
+
+    def _write(self, tally: _Tally, number: int, rows: Iterable[Sequence[object]]) -> None:
+        if self._table is not None:
+            self._table.write(str(tally.path), number, rows)
+
+    def _draw(self, tally: _Tally, number: int, draw: Callable[[], NDArray[np.uint8]]) -> None:
+        if tally.overlay is not None:
+            name = _of_frame(tally.overlay, tally.path, number)
+            media.write_image(name, draw())
+            tally.overlays.append(name)
+
+
+class _NodeOutput(_CornerOutput):
+    """Numbers the corners by row and column, and writes the nodes in their place."""
+
+    noun, columns = "nodes", NODE_COLUMNS
+
+    def add(self, tally: _Tally, number: int, image: GreyImage, corners: Corners) -> None:
+        try:
+            grid = build_grid(corners, image, shape=self._shape)
+            if grid.seen_shape is not None:  # it is unknown which part of the board is wanted
+                raise GridError(grid.doubts[0])
+        except GridError as error:
+            tally.refused[number] = one_line(error)
+            self._draw(tally, number, lambda: corner_overlay(image, corners))
+            return
+        if grid.ambiguous:
+            tally.ambiguous.append(number)
+        tally.nodes.append(int(np.count_nonzero(grid.valid)))
+        tally.size = grid.status.size
+        self._write(tally, number, node_rows(grid))
+        self._draw(tally, number, lambda: grid_overlay(image, grid, corners=corners))
+
+
+class _Finder(Closing):
     """Finds corners in a sequence of images, and keeps its detector as long as it fits them."""
 
-    def __init__(
-        self,
-        config: DetectorConfig | None,
-        full_scale: int | None,
-        device: Device | None,
-        max_pixels: int,
-        *,
-        marks_go: bool,
-    ) -> None:
-        self._max_pixels = max_pixels
-        self._marks_go = marks_go
-        self._config = config
-        self._full_scale = full_scale
-        self._device = device
+    def __init__(self, config: DetectorConfig | None, arguments: argparse.Namespace) -> None:
+        self._config, self._arguments = config, arguments
+        self._device = None if arguments.device is None else select_device(arguments.device)
         self._key: object = None
-        self._kept = contextlib.ExitStack()
-        self._detector: Detector
+        self._kept = ExitStack()
 
-    def find(self, path: Path, tally: _Tally) -> Iterator[tuple[int, GreyImage, Corners]]:
+    def find(self, tally: _Tally) -> Iterator[tuple[int, GreyImage, Corners]]:
         """Yield the frames of a file that can be read: number, image and corners.
 
         Without a configuration it is estimated from each frame until one has corners.
         """
-        config = self._config
-        scale = media.full_scale(path) if self._full_scale is None else self._full_scale
+        path, config, asked = tally.path, self._config, self._arguments
+        scale = media.full_scale(path) if asked.full_scale is None else asked.full_scale
         if config is not None and config.full_scale is None:
             config = config.replace(full_scale=scale)
-        for frame in media.read_frames(path, max_pixels=self._max_pixels):
+        for frame in media.read_frames(path, max_pixels=asked.max_pixels):
             if frame.image is None:
                 tally.broken.append(frame.index)
                 continue
@@ -292,9 +265,11 @@ class _Finder:
             start = time.perf_counter()
             corners = self._detector(frame.image)
             milliseconds = (time.perf_counter() - start) * 1e3
-            if self._marks_go:
+            if asked.drop_marks:
                 corners = drop_marks(corners, frame.image)
-            tally.add(corners, milliseconds)
+            tally.counts.append(len(corners))
+            tally.milliseconds.append(milliseconds)
+            tally.device = corners.device
             if frame.image.dtype == np.uint16 and chosen.full_scale is None:
                 tally.brightest = max(tally.brightest, int(frame.image.max()))
             if len(corners):
@@ -320,13 +295,38 @@ class _Finder:
         self._kept.close()
 
 
+def _search(tally: _Tally, finder: _Finder, output: _CornerOutput, progress: Progress) -> None:
+    """Find the corners of a file, and write them."""
+    try:
+        for number, image, corners in finder.find(tally):
+            output.add(tally, number, image, corners)
+            progress.step()
+    except ImageError as error:
+        tally.failures.append(one_line(error))
+    if tally.refused:
+        tally.failures.append(f"{shown(tally.path)}: {tally.refused_line()}")
+
+
+def _tell(tally: _Tally, progress: Progress, *, told: bool) -> None:
+    """Say what happened to a file; told: whether an earlier one was said to be dark."""
+    name = shown(tally.path)
+    if tally.failures:
+        progress.say(f"cmp-cl: {'; '.join(tally.failures)}", sys.stderr)
+    if tally.broken and tally.counts:
+        progress.say(f"cmp-cl: {name}: {tally.broken_line()}", sys.stderr)
+    if tally.counts:
+        progress.say(f"{name}: {tally.line()}", sys.stdout)
+    if tally.is_dark() and not (told and any(tally.counts)):
+        progress.say(f"cmp-cl: {name}: {of_few_bits(tally.brightest)}", sys.stderr)
+
+
 def _frames_in(paths: Sequence[Path]) -> int | None:
     """Return the number of frames, None if no terminal shows progress."""
     if not sys.stderr.isatty():
         return None
     total = 0
     for path in paths:
-        with contextlib.suppress(ImageError, OSError):
+        with suppress(ImageError, OSError):
             total += media.count_frames(path) or 1
     return total
 
@@ -365,10 +365,9 @@ def _overlay_paths(overlay: str | None, paths: Sequence[Path]) -> dict[Path, Pat
     names: dict[Path, Path] = {}
     for path in dict.fromkeys(paths):
         name = folder / f"{path.stem}-corners.png"
-        number = 2
+        others = (folder / f"{path.stem}-{number}-corners.png" for number in itertools.count(2))
         while name in names.values():
-            name = folder / f"{path.stem}-{number}-corners.png"
-            number += 1
+            name = next(others)
         names[path] = name
     return names
 
