@@ -312,6 +312,20 @@ def test_a_pattern_that_moved_by_a_period_behind_an_edge_is_ambiguous():
     assert grid.ambiguous
 
 
+@pytest.mark.parametrize(("moved", "edge_moved", "sure"), [(40, 0, False), (10, 10, True)])
+def test_an_edge_through_squares_is_a_border_only_if_it_moves_with_the_pattern(
+    moved, edge_moved, sure
+):
+    whole, _ = drawn(6, 20)
+    rest_view, view = (np.ascontiguousarray(whole[:, x : x + 240]) for x in (60, 60 + moved))
+    rest_view[:, 190:] = view[:, 190 - edge_moved :] = 210  # as the paper beside the pattern
+    rest = build_grid(seen_in(rest_view), rest_view)
+    grid = build_grid(seen_in(view), view, like=rest)
+    np.testing.assert_allclose(grid.reach, [1, 1, np.nan, 0.5], atol=0.05)
+    np.testing.assert_allclose(grid.reach, rest.reach, atol=0.05)
+    assert grid.ambiguous != sure
+
+
 def test_a_sheet_that_was_cut_along_its_squares_has_borders_on_both_sides():
     views = []
     for x in (40, 80):
