@@ -21,7 +21,7 @@ from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
 from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, boxed, check_room
 from cmp_cl.grid.numbering import Numbered, like_rest
-from cmp_cl.grid.sizes import in_shape
+from cmp_cl.grid.sizes import followed, in_shape
 from cmp_cl.image import GreyImage, check_image
 
 SMALL = 0.1  # least share of the corners that the pattern must hold
@@ -333,6 +333,8 @@ def _numbered(
         border = border.turned(numbered.quarters)
     else:
         border = border_of(numbered.nodes, seen.image)
+    if like is None and shape is not None:
+        numbered = followed(numbered, border.followed)
     declared = _declared(numbered, border.sides, shape if like is None else None)
     whole = all(declared) and numbered.seen_shape is None and numbered.nodes.at.shape == shape
     reflected = _reflected(numbered.nodes, like, whole=whole)

@@ -558,6 +558,26 @@ def test_a_wrong_size_is_reported_though_most_of_the_last_line_is_hidden(shown):
     assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
 
 
+def test_a_wrong_size_is_reported_though_no_corner_of_the_last_line_is_seen():
+    image, nodes = drawn(6, 9)
+    x = round(float(nodes.reshape(6, 9, 2)[0, -1, 0]))
+    image[:, x - 5 : x + 6] = 128  # the last column is hidden, its squares are not
+    corners = seen_in(image)
+    grid = build_grid(corners, image, shape=(6, 8))
+    assert grid.valid.all()
+    assert grid.seen_shape == (6, 9)
+    assert grid.continues == Sides(right=True)
+    assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
+
+
+def test_things_beside_a_board_are_not_taken_for_its_squares():
+    image, _ = drawn(6, 9)
+    for number, level in enumerate((40, 210, 40, 40, 210, 210, 40, 210, 125, 210)):
+        x = 40 + 20 * number
+        image[180:220, x : x + 20] = level  # three of ten have not the level of a square there
+    assert build_grid(seen_in(image), image, shape=(6, 9)).seen_shape is None
+
+
 @pytest.mark.parametrize(("seed", "size"), [(910011, 6), (910017, 6), (910038, 3)])
 def test_spots_beside_a_border_do_not_make_a_wrong_size_sure(seed, size):
     image, _ = drawn(6, 5)
