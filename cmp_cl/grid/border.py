@@ -32,6 +32,7 @@ MOST = 23  # most squares of a side that are examined; odd, so that equal steps 
 STEP = 0.1  # cells
 # Cells from the last nodes: depths at which the last squares may end.
 DEPTHS = np.arange(0.3, 1.45, STEP)
+SHOWN = np.concatenate([[-0.5], DEPTHS])  # the middle of the squares, then these depths
 PARALLEL = 0.16  # cells: three of four reaches must be as near to their median
 ALIKE = 0.12  # cells: greatest difference between the reach of a side in two images
 PAST = np.array([0.3, 0.6, 0.9])  # cells past the pattern, where its border line has ended
@@ -149,11 +150,10 @@ def _reaches(nodes: Nodes, squares: Points, ended: Sides, image: GreyImage) -> F
     side, first = _pairs(nodes.there)
     asked = np.array(ended)[side]
     side, first = side[asked], first[asked]
-    middle, out, along = squares[:, side[:, None], first[:, None] + [0, 1]]
-    shown = in_view(middle + DEPTHS[-1] * out, image).all(axis=1)
-    middle, out, along = (each[shown, :, None] for each in (middle, out, along))
-    depths = np.concatenate([[-0.5], DEPTHS])
-    spots = middle + depths * out + SPOTS[:, None, None, None] * along
+    pairs = squares[:, side[:, None], first[:, None] + [0, 1]]
+    shown = in_view(pairs[0] + DEPTHS[-1] * pairs[1], image).all(axis=1)
+    middle, out, along = pairs[:, shown, :, None]
+    spots = middle + SHOWN * out + SPOTS[:, None, None, None] * along
     level = grey(image, spots).sum(axis=0)
     contrast = np.abs(level[:, 0] - level[:, 1])
     share = np.minimum(contrast[:, 1:] / np.maximum(contrast[:, :1], 1), 1)
@@ -238,8 +238,9 @@ def common_reach(reach: Float, columns: int) -> float:
     count = len(reach)
     if count < max(min(2, columns - 2), 1):
         return math.nan
-    middling = statistics.median(reach.tolist())
-    off = sorted(np.abs(reach - middling).tolist())
+    reaches = reach.tolist()
+    middling = statistics.median(reaches)
+    off = sorted(abs(each - middling) for each in reaches)
     return middling if off[(3 * count - 1) // 4] <= PARALLEL else math.nan
 
 
@@ -303,7 +304,7 @@ def _ends_at(
     level = (sign * grey(image, spots).sum(axis=0))[:, seen]
     group = (2 * side + (sign > 0))[seen]  # dark squares of the first side, bright ones, ...
     count = np.bincount(group, minlength=8)
-    total = np.stack([np.bincount(group, each, 8) for each in level])
+    total = np.array([np.bincount(group, each, 8) for each in level])
     beyond, inside = np.abs((total / np.maximum(count, 1)).reshape(2, 4, 2).sum(axis=2))
     dark, bright = count.reshape(4, 2).T
     change = np.bincount(side[seen], np.abs(level[0] - level[1]), 4) / np.maximum(dark + bright, 1)

@@ -16,7 +16,7 @@ from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
 from cmp_cl.grid.joints import cut
-from cmp_cl.grid.lattice import Lattice, bends, lattice
+from cmp_cl.grid.lattice import Lattice, bends, lattice, lines_of
 from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
 from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, boxed, check_room
@@ -239,7 +239,7 @@ def _checked(
         image = image if image.flags.c_contiguous else image.copy()
     torn = np.ones(len(inside) + 1, np.bool_)
     torn[:-1] = (~(corners.sigma < TORN) | (corners.refusal != Refusal.NONE.value)).take(inside)
-    return inside, Seen(z, edges, image, torn)
+    return inside, Seen(z, edges, lines_of(edges), image, torn)
 
 
 def _found(seen: Seen, *, sparse_boards: bool = True) -> Lattice | None:
@@ -250,10 +250,10 @@ def _found(seen: Seen, *, sparse_boards: bool = True) -> Lattice | None:
     if len(seen.z) < 4:
         return None
     z = seen.z.astype(np.complex64)
-    found = lattice(z, seen.edges)
+    found = lattice(z, seen.lines)
     left = np.flatnonzero(found.component < 0)
     if sparse_boards and len(left) >= OTHER:
-        found = _with_wider(found, left, lattice(z[left], seen.edges[left], FEW))
+        found = _with_wider(found, left, lattice(z[left], seen.lines[:, left], FEW))
     return found if len(found.size) else None
 
 
@@ -483,8 +483,8 @@ def _result(corners: Corners, inside: Index, board: Board) -> Grid:
     place = np.flatnonzero(nodes.owner >= 0)
     owner = inside.take(nodes.owner.take(place))
     index = np.full((len(corners), 2), -1, np.int32)
-    row = place // nodes.at.shape[1]
-    index[owner, 0], index[owner, 1] = row, place - row * nodes.at.shape[1]
+    rows, columns = index.T
+    rows[owner], columns[owner] = np.divmod(place.astype(np.int32), np.int32(nodes.at.shape[1]))
     sigma = np.full(nodes.at.shape, np.nan, np.float32)
     sigma.ravel()[place] = corners.sigma.take(owner)
     xy = nodes.at.astype(np.complex64, order="C").view(np.float32).reshape(*nodes.at.shape, 2)

@@ -3,15 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.grid.lattice import lines_of
+from cmp_cl.grid.lattice import Complex
 from cmp_cl.grid.nodes import Float, Index, Mask, Nodes, Points, kept_by_mask, median, turned_lines
-from cmp_cl.grid.predict import Stencil, Steps
+from cmp_cl.grid.predict import Steps, predict_some
 from cmp_cl.image import GreyImage
 
-DIAGONAL = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j])  # columns + 1j rows, to the four cells
 # Shares of a cell's diagonal: points at which its grey level is sampled.
 WITHIN = np.array([0.2, 0.3])
 HOLE = 6  # nodes: those beside a larger hole count as nodes at the rim
@@ -42,17 +40,17 @@ EDGE_PIXELS, EDGE_OFF = 3.0, 2.0  # px from the edge of the image, and from the 
 EDGE_CELLS, EDGE_OFF_CELLS = 0.25, 0.12  # the same in cells
 
 
-def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
+def reject(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
     """Reject nodes at the rim that do not look like the pattern's; return whether there were any.
 
     Junctions with the surround, dots and codes in cells, T junctions and the corners of a room fail
     in one of two ways: they do not have four sectors with the colours of their number, or their
-    edges do not lead to their neighbours. edges: (N, 4) rad, as in `Corners`.
+    edges do not lead to their neighbours. lines: of the corners, see `lines_of`.
     """
     dropped = False
     usual: float | None = None
     while True:
-        row, column, whole, stencil = _rim(nodes.there)
+        row, column, whole = _rim(nodes.there)
         if not len(row):
             return dropped
         if usual is None:
@@ -62,19 +60,19 @@ def reject(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
             look = every.first(len(row))
         else:
             look = _look(nodes, image, row, column)
-        kept = _convincing(nodes, image, edges, look, whole, stencil, usual)
+        kept = _convincing(nodes, image, lines, look, whole, usual)
         if kept.all():
             return dropped
         nodes.drop(row[~kept], column[~kept])
         dropped = True
 
 
-def reject_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]) -> bool:
+def reject_stragglers(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
     """Reject stragglers that are not as good as other nodes; return whether there were any.
 
     Where a board touches things behind it, some of these complete its outer squares by chance. A
     last line that has at most half of the nodes in view is probably beyond the border; its nodes
-    are stragglers. edges: (N, 4) rad, as in `Corners`.
+    are stragglers. lines: of the corners, see `lines_of`.
     """
     dropped = False
     while _has_few(nodes.there):
@@ -84,14 +82,14 @@ def reject_stragglers(nodes: Nodes, image: GreyImage, edges: NDArray[np.float32]
         look = _look(nodes, image, *place)
         inside = _look(nodes, image, *_some_inside(nodes.there))
         off, others = (
-            np.abs(Stencil.of(nodes.there, *each).predict(nodes.at) - nodes.at[each])
+            np.abs(predict_some(nodes, *each)[0] - nodes.at[each])
             for each in (place, _rim(nodes.there)[:2])
         )
         others = others[~np.isnan(others)]
         contrast, usual = look.bright - look.dark, median(inside.bright - inside.dark)
         kept = look.known & (contrast >= np.maximum(ALONE.span * look.span, ALONE.contrast * usual))
         kept &= off <= np.minimum(np.maximum(STRAY, ALIKE * median(others)), ALONE.off * look.cell)
-        kept &= ~(_cosine(nodes, edges, row, column, look.along, look.down) < ALONE.cosine)
+        kept &= ~(_cosine(nodes, lines, row, column, look.along, look.down) < ALONE.cosine)
         if kept.all():
             return dropped
         nodes.drop(row[~kept], column[~kept])
@@ -122,9 +120,9 @@ def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index]:
 
 
 @kept_by_mask
-def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
-    """Return the nodes with a neighbour, of eight, that is neither there nor bracketed, a mask of
-    those in a whole cell, and their stencil.
+def _rim(seen: Mask) -> tuple[Index, Index, Mask]:
+    """Return the nodes with a neighbour, of eight, that is neither there nor bracketed, and a mask
+    of those in a whole cell.
 
     An index is bracketed if it lies in a small hole, between nodes of its row and of its column.
     """
@@ -138,7 +136,7 @@ def _rim(seen: Mask) -> tuple[Index, Index, Mask, Stencil]:
     cell = around[:-1, :-1] & around[1:, :-1] & around[:-1, 1:] & around[1:, 1:]
     inside = cell[row, column] | cell[row + 1, column]
     inside |= cell[row, column + 1] | cell[row + 1, column + 1]
-    return row, column, inside, Stencil.of(seen, row, column)
+    return row, column, inside
 
 
 def _hole(seen: Mask) -> Mask:
@@ -197,13 +195,14 @@ def _look(
     along, down, cell = (steps or Steps.of(nodes.there, row, column)).mean(nodes.at)
     known = ~np.isnan(along.real + down.real)
     along[~known] = down[~known] = 0
-    step = DIAGONAL.real[:, None] * along + DIAGONAL.imag[:, None] * down
+    falling, rising = along + down, along - down
+    step = np.array([falling, rising, -falling, -rising])  # to the four cells
     at = nodes.at[row, column] + WITHIN[:, None, None] * step
     level = grey(image, at).sum(axis=0)
+    high, low = np.maximum(level[:2], level[2:]), np.minimum(level[:2], level[2:])
     black = (nodes.parity + row + column) % 2 == 0  # the cells after and before on the diagonal
-    level = np.where(black, level, level[[1, 2, 3, 0]])
-    dark, bright = np.maximum(level[0], level[2]), np.minimum(level[1], level[3])
-    span = level.max(axis=0) - level.min(axis=0)
+    dark, bright = np.where(black, *high), np.where(black, *low[::-1])
+    span = np.maximum(*high) - np.minimum(*low)
     return _Look(row, column, along, down, cell, known, bright, dark, span)
 
 
@@ -229,23 +228,21 @@ def in_view(at: Points, image: GreyImage) -> Mask:
 def _convincing(
     nodes: Nodes,
     image: GreyImage,
-    edges: NDArray[np.float32],
+    lines: Complex,
     look: _Look,
     in_cell: Mask,
-    stencil: Stencil,
     usual: float,
 ) -> Mask:
     """Return a mask of the nodes that look like corners of the pattern."""
     row, column, along, down, cell, known, bright, dark, span = look
     contrast = bright - dark
-    cosine = _cosine(nodes, edges, row, column, along, down)
+    cosine = _cosine(nodes, lines, row, column, along, down)
     at = nodes.at[row, column]
     far = np.array(image.shape[::-1]) - 1
     inward = np.minimum(
         np.minimum(at.real, far[0] - at.real), np.minimum(at.imag, far[1] - at.imag)
     )
-    expected = stencil.predict(nodes.at)
-    off = np.abs(expected - at)
+    off = np.abs(predict_some(nodes, row, column)[0] - at)
     off[np.isnan(off)] = np.inf
     typical = _typical(off, cell, row, column, nodes.at.shape)
     near = np.maximum(NEAR, np.minimum(ALIKE * typical, BENT * cell))
@@ -291,14 +288,15 @@ def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[in
 
 
 def _cosine(
-    nodes: Nodes, edges: NDArray[np.float32], row: Index, column: Index, along: Points, down: Points
+    nodes: Nodes, lines: Complex, row: Index, column: Index, along: Points, down: Points
 ) -> Float:
     """Return the smaller |cos| of the angles between a corner's two lines and the steps, or NaN."""
     owner = nodes.owner[row, column]
-    lines = lines_of(edges[owner])
     level = (nodes.parity + row + column) % 2 == 0  # e0 and e2 lie along the row
-    steps = np.where(level, (along, down), (down, along))
-    cosine = np.abs((lines * steps.conj()).real) / np.maximum(np.abs(steps), 1e-9)
-    least: Float = cosine.min(axis=0)
+    steps = np.array([along, down])
+    steps = np.where(level, steps, steps[::-1]).conj()
+    ahead = np.abs((lines.take(owner, axis=1) * steps).real)
+    cosine = ahead / np.maximum(np.abs(steps), 1e-9)
+    least: Float = np.minimum(*cosine)
     least[owner < 0] = np.nan
     return least

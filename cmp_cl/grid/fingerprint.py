@@ -32,12 +32,13 @@ class Fingerprint(NamedTuple):
     """The printing errors of a pattern.
 
     error: (R, C) complex, cells, along rows plus 1j along columns, 0 where unknown. known: (R, C)
-        bool. cell: mean side of a cell, px.
+        bool. cell: mean side of a cell, px. power: the mean square of the errors, cells^2.
     """
 
     error: Points
     known: Mask
     cell: float
+    power: float
 
     @classmethod
     def of(cls, at: Points) -> "Fingerprint":
@@ -46,25 +47,20 @@ class Fingerprint(NamedTuple):
         rough, length = _rough(at)
         inner = ~np.isnan(rough.real)
         if not inner.any():
-            return cls(error, known, 0.0)
+            return cls(error, known, 0.0, 0.0)
         size = np.abs(rough)
         limit = CLIP * median(size[inner])
         rough *= np.minimum(1, limit / np.maximum(size, 1e-12))
         known[2:-2, 2:-2] = inner
         np.copyto(error[2:-2, 2:-2], rough, where=inner)
-        return cls(error, known, float(length[inner].mean()))
+        power = float(np.vdot(error, error).real) / int(np.count_nonzero(inner))
+        return cls(error, known, float(length[inner].mean()), power)
 
     @classmethod
     def at_rest(cls, rest: Grid) -> "Fingerprint":
         """Take the fingerprint of a grid at rest. The last few are kept for the other frames of a
         recording."""
         return _kept(rest.shape, rest.xy.dtype, rest.xy.tobytes(), rest.status.tobytes())
-
-    @property
-    def power(self) -> float:
-        """Return the mean square of the errors, cells^2."""
-        squares = float(np.vdot(self.error, self.error).real)  # 0 where unknown
-        return squares / max(int(np.count_nonzero(self.known)), 1)
 
     @property
     def pixels(self) -> float:

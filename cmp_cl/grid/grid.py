@@ -294,7 +294,7 @@ def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
     there: (R, C) bool, True at a node. The label of an entry without a node is -1.
     """
     if not there.size or there.all():
-        return np.where(there, 0, -1).astype(np.int32)
+        return np.zeros(there.shape, np.int32)
     count, label = cv2.connectedComponents(there.astype(np.uint8), connectivity=4)
     size = np.bincount(label.ravel(), minlength=count)
     size[0] = -1  # no node

@@ -7,14 +7,15 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid import evidence
 from cmp_cl.grid.grid import NodeStatus, Sides
+from cmp_cl.grid.lattice import Complex
 from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, median
 from cmp_cl.grid.predict import (
+    FULL,
     REACHED,
-    beside_missing,
     bordered,
     mean_steps,
-    predict,
-    predict_within,
+    predict_all,
+    predict_some,
 )
 from cmp_cl.grid.second_look import second_look
 from cmp_cl.grid.whole_edges import along_edges
@@ -35,14 +36,15 @@ FEW = 400  # up to so many nodes are predicted one by one, which is faster
 class Seen(NamedTuple):
     """The data that a grid is built from.
 
-    z: (N,) positions of the corners, x + 1j y, px. edges: (N, 4) rad, as in `Corners`. image: (H,
-    W), or None; without it there is no second look and no check of the rim. torn: (N + 1,) bool,
-    corners whose own image does not show their position, and True at the end, for nodes without a
-    corner.
+    z: (N,) positions of the corners, x + 1j y, px. edges: (N, 4) rad, as in `Corners`. lines: (2,
+    N), of the corners, see `lines_of`. image: (H, W), or None; without it there is no second look
+    and no check of the rim. torn: (N + 1,) bool, corners whose own image does not show their
+    position, and True at the end, for nodes without a corner.
     """
 
     z: Points
     edges: NDArray[np.float32]
+    lines: Complex
     image: GreyImage | None
     torn: Mask
 
@@ -61,7 +63,7 @@ def grow(nodes: Nodes, seen: Seen) -> None:
         _reject(nodes, seen)
     nodes.crop()
     if seen.image is not None:
-        evidence.reject_stragglers(nodes, seen.image, seen.edges)
+        evidence.reject_stragglers(nodes, seen.image, seen.lines)
 
 
 def extend(nodes: Nodes, seen: Seen, closed: Sides) -> None:
@@ -78,7 +80,7 @@ def extend(nodes: Nodes, seen: Seen, closed: Sides) -> None:
                 line[:] = np.inf
         found = _look_again(nodes, looked, seen.image, WEAK)
         drop_misfits(nodes)
-        found &= not evidence.reject(nodes, seen.image, seen.edges)
+        found &= not evidence.reject(nodes, seen.image, seen.lines)
         nodes.crop()
         if not found:
             return
@@ -111,7 +113,7 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
 def _reject(nodes: Nodes, seen: Seen) -> None:
     """Reject nodes at the rim that do not look like corners of the pattern."""
     if seen.image is not None:
-        evidence.reject(nodes, seen.image, seen.edges)
+        evidence.reject(nodes, seen.image, seen.lines)
 
 
 def drop_misfits(nodes: Nodes) -> None:
@@ -122,7 +124,7 @@ def drop_misfits(nodes: Nodes) -> None:
     """
     while nodes.changed.any():
         place = _near_changes(nodes)
-        off = _misfits(nodes.at, place)
+        off = _misfits(nodes, place)
         nodes.astray[nodes.owner.take(place[off > ASTRAY])] = True
         bad = off > NEAR
         nodes.changed[:] = False
@@ -150,21 +152,19 @@ def _near_changes(nodes: Nodes) -> Index:
     return np.flatnonzero(seen)
 
 
-def _misfits(at: Points, place: Index) -> Float:
+def _misfits(nodes: Nodes, place: Index) -> Float:
     """Return the distances of nodes from well supported predictions, cells; 0 up to a pixel."""
-    columns = at.shape[1]
+    at, columns = nodes.at, nodes.at.shape[1]
     if len(place) > FEW:
-        outside, outer = beside_missing(~np.isnan(at.real))
-        every = predict_within(at)
-        every.ravel()[outside] = np.where(outer.weight < STRONG, NOWHERE, outer.predict(at))
-        prediction = every.take(place)
+        prediction, weight = (each.take(place) for each in predict_all(nodes))
     else:
-        prediction, weight = predict(at, *np.divmod(place, columns))
-        prediction[weight < STRONG] = NOWHERE
+        prediction, weight = predict_some(nodes, *np.divmod(place, columns))
+    prediction[weight < STRONG] = NOWHERE
     gap = np.abs(at.take(place) - prediction)
     far = np.flatnonzero(gap > 1)
     off = np.zeros(len(place))
-    off[far] = gap[far] / mean_steps(at, *np.divmod(place[far], columns))[2]
+    if len(far):
+        off[far] = gap[far] / mean_steps(at, *np.divmod(place[far], columns))[2]
     return off
 
 
@@ -178,7 +178,7 @@ def _expected(nodes: Nodes, least: float) -> tuple[Index, Index, Points, Float, 
     row, column = np.divmod(missing, nodes.at.shape[1])
     if not len(row):
         return row, column, nodes.at[:0, 0], np.zeros(0), np.zeros(0), nodes.at[:0, 0]
-    at, weight = predict(nodes.at, row, column)
+    at, weight = predict_some(nodes, row, column)
     kept = weight >= least
     row, column, at, weight = row[kept], column[kept], at[kept], weight[kept]
     along, down, cell = mean_steps(nodes.at, row, column)
@@ -265,10 +265,10 @@ def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
     row, column = np.divmod(np.flatnonzero(asked), nodes.at.shape[1])
     if not len(row):
         return False
-    expected, weight = predict(nodes.at, row, column)
+    expected, weight = predict_some(nodes, row, column)
     along, down, cell = mean_steps(nodes.at, row, column)
     off = np.abs(nodes.at[row, column] - expected)
-    settled = off <= np.maximum(ASTRAY * cell, OUTLYING * _usual(nodes.at))
+    settled = off <= np.maximum(ASTRAY * cell, OUTLYING * _usual(nodes))
     settled |= (cell > WIDEST) & ~np.isnan(off)
     left = np.flatnonzero((weight >= STRONG) & ~settled)
     if not len(left):
@@ -284,9 +284,10 @@ def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:
     return bool(missing.any())
 
 
-def _usual(at: Points) -> float:
+def _usual(nodes: Nodes) -> float:
     """Return the median distance of nodes from their predictions, px; 0 if few nodes show it."""
-    off = np.abs(at - predict_within(at))
+    predicted, weight = predict_all(nodes)
+    off = np.abs(nodes.at - predicted)[weight == FULL]
     off = off[~np.isnan(off)]
     return median(off) if len(off) >= USUAL else 0.0
 

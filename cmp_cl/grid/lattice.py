@@ -46,13 +46,12 @@ class Lattice(NamedTuple):
     axis: Complex
 
 
-def lattice(z: Complex, edges: NDArray[np.float32], sparse: float = SPARSE) -> Lattice:
-    """Number the corners at z, (N,) complex px, by their boundary angles, (N, 4) rad.
+def lattice(z: Complex, lines: Complex, sparse: float = SPARSE) -> Lattice:
+    """Number the corners at z, (N,) complex px, by their lines, see `lines_of`.
 
     sparse: as in `near_pairs`.
     """
     order, first, second, step = near_pairs(z, sparse)
-    lines = lines_of(edges)
     z, lines = z.take(order), lines.take(order, axis=1)
     half, other = _links(lines, first, second, step)
     cells = _cells(z, half, other)
@@ -155,7 +154,7 @@ def _links(lines: Complex, first: Index, second: Index, step: Complex) -> tuple[
     half, other = 4 * first + k, 4 * second + m
     fits = (back > COSINE * length) & ((k ^ m) & 1 == 1)
     cost = (5 * length - 4 * ahead) * (5 * length - 4 * back) / length
-    cost[~fits] = np.inf
+    cost = np.where(fits, cost, np.inf)
     best = np.full(4 * lines.shape[1], np.inf, cost.dtype)
     np.minimum.at(best, half, cost)
     np.minimum.at(best, other, cost)
@@ -185,8 +184,8 @@ def _cells(z: Complex, half: Index, other: Index) -> NDArray[np.int8]:
     onward = (across & ~3) | ((across + 3) & 3)
     twice = onward.take(onward)
     itself = np.arange(nowhere + 4)
-    lowest = (itself < onward) & (itself < twice)  # seldom more than one of a cell
-    start = (lowest & (twice.take(twice) == itself)).nonzero()[0]
+    start = ((itself < onward) & (itself < twice)).nonzero()[0]  # seldom two of a cell
+    start = start.compress(twice.take(twice.take(start)) == start)
     opposite = twice.take(start)
     steps = start, onward.take(start), opposite, onward.take(opposite)
     a, b, c, d = (z.take(step >> 2) for step in steps)
@@ -235,7 +234,7 @@ def _counted(lines: Complex, half: Index, other: Index) -> _Trees | None:
     child, parent, shift = b, a, step  # a is the lower of the two
     while len(child):
         root[child], node[child] = parent, shift  # of several parents the last holds
-        while ((higher := root.take(root)) != root).any():  # pointer jumping
+        while np.count_nonzero((higher := root.take(root)) != root):  # pointer jumping
             node += node.take(root)
             root = higher
         off = node.take(a) + step - node.take(b)

@@ -32,7 +32,8 @@ class Nodes:
     status: (R, C) uint8 of NodeStatus; changed: (R, C) bool, where a node was put or dropped
     since misfits were looked for; parity: as in Grid; free: (N,) bool, corners that have not
     been in the grid; astray: (N + 1,) bool, corners that were far from the prediction of their
-    neighbours, and True at the end, for nodes without a corner.
+    neighbours, and True at the end, for nodes without a corner; predicted: the predictions of
+    all nodes, (R, C) px, and their weights, None if a node has changed since.
     """
 
     def __init__(self, shape: tuple[int, int], parity: int, free: Mask) -> None:
@@ -43,6 +44,7 @@ class Nodes:
         self.parity = parity
         self.free = free
         self.astray: Mask = np.arange(len(free) + 1) == len(free)
+        self.predicted: tuple[Points, Float] | None = None
 
     @property
     def there(self) -> Mask:
@@ -53,6 +55,7 @@ class Nodes:
         self.at[row, column] = at
         self.status[row, column] = status
         self.changed[row, column] = True
+        self.predicted = None
 
     def drop(self, row: Index, column: Index) -> None:
         self.put(row, column, np.full(len(row), NOWHERE), NodeStatus.MISSING)
@@ -64,24 +67,26 @@ class Nodes:
         self.owner = np.pad(self.owner, 1, constant_values=-1)
         self.status = np.pad(self.status, 1)
         self.changed = np.pad(self.changed, 1)
+        self.predicted = None
 
     def crop(self) -> None:
         """Remove the empty rows and columns around the nodes."""
         seen = self.there
-        rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
-        if not len(rows):
+        if seen.all() or not seen.any():
             return
+        rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
         box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         self.at, self.owner = self.at[box], self.owner[box]
         self.status, self.changed = self.status[box], self.changed[box]
         self.parity = (self.parity + int(rows[0]) + int(columns[0])) % 2
+        self.predicted = None
 
     def turned(self, quarters: int) -> "Nodes":
         """Return the same nodes with the numbers turned: row 0 is the last column, and so on."""
         if not quarters:
             return self
         turned = copy.copy(self)
-        turned.parity = self.turned_parity(quarters)
+        turned.parity, turned.predicted = self.turned_parity(quarters), None
         for name in ("at", "owner", "status", "changed"):
             setattr(turned, name, turned_lines(getattr(self, name), quarters))
         return turned
@@ -166,7 +171,7 @@ def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     """
     member = np.flatnonzero(found.component == component)
     unit = upright(complex(found.axis[component]))
-    node, turn = found.node[member] * unit, found.turn[member] * unit
+    node, turn = found.node.take(member) * unit, found.turn.take(member) * unit
     row, column = node.imag.astype(np.int64), node.real.astype(np.int64)
     row -= row.min()
     column -= column.min()
@@ -178,13 +183,11 @@ def boxed(z: Points, found: Lattice, component: int = 0) -> Nodes:
     parity = int(2 * np.count_nonzero(odd) > len(odd))
     nodes = Nodes(shape, parity, free)
     place = row * shape[1] + column
-    owner = nodes.owner.ravel()
-    owner[place] = member
-    seen = nodes.owner >= 0
-    if np.count_nonzero(seen) < len(member):  # of several with one number the best supported stays
-        best = np.argsort(found.support[member], kind="stable")
-        owner[place[best]] = member[best]
-    nodes.at = np.where(seen, z.take(nodes.owner), NOWHERE)
-    nodes.status[seen] = NodeStatus.DETECTED
+    nodes.status.ravel()[place] = NodeStatus.DETECTED
+    if np.count_nonzero(nodes.there) < len(member):  # of several with one number the last stays
+        best_last = np.argsort(found.support[member], kind="stable")
+        member, place = member[best_last], place[best_last]
+    nodes.owner.ravel()[place] = member
+    nodes.at.ravel()[place] = z.take(member)
     nodes.changed[:] = True
     return nodes

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Points, kept_by_mask
+from cmp_cl.grid.nodes import NOWHERE, Float, Index, Mask, Nodes, Points, kept_by_mask
 
 
 # (weight, {(row, column): factor, ...}) of each prediction of a node from its neighbours
@@ -29,6 +29,7 @@ WEIGHTS = np.array([weight for weight, _ in PREDICTORS])
 FACTORS = np.array([[factors.get((r, c), 0) for r, c in STEPS] for _, factors in PREDICTORS])
 USES = (FACTORS != 0).astype(np.float64)
 WEIGHTED = WEIGHTS[:, None] * FACTORS
+FULL: float = WEIGHTS.sum()
 KERNEL = np.zeros((7, 7))  # the mean of all predictions
 KERNEL[tuple(STEPS.T + 3)] = WEIGHTED.sum(axis=0) / WEIGHTS.sum()
 ALONG = np.array([[(r, c) for c in range(-2, 3)] for r in (-1, 0, 1)])  # parts of three rows
@@ -70,8 +71,8 @@ class Steps(NamedTuple):
         np.copyto(step, 0, where=self.unknown)
         mean: Points = (TOUCHED @ step.view(np.float64)).view(np.complex128) * self.share
         length = np.abs(mean)
-        cell: Float = np.where(np.isnan(length), length[::-1], length).sum(0) / 2
-        return mean[0], mean[1], cell
+        np.copyto(length, length[::-1], where=np.isnan(length))
+        return mean[0], mean[1], (length[0] + length[1]) / 2
 
 
 class Stencil(NamedTuple):
@@ -115,21 +116,45 @@ def predict(at: Points, row: Index, column: Index) -> tuple[Points, Float]:
     return stencil.predict(at), stencil.weight
 
 
+def predict_some(nodes: Nodes, row: Index, column: Index) -> tuple[Points, Float]:
+    """Return the predictions of some nodes and their weights; if those of all nodes are kept, take
+    them from there."""
+    if nodes.predicted is None:
+        return predict(nodes.at, row, column)
+    predicted, weight = nodes.predicted
+    return predicted[row, column], weight[row, column]
+
+
+def predict_all(nodes: Nodes) -> tuple[Points, Float]:
+    """Return the predictions of all nodes, and their weights, (R, C); keep them until a node
+    changes."""
+    if nodes.predicted is None:
+        place, stencil, weight = _beside_missing(nodes.there)
+        predicted = predict_within(nodes.at)
+        predicted.ravel()[place] = stencil.predict(nodes.at)
+        nodes.predicted = predicted, weight
+    return nodes.predicted
+
+
 @kept_by_mask
-def beside_missing(there: Mask) -> tuple[Index, Stencil]:
-    """Return the places, (M,), of the nodes that `predict_within` leaves out, and their stencil."""
-    unknown = np.isnan(predict_within(np.where(there, 0, NOWHERE)).real)
-    place = np.flatnonzero(there & unknown)
-    row, column = np.divmod(place, there.shape[1])
-    return place, Stencil.of(there, row, column)
+def _beside_missing(there: Mask) -> tuple[Index, Stencil, Float]:
+    """Return the places, (M,), that `predict_within` leaves out, their stencil, and the weights of
+    the predictions of all nodes, (R, C)."""
+    place = np.flatnonzero(np.isnan(predict_within(np.where(there, 0, NOWHERE)).real))
+    stencil = Stencil.of(there, *np.divmod(place, there.shape[1]))
+    weight = np.full(there.shape, FULL)
+    weight.ravel()[place] = stencil.weight
+    return place, stencil, weight
 
 
 def predict_within(at: Points) -> Points:
     """Return the predictions of all nodes, (R, C); NaN where one of the nodes around is missing."""
-    padded = bordered(at).view(np.float64).reshape(*np.add(at.shape, 6), 2)
-    border = cv2.BORDER_CONSTANT  # the fastest; it does not reach the nodes
-    filtered = cv2.filter2D(padded, -1, KERNEL, borderType=border)[3:-3, 3:-3]  # skips factors of 0
-    return np.ascontiguousarray(filtered).view(np.complex128)[..., 0]
+    pixels = np.ascontiguousarray(at).view(np.float64).reshape(*at.shape, 2)
+    border = cv2.BORDER_CONSTANT  # the fastest; it is cut off
+    filtered = cv2.filter2D(pixels, -1, KERNEL, borderType=border)  # skips factors of 0
+    predicted = np.full(at.shape, NOWHERE)
+    predicted.view(np.float64).reshape(pixels.shape)[3:-3, 3:-3] = filtered[3:-3, 3:-3]
+    return predicted
 
 
 def bordered(at: Points, nothing: complex = NOWHERE) -> Points:

@@ -54,7 +54,7 @@ def along_edges(
     rising = levels * (_FALLS[:, None] * (1 - 2 * odd))
     offset = _crossing(rising) * cell
     step = (rising[-OUTER:] - rising[:OUTER]).mean(axis=(0, 1))
-    contrast = levels.max(axis=(0, 1, 2)) - levels.min(axis=(0, 1, 2))
+    contrast = np.ptp(levels.reshape(-1, len(row)), axis=0)
     shown = known & (step > LEAST_STEP * contrast).all(axis=0)
     shown &= step.mean(axis=0) > LEAST_MEAN_STEP * contrast
     return np.where(shown, expected + MOVED * _move(ends, offset), NOWHERE)
@@ -100,8 +100,9 @@ def _crossing(rising: Float) -> Float:
     crossed = (before < 0) & (after >= 0)
     part = before / np.where(crossed, before - after, 1)
     place = np.where(crossed, _ACROSS[:-1] + part * (2 * WIDE / (SAMPLES - 1)), np.inf)
-    least = np.abs(place).argmin(axis=0)
-    nearest = np.take_along_axis(place, least[None], axis=0)[0]
+    each = place.reshape(len(place), -1)
+    least = np.abs(each).argmin(axis=0)
+    nearest = each[least, np.arange(len(least))].reshape(place.shape[1:])
     found = np.isfinite(nearest)
     count = found.sum(axis=0)
     mean = np.where(found, nearest, 0).sum(axis=0) / np.maximum(count, 1)

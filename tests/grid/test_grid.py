@@ -19,9 +19,9 @@ from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import Grid, NodeStatus, build_grid
 from cmp_cl.grid.grow import drop_misfits
 from cmp_cl.grid.joints import cut
-from cmp_cl.grid.lattice import _counted, lattice, near_pairs
+from cmp_cl.grid.lattice import _counted, lattice, lines_of, near_pairs
 from cmp_cl.grid.nodes import Nodes, boxed
-from cmp_cl.grid.predict import mean_steps, predict, predict_within
+from cmp_cl.grid.predict import mean_steps, predict, predict_all, predict_some, predict_within
 from cmp_cl.grid.second_look import RINGS, _look, edge_lines, ring, second_look
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -74,7 +74,7 @@ def test_false_cells_do_not_join_parts_of_different_numbers(seed):
         36, 36, lost=0.1, false=0.4, seed=seed, jitter=0.4, twist=0.5, pull=2.0
     )
     z = corners.xy @ np.array([1, 1j])
-    found = lattice(z.astype(np.complex64), corners.edges)
+    found = lattice(z.astype(np.complex64), lines_of(corners.edges))
     found = cut(found, boxed(z, found)) or found
     member = (found.component == 0) & (index[:, 0] >= 0)
     assert member.sum() > 300
@@ -354,23 +354,47 @@ def test_a_mean_step_includes_the_steps_of_the_nodes_around():
     assert np.isnan([down[0], along[1], cell[1]]).all()
 
 
-def test_nodes_with_known_neighbours_are_predicted_alike_at_once_and_one_by_one():
+def test_nodes_are_predicted_alike_at_once_and_one_by_one():
     at = board(12, 9).truth
     at[2, 7] = complex(np.nan, np.nan)
     row, column = (index.ravel() for index in np.indices(at.shape))
     one_by_one, weight = predict(at, row, column)
-    at_once = predict_within(at).ravel()
+    at_once, weights = predict_all(nodes_at(at))
+    np.testing.assert_allclose(at_once.ravel(), one_by_one, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(weights.ravel(), weight, rtol=0, atol=1e-10)
     whole = weight > weight.max() - 0.1
     assert 0 < whole.sum() < len(whole)
-    np.testing.assert_array_equal(~np.isnan(at_once), whole)
-    np.testing.assert_allclose(at_once[whole], one_by_one[whole], rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(~np.isnan(predict_within(at).ravel()), whole)
+
+
+@pytest.mark.parametrize("change", ["put", "pad", "crop", "turned"])
+def test_a_node_that_changes_changes_the_predictions_of_its_neighbours(change):
+    at = board(9, 9).truth
+    at[0] = complex(np.nan, np.nan)
+    nodes = nodes_at(at)
+    predict_all(nodes)
+    if change == "put":
+        nodes.put(np.array([4]), np.array([4]), at[4, 4] + 3, NodeStatus.DETECTED)
+    elif change == "turned":
+        nodes = nodes.turned(1)
+    else:
+        getattr(nodes, change)()
+    predicted, weight = predict_some(nodes, np.array([4]), np.array([3]))
+    again, weight_again = predict(nodes.at, np.array([4]), np.array([3]))
+    np.testing.assert_allclose(predicted, again, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(weight, weight_again, rtol=0, atol=1e-10)
+
+
+def nodes_at(at):
+    nodes = Nodes(at.shape, 0, np.zeros(0, np.bool_))
+    row, column = np.nonzero(~np.isnan(at.real))
+    nodes.put(row, column, at[row, column], NodeStatus.DETECTED)
+    return nodes
 
 
 def pattern(at):
     """Return these nodes as a pattern without misfits."""
-    nodes = Nodes(at.shape, 0, np.zeros(0, np.bool_))
-    row, column = np.nonzero(~np.isnan(at.real))
-    nodes.put(row, column, at[row, column], NodeStatus.DETECTED)
+    nodes = nodes_at(at)
     drop_misfits(nodes)
     return nodes
 
@@ -435,7 +459,7 @@ def test_numbering_is_quick():
     times = []
     for _ in range(60):
         start = time.perf_counter()
-        lattice(z, corners.edges)
+        lattice(z, lines_of(corners.edges))
         times.append(time.perf_counter() - start)
     assert min(times) < 6e-3  # s: about 1 ms; a loop over corners would take 20 ms
 
@@ -468,10 +492,10 @@ def test_links_that_agree_give_the_components_that_votes_give(monkeypatch, seed)
         return answers[-1]
 
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
-    one = lattice(z, corners.edges)
+    one = lattice(z, lines_of(corners.edges))
     assert answers[0] is not None
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", lambda *_: None)
-    other = lattice(z, corners.edges)
+    other = lattice(z, lines_of(corners.edges))
     assert len(one.size) > 1
     for name in ("component", "size", "support"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
@@ -505,7 +529,8 @@ def test_numbers_that_contradict_each_other_around_a_tear_are_left_to_votes(monk
 
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
     edges = (np.arange(4) + first[:, None]) * np.pi / 2
-    found = lattice((100 + 100j + 13 * place).astype(np.complex64), edges.astype(np.float32))
+    lines = lines_of(edges.astype(np.float32))
+    found = lattice((100 + 100j + 13 * place).astype(np.complex64), lines)
     assert found.size[0] > 200
     assert answers == [None]
 

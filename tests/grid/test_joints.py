@@ -11,7 +11,7 @@ from cmp_cl.errors import GridError
 from cmp_cl.grid.build import Board, Ended, _others
 from cmp_cl.grid.grow import Seen
 from cmp_cl.grid.joints import cut
-from cmp_cl.grid.lattice import Lattice
+from cmp_cl.grid.lattice import Lattice, lines_of
 from cmp_cl.grid.nodes import boxed
 from cmp_cl.grid.numbering import Numbered
 
@@ -211,7 +211,8 @@ def test_another_lattice_is_compared_with_the_linked_corners_though_most_are_att
     label[80:] = 1
     found = found._replace(component=label, size=np.array([36, 16]))
     board.numbered.nodes.owner.ravel()[36:] = np.arange(36, 80)
-    seen = Seen(np.append(z, other), np.zeros((96, 4), np.float32), None, np.zeros(97, np.bool_))
+    edges = np.zeros((96, 4), np.float32)
+    seen = Seen(np.append(z, other), edges, lines_of(edges), None, np.zeros(97, np.bool_))
     assert _others(found, board, seen, alone=False) == 16
     found = found._replace(component=np.where(label == 0, -1, label))
     assert _others(found, board, seen, alone=False) == 0

@@ -101,44 +101,41 @@ def _shift_of(xy: NDArray[Float], radius: float) -> tuple[NDArray[Float], NDArra
     (t x k) r^2 / (6 q^1.5) off the node, along the normal. The fits to both edges meet at
     r^2 / 6 ((t0 x k0) / q0 t1 - (t1 x k1) / q1 t0) / (t0 x t1) from the node.
     """
-    data = np.ascontiguousarray(xy.transpose(2, 0, 1))
+    data: NDArray[Float] = np.ascontiguousarray(xy.transpose(2, 0, 1))
     there = np.asarray(np.isfinite(data).all(axis=0), np.bool_)
     rows, columns = there.shape
     if not math.isfinite(radius) or min(rows, columns) < 3 or not there.any():
         return np.zeros_like(data), np.zeros((rows, columns), np.bool_)
-    slope_down, second_down, mean_down = _derivatives(rows, xy.dtype)
-    slope_along, second_along, mean_along = _derivatives(columns, xy.dtype)
+    left, right = _derivatives(rows, xy.dtype)[0], _derivatives(columns, xy.dtype)[1]
     support: Array | bool = True
     if not there.all():
         plane = bilinear_surface(np.asarray(xy, np.float64), there)
         bent = np.where(there[..., None], xy - plane, 0).transpose(2, 0, 1)
         data = (plane.transpose(2, 0, 1) + filled(bent.astype(np.float32), there)).astype(xy.dtype)
-        near = [np.not_equal(m, 0) / (2 * _half(len(m)) + 1) for m in (mean_down, mean_along)]
-        support = near[0] @ there @ near[1].T
-    along, down = mean_down @ data, data @ mean_along.T
-    t0, k0 = slope_down @ down, second_down @ down
-    t1, k1 = along @ slope_along.T, along @ second_along.T
-    q0, q1 = (np.maximum(x * x + y * y, 1e-30) for x, y in (t0, t1))
-    area = _cross(t0, t1)
-    known = (area * area > _LEAST_SINE**2 * q0 * q1) & (support >= LEAST_SUPPORT)
+        near = [np.not_equal(m, 0) / (2 * _half(len(m)) + 1) for m in (left[0], right[0])]
+        support = near[0] @ there @ near[1]
+    change = np.empty((2, 2, *data.shape), data.dtype)  # both derivatives, down and along
+    np.matmul(left[1:, None], data @ right[0], out=change[0])
+    np.matmul(left[0] @ data, right[1:, None], out=change[1])
+    t, k = change[:, 0], change[:, 1]
+    x, y = t[:, 0], t[:, 1]
+    q = np.maximum(x * x + y * y, 1e-30)
+    area = x[0] * y[1] - y[0] * x[1]
+    known = (area * area > _LEAST_SINE**2 * q[0] * q[1]) & (support >= LEAST_SUPPORT)
     share = np.where(known, radius**2 / 6 / np.where(known, area, 1), 0)
-    return share * (_cross(t0, k0) / q0 * t1 - _cross(t1, k1) / q1 * t0), known
-
-
-def _cross(a: NDArray[Float], b: NDArray[Float]) -> NDArray[Float]:
-    """Return the cross product of vectors, (2, R, C) each."""
-    product: NDArray[Float] = a[0] * b[1] - a[1] * b[0]
-    return product
+    bend = (x * k[:, 1] - y * k[:, 0]) / q
+    return share * (bend[0] * t[1] - bend[1] * t[0]), known
 
 
 @functools.lru_cache(maxsize=64)
-def _derivatives(n: int, kind: np.dtype[Float]) -> tuple[NDArray[Float], ...]:
-    """Return three matrices (n, n): the first and second derivative of the parabola fitted to five
-    nodes, and the value of the line fitted to five. The five are moved inwards at the ends. On a
-    line of three or four nodes, the fits are to three."""
+def _derivatives(n: int, kind: np.dtype[Float]) -> tuple[NDArray[Float], NDArray[Float]]:
+    """Return three matrices, (3, n, n), and their transposes: the value of the line fitted to five
+    nodes, and the first and second derivative of the parabola fitted to five. The five are moved
+    inwards at the ends. On a line of three or four nodes, the fits are to three."""
     half = _half(n)
-    degrees = (2, 1), (2, 2), (1, 0)
-    return tuple(polynomial(n, half, *each).astype(kind) for each in degrees)
+    degrees = (1, 0), (2, 1), (2, 2)
+    left = np.stack([polynomial(n, half, *each) for each in degrees]).astype(kind)
+    return left, np.ascontiguousarray(left.transpose(0, 2, 1))
 
 
 def _half(n: int) -> int:
