@@ -8,17 +8,14 @@ Every method sees the same rendered frames. A frame fails if one corner is misse
 false. Times are those of the same calls, one frame at a time, after one warm-up call.
 """
 
-import argparse
-import json
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import methods
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 from methods import DEFAULT, FILTERED, FOR_CELL, FULL, GRIDDED, LINES, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
@@ -65,7 +62,7 @@ def rows_of(markers: int, frame: Frame, names: Sequence[str]) -> list[Method]:
     rows = [methods.own(name, config, frame.image.shape) for name, config in configs.items()]
     rows.append(methods.own_with_grid(GRIDDED, configs[DEFAULT], frame))
     rows.append(methods.own_with_grid(FULL, configs[FOR_CELL], frame))
-    rows.append(methods.own_with_filter(FILTERED, configs[DEFAULT], frame))
+    rows.append(methods.own_with_grid(FILTERED, configs[DEFAULT], frame, filtered=True))
     rows += [methods.peer(name, pattern) for name in names]
     rows += [methods.peer_with_grid(name, pattern) for name in names if name in GRID_PEERS]
     return rows
@@ -192,10 +189,8 @@ def show(result: dict[str, Any]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="30 scenes, few peers")
+    parser = parser_of(__doc__, quick="30 scenes, few peers")
     parser.add_argument("--repeats", type=int, help="scenes of each object and severity")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     found, reasons = available()
     for name, reason in reasons.items():
@@ -230,10 +225,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         **tables.as_json(),
     }
     show(unpacked(result))
-    out = arguments.out or (None if arguments.quick else RESULTS / "accuracy.json")
-    if out is not None:
-        out.write_text(json.dumps(result) + "\n")
-        print(f"wrote {out}")
+    write_result(result, arguments.out, quick=arguments.quick, indent=None)
     return 0
 
 

@@ -7,14 +7,11 @@ The thresholds are compared in NumPy, with the same gate, suppression and refine
 them; the times are the device's.
 """
 
-import argparse
-import json
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 from scenes import TEST_SEED, Frame, rendered
 from speed import stages
 
@@ -125,10 +122,7 @@ def times(frame: Frame) -> dict[str, Any]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer scenes")
-    parser.add_argument("--out", type=Path, default=RESULTS / "criteria.json")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__, quick="fewer scenes").parse_args(argv)
     frames = [
         rendered(random_scene(SEED + k, markers=markers, severity=severity))
         for k in range(1 if arguments.quick else 2)
@@ -154,8 +148,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         f"corner, {100 * far['far_disagree']:.4f} % of the others; "
         f"spectral takes {result['times']['ratio']:.1f} times as long"
     )
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(result, arguments.out, quick=arguments.quick)
     return 0
 
 

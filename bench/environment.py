@@ -1,6 +1,9 @@
-"""The environment of a measurement: device, driver, versions, commit, and the load by others."""
+"""The parts' arguments and results, and the environment of a measurement: device, driver, versions,
+commit, and the load by others."""
 
+import argparse
 import datetime
+import json
 import os
 import platform
 import subprocess
@@ -14,6 +17,7 @@ import cv2
 import cmp_cl
 
 RESULTS = Path(__file__).with_name("results")
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"  # photographs, not in the repository
 _PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "chess_corners", "libCBDetect")
 
 
@@ -38,6 +42,34 @@ def environment() -> dict[str, Any]:
         "packages": packages,
         "others": others(),
     }
+
+
+def parser_of(doc: str, *, quick: str | None = None) -> argparse.ArgumentParser:
+    """Return the parser of a part with that docstring: --out, and --quick if its help is given."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    if quick is not None:
+        parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--out", type=Path, help="the JSON to write")
+    return parser
+
+
+def write_result(
+    result: dict[str, Any],
+    path: Path | None,
+    *,
+    quick: bool = False,
+    stem: str | None = None,
+    indent: int | None = 1,
+) -> None:
+    """Write a result as JSON, by default to results/KIND.json; stem: a name instead of its kind.
+
+    A quick result is written only to a path that is given.
+    """
+    if path is None and quick:
+        return
+    path = path or RESULTS / f"{stem or result['kind']}.json"
+    path.write_text(json.dumps(result, indent=indent) + "\n")
+    print(f"wrote {path}")
 
 
 def others(seconds: float = 1.0) -> float | None:

@@ -9,11 +9,9 @@ cameras that are known exactly. Errors are of the nodes, in micrometres. The pho
 in ../shared/data beside the repository and are not part of it.
 """
 
-import argparse
 import contextlib
 import dataclasses
 import hashlib
-import json
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -22,7 +20,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import RESULTS, environment
+from environment import DATA, environment, parser_of, write_result
 from scenes import TEST_SEED
 
 from cmp_cl import (
@@ -75,7 +73,6 @@ CONFIGS = {
     "run (EDGE_STEP)": exact_config(CELL),
     "EDGE_LINES": exact_config(CELL).replace(refinement=EdgeLines()),
 }
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 class Shot(NamedTuple):
@@ -199,12 +196,10 @@ def grouped(rows: Sequence[dict[str, Any]], *keys: str) -> list[dict[str, Any]]:
             **{
                 f"{name}_rms_um": float(np.sqrt(np.mean([row[f"{name}_um2"] for row in group])))
                 for name in ("raw_place", "raw_moved")
-                if f"{name}_um2" in group[0]
             },
             **{
                 name: float(np.mean([row[name] for row in group]))
                 for name in ("within_2", "raw_within_2")
-                if name in group[0]
             },
             "ms": float(np.median([row["ms"] for row in group])),
         }
@@ -431,10 +426,8 @@ def free_board_figures(row: dict[str, Any]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="about a minute")
+    parser = parser_of(__doc__, quick="about a minute")
     parser.add_argument("--seeds", type=int, default=2, help="presses of each kind; default: 2")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
     around, device = environment(), select_device()
     print(f"{around['device']}, driver {around['driver']}, commit {around['commit']}")
@@ -467,10 +460,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "boards": boards(),
     }
     show(result)
-    out = arguments.out or (None if arguments.quick else RESULTS / "field.json")
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
-        print(f"wrote {out}")
+    write_result(result, arguments.out, quick=arguments.quick)
     return 0
 
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl
-from environment import RESULTS, environment
+from environment import environment, parser_of
 
 import cmp_cl
 
@@ -106,8 +106,7 @@ def oracle() -> dict[str, Any]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS / "implementations.json")
+    parser = parser_of(__doc__)
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args(argv)
     if arguments.measure:

@@ -7,18 +7,15 @@ Boards with a mark in most of their cells, seen at an angle, and worn gels witho
 must lose nothing.
 """
 
-import argparse
-import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 from scenes import TEST_SEED, rendered
 
-from cmp_cl import Detector, DetectorConfig, drop_marks
+from cmp_cl import Detector, DetectorConfig, detect, drop_marks
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import random_scene
 from cmp_cl.synthetic.scoring import Score, score, total
@@ -119,8 +116,7 @@ def boards(mark: str, cells: Sequence[float]) -> dict[str, Any]:
         seed = FIRST_SEED + 100 * MARKS.index(mark) + round(cell)
         seen = board(mark, cell, seed)
         config = DetectorConfig.for_cell(cell)
-        with Detector(shape=SHAPE, config=config) as detector:
-            found = detector(seen.image)
+        found = detect(seen.image, config)
         for scores, corners in ((before, found), (after, drop_marks(found, seen.image))):
             scores.append(score(corners.xy, seen.truth, cell, seen.rim))
     return row_of(mark, before, after)
@@ -143,10 +139,7 @@ def gels(densities: Sequence[int]) -> dict[str, Any]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a third of the boards")
-    parser.add_argument("--out", type=Path, default=RESULTS / "marks.json")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__, quick="a third of the boards").parse_args(argv)
     cells = CELLS[1:2] if arguments.quick else CELLS
     rows = [boards(mark, cells) for mark in MARKS]
     rows.append(gels(GELS[2:3] if arguments.quick else GELS))
@@ -162,8 +155,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "cells": cells,
         "rows": rows,
     }
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(result, arguments.out, quick=arguments.quick)
     return 0
 
 

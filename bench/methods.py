@@ -18,13 +18,13 @@ from cmp_cl import (
     DetectorConfig,
     EdgeLines,
     Midlines,
-    NodeStatus,
     RapidCriteria,
     RingHarmonic,
     SpectralCriteria,
 )
 from cmp_cl.errors import GridError
 from cmp_cl.grid import build_grid, filter_grid
+from cmp_cl.grid.grid import MEASURED
 from cmp_cl.image import GreyImage
 from cmp_cl.reference import refine
 
@@ -37,7 +37,6 @@ THREE = f"{RINGS}, three thresholds"
 FULL = "cmp_cl, full with grid"
 GRIDDED = f"{DEFAULT} + grid"
 FILTERED = f"{DEFAULT} + grid + filter"
-_MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 
 class Method(NamedTuple):
@@ -95,31 +94,20 @@ def own(name: str, config: DetectorConfig, shape: tuple[int, int]) -> Method:
     return Method(name, repr(config), lambda image: detector(image).xy)
 
 
-def own_with_grid(name: str, config: DetectorConfig, frame: Any) -> Method:
-    """Return one of our configurations with the grid step as a row; only measured nodes count."""
+def own_with_grid(
+    name: str, config: DetectorConfig, frame: Any, *, filtered: bool = False
+) -> Method:
+    """Return one of our configurations with the grid step as a row; only measured nodes count.
+
+    filtered: with the lattice filter too.
+    """
     detector = Detector(shape=frame.image.shape, config=config)
     size = (frame.markers, frame.markers)
 
     def detect(image: GreyImage) -> np.ndarray:
-        return _measured(detector(image), image, size)
+        return _measured(detector(image), image, size, filtered=filtered)
 
-    return Method(name, f"{config!r}, build_grid(shape={size})", detect, grid=True)
-
-
-def own_with_filter(name: str, config: DetectorConfig, frame: Any) -> Method:
-    """Return one of our configurations with the grid step and the lattice filter as a row; nodes
-    have their filtered positions."""
-    detector = Detector(shape=frame.image.shape, config=config)
-    size = (frame.markers, frame.markers)
-
-    def detect(image: GreyImage) -> np.ndarray:
-        with contextlib.suppress(GridError):
-            grid = build_grid(detector(image), image, shape=size)
-            measured = np.isin(grid.status, _MEASURED)
-            return filter_grid(grid.xy, measured=measured).values[measured]
-        return np.empty((0, 2), np.float32)
-
-    settings = f"{config!r}, build_grid(shape={size}), filter_grid"
+    settings = f"{config!r}, build_grid(shape={size}){', filter_grid' * filtered}"
     return Method(name, settings, detect, grid=True)
 
 
@@ -162,10 +150,14 @@ def _with_edges(xy: np.ndarray, image: GreyImage) -> Corners:
     )
 
 
-def _measured(corners: Corners, image: GreyImage, size: tuple[int, int]) -> np.ndarray:
+def _measured(
+    corners: Corners, image: GreyImage, size: tuple[int, int], *, filtered: bool = False
+) -> np.ndarray:
     with contextlib.suppress(GridError):
         grid = build_grid(corners, image, shape=size)
-        return grid.xy[np.isin(grid.status, _MEASURED)]
+        measured = np.isin(grid.status, MEASURED)
+        xy = filter_grid(grid.xy, measured=measured).values if filtered else grid.xy
+        return xy[measured]
     return np.empty((0, 2), np.float32)
 
 

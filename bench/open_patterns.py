@@ -12,20 +12,18 @@ No peer can use a frame at rest. On some frames two results of the peers are com
 nodes are corners, and whether their numbers fit one lattice.
 """
 
-import argparse
-import json
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 from partial_views import Found, View, agreeing, each_answer
 
 from cmp_cl import Detector, DetectorConfig, build_grid
 from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid
+from cmp_cl.grid.grid import MEASURED
 from cmp_cl.image import GreyImage
 
 SIDE = 400  # px, of the pictures
@@ -35,7 +33,6 @@ PERIOD = 256  # cells, after which the printing errors repeat
 WEAR = 0.03  # cells: standard deviation of the errors of a worn print
 EACH = 14  # the peers get one frame in so many
 NEAR = 0.25  # cells: a node that is farther from all corners is false
-MEASURED = (1, 2, 3)  # statuses of measured nodes
 
 
 class Case(NamedTuple):
@@ -353,11 +350,9 @@ def show_peers(rows: Sequence[dict[str, Any]]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a third of the frames")
+    parser = parser_of(__doc__, quick="a third of the frames")
     parser.add_argument("--drawn", type=int, metavar="N", help="N frames drawn by chance instead")
     parser.add_argument("--seed", type=int, default=900_000, help="of what is drawn by chance")
-    parser.add_argument("--out", type=Path, default=RESULTS / "open_patterns.json")
     arguments = parser.parse_args(argv)
     asked = cases(quick=arguments.quick)
     if arguments.drawn is not None:
@@ -379,8 +374,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "unavailable": reasons,
         "rows": rows,
     }
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(result, arguments.out, quick=arguments.quick)
     return 0
 
 

@@ -11,23 +11,21 @@ the size of the board give such numbers. The photographs lie in ../shared/data b
 and are not part of it.
 """
 
-import argparse
-import json
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import RESULTS, environment
+from environment import DATA, environment, parser_of, write_result
+from scenes import read_listed
 
-from cmp_cl import Detector, DetectorConfig, build_grid
+from cmp_cl import Detector, DetectorConfig, build_grid, detect
 from cmp_cl.errors import GridError
-from cmp_cl.grid import Grid, NodeStatus
+from cmp_cl.grid import Grid
+from cmp_cl.grid.grid import MEASURED
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic import random_scene, render
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 SETS: dict[str, tuple[tuple[str, ...], tuple[float, ...], tuple[int, int] | None]] = {
     "stereo_opencv": (
         tuple(f"{side}{number:02}" for number in range(1, 6) for side in ("left", "right")),
@@ -43,7 +41,6 @@ SETS: dict[str, tuple[tuple[str, ...], tuple[float, ...], tuple[int, int] | None
     "curved": (("curve_4",), (0.2, 0.4), None),
 }
 GELS = 3  # presses of each severity
-MEASURED = (NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK)
 
 
 class View(NamedTuple):
@@ -75,8 +72,7 @@ def views(folder: str) -> Iterator[View]:
     """Yield the cut photographs of a folder."""
     names, shares, whole = SETS[folder]
     for name in names:
-        listed = json.loads((DATA / folder / f"{name}.json").read_text())
-        image = cv2.imread(str(DATA / folder / listed["image"]), cv2.IMREAD_GRAYSCALE)
+        listed, image = read_listed(f"{folder}/{name}")
         truth = np.array([[c["x"], c["y"], c["j"], c["i"]] for c in listed["corners"]])
         region = np.ones(image.shape, np.bool_)
         drawn = DATA / folder / f"{name}.region.png"
@@ -317,12 +313,9 @@ def wrong_sizes() -> list[dict[str, Any]]:
     """Ask for whole boards in a size that is wrong by one or two lines."""
     rows = []
     for name in SETS["stereo_opencv"][0]:
-        listed = json.loads((DATA / "stereo_opencv" / f"{name}.json").read_text())
-        path = DATA / "stereo_opencv" / listed["image"]
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        listed, image = read_listed(f"stereo_opencv/{name}")
         config = DetectorConfig.for_cell(listed["cell_px"]["median"])
-        with Detector(shape=image.shape, config=config) as detector:
-            corners = detector(image)
+        corners = detect(image, config)
         for asked in ((6, 9), (6, 8), (5, 9), (5, 8), (4, 7), (7, 9), (6, 10), (7, 10)):
             try:
                 grid = build_grid(corners, image, shape=asked)
@@ -340,11 +333,9 @@ def island() -> dict[str, Any]:
     answers: dict[str, Any] = {}
     grids: dict[str, Grid] = {}
     for name in ("reference_df", "ellipse_10"):
-        listed = json.loads((DATA / "water" / f"{name}.json").read_text())
-        image = cv2.imread(str(DATA / "water" / listed["image"]), cv2.IMREAD_GRAYSCALE)
+        listed, image = read_listed(f"water/{name}")
         config = DetectorConfig.for_cell(listed["cell_px"]["median"])
-        with Detector(shape=image.shape, config=config) as detector:
-            corners = detector(image)
+        corners = detect(image, config)
         grids[name] = build_grid(corners, image)
     truth = np.array([[c["x"], c["y"], c["j"], c["i"], c["board"]] for c in listed["corners"]])
     liked = build_grid(corners, image, like=grids["reference_df"])
@@ -375,9 +366,7 @@ def show(result: dict[str, Any]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS / "partial_views.json")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__).parse_args(argv)
     if not DATA.is_dir():
         print(f"there are no photographs: {DATA} is missing")
         return 2
@@ -391,8 +380,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "island": island(),
     }
     show(result)
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(result, arguments.out)
     return 0
 
 

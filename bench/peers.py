@@ -16,6 +16,7 @@ import struct
 import subprocess
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -66,7 +67,16 @@ def _opencv_version() -> str:
     return f"opencv {cv2.__version__}"
 
 
+def _version_of(package: str) -> Callable[[], str]:
+    return lambda: f"{package} {version(package)}"
+
+
 # OpenCV
+
+
+def _points(xy: np.ndarray | None) -> np.ndarray:
+    """Return what OpenCV found as (N, 2), also if it is None."""
+    return np.empty((0, 2), np.float32) if xy is None else xy.reshape(-1, 2)
 
 
 def _good_features(settings: Settings, pattern: Pattern) -> Detect:
@@ -79,7 +89,7 @@ def _good_features(settings: Settings, pattern: Pattern) -> Detect:
         xy = cv2.goodFeaturesToTrack(
             image, count, quality, distance, mask=None, blockSize=block, gradientSize=gradient
         )
-        return np.empty((0, 2), np.float32) if xy is None else xy.reshape(-1, 2)
+        return _points(xy)
 
     return detect
 
@@ -119,7 +129,7 @@ def _find_chessboard(settings: Settings, pattern: Pattern) -> Detect:
 
     def detect(image: np.ndarray) -> np.ndarray:
         _, xy = cv2.findChessboardCorners(image, size, flags=flags)
-        return np.empty((0, 2), np.float32) if xy is None else xy.reshape(-1, 2)
+        return _points(xy)
 
     return detect
 
@@ -132,7 +142,7 @@ def _find_chessboard_sb(settings: Settings, pattern: Pattern) -> Detect:
 
     def detect(image: np.ndarray) -> np.ndarray:
         _, xy = cv2.findChessboardCornersSB(image, size, flags=flags)
-        return np.empty((0, 2), np.float32) if xy is None else xy.reshape(-1, 2)
+        return _points(xy)
 
     return detect
 
@@ -238,12 +248,6 @@ def _module(name: str, install: str) -> Any:
         raise Unavailable(f"not installed; {install}") from error
 
 
-def _chess_corners_version() -> str:
-    from importlib.metadata import version
-
-    return f"chess_corners {version('chess_corners')}"
-
-
 def _chess_corners(refiner: str | None) -> Callable[[Settings, Pattern], Detect]:
     def make(settings: Settings, pattern: Pattern) -> Detect:
         package = _module("chess_corners", "pip install chess_corners")
@@ -266,12 +270,6 @@ def _chess_corners(refiner: str | None) -> Callable[[Settings, Pattern], Detect]
 
 
 # calib-targets, PyPI: numbers boards whose corners chess-corners finds
-
-
-def _calib_targets_version() -> str:
-    from importlib.metadata import version
-
-    return f"calib-targets {version('calib-targets')}"
 
 
 def _calib_targets(settings: Settings, pattern: Pattern) -> Detect:
@@ -303,12 +301,6 @@ def _calib_targets(settings: Settings, pattern: Pattern) -> Detect:
 
 
 # libcbdetect (Geiger), PyPI; its upstream is under the GPL
-
-
-def _libcbdetect_version() -> str:
-    from importlib.metadata import version
-
-    return f"libCBDetect {version('libCBDetect')}"
 
 
 def _libcbdetect(settings: Settings, pattern: Pattern) -> Detect:
@@ -406,15 +398,12 @@ class _ChessReference(_Mrgingham):
         return xy
 
 
-def _debian_version(package: str) -> Callable[[], str]:
-    def version() -> str:
-        ask = ["dpkg-query", "-W", "-f", "${Package} ${Version}", package]
-        try:
-            return subprocess.run(ask, capture_output=True, text=True).stdout or "unknown"
-        except OSError:
-            return "unknown"
-
-    return version
+def _mrgingham_version() -> str:
+    ask = ["dpkg-query", "-W", "-f", "${Package} ${Version}", "python3-mrgingham"]
+    try:
+        return subprocess.run(ask, capture_output=True, text=True).stdout or "unknown"
+    except OSError:
+        return "unknown"
 
 
 _FEATURES: dict[str, list[Any]] = {
@@ -429,6 +418,8 @@ _CHESS: dict[str, list[Any]] = {
     "sigma": [0.0, 0.7, 1.0, 1.3],
     "radius": [3, 2, 4],
 }
+_SPECTRUM = {**_CHESS, "weight": [1.0, 0.5, 0.75]}
+_LEAN: dict[str, list[Any]] = {"threshold": [100.0, 10.0, 20.0, 30.0, 50.0, 200.0]}
 
 PEERS: dict[str, Peer] = {
     "good_features": Peer("goodFeaturesToTrack", _good_features, _FEATURES, _opencv_version),
@@ -469,36 +460,36 @@ PEERS: dict[str, Peer] = {
         "ChESS, reference C",
         lambda settings, pattern: _ChessReference(settings),
         _CHESS,
-        _debian_version("python3-mrgingham"),
+        _mrgingham_version,
     ),
     "chess_opencl": Peer("ChESS, OpenCL", _ring_peer, _CHESS, _opencl_version, same_as="chess"),
     "spectrum": Peer(
         "Zhang's spectrum, NumPy",
         _spectrum,
-        {**_CHESS, "weight": [1.0, 0.5, 0.75]},
+        _SPECTRUM,
         _opencv_version,
     ),
     "spectrum_opencl": Peer(
         "Zhang's spectrum, OpenCL",
         _ring_peer,
-        {**_CHESS, "weight": [1.0, 0.5, 0.75]},
+        _SPECTRUM,
         _opencl_version,
         same_as="spectrum",
     ),
     "chess_corners": Peer(
-        "chess-corners, defaults", _chess_corners(None), {}, _chess_corners_version
+        "chess-corners, defaults", _chess_corners(None), {}, _version_of("chess_corners")
     ),
     "chess_corners_lean": Peer(
         "chess-corners, lean, centre of mass",
         _chess_corners("center_of_mass"),
-        {"threshold": [100.0, 10.0, 20.0, 30.0, 50.0, 200.0]},
-        _chess_corners_version,
+        _LEAN,
+        _version_of("chess_corners"),
     ),
     "chess_corners_saddle": Peer(
         "chess-corners, lean, saddle",
         _chess_corners("saddle_point"),
-        {"threshold": [100.0, 10.0, 20.0, 30.0, 50.0, 200.0]},
-        _chess_corners_version,
+        _LEAN,
+        _version_of("chess_corners"),
     ),
     "calib_targets": Peer(
         "calib-targets, its own grid",
@@ -508,7 +499,7 @@ PEERS: dict[str, Peer] = {
             "strength": [33.0, 0.0],
             "tolerance": [1.0, 1.4, 2.0],
         },
-        _calib_targets_version,
+        _version_of("calib-targets"),
         slow=True,
         labels=True,
     ),
@@ -516,13 +507,13 @@ PEERS: dict[str, Peer] = {
         "mrgingham, corners only",
         lambda settings, pattern: _MrginghamCorners(),
         {},
-        _debian_version("python3-mrgingham"),
+        _mrgingham_version,
     ),
     "libcbdetect": Peer(
         "libcbdetect",
         _libcbdetect,
         {"norm": [False, True], "start": [0.01, 0.003, 0.03], "score": [0.01, 0.003, 0.03]},
-        _libcbdetect_version,
+        _version_of("libCBDetect"),
         slow=True,
     ),
 }

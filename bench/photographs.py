@@ -9,18 +9,17 @@ soft shapes, which can be taken for cells. Peers have the settings of the densit
 cell, found on rendered scenes.
 """
 
-import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import methods
 import numpy as np
-from environment import RESULTS, environment
+from environment import DATA, environment, parser_of, write_result
 from peers import PEERS, Detect, Pattern, available, keep_freed_memory
+from scenes import read_listed
 from scipy.spatial import cKDTree
 
 from cmp_cl import (
@@ -35,7 +34,6 @@ from cmp_cl.config import window_for_cell
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.scoring import match
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 PICTURES = ("water/reference_df", "water/ellipse_10", "puzzleboard/example1", "curved/curve_4")
 BOARDS = ("stereo_opencv", "stereo_bumblebee2")  # folders of boards in a room
 CELLS = {20: 21.0, 30: 14.2, 40: 10.8, 44: 9.8}  # px, of the densities that were searched
@@ -59,9 +57,7 @@ class Photograph(NamedTuple):
 
     @classmethod
     def read(cls, name: str) -> "Photograph":
-        listed = json.loads((DATA / name).with_suffix(".json").read_text())
-        picture = (DATA / name).with_name(listed["image"])
-        image = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
+        listed, image = read_listed(name)
         region = np.zeros_like(image)  # nowhere, if not every corner is listed
         if listed["region"] is not None:
             region = cv2.imread(str(DATA / f"{name}.region.png"), cv2.IMREAD_GRAYSCALE)
@@ -299,9 +295,7 @@ def show(table: list[dict[str, Any]]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS / "photographs.json")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__).parse_args(argv)
     if not DATA.is_dir():
         print(f"there are no photographs: {DATA} is missing")
         return 2
@@ -326,8 +320,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "not_asked": {PEERS[name].label: "finds only boards of a known size" for name in AT_ONCE},
         "rows": whole,
     }
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(result, arguments.out)
     return 0
 
 

@@ -10,21 +10,18 @@ whose error is within one and within two stated standard deviations: 68 and 95 %
 normal and sigma is right.
 """
 
-import argparse
 import dataclasses
 import itertools
-import json
 import math
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from accuracy import DENSITIES, INDENTERS, SEVERITIES, by_corner, scenes
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 from methods import peer
 from peers import PEERS, Detect, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
@@ -539,10 +536,7 @@ def chosen_scenes(quick: bool) -> Iterable[tuple[Scene, bool]]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="30 scenes, no slow peers")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__, quick="30 scenes, no slow peers").parse_args(argv)
     around = environment()
     found, reasons = available()
     found = [name for name in RIVALS if name in found]
@@ -576,10 +570,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "ms_bends": filter_time(bends=True),
     }
     show(result)
-    out = arguments.out or (None if arguments.quick else RESULTS / "positions.json")
-    if out is not None:
-        out.write_text(json.dumps(result) + "\n")
-        print(f"wrote {out}")
+    write_result(result, arguments.out, quick=arguments.quick, indent=None)
     return 0
 
 

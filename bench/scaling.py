@@ -19,12 +19,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 from scenes import TEST_SEED, rendered, vga
 
 import cmp_cl
@@ -274,10 +273,8 @@ def floor(frames: Sequence[dict[str, Any]], device: str | None) -> dict[str, flo
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes, half a minute")
+    parser = parser_of(__doc__, quick="small sizes, half a minute")
     parser.add_argument("--device", help="as for cmp-cl: a name, an index, cpu or gpu")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     parser.add_argument("--threads-child", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args(argv)
     device = arguments.device
@@ -307,11 +304,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         f"one frame takes {least['alone_times_the_floor']:.1f} times its upload, launches and "
         f"answer; the best of many {least['times_the_floor']:.0f} times its bytes and operations"
     )
-    name = "scaling-gpu.json" if on_gpu else "scaling.json"
-    out = arguments.out or (None if arguments.quick else RESULTS / name)
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
-        print(f"wrote {out}")
+    stem = "scaling-gpu" if on_gpu else "scaling"
+    write_result(result, arguments.out, quick=arguments.quick, stem=stem)
     return 0
 
 

@@ -1,14 +1,17 @@
-"""The frames that speed and error are measured on: rendered from seeds, with exact truth."""
+"""The frames that are measured: rendered from seeds, with exact truth, and photographs."""
 
 import functools
 import hashlib
+import json
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
+from environment import DATA
 
 from cmp_cl import synthetic
 from cmp_cl.image import GreyImage
@@ -57,6 +60,13 @@ def wide(seed: int) -> Frame:
     """Return a frame of 1600 x 1200 with two views of 40 x 40 corners side by side."""
     scene = random_scene(seed, markers=40, shape=(1200, 800), **MILD)
     return _kept(f"two {scene}", lambda: _binocular(scene))
+
+
+def read_listed(name: str) -> tuple[dict[str, Any], GreyImage]:
+    """Return what is listed of a photograph of `DATA`, and the photograph."""
+    path = (DATA / name).with_suffix(".json")
+    listed = json.loads(path.read_text())
+    return listed, cv2.imread(str(path.with_name(listed["image"])), cv2.IMREAD_GRAYSCALE)
 
 
 @functools.cache

@@ -7,16 +7,13 @@ Methods take turns: in each round each method does a few frames in a row, of whi
 is not counted. The time is from an image in host memory to positions in host memory.
 """
 
-import argparse
-import json
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import methods
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 from methods import DEFAULT, LINES, RINGS, THREE, Method
 from peers import PEERS, Pattern, available, keep_freed_memory
 from scenes import TEST_SEED, Frame, vga, wide
@@ -35,6 +32,7 @@ QUICK_PEERS = (
 )
 PACED_PEERS = ("good_features", "chess_corners_lean", "chess_opencl")  # the leanest
 PACE = 0.01  # s from a frame to the next, as a camera gives them
+PACED_FRAMES = 50  # of a method in a row
 SCENES: dict[str, Callable[[int], Frame]] = {"vga": vga, "wide": wide}
 
 
@@ -77,9 +75,7 @@ def measure(
     return rows
 
 
-def paced(
-    rows_of: Sequence[Method], frames: Sequence[Frame], rounds: int, block: int = 50
-) -> list[dict[str, Any]]:
+def paced(rows_of: Sequence[Method], frames: Sequence[Frame], rounds: int) -> list[dict[str, Any]]:
     """Time the methods on frames that come one every PACE seconds, and in a loop beside it.
 
     Between two frames the process sleeps: caches cool down and threads have to wake up.
@@ -90,7 +86,7 @@ def paced(
         for method in rows_of:
             for how, pause in pauses.items():
                 due = time.perf_counter()
-                for k in range(block + 1):
+                for k in range(PACED_FRAMES + 1):
                     image = frames[k % len(frames)].image
                     time.sleep(max(0.0, due - time.perf_counter()))
                     start = time.perf_counter()
@@ -116,12 +112,12 @@ def paced(
     return rows
 
 
-def stages(config: DetectorConfig, frame: Frame, repeats: int = 40) -> dict[str, Any]:
+def stages(config: DetectorConfig, frame: Frame) -> dict[str, Any]:
     """Return the median ms of each kernel, of all of them, and of the host and transfers around
     them."""
     with Detector(shape=frame.image.shape, config=config, profile=True) as detector:
         walls, kernels = [], []
-        for _ in range(repeats):
+        for _ in range(40):
             start = time.perf_counter()
             detector(frame.image)
             walls.append((time.perf_counter() - start) * 1e3)
@@ -211,11 +207,9 @@ def show(result: dict[str, Any]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under two minutes")
+    parser = parser_of(__doc__, quick="under two minutes")
     parser.add_argument("--scene", choices=list(SCENES), help="only this one")
     parser.add_argument("--rounds", type=int, help="turns of each method")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
     arguments = parser.parse_args(argv)
 
     found, reasons = available()
@@ -233,11 +227,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for scene in [arguments.scene] if arguments.scene else list(SCENES):
         results.append(compare(scene, names, own, count, rounds))
         show(results[-1])
-    out = arguments.out or (None if arguments.quick else RESULTS / "speed.json")
-    if out is not None:
-        whole = {"kind": "speed", "environment": around, "unavailable": reasons, "scenes": results}
-        out.write_text(json.dumps(whole, indent=1) + "\n")
-        print(f"wrote {out}")
+    whole = {"kind": "speed", "environment": around, "unavailable": reasons, "scenes": results}
+    write_result(whole, arguments.out, quick=arguments.quick)
     return 0
 
 

@@ -5,24 +5,30 @@ fails, and whether `corners.sigma` is right.
     python bench/stability.py           writes results/stability.json, about fifteen minutes
 """
 
-import argparse
 import dataclasses
 import itertools
 import json
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
 import methods
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 from methods import DEFAULT, FOR_CELL, LINES, Method
 from peers import PEERS, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
 
-from cmp_cl import Corners, Detector, DetectorConfig, EdgeLines, EdgeStep, Midlines, reference
+from cmp_cl import (
+    Corners,
+    DetectorConfig,
+    EdgeLines,
+    EdgeStep,
+    Midlines,
+    detect,
+    reference,
+)
 from cmp_cl.errors import ConfigError
 from cmp_cl.reference import edges
 from cmp_cl.synthetic import Scene, Surround, random_scene
@@ -57,8 +63,7 @@ def against_oracle(scenes: Sequence[Scene]) -> dict[str, Any]:
         other_branch = other_set = corners = 0
         for scene in scenes:
             image = rendered(scene).image
-            with Detector(shape=image.shape, dtype=image.dtype, config=config) as detector:
-                seen = detector(image)
+            seen = detect(image, config)
             expected, margin = reference.detect_with_margin(image, config)
             if not np.array_equal(seen.pixel, expected.pixel):
                 other_set += 1
@@ -130,8 +135,7 @@ def along_position(offsets: Sequence[int]) -> list[dict[str, Any]]:
         for offset in offsets:
             wide = np.full((image.shape[0], image.shape[1] + offset), image[0, 0], np.uint8)
             wide[:, offset:] = image
-            with Detector(shape=wide.shape, config=config) as detector:
-                found = detector(wide)
+            found = detect(wide, config)
             inside = found.pixel[:, 0] >= offset + 16
             xy = found.xy[inside].astype(float) - (offset, 0)
             if at_zero is None:
@@ -235,16 +239,13 @@ def _nearest(markers: int) -> int:
     return min((20, 30, 40), key=lambda known: abs(known - markers))
 
 
-def breaking_points(curves: dict[str, Any], limit: float = 10) -> list[dict[str, Any]]:
-    """Return, for each sweep and method, the levels at which at most `limit` per thousand are
-    wrong."""
+def breaking_points(curves: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return, for each sweep and method, the levels at which at most 10 per thousand are wrong."""
     rows = []
     for what, methods_ in curves.items():
         for name, points in methods_.items():
             holds = [
-                p["at"]
-                for p in points
-                if p["per_thousand"] is not None and p["per_thousand"] <= limit
+                p["at"] for p in points if p["per_thousand"] is not None and p["per_thousand"] <= 10
             ]
             rows.append({"sweep": what, "method": name, "holds": holds})
     return rows
@@ -266,8 +267,7 @@ def depth(repeats: int) -> list[dict[str, Any]]:
                 frame = rendered(scene)
                 config = DetectorConfig(full_scale=full_scale)
                 image = frame.image
-                with Detector(shape=image.shape, dtype=image.dtype, config=config) as detector:
-                    scores.append(frame.score(detector(image).xy))
+                scores.append(frame.score(detect(image, config).xy))
             rows.append({"exposure": exposure, "bits": bits, **total(scores).summary()})
     return rows
 
@@ -285,8 +285,7 @@ def calibration(scenes: dict[str, list[Scene]]) -> list[dict[str, Any]]:
             frame = rendered(scene)
             cell = 0.92 * 480 / (scene.markers + 1)
             config = DetectorConfig(refinement=EdgeStep(cell=cell))
-            with Detector(shape=frame.image.shape, config=config) as detector:
-                found = detector(frame.image)
+            found = detect(frame.image, config)
             partner = match(found.xy, frame.truth, reach(frame.cell))
             hit = (partner >= 0) & np.isfinite(found.sigma)
             errors.append(np.hypot(*(found.xy[hit] - frame.truth[partner[hit]]).T))
@@ -338,8 +337,7 @@ def cases() -> list[dict[str, Any]]:
     def found(picture: np.ndarray, **changes: Any) -> Corners:
         picture = np.ascontiguousarray(picture)
         config = DetectorConfig(**changes)
-        with Detector(shape=picture.shape, dtype=picture.dtype, config=config) as detector:
-            return detector(picture)
+        return detect(picture, config)
 
     def case(what: str, figure: float, expected: str) -> None:
         rows.append({"case": what, "figure": figure, "expected": expected})
@@ -408,10 +406,7 @@ def cases() -> list[dict[str, Any]]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="few levels, two minutes")
-    parser.add_argument("--out", type=Path, help="the JSON to write")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__, quick="few levels, two minutes").parse_args(argv)
     found, reasons = available()
     names = [name for name in PEERS_SHOWN if name in found]
     repeats = 1 if arguments.quick else 3
@@ -447,10 +442,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         result["breaking_points"] = breaking_points(result["breaking"])
     result |= {"unavailable": reasons, "first_seed": SEED, "repeats": repeats}
     show(result)
-    out = arguments.out or (None if arguments.quick else RESULTS / "stability.json")
-    if out is not None:
-        out.write_text(json.dumps(result) + "\n")
-        print(f"wrote {out}")
+    write_result(result, arguments.out, quick=arguments.quick, indent=None)
     return 0
 
 

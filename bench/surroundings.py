@@ -11,15 +11,12 @@ if one of its nodes is no corner of the pattern itself or has a wrong number. It
 if it carries no warning.
 """
 
-import argparse
-import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 from open_patterns import Case, Print, place
 from partial_views import METHODS, Found, View, agreeing, each_answer, found
 
@@ -311,11 +308,9 @@ def show(rows: Sequence[dict[str, Any]]) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a fifth of the scenes")
+    parser = parser_of(__doc__, quick="a fifth of the scenes")
     parser.add_argument("--first", type=int, default=FIRST, help="seed of the first scene")
     parser.add_argument("--show", action="store_true", help="write no file")
-    parser.add_argument("--out", type=Path, default=RESULTS / "surroundings.json")
     arguments = parser.parse_args(argv)
     reasons: dict[str, str] = {}
     fewer = QUICK if arguments.quick else 1
@@ -329,8 +324,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     show(result["boards"])
     show(result["mirrors"])
     if not arguments.show:
-        arguments.out.write_text(json.dumps(result, indent=1) + "\n")
-        print(f"wrote {arguments.out}")
+        write_result(result, arguments.out, quick=arguments.quick)
     return 0
 
 

@@ -12,15 +12,12 @@ the corner crosses a boundary that passes the point at distance e at an angle th
 asin(e / r). From this follows how the coefficients change with the shift.
 """
 
-import argparse
-import json
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from environment import RESULTS, environment
+from environment import environment, parser_of, write_result
 
 from cmp_cl.reference import ring
 
@@ -142,16 +139,13 @@ def _rounded(value: Any) -> Any:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULTS / "theory.json")
-    arguments = parser.parse_args(argv)
+    arguments = parser_of(__doc__).parse_args(argv)
     whole = curves()
     figures = agreement(whole)
     for what, rms in figures.items():
         print(f"{what:24} differs by {rms:.3f} rms")
     result = {"kind": "theory", "environment": environment(), "agreement": figures, **whole}
-    arguments.out.write_text(json.dumps(_rounded(result)) + "\n")
-    print(f"wrote {arguments.out}")
+    write_result(_rounded(result), arguments.out, indent=None)
     return 0
 
 

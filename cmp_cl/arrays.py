@@ -42,14 +42,13 @@ def as_frame(array: Any) -> GreyImage:
 
     Raises ImageError if the array offers neither, or is not an image.
     """
-    if isinstance(array, np.ndarray):
-        return check_image(array)
-    on_host = hasattr(array, "__dlpack_device__") and int(array.__dlpack_device__()[0]) in _HOST
-    if on_host:
-        return check_image(_shared(array))
-    if hasattr(array, "__cuda_array_interface__") or hasattr(array, "__dlpack_device__"):
-        return check_image(_staged(array))
-    return check_image(array)  # which says what is expected
+    if not isinstance(array, np.ndarray):
+        by_dlpack = hasattr(array, "__dlpack_device__")
+        if by_dlpack and int(array.__dlpack_device__()[0]) in _HOST:
+            array = _shared(array)
+        elif by_dlpack or hasattr(array, "__cuda_array_interface__"):
+            array = _staged(array)
+    return check_image(array)
 
 
 def _shared(array: Any) -> Any:

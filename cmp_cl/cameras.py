@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 from cmp_cl import media
-from cmp_cl.errors import ConfigError, ImageError
+from cmp_cl.errors import ConfigError, ImageError, check_positive, listed
 from cmp_cl.image import GreyImage
 from cmp_cl.series.mcap import mcap_images
 
@@ -55,12 +54,14 @@ class CameraSettings:
     fourcc: str | None = None
 
     def __post_init__(self) -> None:
-        if self.fourcc is not None and len(self.fourcc) != 4:
+        if self.fourcc is not None and not (isinstance(self.fourcc, str) and len(self.fourcc) == 4):
             raise ConfigError(f"a pixel format has four letters, such as MJPG, not {self.fourcc!r}")
-        if self.size is not None and min(self.size) < 1:
-            raise ConfigError(f"a camera's size must be positive, not {self.size}")
-        if self.fps is not None and not 0 < self.fps < 1e5:
-            raise ConfigError(f"fps must be positive, not {self.fps}")
+        if self.size is not None:
+            sides = listed("size", self.size, int, ConfigError)
+            if len(sides) != 2 or min(sides) < 1:
+                raise ConfigError(f"size must be (width, height), px, not {self.size!r}")
+        if self.fps is not None:
+            check_positive("fps", self.fps, ConfigError)
 
 
 def is_live(name: str) -> bool:
@@ -182,18 +183,12 @@ def _read(capture: Any, waiting: "queue.Queue[Timed | None]", done: threading.Ev
             if waiting.full():
                 with contextlib.suppress(queue.Empty):
                     waiting.get_nowait()
-            waiting.put(Timed(index, now, _grey(picture)))
+            waiting.put(Timed(index, now, media.grey_of(picture)))
             index += 1
     while not done.is_set():
         with contextlib.suppress(queue.Full):
             waiting.put(None, timeout=0.1)
             return
-
-
-def _grey(picture: Any) -> GreyImage:
-    if picture.ndim == 3 and picture.shape[2] == 3:
-        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
-    return np.ascontiguousarray(picture.reshape(picture.shape[:2]))
 
 
 @dataclasses.dataclass

@@ -10,8 +10,10 @@ from collections.abc import Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
+import numpy as np
+
 from cmp_cl.errors import ConfigError
-from cmp_cl.files import read_toml, write_text
+from cmp_cl.files import check_path, read_toml, write_text
 
 if TYPE_CHECKING:
     from cmp_cl.image import GreyImage
@@ -386,8 +388,12 @@ class DetectorConfig:
 
         Raises ConfigError for another number.
         """
+        if type(markers) is not int or markers not in _TABLE_2_WINDOWS:
+            raise ConfigError(
+                f"the paper's Table 2 has 20, 30 or 40 markers a side, not {markers!r}"
+            )
         rings = BinaryRings(
-            threshold=AdaptiveMean(window=_table_2_window(markers)),
+            threshold=AdaptiveMean(window=_TABLE_2_WINDOWS[markers]),
             criteria=RapidCriteria(corrosion_threshold=4),
             contrast=None,
         )
@@ -407,7 +413,7 @@ class DetectorConfig:
         """Return the largest grey level of an image of that dtype."""
         if self.full_scale is not None:
             return self.full_scale
-        return 255 if dtype == "uint8" else 65535
+        return 255 if np.dtype(dtype) == np.uint8 else 65535
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the configuration as TOML, whole or not at all; raises OSError."""
@@ -420,6 +426,7 @@ class DetectorConfig:
         Raises ConfigError if the file cannot be read, is not TOML, or has an unknown
         key or a value outside its range.
         """
+        check_path(path, ConfigError)
         try:
             data = read_toml(path)
         except OSError as error:
@@ -450,12 +457,6 @@ class DetectorConfig:
 def window_for_cell(cell: float) -> int:
     """Return the window of binarization for a cell, both px: about 1.3 cells, odd, 9 to 255."""
     return min(max(2 * (math.floor(1.3 * cell) // 2) + 1, 9), 255)
-
-
-def _table_2_window(markers: int) -> int:
-    if type(markers) is not int or markers not in _TABLE_2_WINDOWS:
-        raise ConfigError(f"the paper's Table 2 has 20, 30 or 40 markers a side, not {markers!r}")
-    return _TABLE_2_WINDOWS[markers]
 
 
 def _check_part(part: str, field: str, value: object, *kinds: type) -> None:

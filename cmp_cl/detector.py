@@ -146,11 +146,11 @@ class Detector(Closing):
         errors of a call, at the frame that causes them.
         """
         if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
-            yield from map(self, frames)
+            yield from map(self, _iterated("frames", frames))
             return
         waiting: Plan | None = None
         try:
-            for frame in frames:
+            for frame in _iterated("frames", frames):
                 image = self._checked(frame)
                 with self._lock:
                     self._check_alive()
@@ -187,7 +187,7 @@ class Detector(Closing):
             frames: cl.Buffer | list[GreyImage] = stack
             count = self._frames_in(stack)
         else:
-            frames = [self._checked(frame) for frame in stack]
+            frames = [self._checked(frame) for frame in _iterated("stack", stack)]
             count = len(frames)
         if not count or not (self.shape[0] and self.shape[1]):
             return [no_corners(str(self.device)) for _ in range(count)]
@@ -283,22 +283,19 @@ class Detector(Closing):
     def _plan(self, factor: float | None, frames: int = 1) -> Plan:
         """Return a plan that no stream is using."""
         slot = 0
-        while (frames, slot, factor) in self._plans and self._plans[frames, slot, factor].awaited:
+        while (plan := self._plans.get((frames, slot, factor))) is not None and plan.awaited:
             slot += 1
-        dropped = [
-            key
-            for key, plan in self._plans.items()
-            if (key[0], key[2]) == (frames, factor) and key[1] > max(slot, 1) and not plan.awaited
-        ]
-        for key in dropped:  # plans of abandoned streams
-            self._plans.pop(key).release()
-        key = (frames, slot, factor)
-        if key not in self._plans:
+        spare = max(slot, 1) + 1
+        while (old := self._plans.get((frames, spare, factor))) is not None:
+            if not old.awaited:  # its stream has ended or was abandoned
+                self._plans.pop((frames, spare, factor)).release()
+            spare += 1
+        if plan is None:
             if frames > 1:  # plans of one batch size are kept
-                for old in [old for old in self._plans if old[0] > 1 and old[0] != frames]:
-                    self._plans.pop(old).release()
-            self._plans[key] = self._made(factor, frames)
-        return self._plans[key]
+                for key in [key for key in self._plans if key[0] > 1 and key[0] != frames]:
+                    self._plans.pop(key).release()
+            plan = self._plans[frames, slot, factor] = self._made(factor, frames)
+        return plan
 
     def _made(self, factor: float | None, frames: int, form: Form | None = None) -> Plan:
         return Plan(
@@ -320,10 +317,10 @@ class Detector(Closing):
         plan.events.clear()
         try:
             if isinstance(frames, list):
-                plan.upload(transfers, frames)
+                plan.launch(plan.upload(transfers, frames))
             else:
                 plan.copy(frames)
-            plan.launch(plan.launches)
+                plan.launch(plan.launches)
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
@@ -442,6 +439,14 @@ def choose_config(
     frame = as_frame(image)
     device = device if isinstance(device, Device) else select_device(device)
     return choose_by_corners(frame, full_scale, lambda config: detect(frame, config, device))
+
+
+def _iterated(name: str, frames: Iterable[Frame]) -> Iterator[Frame]:
+    """Return an iterator of an argument of that name; raises ImageError if it has none."""
+    try:
+        return iter(frames)
+    except TypeError as error:
+        raise ImageError(f"{name} must be several images, not {type(frames).__name__}") from error
 
 
 def _checked_shape(shape: Any) -> tuple[int, int]:

@@ -1,8 +1,18 @@
 """The errors of cmp_cl. Each message says what was given, what was expected and what to do."""
 
+import math
+from numbers import Real
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
 
 class CmpClError(Exception):
-    """The base class of every error that cmp_cl raises on purpose."""
+    """The base class of every error that cmp_cl raises on purpose; its message is one line."""
+
+    def __str__(self) -> str:
+        return " ".join(line.strip() for line in super().__str__().splitlines())
 
 
 class ConfigError(CmpClError, ValueError):
@@ -26,7 +36,9 @@ class DeviceError(CmpClError, RuntimeError):
 
 
 class KernelBuildError(CmpClError, RuntimeError):
-    """The OpenCL compiler rejected a kernel; the message contains its log."""
+    """The OpenCL compiler rejected a kernel; the message contains its log, line by line."""
+
+    __str__ = Exception.__str__
 
 
 class CapacityError(CmpClError, RuntimeError):
@@ -42,3 +54,28 @@ def check_kind(name: str, value: object, kind: type, error: type[CmpClError]) ->
     """Raise the error if an argument of that name is not of that kind."""
     if not isinstance(value, kind):
         raise error(f"{name} must be of type {kind.__name__}, not {type(value).__name__}")
+
+
+def listed(name: str, values: Any, kind: type, error: type[CmpClError]) -> list[Any]:
+    """Return the values of an argument of that name; raise the error if one is of another kind."""
+    try:
+        found = list(values)
+    except TypeError as why:
+        raise error(f"{name} must be several, not one {type(values).__name__}") from why
+    for value in found:
+        check_kind(f"each of {name}", value, kind, error)
+    return found
+
+
+def as_numbers(name: str, value: Any, error: type[CmpClError]) -> NDArray[np.float64]:
+    """Return an argument of that name as a new array; raise the error if it is not of numbers."""
+    try:
+        return np.array(value, np.float64)
+    except (TypeError, ValueError) as why:
+        raise error(f"{name} must be an array of numbers: {why}") from why
+
+
+def check_positive(name: str, value: object, error: type[CmpClError]) -> None:
+    """Raise the error if an argument of that name is not a finite number above 0."""
+    if not (isinstance(value, Real) and 0 < cast(float, value) < math.inf):
+        raise error(f"{name} must be a positive number, not {value!r}")

@@ -10,10 +10,26 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from cmp_cl.errors import CmpClError
+
 _MOST_TOML = 1 << 16  # bytes
 _MOST_BRACKETS = 500  # in a TOML file, which limits the nesting of tables and arrays
 _MOST_DOTS = 100  # in a line, which limits the nesting of keys
 _WRITABLE = 0o222  # mode bits that allow writing
+
+
+def check_path(path: object, error: type[CmpClError | OSError]) -> None:
+    """Raise the error if a path is neither a text nor a PathLike of one, is empty, or holds a null
+    character, which no system allows."""
+    name = os.fspath(path) if isinstance(path, str | PathLike) else None
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise error(f"path must be the name of a file, not {path!r}")
+
+
+def suffix_of(path: str | PathLike[str], error: type[CmpClError]) -> str:
+    """Return the suffix of a path in small letters; raises the error as `check_path` does."""
+    check_path(path, error)
+    return Path(path).suffix.lower()
 
 
 @contextlib.contextmanager
@@ -49,11 +65,10 @@ def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[
 def check_target(path: str | PathLike[str]) -> Path:
     """Return the file that an output path names, with links resolved.
 
-    Raises OSError if the path is empty, is a folder or a read-only file, or lies in a folder that
-    does not exist or cannot be written.
+    Raises OSError if the path is no name of a file, is a folder or a read-only file, or lies in a
+    folder that does not exist or cannot be written.
     """
-    if not os.fspath(path):
-        raise FileNotFoundError("'' is not the name of a file")
+    check_path(path, FileNotFoundError)
     if os.path.isdir(path):
         raise IsADirectoryError(f"{str(path)!r} is a folder, not a file")
     target = Path(os.path.realpath(path))

@@ -13,17 +13,20 @@ _PIXELS = frozenset({np.dtype(np.uint8), np.dtype(np.uint16)})
 
 
 def check_image(image: Any) -> GreyImage:
-    """Return the image itself, if it is (H, W) uint8 or uint16 with contiguous rows.
+    """Return the image, if it is (H, W) uint8 or uint16 with contiguous rows; the pixels of a
+    subclass of NumPy's array come back as such an array, without a copy.
 
     Raises ImageError that says what was given, what is expected and which call converts it.
     """
     if not _is_image(image):
         raise _not_an_image(image)
-    return cast(GreyImage, image)
+    return cast(GreyImage, np.asarray(image))
 
 
 def _is_image(image: Any) -> bool:
     if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype not in _PIXELS:
+        return False
+    if np.ma.is_masked(image):  # nothing else would look at its mask
         return False
     (rows, columns), (row, column), size = image.shape, image.strides, image.itemsize
     return not image.size or (
@@ -43,6 +46,11 @@ def _not_an_image(image: Any) -> Exception:
             hint = "cv2.imread(image, cv2.IMREAD_GRAYSCALE) converts"
         return ImageError(f"{expected}, got {type(image).__name__}; {hint}")
     came = f"got shape {image.shape} of {image.dtype}"
+    if np.ma.is_masked(image):
+        return ImageError(
+            f"{expected}, got a masked array; image.filled(level) converts, and Detector(mask=...) "
+            "leaves pixels out"
+        )
     if image.ndim == 3 and image.shape[2] in (3, 4):
         code = "cv2.COLOR_BGR2GRAY" if image.shape[2] == 3 else "cv2.COLOR_BGRA2GRAY"
         hint = f"cv2.cvtColor(image, {code}) converts"

@@ -12,11 +12,13 @@ import glob
 import importlib.util
 import math
 import os
+import re
 import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -25,8 +27,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ImageError
-from cmp_cl.files import write_bytes
+from cmp_cl.errors import ImageError, check_kind
+from cmp_cl.files import check_path, suffix_of, write_bytes
 from cmp_cl.image import GreyImage
 from cmp_cl.image_size import page_sizes
 
@@ -54,8 +56,9 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
     image: (H, W) or (H, W, 3) BGR. Raises ImageError if the suffix is not that of an image format,
         or the format cannot hold such pixels; OSError if the folder is missing or not writable.
     """
+    check_kind("image", image, np.ndarray, ImageError)
     known = IMAGE_SUFFIXES if image.dtype == np.uint8 else SUFFIXES_OF_16_BITS
-    written = Path(path).suffix.lower() in known
+    written = suffix_of(path, ImageError) in known and image.dtype in (np.uint8, np.uint16)
     if written:
         try:
             written, data = cv2.imencode(Path(path).suffix, image)
@@ -72,37 +75,46 @@ def write_image(path: str | PathLike[str], image: NDArray[np.uint8] | NDArray[np
 def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """Return the files to read: folders are replaced by the images and videos in them, by name.
 
-    A name with `*`, `?` or `[` that is not a file is a pattern, because some shells do not expand
-    it.
+    Numbers in names count: 9.png comes before 10.png. Hidden files of a folder are left out. A name
+    with `*`, `?` or `[` that is not a file is a pattern, because some shells do not expand it.
 
     Raises FileNotFoundError if a path does not exist, or a folder holds no image and no video.
     """
+    if isinstance(paths, str | PathLike):
+        raise FileNotFoundError(f"paths must be several names of files, not {os.fspath(paths)!r}")
     found: list[Path] = []
     for name in paths:
+        check_path(name, FileNotFoundError)
         path = Path(name)
-        if not os.fspath(name):
-            raise FileNotFoundError("there is no file ''")
         if path.is_dir():
             inside = [
                 entry
-                for entry in sorted(path.iterdir())
-                if entry.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES and entry.is_file()
+                for entry in sorted(path.iterdir(), key=_by_number)
+                if entry.suffix.lower() in IMAGE_SUFFIXES | VIDEO_SUFFIXES
+                and not entry.name.startswith(".")
+                and entry.is_file()
             ]
             if not inside:
                 raise FileNotFoundError(f"no image and no video in the folder {str(path)!r}")
             found += inside
         elif path.exists():
             found.append(path)
-        elif matches := sorted(glob.glob(str(path))):
-            found += map(Path, matches)
+        elif matches := glob.glob(str(path)):
+            found += sorted(map(Path, matches), key=_by_number)
         else:
-            raise FileNotFoundError(f"there is no file {str(path)!r}")
+            raise FileNotFoundError(f"there is no file {os.fspath(name)!r}")
     return found
 
 
+def _by_number(path: Path) -> list[str | int]:
+    """Return the name in parts, texts and numbers in turn, by which 9.png sorts before 10.png."""
+    parts = re.split(r"([0-9]+)", path.as_posix())
+    return [int(part) if place % 2 else part for place, part in enumerate(parts)]
+
+
 def is_video(path: str | PathLike[str]) -> bool:
-    """Return whether the suffix of a path is that of a video."""
-    return Path(path).suffix.lower() in VIDEO_SUFFIXES
+    """Return whether the suffix of a path is that of a video; raises ImageError for no path."""
+    return suffix_of(path, ImageError) in VIDEO_SUFFIXES
 
 
 def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> GreyImage:
@@ -125,6 +137,8 @@ def decoded_pages(
     data: NDArray[np.uint8], path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS
 ) -> Iterator[GreyImage]:
     """Decode the pages of an image from its bytes, as `read_pages`; path names it in messages."""
+    if not data.size:
+        raise ImageError(f"{str(path)!r} is empty")
     try:
         sizes = page_sizes(data.data)
     except ValueError as error:
@@ -151,6 +165,7 @@ def decoded_pages(
 
 def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
     """Return the bytes of a file, mapped into memory, or those that come through a pipe."""
+    check_path(path, ImageError)
     try:
         kind = os.stat(path).st_mode
         if stat.S_ISREG(kind):
@@ -171,10 +186,8 @@ def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, s
     """Decode a page, None if that fails; return the codec's messages too."""
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     pages: Sequence[NDArray[Any]] = ()
-    with _codec_messages() as said:
-        if data.size:
-            with contextlib.suppress(cv2.error):
-                pages = cv2.imdecodemulti(data, flags, range=(page, page + 1))[1]
+    with _codec_messages() as said, contextlib.suppress(cv2.error):
+        pages = cv2.imdecodemulti(data, flags, range=(page, page + 1))[1]
     return (pages[0] if pages else None), "; ".join(said)
 
 
@@ -184,6 +197,7 @@ def _tells_damage(said: str) -> bool:
 
 
 def _check_size(path: str | PathLike[str], size: tuple[int, int], most: int) -> None:
+    check_kind("max_pixels", most, Real, ImageError)
     width, height = size
     if width * height > most:
         raise ImageError(
@@ -298,7 +312,7 @@ def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
             if not read and index >= count:
                 return
             yield (
-                (_grey(picture) if read else None),
+                (grey_of(picture) if read else None),
                 math.nan if rate is None else 1e3 * index / rate,
             )
             index += 1
@@ -414,6 +428,7 @@ def read_camera(number: int) -> Iterator[Frame]:
     It ends when `LONGEST_GAP` frames in a row are missing. Raises ImageError if there is no
     such camera.
     """
+    check_kind("number", number, int, ImageError)
     capture = cv2.VideoCapture(number)
     try:
         if not capture.isOpened():
@@ -422,7 +437,7 @@ def read_camera(number: int) -> Iterator[Frame]:
         while gap < LONGEST_GAP:
             read, picture = capture.read()
             gap = 0 if read else gap + 1
-            yield Frame(index, _grey(picture) if read else None)
+            yield Frame(index, grey_of(picture) if read else None)
             index += 1
     finally:
         capture.release()
@@ -449,8 +464,11 @@ def _check_readable(path: str | PathLike[str]) -> None:
         raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
 
 
-def _grey(frame: NDArray[Any]) -> GreyImage:
-    return cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY).astype(np.uint8) if frame.ndim == 3 else frame
+def grey_of(frame: NDArray[Any]) -> GreyImage:
+    """Return a frame that OpenCV captured, in BGR or raw, as (H, W)."""
+    if frame.ndim == 3 and frame.shape[2] == 3:
+        return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8)
+    return np.ascontiguousarray(frame.reshape(frame.shape[:2]))
 
 
 def write_csv(

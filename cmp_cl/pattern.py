@@ -9,14 +9,13 @@ import struct
 import zlib
 from collections.abc import Callable, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError
-from cmp_cl.files import write_bytes
+from cmp_cl.files import suffix_of, write_bytes
 
 PAPERS = {  # mm, upright
     "a5": (148.0, 210.0),
@@ -132,7 +131,7 @@ class Checkerboard:
         Raises ConfigError on another suffix, a dpi outside 10 to 10 000 or more than 400
         million pixels, OSError if the file cannot be written.
         """
-        suffix = Path(path).suffix.lower()
+        suffix = suffix_of(path, ConfigError)
         writers: dict[str, Callable[[], bytes]] = {
             ".svg": lambda: _svg(self._drawing()),
             ".pdf": lambda: _pdf(self._drawing()),

@@ -50,7 +50,7 @@ from cmp_cl import (
     SpectralCriteria,
     reference,
 )
-from cmp_cl.stages import plan
+from cmp_cl.opencl import program
 
 BATCH = 25
 SHARING = 5  # configurations in a row that compile the same
@@ -239,7 +239,7 @@ def valid_case(
 
 
 PARTS = (
-    *(AdaptiveMean, RapidCriteria, SpectralCriteria, SectorContrast),
+    *(AdaptiveMean, RapidCriteria, SpectralCriteria, SectorContrast, BinaryRings, RingHarmonic),
     *(EdgeLines, EdgeStep, Midlines, Pyramid, DetectorConfig),
 )
 FIELDS = [(part, field.name) for part in PARTS for field in dataclasses.fields(part)]
@@ -315,12 +315,15 @@ def one_case(number: int, seed: int, images: int, device: str | None) -> Case:
             print(f"FAILED; again: {again}", flush=True)
             counts["failed"] += 1
 
-    with mock.patch.object(plan, "build", wraps=plan.build) as build:
+    with mock.patch.object(program, "_compiled", wraps=program._compiled) as build:
         guarded(lambda: valid_case(seed, number, images, device, counts))
     programs = frozenset(digest(repr(call.args[1:])) for call in build.call_args_list)
     for k in range(20):
         refused = guarded(functools.partial(invalid_case, seed, 20 * number + k, device))
         counts["refused"] += bool(refused)
+        if refused is False:
+            print(f"NOT REFUSED; again: {again}", flush=True)
+            counts["failed"] += 1
     return Case(counts, programs, _megabytes(), os.getpid())
 
 

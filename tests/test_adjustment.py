@@ -26,13 +26,13 @@ def test_residuals_smaller_than_their_nodes_allow_show_no_misfit():
     assert misfit(np.zeros(50), np.ones(50), 100) == 0
 
 
-def views_of_board(draw, printing_error, count=4):
+def views_of_board(draw, printing_error):
     """Return views of a printed board, each node with a sigma of its own."""
     row, column = np.indices((7, 9))
     board = np.stack([column - 4.0, row - 3.0, np.zeros((7, 9))], axis=-1) * SQUARE
     board += draw.normal(0, printing_error, board.shape)
     views = []
-    for _ in range(count):
+    for _ in range(4):
         rotation = cv2.Rodrigues(draw.uniform(-0.5, 0.5, 3))[0]
         place = board @ rotation.T + [*draw.uniform(-3, 3, 2), 50 + draw.uniform(-6, 6)]
         sigma = 0.04 * np.exp(draw.normal(0, 0.7, (7, 9)))

@@ -1,16 +1,61 @@
 """Arguments of another type: one line names the argument, its type and the one expected."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from stereo_data import grid_of, toed_in_rig
+from stereo_data import gel, grid_of, points, toed_in_rig
 
-from cmp_cl import CmpClError, drop_marks
-from cmp_cl.field import contact_of, displacement, motion_of, plane_displacement, plane_strain
-from cmp_cl.grid import filter_positions
-from cmp_cl.measure import TwoViews
+from cmp_cl import (
+    BinocularSplit,
+    CalibrationError,
+    CmpClError,
+    ConfigError,
+    Detector,
+    DetectorConfig,
+    FieldError,
+    GridError,
+    ImageError,
+    StereoRig,
+    align,
+    build_grid,
+    calibrate,
+    calibrate_camera,
+    detect,
+    drop_marks,
+    media,
+    series,
+)
+from cmp_cl.cameras import CameraSettings
+from cmp_cl.field import (
+    PlaneScale,
+    contact_of,
+    displacement,
+    green_lagrange,
+    integrate,
+    motion_of,
+    plane_displacement,
+    plane_strain,
+    projected_density,
+    rasterize,
+    surface_height,
+    surface_normals,
+    with_measured_noise,
+    without_motion,
+)
+from cmp_cl.grid import filter_grid, filter_positions
+from cmp_cl.measure import OneView, TwoViews, trusted
+from cmp_cl.stereo import undistort
+from cmp_cl.synthetic import render
+from cmp_cl.viz import arrow_figure, corner_overlay, grid_overlay, surface_figure
 
 GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
 IMAGE = np.zeros((60, 70), np.uint8)
+SIZE = IMAGE.shape[::-1]
+BOARD = Path(media.__file__).parent / "data" / "board.png"
+PLANE = plane_displacement(GRID, GRID)
+RASTER = rasterize(PLANE, step=5.0)
+FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
 
 
 @pytest.mark.parametrize(
@@ -29,8 +74,178 @@ IMAGE = np.zeros((60, 70), np.uint8)
         (lambda: TwoViews(IMAGE, None, None), "rig", "StereoRig"),
         (lambda: TwoViews(IMAGE, toed_in_rig(), (0, 1)), "split", "BinocularSplit"),
         (lambda: toed_in_rig().triangulate(GRID, IMAGE), "right", "Grid"),
+        (lambda: BinocularSplit.halves(width="a", height=2), "width", "Integral"),
+        (lambda: GRID.turned("a"), "quarters", "Integral"),
+        (lambda: GRID.cut_to(None), "rest", "Grid"),
+        (lambda: PlaneScale.of_cells(None, 1), "rest", "Grid"),
+        (lambda: PlaneScale(np.eye(3), None), "unit", "str"),
+        (lambda: GRID.covers(None), "rest", "Grid"),
+        (lambda: align([GRID, 3]), "each of grids", "Grid"),
+        (lambda: calibrate([(GRID, None)], spacing=1, image_size=SIZE), "each of views", "Grid"),
+        (lambda: calibrate_camera(["a"], spacing=1, image_size=SIZE), "each of grids", "Grid"),
+        (
+            lambda: calibrate_camera([], spacing=1, image_size=(9, "a")),
+            "each of image_size",
+            "Integral",
+        ),
+        (lambda: toed_in_rig().triangulate(GRID, GRID, sigma="a"), "sigma", "Real"),
+        (lambda: toed_in_rig().triangulate(GRID, GRID, max_error=None), "max_error", "Real"),
+        (lambda: BinocularSplit((0, 0, 9, 9), (9, 0, 9, 9), "no"), "mirror_left", "bool"),
+        (lambda: OneView(IMAGE, config="a", full_scale=255), "config", "DetectorConfig"),
+        (lambda: contact_of(FIELD, deeper_than=None), "deeper_than", "Real"),
+        (lambda: integrate(None, np.zeros((3, 3, 2))), "raster", "Raster"),
+        (lambda: surface_height(None, depth=1.0), "displaced", "Raster"),
+        (lambda: surface_height(RASTER, depth=1.0, camera="a"), "camera", "Real"),
+        (lambda: projected_density(None, distance=1.0), "displaced", "Raster"),
+        (lambda: rasterize(FIELD, step=1.0), "field", "PlaneField"),
+        (lambda: without_motion(PLANE, None), "motion", "Motion"),
+        (lambda: with_measured_noise(None), "field", "PlaneField"),
+        (lambda: arrow_figure(IMAGE, GRID, None), "now", "Grid"),
+        (lambda: surface_figure(None), "field", "DisplacementField"),
+        (lambda: render(None), "scene", "Scene"),
+        (lambda: trusted(GRID, "a"), "max_sigma", "Real"),
+        (lambda: CameraSettings(size=(9, "a")), "each of size", "int"),
+        (lambda: media.read_image(BOARD, max_pixels="a"), "max_pixels", "Real"),
+        (lambda: next(media.read_camera("a")), "number", "int"),
+        (lambda: media.write_image("a.png", None), "image", "ndarray"),
+        (lambda: corner_overlay(IMAGE, GRID), "corners", "Corners"),
+        (lambda: grid_overlay(IMAGE, None), "grid", "Grid"),
+        (lambda: series.open_series("a.npz", "mm"), "description", "Description"),
+        (lambda: series.open_series("a.npz", None, "mm"), "constants", "Mapping"),
     ],
 )
 def test_an_argument_of_another_type_is_named(call, name, expected):
     with pytest.raises(CmpClError, match=f"^{name} must be of type {expected}, not "):
         call()
+
+
+@pytest.mark.parametrize("path", [None, 5, b"a.png", "", "a\0b"])
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        (media.read_image, ImageError),
+        (lambda path: next(media.read_frames(path)), ImageError),
+        (media.frame_rate, ImageError),
+        (lambda path: media.write_image(path, IMAGE), ImageError),
+        (lambda path: media.find_inputs([path]), FileNotFoundError),
+        (lambda path: media.write_csv(path, [], []), FileNotFoundError),
+        (StereoRig.load, CalibrationError),
+        (toed_in_rig().save, FileNotFoundError),
+        (DetectorConfig.load, ConfigError),
+        (DetectorConfig().save, FileNotFoundError),
+        (series.read_series, ConfigError),
+        (series.open_series, ConfigError),
+        (series.SeriesWriter, FileNotFoundError),
+    ],
+)
+def test_what_names_no_file_is_refused(call, error, path):
+    with pytest.raises(error, match=r"^path must be the name of a file, not "):
+        call(path)
+
+
+@pytest.mark.parametrize("values", ["a", {}, [[1], [2, 3]]])
+@pytest.mark.parametrize(
+    ("call", "name", "error"),
+    [
+        (filter_grid, "values", GridError),
+        (lambda values: StereoRig(values, [], np.eye(3), [], np.eye(3), [1, 0, 0]), "K1", None),
+        (
+            lambda values: StereoRig(np.eye(3), values, np.eye(3), [], np.eye(3), [1, 0, 0]),
+            "D1",
+            None,
+        ),
+        (lambda values: PlaneScale(values, "mm"), "matrix", FieldError),
+        (PlaneScale.pixels(), "xy", FieldError),
+        (lambda values: integrate(RASTER, values), "gradient", FieldError),
+        (lambda values: rasterize(PLANE, values, step=5.0), "values", FieldError),
+        (surface_normals, "positions", FieldError),
+        (lambda values: green_lagrange(FIELD.position, values), "now", FieldError),
+        (lambda values: undistort(values, np.eye(3), np.zeros(5)), "points", FieldError),
+    ],
+)
+def test_what_is_no_array_of_numbers_is_refused_in_one_line(call, name, error, values):
+    with pytest.raises(error, match=f"^{name} must be an array of numbers: .*$"):
+        call(values)
+
+
+def test_wrong_shapes_of_a_pattern_a_split_and_an_image_are_refused():
+    with pytest.raises(GridError, match=r"shape must be \(rows, columns\), each at least 1, not 7"):
+        OneView(IMAGE, shape=7)
+    with pytest.raises(ConfigError, match="regions must be"):
+        TwoViews(IMAGE, toed_in_rig(), BinocularSplit.halves(*SIZE), regions=None)
+    with pytest.raises(ImageError, match="got NoneType"):
+        BinocularSplit.halves(*SIZE)(None)
+    with pytest.raises(CalibrationError, match="image_size must be"):
+        calibrate_camera([], spacing=1, image_size=(640, 0))
+    with pytest.raises(CalibrationError, match="not 3 grids"):
+        calibrate([(GRID, GRID, GRID)], spacing=1, image_size=SIZE)
+    with pytest.raises(ImageError, match=r"cannot write float64 pixels"):
+        media.write_image("a.png", np.zeros((4, 4)))
+    with pytest.raises(FileNotFoundError, match="several names"):
+        media.find_inputs("frames")
+
+
+def test_a_message_is_one_line_even_with_an_array_in_it():
+    with pytest.raises(ConfigError) as refusal:
+        DetectorConfig(nms_radius=np.zeros((3, 3)))
+    assert "\n" in repr(np.zeros((3, 3)))
+    assert "\n" not in str(refusal.value)
+
+
+def test_grey_levels_follow_any_name_of_the_type():
+    for kind in (np.uint8, "uint8", np.dtype(np.uint8), "u1"):
+        assert DetectorConfig().grey_levels(kind) == 255
+    assert DetectorConfig().grey_levels(np.uint16) == 65535
+
+
+def test_frames_that_are_not_several_are_refused():
+    with Detector(shape=IMAGE.shape) as detector:
+        with pytest.raises(ImageError, match=r"^frames must be several images, not int$"):
+            list(detector.stream(5))
+        with pytest.raises(ImageError, match=r"^stack must be several images, not NoneType$"):
+            detector.batch(None)
+
+
+@pytest.mark.parametrize("length", ["a", None, 0, -1, np.nan, np.inf, [1, 2]])
+@pytest.mark.parametrize(
+    ("call", "name", "error"),
+    [
+        (PlaneScale.of_pixel, "length", FieldError),
+        (lambda side: PlaneScale.of_cells(GRID, side), "side", FieldError),
+        (GRID.to_opencv, "spacing", ConfigError),
+        (lambda depth: surface_height(RASTER, depth=depth), "depth", ConfigError),
+        (lambda fps: CameraSettings(fps=0 if fps is None else fps), "fps", ConfigError),
+        (
+            lambda side: calibrate_camera([], spacing=side, image_size=(70, 60)),
+            "spacing",
+            CalibrationError,
+        ),
+    ],
+)
+def test_a_length_that_is_not_positive_is_refused(call, name, error, length):
+    with pytest.raises(error, match=f"^{name} must be a positive number, not "):
+        call(length)
+
+
+def test_numbers_of_numpy_are_whole_numbers():
+    assert GRID.turned(np.int64(1)).shape == GRID.turned(1).shape
+    assert BinocularSplit.halves(np.int64(70), np.uint16(60)) == BinocularSplit.halves(70, 60)
+
+
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")
+def test_an_image_may_be_a_matrix():
+    board = np.kron(np.indices((6, 7)).sum(0) % 2, np.full((16, 16), 200)).astype(np.uint8)
+    corners, same = detect(board), detect(np.asmatrix(board))
+    np.testing.assert_array_equal(same.xy, corners.xy)
+    grid = build_grid(same, np.asmatrix(board))
+    np.testing.assert_array_equal(grid.xy, build_grid(corners, board).xy)
+    np.testing.assert_array_equal(grid_overlay(np.asmatrix(board), grid), grid_overlay(board, grid))
+
+
+def test_a_masked_image_is_refused_unless_nothing_is_masked():
+    board = np.kron(np.indices((6, 7)).sum(0) % 2, np.full((16, 16), 200)).astype(np.uint8)
+    found = detect(np.ma.masked_array(board, mask=False))
+    np.testing.assert_array_equal(found.xy, detect(board).xy)
+    assert len(found) == 30
+    with pytest.raises(ImageError, match=r"got a masked array; image\.filled\(level\) converts"):
+        detect(np.ma.masked_array(board, board > 100))

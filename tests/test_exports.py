@@ -38,7 +38,7 @@ def camera(lens, rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)):
     )
 
 
-def views(cameras, count=12, noise=0.03):
+def views(cameras, count=12):
     """Return grids of a 7 x 9 board of 20 mm squares in random poses, without nodes outside."""
     rng = np.random.default_rng(900001)
     row, column = np.mgrid[:7, :9]
@@ -48,10 +48,10 @@ def views(cameras, count=12, noise=0.03):
         rotation = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))[0]
         place = board @ rotation.T + [*rng.uniform(-60, 60, 2), rng.uniform(190, 330)]
         for name, each in cameras.items():
-            xy = each.project(place) + rng.normal(0, noise, (7, 9, 2))
+            xy = each.project(place) + rng.normal(0, 0.03, (7, 9, 2))
             outside = (xy < 0).any(axis=-1) | (xy > np.array(SIZE) - 1).any(axis=-1)
             xy[outside] = np.nan
-            seen[name].append(grid_of(xy, noise))
+            seen[name].append(grid_of(xy, 0.03))
     return seen
 
 

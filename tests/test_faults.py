@@ -6,7 +6,7 @@ import os
 import stat
 import subprocess
 import sys
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import images
 import numpy as np
@@ -375,27 +375,16 @@ def test_a_kill_in_the_middle_of_writing_leaves_what_was_there(tmp_path, before)
 
 
 def test_two_detectors_run_in_two_threads(device):
-    expected = {name: [] for name in ("board", "texture")}
-    configs = {"board": rings(), "texture": rings(nms_radius=1)}
-    frames = {"board": BOARD, "texture": TEXTURE}
-    failures = []
+    frames, configs = (BOARD, TEXTURE), (rings(), rings(nms_radius=1))
 
-    def work(name):
-        try:
-            with Detector(shape=images.SHAPE, config=configs[name], device=device) as detector:
-                expected[name] += [detector(frames[name]) for _ in range(30)]
-        except BaseException as error:
-            failures.append(error)
+    def found(frame, config, times):
+        with Detector(shape=images.SHAPE, config=config, device=device) as detector:
+            return [detector(frame) for _ in range(times)]
 
-    threads = [threading.Thread(target=work, args=(name,)) for name in frames]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert failures == []
-    for name, results in expected.items():
-        with Detector(shape=images.SHAPE, config=configs[name], device=device) as detector:
-            alone = detector(frames[name])
+    with ThreadPoolExecutor(2) as threads:
+        together = list(threads.map(found, frames, configs, (30, 30)))
+    for frame, config, results in zip(frames, configs, together, strict=True):
+        (alone,) = found(frame, config, 1)
         assert len(alone) > 5
         for corners in results:
             assert_same_bytes(corners, alone)

@@ -14,11 +14,9 @@ SIZE = (800, 1200)
 BOW = 0.3  # mm from the middle of the board to the line through its ends, which are 27 mm apart
 
 
-def cylinder(flat, bow=BOW, length=27.0):
+def cylinder(flat):
     """Return a board (R, C, 3), bent along its columns without stretch."""
-    if not bow:
-        return flat
-    radius = length**2 / 8 / bow
+    radius = 27.0**2 / 8 / BOW
     bent = flat.copy()
     bent[..., 0] = radius * np.sin(flat[..., 0] / radius)
     bent[..., 2] = radius * (1 - np.cos(flat[..., 0] / radius))

@@ -7,12 +7,11 @@ import os
 import re
 import struct
 import threading
-from fractions import Fraction
 
 import cv2
 import numpy as np
 import pytest
-from videos import write_video
+from videos import write_deep_video, write_video
 
 from cmp_cl import media
 from cmp_cl.cli.tables import CORNER_COLUMNS, Table, corner_rows
@@ -137,9 +136,11 @@ def test_a_file_that_is_no_image_is_an_image_error_with_its_name(tmp_path):
     (tmp_path / "empty.png").write_bytes(b"")
     media.write_image(tmp_path / "whole.png", NOISE)
     (tmp_path / "cut.png").write_bytes((tmp_path / "whole.png").read_bytes()[:60])
-    for name in ("text.png", "empty.png", "cut.png"):
+    for name in ("text.png", "cut.png"):
         with pytest.raises(ImageError, match=f"{name}' is not an image"):
             media.read_image(tmp_path / name)
+    with pytest.raises(ImageError, match=r"empty\.png.* is empty"):
+        media.read_image(tmp_path / "empty.png")
     with pytest.raises(ImageError, match=r"cannot read .*missing.png"):
         media.read_image(tmp_path / "missing.png")
 
@@ -244,25 +245,9 @@ def test_frames_of_another_size_come_as_they_are(tmp_path):
     assert [frame.image is None for frame in few] == [False, True, False]
 
 
-def write_deep(path):
-    """Write three frames of 12 bits at 0, 35 and 110 ms."""
-    av = pytest.importorskip("av", reason="PyAV is not installed")
-    ramp = np.tile(np.arange(64, dtype=np.uint16) * 64, (48, 1))
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray12le"
-        stream.codec_context.time_base = Fraction(1, 1000)
-        for time in (0, 35, 110):
-            frame = av.VideoFrame(64, 48, "gray12le")
-            frame.planes[0].update(ramp.tobytes())
-            frame.pts, frame.time_base = time, Fraction(1, 1000)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-    return ramp
-
-
 def test_pyav_reads_12_bits_and_the_times_that_are_written(tmp_path):
-    ramp = write_deep(tmp_path / "deep.mkv")
+    ramp = np.tile(np.arange(64, dtype=np.uint16) * 64, (48, 1))
+    write_deep_video(tmp_path / "deep.mkv", ramp)
     frames = list(media.read_frames(tmp_path / "deep.mkv"))
     assert [frame.time_ms for frame in frames] == pytest.approx([0, 35, 110])
     assert frames[0].image.dtype == np.uint16
@@ -293,7 +278,7 @@ def test_a_file_that_is_no_video_is_an_image_error(tmp_path, reader):
 
 
 def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
-    for name in ("b.png", "a.JPG", "c.avi", "notes.txt", "d.csv"):
+    for name in ("b.png", "a.JPG", "c.avi", "notes.txt", "d.csv", "._a.JPG"):
         (tmp_path / name).touch()
     (tmp_path / "e.png").mkdir()
     found = media.find_inputs([tmp_path, tmp_path / "notes.txt"])
@@ -305,9 +290,12 @@ def test_a_folder_stands_for_its_images_and_videos_by_name(tmp_path):
 
 
 def test_a_file_pattern_that_the_shell_did_not_expand_stands_for_its_files(tmp_path):
-    for name in ("b1.png", "b2.png", "c1.png", "b[1].png"):
+    for name in ("b1.png", "b2.png", "b10.png", "c1.png", "b[1].png"):
         (tmp_path / name).touch()
     assert [path.name for path in media.find_inputs([tmp_path / "b?.png"])] == ["b1.png", "b2.png"]
+    for numbered in (tmp_path / "b*.png", tmp_path):
+        names = [path.name for path in media.find_inputs([numbered])]
+        assert names[:3] == ["b1.png", "b2.png", "b10.png"]
     assert media.find_inputs([tmp_path / "b[1].png"]) == [tmp_path / "b[1].png"]
     with pytest.raises(FileNotFoundError, match=r"d\*\.png"):
         media.find_inputs([tmp_path / "d*.png"])

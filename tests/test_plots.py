@@ -16,13 +16,13 @@ from cmp_cl.viz.plots import Quantity, Recorded, curve_figure, map_figure, sheet
 from cmp_cl.viz.video import OverlayVideo
 
 
-def record(path, *, views, frames=5):
+def record(path, *, views):
     """Write a series of 8 x 10 nodes that stretch by 1 % a frame along x, without (2, 3)."""
     row, column = np.mgrid[:8, :10]
     rest = np.stack([5.0 * column, 5.0 * row, 0 * row + 40.0], axis=-1)[..., : views + 1]
     constants = {"rest": rest, "unit": "px" if views == 1 else "mm"}
     with open_series(path, None, constants) as series:
-        for number in range(frames):
+        for number in range(5):
             shift = 0 * rest
             shift[..., 0] = 0.01 * number * rest[..., 0]
             if views == 2:
@@ -122,13 +122,15 @@ def test_without_matplotlib_the_extra_is_named(tmp_path, monkeypatch):
 
 
 def test_a_file_that_is_no_series_of_nodes_is_refused(tmp_path):
+    with pytest.raises(FieldError, match="no displacement or xy"):
+        Recorded.of({"index": np.arange(2), "time_ms": np.arange(2.0), "rest": np.zeros((3, 3, 2))})
     with pytest.raises(FieldError, match="no rest"):
         Recorded.of(
             {"index": np.arange(2), "time_ms": np.arange(2.0), "xy": np.zeros((2, 3, 3, 2))}
         )
     with open_series(tmp_path / "none.npz", None, {"rest": np.zeros((2, 2, 2))}):
         pass
-    with pytest.raises(FieldError, match="no displacement or xy"):
+    with pytest.raises(FieldError, match="no frame"):
         Recorded.of(read_series(tmp_path / "none.npz"))
     rest, xy = np.zeros((2, 2, 2)), np.zeros((0, 2, 2, 2))
     with pytest.raises(FieldError, match="no frame"):

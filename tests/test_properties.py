@@ -1,5 +1,6 @@
 """What holds for any image: rotated, mirrored, inverted, cropped from a buffer, in a batch."""
 
+import fuzz
 import hypothesis
 import numpy as np
 import pytest
@@ -151,6 +152,13 @@ def test_crops_are_the_same_in_a_batch_a_stream_or_alone(
 @hypothesis.given(number=st.integers(0, 2**31))
 def test_invalid_input_is_refused_by_an_error_of_cmp_cl(device, number):
     assert invalid_case(0, number, device.index)
+
+
+def test_the_fuzzing_fails_if_a_wrong_argument_is_not_refused(monkeypatch):
+    monkeypatch.setattr(fuzz, "valid_case", lambda *_: None)
+    monkeypatch.setattr(fuzz, "invalid_case", lambda _, number, __: number != 7)
+    assert fuzz.main(["--configs", "1"]) == 1
+    assert fuzz.main(["--configs", "1", "--first", "1"]) == 0
 
 
 @pytest.mark.exhaustive

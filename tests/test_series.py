@@ -248,6 +248,23 @@ def test_an_older_file_stays_until_the_first_frame_is_written(tmp_path, suffix):
         series.append(index=1, time_ms=0, **frame(0))
 
 
+@pytest.mark.parametrize("suffix", SERIES_SUFFIXES)
+def test_an_older_file_stays_if_an_error_comes_before_the_first_frame(tmp_path, suffix):
+    for name in PACKAGES.get(suffix[1:], []):
+        needs(name)
+    path = tmp_path / f"old{suffix}"
+    path.write_bytes(b"old")
+    with (
+        pytest.raises(KeyboardInterrupt),
+        open_series(path, ABOUT, {"rest": rest()}) as series,
+    ):
+        raise KeyboardInterrupt
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(FieldError, match="closed"):
+        series.append(index=0, time_ms=0.0, **frame(0))
+
+
 @pytest.mark.skipif(os.name == "nt", reason="modes are others on Windows")
 @pytest.mark.parametrize("suffix", SERIES_SUFFIXES)
 def test_an_older_file_gives_a_series_its_mode(tmp_path, suffix):

@@ -1,6 +1,7 @@
 """Memory that the host and a device share."""
 
 import gc
+import sys
 
 import images
 import numpy as np
@@ -62,12 +63,22 @@ def large(handle, device):
 def test_a_frame_is_not_written_while_kernels_read_the_one_before(large):
     detector, board, moved = large
     expected = detector(board)
-    plan = detector._plan(None)
+    plan, transfers = detector._plan(None), detector._transfers
     for _ in range(5):
-        plan.upload(plan.queue, [board])
-        plan.launch(plan.launches)
-        plan.upload(plan.queue, [moved])
+        plan.launch(plan.upload(transfers, [board]))
+        plan.upload(transfers, [moved])
         assert_same_bytes(read_corners(plan.read(plan.queue), plan)[0], expected)
+
+
+def test_a_frame_is_kept_while_kernels_read_it_and_no_longer(large):
+    detector, board, _ = large
+    detector(board)
+    plan, references = detector._plan(None), sys.getrefcount(board)
+    plan.launch(plan.upload(plan.queue, [board]))
+    if plan._in_place:
+        assert sys.getrefcount(board) == references + 1
+    plan.read(plan.queue)
+    assert sys.getrefcount(board) == references
 
 
 def test_memory_is_kept_until_the_kernels_of_a_deleted_detector_are_done(large, device):

@@ -187,6 +187,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace) -> None:
     if bool(arguments.images) == bool(arguments.left or arguments.right):
         raise ConfigError("give frames that show both views, or --left and --right")
+    if bool(arguments.left) != bool(arguments.right):
+        raise ConfigError(
+            "--left and --right need each other; --camera NAME=IMAGE... calibrates one camera"
+        )
     if len(arguments.left) != len(arguments.right):
         raise ConfigError(
             f"{len(arguments.left)} left views and {len(arguments.right)} right views do not form "
@@ -218,9 +222,8 @@ def _check_numbers(arguments: argparse.Namespace) -> None:
 
 def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:
     """Return the file or the two files of each pair of views."""
-    if arguments.left:
-        return list(zip(*distinct_inputs(arguments.left, arguments.right), strict=True))
-    return list(zip(*distinct_inputs(arguments.images), strict=True))
+    groups = (arguments.left, arguments.right) if arguments.left else (arguments.images,)
+    return list(zip(*distinct_inputs(*groups), strict=True))
 
 
 def _read(paths: tuple[Path, ...], arguments: argparse.Namespace) -> _Pair:
@@ -258,11 +261,8 @@ def _report(
     )
     rig, unit = found.rig, arguments.unit
     for name, matrix, camera in (("left", rig.K1, found.left), ("right", rig.K2, found.right)):
-        print(
-            f"{name}: focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} px (+- "
-            f"{camera.focal_sigma:.2g}), centre ({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f})"
-        )
-    angle = np.degrees(np.arccos(np.clip((np.trace(rig.R) - 1) / 2, -1, 1)))
+        print(f"{name}: {calibrate_cameras.described(matrix, camera.focal_sigma)}")
+    angle = calibrate_cameras.degrees_of(rig.R)
     if found.board is not None:
         _report_board(found.board, arguments)
     sides = np.concatenate([square_sides(rig.triangulate(*pair)) for pair in views])

@@ -5,9 +5,9 @@ import itertools
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl import media
 from cmp_cl.cli.arguments import distinct_inputs, refuse_to_overwrite
@@ -177,17 +177,26 @@ def _report(
     for name, camera in found.cameras.items():
         counts = [int(seen.valid.sum()) for seen in views[name] if seen is not None]
         left_out = len(counts) * board[0] * board[1] - sum(counts)
-        matrix: Any = camera.matrix
         pose = ""
         if name != next(iter(found.cameras)):
-            away = np.linalg.norm(camera.T)
-            angle = np.degrees(np.arccos(np.clip((np.trace(camera.R) - 1) / 2, -1, 1)))
+            away, angle = np.linalg.norm(camera.T), degrees_of(camera.R)
             pose = f"; {away:.3f} {camera.unit} and {angle:.2f} degrees from the first"
         print(
-            f"{name}: {camera.lens.value}, focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} "
-            f"px (+- {found.focal_sigma[name]:.2g}), centre ({matrix[0, 2]:.1f}, "
-            f"{matrix[1, 2]:.1f}); corners in "
-            f"{found.coverage[name]:.0%} of the image; left out as not detected or uncertain: "
-            f"{left_out}{pose}"
+            f"{name}: {camera.lens.value}, {described(camera.matrix, found.focal_sigma[name])}; "
+            f"corners in {found.coverage[name]:.0%} of the image; left out as not detected or "
+            f"uncertain: {left_out}{pose}"
         )
     print(f"all views: {found.error:.3f} px")
+
+
+def described(matrix: NDArray[np.float64], sigma: float) -> str:
+    """Return a camera matrix as text; sigma: of the focal lengths, px."""
+    return (
+        f"focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} px (+- {sigma:.2g}), centre "
+        f"({matrix[0, 2]:.1f}, {matrix[1, 2]:.1f})"
+    )
+
+
+def degrees_of(rotation: NDArray[np.float64]) -> float:
+    """Return the angle of a rotation matrix, degrees."""
+    return float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))

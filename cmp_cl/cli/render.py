@@ -9,6 +9,7 @@ from cmp_cl import media
 from cmp_cl.cli.arguments import refuse_to_overwrite
 from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
+from cmp_cl.files import check_target
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
 
@@ -74,6 +75,9 @@ def add_parser(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Render the scene that the arguments describe; return the exit status."""
     refuse_to_overwrite([], [arguments.out, arguments.truth])
+    for path in (arguments.out, arguments.truth):
+        if path is not None:
+            check_target(path)
     try:
         rendered = render(_scene(arguments))
     except ConfigError as error:  # the options have the names of the fields

@@ -316,13 +316,11 @@ class _Settings:
 
     def description(self, measure: Measurement) -> Description:
         """Return the description that is stored in the series."""
-        lengths = ["rest", "displacement", "sigma"]
-        pixels = ["left", "right", "left_rest", "right_rest"] if self.rig else ["xy", "rest_px"]
-        (lengths if self.rig else pixels).extend(
-            ("raw_rest", "raw_displacement", "raw_sigma")
-            if self.rig
-            else ("raw_rest", "raw_xy", "raw_sigma")
-        )
+        lengths: tuple[str, ...] = ("rest", "displacement", "sigma")
+        pixels: tuple[str, ...] = ("xy", "rest_px", "raw_rest", "raw_xy", "raw_sigma")
+        if self.rig is not None:
+            lengths += ("raw_rest", "raw_displacement", "raw_sigma")
+            pixels = ("left", "right", "left_rest", "right_rest")
         units = {
             **dict.fromkeys(lengths, measure.unit),
             **dict.fromkeys(pixels, "px"),
@@ -407,6 +405,8 @@ def run(arguments: argparse.Namespace) -> int:
             start = time.perf_counter()
             measured = measure(image)
             spent = (time.perf_counter() - start) * 1e3
+            if frame.index == settings.rest_frame:  # the numbers are those of this frame
+                measured = dataclasses.replace(measured, ambiguous=False)
             try:
                 series.append(
                     index=frame.index,
@@ -421,6 +421,8 @@ def run(arguments: argparse.Namespace) -> int:
                 break
             tally.add(frame.index, measured, spent)
             display.frame(frame, measured, at_rest)
+        if stop.name and not tally.frames:  # an older series stays
+            raise KeyboardInterrupt
     ended = f"stopped by {stop.name}; " if stop.name else ""
     line = tally.line(measure.nodes, measure.unit, str(settings.device))
     if isinstance(source, Pairs):

@@ -3,14 +3,13 @@
 import argparse
 import contextlib
 import time
-from collections.abc import Generator
-from pathlib import Path
+from collections.abc import Generator, Iterator
 
 import numpy as np
 
 from cmp_cl import cameras, media
 from cmp_cl.cameras import CameraSettings, PairCount, is_live, paired
-from cmp_cl.cli.messages import counted
+from cmp_cl.cli.messages import counted, shown
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
@@ -27,12 +26,11 @@ class Source:
 
     def __init__(self, name: str, max_pixels: int, camera: CameraSettings) -> None:
         self._max_pixels = max_pixels
-        self.live = is_live(name)
-        self._number = int(name) if name.isdigit() and camera == CameraSettings() else None
-        self._camera = cameras.Source(name, camera) if self.live else None
+        self._source = cameras.Source(name, camera, max_pixels=max_pixels)
+        self.name, self.live, self.paths = name, is_live(name), self._source.paths
+        plain = self.live and name.isdigit() and camera == CameraSettings()
+        self._number = int(name) if plain else None
         self.start_ns: int | None = None  # since 1970, of an MCAP recording
-        self.paths: list[Path] = [] if self.live else media.find_inputs([name])
-        self.name = name
         single = self.paths[0] if len(self.paths) == 1 else None
         self.rate = None if single is None else media.frame_rate(single)
         self.full_scale = None if single is None else media.full_scale(single)
@@ -52,37 +50,19 @@ class Source:
 
     def frames(self) -> Generator[Frame, None, None]:
         """Yield all frames or pairs, from the first; one that cannot be read has no image."""
-        start: float | None = None
-        if self.live and self._number is not None:
-            for frame in media.read_camera(self._number):
-                now = time.monotonic() * 1e3
-                start = now if start is None else start
-                yield Frame(frame.index, frame.image, now - start)
-            return
-        if self._camera is not None:
-            for taken in self._camera.frames():
-                start = taken.time_ms if start is None else start
-                yield Frame(taken.index, taken.image, taken.time_ms - start)
-            return
-        if self.paths[0].suffix.lower() == ".mcap":
+        if self.paths and self.paths[0].suffix.lower() == ".mcap":
             for number, (stamp, image) in enumerate(
                 mcap_images(self.paths[0], max_pixels=self._max_pixels)
             ):
                 self.start_ns = self.start_ns or stamp
                 yield Frame(number, image, (stamp - self.start_ns) / 1e6)
             return
-        index = 0
-        for path in self.paths:
-            try:
-                for frame in media.read_frames(path, max_pixels=self._max_pixels):
-                    time_ms = frame.time_ms if len(self.paths) == 1 else np.nan
-                    yield Frame(index, frame.image, time_ms)
-                    index += 1
-            except ImageError:
-                if len(self.paths) == 1:
-                    raise
-                yield Frame(index, None)
-                index += 1
+        taken = self._source.frames() if self._number is None else _now(self._number)
+        start = None if self.live else 0.0
+        for each in taken:
+            start = each.time_ms if start is None else start
+            time_ms = each.time_ms - start if len(self.paths) < 2 else np.nan
+            yield Frame(each.index, each.image, time_ms)
 
     def rest(self, number: int) -> tuple[GreyImage, Generator[Frame, None, None]]:
         """Return the frame at rest of that number, and the frames to measure.
@@ -90,8 +70,9 @@ class Source:
         Those of a camera begin with the frame at rest; those of a file are all its frames. Raises
         ConfigError if the frame cannot be read or does not exist.
         """
-        frames = self.frames()
+        frames, count = self.frames(), 0
         for frame in frames:
+            count = frame.index + 1
             if frame.index < number:
                 continue
             if frame.image is None:
@@ -100,7 +81,10 @@ class Source:
                 return frame.image, _chained(frame, frames)
             frames.close()
             return frame.image, self.frames()
-        raise ConfigError(f"--rest-frame {number} is beyond the last frame")
+        raise ConfigError(
+            f"there is no --rest-frame {number}: {shown(self.name)} has {counted(count, 'frame')}, "
+            "numbered from 0"
+        )
 
 
 class Pairs(Source):
@@ -125,7 +109,7 @@ class Pairs(Source):
         if not left.live:
             self.full_scale = media.full_scale(left.paths[0])
         self.live = left.live
-        self.paths = [*left.paths, *right.paths]
+        self.paths = (*left.paths, *right.paths)
         periods = [side.period_ms for side in self._sides if np.isfinite(side.period_ms)]
         self.rate = 1e3 / max(periods) if periods else None
         self._within = arguments.pair_within
@@ -158,6 +142,12 @@ class Pairs(Source):
             f"; {self.count.left_alone} left and {self.count.right_alone} right frames without "
             "a partner"
         )
+
+
+def _now(number: int) -> Iterator[cameras.Timed]:
+    """Yield the frames of a camera with the times at which they came."""
+    for frame in media.read_camera(number):
+        yield cameras.Timed(frame.index, time.monotonic() * 1e3, frame.image)
 
 
 def _side_by_side(left: GreyImage | None, right: GreyImage | None) -> GreyImage | None:

@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import math
 import re
 from typing import Any
 
@@ -23,13 +22,18 @@ from cmp_cl.field.contact import contact_of
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
 
-_NODE_ARRAYS = {  # of one view, with the shape after the axes of the nodes
+# The arrays of the strain of one view, with their shapes: after the axes of the nodes, or whole.
+_OF_NODES: dict[str, tuple[int, ...]] = {
     "strain": (3,),
     "strain_sigma": (3,),
     "principal": (2,),
     "principal_sigma": (2,),
     "direction": (),
     "direction_sigma": (),
+}
+_OF_THE_WHOLE: dict[str, tuple[int, ...]] = {
+    **{"translation": (2,), "translation_sigma": ()},
+    **dict.fromkeys(("rotation", "rotation_sigma", "zoom", "zoom_sigma"), ()),
 }
 
 
@@ -66,20 +70,6 @@ def _length(text: str) -> float:
     return float(text)
 
 
-def check(arguments: argparse.Namespace) -> None:
-    """Raise ConfigError if an option is for the other number of views."""
-    if arguments.cell is not None and arguments.stereo is not None:
-        raise ConfigError(
-            "--cell is for one view; with --stereo, the calibration gives the unit of length"
-        )
-    if arguments.unit is not None and arguments.cell is None:
-        raise ConfigError(
-            "--unit needs --cell: without it, lengths are in px or in the unit of the calibration"
-        )
-    if arguments.contact is not None and arguments.stereo is None:
-        raise ConfigError("--contact needs --stereo: one view shows no depth")
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Added:
     """The results to add to the frames of a series.
@@ -95,8 +85,21 @@ class Added:
 
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> "Added":
-        """Take the results that the arguments request; raises ConfigError as `check` does."""
-        check(arguments)
+        """Take the results that the arguments request.
+
+        Raises ConfigError if an option is for the other number of views.
+        """
+        if arguments.cell is not None and arguments.stereo is not None:
+            raise ConfigError(
+                "--cell is for one view; with --stereo, the calibration gives the unit of length"
+            )
+        if arguments.unit is not None and arguments.cell is None:
+            raise ConfigError(
+                "--unit needs --cell: without it, lengths are in px or in the unit of the "
+                "calibration"
+            )
+        if arguments.contact is not None and arguments.stereo is None:
+            raise ConfigError("--contact needs --stereo: one view shows no depth")
         return cls(
             side=arguments.cell,
             unit=arguments.unit or "mm",
@@ -161,12 +164,10 @@ class _InThePlane(Measurement):
 
 def _strain_arrays(field: PlaneField) -> dict[str, NDArray[Any]]:
     """Return strain, principal strains and the motion of the whole, each with its sigma."""
-    shape = field.valid.shape
     arrays: dict[str, NDArray[Any]] = {
-        name: np.full((*shape, *after), np.nan) for name, after in _NODE_ARRAYS.items()
+        **{name: np.full(field.valid.shape + after, np.nan) for name, after in _OF_NODES.items()},
+        **{name: np.full(shape, np.nan) for name, shape in _OF_THE_WHOLE.items()},
     }
-    arrays |= {f"{name}{end}": np.array(math.nan) for name in ("rotation", "zoom") for end in _ENDS}
-    arrays |= {"translation": np.full(2, math.nan), "translation_sigma": np.array(math.nan)}
     try:
         noisy = with_measured_noise(field)
     except FieldError:  # too few nodes for an estimate
@@ -191,9 +192,6 @@ def _strain_arrays(field: PlaneField) -> dict[str, NDArray[Any]]:
         "zoom": np.array(motion.zoom),
         "zoom_sigma": np.array(motion.sigma_zoom),
     }
-
-
-_ENDS = ("", "_sigma")
 
 
 class _InSpace(Measurement):

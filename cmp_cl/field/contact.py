@@ -2,11 +2,12 @@
 
 import dataclasses
 import math
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.errors import FieldError, as_numbers, check_kind
 from cmp_cl.field.field import DisplacementField
 from cmp_cl.field.strain import slope_weights
 
@@ -48,6 +49,7 @@ def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
     Raises FieldError if the depth is not a finite number, or field is of another type.
     """
     check_kind("field", field, DisplacementField, FieldError)
+    check_kind("deeper_than", deeper_than, Real, FieldError)
     if not math.isfinite(deeper_than):
         raise FieldError(f"a depth must be a finite number, not {deeper_than!r}")
     before = surface_normals(field.position)
@@ -75,7 +77,12 @@ def surface_normals(positions: Array) -> Array:
     positions: (R, C, 3), NaN where missing. A normal is that of the plane through the 5 x 5 nodes
         around a node, and points to the side on which the origin is. It is NaN if fewer than 6 of
         these nodes are valid, or if all lie on a line.
+
+    Raises FieldError if positions are of another shape.
     """
+    positions = as_numbers("positions", positions, FieldError)
+    if positions.ndim != 3 or positions.shape[2] != 3:
+        raise FieldError(f"positions must be (R, C, 3), not {positions.shape}")
     valid: NDArray[np.bool_] = np.all(np.isfinite(positions), axis=2)
     filled = np.where(valid[..., None], positions, 0)
     reach = _NORMAL_RADIUS

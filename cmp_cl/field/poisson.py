@@ -9,12 +9,13 @@ phi is the refractive index, integrated along the line of sight (background-orie
 import dataclasses
 import enum
 import math
+from numbers import Real
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.errors import ConfigError, FieldError, as_numbers, check_kind, check_positive
 from cmp_cl.field.plane import Raster
 
 Array = NDArray[np.float64]
@@ -75,10 +76,13 @@ def surface_height(
 
     Raises ConfigError if a length or the index is out of range, and FieldError as `integrate` does.
     """
-    if not (0 < depth < math.inf and 1 < index < 10 and camera > 0):
+    check_kind("displaced", displaced, Raster, FieldError)
+    check_positive("depth", depth, ConfigError)
+    check_positive("index", index, ConfigError)
+    check_kind("camera", camera, Real, ConfigError)
+    if not (1 < index < 10 and camera > 0):
         raise ConfigError(
-            f"depth and camera must be positive and index above 1, not {depth!r}, {camera!r} and "
-            f"{index!r}"
+            f"camera must be positive and index from 1 to 10, not {camera!r} and {index!r}"
         )
     inverse = 1 / ((1 - 1 / index) * depth) - 1 / camera
     if not inverse > 0:
@@ -104,13 +108,14 @@ def projected_density(
 
     Raises ConfigError if a number is out of range, FieldError if the unit is not mm.
     """
+    check_kind("displaced", displaced, Raster, FieldError)
     if displaced.unit != "mm":
         raise FieldError(f"a density needs the displacement in mm, not in {displaced.unit}")
-    if not (0 < distance < math.inf and gladstone_dale > 0 and index >= 1):
-        raise ConfigError(
-            "distance and gladstone_dale must be positive and index at least 1, not "
-            f"{distance!r}, {gladstone_dale!r} and {index!r}"
-        )
+    check_positive("distance", distance, ConfigError)
+    check_positive("gladstone_dale", gladstone_dale, ConfigError)
+    check_positive("index", index, ConfigError)
+    if not index >= 1:
+        raise ConfigError(f"index must be at least 1, not {index!r}")
     factor = 1e-3 * index / (distance * gladstone_dale)  # kg/m2 per mm, by mm
     found = integrate(displaced, -factor * _plane(displaced), mask=mask, boundary=boundary)
     return dataclasses.replace(found, unit="kg/m2")
@@ -139,9 +144,11 @@ def integrate(
     whole rectangle. Raises FieldError if the shapes differ, no point is left in the mask, or the
     iteration does not converge.
     """
-    known = np.asarray(np.isfinite(gradient).all(axis=2), np.bool_)
+    check_kind("raster", raster, Raster, FieldError)
+    gradient = as_numbers("gradient", gradient, FieldError)
     if gradient.shape != (len(raster.y), len(raster.x), 2):
         raise FieldError(f"the gradient is {gradient.shape}, the raster {raster.values.shape}")
+    known = np.asarray(np.isfinite(gradient).all(axis=2), np.bool_)
     if mask is not None:
         if mask.shape != known.shape or mask.dtype != np.bool_:
             raise FieldError(
@@ -252,15 +259,13 @@ class _Poisson:
 
     def misfit(self, value: Array, slopes: Array) -> Array:
         """Return, for each point, the RMS difference from the measured slope over both axes."""
-        squares, counts = np.zeros_like(value), np.zeros_like(value)
         total = np.zeros_like(value)
         for axis, (found, wanted, pairs) in enumerate(
             zip(self._differences(value), self._means(slopes), self._pairs, strict=True)
         ):
-            squares[:], counts[:] = 0, 0
+            squares, counts = np.zeros_like(value), np.zeros_like(value)
             off = np.square(found - wanted)
-            ends = (slice(1, None), slice(None, -1))
-            for end in ends:
+            for end in (slice(1, None), slice(None, -1)):
                 at = (slice(None), end) if axis == 0 else (end, slice(None))
                 squares[at] += off
                 counts[at] += pairs

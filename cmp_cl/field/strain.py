@@ -1,14 +1,17 @@
 """The strain of a surface from the positions of its nodes, and its standard deviation."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, FieldError, as_numbers
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+
+_LEAST_NODES = 6  # fewest nodes of a window to which a plane is fitted
 
 
 def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
@@ -23,22 +26,18 @@ def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
     Returns (R, C, 3) E11, E22, E12 (half the engineering shear); NaN if the node is missing, if its
     window has fewer than 6 nodes, or if these lie on a line.
 
-    Raises ConfigError if radius is not a whole number from 1 to 50.
+    Raises ConfigError if radius is not a whole number from 1 to 50, FieldError if rest or now has
+    another shape.
     """
+    rest, now = as_numbers("rest", rest, FieldError), as_numbers("now", now, FieldError)
+    if rest.ndim != 3 or rest.shape[2] != 3 or now.shape != rest.shape:
+        raise FieldError(f"rest and now must be (R, C, 3), not {rest.shape} and {now.shape}")
     if type(radius) is not int or not 1 <= radius <= 50:
         raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
-    both = np.concatenate([rest, now], axis=2)
-    valid = ~np.isnan(both).any(axis=2)
-    tangents = _tangents(np.where(valid[..., None], both, 0), valid, radius)
-    strain = np.full((*valid.shape, 3), np.nan)
-    area = np.linalg.norm(np.cross(tangents[..., 0, :3], tangents[..., 1, :3]), axis=-1)
-    good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
-    first, second = tangents[good, :, :3], tangents[good, :, 3:]
-    metric = first @ first.transpose(0, 2, 1)
+    good, _, second, inverse = _local_frames(rest, now, radius)
     deformed = second @ second.transpose(0, 2, 1)
-    lower = np.linalg.cholesky(metric)
-    inverse = np.linalg.inv(lower)
     relative = inverse @ deformed @ inverse.transpose(0, 2, 1)
+    strain = np.full((*good.shape, 3), np.nan)
     strain[good, 0] = (relative[:, 0, 0] - 1) / 2
     strain[good, 1] = (relative[:, 1, 1] - 1) / 2
     strain[good, 2] = relative[:, 0, 1] / 2
@@ -61,7 +60,7 @@ def slope_weights(valid: Bools, radius: int) -> tuple[Array, Array]:
     ).reshape(3, -1)
     flat = there.reshape(rows, columns, -1)
     moments = np.einsum("rcs,is,js->rcij", flat, basis, basis, optimize=True)
-    solvable = valid & (moments[..., 0, 0] >= 6) & (np.linalg.det(moments) > 1e-6)
+    solvable = valid & fixes_plane(moments)
     moments[~solvable] = np.eye(3)
     weights = (np.linalg.inv(moments)[:, :, 1:] @ basis) * flat[:, :, None]
     weights = np.where(solvable[..., None, None], weights, 0)
@@ -94,14 +93,7 @@ def strain_deviation(
     the position and of the displacement. radius: as in `green_lagrange`. The result is NaN if the
     strain is NaN or an error is unknown.
     """
-    both = np.concatenate([rest, now], axis=2)
-    valid = ~np.isnan(both).any(axis=2)
-    tangents = _tangents(np.where(valid[..., None], both, 0), valid, radius)
-    area = np.linalg.norm(np.cross(tangents[..., 0, :3], tangents[..., 1, :3]), axis=-1)
-    good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
-    first, second = tangents[good, :, :3], tangents[good, :, 3:]
-    lower = np.linalg.cholesky(first @ first.transpose(0, 2, 1))
-    inverse = np.linalg.inv(lower)  # from steps between nodes to the axes
+    good, first, second, inverse = _local_frames(rest, now, radius)
     axes, along = inverse @ first, inverse @ second
     strain = (along @ along.transpose(0, 2, 1) - np.eye(2)) / 2
     e11, e22, e12 = (strain[:, i, j, None] for i, j in ((0, 0), (1, 1), (0, 1)))
@@ -114,7 +106,7 @@ def strain_deviation(
         (none, two, -2 * e12 * turned, off_two),
         (two / 2, one / 2, off_two / 2 + (e22 - e11) * turned, off_one / 2),
     )
-    deviation = np.full((*valid.shape, 3), np.nan)
+    deviation = np.full((*good.shape, 3), np.nan)
     for number, (now_one, now_two, rest_one, rest_two) in enumerate(parts):
         variance = _variance(now_one, now_two, inverse, slopes, good)
         variance += _variance(rest_one, rest_two, inverse, rest_slopes, good)
@@ -135,21 +127,51 @@ def _variance(one: Array, two: Array, inverse: Array, slopes: Slopes, good: Bool
     return total
 
 
+def _local_frames(rest: Array, now: Array, radius: int) -> tuple[Bools, Array, Array, Array]:
+    """Return the nodes that have a strain, (R, C), and for these N nodes the tangent vectors at
+    rest and now, (N, 2, 3), and the matrices (N, 2, 2) from steps between nodes to the axes."""
+    both = np.concatenate([rest, now], axis=2)
+    valid = ~np.isnan(both).any(axis=2)
+    tangents = _tangents(np.where(valid[..., None], both, 0), valid, radius)
+    area = np.linalg.norm(np.cross(tangents[..., 0, :3], tangents[..., 1, :3]), axis=-1)
+    good = valid & (area > 1e-9 * np.square(tangents[..., :3]).sum(axis=(2, 3)))
+    first, second = tangents[good, :, :3], tangents[good, :, 3:]
+    inverse = np.linalg.inv(np.linalg.cholesky(first @ first.transpose(0, 2, 1)))
+    return good, first, second, inverse
+
+
 def _tangents(values: Array, valid: Bools, radius: int) -> Array:
     """Return slopes of the local plane by column and row: (R, C, K) -> (R, C, 2, K), or NaN."""
-    rows, columns = valid.shape
-    sums = np.zeros((rows, columns, 3, values.shape[2]))  # of 1, c, r times the values
-    moments = np.zeros((rows, columns, 3, 3))
-    pad = ((radius, radius), (radius, radius))
-    weights = np.pad(valid.astype(np.float64), pad)
-    padded = np.pad(values, (*pad, (0, 0)))
+    sums, moments = plane_moments(values, valid[..., None], radius)
+    count = moments[:, :, 0]
+    solvable = fixes_plane(count)
+    slopes = np.full((*valid.shape, 2, values.shape[2]), np.nan)
+    slopes[solvable] = np.linalg.solve(count[solvable], sums[solvable])[:, 1:]
+    return slopes
+
+
+def plane_moments(values: Array, weights: NDArray[Any], radius: int) -> tuple[Array, Array]:
+    """Return what the normal equations of a plane need from the window around each node.
+
+    values: (R, C, K), 0 where they do not count. weights: (R, C, L). With the basis b = (1, column,
+    row) from the node: the sums of b times the values, (R, C, 3, K), and of b b' times each weight,
+    (R, C, L, 3, 3).
+    """
+    rows, columns = values.shape[:2]
+    pad = ((radius, radius), (radius, radius), (0, 0))
+    values, weights = np.pad(values, pad), np.pad(weights.astype(np.float64), pad)
+    sums = np.zeros((rows, columns, 3, values.shape[2]))
+    moments = np.zeros((rows, columns, weights.shape[2], 3, 3))
     for row in range(2 * radius + 1):
         for column in range(2 * radius + 1):
             at = slice(row, row + rows), slice(column, column + columns)
             basis = np.array([1.0, column - radius, row - radius])
-            sums += basis[:, None] * padded[at][:, :, None]
-            moments += np.outer(basis, basis) * weights[at][:, :, None, None]
-    solvable = (moments[..., 0, 0] >= 6) & (np.linalg.det(moments) > 1e-6)
-    slopes = np.full((rows, columns, 2, values.shape[2]), np.nan)
-    slopes[solvable] = np.linalg.solve(moments[solvable], sums[solvable])[:, 1:]
-    return slopes
+            sums += basis[:, None] * values[at][:, :, None]
+            moments += np.outer(basis, basis) * weights[at][..., None, None]
+    return sums, moments
+
+
+def fixes_plane(moments: Array) -> Bools:
+    """Return whether the nodes of (..., 3, 3) moments are enough, and not on a line."""
+    fixed: Bools = (moments[..., 0, 0] >= _LEAST_NODES) & (np.linalg.det(moments) > 1e-6)
+    return fixed

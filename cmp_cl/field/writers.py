@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError
-from cmp_cl.files import whole_file, write_bytes
+from cmp_cl.files import suffix_of, whole_file, write_bytes
 from cmp_cl.grid.grid import NodeStatus
 from cmp_cl.media import write_csv
 from cmp_cl.stereo.points import PointStatus
@@ -30,7 +29,7 @@ def save(field: "DisplacementField", path: str | PathLike[str]) -> None:
     Raises ConfigError on another suffix, OSError if the file cannot be written.
     """
     writers = {".npz": _save_npz, ".csv": _save_csv, ".ply": _save_ply, ".vtp": _save_vtp}
-    suffix = Path(path).suffix.lower()
+    suffix = suffix_of(path, ConfigError)
     if suffix not in writers:
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(writers)}")
     writers[suffix](field, path)

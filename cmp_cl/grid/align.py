@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cmp_cl.errors import GridError
+from cmp_cl.errors import GridError, listed
 from cmp_cl.grid.grid import Grid
 
 MOST_TURNED = 60  # degrees between the rows of two views, if colours do not decide
@@ -21,10 +21,8 @@ def align(grids: Sequence[Grid]) -> list[Grid]:
     Raises GridError if a grid has no node, if shapes or colours do not agree, or if
     several turns have the same colours and none leaves the rows within 60 degrees.
     """
-    grids = list(grids)
+    grids = listed("grids", grids, Grid, GridError)
     for number, grid in enumerate(grids, 1):
-        if not isinstance(grid, Grid):
-            raise GridError(f"expected grids, got {type(grid).__name__}")
         if not grid.valid.any():
             raise GridError(f"view {number} of {len(grids)} shows no node, and cannot be numbered")
     return [grids[0], *(_like(grids[0], grid) for grid in grids[1:])] if grids else []

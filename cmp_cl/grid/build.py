@@ -223,7 +223,8 @@ def _checked(
     if not isinstance(corners, Corners):
         raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
     if image is not None:
-        _check_holds(check_image(image), corners)
+        image = check_image(image)
+        _check_holds(image, corners)
     check_finite(corners)
     if shape is not None:
         check_room(shape, len(corners))

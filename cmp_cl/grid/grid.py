@@ -3,13 +3,14 @@
 import dataclasses
 import enum
 import math
+from numbers import Integral
 from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, GridError
+from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.limits import check_size
 
@@ -177,7 +178,8 @@ class Grid:
 
     def turned(self, quarters: int) -> "Grid":
         """Return the grid after `quarters` quarter turns: after one, row 0 is the former last
-        column."""
+        column; raises GridError if `quarters` is not whole."""
+        check_kind("quarters", quarters, Integral, GridError)
         quarters %= 4
         if not quarters:
             return self
@@ -214,6 +216,7 @@ class Grid:
 
     def covers(self, rest: "Grid") -> bool:
         """Return whether the grid has all rows and columns of the grid `rest`, by their numbers."""
+        check_kind("rest", rest, Grid, GridError)
         first = np.subtract(rest.origin, self.origin)
         last = first + rest.shape
         return bool((first >= 0).all() and (last <= self.shape).all())
@@ -222,7 +225,9 @@ class Grid:
         """Return the grid cut to the rows and columns of the grid `rest`, by their numbers.
 
         Equal indices of the two grids then have equal numbers. Corners beyond belong to no node.
+        Raises GridError if `rest` is no Grid.
         """
+        check_kind("rest", rest, Grid, GridError)
         if (self.origin, self.shape) == (rest.origin, rest.shape):
             return self
         top, left = np.subtract(rest.origin, self.origin).tolist()
@@ -259,8 +264,7 @@ class Grid:
         z = 0, in that unit, and (N, 1, 2) float32, px. Raises ConfigError if spacing is not
         positive.
         """
-        if not 0 < spacing < math.inf:
-            raise ConfigError(f"spacing must be a positive length, not {spacing!r}")
+        check_positive("spacing", spacing, ConfigError)
         row, column = np.nonzero(self.valid)
         nodes = np.column_stack([column, row, np.zeros(len(row))]) * float(spacing)
         return nodes.astype(np.float32)[:, None], self.xy[self.valid].astype(np.float32)[:, None]

@@ -77,7 +77,7 @@ def refine_markers(
     estimate. Raises GridError if the grid does not have that count, ImageError, DeviceError,
     KernelBuildError.
     """
-    check_image(image)
+    image = check_image(image)
     _check_count(dense, count)
     at = profiles(dense, count)
     if not len(at.place) or not image.size:

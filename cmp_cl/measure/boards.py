@@ -1,6 +1,7 @@
 """Rigid boards for calibration, in one view and in two."""
 
 import dataclasses
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.cell import estimate_blur, estimate_cells
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
-from cmp_cl.errors import GridError
+from cmp_cl.errors import GridError, check_kind
 from cmp_cl.grid import Grid, NodeStatus, filter_positions
 from cmp_cl.grid.filter import image_sigma
 from cmp_cl.image import GreyImage
@@ -100,8 +101,11 @@ def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
     """Return the filtered grid of a board with only the nodes that calibration may use.
 
     It leaves out nodes that were not detected, and nodes whose corner has a sigma above max_sigma,
-    px. The sigma of the others is that of their filtered positions.
+    px. The sigma of the others is that of their filtered positions. Raises GridError if an argument
+    is of another type.
     """
+    check_kind("grid", grid, Grid, GridError)
+    check_kind("max_sigma", max_sigma, Real, GridError)
     good = (grid.status == NodeStatus.DETECTED) & (image_sigma(grid) <= max_sigma)
     kept = dataclasses.replace(
         grid,

@@ -2,6 +2,8 @@
 
 import contextlib
 import dataclasses
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import Grid, build_grid, filter_positions
-from cmp_cl.image import GreyImage
+from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.patterns import (
     Region,
     align_views,
@@ -31,6 +33,8 @@ from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 BRIDGED = 1
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
+_FLIP = np.array([-1, 1], np.float32)
+_BETTER = 0.25  # share of the reprojection error that is left if the views were swapped or mirrored
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -221,6 +225,10 @@ class TwoViews(Measurement):
         self._rig = rig
         self._split = split
         search = _Search(selected(device), shape, config, full_scale, track)
+        if not (isinstance(regions, Sequence) and len(regions) == 2):
+            raise ConfigError(
+                f"regions must be those of the left and the right view, not {regions!r}"
+            )
         with contextlib.ExitStack() as stack:
             patterns = []
             for side, view, region in zip(("left", "right"), split(rest), regions, strict=True):
@@ -266,7 +274,31 @@ class TwoViews(Measurement):
                 f"{_FITS:g} px; check the calibration, the number of corners, the split, mirrored "
                 "views, and which view is the left one"
             )
+        self._check_order(left, right, _middle(points.error))
         return points
+
+    def _check_order(self, left: Grid, right: Grid, error: float) -> None:
+        """Raise GridError if the rig fits far better to views that are swapped or mirrored.
+
+        A flat pattern near the point at which the cameras look fits to 1 px even so, with its
+        heights reversed. error: the median reprojection error of the views as they are, px.
+        """
+        flipped = [
+            dataclasses.replace(grid, xy=grid.xy * _FLIP + (view[2] - 1, 0))
+            for grid, view in ((left, self._split.left), (right, self._split.right))
+        ]
+        other, how = min(
+            (_middle(self._rig.triangulate(*views).error), how)
+            for how, views in (
+                ("left and right swapped", (right, left)),
+                ("both views mirrored", flipped),
+            )
+        )
+        if other < _BETTER * error:
+            raise GridError(
+                f"the rig fits the nodes to {error:.2g} px, but with {how} to {other:.2g} px; give "
+                "the views as they were in the calibration"
+            )
 
     def __call__(self, frame: GreyImage) -> MeasuredInSpace:
         """Measure one frame, see `Measurement.__call__`."""
@@ -299,6 +331,12 @@ class TwoViews(Measurement):
         )
 
 
+def _middle(error: NDArray[np.float64]) -> float:
+    """Return the median of the known errors; infinity if none is known."""
+    known = error[~np.isnan(error)]
+    return float(np.median(known)) if len(known) else math.inf
+
+
 @dataclasses.dataclass(frozen=True)
 class _Search:
     """The settings of a search for a pattern, see `OneView`."""
@@ -318,6 +356,7 @@ class _Pattern:
 
     def __init__(self, view: GreyImage, search: _Search, region: Region | None) -> None:
         config, shape, device = search.config, search.shape, search.device
+        view = check_image(view)
         self._region = region
         self._track = search.track
         self._previous: Grid | None = None
@@ -327,7 +366,8 @@ class _Pattern:
                 view, shape=shape, region=region, full_scale=search.full_scale, device=device
             )
             config = exact_config(cell, search.full_scale)
-        elif search.full_scale is not None:
+        check_kind("config", config, DetectorConfig, ConfigError)
+        if search.config is not None and search.full_scale is not None:
             config = config.replace(full_scale=search.full_scale)
         with contextlib.ExitStack() as stack:
             self.detector = stack.enter_context(

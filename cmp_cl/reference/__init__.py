@@ -31,17 +31,7 @@ from cmp_cl.reference import (
 
 __all__ = ["detect", "detect_with_margin", "maps"]
 
-_CRITERIA_MAPS = (
-    "inner_transitions",
-    "outer_transitions",
-    "sector_difference",
-    "ring_difference",
-    "corrosion",
-    "spectrum_12",
-    "spectrum_23",
-    "correlation",
-    "phase",
-)
+_OF_ALL_LAYERS = {"response", "score", "maximum"}  # fields of Maps; each layer has the others
 
 Mask = NDArray[np.bool_] | None
 
@@ -217,7 +207,8 @@ def _layer(
     """Return the maps of one binary image by their names, without those of the gate."""
     inner = ring.ring_bits(binary, ring.INNER)
     outer = ring.ring_bits(binary, ring.OUTER[rings.outer_radius])
-    layer: dict[str, Any] = dict.fromkeys((*_CRITERIA_MAPS, "contrast"))
+    fields = {field.name for field in dataclasses.fields(Maps)}
+    layer: dict[str, Any] = dict.fromkeys(fields - _OF_ALL_LAYERS)
     if isinstance(rings.criteria, RapidCriteria):
         layer |= vars(criteria.rapid(binary, inner, outer, rings.criteria))
     else:

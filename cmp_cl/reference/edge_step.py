@@ -54,7 +54,7 @@ def edge_step(
     depend only on the model are integrated over the disc. In the frame of the edges the equations
     separate into two systems of two unknowns.
     """
-    radius = min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
+    radius = disc_radius(refinement, scale)
     n1, n2 = (normal_of(line) for line in both_lines(points))
     at_once = max(1, 2_000_000 // math.ceil(2 * radius + 1) ** 2)
     blocks = [slice(k, k + at_once) for k in range(0, len(start), at_once)]
@@ -92,6 +92,11 @@ def edge_step(
         doubtful=accepted & (excess > DOUBT),
         margin=margin,
     )
+
+
+def disc_radius(refinement: EdgeStep, scale: float) -> float:
+    """Return the radius of the model, px of the full image."""
+    return min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
 
 
 def lower_median(values: Floats) -> float:

@@ -95,7 +95,7 @@ def corners(
         y, x = y[passed], x[passed]
         least = (5 * share + 1) // 3 * (level or reference(fine_response[y, x]))
         strong = 128 * fine_response[y, x] >= least
-        strong &= ~_any_within(kept, nms_radius)[y, x]
+        strong &= nms.largest_within(kept.astype(np.int64), nms_radius)[y, x] == 0
         fine_kept[y[strong], x[strong]] = True
 
     y, x = np.nonzero(kept | fine_kept)
@@ -228,10 +228,8 @@ def maxima(response: Whole, bound: int, radius: int) -> NDArray[np.bool_]:
 
     Of equal responses the one with the lower raster index is the maximum.
     """
-    size = response.size
-    index = np.arange(size).reshape(response.shape)
-    key = response * size + (size - 1 - index)
-    kept: NDArray[np.bool_] = (response > bound) & (key == _largest_within(key, radius))
+    key = nms.without_ties(response)
+    kept: NDArray[np.bool_] = (response > bound) & (key == nms.largest_within(key, radius))
     return kept
 
 
@@ -274,17 +272,3 @@ def reference(responses: Whole) -> int:
     if not len(falling):
         return 0
     return int(falling[np.argmax(2 * squares >= squares[-1])])
-
-
-def _any_within(flags: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
-    return _largest_within(flags.astype(np.int64), radius, outside=0) > 0
-
-
-def _largest_within(values: Whole, radius: int, outside: int = -(1 << 62)) -> Whole:
-    """Return the largest of the (2 radius + 1)^2 window around each pixel."""
-    height, width = values.shape
-    padded = np.pad(values, radius, constant_values=outside)
-    window = range(2 * radius + 1)
-    rows = np.max([padded[k : k + height] for k in window], axis=0)
-    largest: Whole = np.max([rows[:, k : k + width] for k in window], axis=0)
-    return largest

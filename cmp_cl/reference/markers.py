@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
+from cmp_cl.reference.edges import bilinear
 
 HALF = 8
 QUARTER = 4
@@ -32,7 +33,8 @@ def refine_markers(
     profile = np.zeros(along.shape)
     for side in (-1, 0, 1):
         points = at[:, None] + along[..., None] * normal[:, None] + side * tangent[:, None]
-        profile += _bilinear(image, points + pixel[:, None]) / 3
+        x, y = np.moveaxis(points + pixel[:, None], -1, 0)
+        profile += bilinear(image, x, y) / 3
     white = profile[:, :QUARTER].mean(1)
     black = profile[:, -QUARTER:].mean(1)
     above = profile - ((white + black) / 2)[:, None]
@@ -43,18 +45,3 @@ def refine_markers(
     nearest = np.take_along_axis(t, np.abs(t).argmin(1)[:, None], 1)[:, 0]
     found = np.isfinite(nearest) & (white - black >= contrast)
     return np.where(found, nearest, np.nan)
-
-
-def _bilinear(image: GreyImage, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sample the image at (..., 2) points (x, y); beyond the image its border is repeated."""
-    low = np.floor(points)
-    ax, ay = np.moveaxis(points - low, -1, 0)
-    x, y = np.moveaxis(low.astype(np.int64), -1, 0)
-    rows, columns = image.shape
-    x0, x1 = np.clip(x, 0, columns - 1), np.clip(x + 1, 0, columns - 1)
-    y0, y1 = np.clip(y, 0, rows - 1), np.clip(y + 1, 0, rows - 1)
-    grey = image.astype(np.float64)
-    top = (1 - ax) * grey[y0, x0] + ax * grey[y0, x1]
-    bottom = (1 - ax) * grey[y1, x0] + ax * grey[y1, x1]
-    level: NDArray[np.float64] = (1 - ay) * top + ay * bottom
-    return level

@@ -24,17 +24,27 @@ def maxima(response: NDArray[np.int32], score: NDArray[np.int32], radius: int) -
 
     The key is 10 S + R. Of equal keys the one with the lower raster index counts as larger.
     """
-    height, width = response.shape
-    size = response.size
-    index = np.arange(size).reshape(height, width)
-    key = (10 * score.astype(np.int64) + response) * size + (size - 1 - index)
-    key = np.where(response > 0, key, -1)
-    padded = np.pad(key, radius, constant_values=-1)
+    key = np.where(response > 0, without_ties(10 * score.astype(np.int64) + response), -1)
+    kept: NDArray[np.bool_] = (response > 0) & (key == largest_within(key, radius, outside=-1))
+    return kept
+
+
+def without_ties(key: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return keys in the same order; of equal ones that of the lower raster index is larger."""
+    index = np.arange(key.size).reshape(key.shape)
+    return key * key.size + (key.size - 1 - index)
+
+
+def largest_within(
+    values: NDArray[np.int64], radius: int, *, outside: int = -(1 << 62)
+) -> NDArray[np.int64]:
+    """Return the largest of the (2 radius + 1)^2 window around each pixel."""
+    height, width = values.shape
+    padded = np.pad(values, radius, constant_values=outside)
     window = range(2 * radius + 1)
     rows = np.max([padded[k : k + height] for k in window], axis=0)
-    largest = np.max([rows[:, k : k + width] for k in window], axis=0)
-    kept: NDArray[np.bool_] = (response > 0) & (key == largest)
-    return kept
+    largest: NDArray[np.int64] = np.max([rows[:, k : k + width] for k in window], axis=0)
+    return largest
 
 
 def centroids(

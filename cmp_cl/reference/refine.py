@@ -14,7 +14,7 @@ from cmp_cl.config import EdgeLines, EdgeStep, Midlines
 from cmp_cl.corners import Method, Refusal
 from cmp_cl.image import GreyImage
 from cmp_cl.reference.edge_lines import edge_lines, lines_sigma
-from cmp_cl.reference.edge_step import STEP_SHIFT, edge_step
+from cmp_cl.reference.edge_step import STEP_SHIFT, disc_radius, edge_step
 from cmp_cl.reference.edges import EdgePoints, edge_points
 from cmp_cl.reference.midlines import midlines
 
@@ -104,9 +104,7 @@ def refine(
 def edge_radius(refinement: EdgeLines | EdgeStep | Midlines | None, scale: float) -> float:
     """Return the radius within which the refinement assumes straight edges, px of the image; NaN
     without EDGE_STEP."""
-    if not isinstance(refinement, EdgeStep):
-        return math.nan
-    return min(max(0.75 * refinement.cell * scale, 4.5), 9.0) / scale
+    return disc_radius(refinement, scale) if isinstance(refinement, EdgeStep) else math.nan
 
 
 def _chosen(points: EdgePoints, rows: NDArray[np.int64]) -> EdgePoints:

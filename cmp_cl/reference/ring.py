@@ -12,60 +12,18 @@ from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
 
-INNER = (
-    (0, -3),
-    (1, -3),
-    (2, -2),
-    (3, -1),
-    (3, 0),
-    (3, 1),
-    (2, 2),
-    (1, 3),
-    (0, 3),
-    (-1, 3),
-    (-2, 2),
-    (-3, 1),
-    (-3, 0),
-    (-3, -1),
-    (-2, -2),
-    (-1, -3),
-)
-OUTER_5 = (
-    (0, -5),
-    (2, -5),
-    (4, -4),
-    (5, -2),
-    (5, 0),
-    (5, 2),
-    (4, 4),
-    (2, 5),
-    (0, 5),
-    (-2, 5),
-    (-4, 4),
-    (-5, 2),
-    (-5, 0),
-    (-5, -2),
-    (-4, -4),
-    (-2, -5),
-)
-OUTER_4 = (
-    (0, -4),
-    (2, -4),
-    (3, -3),
-    (4, -2),
-    (4, 0),
-    (4, 2),
-    (3, 3),
-    (2, 4),
-    (0, 4),
-    (-2, 4),
-    (-3, 3),
-    (-4, 2),
-    (-4, 0),
-    (-4, -2),
-    (-3, -3),
-    (-2, -4),
-)
+
+def _whole(*quarter: tuple[int, int]) -> tuple[tuple[int, int], ...]:
+    """Return a ring from its first quarter, which repeats rotated by quarter turns."""
+    quarters = [quarter]
+    for _ in range(3):
+        quarters.append(tuple((-y, x) for x, y in quarters[-1]))
+    return sum(quarters, ())
+
+
+INNER = _whole((0, -3), (1, -3), (2, -2), (3, -1))
+OUTER_5 = _whole((0, -5), (2, -5), (4, -4), (5, -2))
+OUTER_4 = _whole((0, -4), (2, -4), (3, -3), (4, -2))
 OUTER = {4: OUTER_4, 5: OUTER_5}
 REGION = tuple((dx, dy) for dy in range(-2, 3) for dx in range(-2, 3) if abs(dx) + abs(dy) < 4)
 PADDING = 5  # px, as far as the outer ring extends

@@ -1,14 +1,10 @@
 """Series in the formats that other programs read, chosen by suffix."""
 
-import os
 from collections.abc import Callable, Mapping
-from os import PathLike
-from pathlib import Path
 
-from numpy.typing import ArrayLike
-
-from cmp_cl.errors import ConfigError
-from cmp_cl.series.base import Description, Series
+from cmp_cl.errors import ConfigError, check_kind
+from cmp_cl.files import suffix_of
+from cmp_cl.series.base import Constants, Description, FileName, Series
 from cmp_cl.series.hdf5 import Hdf5Series
 from cmp_cl.series.mcap import McapSeries
 from cmp_cl.series.npz import NpzSeries, SeriesWriter
@@ -32,8 +28,7 @@ __all__ = [
     "read_series",
 ]
 
-_WRITERS: dict[str, Callable[[str | PathLike[str], Description, Mapping[str, ArrayLike]], Series]]
-_WRITERS = {
+_WRITERS: dict[str, Callable[[FileName, Description, Constants], Series]] = {
     ".npz": NpzSeries,
     ".h5": Hdf5Series,
     ".hdf5": Hdf5Series,
@@ -47,9 +42,7 @@ SERIES_SUFFIXES = tuple(_WRITERS)
 
 
 def open_series(
-    path: str | PathLike[str],
-    description: Description | None = None,
-    constants: Mapping[str, ArrayLike] | None = None,
+    path: FileName, description: Description | None = None, constants: Constants | None = None
 ) -> Series:
     """Open a series to write, in the format of the suffix; `-` is JSON lines on standard output.
 
@@ -59,7 +52,10 @@ def open_series(
     Raises ConfigError on another suffix or if the format's package is missing, OSError
     if the folder is missing or not writable.
     """
-    suffix = ".jsonl" if os.fspath(path) == "-" else Path(path).suffix.lower()
+    description, constants = description or Description(), constants or {}
+    check_kind("description", description, Description, ConfigError)
+    check_kind("constants", constants, Mapping, ConfigError)
+    suffix = ".jsonl" if path == "-" else suffix_of(path, ConfigError)
     if suffix not in _WRITERS:
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(_WRITERS)}")
-    return _WRITERS[suffix](path, description or Description(), constants or {})
+    return _WRITERS[suffix](path, description, constants)

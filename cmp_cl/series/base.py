@@ -3,6 +3,7 @@
 import dataclasses
 import datetime
 from collections.abc import Mapping
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from cmp_cl.errors import FieldError
 from cmp_cl.version import package_version
 
 Frame = dict[str, NDArray[Any]]
+FileName = str | PathLike[str]
+Constants = Mapping[str, ArrayLike]
+Raised = tuple[Any, Any, Any]  # the arguments of __exit__
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -32,6 +36,10 @@ class Description:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         return {"cmp_cl": package_version(), "written": now, **self.settings}
 
+    def with_units(self) -> dict[str, Any]:
+        """Return the units of the arrays, then the entries."""
+        return {"units": dict(self.units), **self.entries()}
+
 
 class Series(Closing):
     """Writes a series frame by frame; use it in a with statement.
@@ -43,10 +51,11 @@ class Series(Closing):
             series.append(index=i, time_ms=t, displacement=field.displacement)
 
     Every frame has the same arrays, of the same shapes and types; those of the nodes begin with (R,
-    C). The frames written before an exception or Ctrl-C are kept.
+    C). The frames written before an exception or Ctrl-C are kept; before the first one, an older
+    file stays.
     """
 
-    def __init__(self, description: Description, constants: Mapping[str, ArrayLike]) -> None:
+    def __init__(self, description: Description, constants: Constants) -> None:
         self.description = description
         self.constants = {name: np.asarray(value) for name, value in constants.items()}
         self._layout: dict[str, tuple[tuple[int, ...], str]] | None = None
@@ -82,6 +91,12 @@ class Series(Closing):
         self._layout = layout
         self._count += 1
 
+    def __exit__(self, *raised: Any) -> None:
+        if raised[0] is not None and self._open and not self._count:
+            self._open = False
+            self._abandon(raised)
+        self.close()
+
     def close(self) -> None:
         """Finish the file; closing again does nothing. Raises OSError."""
         if self._open:
@@ -89,6 +104,10 @@ class Series(Closing):
             self._finish()
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
+        raise NotImplementedError
+
+    def _abandon(self, raised: Raised) -> None:
+        """Leave no file, because this error came before the first frame; an older file stays."""
         raise NotImplementedError
 
     def _finish(self) -> None:

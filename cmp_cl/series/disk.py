@@ -17,11 +17,13 @@ class Appended:
     """A file that appears when it is closed, with all parts that were written completely.
 
     On a full disk it keeps those parts. If there is none, an older file stays.
+
+    files: on leaving this context the file appears, or is removed if an error was raised.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        self._files = contextlib.ExitStack()
-        buffered: Any = self._files.enter_context(whole_file(path))
+        self.files = contextlib.ExitStack()
+        buffered: Any = self.files.enter_context(whole_file(path))
         self._file = buffered.raw  # a buffer would keep the bytes that a full disk refused
         self._path = path
         self._end = 0
@@ -30,7 +32,7 @@ class Appended:
     def append(self, part: bytes) -> None:
         """Write a part completely or not at all; raises OSError."""
         try:
-            _write_all(self._file, part)
+            write_all(self._file, part)
         except OSError as error:
             self.error = OSError(error.errno, error.strerror, str(self._path))
             with contextlib.suppress(OSError):  # a device or a pipe cannot be truncated
@@ -41,7 +43,7 @@ class Appended:
 
     def close(self) -> None:
         """Make the file appear under its name; raises OSError."""
-        with self._files:
+        with self.files:
             if self.error is not None and not self._end:
                 raise self.error
 
@@ -155,7 +157,8 @@ class Finishable:
         """Do nothing: there is no buffer."""
 
 
-def _write_all(file: Any, part: bytes) -> None:
+def write_all(file: Any, part: bytes) -> None:
+    """Write data to an unbuffered file; raises OSError."""
     rest = memoryview(part)
     while rest:  # a nearly full disk may take only some of it
         rest = rest[file.write(rest) :]

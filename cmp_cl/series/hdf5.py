@@ -2,16 +2,14 @@
 
 import os
 import re
-from collections.abc import Mapping
-from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, temporary_beside
-from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
 from cmp_cl.series.disk import Reserve
 
 _CHUNK = 1 << 16  # bytes of a chunk of several small frames
@@ -32,12 +30,7 @@ class Hdf5Series(Series):
     Raises ConfigError without h5py, and OSError.
     """
 
-    def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description,
-        constants: Mapping[str, ArrayLike],
-    ) -> None:
+    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
         super().__init__(description, constants)
         with extra("hdf5", "HDF5"):
             import h5py
@@ -46,7 +39,7 @@ class Hdf5Series(Series):
         self._file: Any = h5py.File(self._temporary, "w", libver="latest")
         self._datasets: dict[str, Any] = {}
         self._reserve = Reserve(self._target.parent)
-        self._full = False
+        self._drop = False
         for name, value in description.entries().items():
             self._file.attrs[name] = value
         for name, array in self.constants.items():
@@ -70,7 +63,7 @@ class Hdf5Series(Series):
                 _add_frame(self._datasets[name], self._count, value)
         except (RuntimeError, OSError) as error:
             self._reserve.free()
-            self._full = True
+            self._drop = True
             raise self._failed(error) from error
         if not self._count:
             os.replace(self._temporary, self._target)
@@ -105,6 +98,10 @@ class Hdf5Series(Series):
         self._datasets["time_ms"].attrs["unit"] = "ms"
         self._file.swmr_mode = True
 
+    def _abandon(self, raised: Raised) -> None:
+        self._drop = True
+        self._finish()
+
     def _finish(self) -> None:
         self._datasets.clear()
         self._reserve.free()
@@ -112,7 +109,7 @@ class Hdf5Series(Series):
             self._file.close()
         except RuntimeError as error:
             raise self._failed(error) from error
-        if self._full:
+        if self._drop:
             self._temporary.unlink(missing_ok=True)
         elif self._temporary.exists():  # no frame came
             os.replace(self._temporary, self._target)

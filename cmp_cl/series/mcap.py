@@ -6,19 +6,19 @@ the files.
 
 import contextlib
 import importlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from os import PathLike
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cmp_cl import media
 from cmp_cl.errors import FieldError, ImageError
 from cmp_cl.extras import extra
 from cmp_cl.image import GreyImage
-from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
 from cmp_cl.series.disk import Finishable
 
 TOPIC = "/cmp_cl/nodes"
@@ -116,12 +116,7 @@ class McapSeries(Series):
     Raises ConfigError without the packages, FieldError without `rest`.
     """
 
-    def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description,
-        constants: Mapping[str, ArrayLike],
-    ) -> None:
+    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
         super().__init__(description, constants)
         if self.constants.get("rest", np.empty(0)).ndim != 3:
             raise FieldError("an MCAP needs the positions at rest, (R, C, 2) or (R, C, 3)")
@@ -152,6 +147,9 @@ class McapSeries(Series):
             publish_time=stamp,
             sequence=self._count,
         )
+
+    def _abandon(self, raised: Raised) -> None:
+        self._file.files.__exit__(*raised)
 
     def _finish(self) -> None:
         with self._file.files:

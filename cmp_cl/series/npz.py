@@ -6,7 +6,6 @@ import json
 import math
 import shutil
 import zipfile
-from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any
@@ -15,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.files import check_target, whole_file
-from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
+from cmp_cl.series.disk import write_all
 
 
 class NpzSeries(Series):
@@ -25,14 +25,10 @@ class NpzSeries(Series):
     """
 
     def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description | None,
-        constants: Mapping[str, ArrayLike],
+        self, path: FileName, description: Description | None, constants: Constants
     ) -> None:
         if description is not None:
-            about = {"units": dict(description.units), **description.entries()}
-            constants = {"about": np.array(json.dumps(about)), **constants}
+            constants = {"about": np.array(json.dumps(description.with_units())), **constants}
         super().__init__(description or Description(), constants)
         self._path = check_target(path)
         self._files = contextlib.ExitStack()
@@ -63,6 +59,9 @@ class NpzSeries(Series):
         # if the first frame was interrupted.
         file = open(self._folder / f"{name}.npy", "w+b", buffering=0)  # noqa: SIM115, closed by _files
         self._columns[name] = _Column(self._files.enter_context(file), shape, dtype)
+
+    def _abandon(self, raised: Raised) -> None:
+        self._remove()
 
     def _finish(self) -> None:
         try:
@@ -98,9 +97,9 @@ class SeriesWriter(NpzSeries):
     The file holds `index` (F,) int64, `time_ms` (F,) float64, every array that `append` gets
     stacked along a first axis of F frames, and the constants (positions at rest, unit) as they are;
     numpy.load reads it. It appears when the `with` block ends, even by an exception or Ctrl-C: then
-    with the frames so far. Until then the frames are in the folder NAME.parts beside it, one .npy
-    for each array, so the disk must hold two copies. If it cannot, or if the process is killed,
-    that folder stays; the OSError names it.
+    with the frames so far, if there are any. Until then the frames are in the folder NAME.parts
+    beside it, one .npy for each array, so the disk must hold two copies. If it cannot, or if the
+    process is killed, that folder stays; the OSError names it.
 
         with SeriesWriter("press.npz", rest=rest.xyz, unit="mm") as series:
             series.append(index=i, time_ms=t, displacement=field.displacement)
@@ -166,6 +165,4 @@ class _Column:
 
     def _write_at(self, offset: int, data: bytes) -> None:
         self.file.seek(offset)
-        rest = memoryview(data)
-        while rest:  # a nearly full disk may take only part of it
-            rest = rest[self.file.write(rest) :]
+        write_all(self.file, data)

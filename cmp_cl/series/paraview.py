@@ -1,17 +1,15 @@
 """A series for ParaView: NAME.pvd, and a .vtp for every frame in the folder NAME_frames."""
 
 import json
-from collections.abc import Mapping
-from os import PathLike
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError
 from cmp_cl.files import check_target, write_text
-from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
 from cmp_cl.vtk import polydata, quadrilaterals
 
 _END = "</Collection>\n</VTKFile>\n"
@@ -25,12 +23,7 @@ class ParaViewSeries(Series):
     frame, so it can be opened at any time.
     """
 
-    def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description,
-        constants: Mapping[str, ArrayLike],
-    ) -> None:
+    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
         super().__init__(description, constants)
         if self.constants.get("rest", np.empty(0)).ndim != 3:
             raise FieldError("a .pvd needs the positions at rest, (R, C, 2) or (R, C, 3)")
@@ -50,9 +43,7 @@ class ParaViewSeries(Series):
         write_text(name, _polydata(rest, shift.astype(np.float64), frame))
         if self._file is None:
             self._file = open(self._target, "w+b")  # noqa: SIM115, closed by _finish
-            about = json.dumps(
-                {"units": dict(self.description.units), **self.description.entries()}
-            )
+            about = json.dumps(self.description.with_units())
             self._file.write(
                 f'<?xml version="1.0"?>\n<!-- {escape(about).replace("--", "- -")} -->\n'
                 '<VTKFile type="Collection" version="1.0" byte_order="LittleEndian">\n'
@@ -65,6 +56,9 @@ class ParaViewSeries(Series):
         self._file.write((line + _END).encode())
         self._file.flush()
         self._file.seek(at + len(line.encode()))
+
+    def _abandon(self, raised: Raised) -> None:
+        self._finish()
 
     def _finish(self) -> None:
         if self._file is not None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.extras import extra
+from cmp_cl.files import suffix_of
 
 _DAMAGE = (  # raised on reading a damaged zip, .npy or HDF5
     *(OSError, ValueError, KeyError, EOFError, OverflowError, MemoryError, RuntimeError),
@@ -33,7 +34,7 @@ def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     Raises ConfigError on a suffix other than .npz, .h5 and .hdf5, FieldError if the file
     cannot be read or is no series.
     """
-    suffix = Path(path).suffix.lower()
+    suffix = suffix_of(path, ConfigError)
     if suffix not in (".npz", ".h5", ".hdf5"):
         raise ConfigError(f"{str(path)!r}: the name of a series must end in .npz, .h5 or .hdf5")
     if not Path(path).is_file():

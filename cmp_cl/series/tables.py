@@ -4,16 +4,15 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from os import PathLike
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, write_text
-from cmp_cl.series.base import Description, Frame, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
 from cmp_cl.series.digits import nested, plain, rows_of
 from cmp_cl.series.disk import Appended, Finishable
 
@@ -72,12 +71,7 @@ class CsvSeries(Series):
     Both appear when the series is closed.
     """
 
-    def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description,
-        constants: Mapping[str, ArrayLike],
-    ) -> None:
+    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
         super().__init__(description, constants)
         self._target = check_target(path)
         self._file = Appended(path)
@@ -91,13 +85,16 @@ class CsvSeries(Series):
         rows = rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
         self._file.append(header + rows)
 
+    def _abandon(self, raised: Raised) -> None:
+        self._file.files.__exit__(*raised)
+
     def _finish(self) -> None:
         self._file.close()
-        about = {"units": dict(self.description.units), **self.description.entries()}
-        about_constants = {name: plain(value) for name, value in self.constants.items()}
+        about = self.description.with_units()
+        about["constants"] = {name: plain(value) for name, value in self.constants.items()}
         beside = self._target.with_name(f"{self._target.name}-metadata.json")
         try:
-            write_text(beside, json.dumps({**about, "constants": about_constants}, indent=1))
+            write_text(beside, json.dumps(about, indent=1))
         except OSError:
             if self._file.error is None:  # otherwise append has reported the full disk
                 raise
@@ -109,15 +106,10 @@ class JsonLines(Series):
     A missing number is null. `-` is standard output, flushed after each line.
     """
 
-    def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description,
-        constants: Mapping[str, ArrayLike],
-    ) -> None:
+    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
         super().__init__(description, constants)
         self._file = None if os.fspath(path) == "-" else Appended(path)
-        about = {"units": dict(description.units), **description.entries()}
+        about = description.with_units()
         parts = {name: json.dumps(text).encode() for name, text in about.items()}
         self._line({**parts, "constants": _members(_nested(self.constants))})
 
@@ -132,6 +124,10 @@ class JsonLines(Series):
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         time = repr(float(time_ms)) if np.isfinite(time_ms) else "null"
         self._line({"frame": b"%d" % index, "time_ms": time.encode(), **_nested(frame)})
+
+    def _abandon(self, raised: Raised) -> None:
+        if self._file is not None:
+            self._file.files.__exit__(*raised)
 
     def _finish(self) -> None:
         if self._file is not None:
@@ -157,12 +153,7 @@ class ParquetSeries(Series):
     Raises ConfigError without pyarrow.
     """
 
-    def __init__(
-        self,
-        path: str | PathLike[str],
-        description: Description,
-        constants: Mapping[str, ArrayLike],
-    ) -> None:
+    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
         super().__init__(description, constants)
         with extra("parquet", "Parquet"):
             import pyarrow
@@ -184,7 +175,7 @@ class ParquetSeries(Series):
         ]
         arrow = self._arrow
         if self._writer is None:
-            about = {**self.description.entries()}
+            about = self.description.entries()
             about["constants"] = json.dumps(
                 {name: plain(value) for name, value in self.constants.items()}
             )
@@ -214,6 +205,9 @@ class ParquetSeries(Series):
         if self._waiting:
             self._writer.write_table(self._arrow.Table.from_batches(self._waiting))
         self._waiting, self._rows, self._bytes = [], 0, 0
+
+    def _abandon(self, raised: Raised) -> None:
+        self._file.files.__exit__(*raised)
 
     def _finish(self) -> None:
         with self._file.files:

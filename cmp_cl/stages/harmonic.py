@@ -27,7 +27,7 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
 def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers."""
     frames, plane = plan.frames, plan.working[0] * plan.step
-    lists = frames * plan.bands * plan.lists * CORNER_COLUMNS * plan.list_capacity
+    lists = frames * plan.segments * plan.lists * CORNER_COLUMNS * plan.list_capacity
     sizes = {"area": plane // 8, "lists": 4 * lists}
     if plan.form is Form.CPU:
         return {
@@ -35,7 +35,8 @@ def sizes(plan: PlanBase) -> dict[str, int]:
             "maxima": _bits(plan),
             "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step,
             "noise": 8 * frames * plan.bands,
-            "band_counts": 4 * frames * plan.bands * plan.lists,
+            "spans": 8 * frames * plan.bands * plan.lists,
+            "taken": 4 * frames * plan.segments,
             "finished": 4 * frames,
         }
     return {**sizes, "noise": 8 * frames * noise.bands(plan)}
@@ -65,7 +66,17 @@ def _bits(plan: PlanBase) -> int:
 
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the image to the list of corners."""
-    return _by_bands(plan) if plan.form is Form.CPU else _by_pixels(plan)
+    if plan.form is not Form.CPU:
+        return _by_pixels(plan)
+    return [_by_bands(plan, plan.step + plan.pad, plan.step)]
+
+
+def launches_in_place(plan: PlanBase) -> list[Launch]:
+    """Return the same for a frame in a buffer of its own, the first argument of the first launch;
+    none if the image must be there before."""
+    if plan.form is not Form.CPU or plan.scale is not None:
+        return []
+    return [_by_bands(plan, 0, plan.shape[1])]
 
 
 def _rule(plan: PlanBase) -> RingHarmonic:
@@ -238,17 +249,21 @@ def _work_rows(plan: PlanBase) -> int:
     radius = plan.config.nms_radius
     smooth = 16 if radius <= 4 else 32
     responses = 8 if radius <= 3 else 16 if radius <= 7 else 32
-    return 4 + smooth + 4 + smooth + 2 + 1 + responses * plan.lists
+    return 4 + smooth + 4 + smooth + 2 + 1 + 2 + responses * plan.lists
 
 
-def _by_bands(plan: PlanBase) -> list[Launch]:
+def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
+    """Bind the launch from a frame, its first element and the elements of a row."""
     b, rule, size = plan.arrays, _rule(plan), plan.size
     band_rows = -(-plan.working[0] // plan.bands)
     corners = plan.corner_list
-    band = plan.stage(
+    return plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
         (1, 1),
+        frame=plan.image,
+        frame_start=np.uint32(frame_start),
+        frame_step=np.uint32(frame_step),
         image=plan.image,
         area=b["area"],
         **size,
@@ -265,12 +280,12 @@ def _by_bands(plan: PlanBase) -> list[Launch]:
         corner_capacity=corners["capacity"],
         count_offset=corners["count_offset"],
         length=corners["length"],
+        taken=b["taken"],
         finished=b["finished"],
         noise=b["noise"],
-        band_counts=b["band_counts"],
+        spans=b["spans"],
         lists=b["lists"],
         maxima=b["maxima"],
         corners=b["corners"],
         counts=b["counts"],
     )
-    return [band]

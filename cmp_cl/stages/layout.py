@@ -75,7 +75,7 @@ class PlanBase:
             self.lists = 2 if self.rule.fine else 1
             self.pad = LEAST_PAD
             # One maximum in 128 pixels is one in a cell of 11 px; the lists grow.
-            self.list_capacity = multiple(pixels // 128 // self.bands + 64, GROUP)
+            self.list_capacity = multiple(pixels // 128 // self.segments + 64, GROUP)
         self.step = multiple(self.working[1] + 2 * self.pad, GROUP)
         self.full_step = multiple(shape[1] + 2 * self.pad, GROUP)
         # One corner in 96 pixels is one in a cell of 10 px; the list grows too.
@@ -89,6 +89,11 @@ class PlanBase:
             return 1
         units = self.device.handle.max_compute_units
         return max(min(units, self.working[0] // 32), 1)
+
+    @property
+    def segments(self) -> int:
+        """Return the number of segments, whose rows two bands share."""
+        return -(-self.bands // 2)
 
     @property
     def lanes(self) -> int:

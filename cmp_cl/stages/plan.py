@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cmp_cl.config import BinaryRings, DetectorConfig
 from cmp_cl.errors import CapacityError
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device, is_forked
+from cmp_cl.opencl.device import Device, is_forked, is_pocl
 from cmp_cl.opencl.program import Kernels, Programs
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages import harmonic, noise, refine, rings, scale
@@ -53,6 +53,7 @@ class Plan(PlanBase):
     frames: number of frames at a time. form: the form of the kernels; None chooses it by device.
     """
 
+    _frame: cl.Buffer | None = None  # a frame that the launches read where it lies
     _last: cl.Event | None = None  # the last of the kernels, until the host has waited for it
 
     def __init__(
@@ -216,19 +217,32 @@ class Plan(PlanBase):
         self.image = self.arrays["image" if self.scale is None else "working"]
         detection = [*scale.launches(self), *self.detection.launches(self)]
         self.launches = [*detection, *refine.launches(self)]
+        # The same for a frame that lies elsewhere. Intel's runtime copies such a frame, and PoCL
+        # reads it where it lies.
+        self._in_place: list[Launch] = []
+        shared = "image" in self._here and is_pocl(self.device.handle)
+        if shared and self.detection is harmonic and self.frames == 1:
+            first = harmonic.launches_in_place(self)
+            self._in_place = [*first, *self.launches[1:]] if first else []
         self._likely = self.corner_capacity  # corners of a frame, at most
 
     # What happens in a frame
 
-    def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> None:
-        """Enqueue the upload of the frames.
+    def upload(self, queue: cl.CommandQueue, frames: Sequence[GreyImage]) -> list[Launch]:
+        """Enqueue the upload of the frames. Return the launches for them.
 
         The host may reuse them when `uploads` have completed (another queue), or after `read` (the
-        queue of the kernels).
+        queue of the kernels, which may read a frame where it lies).
         """
+        if self._in_place and queue is self.queue and frames[0].flags.c_contiguous:
+            self._wait()  # for an earlier frame that kernels may still read
+            around = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
+            self._frame = cl.Buffer(queue.context, around, hostbuf=frames[0])
+            self._in_place[0].kernel.set_arg(0, self._frame)
+            return self._in_place
         if "image" in self._here:
             self._write(frames)
-            return
+            return self.launches
         size = self.dtype.itemsize
         for n, frame in enumerate(frames):
             pitch = frame.strides[0] if frame.shape[0] > 1 else frame.shape[1] * size
@@ -247,6 +261,7 @@ class Plan(PlanBase):
             if queue is not self.queue:
                 self.uploads.append(copy)
         queue.flush()
+        return self.launches
 
     def _write(self, frames: Sequence[GreyImage]) -> None:
         """Copy the frames into the memory that the device shares."""
@@ -297,6 +312,7 @@ class Plan(PlanBase):
         """
         rows = self._fetch(queue, self._likely)
         self.uploads.clear()
+        self._frame = None
         heads = rows[:, : 1 + self.lists].view(np.uint32).tolist()
         most, listed = max(head[0] for head in heads), max(max(head[1:]) for head in heads)
         if listed > self.list_capacity or most > self.corner_capacity:

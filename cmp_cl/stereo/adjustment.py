@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 
 CAMERA = 8  # fx fy cx cy k1 k2 p1 p2
 POSE = 6  # rotation vector, translation
+OF_CAMERA = slice(POSE, POSE + CAMERA)  # columns of the derivatives of cv2.projectPoints
 _STEPS = 20
 _SMALL = 1e-9  # relative decrease of the cost at which the iteration ends
 _RANGE = 5.0  # the most by which the sigma of a node counts as larger or smaller than the median
@@ -194,16 +195,15 @@ def seen_by(view: View, parameters: Array, pose: Array) -> list[tuple[Array, Arr
     found: list[tuple[Array, Array, Array, Array]] = []
     for camera, seen in enumerate(view.seen):
         own = slice(CAMERA * camera, CAMERA * (camera + 1))
-        fx, fy, cx, cy, *distortion = parameters[own]
-        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        matrix, distortion = matrix_of(parameters[own]), parameters[own][4:]
         here, chain = pose, None
         if camera:
             here, chain = composed(pose, parameters[2 * CAMERA :])
         projected, slopes = cv2.projectPoints(
-            view.board.astype(np.float64), here[:3], here[3:], matrix, np.array(distortion)
+            view.board.astype(np.float64), here[:3], here[3:], matrix, distortion
         )
         by_parameters: Array = np.zeros((len(slopes), len(parameters)))
-        by_parameters[:, own] = slopes[:, POSE : POSE + CAMERA]
+        by_parameters[:, own] = slopes[:, OF_CAMERA]
         by_pose = np.asarray(slopes[:, :POSE], np.float64)
         by_node = by_pose[:, 3:].reshape(-1, 2, 3) @ cv2.Rodrigues(here[:3])[0]
         if chain is not None:
@@ -212,6 +212,12 @@ def seen_by(view: View, parameters: Array, pose: Array) -> list[tuple[Array, Arr
         off = np.asarray(seen - projected.reshape(-1, 2), np.float64)
         found.append((off, by_parameters, by_pose, by_node))
     return found
+
+
+def matrix_of(parameters: Array) -> Array:
+    """Return the camera matrix of parameters that begin with fx, fy, cx, cy."""
+    fx, fy, cx, cy = parameters[:4]
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
 
 def composed(first: Array, second: Array) -> tuple[Array, tuple[Array, Array]]:

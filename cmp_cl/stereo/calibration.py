@@ -2,25 +2,26 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from numbers import Integral
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError
+from cmp_cl.errors import CalibrationError, FieldError, check_positive, listed
 from cmp_cl.grid.grid import Grid
-from cmp_cl.stereo.adjustment import CAMERA, Adjusted, View, adjust
+from cmp_cl.stereo.adjustment import CAMERA, OF_CAMERA, POSE, Adjusted, View, adjust, matrix_of
 from cmp_cl.stereo.free_board import adjust_board
 from cmp_cl.stereo.points import sides
 from cmp_cl.stereo.rig import StereoRig
 from cmp_cl.stereo.threads import one_thread
 
-_MIN_VIEWS = 3
-_MIN_NODES = 8  # fewest nodes of a board in a view
+MIN_VIEWS = 3
+MIN_NODES = 8  # fewest nodes of a board in a view
 # Share of the focal length; a larger sigma means that the views do not determine it.
-_MAX_FOCAL_SIGMA = 0.05
+MAX_FOCAL_SIGMA = 0.05
 _MAX_MISFIT = 1.0  # px: the joint reprojection error may reach this, or
 _MAX_MISFIT_RATIO = 3.0  # times the larger error of a camera alone
 Array = NDArray[np.float64]
@@ -89,7 +90,9 @@ def calibrate_camera(
     determine the focal length (the board faces the camera in all of them), or if the views of a
     free board are numbered differently.
     """
-    _check_spacing(spacing)
+    check_positive("spacing", spacing, CalibrationError)
+    image_size = _checked_size(image_size)
+    grids = listed("grids", grids, Grid, CalibrationError)
     grids = _numbered_alike(grids) if free_board else grids
     parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
     _check_views(len(parts))
@@ -107,12 +110,12 @@ def calibrate_camera(
             )
     except cv2.error as failure:
         raise CalibrationError(f"the views do not determine a camera: {failure}") from failure
-    poses = [
+    slopes = (
         cv2.projectPoints(board, rotation, translation, matrix, distortion)[1]
         for (board, _), rotation, translation in zip(parts, rotations, translations, strict=True)
-    ]
-    sigma = _focal_sigma(poses, float(error))
-    if not sigma < _MAX_FOCAL_SIGMA * matrix[0, 0]:
+    )
+    sigma = focal_sigma(((each[:, :POSE], each[:, OF_CAMERA]) for each in slopes), float(error))
+    if not sigma < MAX_FOCAL_SIGMA * matrix[0, 0]:
         raise CalibrationError(
             f"the views leave the focal length uncertain by {sigma / matrix[0, 0]:.0%}: "
             "show the board tilted, in different directions"
@@ -131,7 +134,7 @@ def calibrate_camera(
     else:
         adjusted = adjust(views, start)
     return CameraCalibration(
-        matrix=_matrix_of(adjusted.parameters),
+        matrix=matrix_of(adjusted.parameters),
         distortion=_distortion_of(adjusted.parameters),
         focal_sigma=sigma,
         error=_whole_error(adjusted, views),
@@ -158,6 +161,7 @@ def calibrate(
     Raises CalibrationError as `calibrate_camera` does, and if no pose between the cameras
     fits all views. Raises FieldError if the grids of a view have different shapes.
     """
+    views = [_pair(pair) for pair in listed("views", views, Sequence, CalibrationError)]
     for view, (left, right) in enumerate(views):
         if left.shape != right.shape:
             raise FieldError(
@@ -219,9 +223,9 @@ def calibrate(
     rotation, translation = np.split(adjusted.parameters[2 * CAMERA :], 2)
     return StereoCalibration(
         rig=StereoRig(
-            _matrix_of(cameras[0]),
+            matrix_of(cameras[0]),
             _distortion_of(cameras[0]),
-            _matrix_of(cameras[1]),
+            matrix_of(cameras[1]),
             _distortion_of(cameras[1]),
             _double(cv2.Rodrigues(rotation)[0]),
             translation,
@@ -261,8 +265,7 @@ def _with_board(
 
     The views do not show how large a board is: the mean of its sides is `spacing`.
     """
-    row, column = np.indices(seen[0].shape)
-    flat = np.stack([column, row, np.zeros(row.shape)], axis=-1).reshape(-1, 3) * spacing
+    flat = on_board(np.ones_like(seen[0]), spacing)
     nodes = [np.flatnonzero(each) for each in seen]
     adjusted, found = adjust_board(views, nodes, start, flat, spacing)
     shown = np.any(seen, axis=0)
@@ -309,11 +312,6 @@ def _parameters_of(matrix: ArrayLike, distortion: ArrayLike) -> Array:
     return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *_double(distortion).reshape(-1)[:4]])
 
 
-def _matrix_of(parameters: Array) -> Array:
-    fx, fy, cx, cy = parameters[:4]
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-
-
 def _distortion_of(parameters: Array) -> Array:
     return np.append(parameters[4:CAMERA], 0.0)
 
@@ -325,19 +323,21 @@ def _whole_error(adjusted: Adjusted, views: Sequence[View]) -> float:
     return float(math.sqrt(mean))
 
 
-def _focal_sigma(jacobians: Sequence[NDArray[Any]], error: float) -> float:
+def focal_sigma(slopes: Iterable[tuple[NDArray[Any], NDArray[Any]]], error: float) -> float:
     """Return the larger standard deviation of fx and fy, px; infinite where undetermined.
 
     OpenCV's own estimate drops small singular values: it is 0 where every view faces the camera.
-    jacobians: one a view, as cv2.projectPoints returns them. error: RMS reprojection error, px.
+    slopes: for each view the derivatives of its projection by the pose and by the camera, whose
+    first two parameters are fx and fy. error: RMS reprojection error, px.
     """
     free = []
-    for jacobian in jacobians:
-        pose, camera = jacobian[:, :6], jacobian[:, 6:14]  # fx fy cx cy k1 k2 p1 p2
-        basis = np.linalg.qr(pose)[0]
-        free.append(camera - basis @ (basis.T @ camera))
+    for by_pose, by_camera in slopes:
+        basis = np.linalg.qr(by_pose)[0]
+        free.append(by_camera - basis @ (basis.T @ by_camera))
     stacked = np.concatenate(free)
     scale = np.linalg.norm(stacked, axis=0)
+    if not (scale > 0).all():
+        return math.inf
     _, singular, axes = np.linalg.svd(stacked / scale, full_matrices=False)
     if not singular[-1] > 0:
         return math.inf
@@ -349,15 +349,25 @@ def _double(value: ArrayLike) -> Array:
     return np.asarray(value, np.float64)
 
 
-def _check_spacing(spacing: float) -> None:
-    if not 0 < spacing < math.inf:
-        raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")
+def _pair(views: Sequence[Grid]) -> tuple[Grid, Grid]:
+    """Return the grids of the left and of the right view; raises CalibrationError if not both."""
+    found = listed("views", views, Grid, CalibrationError)
+    if len(found) != 2:
+        raise CalibrationError(f"each of views must be (left, right), not {len(found)} grids")
+    return found[0], found[1]
+
+
+def _checked_size(size: Any) -> tuple[int, int]:
+    sides = listed("image_size", size, Integral, CalibrationError)
+    if len(sides) != 2 or min(sides) < 1:
+        raise CalibrationError(f"image_size must be (width, height), px, not {size!r}")
+    return int(sides[0]), int(sides[1])
 
 
 def _check_views(count: int) -> None:
-    if count < _MIN_VIEWS:
+    if count < MIN_VIEWS:
         noun = "view" if count == 1 else "views"
-        raise CalibrationError(f"{count} {noun} of the board, at least {_MIN_VIEWS} are needed")
+        raise CalibrationError(f"{count} {noun} of the board, at least {MIN_VIEWS} are needed")
 
 
 def _board(
@@ -365,10 +375,15 @@ def _board(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the nodes of a view on the board (N, 3), in the unit of spacing, and in px (N, 2)."""
     row, column = np.nonzero(valid)
-    if len(row) < _MIN_NODES or len(set(row)) < 2 or len(set(column)) < 2:
+    if len(row) < MIN_NODES or len(set(row)) < 2 or len(set(column)) < 2:
         raise CalibrationError(
-            f"view {view} shows {len(row)} nodes, at least {_MIN_NODES} in two rows and two "
+            f"view {view} shows {len(row)} nodes, at least {MIN_NODES} in two rows and two "
             "columns are needed"
         )
-    board = np.column_stack([column, row, np.zeros(len(row))]) * spacing
-    return board.astype(np.float32), np.ascontiguousarray(xy[valid], np.float32)
+    return on_board(valid, spacing).astype(np.float32), np.ascontiguousarray(xy[valid], np.float32)
+
+
+def on_board(nodes: NDArray[np.bool_], spacing: float) -> Array:
+    """Return the positions of the nodes (R, C) on a flat board, (N, 3), in the unit of spacing."""
+    row, column = np.nonzero(nodes)
+    return np.column_stack([column, row, 0 * row]).astype(np.float64) * spacing

@@ -8,24 +8,28 @@ import dataclasses
 import enum
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError
+from cmp_cl.errors import CalibrationError, check_positive
 from cmp_cl.grid.grid import Grid
+from cmp_cl.stereo.adjustment import matrix_of
+from cmp_cl.stereo.calibration import (
+    MAX_FOCAL_SIGMA,
+    MIN_NODES,
+    MIN_VIEWS,
+    focal_sigma,
+    on_board,
+)
 from cmp_cl.stereo.rig import StereoRig
 from cmp_cl.stereo.threads import one_thread
 
 Array = NDArray[np.float64]
 
-_MIN_VIEWS = 3
-_MIN_NODES = 8  # fewest nodes of a board in a view
-# Share of the focal length; a larger sigma means that the views do not determine it.
-_MOST_FOCAL_SIGMA = 0.05
 _COVERAGE = 8  # cells along a side of the image, for the coverage
 
 
@@ -118,8 +122,7 @@ def calibrate_cameras(
     Raises CalibrationError if a camera has too few views or nodes, if its views do not
     determine the focal length, or if it shares no moment with the others.
     """
-    if not 0 < spacing < math.inf:
-        raise CalibrationError(f"spacing must be a positive length, not {spacing!r}")
+    check_positive("spacing", spacing, CalibrationError)
     if not views:
         raise CalibrationError("no camera is given")
     moments = {len(grids) for grids in views.values()}
@@ -145,19 +148,13 @@ class _Alone:
 
 
 def _seen(grids: Sequence[Grid | None], spacing: float) -> dict[int, tuple[Array, Array]]:
-    """Return, by moment, the nodes as `_nodes` gives them, where enough of them are seen."""
+    """Return, by moment, the nodes on the board (N, 3) and in the image (N, 2), if enough are
+    seen."""
     return {
-        moment: _nodes(grid, spacing)
+        moment: (on_board(grid.valid, spacing), grid.xy[grid.valid].astype(np.float64))
         for moment, grid in enumerate(grids)
-        if grid is not None and np.count_nonzero(grid.valid) >= _MIN_NODES
+        if grid is not None and np.count_nonzero(grid.valid) >= MIN_NODES
     }
-
-
-def _nodes(grid: Grid, spacing: float) -> tuple[Array, Array]:
-    """Return the nodes on the board (N, 3) and in the image (N, 2)."""
-    row, column = np.nonzero(grid.valid)
-    board = np.column_stack([column, row, np.zeros(len(row))]) * spacing
-    return board.astype(np.float64), grid.xy[grid.valid].astype(np.float64)
 
 
 def _one(
@@ -165,9 +162,9 @@ def _one(
 ) -> _Alone:
     """Calibrate one camera alone."""
     seen = _seen(grids, spacing)
-    if len(seen) < _MIN_VIEWS:
+    if len(seen) < MIN_VIEWS:
         raise CalibrationError(
-            f"{name}: {_MIN_VIEWS} views with at least {_MIN_NODES} corners are needed, not "
+            f"{name}: {MIN_VIEWS} views with at least {MIN_NODES} corners are needed, not "
             f"{len(seen)}"
         )
     boards = [board.reshape(-1, 1, 3).astype(np.float32) for board, _ in seen.values()]
@@ -189,8 +186,8 @@ def _one(
     coefficients = np.asarray(distortion, np.float64).reshape(-1)[:count]
     poses = {m: _pose(t, s) for m, t, s in zip(seen, turns, shifts, strict=True)}
     alone = _Alone(lens, matrix, coefficients, poses)
-    sigma = _focal_sigma(alone, seen, float(error))
-    if not sigma < _MOST_FOCAL_SIGMA * matrix[0, 0]:
+    sigma = focal_sigma(_slopes_of_views(alone, seen), float(error))
+    if not sigma < MAX_FOCAL_SIGMA * matrix[0, 0]:
         raise CalibrationError(
             f"{name}: the views leave the focal length uncertain by {sigma / matrix[0, 0]:.0%}: "
             "show the board tilted, in different directions"
@@ -213,36 +210,25 @@ def _fisheye(boards: Any, points: Any, size: tuple[int, int]) -> Any:
     )  # fmt: skip
 
 
-def _focal_sigma(alone: _Alone, seen: Mapping[int, tuple[Array, Array]], error: float) -> float:
-    """Return the larger standard deviation of fx and fy, px, from numeric derivatives."""
-    free = []
+def _slopes_of_views(
+    alone: _Alone, seen: Mapping[int, tuple[Array, Array]]
+) -> Iterator[tuple[Array, Array]]:
+    """Yield the numeric derivatives of each view by its pose and by the camera."""
     start = np.concatenate([alone.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], alone.distortion])
     steps = np.r_[np.full(4, 1e-2), np.full(len(alone.distortion), 1e-5)]
     varied = [i for i in range(len(start)) if alone.lens is not Lens.PINHOLE or i != 8]
     for moment, (board, _) in seen.items():
         pose = _vector(alone.poses[moment])
-
         look = functools.partial(_seen_by, alone.lens, board.reshape(-1, 1, 3))
         by_camera = _slopes(functools.partial(look, pose), start, steps)[:, varied]
         turning = np.r_[np.full(3, 1e-6), np.full(3, 1e-6 * float(np.linalg.norm(pose[3:])))]
-        by_pose = _slopes(functools.partial(look, camera=start), pose, turning)
-        basis = np.linalg.qr(by_pose)[0]
-        free.append(by_camera - basis @ (basis.T @ by_camera))
-    stacked = np.concatenate(free)
-    scale = np.linalg.norm(stacked, axis=0)
-    if not (scale > 0).all():
-        return math.inf
-    _, singular, axes = np.linalg.svd(stacked / scale, full_matrices=False)
-    if not singular[-1] > 0:
-        return math.inf
-    deviation = np.linalg.norm(axes[:, :2] / singular[:, None], axis=0) / scale[:2]
-    return float(deviation.max() * error / math.sqrt(2))
+        yield _slopes(functools.partial(look, camera=start), pose, turning), by_camera
 
 
 def _seen_by(lens: Lens, points: Array, pose: Array, camera: Array) -> Array:
     """Project points (N, 1, 3) by a camera (fx, fy, cx, cy, distortion) to (2 N,) px."""
-    matrix = np.array([[camera[0], 0, camera[2]], [0, camera[1], camera[3]], [0, 0, 1]])
-    return _projected(lens, points, pose[:3], pose[3:], matrix, camera[4:]).reshape(-1)
+    seen = _projected(lens, points, pose[:3], pose[3:], matrix_of(camera), camera[4:])
+    return seen.reshape(-1)
 
 
 def _slopes(function: Any, start: Array, steps: Array) -> Array:

@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, ConfigError
-from cmp_cl.files import write_text
+from cmp_cl.files import check_path, suffix_of, write_text
 from cmp_cl.grid.grid import Grid
+from cmp_cl.media import csv_bytes
 from cmp_cl.stereo.cameras import Camera, Lens
 from cmp_cl.stereo.rig import StereoRig
+from cmp_cl.stereo.storage import new_storage, yaml_text
 
 Array = NDArray[np.float64]
 Views = Mapping[str, Grid | None]
@@ -57,12 +59,12 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
         raise ConfigError("no view shows the board: there are no corners to write")
     if len(shapes) > 1:
         raise CalibrationError(f"the views show boards of different shapes: {sorted(shapes)}")
-    write_text(path, _CORNER_WRITERS[Path(path).suffix.lower()](views, spacing))
+    write_text(path, _CORNER_WRITERS[suffix_of(path, ConfigError)](views, spacing))
 
 
 def check_corners(path: str | PathLike[str]) -> None:
     """Raise ConfigError if `save_corners` does not know the suffix of a path."""
-    if Path(path).suffix.lower() not in _CORNER_WRITERS:
+    if suffix_of(path, ConfigError) not in _CORNER_WRITERS:
         known = ", ".join(_CORNER_WRITERS)
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {known}")
 
@@ -89,18 +91,18 @@ def _vnl(views: Views, _: float) -> str:
 
 
 def _opencv_yaml(views: Views, spacing: float) -> str:
-    text = _opencv(views, spacing, cv2.FILE_STORAGE_FORMAT_YAML)
-    return "%YAML:1.0\n" + text.split("\n", 1)[1]
+    storage = new_storage()
+    _write_corners(storage, views, spacing)
+    return yaml_text(storage)
 
 
 def _opencv_json(views: Views, spacing: float) -> str:
-    return _opencv(views, spacing, cv2.FILE_STORAGE_FORMAT_JSON)
+    storage = new_storage(cv2.FILE_STORAGE_FORMAT_JSON)
+    _write_corners(storage, views, spacing)
+    return storage.releaseAndGetString()
 
 
-def _opencv(views: Views, spacing: float, form: int) -> str:
-    suffix = ".json" if form == cv2.FILE_STORAGE_FORMAT_JSON else ".yml"
-    mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | form
-    storage = cv2.FileStorage(suffix, mode)
+def _write_corners(storage: cv2.FileStorage, views: Views, spacing: float) -> None:
     seen = {name: grid for name, grid in views.items() if grid is not None}
     rows, columns = next(iter(seen.values())).shape
     storage.write("rows", rows)
@@ -109,27 +111,24 @@ def _opencv(views: Views, spacing: float, form: int) -> str:
     storage.write("spacing", side)
     storage.startWriteStruct("views", cv2.FILE_NODE_SEQ)
     for name, grid in seen.items():
-        nodes, points = grid_to_opencv(grid, side)
+        nodes, points = grid.to_opencv(side)
         storage.startWriteStruct("", cv2.FILE_NODE_MAP)
         storage.write("name", name)
         storage.write("object_points", nodes.reshape(-1, 3))
         storage.write("image_points", points.reshape(-1, 2))
         storage.endWriteStruct()
     storage.endWriteStruct()
-    return str(storage.releaseAndGetString())
 
 
 def _corners_csv(views: Views, _: float) -> str:
-    lines = ["image,row,column,x_px,y_px,sigma_px"]
+    rows: list[Sequence[object]] = [("image", "row", "column", "x_px", "y_px", "sigma_px")]
     for name, grid in views.items():
         if grid is None:
             continue
-        quoted = '"' + name.replace('"', '""') + '"' if any(c in name for c in ',"\n') else name
         for row, column in np.argwhere(grid.valid).tolist():
-            x, y = grid.xy[row, column].tolist()
-            sigma = float(grid.sigma[row, column])
-            lines.append(f"{quoted},{row},{column},{x:.9g},{y:.9g},{sigma:.9g}")
-    return "\n".join(lines) + "\n"
+            numbers = (*grid.xy[row, column], grid.sigma[row, column])
+            rows.append((name, row, column, *(f"{number:.9g}" for number in numbers)))
+    return csv_bytes(rows).decode()
 
 
 _CORNER_WRITERS: dict[str, Callable[[Views, float], str]] = {
@@ -181,8 +180,7 @@ def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> Non
     poses relative to the first camera. Two pinhole or rational cameras also have R and T, so that
     `StereoRig.load` reads the file. Raises OSError.
     """
-    mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
-    storage = cv2.FileStorage(".yml", mode)
+    storage = new_storage()
     for number, (name, camera) in enumerate(cameras.items(), 1):
         storage.write(f"name{number}", name)
         storage.write(f"lens{number}", camera.lens.value)
@@ -198,7 +196,7 @@ def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> Non
         storage.write("R", last.R.copy())
         storage.write("T", last.T[:, None].copy())
     storage.write("unit", next(iter(cameras.values())).unit)
-    write_text(path, "%YAML:1.0\n" + storage.releaseAndGetString().split("\n", 1)[1])
+    write_text(path, yaml_text(storage))
 
 
 def save_ros(path: str | PathLike[str], camera: Camera, *, name: str) -> None:
@@ -347,6 +345,7 @@ def save_cameras(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> li
 
 def check_cameras(path: str | PathLike[str]) -> str:
     """Return the ending that names a format of `save_cameras`; raises ConfigError for any other."""
+    check_path(path, ConfigError)
     name = Path(path).name.lower()
     for ending in (".camchain.yaml", ".camera_info.yaml", ".yaml", ".yml"):
         if name.endswith(ending):

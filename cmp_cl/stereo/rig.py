@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from numbers import Real
 from os import PathLike
 from typing import Any, Self
 
@@ -9,13 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError, check_kind
+from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
 from cmp_cl.files import write_text
 from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.stereo.adjustment import CAMERA, POSE
+from cmp_cl.stereo.adjustment import CAMERA, OF_CAMERA, POSE
 from cmp_cl.stereo.points import Points3D, PointStatus
-from cmp_cl.stereo.reading import open_storage, read_matrix
+from cmp_cl.stereo.storage import new_storage, open_storage, read_matrix, yaml_text
 from cmp_cl.stereo.triangulation import (
     inverse_symmetric,
     rays_through,
@@ -133,15 +134,13 @@ class StereoRig:
 
         Raises OSError if the file cannot be written.
         """
-        mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
-        storage = cv2.FileStorage(".yml", mode)
+        storage = new_storage()
         for name in _ALIASES:
             storage.write(name, np.atleast_2d(getattr(self, name)).copy())
         if self.covariance is not None:
             storage.write(_COVARIANCE, self.covariance.copy())
         storage.write("unit", self.unit)
-        body = storage.releaseAndGetString().split("\n", 1)[1]
-        write_text(path, "%YAML:1.0\n" + body)
+        write_text(path, yaml_text(storage))
 
     def triangulate(
         self, left: Grid, right: Grid, *, sigma: float = math.nan, max_error: float = 3.0
@@ -157,10 +156,13 @@ class StereoRig:
         A node without a position is NaN, and `Points3D.status` says why: the rays must enclose
         at least MIN_PARALLAX px, and the point must lie in front of both cameras.
 
-        Raises FieldError if an argument is no Grid, or if the grids have different rows or columns.
+        Raises FieldError if an argument is of another type, or if the grids have different rows or
+        columns.
         """
         check_kind("left", left, Grid, FieldError)
         check_kind("right", right, Grid, FieldError)
+        check_kind("sigma", sigma, Real, FieldError)
+        check_kind("max_error", max_error, Real, FieldError)
         if (left.origin, left.shape) != (right.origin, right.shape):
             raise FieldError(
                 f"the left grid has {left.extent}, the right one {right.extent}; cut both to "
@@ -270,8 +272,8 @@ class StereoRig:
             [by_left[..., translation], by_right[..., translation] @ self.R], axis=1
         )
         by_rig = np.zeros((len(xyz), 4, 2 * CAMERA + POSE))
-        by_rig[:, :2, :CAMERA] = by_left[..., POSE : POSE + CAMERA]
-        by_rig[:, 2:, CAMERA : 2 * CAMERA] = by_right[..., POSE : POSE + CAMERA]
+        by_rig[:, :2, :CAMERA] = by_left[..., OF_CAMERA]
+        by_rig[:, 2:, CAMERA : 2 * CAMERA] = by_right[..., OF_CAMERA]
         by_rig[:, 2:, 2 * CAMERA :] = by_right[..., :POSE]
         return np.hstack([left.reshape(-1, 2), right.reshape(-1, 2)]), jacobian, by_rig
 
@@ -284,10 +286,7 @@ def _spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:
 
 
 def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    try:
-        array = np.array(value, np.float64)
-    except (TypeError, ValueError) as error:
-        raise CalibrationError(f"{name} must be numbers of shape {shape}: {error}") from error
+    array = as_numbers(name, value, CalibrationError)
     if shape == (3,) and array.shape in ((3, 1), (1, 3)):
         array = array.reshape(3)
     if array.shape != shape:
@@ -298,10 +297,11 @@ def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def _distortion(name: str, value: ArrayLike) -> Array:
-    size = np.size(value)
+    array = as_numbers(name, value, CalibrationError)
+    size = array.size
     if size not in (0, 4, 5, 8, 12, 14):
         raise CalibrationError(f"{name} must have 0, 4, 5, 8, 12 or 14 coefficients, not {size}")
-    return _numbers(name, np.reshape(value, -1), (size,)) if size else np.zeros(5)
+    return _numbers(name, array.reshape(-1), (size,)) if size else np.zeros(5)
 
 
 def _check_matrix(name: str, matrix: Array) -> None:

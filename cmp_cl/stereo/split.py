@@ -1,10 +1,11 @@
 """The two views in a frame that shows both."""
 
 import dataclasses
+from numbers import Integral
 from typing import Self
 
-from cmp_cl.errors import ConfigError, ImageError
-from cmp_cl.image import GreyImage
+from cmp_cl.errors import ConfigError, ImageError, check_kind
+from cmp_cl.image import GreyImage, check_image
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,6 +28,8 @@ class BinocularSplit:
 
     def __post_init__(self) -> None:
         for side in ("left", "right"):
+            mirror = f"mirror_{side}"
+            check_kind(mirror, getattr(self, mirror), bool, ConfigError)
             box = getattr(self, side)
             whole = isinstance(box, tuple) and all(type(number) is int for number in box)
             if not whole or len(box) != 4 or min(box[:2]) < 0 or min(box[2:]) < 1:
@@ -41,14 +44,18 @@ class BinocularSplit:
 
         Raises ConfigError if the frame is narrower than 2 px or has no row.
         """
+        check_kind("width", width, Integral, ConfigError)
+        check_kind("height", height, Integral, ConfigError)
+        width, height = int(width), int(height)
         half = width // 2
         return cls((0, 0, half, height), (width - half, 0, half, height))
 
     def __call__(self, frame: GreyImage) -> tuple[GreyImage, GreyImage]:
         """Return the two views of a frame (H, W): slices of it, or copies where mirrored.
 
-        Raises ImageError if a rectangle extends past the frame.
+        Raises ImageError if the frame is none, or a rectangle extends past it.
         """
+        frame = check_image(frame)
         return (
             _cut(frame, self.left, mirror=self.mirror_left),
             _cut(frame, self.right, mirror=self.mirror_right),

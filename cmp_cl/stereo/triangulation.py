@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, as_numbers
 
 # Px: largest distance of a pixel from itself after undistortion and distortion.
 _MAX_ROUND_TRIP = 0.01
@@ -22,9 +22,12 @@ def undistort(
 
     points: (N, 2), px. matrix, distortion: of the camera, as in `StereoRig`. Returns (N, 2)
         float64, and a mask (N,), True if distortion of the result leads back to the pixel. If it
-        does not, the lens model cannot be inverted there.
+        does not, the lens model cannot be inverted there. Raises FieldError for other points.
     """
-    measured = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 2)
+    measured = as_numbers("points", points, FieldError)
+    if measured.ndim != 2 or measured.shape[1] != 2:
+        raise FieldError(f"points must be (N, 2), not {measured.shape}")
+    measured = measured.reshape(-1, 1, 2)
     if not len(measured):
         return np.empty((0, 2)), np.empty(0, bool)
     straight = cv2.undistortImagePoints(measured, matrix, distortion, None, _UNDISTORT)

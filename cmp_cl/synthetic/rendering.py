@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, check_kind
 from cmp_cl.image import GreyImage
 from cmp_cl.synthetic.camera import DISTANCE, FILL, PinholeCamera, Pose, Rig, facing_both
 from cmp_cl.synthetic.material import SAMPLES, illumination, reflectance
@@ -51,6 +51,7 @@ def render(scene: Scene) -> Rendered:
 
     Raises ConfigError if the surface would fold over in the image.
     """
+    check_kind("scene", scene, Scene, ConfigError)
     rows, columns = scene.shape
     focal = FILL * min(scene.shape) / scene.side * DISTANCE
     matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1.0]])
@@ -71,6 +72,7 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
 
     Raises ConfigError if the surface would fold over in one of the images.
     """
+    check_kind("scene", scene, Scene, ConfigError)
     rotation, translation = np.asarray(rig.R, float), np.asarray(rig.T, float).reshape(3)
     left = PinholeCamera(rig.K1, rig.D1, np.eye(3), np.zeros(3))
     right = PinholeCamera(rig.K2, rig.D2, rotation, translation)

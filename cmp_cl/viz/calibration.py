@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cmp_cl.extras import extra
 from cmp_cl.stereo.cameras import CamerasCalibration
+from cmp_cl.viz.plots import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,10 +16,8 @@ def residual_figure(found: CamerasCalibration) -> "Figure":
 
     found: the calibration. It needs matplotlib, and raises ConfigError without it.
     """
-    with extra("plot", "A figure"):
-        from matplotlib.figure import Figure
     count = len(found.cameras)
-    figure = Figure(figsize=(11, 4.2 * count), layout="constrained")
+    figure = new_figure((11.0, 4.2 * count))
     grid = figure.add_gridspec(count, 3)
     for row, (name, camera) in enumerate(found.cameras.items()):
         axes = figure.add_subplot(grid[row, :2])

@@ -65,3 +65,10 @@ class PipedFile:
             if self._thread is not None:
                 self._thread.join()
             self.check()
+
+    def abandon(self) -> None:
+        """Remove what was written, as `close` does after an error; an older file is kept."""
+        if self._thread is not None:
+            self._thread.join()
+        error = InterruptedError()
+        self._stack.__exit__(type(error), error, None)

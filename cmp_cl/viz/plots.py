@@ -12,7 +12,7 @@ from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.field import green_lagrange
 from cmp_cl.field.plane import PlaneField, plane_strain
-from cmp_cl.viz.figures import NARROWEST
+from cmp_cl.viz.figures import corners_of_cells, plane_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Series = Mapping[str, NDArray[Any]]
 
 _SEQUENTIAL, _DIVERGING = "plasma", "RdBu_r"
+_ROUNDING = 1e-12  # smaller values, such as the strain of the frame at rest, are errors of rounding
 
 
 class Quantity(enum.Enum):
@@ -57,13 +58,13 @@ class Recorded:
     @classmethod
     def of(cls, series: Series) -> "Recorded":
         """Take the arrays of a series; raises FieldError without frames, rest or positions."""
+        if not len(series.get("index", [0])):
+            raise FieldError("the series has no frame")
         missing = [name for name in ("index", "time_ms", "rest") if name not in series]
         if missing or not ("displacement" in series or "xy" in series):
             what = missing or ["displacement or xy"]
             raise FieldError(f"the series has no {' and no '.join(what)}")
         rest = np.asarray(series["rest"], np.float64)
-        if not len(series["index"]):
-            raise FieldError("the series has no frame")
         if "displacement" in series:
             shift = np.asarray(series["displacement"], np.float64)
         else:
@@ -116,23 +117,8 @@ class Recorded:
         """
         if self.rest.shape[2] == 2:
             return self.rest, np.eye(3)
-        known = ~np.isnan(self.rest[..., 0])
-        points = self.rest[known]
-        if len(points) < 3:
-            raise FieldError(f"{len(points)} nodes are valid at rest, at least 3 are needed")
-        origin = points.mean(axis=0)
-        _, spread, axes = np.linalg.svd(points - origin, full_matrices=False)
-        if spread[1] < NARROWEST * spread[0]:
-            raise FieldError("all valid nodes lie on a line: they make no surface")
-        normal = axes[2] if axes[2] @ origin < 0 else -axes[2]
-        along = np.nanmean(np.diff(self.rest, axis=1), axis=(0, 1))
-        along = along - (along @ normal) * normal
-        along /= np.linalg.norm(along)
-        across = np.cross(normal, along)
-        if across @ np.nanmean(np.diff(self.rest, axis=0), axis=(0, 1)) < 0:
-            across = -across
-        basis = np.stack([along, across, normal])
-        return ((self.rest - origin) @ basis.T)[..., :2], basis
+        axes, origin = plane_of(self.rest)
+        return ((self.rest - origin) @ axes.T)[..., :2], axes
 
     def values(self, quantity: Quantity, frame: int) -> tuple[Array, str]:
         """Return a quantity of each node (R, C) of the frame at that index, and its unit."""
@@ -171,7 +157,7 @@ def map_figure(recorded: Recorded, quantity: Quantity, *, index: int | None = No
     index: number of the frame; None means the one of the largest displacement. The value of a cell
     is the mean of its four nodes. It raises FieldError, and ConfigError without matplotlib.
     """
-    figure = _figure((7.5, 6.0))
+    figure = new_figure((7.5, 6.0))
     draw_map(figure, figure.add_subplot(), recorded, quantity, recorded.frame_of(index))
     return figure
 
@@ -182,7 +168,7 @@ def curve_figure(recorded: Recorded, *, node: tuple[int, int] | None = None) -> 
     node: (row, column); None means the one of the largest displacement. Raises FieldError,
     ConfigError without matplotlib.
     """
-    figure = _figure((8.0, 4.5))
+    figure = new_figure((8.0, 4.5))
     _draw_curve(figure.add_subplot(), recorded, recorded.node_of(node))
     return figure
 
@@ -200,17 +186,17 @@ def sheet_figure(
     wanted += [Quantity.HEIGHT] if recorded.rest.shape[2] == 3 else []
     wanted += [Quantity.SIGMA] if np.isfinite(recorded.sigma[frame]).any() else []
     rows = -(-len(wanted) // 2) + 1
-    figure = _figure((12.0, 4.6 * rows))
+    figure = new_figure((12.0, 4.6 * rows))
     grid = figure.add_gridspec(rows, 2)
     for number, quantity in enumerate(wanted):
-        last = number == len(wanted) - 1 and number % 2 == 0
-        at = grid[number // 2, :] if last else grid[number // 2, number % 2]
-        draw_map(figure, figure.add_subplot(at), recorded, quantity, frame)
+        axes = figure.add_subplot(grid[number // 2, number % 2])
+        draw_map(figure, axes, recorded, quantity, frame)
     _draw_curve(figure.add_subplot(grid[rows - 1, :]), recorded, recorded.node_of(node))
     return figure
 
 
-def _figure(size: tuple[float, float]) -> "Figure":
+def new_figure(size: tuple[float, float]) -> "Figure":
+    """Return an empty figure of that size, inches; raises ConfigError without matplotlib."""
     with extra("plot", "A figure"):
         from matplotlib.figure import Figure
     return Figure(figsize=size, layout="constrained")
@@ -224,8 +210,8 @@ def draw_map(
 
     values, unit = recorded.values(quantity, frame)
     nodes, _ = recorded.plane()
-    cells = np.stack(_around(nodes), axis=2)
-    mean = np.mean(_around(values), axis=0)
+    cells = np.stack(corners_of_cells(nodes), axis=2)
+    mean = np.mean(corners_of_cells(values), axis=0)
     known = ~(np.isnan(cells).any(axis=(2, 3)) | np.isnan(mean))
     signed = quantity in (Quantity.STRAIN, Quantity.HEIGHT)
     drawn = PolyCollection(
@@ -235,7 +221,8 @@ def draw_map(
         edgecolors="face",
         linewidths=0.2,
     )
-    top = float(np.abs(mean[known]).max(initial=0)) or 1.0
+    top = float(np.abs(mean[known]).max(initial=0))
+    top = top if top > _ROUNDING else 1.0
     drawn.set_clim(-top if signed else 0.0, top)
     axes.add_collection(drawn)
     points = nodes[~np.isnan(nodes[..., 0])]
@@ -254,11 +241,6 @@ def draw_map(
     )
     label = _TITLES[quantity] if unit == "1" else f"{_TITLES[quantity]} / {unit}"
     figure.colorbar(drawn, ax=axes, label=label, shrink=0.85)
-
-
-def _around(values: Array) -> list[Array]:
-    """Return the values (R, C, ...) at the four nodes of each cell, (R - 1, C - 1, ...) each."""
-    return [values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]]
 
 
 _TITLES = {

@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cmp_cl.extras import extra
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.viz.figures import draw_arrows, draw_surface, grid_overlay
-from cmp_cl.viz.plots import Quantity, Recorded, draw_map
+from cmp_cl.viz.figures import draw_arrows, draw_surface
+from cmp_cl.viz.overlays import grid_overlay
+from cmp_cl.viz.plots import Quantity, Recorded, draw_map, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,13 +32,11 @@ def press_sheet(
 
     Raises FieldError if fewer than three nodes are valid, ConfigError without matplotlib.
     """
-    with extra("plot", "A figure"):
-        from matplotlib.figure import Figure
-    figure = Figure(figsize=(15, 18), layout="constrained")
+    figure = new_figure((15.0, 18.0))
     figure.suptitle(title, fontsize=18)
     at = figure.add_gridspec(3, 2)
     picture = figure.add_subplot(at[0, 0])
-    picture.imshow(_in_rgb(grid_overlay(image, now)))
+    picture.imshow(grid_overlay(image, now)[..., ::-1])  # from OpenCV's BGR
     picture.set(title="found and numbered: left view")
     picture.set_axis_off()
     arrows = figure.add_subplot(at[0, 1])
@@ -69,8 +66,3 @@ def press_sheet(
     drawn.auto_set_column_width([0, 1])
     drawn.scale(1, 1.4)
     return figure
-
-
-def _in_rgb(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a picture (H, W, 3) of OpenCV with its channels as matplotlib takes them."""
-    return picture[..., ::-1]

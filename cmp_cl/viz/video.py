@@ -2,7 +2,6 @@
 
 import os
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -11,9 +10,10 @@ from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.files import check_target, temporary_beside
+from cmp_cl.files import check_target, suffix_of, temporary_beside
 from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
+from cmp_cl.viz.overlays import strips
 
 OVERLAY_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
 _STRIP = 40  # px below the image for the text and the colour bar
@@ -36,7 +36,7 @@ class OverlayVideo(Closing):
     """
 
     def __init__(self, path: str | PathLike[str], *, fps: float = 25.0, unit: str = "px") -> None:
-        suffix = Path(path).suffix.lower()
+        suffix = suffix_of(path, ConfigError)
         if suffix not in OVERLAY_SUFFIXES:
             raise ConfigError(f"{str(path)!r}: a video must end in {', '.join(OVERLAY_SUFFIXES)}")
         if not 0 < fps < 1e4:
@@ -110,16 +110,7 @@ class OverlayVideo(Closing):
         """Draw lines between neighbours, then a disc on every node."""
         valid = ~np.isnan(xy[..., 0])
         whole = np.rint(np.where(valid[..., None], xy, 0)).astype(np.int32)
-        lines = []
-        across = np.ascontiguousarray(whole.transpose(1, 0, 2))
-        for points, there in ((whole, valid), (across, valid.T)):
-            for line, known in zip(points, there, strict=True):
-                ends = np.flatnonzero(np.diff(known)) + 1
-                lines += [
-                    part
-                    for part, seen in zip(np.split(line, ends), np.split(known, ends), strict=True)
-                    if seen[0] and len(part) > 1
-                ]
+        lines = [np.ascontiguousarray(line) for line in strips(whole, valid)]
         cv2.polylines(canvas, lines, False, _LINE, 1)
         level = np.rint(np.nan_to_num(moved[valid]) * (255 / (self._top or 1))).astype(np.uint8)
         colours = np.where(np.isnan(moved[valid])[:, None], _NO_VALUE, self._colours[level])

@@ -4,10 +4,13 @@
  * both responses, and the last band to finish decides for the frame, because a launch of its own
  * costs as much as half of the decision. kernels/harmonic.cl has the equations.
  *
- * Only the noise and the reference need the whole frame. A band therefore goes down its rows
+ * Only the noise and the reference need the whole frame. A band therefore goes over its rows
  * once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
- * stay in the cache. Each loop over a row is a function of its own with restrict pointers and one
- * cast per operation: compilers turn it into vectors of 16-bit numbers. */
+ * stay in the cache. Two bands share the rows between them: one goes down from the first row, the
+ * other goes up from the last, and they take a few rows at a time until none is left. So both end
+ * together, even if one of them starts late or runs on a slower core. Each loop over a row is a
+ * function of its own with restrict pointers and one cast per operation: compilers turn it into
+ * vectors of 16-bit numbers. */
 
 #ifndef NMS_RADIUS
 #error "NMS_RADIUS must be that of suppression"
@@ -18,6 +21,7 @@
 #define LAG (REACH_OF_RING + 3) /* from an image row to the response that it completes */
 #define BESIDE_MAXIMUM LARGER(NMS_RADIUS, 2) /* rows of suppression, and of the moments */
 #define BEYOND (LAG + BESIDE_MAXIMUM)
+#define ROWS_AT_A_TIME 8 /* that a band takes */
 
 /* Ring buffers: powers of two. A smoothed row serves from the response REACH_OF_RING rows above
  * until check 1 of a maximum REACH_OF_RING rows below. */
@@ -43,6 +47,11 @@ ROW_LOOP void scale_levels(__global const PIXEL *restrict grey, __global ushort 
     const int remainder = (int)(scaled - quotient * full_scale);
     level[x] = (ushort)(quotient + (remainder >= (int)full_scale) - (remainder < 0));
   }
+}
+
+ROW_LOOP void copy_row(__global const PIXEL *restrict from, __global PIXEL *restrict to,
+                       const int width) {
+  for (int x = 0; x < width; ++x) to[x] = from[x];
 }
 
 /* [1 2 1] down the columns. */
@@ -74,7 +83,7 @@ ROW_LOOP void smooth_row ALONG_ROW(AS_IT_IS)
 ROW_LOOP void smooth_row_by_16 ALONG_ROW(BY_16)
 #define NEIGHBOURS(row) (row) - 1, row, (row) + 1
 
-/* [1 -2 1] down the columns, and the sum of |[1 -2 1]| of it over the inner columns of a row. */
+/* [1 -2 1] down the columns. */
 ROW_LOOP void curvature_of_row(__global const PIXEL *restrict above,
                                __global const PIXEL *restrict middle,
                                __global const PIXEL *restrict below,
@@ -82,15 +91,25 @@ ROW_LOOP void curvature_of_row(__global const PIXEL *restrict above,
   for (int x = 0; x < width; ++x)
     curvature[x] = (CURVATURE)((CURVATURE)(above[x] + below[x]) - (CURVATURE)(middle[x] << 1));
 }
-ROW_LOOP ulong noise_of_row(__global const CURVATURE *restrict left,
-                            __global const CURVATURE *restrict middle,
-                            __global const CURVATURE *restrict right, const int width) {
-  ROW_NOISE sum = 0;
-  for (int x = 1; x < width - 1; ++x) {
+
+/* Add |[1 -2 1]| of it along a row to a sum for each column. A sum has room for NOISE_ROWS rows. */
+#define NOISE_ROWS 32
+ROW_LOOP void add_noise(__global const CURVATURE *restrict left,
+                        __global const CURVATURE *restrict middle,
+                        __global const CURVATURE *restrict right,
+                        __global NOISE *restrict noise, const int width) {
+  for (int x = 0; x < width; ++x) {
     const CURVATURE sides = (CURVATURE)(left[x] + right[x]);
     const CURVATURE both = (CURVATURE)(sides - (CURVATURE)(middle[x] << 1));
-    sum += (ROW_NOISE)(both < 0 ? -both : both);
+    noise[x] += (NOISE)(both < 0 ? -both : both);
   }
+}
+
+/* The sum of the inner columns. All are emptied. */
+ROW_LOOP ulong take_noise(__global NOISE *restrict noise, const int width) {
+  ROW_NOISE sum = 0;
+  for (int x = 1; x < width - 1; ++x) sum += noise[x];
+  for (int x = 0; x < width; ++x) noise[x] = 0;
   return sum;
 }
 
@@ -170,6 +189,9 @@ ROW_LOOP int peaks_of_row(__global const short *restrict above,
   int count = 0;
   for (int first = 0; first < width; first += 32) {
     const int next = first + 16;
+    const short16 r = SIXTEEN_AT(response + first), s = SIXTEEN_AT(response + next);
+    const short16 large = (r > s ? r : s) > (short16)(LEAST);
+    if (!any_of(large.lo | large.hi)) continue; /* most of an image has no response */
     const short16 left = peaks_at(above + first, response + first, below + first);
     const short16 right = peaks_at(above + next, response + next, below + next);
     const short16 both = left | right;
@@ -265,6 +287,13 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
   return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
 }
 
+/* The part of a segment's list that one of its two bands fills: the number of its first entry, and
+ * of its entries, which may exceed the capacity. */
+#define SPAN_OF(band, fine) spans[(band) * (1 + FINE) + (fine)]
+#define LIST_OF(band, fine)                                                         \
+  (lists + (size_t)((band) / 2 * (1 + FINE) + (fine)) * LIST_COLUMNS * capacity +   \
+   SPAN_OF(band, fine).x)
+
 /* The sum of the squares of those responses of a list that are at least `least`. */
 ROW_LOOP ulong squares_from(__global const int *restrict response, const uint count,
                             const int least) {
@@ -273,21 +302,21 @@ ROW_LOOP ulong squares_from(__global const int *restrict response, const uint co
     sum += response[n] >= least ? (uint)(response[n] * response[n]) : 0;
   return sum;
 }
-ulong squares_of_frame(__global const int *lists, __global const uint *band_counts,
-                       const uint fine, const uint bands, const uint capacity, const int least) {
+ulong squares_of_frame(__global const int *lists, __global const uint2 *spans, const uint fine,
+                       const uint bands, const uint capacity, const int least) {
   ulong sum = 0;
-  for (uint own = fine; own < bands * (1 + FINE); own += 1 + FINE)
-    sum += squares_from(lists + ((size_t)own * LIST_COLUMNS + 2) * capacity,
-                        SMALLER(band_counts[own], capacity), least);
+  for (uint band = 0; band < bands; ++band)
+    sum += squares_from(LIST_OF(band, fine) + 2 * capacity,
+                        SMALLER(SPAN_OF(band, fine).y, capacity), least);
   return sum;
 }
 
 /* The reference W: the largest number at which the responses from it on have at least half of the
  * sum of the squares of all above a bound; 0 if there are none. It is found bit by bit. */
 #define HIGHEST_BIT_OF_RESPONSE (1 << 13)
-int reference_of(__global const int *lists, __global const uint *band_counts, const uint fine,
+int reference_of(__global const int *lists, __global const uint2 *spans, const uint fine,
                  const uint bands, const uint capacity, const int bound) {
-#define SQUARES_FROM(least) squares_of_frame(lists, band_counts, fine, bands, capacity, least)
+#define SQUARES_FROM(least) squares_of_frame(lists, spans, fine, bands, capacity, least)
   const ulong all = bound < INT_MAX ? SQUARES_FROM(bound + 1) : 0;
   int reference = 0;
   for (int bit = HIGHEST_BIT_OF_RESPONSE; all && bit; bit >>= 1)
@@ -324,7 +353,7 @@ void copy_entries(__global const int *from, const uint capacity, const uint coun
 /* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
  * noise, and not below a share of the reference; a fine one counts only if no coarse corner is
  * within NMS_RADIUS. `maxima` gets a bit for each coarse corner. The lists keep the corners. */
-void decide(const size_t p, __global const ulong *noise, __global uint *band_counts,
+void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
             __global int *lists, const uint rows, const uint columns, const uint step,
             const uint bands, const uint capacity, const uint full_scale,
             const uint coarse_noise, const int coarse_share, const int fine_share,
@@ -335,23 +364,26 @@ void decide(const size_t p, __global const ulong *noise, __global uint *band_cou
   const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
   const int coarse_bound = noise_bound(coarse_noise, amplitude, pixels, full_scale);
   const int fine_bound = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
-  lists += p * bands * (1 + FINE) * LIST_COLUMNS * capacity;
-  band_counts += p * bands * (1 + FINE);
+  lists += p * ((bands + 1) / 2) * (1 + FINE) * LIST_COLUMNS * capacity;
+  spans += p * bands * (1 + FINE);
   maxima += p * rows * step / 32;
   corners += p * corner_capacity;
   const uint width = step / 32;
-  int reference = reference_of(lists, band_counts, 0, bands, capacity, coarse_bound);
+  int reference = reference_of(lists, spans, 0, bands, capacity, coarse_bound);
 #if FINE
   if (reference == 0)
-    reference = reference_of(lists, band_counts, 1, bands, capacity, fine_bound);
+    reference = reference_of(lists, spans, 1, bands, capacity, fine_bound);
   for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
 #endif
   uint total = 0, most = 0;
+  for (uint band = 0; band < bands; ++band)
+    for (uint fine = 0; fine <= FINE; ++fine) {
+      const uint before = band % 2 ? SPAN_OF(band - 1, fine).y : 0;
+      most = LARGER(most, before + SPAN_OF(band, fine).y);
+    }
   for (uint band = 0; band < bands; ++band) {
-    const uint own = band * (1 + FINE);
-    __global int *list = lists + (size_t)own * LIST_COLUMNS * capacity;
-    const uint count = SMALLER(band_counts[own], capacity);
-    most = LARGER(most, LARGER(band_counts[own], band_counts[own + FINE]));
+    __global int *list = LIST_OF(band, 0);
+    const uint count = SMALLER(SPAN_OF(band, 0).y, capacity);
     uint kept = 0;
     for (uint n = 0; n < count; ++n) {
       const int r = list[2 * capacity + n];
@@ -363,15 +395,15 @@ void decide(const size_t p, __global const ulong *noise, __global uint *band_cou
       if (kept < n) copy_entries(list + n, capacity, 1, list + kept, capacity);
       ++kept;
     }
-    band_counts[own] = kept;
+    SPAN_OF(band, 0).y = kept;
   }
   for (uint band = 0; band < bands; ++band) {
-    const uint own = band * (1 + FINE), coarse_count = band_counts[own];
-    __global const int *coarse = lists + (size_t)own * LIST_COLUMNS * capacity;
+    const uint coarse_count = SPAN_OF(band, 0).y;
+    __global const int *coarse = LIST_OF(band, 0);
     uint fine_count = 0; /* few are kept: the merge copies the coarse ones between them at once */
 #if FINE
-    __global int *fine = lists + (size_t)(own + 1) * LIST_COLUMNS * capacity;
-    for (uint f = 0; f < SMALLER(band_counts[own + 1], capacity); ++f) {
+    __global int *fine = LIST_OF(band, 1);
+    for (uint f = 0; f < SMALLER(SPAN_OF(band, 1).y, capacity); ++f) {
       const int r = fine[2 * capacity + f], x = fine[f] + PAD, y = fine[capacity + f];
       if (r <= fine_bound || 128 * r < fine_share * reference ||
           any_near(maxima, x, y, (int)rows, width))
@@ -405,12 +437,25 @@ void decide(const size_t p, __global const ulong *noise, __global uint *band_cou
   counts[count_offset + p] = total;
 }
 
-/* List the maxima of a band of the image, and fill the padding of its rows. A count may exceed the
- * capacity of its list. `area` has a bit for every pixel. One work-item per band. The last one of a
- * frame to finish decides for the frame; `finished` counts them, and is 0 between launches. The
- * fences and the count order the lists of all bands before the decision, on every CPU: OpenCL 1.2
- * alone does not promise it between groups. */
-__kernel void harmonic_band(__global PIXEL *restrict image,
+/* Take rows of a segment, which two bands share, and return how many: the next ones are down from
+ * row `next`, or up from it. 0 if the bands have taken all. */
+int take_rows(volatile __global uint *taken, const int next, const int height, const int upward) {
+  if ((int)atomic_inc(taken) * ROWS_AT_A_TIME >= height) return 0;
+  return upward ? next % ROWS_AT_A_TIME + 1 : SMALLER(ROWS_AT_A_TIME, height - next);
+}
+
+/* Row y of the frame. */
+#define FRAME_ROW(y) (frame + frame_start + ((size_t)p * rows + (size_t)(y)) * frame_step)
+
+/* List the maxima of a band of the image, copy its rows to `image` unless the frame lies there, and
+ * fill their padding. One work-item per band; an odd one goes up. Two bands share a segment of the
+ * image and its list, which the second one fills from the end; together they may count more than
+ * its capacity. `area` has a bit for every pixel. `taken` counts how often the bands of a segment
+ * have taken rows. The last band of a frame to finish decides for the frame; `finished` counts
+ * them. Both counts are 0 between launches. The fences and the counts order the lists of all bands
+ * before the decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. */
+__kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
+                            const uint frame_step, __global PIXEL *image,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
                             const uint capacity, const uint full_scale, const float inverse,
@@ -419,59 +464,60 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
                             const uint coarse_noise, const int coarse_share,
                             const int fine_share, const uint corner_capacity,
                             const uint count_offset, const uint length,
-                            volatile __global uint *finished, __global ulong *noise,
-                            __global uint *band_counts, __global int *lists,
+                            volatile __global uint *taken, volatile __global uint *finished,
+                            __global ulong *noise, __global uint2 *spans, __global int *lists,
                             __global uint *restrict maxima, __global int *restrict corners,
                             __global uint *restrict counts) {
-  const uint band = get_global_id(0), bands = get_global_size(0);
-  const size_t p = get_global_id(1), own = p * bands + band;
+  const uint band = get_global_id(0), bands = get_global_size(0), segments = (bands + 1) / 2;
+  const size_t p = get_global_id(1), own = p * bands + band, segment = p * segments + band / 2;
   const int height = (int)rows, width = (int)columns;
-  const int top = (int)(band * band_rows), end = SMALLER(top + (int)band_rows, height);
+  const int upward = band % 2, way = upward ? -1 : 1;
+  const int top = (int)(band / 2 * 2 * band_rows);
+  const int end = SMALLER(top + 2 * (int)band_rows, height);
+  const int first = upward ? end - 1 : top;
   __global ushort *levels = work + own * work_size;
   __global ushort *s1 = levels + 4 * step, *s2 = s1 + SMOOTH_ROWS * step;
   __global ushort *s3 = s2 + 4 * step, *column = s3 + SMOOTH_ROWS * step;
   __global short *nothing = (__global short *)(column + 2 * step) + PAD;
-  __global short *first_response = (__global short *)(column + 3 * step);
+  __global NOISE *noise_of_column = (__global NOISE *)(column + 3 * step) + PAD;
+  __global short *first_response = (__global short *)(column + 5 * step);
   const size_t kind = (size_t)RESPONSE_ROWS * step;
   ulong noise_of_band = 0;
   uint found[2] = {0, 0};
   for (int x = -PAD; x < (int)step - PAD; ++x) nothing[x] = 0;
-  for (int y = top; y < end; ++y) REPEAT_BORDER(PIXEL, image + ROW(p, y) + PAD)
+  take_noise(noise_of_column, width);
 
-  for (int y_in = LARGER(top - BEYOND, -1); y_in < end + BEYOND; ++y_in) {
-    const int y1 = y_in - 1, y2 = y_in - 2, y3 = y_in - 3, y_response = y_in - LAG;
+  /* `done` rows of the band are done; before the first, the steps fill their buffers. */
+  int left = take_rows(taken + segment, first - top, end - top, upward);
+  for (int done = -2 * BEYOND; left; ++done) {
+    const int y = first + way * done, y_response = y + way * BESIDE_MAXIMUM;
+    const int y_in = y + way * BEYOND, y1 = y_in - way, y2 = y1 - way, y3 = y2 - way;
 #if !WHOLE_LEVELS
     if (y_in >= 0 && y_in < height)
-      scale_levels(image + ROW(p, y_in) + PAD, levels + LEVEL_AT(y_in), full_scale, inverse, width);
+      scale_levels(FRAME_ROW(y_in), levels + LEVEL_AT(y_in), full_scale, inverse, width);
 #endif
-    if (y1 >= LARGER(top - BEYOND, 0) && y1 < height) {
+    if (done > -2 * BEYOND && y1 >= 0 && y1 < height) {
 #if WHOLE_LEVELS
-      column_of_greys(image + ROW(p, HELD(y1 - 1)) + PAD, image + ROW(p, y1) + PAD,
-                      image + ROW(p, HELD(y1 + 1)) + PAD, column + PAD, width);
+      column_of_greys(FRAME_ROW(HELD(y1 - 1)), FRAME_ROW(y1), FRAME_ROW(HELD(y1 + 1)),
+                      column + PAD, width);
       smooth_row(NEIGHBOURS(column + PAD), s1 + SMOOTH_AT(y1), width);
 #else
       column_of_levels(levels + LEVEL_AT(HELD(y1 - 1)), levels + LEVEL_AT(y1),
                        levels + LEVEL_AT(HELD(y1 + 1)), column + PAD, width);
       smooth_row_by_16(NEIGHBOURS(column + PAD), s1 + SMOOTH_AT(y1), width);
 #endif
-      if (y1 >= top && y1 < end && y1 > 0 && y1 + 1 < height) {
-        __global CURVATURE *curvature = (__global CURVATURE *)column + PAD;
-        curvature_of_row(image + ROW(p, y1 - 1) + PAD, image + ROW(p, y1) + PAD,
-                         image + ROW(p, y1 + 1) + PAD, curvature, width);
-        noise_of_band += noise_of_row(NEIGHBOURS(curvature), width);
-      }
     }
-    if (y2 >= LARGER(top - BEYOND + 1, 0) && y2 < height) {
+    if (done > -2 * BEYOND + 2 && y2 >= 0 && y2 < height) {
       column_of_levels(s1 + SMOOTH_AT(HELD(y2 - 1)), s1 + SMOOTH_AT(y2),
                        s1 + SMOOTH_AT(HELD(y2 + 1)), column + PAD, width);
       smooth_row_by_16(NEIGHBOURS(column + PAD), s2 + LEVEL_AT(y2), width);
     }
-    if (y3 >= LARGER(top - BEYOND + 2, 0) && y3 < height) {
+    if (done > -2 * BEYOND + 4 && y3 >= 0 && y3 < height) {
       column_of_levels(s2 + LEVEL_AT(HELD(y3 - 1)), s2 + LEVEL_AT(y3),
                        s2 + LEVEL_AT(HELD(y3 + 1)), column + PAD, width);
       smooth_row_by_16(NEIGHBOURS(column + PAD), s3 + SMOOTH_AT(y3), width);
     }
-    if (y_response >= LARGER(top - BESIDE_MAXIMUM, 0) && y_response < height) {
+    if (done >= -2 * BESIDE_MAXIMUM && y_response >= 0 && y_response < height) {
       const int y = y_response;
       __global short *response = first_response + RESPONSE_AT(y);
       coarse_response_of_row(s3 + SMOOTH_AT(HELD(y - 5)), s3 + SMOOTH_AT(HELD(y - 4)),
@@ -484,8 +530,15 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
                            s1 + SMOOTH_AT(HELD(y + 3)), 3, 2, response, width);
 #endif
     }
-    const int y = y_response - BESIDE_MAXIMUM;
-    if (y < top || y >= end) continue;
+    if (done < 0) continue;
+    if (frame != image) copy_row(FRAME_ROW(y), image + ROW(p, y) + PAD, width);
+    REPEAT_BORDER(PIXEL, image + ROW(p, y) + PAD)
+    if (y > 0 && y + 1 < height) {
+      __global CURVATURE *curvature = (__global CURVATURE *)column + PAD;
+      curvature_of_row(FRAME_ROW(y - 1), FRAME_ROW(y), FRAME_ROW(y + 1), curvature, width);
+      add_noise(NEIGHBOURS(curvature), noise_of_column, width);
+      if (done % NOISE_ROWS == NOISE_ROWS - 1) noise_of_band += take_noise(noise_of_column, width);
+    }
 #pragma unroll
     for (int fine = 0; fine <= FINE; ++fine) {
       __global const short *responses = first_response + fine * kind;
@@ -499,9 +552,9 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
       const Ring outer = fine ? ring_of(s1, y, 3, 2, height, step)
                               : ring_of(s3, y, 5, 4, height, step);
       const Ring between = ring_of(s3, y, 4, 3, height, step);
-      __global int *list = lists + (own * (1 + FINE) + fine) * LIST_COLUMNS * capacity;
+      __global int *list = lists + (segment * (1 + FINE) + fine) * LIST_COLUMNS * capacity;
       for (int k = 0; k < peaks; ++k) {
-        const int x = column[k];
+        const int x = column[upward ? peaks - 1 - k : k];
         const uint at = (uint)y * step + PAD + (uint)x;
         if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, row[0][x])) continue;
         if (fine) {
@@ -520,18 +573,26 @@ __kernel void harmonic_band(__global PIXEL *restrict image,
           if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
             continue;
         }
-        if (found[fine] < capacity) append(list, found[fine], capacity, x, y, row - 2);
+        if (found[fine] < capacity) {
+          const uint n = upward ? capacity - 1 - found[fine] : found[fine];
+          append(list, n, capacity, x, y, row - 2);
+        }
         ++found[fine];
       }
     }
+    if (--left == 0) left = take_rows(taken + segment, y + way - top, end - top, upward);
   }
-  noise[own] = noise_of_band;
-  for (int fine = 0; fine <= FINE; ++fine) band_counts[own * (1 + FINE) + fine] = found[fine];
+  noise[own] = noise_of_band + take_noise(noise_of_column, width);
+  for (int fine = 0; fine <= FINE; ++fine) {
+    const uint start = upward ? capacity - SMALLER(found[fine], capacity) : 0;
+    spans[own * (1 + FINE) + fine] = (uint2)(start, found[fine]);
+  }
   mem_fence(CLK_GLOBAL_MEM_FENCE);
   if (atomic_inc(finished + p) + 1 < bands) return;
   mem_fence(CLK_GLOBAL_MEM_FENCE);
   finished[p] = 0;
-  decide(p, noise, band_counts, lists, rows, columns, step, bands, capacity, full_scale,
+  for (uint k = 0; k < segments; ++k) taken[p * segments + k] = 0;
+  decide(p, noise, spans, lists, rows, columns, step, bands, capacity, full_scale,
          coarse_noise, coarse_share, fine_share, corner_capacity, count_offset, length, maxima,
          corners, counts);
 }

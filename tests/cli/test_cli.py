@@ -434,7 +434,7 @@ PATTERN = "pattern", "--grid", "4x4"
         (("detect", BOARD, "--overlay", ""), ["--overlay"]),
         (("detect", BOARD, "--out", ""), ["--out needs"]),
         (("detect", BOARD, "--out", "-"), ["--out needs"]),
-        (("detect", ""), ["there is no file ''"]),
+        (("detect", ""), ["must be the name of a file, not ''"]),
         (("detect", BOARD, BOARD, "--overlay", "o.png"), ["2 inputs", "name a folder"]),
         (("detect", BOARD, "--overlay", BOARD), ["would be overwritten"]),
         (("detect", "text.png", "--out", "text.png"), ["would be overwritten"]),

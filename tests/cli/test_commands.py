@@ -3,13 +3,13 @@
 import contextlib
 import csv
 import dataclasses
+import importlib.util
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from disks import full_after
 from messages import fails_in_one_line
 from plane_images import moved_board
 from stereo_data import bumblebee_rig, grid_of, photographs
-from videos import write_video
+from videos import write_deep_video, write_video
 
 from cmp_cl import (
     BinocularSplit,
@@ -288,6 +288,36 @@ def test_a_stopped_run_keeps_what_it_has(run, recording, press, monkeypatch, nam
     assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
 
 
+def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
+    board = np.kron(np.indices((9, 11)).sum(0) % 2, np.full((20, 20), 180)).astype(np.uint8) + 30
+    for number in range(2):  # no border of the pattern is in view
+        cv2.imwrite(str(tmp_path / f"{number}.png"), board[10:170, 10:210])
+    assert "1 with ambiguous numbers" in run("run", tmp_path, "--out", "press.npz")[1]
+    assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
+
+
+def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
+    run, recording, press, monkeypatch
+):
+    enter = run_module._Display.__enter__
+
+    def stopped(display):
+        signal.raise_signal(signal.SIGINT)
+        return enter(display)
+
+    monkeypatch.setattr(run_module._Display, "__enter__", stopped)
+    older = ["press.npz", "old.mp4"]
+    options = ["--overlay", "old.mp4"]
+    if importlib.util.find_spec("rerun") is not None:
+        older.append("old.rrd")
+        options += ["--rerun", "old.rrd"]
+    for name in older:
+        Path(name).write_text("old")
+    assert run("run", recording, *STEREO, *options) == (130, "", "cmp-cl: interrupted\n")
+    assert [Path(name).read_text() for name in older] == ["old"] * len(older)
+    assert not [entry for entry in Path().iterdir() if entry.name.startswith(".")]
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
 def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
     def frames_of(path, **_):
@@ -361,7 +391,7 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
     ("arguments", "words"),
     [
         (["none", *STEREO], ["none"]),
-        (["frames", *STEREO, "--rest-frame", "9"], ["beyond the last"]),
+        (["frames", *STEREO, "--rest-frame", "9"], ["no --rest-frame 9", "3 frames"]),
         (["frames", *STEREO, "--rest-frame", "-1"], ["0 or more"]),
         (["frames", *STEREO, "--split", "thirds"], ["halves", "thirds"]),
         (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["extends past the frame"]),
@@ -1145,20 +1175,8 @@ def test_lengths_that_a_view_does_not_have_are_refused(run, arguments, message):
 
 
 def test_a_video_of_12_bits_is_measured_without_options_and_keeps_its_times(run):
-    av = pytest.importorskip("av", reason="PyAV is not installed")
     picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
-    with av.open("deep.mkv", "w") as container:
-        stream = container.add_stream("ffv1", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 150, 150, "gray12le"
-        stream.codec_context.time_base = Fraction(1, 1000)
-        for time_ms in (0, 35, 110):
-            frame = av.VideoFrame(150, 150, "gray12le")
-            plane = np.zeros((150, frame.planes[0].line_size // 2), np.uint16)
-            plane[:, :150] = picture.astype(np.uint16) << 3  # in half of the light
-            frame.planes[0].update(plane.tobytes())
-            frame.pts, frame.time_base = time_ms, Fraction(1, 1000)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
+    write_deep_video("deep.mkv", picture.astype(np.uint16) << 3)  # in half of the light
     assert run("run", "deep.mkv", "--grid", "7x7", "--out", "deep.npz")[0] == 0
     assert read_series("deep.npz")["time_ms"] == pytest.approx([0, 35, 110])
     status, out, _ = run("detect", "deep.mkv", "--grid", "7x7")

@@ -481,17 +481,23 @@ def test_near_pairs_are_all_pairs_as_near_as_the_farthest_of_them(wide, high, ou
     assert every[first, second].all()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_links_that_agree_give_the_components_that_votes_give(monkeypatch, seed):
-    corners = board(20, 16, lost=0.25, seed=seed).corners
-    z = (corners.xy @ np.array([1, 1j])).astype(np.complex64)
-    answers = []
+@pytest.fixture
+def answers(monkeypatch):
+    """Return a list that gets the numbers by counting along links, None where votes decide."""
+    found = []
 
     def counted(*arguments):
-        answers.append(_counted(*arguments))
-        return answers[-1]
+        found.append(_counted(*arguments))
+        return found[-1]
 
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_links_that_agree_give_the_components_that_votes_give(monkeypatch, answers, seed):
+    corners = board(20, 16, lost=0.25, seed=seed).corners
+    z = (corners.xy @ np.array([1, 1j])).astype(np.complex64)
     one = lattice(z, lines_of(corners.edges))
     assert answers[0] is not None
     monkeypatch.setattr("cmp_cl.grid.lattice._counted", lambda *_: None)
@@ -515,19 +521,12 @@ def test_a_link_that_contradicts_the_frames_of_its_corners_leaves_the_numbers_to
     assert trees is None or trees.node.tolist() == [0, 1]
 
 
-def test_numbers_that_contradict_each_other_around_a_tear_are_left_to_votes(monkeypatch):
+def test_numbers_that_contradict_each_other_around_a_tear_are_left_to_votes(answers):
     row, column = np.mgrid[0:16, 0:16]
     place = column - 7.5 + 1j * (row - 7.5)
     kept = np.abs(place) > 3
     place, first = place[kept], (row + column)[kept] % 2
     place += np.angle(-place) / np.pi  # on the right the rows below lie two columns off
-    answers = []
-
-    def counted(*arguments):
-        answers.append(_counted(*arguments))
-        return answers[-1]
-
-    monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
     edges = (np.arange(4) + first[:, None]) * np.pi / 2
     lines = lines_of(edges.astype(np.float32))
     found = lattice((100 + 100j + 13 * place).astype(np.complex64), lines)
@@ -535,15 +534,8 @@ def test_numbers_that_contradict_each_other_around_a_tear_are_left_to_votes(monk
     assert answers == [None]
 
 
-def test_a_pattern_that_is_rotated_within_itself_is_numbered_by_votes(monkeypatch):
+def test_a_pattern_that_is_rotated_within_itself_is_numbered_by_votes(answers):
     corners, index, _ = board(24, 24, twist=1.1, pull=0)
-    answers = []
-
-    def counted(*arguments):
-        answers.append(_counted(*arguments))
-        return answers[-1]
-
-    monkeypatch.setattr("cmp_cl.grid.lattice._counted", counted)
     grid = build_grid(corners)
     assert answers == [None]
     np.testing.assert_array_equal(grid.index, index)

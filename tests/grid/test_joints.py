@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_cl import Detector, DetectorConfig, build_grid, build_grids
+from cmp_cl import DetectorConfig, build_grid, build_grids, detect
 from cmp_cl.errors import GridError
 from cmp_cl.grid.build import Board, Ended, _others
 from cmp_cl.grid.grow import Seen
@@ -155,8 +155,7 @@ def on_board(grid) -> np.ndarray:
 @pytest.mark.parametrize(("rotation", "square"), [(0.25, 30), (0.45, 30)])
 def test_a_board_in_front_of_a_floor_of_squares_is_numbered_alone(rotation, square):
     image = before_squares(rotation=rotation, square=square)
-    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
-        grid = build_grid(detector(image), image)
+    grid = build_grid(detect(image, DetectorConfig.for_cell(CELL)), image)
     assert grid.shape in (BOARD, BOARD[::-1])
     assert on_board(grid).all()
 
@@ -167,8 +166,7 @@ FLOORS = [(0.15, 22), (0.15, 26), (0.45, 19)]  # of more corners than the board 
 @pytest.mark.parametrize(("rotation", "square"), FLOORS)
 def test_a_board_is_the_grid_and_a_floor_of_many_squares_is_reported(rotation, square):
     image = before_squares(rotation=rotation, square=square)
-    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
-        corners = detector(image)
+    corners = detect(image, DetectorConfig.for_cell(CELL))
     grid = build_grid(corners, image)
     assert grid.shape in (BOARD, BOARD[::-1])
     assert on_board(grid).all()
@@ -183,8 +181,7 @@ def test_a_board_is_the_grid_and_a_floor_of_many_squares_is_reported(rotation, s
 @pytest.mark.parametrize(("rotation", "square"), FLOORS)
 def test_a_known_size_or_a_region_leaves_no_doubt(rotation, square):
     image = before_squares(rotation=rotation, square=square)
-    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
-        corners = detector(image)
+    corners = detect(image, DetectorConfig.for_cell(CELL))
     for grid in (
         build_grid(corners, image, shape=BOARD),
         build_grid(corners, image, region=(75, 65, 300, 245)),
@@ -223,8 +220,7 @@ def test_of_two_boards_the_one_of_the_known_size_is_numbered():
     image[:, :400] = before_squares(square=1000)
     row, column = np.indices((300, 140)) // 20
     image[15:315, 410:550] = np.where((row + column) % 2, 30, 220)
-    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
-        corners = detector(image)
+    corners = detect(image, DetectorConfig.for_cell(CELL))
     with pytest.raises(GridError, match="two patterns are seen, of 84 and 63 corners"):
         build_grid(corners, image)
     assert on_board(build_grid(corners, image, shape=BOARD)).all()
@@ -238,8 +234,7 @@ def test_a_board_of_wide_cells_in_fine_clutter_is_found():
     blocks = np.random.default_rng(1).uniform(20, 235, (128, 160)).repeat(5, 0).repeat(5, 1)
     image = blocks.astype(np.uint8)
     image[40:280, 50:330] = before_squares()[40:280, 50:330]
-    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
-        corners = detector(image)
+    corners = detect(image, DetectorConfig.for_cell(CELL))
     assert BOARD[0] * BOARD[1] < 0.02 * len(corners)
     for shape in (None, BOARD):
         grid = build_grid(corners, image, shape=shape)
@@ -254,8 +249,7 @@ def test_things_that_complete_a_few_squares_are_beyond_the_border(shape):
     for number, level in enumerate((45, 215, 45)):  # beside white, black, white squares
         top = 105 + number * CELL
         image[top : top + CELL, 310:335] = level
-    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
-        corners = detector(image)
+    corners = detect(image, DetectorConfig.for_cell(CELL))
     beside = (np.abs(corners.xy[:, 0] - 310) < 3) & (corners.xy[:, 1] > 80)
     assert np.count_nonzero(beside) >= 2
     grid = build_grid(corners, image, shape=shape)

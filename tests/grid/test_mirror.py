@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_cl import Detector, DetectorConfig, build_grid
+from cmp_cl import DetectorConfig, build_grid, detect
 from cmp_cl.errors import GridError
 from cmp_cl.grid import NodeStatus
 from cmp_cl.grid.mirror import has_diagonal_seam, has_seam, repeats_reversed
@@ -43,8 +43,7 @@ def mirrored(image: np.ndarray) -> np.ndarray:
 
 
 def numbered(image, **known):
-    with Detector(shape=image.shape, config=DetectorConfig.for_cell(CELL)) as detector:
-        return build_grid(detector(image), image, **known)
+    return build_grid(detect(image, DetectorConfig.for_cell(CELL)), image, **known)
 
 
 def test_a_reflection_of_a_print_with_errors_is_doubted():

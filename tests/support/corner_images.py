@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 OVERSAMPLING = 8  # samples of a pixel, along each axis
 
 
-def corner(
-    x: float, y: float, angle: float, *, opening: float = math.pi / 2, blur: float = 0.7
-) -> NDArray[np.uint8]:
+def corner(x: float, y: float, angle: float, *, opening: float = math.pi / 2) -> NDArray[np.uint8]:
     """Return (41, 41): grey levels 40 and 200, divided by two lines through (x, y) at angle and at
     angle + opening, rad."""
     u = (np.arange(41 * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5
@@ -19,7 +17,7 @@ def corner(
         (u[:, None] - y) * math.cos(a) - (u[None] - x) * math.sin(a)
         for a in (angle, angle + opening)
     ]
-    return _pixels(np.where(sides[0] * sides[1] > 0, 40.0, 200.0), blur)
+    return _pixels(np.where(sides[0] * sides[1] > 0, 40.0, 200.0), 0.7)
 
 
 def board(

@@ -20,9 +20,9 @@ def stripes(width: int, angle: float) -> NDArray[np.uint8]:
     return np.where(np.floor(across / width + 1e-9) % 2 == 0, 30, 220).astype(np.uint8)
 
 
-def salt_and_pepper(shape: tuple[int, int], share: float, seed: int = 0) -> NDArray[np.uint8]:
+def salt_and_pepper(shape: tuple[int, int], share: float) -> NDArray[np.uint8]:
     """Return a grey image of which that share of the pixels is black or white."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     image = np.full(shape, 128, np.uint8)
     hit = rng.random(shape) < share
     image[hit] = np.where(rng.random(int(hit.sum())) < 0.5, 0, 255)

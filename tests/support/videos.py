@@ -1,8 +1,11 @@
 """Videos of grey images."""
 
 from collections.abc import Iterable
+from fractions import Fraction
 
 import cv2
+import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 
@@ -15,3 +18,21 @@ def write_video(path: object, images: Iterable[NDArray], codec: str = "FFV1") ->
     for image in images:
         writer.write(image)
     writer.release()
+
+
+def write_deep_video(path: object, image: NDArray) -> None:
+    """Write an image (H, W) as three frames of 12 bits at 0, 35 and 110 ms, or skip the test."""
+    av = pytest.importorskip("av", reason="PyAV is not installed")
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=25)
+        stream.height, stream.width = image.shape
+        stream.pix_fmt = "gray12le"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for time_ms in (0, 35, 110):
+            frame = av.VideoFrame(stream.width, stream.height, "gray12le")
+            plane = np.zeros((stream.height, frame.planes[0].line_size // 2), np.uint16)
+            plane[:, : stream.width] = image
+            frame.planes[0].update(plane.tobytes())
+            frame.pts, frame.time_base = time_ms, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.errors import FieldError, as_numbers, check_kind, check_positive
 from cmp_cl.grid.filter import (
     Filtered,
     bend_shift_of,
@@ -39,7 +39,8 @@ class PlaneScale:
     unit: str
 
     def __post_init__(self) -> None:
-        matrix = np.array(self.matrix, np.float64)
+        check_kind("unit", self.unit, str, FieldError)
+        matrix = as_numbers("matrix", self.matrix, FieldError)
         if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or not np.linalg.det(matrix):
             raise FieldError(f"a homography is (3, 3), finite and regular, not {matrix.tolist()}")
         matrix.flags.writeable = False
@@ -57,8 +58,7 @@ class PlaneScale:
 
         length: of one px. unit: name of its unit. Raises FieldError if it is not positive.
         """
-        if not 0 < length < math.inf:
-            raise FieldError(f"the length of a px must be positive, not {length!r}")
+        check_positive("length", length, FieldError)
         return cls(np.diag([length, length, 1.0]), unit)
 
     @classmethod
@@ -70,8 +70,8 @@ class PlaneScale:
             Raises FieldError if side is not positive, if fewer than 4 nodes are valid, or if all
             lie on a line.
         """
-        if not 0 < side < math.inf:
-            raise FieldError(f"the side of a cell must be positive, not {side!r}")
+        check_kind("rest", rest, Grid, FieldError)
+        check_positive("side", side, FieldError)
         row, column = np.nonzero(rest.valid)
         matrix = None
         if len(row) >= 4 and len(set(row)) > 1 and len(set(column)) > 1:
@@ -86,7 +86,9 @@ class PlaneScale:
 
     def __call__(self, xy: ArrayLike) -> tuple[Array, Array]:
         """Map points (..., 2), px, to the plane; also return the derivative by px, (..., 2, 2)."""
-        points = np.asarray(xy, np.float64)
+        points = as_numbers("xy", xy, FieldError)
+        if not points.ndim or points.shape[-1] != 2:
+            raise FieldError(f"xy must be (..., 2), not {points.shape}")
         mapped = points @ self.matrix[:, :2].T + self.matrix[:, 2]
         plane = mapped[..., :2] / mapped[..., 2:]
         slope = self.matrix[:2, :2] - plane[..., None] * self.matrix[2, :2]
@@ -234,6 +236,7 @@ def with_measured_noise(field: PlaneField) -> PlaneField:
 
     Raises FieldError if no 4 x 4 nodes are valid.
     """
+    check_kind("field", field, PlaneField, FieldError)
     field = field if field.raw is None else field.raw
     shown = _shown_by_neighbours(field)
     if shown is None:

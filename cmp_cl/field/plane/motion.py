@@ -69,7 +69,10 @@ def without_motion(field: PlaneField, motion: Motion) -> PlaneField:
     """Remove a motion from the field, so that the deformation alone remains.
 
     The current positions are moved back. `sigma` does not include the error of the motion.
+    Raises FieldError if an argument is of another type.
     """
+    check_kind("field", field, PlaneField, FieldError)
+    check_kind("motion", motion, Motion, FieldError)
     centre, goal = complex(*motion.centre), complex(*motion.centre) + complex(*motion.translation)
     factor = motion.zoom * np.exp(1j * motion.rotation)
     back = (_complex(field.now) - goal) / factor + centre

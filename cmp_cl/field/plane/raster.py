@@ -1,13 +1,12 @@
 """Values of the nodes, interpolated on a regular raster of the plane at rest."""
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import ConfigError, FieldError
+from cmp_cl.errors import ConfigError, FieldError, as_numbers, check_kind, check_positive
 from cmp_cl.field.plane.displacement import PlaneField
 
 Array = NDArray[np.float64]
@@ -51,13 +50,14 @@ def rasterize(field: PlaneField, values: ArrayLike | None = None, *, step: float
     Raises FieldError if no cell is valid or covers a point, ConfigError if step is not
     positive or would give over 1e8 points.
     """
-    numbers = field.displacement if values is None else np.asarray(values, np.float64)
+    check_kind("field", field, PlaneField, FieldError)
+    given = field.displacement if values is None else values
+    numbers = as_numbers("values", given, FieldError)
     if numbers.ndim == 2:
         numbers = numbers[..., None]
     if numbers.ndim != 3 or numbers.shape[:2] != field.status.shape:
         raise FieldError(f"values are {numbers.shape}, the field has {field.status.shape} nodes")
-    if not 0 < step < math.inf:
-        raise ConfigError(f"step must be a positive length, not {step!r}")
+    check_positive("step", step, ConfigError)
     valid = field.valid & ~np.isnan(numbers).any(axis=2)
     cells = np.argwhere(valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:])
     if not len(cells):

@@ -9,13 +9,12 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError, check_kind
 from cmp_cl.field.plane.displacement import PlaneField
-from cmp_cl.field.strain import slope_weights
+from cmp_cl.field.strain import fixes_plane, plane_moments, slope_weights
 
 Array = NDArray[np.float64]
 
 _UNIFORM = math.pi / math.sqrt(12)  # rad, standard deviation of a completely unknown direction
 _DISTINCT = 3.0  # standard deviations: noise alone exceeds them in 1 % of cases (Rayleigh)
-_LEAST_NODES = 6  # fewest nodes of a window to which a plane is fitted
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -137,21 +136,10 @@ def _local_planes(
         to fit. Returns the slopes by column and by row, (R, C, 2, K), and their covariances, (R, C,
         L, 2, 2); NaN if the plane is not determined.
     """
-    rows, columns = used.shape
-    pad = ((radius, radius), (radius, radius), (0, 0))
-    filled = np.pad(np.where(used[..., None], values, 0), pad)
     weights = np.concatenate([used[..., None], np.where(used[..., None], sigma**2, 0)], axis=2)
-    weights = np.pad(weights.astype(np.float64), pad)
-    sums = np.zeros((rows, columns, 3, values.shape[2]))
-    moments = np.zeros((rows, columns, weights.shape[2], 3, 3))
-    for row in range(2 * radius + 1):
-        for column in range(2 * radius + 1):
-            at = slice(row, row + rows), slice(column, column + columns)
-            basis = np.array([1.0, column - radius, row - radius])
-            sums += basis[:, None] * filled[at][:, :, None]
-            moments += np.outer(basis, basis) * weights[at][..., None, None]
+    sums, moments = plane_moments(np.where(used[..., None], values, 0), weights, radius)
     count = moments[:, :, 0]
-    solvable = (count[..., 0, 0] >= _LEAST_NODES) & (np.linalg.det(count) > 1e-6)
+    solvable = fixes_plane(count)
     inverse = np.full(count.shape, np.nan)
     inverse[solvable] = np.linalg.inv(count[solvable])
     errors = (inverse[:, :, None] @ moments[:, :, 1:] @ inverse[:, :, None])[..., 1:, 1:]
@@ -207,8 +195,8 @@ def _strain_covariance(gradient: Array, back: Array, errors: Array) -> Array:
     eye = np.eye(2)
     by_gradient = np.stack(
         [
-            (np.einsum("ni,j->nij", gradient[:, :, a], eye[b]))
-            + (np.einsum("ni,j->nij", gradient[:, :, b], eye[a]))
+            np.einsum("ni,j->nij", gradient[:, :, a], eye[b])
+            + np.einsum("ni,j->nij", gradient[:, :, b], eye[a])
             for a, b in ((0, 0), (1, 1), (0, 1))
         ],
         axis=1,

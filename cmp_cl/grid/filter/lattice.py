@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cmp_cl.errors import GridError
+from cmp_cl.errors import GridError, as_numbers
 from cmp_cl.grid.filter.mixture import Mixture, mixed
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ def filter_grid(
 
     Raises GridError if the arrays have other shapes.
     """
-    given = np.array(values, np.float64)
+    given = as_numbers("values", values, GridError)
     if given.ndim != 3 or not given.shape[2]:
         raise GridError(f"values must be (R, C, K), K >= 1, not {given.shape}")
     there = functools.reduce(np.logical_and, np.isfinite(given.transpose(2, 0, 1)))
@@ -114,7 +114,8 @@ def filter_grid(
         if allowed.shape != there.shape:
             raise GridError(f"measured must be {there.shape}, not {allowed.shape}")
         votes &= allowed
-    most = np.full(there.shape, np.nan) if most_noise is None else np.asarray(most_noise, float)
+    bound = np.full(there.shape, np.nan) if most_noise is None else most_noise
+    most = as_numbers("most_noise", bound, GridError)
     if most.shape != there.shape:
         raise GridError(f"most_noise must be {there.shape}, not {most.shape}")
     sigma = np.full(there.shape, np.nan)

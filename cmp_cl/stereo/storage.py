@@ -1,4 +1,4 @@
-"""Reads calibration files of OpenCV's FileStorage, with limits on their size and nesting."""
+"""Files of OpenCV's FileStorage: read with limits on their size and nesting, written to memory."""
 
 from os import PathLike
 from pathlib import Path
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
+from cmp_cl.files import check_path
 
 _MAX_FILE = 1 << 20  # bytes
 _MAX_NUMBERS = 484  # entries of the largest matrix, a covariance of 22 parameters
@@ -17,6 +18,7 @@ _OPENING = (b"[", b"{", b"<", b"- ", b"-\t", b"-\n")
 
 def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
     """Open a file at `path` of OpenCV's FileStorage; raises CalibrationError if that fails."""
+    check_path(path, CalibrationError)
     try:
         with Path(path).open("rb") as file:
             data = file.read(_MAX_FILE + 1)
@@ -35,6 +37,17 @@ def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
         ) from error
     except (cv2.error, SystemError) as error:
         raise CalibrationError(f"{path}: neither YAML, XML nor JSON as OpenCV writes it") from error
+
+
+def new_storage(form: int = cv2.FILE_STORAGE_FORMAT_YAML) -> cv2.FileStorage:
+    """Return an empty storage in memory; form: of OpenCV's FILE_STORAGE_FORMAT, YAML or JSON."""
+    suffix = ".json" if form == cv2.FILE_STORAGE_FORMAT_JSON else ".yml"
+    return cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | form)
+
+
+def yaml_text(storage: cv2.FileStorage) -> str:
+    """Return what was written to a storage, under the head that OpenCV 4 and OpenCV 5 read."""
+    return "%YAML:1.0\n" + storage.releaseAndGetString().split("\n", 1)[1]
 
 
 def read_matrix(
