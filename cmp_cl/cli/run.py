@@ -57,9 +57,9 @@ def add_parser(commands: Any) -> None:
         "and writes the results as a series. With --stereo each frame shows two "
         "views, and the series holds the displacement of every node in space; without "
         "it, the positions in the image. Each frame is compared only with the frame "
-        "at rest, unless --track is given. Frames that cannot be read are left out "
-        "and counted; in frames without the pattern all nodes are missing. Ctrl-C "
-        "ends the run and saves what has been measured.",
+        "at rest, unless --track is given. Frames that cannot be read, or that "
+        "a camera misses, are left out and counted; in frames without the pattern all nodes "
+        "are missing. Ctrl-C ends the run and saves what has been measured.",
     )
     parser.add_argument(
         "source",
