@@ -62,7 +62,7 @@ class Detector(Closing):
         self.config = DetectorConfig() if config is None else config
         if not isinstance(self.config, DetectorConfig):
             raise ConfigError(f"config must be a DetectorConfig, not {config!r}")
-        self._mask = None if mask is None else _checked_mask(mask, self.shape)
+        mask = None if mask is None else _checked_mask(mask, self.shape)
         if queue is not None and not isinstance(queue, cl.CommandQueue):
             raise DeviceError(f"queue must be a pyopencl.CommandQueue, not {queue!r}")
         if queue is not None and device is not None:
@@ -96,7 +96,7 @@ class Detector(Closing):
             shape=self.shape,
             dtype=self.dtype,
             config=self.config,
-            mask=self._mask,
+            mask=mask,
         )
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was processed again
