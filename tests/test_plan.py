@@ -253,17 +253,23 @@ pixels = pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bits", 
 BUILT_IN = "_cl_"  # PoCL puts it before an argument that is named like a built-in function
 
 
+def names_of(kernel):
+    """The names of a kernel's arguments; skips where OpenCL does not keep them."""
+    try:
+        names = [kernel.get_arg_info(n, cl.kernel_arg_info.NAME) for n in range(kernel.num_args)]
+    except cl.RuntimeError as error:
+        if error.code != cl.status_code.KERNEL_ARG_INFO_NOT_AVAILABLE:
+            raise
+        pytest.skip("this OpenCL implementation keeps no names of arguments")
+    return [name.removeprefix(BUILT_IN) for name in names]
+
+
 @pixels
 @configurations
 def test_every_argument_has_the_name_that_its_kernel_gives_it(device_in_form, config, dtype):
     with Detector(shape=IMAGE.shape, dtype=dtype, config=config, device=device_in_form) as detector:
         for launch in detector._plans.lend(config.scale).launches:
-            kernel = launch.kernel
-            names = [
-                kernel.get_arg_info(n, cl.kernel_arg_info.NAME).removeprefix(BUILT_IN)
-                for n in range(kernel.num_args)
-            ]
-            assert list(launch.arguments) == names, launch.stage
+            assert list(launch.arguments) == names_of(launch.kernel), launch.stage
 
 
 class Unbuilt(Plan):

@@ -99,6 +99,8 @@ def at_rest(source: Source | Pairs, number: int) -> tuple[GreyImage, Generator[F
             return frame.image, _chained(frame, frames)
         frames.close()
         return frame.image, source.frames()
+    if not count:
+        raise ConfigError(f"no frame comes from {source.name!r}")
     raise ConfigError(
         f"there is no --rest-frame {number}: {shown(source.name)} has {counted(count, 'frame')}, "
         "numbered from 0"

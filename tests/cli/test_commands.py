@@ -268,6 +268,11 @@ def test_a_camera_that_is_not_there_is_an_error(run, recording, monkeypatch):
     fails_in_one_line(run("run", "7", *STEREO), "no camera 7")
 
 
+def test_a_camera_that_delivers_nothing_is_an_error(run, recording, monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of([None], []))
+    fails_in_one_line(run("run", "7", *STEREO), "no frame comes from '7'")
+
+
 STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
