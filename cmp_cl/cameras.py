@@ -1,7 +1,8 @@
 """Frames with their times from files and cameras, and pairs of frames from two of these.
 
 The time of a frame of a video is that in its container if PyAV is installed (the extra `video`),
-else it comes from the frame rate. The time of a camera's frame is that of its arrival.
+else it comes from the frame rate. The time of a camera's frame is that of its arrival: a thread
+reads a camera, so that frames do not wait in the driver while others are measured.
 """
 
 import collections
@@ -21,23 +22,11 @@ import cv2
 
 from cmp_cl import media
 from cmp_cl.errors import ConfigError, ImageError, check_positive, listed
-from cmp_cl.image import GreyImage
+from cmp_cl.media import Frame
 from cmp_cl.series.mcap import mcap_images
 
 _WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Timed:
-    """A frame of a source.
-
-    index: its number there. time_ms: its time, NaN if unknown. image: (H, W), None if broken.
-    """
-
-    index: int
-    time_ms: float
-    image: GreyImage | None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -79,7 +68,11 @@ class Source:
     settings: those to request of a camera, or None.
     live: whether it is a camera or a stream, whose frames arrive whether or not they are read.
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
+    full_scale: largest grey level, None if unknown.
+    start_ns: time of the first frame of an .mcap, ns since 1970; None before it is read.
     max_pixels: the largest size of a frame, see `cmp_cl.media.read_frames`.
+    from_start: whether times of a camera or an .mcap count from its first frame; else two of them
+        have one clock, and can be paired.
 
     Raises FileNotFoundError and ImageError as `cmp_cl.media` does.
     """
@@ -90,48 +83,64 @@ class Source:
         settings: CameraSettings | None = None,
         *,
         max_pixels: int = media.MAX_PIXELS,
+        from_start: bool = False,
     ) -> None:
         self.name = name
-        self._max_pixels = max_pixels
+        self._max_pixels, self._from_start = max_pixels, from_start
         self._settings = settings or CameraSettings()
         self.live = is_live(name)
         self._opened_as: int | str = int(name) if self.live and name.isdigit() else name
         self.paths = () if self.live else tuple(media.find_inputs([name]))
-        self.period_ms = math.nan
+        self.start_ns: int | None = None
+        self.full_scale, rate = None, self._settings.fps if self.live else None
         if len(self.paths) == 1:
-            rate = media.frame_rate(self.paths[0])
-            self.period_ms = math.nan if rate is None else 1e3 / rate
-        elif self.live and self._settings.fps:
-            self.period_ms = 1e3 / self._settings.fps
+            self.full_scale, rate = media.full_scale(self.paths[0]), media.frame_rate(self.paths[0])
+        self.period_ms = 1e3 / rate if rate else math.nan
 
-    def frames(self) -> Generator[Timed, None, None]:
-        """Yield all frames in turn; a live source ends after 10 s without a frame.
+    @property
+    def total(self) -> int | None:
+        """Return how many frames there are, None if unknown."""
+        if len(self.paths) < 2:
+            return media.count_frames(self.paths[0]) if self.paths else None
+        total = 0
+        for path in self.paths:
+            with contextlib.suppress(ImageError):
+                total += media.count_frames(path) or 1
+        return total
 
-        Raises ImageError if the source cannot be read.
+    def frames(self) -> Generator[Frame, None, None]:
+        """Yield all frames in turn, those that cannot be read or are missed without an image.
+
+        A live source ends after 10 s, or 250 reads, without a frame. Frames of several videos have
+        no times. Raises ImageError if the source cannot be read.
         """
         return self._live_frames() if self.live else self._file_frames()
 
-    def _file_frames(self) -> Generator[Timed, None, None]:
+    def _file_frames(self) -> Generator[Frame, None, None]:
         numbers = itertools.count()
         for path in self.paths:
             if path.suffix.lower() == ".mcap":
                 for stamp, image in mcap_images(path, max_pixels=self._max_pixels):
-                    yield Timed(next(numbers), stamp / 1e6, image)
+                    self.start_ns = self.start_ns or stamp
+                    zero = self.start_ns if self._from_start else 0
+                    yield Frame(next(numbers), image, (stamp - zero) / 1e6)
                 continue
             try:
                 for each in media.read_frames(path, max_pixels=self._max_pixels):
-                    yield Timed(next(numbers), each.time_ms, each.image)
+                    time_ms = each.time_ms if len(self.paths) == 1 else math.nan
+                    yield Frame(next(numbers), each.image, time_ms)
             except ImageError:
                 if len(self.paths) == 1:
                     raise
-                yield Timed(next(numbers), math.nan, None)
+                yield Frame(next(numbers), None)
 
-    def _live_frames(self) -> Generator[Timed, None, None]:
+    def _live_frames(self) -> Generator[Frame, None, None]:
         capture = self._capture()
-        waiting: queue.Queue[Timed | None] = queue.Queue(_WAITING)
+        waiting: queue.Queue[Frame | None] = queue.Queue(_WAITING)
         done = threading.Event()
         thread = threading.Thread(target=_read, args=(capture, waiting, done), daemon=True)
         thread.start()
+        index, zero = 0, None if self._from_start else 0.0
         try:
             while True:
                 try:
@@ -140,7 +149,11 @@ class Source:
                     return
                 if frame is None:
                     return
-                yield frame
+                for missed in range(index, frame.index):
+                    yield Frame(missed, None)
+                zero = frame.time_ms if zero is None else zero
+                yield Frame(frame.index, frame.image, frame.time_ms - zero)
+                index = frame.index + 1
         finally:
             done.set()
             thread.join(timeout=_LONGEST_WAIT)
@@ -169,10 +182,10 @@ class Source:
         return capture
 
 
-def _read(capture: Any, waiting: "queue.Queue[Timed | None]", done: threading.Event) -> None:
+def _read(capture: Any, waiting: "queue.Queue[Frame | None]", done: threading.Event) -> None:
     """Queue every frame of a camera as it arrives; None marks the end.
 
-    If too many wait, the oldest is dropped, and its number is missing.
+    The number of a read without a frame is missing; if too many wait, so is that of the oldest.
     """
     index = gap = 0
     while not done.is_set() and gap < media.LONGEST_GAP:
@@ -183,8 +196,8 @@ def _read(capture: Any, waiting: "queue.Queue[Timed | None]", done: threading.Ev
             if waiting.full():
                 with contextlib.suppress(queue.Empty):
                     waiting.get_nowait()
-            waiting.put(Timed(index, now, media.grey_of(picture)))
-            index += 1
+            waiting.put(Frame(index, media.grey_of(picture), now))
+        index += 1
     while not done.is_set():
         with contextlib.suppress(queue.Full):
             waiting.put(None, timeout=0.1)
@@ -201,13 +214,13 @@ class PairCount:
 
 
 def paired(
-    left: Iterator[Timed],
-    right: Iterator[Timed],
+    left: Iterator[Frame],
+    right: Iterator[Frame],
     *,
     tolerance_ms: float,
     count: PairCount,
     endless: bool = False,
-) -> Iterator[tuple[Timed, Timed]]:
+) -> Iterator[tuple[Frame, Frame]]:
     """Yield pairs of frames from two sources, matched by time; each frame is used at most once.
 
     left, right: the frames of each source. Two frames are a pair if their times differ by at most
@@ -216,11 +229,11 @@ def paired(
         whether the sources are live; if not, frames after the end of the other side are counted
         too.
     """
-    ahead: tuple[collections.deque[Timed], collections.deque[Timed]]
+    ahead: tuple[collections.deque[Frame], collections.deque[Frame]]
     ahead = collections.deque(), collections.deque()
     sources = left, right
 
-    def peek(side: int, index: int) -> Timed | None:
+    def peek(side: int, index: int) -> Frame | None:
         while len(ahead[side]) <= index:
             frame = next(sources[side], None)
             if frame is None:

@@ -21,7 +21,7 @@ from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.stages.form import Form
-from cmp_cl.stages.plan import Overflow, Plan
+from cmp_cl.stages.plan import Overflow, Plan, Plans
 from cmp_cl.stages.refine import copy_positions, no_corners, read_corners
 
 
@@ -62,7 +62,7 @@ class Detector(Closing):
         self.config = DetectorConfig() if config is None else config
         if not isinstance(self.config, DetectorConfig):
             raise ConfigError(f"config must be a DetectorConfig, not {config!r}")
-        self._mask = None if mask is None else _checked_mask(mask, self.shape)
+        mask = None if mask is None else _checked_mask(mask, self.shape)
         if queue is not None and not isinstance(queue, cl.CommandQueue):
             raise DeviceError(f"queue must be a pyopencl.CommandQueue, not {queue!r}")
         if queue is not None and device is not None:
@@ -89,33 +89,40 @@ class Detector(Closing):
         # Of streams, so that transfers run beside the kernels.
         self._transfers = cl.CommandQueue(context)
         self._lock = threading.RLock()
-        self._plans: dict[tuple[int, int, float | None], Plan] = {}
+        self._plans = Plans(
+            queue=self._queue,
+            programs=self._programs,
+            device=self.device,
+            shape=self.shape,
+            dtype=self.dtype,
+            config=self.config,
+            mask=mask,
+        )
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was processed again
         if self.shape[0] and self.shape[1]:
             for factor in self._factors:
-                self._plan(factor)
+                self._plans.lend(factor)
 
     def close(self) -> None:
         """Release the device's memory; the detector cannot be used afterwards."""
         if is_forked():  # the memory belongs to the parent process
             return
         with self._lock:
-            for plan in self._plans.values():
-                plan.release()
-            self._plans.clear()
+            for plan in self._plans:
+                self._plans.drop(plan)
             self._closed = True
 
     @property
     def memory(self) -> int:
         """Return the bytes allocated on the device."""
-        return sum(sum(plan.sizes.values()) for plan in self._plans.values())
+        return sum(sum(plan.sizes.values()) for plan in self._plans)
 
     @property
     def times(self) -> dict[str, float]:
         """Return the milliseconds of each stage of the last frame; empty without profile=True."""
         spent: dict[str, float] = {}
-        for plan in self._plans.values():
+        for plan in self._plans:
             for stage, event in plan.events:
                 event.wait()
                 ms = (event.profile.end - event.profile.start) * 1e-6
@@ -126,7 +133,8 @@ class Detector(Closing):
         """Find the corners of one frame, (H, W), of the shape and dtype of this detector.
 
         This and the other methods also accept frames of other array libraries: see
-        `cmp_cl.arrays.as_frame`, which copies those on a CUDA device to the host.
+        `cmp_cl.arrays.as_frame`, which copies those on a CUDA device to the host. No other thread
+        may change the frame during the call: on a CPU the kernels read it where it lies.
 
         Raises ImageError if the frame does not fit, CapacityError if the device is full,
         DeviceError if the detector is closed or of another process.
@@ -154,9 +162,9 @@ class Detector(Closing):
                 image = self._checked(frame)
                 with self._lock:
                     self._check_alive()
-                    plan = self._plan(self._factors[0])
+                    plan = self._plans.lend(self._factors[0])
                     self._start(plan, [image], self._transfers)
-                    plan.awaited = True
+                    self._plans.keep(plan)
                     ready, waiting = waiting, plan
                     done = [] if ready is None else self._finish(ready, self._transfers)
                     if plan.uploads:
@@ -170,7 +178,7 @@ class Detector(Closing):
                 yield from done
         finally:
             if waiting is not None:
-                waiting.awaited = False
+                self._plans.take_back(waiting)
 
     def batch(self, stack: NDArray[Any] | Sequence[Frame] | cl.Buffer) -> list[Corners]:
         """Find the corners of each frame of a stack, with one launch per stage for all of them.
@@ -217,7 +225,7 @@ class Detector(Closing):
             read_write: Any = cl.mem_flags.READ_WRITE
             if not (self.shape[0] and self.shape[1]):
                 return no_corners(str(self.device)), cl.Buffer(self._queue.context, read_write, 8)
-            plan = self._plan(self._factors[0])
+            plan = self._plans.lend(self._factors[0])
             corners = self._whole(plan, frames)[0]
             positions = cl.Buffer(self._queue.context, read_write, max(corners.xy.nbytes, 8))
             if len(corners):
@@ -235,7 +243,7 @@ class Detector(Closing):
             self._check_alive()
             if not image.size:
                 return no_maps(self.shape, self.config)
-            plan = self._made(self._factors[0], frames=1, form=Form.PORTABLE)
+            plan = self._plans.make(factor=self._factors[0], frames=1, form=Form.PORTABLE)
             try:
                 self._whole(plan, [image])  # lets the lists grow
                 return read_maps(plan)
@@ -280,37 +288,6 @@ class Detector(Closing):
             return [*sorted(scale.factors, reverse=True)]
         return [scale]
 
-    def _plan(self, factor: float | None, frames: int = 1) -> Plan:
-        """Return a plan that no stream is using."""
-        slot = 0
-        while (plan := self._plans.get((frames, slot, factor))) is not None and plan.awaited:
-            slot += 1
-        spare = max(slot, 1) + 1
-        while (old := self._plans.get((frames, spare, factor))) is not None:
-            if not old.awaited:  # its stream has ended or was abandoned
-                self._plans.pop((frames, spare, factor)).release()
-            spare += 1
-        if plan is None:
-            if frames > 1:  # plans of one batch size are kept
-                for key in [key for key in self._plans if key[0] > 1 and key[0] != frames]:
-                    self._plans.pop(key).release()
-            plan = self._plans[frames, slot, factor] = self._made(factor, frames)
-        return plan
-
-    def _made(self, factor: float | None, frames: int, form: Form | None = None) -> Plan:
-        return Plan(
-            self._queue,
-            self._programs,
-            self.device,
-            self.shape,
-            self.dtype,
-            self.config,
-            factor,
-            self._mask,
-            frames,
-            form,
-        )
-
     def _start(
         self, plan: Plan, frames: list[GreyImage] | cl.Buffer, transfers: cl.CommandQueue
     ) -> None:
@@ -325,7 +302,7 @@ class Detector(Closing):
             raise plan.refused(error) from error
 
     def _finish(self, plan: Plan, transfers: cl.CommandQueue) -> list[Corners]:
-        plan.awaited = False
+        self._plans.take_back(plan)
         try:
             while True:
                 try:
@@ -337,7 +314,7 @@ class Detector(Closing):
 
     def _each_factor(self, frames: list[GreyImage] | cl.Buffer, count: int) -> list[list[Corners]]:
         """Return the corners of each frame at each working scale."""
-        plans = [self._plan(factor, frames=count) for factor in self._factors]
+        plans = [self._plans.lend(factor, count) for factor in self._factors]
         for plan in plans:
             self._start(plan, frames, self._queue)
         return [self._finish(plan, self._queue) for plan in plans]
@@ -352,8 +329,7 @@ class Detector(Closing):
         try:
             plan.grow(overflow)
         except CapacityError:  # half of its buffers are gone; the next frame rebuilds it
-            self._plans = {key: kept for key, kept in self._plans.items() if kept is not plan}
-            plan.release()
+            self._plans.drop(plan)
             raise
         plan.launch(plan.launches)
 
@@ -468,7 +444,10 @@ def _checked_dtype(dtype: Any) -> np.dtype[Any]:
 
 
 def _checked_mask(mask: ArrayLike, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    array = np.asarray(mask)
+    try:
+        array = np.asarray(mask)
+    except ValueError as error:
+        raise ImageError(f"mask must be {shape} of bool, not a ragged one") from error
     if array.dtype != np.bool_ or array.shape != shape:
         raise ImageError(
             f"mask must be {shape} of bool, not {array.shape} of {array.dtype}; mask > 0 converts"

@@ -253,7 +253,8 @@ class Frame:
 
     index: its number there, from 0.
     image: (H, W) uint8 or uint16, or None if it cannot be read.
-    time_ms: the time in the video, or from its frame rate if PyAV is not installed; NaN if unknown.
+    time_ms: the time of a camera's frame or in the video, or from its frame rate if PyAV is not
+        installed; NaN if unknown.
     """
 
     index: int
@@ -420,27 +421,6 @@ def frame_rate(path: str | PathLike[str]) -> float | None:
         with _opened(path) as capture:
             rate = capture.get(cv2.CAP_PROP_FPS)
     return rate if 0 < rate < 1e6 else None
-
-
-def read_camera(number: int) -> Iterator[Frame]:
-    """Yield the frames of the camera of that number as they come; colour becomes grey.
-
-    It ends when `LONGEST_GAP` frames in a row are missing. Raises ImageError if there is no
-    such camera.
-    """
-    check_kind("number", number, int, ImageError)
-    capture = cv2.VideoCapture(number)
-    try:
-        if not capture.isOpened():
-            raise ImageError(f"there is no camera {number} that OpenCV can open")
-        index = gap = 0
-        while gap < LONGEST_GAP:
-            read, picture = capture.read()
-            gap = 0 if read else gap + 1
-            yield Frame(index, grey_of(picture) if read else None)
-            index += 1
-    finally:
-        capture.release()
 
 
 @contextlib.contextmanager

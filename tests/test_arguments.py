@@ -106,7 +106,6 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: trusted(GRID, "a"), "max_sigma", "Real"),
         (lambda: CameraSettings(size=(9, "a")), "each of size", "int"),
         (lambda: media.read_image(BOARD, max_pixels="a"), "max_pixels", "Real"),
-        (lambda: next(media.read_camera("a")), "number", "int"),
         (lambda: media.write_image("a.png", None), "image", "ndarray"),
         (lambda: corner_overlay(IMAGE, GRID), "corners", "Corners"),
         (lambda: grid_overlay(IMAGE, None), "grid", "Grid"),

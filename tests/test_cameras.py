@@ -2,19 +2,22 @@
 
 import itertools
 import math
+import threading
 
 import cv2
 import numpy as np
 import pytest
+from videos import write_video
 
-from cmp_cl.cameras import CameraSettings, PairCount, Source, Timed, paired
+from cmp_cl.cameras import CameraSettings, PairCount, Source, paired
 from cmp_cl.errors import ConfigError, ImageError
+from cmp_cl.media import Frame
 
 
 def pairs_of(left, right, tolerance=10.0):
     """Return indices of the pairs of frames at these times, ms, and the count."""
     count = PairCount()
-    sides = (iter([Timed(i, t, None) for i, t in enumerate(times)]) for times in (left, right))
+    sides = (iter([Frame(i, None, t) for i, t in enumerate(times)]) for times in (left, right))
     found = [(a.index, b.index) for a, b in paired(*sides, tolerance_ms=tolerance, count=count)]
     return found, (count.pairs, count.left_alone, count.right_alone)
 
@@ -74,6 +77,18 @@ def test_folders_have_no_times_and_broken_images_are_frames(tmp_path):
     assert not source.live
 
 
+def test_several_videos_have_no_clock_in_common(tmp_path):
+    for number in range(2):
+        write_video(tmp_path / f"{number}.avi", [np.zeros((48, 64), np.uint8)] * 2)
+    source = Source(str(tmp_path))
+    assert source.total == 4
+    frames = list(source.frames())
+    assert [frame.index for frame in frames] == [0, 1, 2, 3]
+    assert all(math.isnan(frame.time_ms) for frame in frames)
+    alone = Source(str(tmp_path / "0.avi"))
+    assert [frame.time_ms for frame in alone.frames()] == [0, alone.period_ms]
+
+
 class Capture:
     """A camera that gives ten frames and rejects an exposure."""
 
@@ -105,6 +120,52 @@ def test_cameras_and_addresses_are_live_and_lose_no_frame(monkeypatch, name):
     assert [frame.index for frame in frames] == list(range(10))
     assert frames[3].image[0, 0] == 4
     assert all(a.time_ms <= b.time_ms for a, b in itertools.pairwise(frames))
+
+
+@pytest.mark.parametrize("name", ["7", "/dev/video3"])
+@pytest.mark.parametrize("settings", [CameraSettings(), CameraSettings(fps=50)])
+def test_frames_that_a_camera_misses_are_counted_and_have_no_image(monkeypatch, name, settings):
+    class Missing(Capture):
+        def read(self):
+            read, image = super().read()
+            return read and self.left not in (9, 6, 5), image
+
+    monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Missing)
+    frames = list(Source(name, settings, from_start=True).frames())
+    assert [frame.index for frame in frames] == list(range(10))
+    missed = [frame.index for frame in frames if frame.image is None]
+    assert missed == [0, 3, 4]
+    assert [frame.index for frame in frames if math.isnan(frame.time_ms)] == missed
+    assert frames[1].time_ms == 0
+
+
+def test_frames_that_come_faster_than_they_are_taken_are_counted(monkeypatch):
+    class Fast(Capture):
+        def __init__(self, _):
+            super().__init__(_)
+            self.left = 100
+
+        def read(self):
+            read, image = super().read()
+            if not read:
+                over.set()
+            return read, image
+
+    over = threading.Event()
+    monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Fast)
+    coming = Source("0").frames()
+    first = next(coming)
+    assert over.wait(10)
+    frames = [first, *coming]
+    assert [frame.index for frame in frames] == list(range(100))
+    assert all(frame.image is not None for frame in frames[-60:])
+    assert sum(frame.image is None for frame in frames) >= 30
+
+
+def test_a_camera_that_gives_nothing_has_no_frames(monkeypatch):
+    monkeypatch.setattr(Capture, "read", lambda _: (False, None))
+    monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Capture)
+    assert list(Source("0").frames()) == []
 
 
 def test_a_setting_that_a_camera_does_not_take_is_reported(monkeypatch):

@@ -73,13 +73,30 @@ def test_a_capacity_that_cannot_grow_leaves_a_detector_that_works(device, monkey
     calm[:61, :80] = BOARD[:, :80]
     with Detector(shape=dense.shape, config=config, device=device) as detector:
         few = detector(calm)
-        detector._plan(None).corner_capacity = 64
-        detector._plan(None)._allocate()
+        detector._plans.lend(None).corner_capacity = 64
+        detector._plans.lend(None)._allocate()
         with monkeypatch.context() as patch:
             patch.setattr(cl, "Buffer", refuse)
             with pytest.raises(CapacityError):
                 detector(dense)
         assert_same_bytes(detector(calm), few)
+        assert len(detector(dense)) > 64
+
+
+def test_maps_whose_lists_cannot_grow_are_refused(device, monkeypatch):
+    config = DetectorConfig(detection=BinaryRings(contrast=None), nms_radius=1, max_corners=1)
+    dense = images.texture((300, 80))
+
+    def full(*_):
+        raise CapacityError("the device is full")
+
+    with Detector(shape=dense.shape, config=config, device=device) as detector:
+        memory = detector.memory
+        with monkeypatch.context() as patch:
+            patch.setattr(Plan, "grow", full)
+            with pytest.raises(CapacityError, match="the device is full"):
+                detector.maps(dense)
+        assert detector.memory == memory
         assert len(detector(dense)) > 64
 
 

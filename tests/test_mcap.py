@@ -103,6 +103,15 @@ def test_images_of_every_encoding_are_read_with_their_stamps(ros, tmp_path):
     np.testing.assert_array_equal(frames[1].image, deep)
 
 
+def test_the_parts_of_a_recording_have_one_start(ros, tmp_path):
+    for number in range(2):
+        message = image_message(number, np.zeros((6, 8), np.uint8), "mono8")
+        write(ros, tmp_path / f"{number}.mcap", [("/gel", "Image", IMAGE, message)])
+    source = Source(str(tmp_path / "*.mcap"), from_start=True)
+    assert [(frame.index, frame.time_ms) for frame in source.frames()] == [(0, 0), (1, 20)]
+    assert source.start_ns == START * 10**6
+
+
 def test_compressed_images_are_read_and_a_topic_is_chosen(ros, tmp_path):
     ramp = np.arange(48, dtype=np.uint8).reshape(6, 8)
     packed = {

@@ -265,9 +265,8 @@ def test_frames_that_never_come_are_not_waited_for(tmp_path, monkeypatch):
     monkeypatch.setattr(media, "has_pyav", lambda: False)
     monkeypatch.setattr(cv2, "VideoCapture", Dead)
     (tmp_path / "dead.avi").write_bytes(b"")
-    for frames in (media.read_frames(tmp_path / "dead.avi"), media.read_camera(0)):
-        some = list(itertools.islice(frames, 2 * media.LONGEST_GAP))
-        assert [frame.image for frame in some] == [None] * media.LONGEST_GAP
+    some = list(itertools.islice(media.read_frames(tmp_path / "dead.avi"), 2 * media.LONGEST_GAP))
+    assert [frame.image for frame in some] == [None] * media.LONGEST_GAP
 
 
 def test_a_file_that_is_no_video_is_an_image_error(tmp_path, reader):

@@ -46,7 +46,7 @@ def test_a_detector_gives_the_same_corners_with_and_without_shared_memory(
     for shares in (True, False):
         monkeypatch.setattr(plans, "shares_memory", lambda _, shares=shares: shares)
         with Detector(shape=BOARD.shape, device=device) as detector:
-            assert bool(detector._plan(None)._here) is shares
+            assert bool(detector._plans.lend(None)._here) is shares
             results.append([detector(BOARD), *detector.batch([TEXTURE, BOARD])])
     for here, copied in zip(*results, strict=True):
         assert_same_bytes(here, copied)
@@ -63,7 +63,7 @@ def large(handle, device):
 def test_a_frame_is_not_written_while_kernels_read_the_one_before(large):
     detector, board, moved = large
     expected = detector(board)
-    plan, transfers = detector._plan(None), detector._transfers
+    plan, transfers = detector._plans.lend(None), detector._transfers
     for _ in range(5):
         plan.launch(plan.upload(transfers, [board]))
         plan.upload(transfers, [moved])
@@ -73,7 +73,7 @@ def test_a_frame_is_not_written_while_kernels_read_the_one_before(large):
 def test_a_frame_is_kept_while_kernels_read_it_and_no_longer(large):
     detector, board, _ = large
     detector(board)
-    plan, references = detector._plan(None), sys.getrefcount(board)
+    plan, references = detector._plans.lend(None), sys.getrefcount(board)
     plan.launch(plan.upload(plan.queue, [board]))
     if plan._in_place:
         assert sys.getrefcount(board) == references + 1
@@ -86,7 +86,7 @@ def test_memory_is_kept_until_the_kernels_of_a_deleted_detector_are_done(large, 
     for _ in range(5):
         detector = Detector(shape=board.shape, device=device)
         detector(board)  # its lists are long enough now
-        plan = detector._plan(None)
+        plan = detector._plans.lend(None)
         plan.launch(plan.launches)
         event = plan._last
         del detector, plan

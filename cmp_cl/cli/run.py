@@ -14,7 +14,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.cameras import CameraSettings
+from cmp_cl.cameras import CameraSettings, Source
 from cmp_cl.cli import strain
 from cmp_cl.cli.arguments import (
     Box,
@@ -32,7 +32,7 @@ from cmp_cl.cli.arguments import (
 )
 from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
-from cmp_cl.cli.sources import PAIR_WITHIN, Pairs, Source
+from cmp_cl.cli.sources import PAIR_WITHIN, Pairs, at_rest
 from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError
@@ -57,9 +57,9 @@ def add_parser(commands: Any) -> None:
         "and writes the results as a series. With --stereo each frame shows two "
         "views, and the series holds the displacement of every node in space; without "
         "it, the positions in the image. Each frame is compared only with the frame "
-        "at rest, unless --track is given. Frames that cannot be read are left out "
-        "and counted; in frames without the pattern all nodes are missing. Ctrl-C "
-        "ends the run and saves what has been measured.",
+        "at rest, unless --track is given. Frames that cannot be read, or that "
+        "a camera misses, are left out and counted; in frames without the pattern all nodes "
+        "are missing. Ctrl-C ends the run and saves what has been measured.",
     )
     parser.add_argument(
         "source",
@@ -233,7 +233,7 @@ class _Tally:
 class _Settings:
     """The settings that the arguments give, checked and loaded."""
 
-    source: Source
+    source: Source | Pairs
     rest_frame: int
     out: str
     overlay: str | None
@@ -279,7 +279,7 @@ class _Settings:
         source = (
             Pairs(arguments, camera)
             if arguments.left is not None
-            else Source(arguments.source, arguments.max_pixels, camera)
+            else Source(arguments.source, camera, max_pixels=arguments.max_pixels, from_start=True)
         )
         if camera != CameraSettings() and not source.live:
             raise ConfigError(
@@ -378,13 +378,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     settings = _Settings.of(arguments)
     source = settings.source
-    rest, frames = source.rest(settings.rest_frame)
+    rest, frames = at_rest(source, settings.rest_frame)
     tally, stop, display = _Tally(track=settings.track), Stop(), _Display(settings)
     full: OSError | None = None
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
         measure = stack.enter_context(settings.measurement(rest))
-        at_rest = measure.constants.get("rest_px", measure.constants["rest"])
+        shown_at_rest = measure.constants.get("rest_px", measure.constants["rest"])
         stack.enter_context(display)
         series = stack.enter_context(
             open_series(settings.out, settings.description(measure), measure.constants)
@@ -400,7 +400,9 @@ def run(arguments: argparse.Namespace) -> int:
                 tally.broken += 1
                 measure.skip()
                 if tally.broken <= _LINES_OF_BROKEN:
-                    progress.say(f"cmp-cl: {_why_broken(frame, rest)}", sys.stderr)
+                    progress.say(
+                        f"cmp-cl: {_why_broken(frame, rest, live=source.live)}", sys.stderr
+                    )
                 continue
             start = time.perf_counter()
             measured = measure(image)
@@ -420,7 +422,7 @@ def run(arguments: argparse.Namespace) -> int:
                 full = error
                 break
             tally.add(frame.index, measured, spent)
-            display.frame(frame, measured, at_rest)
+            display.frame(frame, measured, shown_at_rest)
         if stop.name and not tally.frames:  # an older series stays
             raise KeyboardInterrupt
     ended = f"stopped by {stop.name}; " if stop.name else ""
@@ -441,7 +443,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 130 if stop.name and not source.live else 0
 
 
-def _full_scale(asked: int | None, source: Source, config: DetectorConfig | None) -> int | None:
+def _full_scale(
+    asked: int | None, source: Source | Pairs, config: DetectorConfig | None
+) -> int | None:
     """Return the requested full scale, else that of the settings, else that of the source."""
     if asked is not None or (config is not None and config.full_scale is not None):
         return asked
@@ -463,8 +467,9 @@ class _Display(contextlib.AbstractContextManager["_Display"]):
     def __enter__(self) -> Self:
         settings = self._settings
         if settings.overlay is not None:
-            rate, unit = settings.source.rate, "px" if settings.rig is None else settings.rig.unit
-            self._overlay = OverlayVideo(settings.overlay, fps=rate or 25.0, unit=unit)
+            period_ms, unit = settings.source.period_ms, settings.rig.unit if settings.rig else "px"
+            fps = 25.0 if np.isnan(period_ms) else 1e3 / period_ms
+            self._overlay = OverlayVideo(settings.overlay, fps=fps, unit=unit)
         if settings.rerun is None and not settings.show:
             return self
         option = "--show" if settings.show else "--rerun"
@@ -508,7 +513,12 @@ class _Display(contextlib.AbstractContextManager["_Display"]):
             self.error = error
 
 
-def _why_broken(frame: Frame, rest: GreyImage) -> str:
+def _why_broken(frame: Frame, rest: GreyImage, *, live: bool) -> str:
+    if frame.image is None and live:
+        return (
+            f"frame {frame.index} is missing: the camera did not deliver it, or frames come faster "
+            "than they are measured"
+        )
     if frame.image is None:
         return f"frame {frame.index} cannot be read and is skipped"
     rows, columns = frame.image.shape

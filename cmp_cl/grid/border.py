@@ -25,6 +25,7 @@ from cmp_cl.image import GreyImage
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
 JUST_BEYOND = (0.8, 1.1, 1.2)  # cells: late in the first squares beyond, early in the second
 FLAT = 0.3  # share of the contrast of the last cells: below it, no cells follow
+SAME = 0.2  # the same: if levels two cells further out differ by less in the mean, cells follow
 # Cells from a square's middle: points at which its grey level is sampled.
 SPOTS = np.array([-0.15, 0.0, 0.15])
 MOST = 23  # most squares of a side that are examined; odd, so that equal steps reach both colours
@@ -52,11 +53,13 @@ class Border(NamedTuple):
 
     reach: how far its last squares reach beyond its last nodes, cells, NaN where it does not
     end. past: the difference of the image between the two sides of that line past the pattern, as a
-    share of the pattern's contrast; NaN where that is not in view.
+    share of the pattern's contrast; NaN where that is not in view. followed: the sides on which
+    further cells follow.
     """
 
     reach: FourSides = UNSEEN
     past: FourSides = UNSEEN
+    followed: Sides = NO_SIDES
 
     @classmethod
     def of(cls, grid: Grid) -> "Border":
@@ -86,7 +89,11 @@ class Border(NamedTuple):
 
     def turned(self, quarters: int) -> "Border":
         """Return the same after the numbers are turned as in `Grid.turned`."""
-        return Border(turned_sides(self.reach, quarters), turned_sides(self.past, quarters))
+        return Border(
+            turned_sides(self.reach, quarters),
+            turned_sides(self.past, quarters),
+            self.followed.turned(quarters),
+        )
 
     def contradicts(self, other: "Border") -> Sides:
         """Return the sides on which one of the two borders is the edge of an object that hides the
@@ -125,11 +132,11 @@ def border_of(nodes: Nodes, image: GreyImage) -> Border:
     if min(nodes.at.shape) < 2:
         return Border()
     squares = _squares(nodes.at)
-    ended = _ends_at(nodes, squares, image, BEYOND, BEYOND + 0.25)
+    ended, followed = _ends_at(nodes, squares, image, BEYOND, BEYOND + 0.25)
     if not any(ended):
-        return Border()
+        return Border(followed=followed)
     reach = _reaches(nodes, squares, ended, image)
-    return Border(reach, _past(nodes, image, reach))
+    return Border(reach, _past(nodes, image, reach), followed)
 
 
 def _reaches(nodes: Nodes, squares: Points, ended: Sides, image: GreyImage) -> FourSides:
@@ -244,7 +251,7 @@ def cut_of(nodes: Nodes, image: GreyImage) -> Sides:
     if any(cut) and min(at.shape) > 1:
         squares = _squares(at)
         for depth in JUST_BEYOND:
-            ended = _ends_at(nodes, squares, image, depth, depth + 0.05)
+            ended, _ = _ends_at(nodes, squares, image, depth, depth + 0.05)
             cut = [hidden and not end for hidden, end in zip(cut, ended, strict=True)]
     return Sides(*cut)
 
@@ -279,8 +286,11 @@ def _past(nodes: Nodes, image: GreyImage, reach: FourSides) -> FourSides:
     return top, bottom, left, right
 
 
-def _ends_at(nodes: Nodes, squares: Points, image: GreyImage, depth: float, shown: float) -> Sides:
-    """Return the sides on which no cells follow at a depth beyond the last nodes.
+def _ends_at(
+    nodes: Nodes, squares: Points, image: GreyImage, depth: float, shown: float
+) -> tuple[Sides, Sides]:
+    """Return the sides on which no cells follow at a depth beyond the last nodes, and those on
+    which cells of the pattern follow.
 
     squares: as of `_squares`. depth: cells. shown: the image must reach that far, cells, or the
         side is left out.
@@ -297,9 +307,11 @@ def _ends_at(nodes: Nodes, squares: Points, image: GreyImage, depth: float, show
     total = np.array([np.bincount(group, each, 8) for each in level])
     beyond, inside = np.abs((total / np.maximum(count, 1)).reshape(2, 4, 2).sum(axis=2))
     dark, bright = count.reshape(4, 2).T
+    change = np.bincount(side[seen], np.abs(level[0] - level[1]), 4) / np.maximum(dark + bright, 1)
     looked = np.bincount(side, minlength=4)
     both = (2 * (dark + bright) >= looked) & (dark > 0) & (bright > 0)
-    return Sides(*(both & (beyond < FLAT * inside)).tolist())
+    ended, followed = beyond < FLAT * inside, change < SAME * inside
+    return Sides(*(both & ended).tolist()), Sides(*(both & followed).tolist())
 
 
 def _cut(at: Points, image: GreyImage) -> bool:

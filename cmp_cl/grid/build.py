@@ -21,7 +21,7 @@ from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
 from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, boxed, check_room
 from cmp_cl.grid.numbering import Numbered, like_rest
-from cmp_cl.grid.sizes import in_shape
+from cmp_cl.grid.sizes import followed, in_shape
 from cmp_cl.image import GreyImage, check_image
 
 SMALL = 0.1  # least share of the corners that the pattern must hold
@@ -307,22 +307,12 @@ def _numbered(
     """
     if not nodes.there.any():
         return None, Ended()
-    border = Border()  # it decides the numbers in a known shape, or those of a frame at rest
-    numbering = like is not None or shape not in (None, nodes.at.shape)
-    if seen.image is not None and numbering:
-        border = border_of(nodes, seen.image)
-        if shape is not None and np.less(nodes.at.shape, shape).any():
-            before = nodes.at
-            extend(nodes, seen, border.sides)
-            if not np.array_equal(nodes.at, before, equal_nan=True):
-                border = border_of(nodes, seen.image)
+    by_border = like is not None or shape not in (None, nodes.at.shape)
+    border = _first_border(nodes, seen, shape) if by_border else Border()
     if like is not None:
         numbered = like_rest(nodes, border, like, previous)
-    elif shape is not None and numbering:
-        ends = Ends(border.sides)
-        if seen.image is not None and np.less(nodes.at.shape, shape).any():
-            ends = Ends(border.sides, cut_of(nodes, seen.image), border.passing)
-        numbered = in_shape(nodes, bends(seen.edges), shape, ends)
+    elif shape is not None and by_border:
+        numbered = in_shape(nodes, bends(seen.edges), shape, _ends(nodes, seen, border, shape))
     else:
         numbered = Numbered(nodes)
     if not alone and np.count_nonzero(found.size >= LEAST_BOARD) > 1:
@@ -330,14 +320,37 @@ def _numbered(
         join_islands(numbered.nodes, found, seen, at_rest)
     count = np.count_nonzero(nodes.there)
     fill(numbered.nodes, seen, BRACKETED if shape is None else WEAK)
-    if seen.image is None or (numbering and np.count_nonzero(numbered.nodes.there) == count):
+    if seen.image is None or (by_border and np.count_nonzero(numbered.nodes.there) == count):
         border = border.turned(numbered.quarters)
     else:
         border = border_of(numbered.nodes, seen.image)
+    if like is None and shape is not None:
+        numbered = followed(numbered, border.followed)
     declared = _declared(numbered, border.sides, shape if like is None else None)
     whole = all(declared) and numbered.seen_shape is None and numbered.nodes.at.shape == shape
     reflected = _reflected(numbered.nodes, like, whole=whole)
     return numbered, Ended(declared, border, reflected)
+
+
+def _first_border(nodes: Nodes, seen: Seen, shape: tuple[int, int] | None) -> Border:
+    """Return the border that decides the numbers. Lines that a known shape lacks are added first,
+    where no border is seen."""
+    if seen.image is None:
+        return Border()
+    border = border_of(nodes, seen.image)
+    if shape is None or not np.less(nodes.at.shape, shape).any():
+        return border
+    before = nodes.at
+    extend(nodes, seen, border.sides)
+    added = not np.array_equal(nodes.at, before, equal_nan=True)
+    return border_of(nodes, seen.image) if added else border
+
+
+def _ends(nodes: Nodes, seen: Seen, border: Border, shape: tuple[int, int]) -> Ends:
+    """Return what is known of the sides of nodes that are to be numbered in a known shape."""
+    if seen.image is None or not np.less(nodes.at.shape, shape).any():
+        return Ends(border.sides)
+    return Ends(border.sides, cut_of(nodes, seen.image), border.passing)
 
 
 def _reflected(nodes: Nodes, like: Grid | None, *, whole: bool) -> bool:

@@ -8,8 +8,9 @@ number, and nothing beyond a border at rest belongs to the pattern. That leaves 
 often one. But the edge of an object that hides the pattern looks like a border too. A side is taken
 for such an edge, and decides nothing, if it differs between the frames: in the reach of the last
 squares, or in whether its line continues past the pattern. It is also taken for one if its line
-continues and the opposite side is no border. If a side differs, the other sides are sure only of
-motions by less than half a cell.
+continues and the opposite side is no border, or if, without such an opposite side, its last squares
+at rest are not whole and its line has not moved with the pattern. If a side differs, the other
+sides are sure only of motions by less than half a cell.
 
 The printing errors, which move with the pattern, see `fingerprint`.
 
@@ -24,12 +25,13 @@ one of the first three decides. Otherwise it is ambiguous, as it is if the previ
 contradicts a sure numbering by the grid at rest.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.grid.border import Border, full_lines
+from cmp_cl.grid.border import Border, FourSides, full_lines
 from cmp_cl.grid.fingerprint import Fingerprint, shift_to, turn_to
 from cmp_cl.grid.grid import Grid, Rival, Sides
 from cmp_cl.grid.nearest import (
@@ -42,9 +44,10 @@ from cmp_cl.grid.nearest import (
     colour,
     quarter_turns,
 )
-from cmp_cl.grid.nodes import Nodes, Points, check_room
+from cmp_cl.grid.nodes import Nodes, Points, check_room, median
 
 STILL = 0.125  # cells: a pattern that moved less as a whole has not moved
+BROKEN = 0.15  # cells: squares at a border that reach so much less, or more, are not whole
 FOLLOWED = 0.5  # cells: largest motion of the pattern as a whole from one frame to the next
 NO_BORDER = Border()
 UNSURE = np.deg2rad(40)  # a pattern that rotated so far may have rotated the other way
@@ -226,7 +229,7 @@ def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
     """
     here, rest = full_lines(nodes.there), _lines(like)
     at_rest = like.border if any(like.border) else _known_ends(like, nodes.at)
-    hidden = _hidden(border, like)
+    hidden = _hidden(nodes, border, like)
     ends = [end and not other for end, other in zip(at_rest, hidden, strict=True)]
     now = [end and not other for end, other in zip(border.sides, hidden, strict=True)]
     rows = _axis_bounds(here[:2], rest[:2], ends[:2], now[:2])
@@ -234,11 +237,42 @@ def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
     return Bounds(*rows, *columns)
 
 
-def _hidden(border: Border, like: Grid) -> Sides:
+def _hidden(nodes: Nodes, border: Border, like: Grid) -> Sides:
     """Return the sides that are the edge of an object in front of the pattern, now or at rest."""
     rest = Border.of(like)
-    doubts = border.contradicts(rest), border.lone, rest.lone
+    doubts = border.contradicts(rest), border.lone, rest.lone, _unmoved(nodes, border, like)
     return Sides(*(any(side) for side in zip(*doubts, strict=True)))
+
+
+def _unmoved(nodes: Nodes, border: Border, like: Grid) -> Sides:
+    """Return the sides that may be the edge of an object that stands still.
+
+    At rest their last squares are not whole and the opposite side is no border, and now their line
+    is not seen at another position.
+    """
+    rest = Reference.of(like)
+    lines = _edges(nodes.at, border.reach), _edges(rest.at, like.reach)
+    unmoved = []
+    for number, (now, before) in enumerate(zip(*lines, strict=True)):
+        broken = abs(like.reach[number] - 1) > BROKEN and math.isnan(like.reach[number ^ 1])
+        unmoved.append(broken and not (len(now) and _beside(now, before) > STILL * rest.cell))
+    return Sides(*unmoved)
+
+
+def _edges(at: Points, reach: FourSides) -> list[Points]:
+    """Return the points of each side at which its last squares end, px."""
+    edges = []
+    for way, cells in zip((at, at[::-1], at.T, at.T[::-1]), reach, strict=True):
+        edge = way[0] + cells * (way[0] - way[1]) if len(way) > 1 else way[:0].ravel()
+        edges.append(edge[~np.isnan(edge.real)])
+    return edges
+
+
+def _beside(points: Points, others: Points) -> float:
+    """Return the median distance of points from the straight line through others, px."""
+    middle = others.mean()
+    along = np.sqrt(np.sum((others - middle) ** 2))
+    return median(np.abs(((points - middle) * along.conj()).imag)) / max(float(abs(along)), 1e-6)
 
 
 def _lines(grid: Grid) -> tuple[int, int, int, int]:
@@ -292,7 +326,7 @@ def _numbered(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Nu
     first, shape = [], []
     known: Sequence[bool] = like.border
     if (best.top, best.left, *turned.at.shape) != (*like.origin, *like.shape):
-        hidden = _hidden(border.turned(best.quarters), like)
+        hidden = _hidden(turned, border.turned(best.quarters), like)
         known = [end and not other for end, other in zip(like.border, hidden, strict=True)]
     ends = (known[:2], known[2:])
     for axis, start in enumerate((best.top, best.left)):

@@ -58,6 +58,19 @@ def in_shape(
     )
 
 
+def followed(numbered: Numbered, sides: Sides) -> Numbered:
+    """Return the nodes, and on which sides further cells show that the shape is too small.
+
+    The corners of these cells are hidden, or too few for a line. One line on each side is counted.
+    Nothing is told where the nodes may be another part of the shape.
+    """
+    if numbered.seen_shape is not None or numbered.ambiguous or not any(sides):
+        return numbered
+    rows, columns = numbered.nodes.at.shape
+    seen = rows + sides.top + sides.bottom, columns + sides.left + sides.right
+    return numbered._replace(continues=sides, seen_shape=seen)
+
+
 def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int:
     """Count the rows and columns that exceed the shape, or are missing between two borders."""
     both = border.top and border.bottom, border.left and border.right

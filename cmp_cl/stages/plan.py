@@ -1,11 +1,12 @@
-"""The plan of a detector: buffers and bound kernels for frames of one shape.
+"""The plans of a detector: buffers and bound kernels for frames of one shape.
 
 A plan serves one shape, one pixel type and one number of frames. It allocates once. A frame then
 costs its upload, its launches and the download of its corners.
 """
 
 import functools
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -58,6 +59,7 @@ class Plan(PlanBase):
 
     def __init__(
         self,
+        *,
         queue: cl.CommandQueue,
         programs: Programs,
         device: Device,
@@ -70,7 +72,7 @@ class Plan(PlanBase):
         form: Form | None = None,
     ) -> None:
         super().__init__(queue, device, shape, dtype, config, factor, frames, form)
-        self.awaited = False  # a stream is waiting for its results
+        self.factor = factor
         self.events: list[tuple[str, cl.Event]] = []
         self.uploads: list[cl.Event] = []  # unfinished, in another queue
         self._here: dict[str, NDArray[Any]] = {}  # what the host writes or reads of shared buffers
@@ -351,6 +353,47 @@ class Plan(PlanBase):
         self.release("image")
         self._allocate()
         self._bind()
+
+
+class Plans:
+    """Makes, lends and releases the plans of a detector.
+
+    A plan that a stream keeps is not lent. Two plans for as many frames at one working scale stay,
+    which a stream uses in turn; more of them go when no stream keeps them, because it ended or was
+    abandoned. Plans for batches go when a batch of another size comes.
+
+    shared: the arguments that all plans have in common.
+    """
+
+    def __init__(self, **shared: Any) -> None:
+        self.make = functools.partial(Plan, **shared)
+        self._alike: defaultdict[tuple[int, float | None], list[Plan]] = defaultdict(list)
+        self._kept: set[Plan] = set()
+        self.keep = self._kept.add  # for a stream, until its result is read
+        self.take_back = self._kept.discard
+
+    def __iter__(self) -> Iterator[Plan]:
+        return iter([plan for alike in self._alike.values() for plan in alike])
+
+    def lend(self, factor: float | None, frames: int = 1) -> Plan:
+        """Return a plan that no stream keeps; make one if there is none."""
+        alike = self._alike[frames, factor]
+        for plan in alike:
+            if plan not in self._kept:
+                for spare in set(alike[2:]) - self._kept - {plan}:
+                    self.drop(spare)
+                return plan
+        for plan in self:
+            if plan.frames != frames and 1 not in (plan.frames, frames):  # another size of batch
+                self.drop(plan)
+        alike.append(self.make(factor=factor, frames=frames))
+        return alike[-1]
+
+    def drop(self, plan: Plan) -> None:
+        """Release the plan, and forget it if it was lent."""
+        alike = self._alike[plan.frames, plan.factor]
+        alike[:] = [other for other in alike if other is not plan]
+        plan.release()
 
 
 _copy_rectangle: Any = cl.enqueue_copy  # whose stub does not know the form for rectangles

@@ -209,7 +209,7 @@ def test_a_video_has_a_clock(run, recording, press):
 
 
 def camera_of(images, opened):
-    """Return a stand-in for cv2.VideoCapture that delivers these images, None for none."""
+    """Return a stand-in for cv2.VideoCapture that delivers these images, None for a missed one."""
 
     class Camera:
         def __init__(self, number):
@@ -219,10 +219,11 @@ def camera_of(images, opened):
         def isOpened(self):
             return bool(images)
 
+        def set(self, *_):
+            return True
+
         def read(self):
             image = next(self.left, None)
-            if callable(image):
-                image = image()
             return image is not None, image
 
         def release(self):
@@ -231,21 +232,32 @@ def camera_of(images, opened):
     return Camera
 
 
-def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch):
-    def press_ctrl_c():
-        signal.raise_signal(signal.SIGINT)
-        return press[0].frame
+@pytest.mark.parametrize(
+    ("camera", "known_as"), [(["3"], 3), (["/dev/video3", "--camera-fps", "50"], "/dev/video3")]
+)
+def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch, camera, known_as):
+    append = NpzSeries.append
 
-    images = [press[2].frame, None, *(shot.frame for shot in press), press_ctrl_c, press[1].frame]
+    def press_ctrl_c_after_three(series, **frame):
+        append(series, **frame)
+        if len(series) == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    rest, *others = (shot.frame for shot in press)
+    images = [press[2].frame, None, rest, None, *others, rest, press[1].frame]
     opened = []
     monkeypatch.setattr(cv2, "VideoCapture", camera_of(images, opened))
+    monkeypatch.setattr(NpzSeries, "append", press_ctrl_c_after_three)
     before = signal.getsignal(signal.SIGINT)
-    status, out, _ = run("run", "3", *STEREO, "--rest-frame", 2)
+    status, out, err = run("run", *camera, *STEREO, "--rest-frame", 2)
     assert status == 0
-    assert opened == [3, "released"]
+    assert opened == [known_as, "released"]
     assert out.startswith("stopped by Ctrl-C; wrote press.npz: 3 frames")
+    assert "; 1 left out" in out
+    assert err.startswith("cmp-cl: frame 3 is missing")
+    assert err.count("\n") == 1
     series = np.load("press.npz")
-    assert series["index"].tolist() == [2, 3, 4]
+    assert series["index"].tolist() == [2, 4, 5]
     assert (np.diff(series["time_ms"]) >= 0).all()
     assert max(off_by(series, press, (0, 1, 2))) < CLOSE
     assert signal.getsignal(signal.SIGINT) is before
@@ -254,6 +266,11 @@ def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch):
 def test_a_camera_that_is_not_there_is_an_error(run, recording, monkeypatch):
     monkeypatch.setattr(cv2, "VideoCapture", camera_of([], []))
     fails_in_one_line(run("run", "7", *STEREO), "no camera 7")
+
+
+def test_a_camera_that_delivers_nothing_is_an_error(run, recording, monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", camera_of([None], []))
+    fails_in_one_line(run("run", "7", *STEREO), "no frame comes from '7'")
 
 
 STOPS = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -1089,13 +1106,16 @@ def test_a_wrong_source_is_one_line_and_no_file(run, recording, tmp_path, argume
 
 def test_two_cameras_are_paired_as_they_come(run, recording, press, monkeypatch):
     class Pair:
-        """Two cameras with one clock, of which the left one starts two frames earlier."""
+        """Two cameras with one clock: the left one starts two frames earlier, the right one misses
+        a read."""
 
         def __init__(self, name):
             self.images = [shot.left.image if name == 0 else shot.right.image for shot in press]
             self.due = start + (0.0 if name == 0 else 0.4)
             if name == 0:
                 self.images = self.images[:1] * 2 + self.images
+            else:
+                self.images.insert(1, None)
 
         def isOpened(self):
             return True
@@ -1104,7 +1124,8 @@ def test_two_cameras_are_paired_as_they_come(run, recording, press, monkeypatch)
             return True
 
         def read(self):
-            if not self.images:
+            if not self.images or self.images[0] is None:
+                del self.images[:1]
                 return False, None
             time.sleep(max(0.0, self.due - time.monotonic()))
             self.due += 0.2

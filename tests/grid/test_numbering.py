@@ -312,6 +312,20 @@ def test_a_pattern_that_moved_by_a_period_behind_an_edge_is_ambiguous():
     assert grid.ambiguous
 
 
+@pytest.mark.parametrize(("moved", "edge_moved", "sure"), [(40, 0, False), (10, 10, True)])
+def test_an_edge_through_squares_is_a_border_only_if_it_moves_with_the_pattern(
+    moved, edge_moved, sure
+):
+    whole, _ = drawn(6, 20)
+    rest_view, view = (np.ascontiguousarray(whole[:, x : x + 240]) for x in (60, 60 + moved))
+    rest_view[:, 190:] = view[:, 190 - edge_moved :] = 210  # as the paper beside the pattern
+    rest = build_grid(seen_in(rest_view), rest_view)
+    grid = build_grid(seen_in(view), view, like=rest)
+    np.testing.assert_allclose(grid.reach, [1, 1, np.nan, 0.5], atol=0.05)
+    np.testing.assert_allclose(grid.reach, rest.reach, atol=0.05)
+    assert grid.ambiguous != sure
+
+
 def test_a_sheet_that_was_cut_along_its_squares_has_borders_on_both_sides():
     views = []
     for x in (40, 80):
@@ -542,6 +556,26 @@ def test_a_wrong_size_is_reported_though_most_of_the_last_line_is_hidden(shown):
     assert grid.seen_shape == (6, 9)
     assert grid.continues == Sides(bottom=True)
     assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
+
+
+def test_a_wrong_size_is_reported_though_no_corner_of_the_last_line_is_seen():
+    image, nodes = drawn(6, 9)
+    x = round(float(nodes.reshape(6, 9, 2)[0, -1, 0]))
+    image[:, x - 5 : x + 6] = 128  # the last column is hidden, its squares are not
+    corners = seen_in(image)
+    grid = build_grid(corners, image, shape=(6, 8))
+    assert grid.valid.all()
+    assert grid.seen_shape == (6, 9)
+    assert grid.continues == Sides(right=True)
+    assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
+
+
+def test_things_beside_a_board_are_not_taken_for_its_squares():
+    image, _ = drawn(6, 9)
+    for number, level in enumerate((210, 40, 210, 210, 210, 210, 210, 40, 125, 40)):
+        x = 40 + 20 * number
+        image[186:220, x : x + 20] = level  # three differ from the squares of a longer board
+    assert build_grid(seen_in(image), image, shape=(6, 9)).seen_shape is None
 
 
 @pytest.mark.parametrize(("seed", "size"), [(910011, 6), (910017, 6), (910038, 3)])

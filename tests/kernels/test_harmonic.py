@@ -299,7 +299,7 @@ def test_frames_of_a_batch_do_not_see_each_other(detector_in_form, config):
 
 
 def with_capacity(detector, capacity):
-    plan = detector._plan(None)
+    plan = detector._plans.lend(None)
     plan.list_capacity = plan.corner_capacity = capacity
     plan._allocate()
     plan._bind()
@@ -310,10 +310,10 @@ def test_more_maxima_than_the_capacity_are_counted_and_found_all_the_same(device
     image = noise((600, 200), seed=3)
     config = DENSE.replace(max_corners=1)
     with Detector(shape=image.shape, config=config, device=device_in_form) as detector:
-        capacity, memory = detector._plan(None).list_capacity, detector.memory
+        capacity, memory = detector._plans.lend(None).list_capacity, detector.memory
         corners = assert_corners_equal(detector, image)
         assert detector.regrown > 0
-        assert detector._plan(None).list_capacity > capacity
+        assert detector._plans.lend(None).list_capacity > capacity
         assert detector.memory > memory
         assert len(corners) > capacity
         times = detector.regrown
