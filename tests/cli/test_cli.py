@@ -150,6 +150,14 @@ def test_two_patterns_are_not_numbered_as_one(run):
     assert not Path("n.csv").exists()
 
 
+def test_a_board_of_another_size_is_not_numbered(run):
+    status, out, err = run("detect", BOARD, "--grid", "4x4", "--out", "n.csv")
+    assert status == 2
+    assert "frame 0 is not numbered: the board looks like 6 x 9 corners; 4 x 4 were asked" in err
+    assert "nodes" not in out
+    assert not Path("n.csv").exists()
+
+
 def test_render_writes_an_image_and_its_truth_and_detect_finds_them(run):
     scene = ("render", "--markers", 20, "--indenter", "torus", "--severity", 0.25, "--seed", 3)
     status, out, _ = run(*scene, "--out", "gel.png", "--truth", "truth.csv")
