@@ -28,6 +28,8 @@ from cmp_cl.series.mcap import mcap_images
 _WAITING = 64  # the most frames of a camera that wait to be measured
 _LONGEST_WAIT = 10.0  # s, the longest wait for a frame of a camera
 
+_Queue = queue.Queue[Frame | ImageError | None]
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CameraSettings:
@@ -136,7 +138,7 @@ class Source:
 
     def _live_frames(self) -> Generator[Frame, None, None]:
         capture = self._capture()
-        waiting: queue.Queue[Frame | None] = queue.Queue(_WAITING)
+        waiting: _Queue = queue.Queue(_WAITING)
         done = threading.Event()
         thread = threading.Thread(target=_read, args=(capture, waiting, done), daemon=True)
         thread.start()
@@ -147,6 +149,8 @@ class Source:
                     frame = waiting.get(timeout=_LONGEST_WAIT)
                 except queue.Empty:
                     return
+                if isinstance(frame, ImageError):
+                    raise frame
                 if frame is None:
                     return
                 for missed in range(index, frame.index):
@@ -182,13 +186,14 @@ class Source:
         return capture
 
 
-def _read(capture: Any, waiting: "queue.Queue[Frame | None]", done: threading.Event) -> None:
-    """Queue every frame of a camera as it arrives; None marks the end.
+def _read(capture: Any, waiting: _Queue, done: threading.Event) -> None:
+    """Queue every frame of a camera as it arrives; an error or None marks the end.
 
     The number of a read without a frame is missing; if too many wait, so is that of the oldest.
     """
     index = gap = 0
-    while not done.is_set() and gap < media.LONGEST_GAP:
+    end: ImageError | None = None
+    while not done.is_set() and gap < media.LONGEST_GAP and end is None:
         read, picture = capture.read()
         now = time.monotonic() * 1e3
         gap = 0 if read else gap + 1
@@ -196,11 +201,14 @@ def _read(capture: Any, waiting: "queue.Queue[Frame | None]", done: threading.Ev
             if waiting.full():
                 with contextlib.suppress(queue.Empty):
                     waiting.get_nowait()
-            waiting.put(Frame(index, media.grey_of(picture), now))
+            try:
+                waiting.put(Frame(index, media.grey_of(picture), now))
+            except ImageError as error:
+                end = error
         index += 1
     while not done.is_set():
         with contextlib.suppress(queue.Full):
-            waiting.put(None, timeout=0.1)
+            waiting.put(end, timeout=0.1)
             return
 
 

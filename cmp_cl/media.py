@@ -445,9 +445,11 @@ def _check_readable(path: str | PathLike[str]) -> None:
 
 
 def grey_of(frame: NDArray[Any]) -> GreyImage:
-    """Return a frame that OpenCV captured, in BGR or raw, as (H, W)."""
+    """Return a frame that OpenCV captured, in BGR or raw, as (H, W); raises ImageError."""
     if frame.ndim == 3 and frame.shape[2] == 3:
         return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8)
+    if frame.size != math.prod(frame.shape[:2]):
+        raise ImageError(f"OpenCV delivers frames of shape {frame.shape}, neither grey nor BGR")
     return np.ascontiguousarray(frame.reshape(frame.shape[:2]))
 
 

@@ -162,6 +162,16 @@ def test_frames_that_come_faster_than_they_are_taken_are_counted(monkeypatch):
     assert sum(frame.image is None for frame in frames) >= 30
 
 
+def test_pixels_that_are_neither_grey_nor_bgr_end_a_camera_with_an_error(monkeypatch):
+    class Packed(Capture):
+        def read(self):
+            return True, np.zeros((4, 6, 2), np.uint8)
+
+    monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Packed)
+    with pytest.raises(ImageError, match=r"\(4, 6, 2\), neither grey nor BGR"):
+        list(Source("0").frames())
+
+
 def test_a_camera_that_gives_nothing_has_no_frames(monkeypatch):
     monkeypatch.setattr(Capture, "read", lambda _: (False, None))
     monkeypatch.setattr("cmp_cl.cameras.cv2.VideoCapture", Capture)
