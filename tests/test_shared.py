@@ -81,6 +81,16 @@ def test_a_frame_is_kept_while_kernels_read_it_and_no_longer(large):
     assert sys.getrefcount(board) == references
 
 
+def test_a_frame_takes_the_place_of_another_only_when_the_kernels_have_read_that(large):
+    detector, board, moved = large
+    detector(board)
+    plan = detector._plans.lend(None)
+    plan.launch(plan.upload(plan.queue, [board]))
+    kernels = plan._last
+    plan.upload(plan.queue, [moved])
+    assert kernels.command_execution_status == cl.command_execution_status.COMPLETE
+
+
 def test_memory_is_kept_until_the_kernels_of_a_deleted_detector_are_done(large, device):
     _, board, _ = large
     for _ in range(5):
