@@ -8,7 +8,6 @@ installs implementations and runs the tests on them; what is not installed is le
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -21,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl
-from environment import environment, parser_of
+from environment import environment, parser_of, write_result
 
 import cmp_cl
 
@@ -130,7 +129,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     around = environment()
     result = {"kind": "implementations", "environment": around, "unavailable": failed}
     result |= {"scenes": len(DIGESTS), "rows": rows, "pairs": pairs}
-    arguments.out.write_text(json.dumps(result, indent=1) + "\n")
+    write_result(result, arguments.out)
     return 0 if all(row["same"] == len(DIGESTS) for row in rows) else 1
 
 

@@ -25,14 +25,14 @@ from cmp_cl.image import GreyImage
 BEYOND = 1.5  # cells from the last nodes: the middle of the cells that a longer pattern has there
 JUST_BEYOND = (0.8, 1.1, 1.2)  # cells: late in the first squares beyond, early in the second
 FLAT = 0.3  # share of the contrast of the last cells: below it, no cells follow
-SAME = 0.2  # the same: if levels two cells further out differ by less in the mean, cells follow
+SAME = 0.2  # share of it: if levels two cells apart differ by less in the mean, cells follow
 # Cells from a square's middle: points at which its grey level is sampled.
 SPOTS = np.array([-0.15, 0.0, 0.15])
 MOST = 23  # most squares of a side that are examined; odd, so that equal steps reach both colours
 STEP = 0.1  # cells
 # Cells from the last nodes: depths at which the last squares may end.
 DEPTHS = np.arange(0.3, 1.45, STEP)
-SHOWN = np.concatenate([[-0.5], DEPTHS])  # the middle of the squares, then these depths
+PROFILE = np.concatenate([[-0.5], DEPTHS])  # the middle of the squares, then these depths
 PARALLEL = 0.16  # cells: three of four reaches must be as near to their median
 ALIKE = 0.12  # cells: greatest difference between the reach of a side in two images
 PAST = np.array([0.3, 0.6, 0.9])  # cells past the pattern, where its border line has ended
@@ -153,7 +153,7 @@ def _reaches(nodes: Nodes, squares: Points, ended: Sides, image: GreyImage) -> F
     pairs = squares[:, side[:, None], first[:, None] + [0, 1]]
     shown = in_view(pairs[0] + DEPTHS[-1] * pairs[1], image).all(axis=1)
     middle, out, along = pairs[:, shown, :, None]
-    spots = middle + SHOWN * out + SPOTS[:, None, None, None] * along
+    spots = middle + PROFILE * out + SPOTS[:, None, None, None] * along
     level = grey(image, spots).sum(axis=0)
     contrast = np.abs(level[:, 0] - level[:, 1])
     share = np.minimum(contrast[:, 1:] / np.maximum(contrast[:, :1], 1), 1)

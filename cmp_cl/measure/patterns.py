@@ -56,7 +56,7 @@ def find_pattern(
             break
     cell = np.nan if best is None else cell_of(best)
     if best is None or not cell >= 4:
-        size = "" if shape is None else f" of {str(shape).strip('()').replace(', ', ' x ')} corners"
+        size = "" if shape is None else f" of {' x '.join(map(str, np.ravel(shape)))} corners"
         brightest = int(view.max(initial=0)) if full_scale is None else 0
         hint = f"; {of_few_bits(brightest)}" if is_of_few_bits(view.dtype, brightest) else ""
         raise GridError(f"no pattern{size} is found: {why}{hint}")

@@ -386,4 +386,5 @@ def _board(
 def on_board(nodes: NDArray[np.bool_], spacing: float) -> Array:
     """Return the positions of the nodes (R, C) on a flat board, (N, 3), in the unit of spacing."""
     row, column = np.nonzero(nodes)
-    return np.column_stack([column, row, 0 * row]).astype(np.float64) * spacing
+    flat = np.column_stack([column, row, np.zeros(len(row))])
+    return flat.astype(np.float64) * spacing
