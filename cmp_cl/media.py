@@ -1,4 +1,4 @@
-"""Images and videos are read here, as grey; images and tables are written whole or not at all.
+"""Images and videos are read here, as grey; images are written whole or not at all.
 
 Videos are read by PyAV if it is installed (the extra `video`), else by OpenCV. PyAV knows the
 time of each frame and its size, keeps the levels of 10 to 16 bits, and refuses damaged frames.
@@ -6,7 +6,6 @@ OpenCV reduces all videos to 8 bits, and scales frames of another size to that o
 """
 
 import contextlib
-import csv
 import dataclasses
 import glob
 import importlib.util
@@ -16,8 +15,7 @@ import re
 import stat
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
-from io import StringIO
+from collections.abc import Iterator, Sequence
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -29,6 +27,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ImageError, check_kind
 from cmp_cl.files import check_path, suffix_of, write_bytes
+from cmp_cl.files import write_csv as write_csv  # a public name of this module
 from cmp_cl.image import GreyImage
 from cmp_cl.image_size import page_sizes
 
@@ -451,17 +450,3 @@ def grey_of(frame: NDArray[Any]) -> GreyImage:
     if frame.size != math.prod(frame.shape[:2]):
         raise ImageError(f"OpenCV delivers frames of shape {frame.shape}, neither grey nor BGR")
     return np.ascontiguousarray(frame.reshape(frame.shape[:2]))
-
-
-def write_csv(
-    path: str | PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]
-) -> None:
-    """Write rows as CSV under a header of `columns`, whole or not at all; raises OSError."""
-    write_bytes(path, csv_bytes([columns, *rows]))
-
-
-def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
-    """Return rows as CSV in UTF-8."""
-    text = StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode("utf-8", "backslashreplace")

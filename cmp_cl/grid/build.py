@@ -12,7 +12,7 @@ from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.detached import drop_detached
 from cmp_cl.grid.filter import bent_sigma
-from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
+from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides, empty_grid
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
 from cmp_cl.grid.joints import cut
@@ -139,7 +139,7 @@ def build_grid(
     inside, seen = _checked(corners, image, shape, region)
     found = _found(seen, sparse_boards=like is None)
     if found is None:
-        return _empty(len(corners), shape, like)
+        return empty_grid(len(corners), shape, like)
     found, nodes = _whole(seen, found)
     grow(nodes, seen)
     drop_detached(nodes)
@@ -156,7 +156,7 @@ def build_grid(
             f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
         )
     if not boards:
-        return _empty(len(corners), shape, like)
+        return empty_grid(len(corners), shape, like)
     board = whole[0] if alone or len(whole) > 1 else boards[0]
     others = _others(found, board, seen, alone=alone)
     grid = _result(corners, inside, board)
@@ -366,7 +366,7 @@ def _reflected(nodes: Nodes, like: Grid | None, *, whole: bool) -> bool:
 
 def _framed(numbered: Numbered) -> Grid:
     """Return the grid without its nodes: its rows, columns and numbers."""
-    return dataclasses.replace(_empty(0, numbered.nodes.at.shape), origin=numbered.origin)
+    return dataclasses.replace(empty_grid(0, numbered.nodes.at.shape), origin=numbered.origin)
 
 
 def _declared(numbered: Numbered, border: Sides, shape: tuple[int, int] | None) -> Sides:
@@ -433,17 +433,6 @@ def _check_previous(previous: Grid | None, like: Grid | None) -> None:
         raise GridError(f"previous must be a Grid, not {type(previous).__name__}")
     if not previous.valid.any():
         raise GridError("the grid of the frame before has no nodes; give one that has been found")
-
-
-def _empty(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None) -> Grid:
-    rows, columns = shape or (0, 0)
-    return Grid(
-        xy=np.full((rows, columns, 2), np.nan, np.float32),
-        status=np.zeros((rows, columns), np.uint8),
-        sigma=np.full((rows, columns), np.nan, np.float32),
-        index=np.full((corners, 2), -1, np.int32),
-        origin=(0, 0) if like is None else like.origin,
-    )
 
 
 def _others(found: Lattice, board: Board, seen: Seen, *, alone: bool) -> int:

@@ -16,6 +16,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import Grid, build_grid, filter_positions
+from cmp_cl.grid.grid import empty_grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.patterns import (
     Region,
@@ -393,7 +394,7 @@ class _Pattern:
             whole = None
         if whole is None or not whole.valid.any():
             self.lost()
-            return corners, _without_nodes(self.rest, len(corners))
+            return corners, empty_grid(len(corners), self.rest.shape, self.rest)
         self._previous, self._lost = whole, 0
         return corners, whole.cut_to(self.rest)
 
@@ -402,13 +403,3 @@ class _Pattern:
         self._lost += 1
         if self._lost > BRIDGED:
             self._previous = dataclasses.replace(self._previous or self.rest, ambiguous=True)
-
-
-def _without_nodes(rest: Grid, corners: int) -> Grid:
-    return Grid(
-        xy=np.full((*rest.shape, 2), np.nan, np.float32),
-        status=np.zeros(rest.shape, np.uint8),
-        sigma=np.full(rest.shape, np.nan, np.float32),
-        index=np.full((corners, 2), -1, np.int32),
-        origin=rest.origin,
-    )

@@ -1,5 +1,6 @@
 """The part that all formats of a series share."""
 
+import contextlib
 import dataclasses
 import datetime
 from collections.abc import Mapping
@@ -16,7 +17,6 @@ from cmp_cl.version import package_version
 Frame = dict[str, NDArray[Any]]
 FileName = str | PathLike[str]
 Constants = Mapping[str, ArrayLike]
-Raised = tuple[Any, Any, Any]  # the arguments of __exit__
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -57,6 +57,7 @@ class Series(Closing):
 
     def __init__(self, description: Description, constants: Constants) -> None:
         self.description = description
+        self.files = contextlib.ExitStack()  # left with an error, it removes the files
         self.constants = {name: np.asarray(value) for name, value in constants.items()}
         self._layout: dict[str, tuple[tuple[int, ...], str]] | None = None
         self._count = 0
@@ -94,7 +95,8 @@ class Series(Closing):
     def __exit__(self, *raised: Any) -> None:
         if raised[0] is not None and self._open and not self._count:
             self._open = False
-            self._abandon(raised)
+            self._abandon()
+            self.files.__exit__(*raised)
         self.close()
 
     def close(self) -> None:
@@ -106,9 +108,8 @@ class Series(Closing):
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         raise NotImplementedError
 
-    def _abandon(self, raised: Raised) -> None:
-        """Leave no file, because this error came before the first frame; an older file stays."""
-        raise NotImplementedError
+    def _abandon(self) -> None:
+        """Remove what is not in `files`, because an error came before the first frame."""
 
     def _finish(self) -> None:
-        raise NotImplementedError
+        self.files.close()
