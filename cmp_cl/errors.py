@@ -75,6 +75,22 @@ def as_numbers(name: str, value: Any, error: type[CmpClError]) -> NDArray[np.flo
         raise error(f"{name} must be an array of numbers: {why}") from why
 
 
+def check_range(
+    name: str, value: Any, low: float, high: float, *, kind: type = float, odd: bool = False
+) -> None:
+    """Raise ConfigError if an argument of that name is not a number of that kind in [low, high].
+
+    kind: int or float, which takes an int too. odd: whether it must be odd.
+    """
+    noun = "an odd integer" if odd else "an integer" if kind is int else "a number"
+    number = isinstance(value, int | kind) and not isinstance(value, bool)
+    if not number or not low <= value <= high or (odd and value % 2 == 0):
+        what = "" if number else f" ({type(value).__name__})"
+        raise ConfigError(
+            f"{name} must be {noun} in [{low:.10g}, {high:.10g}], not {value!r}{what}"
+        )
+
+
 def check_positive(name: str, value: object, error: type[CmpClError]) -> None:
     """Raise the error if an argument of that name is not a finite number above 0."""
     if not (isinstance(value, Real) and 0 < cast(float, value) < math.inf):

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, check_range
 from cmp_cl.files import suffix_of, write_bytes
 
 PAPERS = {  # mm, upright
@@ -87,14 +87,14 @@ class Checkerboard:
             raise ConfigError(
                 f"{rows} x {columns} corners are more than {_MOST_CELLS} cells; draw fewer"
             )
-        _check("cell", self.cell, 0.01, 1000)
+        check_range("cell", self.cell, 0.01, 1000)
         if self.border is not None:
-            _check("border", self.border, 0, 1000)
-        _check("ink_spread", self.ink_spread, -0.45 * self.cell, 0.45 * self.cell)
+            check_range("border", self.border, 0, 1000)
+        check_range("ink_spread", self.ink_spread, -0.45 * self.cell, 0.45 * self.cell)
         for factor in self.stretch:
-            _check("stretch", factor, 0.5, 2)
+            check_range("stretch", factor, 0.5, 2)
         for side in self.paper or ():
-            _check("paper", side, 10, 2000)
+            check_range("paper", side, 10, 2000)
         needed, sheet = self._extent(), self.size
         if self.paper is not None and (needed[0] > sheet[0] or needed[1] > sheet[1]):
             raise ConfigError(
@@ -219,12 +219,6 @@ def _bar(length: float, top: float) -> NDArray[np.float64]:
     )
 
 
-def _check(field: str, value: object, low: float, high: float) -> None:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not low <= value <= high:  # type: ignore[operator]
-        raise ConfigError(f"{field} must be a number in [{low:g}, {high:g}], not {value!r}")
-
-
 def _svg(drawing: _Drawing) -> bytes:
     width, height = drawing.size
     path = " ".join(
@@ -286,7 +280,7 @@ def _pdf(drawing: _Drawing) -> bytes:
 def _png(drawing: _Drawing, dpi: float) -> bytes:
     import cv2
 
-    _check("dpi", dpi, 10, 10_000)
+    check_range("dpi", dpi, 10, 10_000)
     scale = dpi / _MM_PER_INCH
     width, height = (math.ceil(side * scale - 1e-6) for side in drawing.size)
     if width * height > _MOST_PIXELS:
