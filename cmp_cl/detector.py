@@ -73,7 +73,7 @@ class Detector(Closing):
         if queue is not None:
             self.device = describe_handle(queue.device)
         else:
-            self.device = device if isinstance(device, Device) else select_device(device)
+            self.device = select_device(device)
         needed = self.shape[0] * self.shape[1] * self.dtype.itemsize
         if needed > self.device.memory:
             raise CapacityError(
@@ -390,7 +390,7 @@ def detect(
     Raises the errors of Detector.
     """
     frame = as_frame(image)
-    device = device if isinstance(device, Device) else select_device(device)
+    device = select_device(device)
     if config is None:
         config = choose_config(frame, device=device)
     with Detector(shape=frame.shape, dtype=frame.dtype, config=config, device=device) as detector:
@@ -413,7 +413,7 @@ def choose_config(
     Raises the errors of Detector.
     """
     frame = as_frame(image)
-    device = device if isinstance(device, Device) else select_device(device)
+    device = select_device(device)
     return choose_by_corners(frame, full_scale, lambda config: detect(frame, config, device))
 
 

@@ -82,7 +82,7 @@ def refine_markers(
     at = profiles(dense, count)
     if not len(at.place) or not image.size:
         return dense
-    device = device if isinstance(device, Device) else select_device(device)
+    device = select_device(device)
     shift = _shifts(image, at, device, contrast)
     shift = np.where(np.isnan(shift), 0, shift)
     xy = dense.xy.copy()

@@ -19,9 +19,8 @@ from cmp_cl.measure.patterns import (
     check_size,
     detected,
     find_pattern,
-    selected,
 )
-from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo import Points3D
 from cmp_cl.stereo.points import sides
 
@@ -46,7 +45,7 @@ def find_boards(
     Raises GridError if a view does not show all four sides of the board, because its corners
     cannot be told apart then.
     """
-    device = selected(device)
+    device = select_device(device)
     grids = []
     for view, region, side in zip(views, regions, ("left", "right"), strict=True):
         try:
@@ -77,7 +76,7 @@ def find_board(
 
     Raises GridError if the view does not show corners of all four sides of the board.
     """
-    device = selected(device)
+    device = select_device(device)
     cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
     blur = estimate_blur(view, estimate_cells(view)._replace(side=cell))
     scaled = DetectorConfig.for_cell(cell, blur=blur).replace(full_scale=full_scale)

@@ -24,9 +24,8 @@ from cmp_cl.measure.patterns import (
     check_size,
     exact_config,
     find_pattern,
-    selected,
 )
-from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 
 # Frames without a grid over which numbers are continued. After more of them, a motion of half a
@@ -147,7 +146,7 @@ class OneView(Measurement):
     ) -> None:
         super().__init__()
         self._raw = raw
-        search = _Search(selected(device), shape, config, full_scale, track)
+        search = _Search(select_device(device), shape, config, full_scale, track)
         self._pattern = _Pattern(rest, search, region)
         self._detectors.enter_context(self._pattern.detector)
         self.unit = "px"
@@ -225,7 +224,7 @@ class TwoViews(Measurement):
         self._raw = raw
         self._rig = rig
         self._split = split
-        search = _Search(selected(device), shape, config, full_scale, track)
+        search = _Search(select_device(device), shape, config, full_scale, track)
         if not (isinstance(regions, Sequence) and len(regions) == 2):
             raise ConfigError(
                 f"regions must be those of the left and the right view, not {regions!r}"

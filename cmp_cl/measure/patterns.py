@@ -37,7 +37,7 @@ def find_pattern(
     Raises GridError if no cell size shows a pattern or the pattern seems to have another number of
     corners, and the errors of `Detector`.
     """
-    device = selected(device)
+    device = select_device(device)
     best: Grid | None = None
     why = "no closed cell is seen"
     configs = (DetectorConfig.for_image(view), *map(DetectorConfig.for_cell, _USUAL_CELLS))
@@ -122,7 +122,3 @@ def align_views(left: Grid, right: Grid) -> Grid:
             "their rows do not agree"
         )
     return aligned
-
-
-def selected(device: Device | str | None) -> Device:
-    return device if isinstance(device, Device) else select_device(device)
