@@ -8,16 +8,13 @@ import enum
 import math
 from collections.abc import Mapping
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from cmp_cl.errors import ConfigError, check_range
 from cmp_cl.files import check_path, read_toml, write_text
-
-if TYPE_CHECKING:
-    from cmp_cl.image import GreyImage
-
+from cmp_cl.image import GreyImage, check_dtype
 
 Part = TypeVar("Part")
 
@@ -356,7 +353,7 @@ class DetectorConfig:
         )
 
     @classmethod
-    def for_image(cls, image: "GreyImage") -> Self:
+    def for_image(cls, image: GreyImage) -> Self:
         """Choose the configuration for the cells of an image, and for their blur.
 
         `estimate_cell` says how the cells are found. The surround of a small board can look like
@@ -396,10 +393,12 @@ class DetectorConfig:
         return dataclasses.replace(self, **changes)
 
     def grey_levels(self, dtype: Any) -> int:
-        """Return the largest grey level of an image of that dtype."""
-        if self.full_scale is not None:
-            return self.full_scale
-        return 255 if np.dtype(dtype) == np.uint8 else 65535
+        """Return the largest grey level of an image of that dtype, uint8 or uint16.
+
+        Raises ImageError for any other.
+        """
+        known = check_dtype(dtype)
+        return int(np.iinfo(known).max) if self.full_scale is None else self.full_scale
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the configuration as TOML, whole or not at all; raises OSError."""

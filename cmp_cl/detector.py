@@ -16,7 +16,7 @@ from cmp_cl.config import DetectorConfig, Pyramid
 from cmp_cl.corners import Corners
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
-from cmp_cl.image import GreyImage
+from cmp_cl.image import GreyImage, check_dtype
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.program import Programs, programs_of
@@ -56,9 +56,7 @@ class Detector(Closing):
     ) -> None:
         check_process()
         self.shape = _checked_shape(shape)
-        self.dtype = _checked_dtype(dtype)
-        if self.dtype not in (np.uint8, np.uint16):
-            raise ImageError(f"dtype must be uint8 or uint16, not {self.dtype}")
+        self.dtype = check_dtype(dtype)
         self.config = DetectorConfig() if config is None else config
         if not isinstance(self.config, DetectorConfig):
             raise ConfigError(f"config must be a DetectorConfig, not {config!r}")
@@ -433,14 +431,6 @@ def _checked_shape(shape: Any) -> tuple[int, int]:
     if rows < 0 or columns < 0:
         raise ImageError(f"shape must be (H, W), not {shape!r}")
     return rows, columns
-
-
-def _checked_dtype(dtype: Any) -> np.dtype[Any]:
-    try:
-        known: np.dtype[Any] = np.dtype(dtype)
-    except TypeError as error:
-        raise ImageError(f"dtype must be uint8 or uint16, not {dtype!r}") from error
-    return known
 
 
 def _checked_mask(mask: ArrayLike, shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from cmp_cl.errors import CmpClError
+from cmp_cl.errors import CmpClError, FieldError, listed
 
 _MOST_TOML = 1 << 16  # bytes
 _MOST_BRACKETS = 500  # in a TOML file, which limits the nesting of tables and arrays
@@ -25,7 +25,8 @@ def check_path(path: object, error: type[CmpClError | OSError]) -> None:
     character, which no system allows."""
     name = os.fspath(path) if isinstance(path, str | PathLike) else None
     if not isinstance(name, str) or not name or "\0" in name:
-        raise error(f"path must be the name of a file, not {path!r}")
+        said = " ".join(repr(path).split())
+        raise error(f"path must be the name of a file, not {said}")
 
 
 def suffix_of(path: str | PathLike[str], error: type[CmpClError]) -> str:
@@ -137,8 +138,12 @@ def write_text(path: str | PathLike[str], text: str) -> None:
 def write_csv(
     path: str | PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]
 ) -> None:
-    """Write rows as CSV under a header of `columns`, whole or not at all; raises OSError."""
-    write_bytes(path, csv_bytes([columns, *rows]))
+    """Write rows as CSV under a header of `columns`, whole or not at all.
+
+    Raises FieldError if the columns or the rows are not several, OSError.
+    """
+    header = listed("columns", columns, object, FieldError)
+    write_bytes(path, csv_bytes([header, *listed("rows", rows, Iterable, FieldError)]))
 
 
 def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:

@@ -23,6 +23,17 @@ def check_image(image: Any) -> GreyImage:
     return cast(GreyImage, np.asarray(image))
 
 
+def check_dtype(dtype: Any) -> np.dtype[Any]:
+    """Return the type of an image's pixels; raises ImageError if it is not uint8 or uint16."""
+    try:
+        known: np.dtype[Any] = np.dtype(dtype)
+    except TypeError as error:
+        raise ImageError(f"dtype must be uint8 or uint16, not {dtype!r}") from error
+    if known not in _PIXELS:
+        raise ImageError(f"dtype must be uint8 or uint16, not {known}")
+    return known
+
+
 def _is_image(image: Any) -> bool:
     if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype not in _PIXELS:
         return False

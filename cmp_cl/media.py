@@ -15,8 +15,7 @@ import re
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from numbers import Real
+from collections.abc import Iterable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ImageError, check_kind
+from cmp_cl.errors import ImageError, check_kind, check_positive
 from cmp_cl.files import check_path, suffix_of, write_bytes
 from cmp_cl.files import write_csv as write_csv  # a public name of this module
 from cmp_cl.image import GreyImage
@@ -81,6 +80,8 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """
     if isinstance(paths, str | PathLike):
         raise FileNotFoundError(f"paths must be several names of files, not {os.fspath(paths)!r}")
+    if not isinstance(paths, Iterable):
+        raise FileNotFoundError(f"paths must be several names of files, not {paths!r}")
     found: list[Path] = []
     for name in paths:
         check_path(name, FileNotFoundError)
@@ -196,7 +197,7 @@ def _tells_damage(said: str) -> bool:
 
 
 def _check_size(path: str | PathLike[str], size: tuple[int, int], most: int) -> None:
-    check_kind("max_pixels", most, Real, ImageError)
+    check_positive("max_pixels", most, ImageError)
     width, height = size
     if width * height > most:
         raise ImageError(

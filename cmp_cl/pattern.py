@@ -14,7 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, check_range
+from cmp_cl.errors import (
+    ConfigError,
+    check_kind,
+    check_pair,
+    check_positive,
+    check_range,
+    check_shape,
+)
 from cmp_cl.files import suffix_of, write_bytes
 
 PAPERS = {  # mm, upright
@@ -80,9 +87,8 @@ class Checkerboard:
     paper: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        check_shape(self.shape, ConfigError)
         rows, columns = self.shape
-        if type(rows) is not int or type(columns) is not int or min(rows, columns) < 1:
-            raise ConfigError(f"shape must be two whole numbers from 1, not {self.shape!r}")
         if (rows + 1) * (columns + 1) > _MOST_CELLS:
             raise ConfigError(
                 f"{rows} x {columns} corners are more than {_MOST_CELLS} cells; draw fewer"
@@ -91,10 +97,9 @@ class Checkerboard:
         if self.border is not None:
             check_range("border", self.border, 0, 1000)
         check_range("ink_spread", self.ink_spread, -0.45 * self.cell, 0.45 * self.cell)
-        for factor in self.stretch:
-            check_range("stretch", factor, 0.5, 2)
-        for side in self.paper or ():
-            check_range("paper", side, 10, 2000)
+        check_pair("stretch", self.stretch, 0.5, 2)
+        if self.paper is not None:
+            check_pair("paper", self.paper, 10, 2000)
         needed, sheet = self._extent(), self.size
         if self.paper is not None and (needed[0] > sheet[0] or needed[1] > sheet[1]):
             raise ConfigError(
@@ -347,8 +352,11 @@ def _dxf(drawing: _Drawing, *, cells: NDArray[np.float64]) -> bytes:
 def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:
     """Return the (width, height) of a paper, mm, rotated to fit the longer side of a board.
 
-    name: a key of PAPERS.
+    name: a key of PAPERS. Raises ConfigError for any other name, and if board is no Checkerboard.
     """
+    check_kind("board", board, Checkerboard, ConfigError)
+    if not isinstance(name, str) or name not in PAPERS:
+        raise ConfigError(f"paper must be one of {', '.join(PAPERS)}, not {name!r}")
     width, height = PAPERS[name]
     upright = board.size[1] >= board.size[0]
     return (width, height) if upright else (height, width)
@@ -357,6 +365,9 @@ def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:
 def cell_for(size: float, shape: Sequence[int]) -> float:
     """Return the side of a cell, mm, for which the longer side of all cells is `size` mm.
 
-    shape: rows and columns of inner corners.
+    shape: rows and columns of inner corners. Raises ConfigError if size is not positive, or shape
+    is not two whole numbers from 1.
     """
+    check_positive("size", size, ConfigError)
+    check_shape(shape, ConfigError)
     return size / (max(shape) + 1)

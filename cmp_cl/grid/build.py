@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners, Refusal
-from cmp_cl.errors import GridError, ImageError
+from cmp_cl.errors import GridError, ImageError, check_kind, check_shape
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.detached import drop_detached
 from cmp_cl.grid.filter import bent_sigma
@@ -220,8 +220,7 @@ def _checked(
     corners: Corners, image: GreyImage | None, shape: tuple[int, int] | None, region: Region | None
 ) -> tuple[Index, Seen]:
     """Check the arguments; return the indices of the corners in the region, and their data."""
-    if not isinstance(corners, Corners):
-        raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
+    check_kind("corners", corners, Corners, GridError)
     if image is not None:
         image = check_image(image)
         _check_holds(image, corners)
@@ -390,19 +389,12 @@ def _check_holds(image: GreyImage, corners: Corners) -> None:
 
 
 def _known_shape(shape: tuple[int, int] | None, like: Grid | None) -> tuple[int, int] | None:
-    if shape is not None and not (
-        isinstance(shape, tuple | list)
-        and len(shape) == 2
-        and all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in shape)
-        and min(shape) >= 1
-    ):
-        raise GridError(f"shape must be (rows, columns), each at least 1, not {shape!r}")
     if shape is not None:
+        check_shape(shape, GridError)
         check_size(*shape)
     if like is None:
         return shape
-    if not isinstance(like, Grid):
-        raise GridError(f"like must be a Grid, not {type(like).__name__}")
+    check_kind("like", like, Grid, GridError)
     if not like.valid.any():
         raise GridError("the grid given as `like` has no nodes; give one that has been found")
     if shape is not None and tuple(shape) != like.shape:
@@ -429,8 +421,7 @@ def _check_previous(previous: Grid | None, like: Grid | None) -> None:
         return
     if like is None:
         raise GridError("the grid of the frame before needs the grid at rest too")
-    if not isinstance(previous, Grid):
-        raise GridError(f"previous must be a Grid, not {type(previous).__name__}")
+    check_kind("previous", previous, Grid, GridError)
     if not previous.valid.any():
         raise GridError("the grid of the frame before has no nodes; give one that has been found")
 

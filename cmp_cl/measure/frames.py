@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from cmp_cl.measure.patterns import (
     Region,
     align_views,
     check_size,
+    check_two,
     exact_config,
     find_pattern,
 )
@@ -225,10 +225,7 @@ class TwoViews(Measurement):
         self._rig = rig
         self._split = split
         search = _Search(select_device(device), shape, config, full_scale, track)
-        if not (isinstance(regions, Sequence) and len(regions) == 2):
-            raise ConfigError(
-                f"regions must be those of the left and the right view, not {regions!r}"
-            )
+        check_two("regions", regions)
         with contextlib.ExitStack() as stack:
             patterns = []
             for side, view, region in zip(("left", "right"), split(rest), regions, strict=True):

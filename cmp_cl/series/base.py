@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.closing import Closing
-from cmp_cl.errors import FieldError
+from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.version import package_version
 
 Frame = dict[str, NDArray[Any]]
@@ -24,11 +24,15 @@ class Description:
     """The description that is stored with a series.
 
     units: units of the arrays, by name; arrays without an entry have no unit. settings:
-    configuration, device and source, as texts by name.
+    configuration, device and source, as texts by name. Raises FieldError if either is no Mapping.
     """
 
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     settings: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_kind("units", self.units, Mapping, FieldError)
+        check_kind("settings", self.settings, Mapping, FieldError)
 
     def entries(self) -> dict[str, str]:
         """Return cmp_cl's version, the time of writing (UTC, ISO 8601) and the settings, by
