@@ -140,10 +140,10 @@ class Source:
                 for each in media.read_frames(path, max_pixels=self._max_pixels):
                     time_ms = each.time_ms if len(self.paths) == 1 else math.nan
                     yield Frame(next(numbers), each.image, time_ms)
-            except ImageError:
+            except ImageError as error:
                 if len(self.paths) == 1:
                     raise
-                yield Frame(next(numbers), None)
+                yield Frame(next(numbers), None, why=str(error))
 
     def _live_frames(self) -> Generator[Frame, None, None]:
         capture = self._capture()

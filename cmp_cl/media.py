@@ -202,7 +202,7 @@ def _check_size(path: str | PathLike[str], size: tuple[int, int], most: int) -> 
     if width * height > most:
         raise ImageError(
             f"{str(path)!r} has {width} x {height} pixels, more than the limit of {most}; "
-            "--max-pixels, or max_pixels=, raises it"
+            f"max_pixels={width * height} raises it"
         )
 
 
@@ -255,11 +255,13 @@ class Frame:
     image: (H, W) uint8 or uint16, or None if it cannot be read.
     time_ms: the time of a camera's frame or in the video, or from its frame rate if PyAV is not
         installed; NaN if unknown.
+    why: why a file of a folder gives no image; "" if it is not known.
     """
 
     index: int
     image: GreyImage | None
     time_ms: float = math.nan
+    why: str = ""
 
 
 def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[Frame]:

@@ -456,7 +456,7 @@ def _others(found: Lattice, board: Board, seen: Seen, *, alone: bool) -> int:
         if count >= comparable:
             raise GridError(
                 f"two patterns are seen, of {found.size[own]} and {found.size[component]} corners, "
-                f"within {first} and {second}; say which is meant with a region (x0, y0, x1, y1)"
+                f"within {first} and {second}; give a region with one of them"
             )
         return count
     return 0

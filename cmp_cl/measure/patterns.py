@@ -78,8 +78,8 @@ def is_of_few_bits(dtype: DTypeLike, brightest: int) -> bool:
 def of_few_bits(brightest: int) -> str:
     """Return, as text, what to do about pixels of fewer than 16 bits."""
     return (
-        f"the brightest of the 16-bit pixels is {brightest}; for a 12-bit camera, give "
-        "--full-scale 4095, for a 10-bit one 1023 (full_scale= in Python)"
+        f"the brightest of the 16-bit pixels is {brightest}; give "
+        "full_scale=4095 for a 12-bit camera, full_scale=1023 for a 10-bit one"
     )
 
 
