@@ -22,9 +22,11 @@ from cmp_cl import (
     build_grid,
     calibrate,
     calibrate_camera,
+    cluster,
     detect,
     drop_marks,
     media,
+    reference,
     refine_markers,
     series,
 )
@@ -59,7 +61,7 @@ from cmp_cl.measure import (
 )
 from cmp_cl.pattern import Checkerboard, cell_for, fitting_paper
 from cmp_cl.stereo import undistort
-from cmp_cl.synthetic import random_scene, render
+from cmp_cl.synthetic import binocular_frame, default_rig, random_scene, render
 from cmp_cl.synthetic.scoring import score
 from cmp_cl.viz import arrow_figure, corner_overlay, grid_overlay, save_figure, surface_figure
 
@@ -140,6 +142,8 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: Source(0), "name", "str"),
         (lambda: Source(str(BOARD), "a"), "settings", "CameraSettings"),
         (lambda: CameraSettings(exposure="a"), "exposure", "Real"),
+        (lambda: binocular_frame(None, None), "left", "Rendered"),
+        (lambda: reference.detect(IMAGE, "a"), "config", "DetectorConfig"),
     ],
 )
 def test_an_argument_of_another_type_is_named(call, name, expected):
@@ -170,6 +174,8 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
         (lambda: score([], [(0, 0)], "a"), "cell must be a positive number, not 'a'"),
         (lambda: media.find_inputs(None), "paths must be several names of files, not None"),
         (lambda: media.write_csv("a.csv", None, []), "columns must be several, not one NoneType"),
+        (lambda: default_rig(5), "shape must be (rows, columns), each at least 1, not 5"),
+        (lambda: cluster.open_store(None), "path must be the name of a file, not None"),
         (lambda: DetectorConfig().grey_levels(float), "dtype must be uint8 or uint16, not float64"),
     ],
 )
@@ -244,6 +250,20 @@ def test_wrong_shapes_of_a_pattern_a_split_and_an_image_are_refused():
         media.write_image("a.png", np.zeros((4, 4)))
     with pytest.raises(FileNotFoundError, match="several names"):
         media.find_inputs("frames")
+
+
+@pytest.mark.parametrize(
+    ("image", "hint"),
+    [
+        (media.Frame(0, IMAGE), "got Frame; its attribute image is one"),
+        ([[1, 2], [3, 4]], "got list; numpy.asarray(image) converts"),
+        (GRID, "got Grid"),
+        (iter([IMAGE]), "got list_iterator"),
+    ],
+)
+def test_what_is_no_image_gets_a_hint_that_helps(image, hint):
+    with pytest.raises(ImageError, match=f"{re.escape(hint)}$"):
+        detect(image)
 
 
 def test_a_message_is_one_line_even_with_an_array_in_it():

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import datetime
 from collections.abc import Mapping
+from numbers import Integral, Real
 from os import PathLike
 from typing import Any
 
@@ -45,6 +46,19 @@ class Description:
         return {"units": dict(self.units), **self.entries()}
 
 
+def _array(name: object, value: ArrayLike, kinds: str) -> NDArray[Any]:
+    """Return an array of a series, of one of NumPy's kinds; raises FieldError if it is none."""
+    if not isinstance(name, str) or "/" in name:
+        raise FieldError(f"the name of an array must be a text without /, not {name!r}")
+    try:
+        array = np.asarray(value)
+    except ValueError as why:
+        raise FieldError(f"{name} must be an array of numbers: {why}") from why
+    if array.dtype.kind not in kinds:
+        raise FieldError(f"{name} must be an array of numbers, not of {array.dtype}")
+    return array
+
+
 class Series(Closing):
     """Writes a series frame by frame; use it in a with statement.
 
@@ -62,7 +76,7 @@ class Series(Closing):
     def __init__(self, description: Description, constants: Constants) -> None:
         self.description = description
         self.files = contextlib.ExitStack()  # left with an error, it removes the files
-        self.constants = {name: np.asarray(value) for name, value in constants.items()}
+        self.constants = {name: _array(name, value, "biufUS") for name, value in constants.items()}
         self._layout: dict[str, tuple[tuple[int, ...], str]] | None = None
         self._count = 0
         self._open = True
@@ -76,22 +90,22 @@ class Series(Closing):
 
         index: its number. time_ms: its time stamp, ms, NaN if unknown. arrays: by name.
 
-        Raises FieldError if the names, shapes or types differ from the first frame's, a
-        name is one of the constants', or the series is closed; then nothing is added.
+        Raises FieldError if index is not whole, time_ms is not a number, the names, shapes or
+        types differ from the first frame's, a name is one of the constants', or the series is
+        closed; then nothing is added.
         Raises OSError.
         """
         if not self._open:
             raise FieldError("the series is closed")
-        frame = {name: np.asarray(value) for name, value in arrays.items()}
+        check_kind("index", index, Integral, FieldError)
+        check_kind("time_ms", time_ms, Real, FieldError)
+        frame = {name: _array(name, value, "biuf") for name, value in arrays.items()}
         layout = {name: (value.shape, value.dtype.str) for name, value in frame.items()}
         if self._layout is not None and layout != self._layout:
             raise FieldError(f"the first frame had {self._layout}, this one has {layout}")
         taken = sorted(layout.keys() & (self.constants.keys() | {"index", "time_ms"}))
         if taken:
             raise FieldError(f"the series already has constants or columns of the names {taken}")
-        for name, value in frame.items():
-            if value.dtype.kind not in "biuf":
-                raise FieldError(f"{name} must be an array of numbers, not of {value.dtype}")
         self._write(index, time_ms, frame)
         self._layout = layout
         self._count += 1
