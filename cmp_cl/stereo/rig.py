@@ -6,7 +6,6 @@ from numbers import Real
 from os import PathLike
 from typing import Any, Self
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,7 +13,7 @@ from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
 from cmp_cl.files import write_text
 from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.stereo.adjustment import CAMERA, OF_CAMERA, POSE
+from cmp_cl.stereo.lens import ESTIMATED, POSE, Lens, camera_of, projected
 from cmp_cl.stereo.points import Points3D, PointStatus
 from cmp_cl.stereo.storage import new_storage, open_storage, read_matrix, yaml_text
 from cmp_cl.stereo.triangulation import (
@@ -66,7 +65,7 @@ class StereoRig:
 
     def __post_init__(self) -> None:
         if self.covariance is not None:
-            size = 2 * CAMERA + POSE
+            size = 2 * ESTIMATED + POSE
             self._set("covariance", _numbers("covariance", self.covariance, (size, size)))
         for name, shape in (("K1", (3, 3)), ("K2", (3, 3)), ("R", (3, 3)), ("T", (3,))):
             self._set(name, _numbers(name, getattr(self, name), shape))
@@ -196,16 +195,16 @@ class StereoRig:
         all_status = np.full(left.shape, PointStatus.MISSING, np.uint8)
         all_status[both] = status
         return Points3D(
-            xyz=_spread(both, xyz),
-            error=_spread(both, error),
-            covariance=_spread(both, covariance),
+            xyz=spread(both, xyz),
+            error=spread(both, error),
+            covariance=spread(both, covariance),
             status=all_status,
             source=np.where(both, np.maximum(left.status, right.status), NodeStatus.MISSING).astype(
                 np.uint8
             ),
             unit=self.unit,
-            calibration_covariance=None if self.covariance is None else _spread(both, shared),
-            bend_shift=_spread(both, moved),
+            calibration_covariance=None if self.covariance is None else spread(both, shared),
+            bend_shift=spread(both, moved),
         )
 
     def _first_order(self, seen: Array) -> tuple[Array, NDArray[np.uint8]]:
@@ -261,24 +260,20 @@ class StereoRig:
         Returns (N, 4) px, its derivatives with respect to the point, (N, 4, 3), and with respect
         to the 22 parameters of `covariance`, (N, 4, 22).
         """
-        rotation = cv2.Rodrigues(self.R)[0]
-        zero = np.zeros(3)
-        left, by_left = cv2.projectPoints(xyz, zero, zero, self.K1, self.D1)
-        right, by_right = cv2.projectPoints(xyz, rotation, self.T, self.K2, self.D2)
-        by_left, by_right = (each.reshape(len(xyz), 2, -1) for each in (by_left, by_right))
-        # With respect to the translation, which is with respect to the rotated point.
-        translation = slice(3, 6)
-        jacobian = np.concatenate(
-            [by_left[..., translation], by_right[..., translation] @ self.R], axis=1
-        )
-        by_rig = np.zeros((len(xyz), 4, 2 * CAMERA + POSE))
-        by_rig[:, :2, :CAMERA] = by_left[..., OF_CAMERA]
-        by_rig[:, 2:, CAMERA : 2 * CAMERA] = by_right[..., OF_CAMERA]
-        by_rig[:, 2:, 2 * CAMERA :] = by_right[..., :POSE]
-        return np.hstack([left.reshape(-1, 2), right.reshape(-1, 2)]), jacobian, by_rig
+        one = camera_of(self.K1, self.D1, np.eye(3), np.zeros(3))
+        two = camera_of(self.K2, self.D2, self.R, self.T)
+        left, by_left = projected(Lens.PINHOLE, xyz, one)
+        right, by_right = projected(Lens.PINHOLE, xyz, two)
+        # By the translation, which is by the rotated point.
+        jacobian = np.concatenate([by_left[..., -3:], by_right[..., -3:] @ self.R], axis=1)
+        by_rig = np.zeros((len(xyz), 4, 2 * ESTIMATED + POSE))
+        by_rig[:, :2, :ESTIMATED] = by_left[..., :ESTIMATED]
+        by_rig[:, 2:, ESTIMATED : 2 * ESTIMATED] = by_right[..., :ESTIMATED]
+        by_rig[:, 2:, 2 * ESTIMATED :] = by_right[..., -POSE:]
+        return np.hstack([left, right]), jacobian, by_rig
 
 
-def _spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:
+def spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:
     """Scatter values to the True elements of an (R, C) mask; the others are NaN."""
     spread = np.full((*where.shape, *values.shape[1:]), np.nan)
     spread[where] = values
