@@ -1,7 +1,7 @@
 """The errors of cmp_cl. Each message says what was given, what was expected and what to do."""
 
 import math
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, cast
 
 import numpy as np
@@ -73,6 +73,17 @@ def as_numbers(name: str, value: Any, error: type[CmpClError]) -> NDArray[np.flo
         return np.array(value, np.float64)
     except (TypeError, ValueError) as why:
         raise error(f"{name} must be an array of numbers: {why}") from why
+
+
+def as_size(
+    name: str, value: Any, error: type[CmpClError], sides: str = "width, height"
+) -> tuple[int, int]:
+    """Return an argument of that name as a size; raise the error if it is not two whole numbers
+    above 0. sides: their names."""
+    found = listed(name, value, Integral, error)
+    if len(found) != 2 or min(found) < 1:
+        raise error(f"{name} must be ({sides}), px, not {value!r}")
+    return int(found[0]), int(found[1])
 
 
 def check_positive(name: str, value: object, error: type[CmpClError]) -> None:

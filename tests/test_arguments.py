@@ -46,7 +46,17 @@ from cmp_cl.field import (
 from cmp_cl.grid import filter_grid, filter_positions
 from cmp_cl.measure import OneView, TwoViews, trusted
 from cmp_cl.stereo import undistort
-from cmp_cl.synthetic import render
+from cmp_cl.stereo.cameras import calibrate_cameras
+from cmp_cl.stereo.exports import (
+    cameras_of,
+    save_cameras,
+    save_colmap,
+    save_corners,
+    save_kalibr,
+    save_opencv,
+    save_ros,
+)
+from cmp_cl.synthetic import Scene, default_rig, random_scene, render, render_stereo
 from cmp_cl.viz import arrow_figure, corner_overlay, grid_overlay, surface_figure
 
 GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
@@ -55,6 +65,7 @@ SIZE = IMAGE.shape[::-1]
 BOARD = Path(media.__file__).parent / "data" / "board.png"
 PLANE = plane_displacement(GRID, GRID)
 RASTER = rasterize(PLANE, step=5.0)
+CAMERAS = cameras_of(toed_in_rig(), SIZE)
 FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
 
 
@@ -116,6 +127,76 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
 def test_an_argument_of_another_type_is_named(call, name, expected):
     with pytest.raises(CmpClError, match=f"^{name} must be of type {expected}, not "):
         call()
+
+
+def several(views=None, sizes=None, **changed):
+    """Calibrate a camera `a` of three views."""
+    views, sizes = ({"a": [GRID] * 3} if views is None else views), sizes or {"a": SIZE}
+    return calibrate_cameras(views, spacing=1, sizes=sizes, **changed)
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: undistort([[1, 2]], np.eye(2), np.zeros(5)), "matrix"),
+        (lambda: undistort([[1, 2]], "a", np.zeros(5)), "matrix"),
+        (lambda: undistort([[1, 2]], np.zeros((3, 3)), np.zeros(5)), "matrix"),
+        (lambda: undistort([[1, 2]], np.eye(3), np.zeros(3)), "distortion"),
+        (lambda: undistort([[1, 2]], np.eye(3), [np.nan] * 5), "distortion"),
+        (lambda: several([GRID]), "views"),
+        (lambda: several({1: [GRID] * 3}), "each name of views"),
+        (lambda: several({"a": GRID}), r"views\['a'\]"),
+        (lambda: several({"a": [GRID, 3]}), r"each of views\['a'\]"),
+        (lambda: several(sizes=[SIZE]), "sizes"),
+        (lambda: several(sizes={"b": SIZE}), "sizes"),
+        (lambda: several(sizes={"a": (9, 0)}), r"sizes\['a'\]"),
+        (lambda: several(lens="pinhole"), "lens"),
+        (lambda: several(unit=3), "unit"),
+        (lambda: default_rig(5), "shape"),
+        (lambda: default_rig((5, "a")), "each of shape"),
+        (lambda: default_rig((5, 0)), "shape"),
+        (lambda: integrate(RASTER, gradient_of(RASTER), mask="a"), "mask"),
+        (lambda: integrate(RASTER, gradient_of(RASTER), mask=np.ones(3, bool)), "the mask"),
+        (lambda: integrate(RASTER, gradient_of(RASTER), boundary="free"), "boundary"),
+        (lambda: cameras_of(None, SIZE), "rig"),
+        (lambda: cameras_of(toed_in_rig(), 5), "size"),
+        (lambda: save_corners("a.csv", [GRID]), "views"),
+        (lambda: save_corners("a.csv", {"a.png": 3}), r"views\['a.png'\]"),
+        (lambda: save_corners("a.yaml", {"a.png": GRID}, spacing="a"), "spacing"),
+        (lambda: save_ros("a.yaml", None, name="a"), "camera"),
+        (lambda: save_ros("a.yaml", CAMERAS["left"], name=3), "name"),
+        *(
+            (lambda save=save, cameras=cameras: save("a.yaml", cameras), name)
+            for save in (save_opencv, save_kalibr, save_colmap, save_cameras)
+            for cameras, name in [
+                (None, "cameras"),
+                ({}, "cameras"),
+                ({"a": 3}, r"cameras\['a'\]"),
+                ({3: CAMERAS["left"]}, "each name of cameras"),
+            ]
+        ),
+        (lambda: render_stereo(None, default_rig()), "scene"),
+        (lambda: render_stereo(Scene(), None), "rig"),
+        (lambda: render_stereo(Scene(), default_rig()._replace(K1="a")), "rig.K1"),
+        (lambda: render_stereo(Scene(), default_rig()._replace(T=np.zeros(2))), "rig.T"),
+        (lambda: random_scene("a"), "Scene.seed"),
+        (lambda: random_scene(-1), "Scene.seed"),
+        (lambda: random_scene(1, shape=5), "Scene.shape"),
+        (lambda: random_scene(1, markers="a"), "Scene.markers"),
+        (lambda: random_scene(1, indenter="a"), "Scene.indenter"),
+    ],
+)
+def test_a_wrong_argument_is_named_in_one_line(call, name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CmpClError, match=f"^{name} must (be|have) ") as refusal:
+        call()
+    assert "\n" not in str(refusal.value)
+    assert not list(tmp_path.iterdir())
+
+
+def gradient_of(raster):
+    """Return a gradient of zeros on a raster."""
+    return np.zeros((len(raster.y), len(raster.x), 2))
 
 
 @pytest.mark.parametrize("path", [None, 5, b"a.png", "", "a\0b"])

@@ -2,14 +2,12 @@
 
 import dataclasses
 from collections.abc import Sequence
-from numbers import Integral
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError, check_positive, listed
+from cmp_cl.errors import CalibrationError, FieldError, as_size, check_positive, listed
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import Adjusted, Look, adjust, root_mean_square
 from cmp_cl.stereo.free_board import adjust_board, numbered_alike
@@ -97,7 +95,9 @@ def calibrate_camera(
     """
     check_positive("spacing", spacing, CalibrationError)
     grids = listed("grids", grids, Grid, CalibrationError)
-    return _one(grids, spacing, _checked_size(image_size), free_board=free_board)[0]
+    return _one(
+        grids, spacing, as_size("image_size", image_size, CalibrationError), free_board=free_board
+    )[0]
 
 
 def calibrate(
@@ -128,7 +128,7 @@ def calibrate(
         grids = numbered_alike([grid for pair in views for grid in pair])
         views = list(zip(grids[::2], grids[1::2], strict=True))
     check_positive("spacing", spacing, CalibrationError)
-    size = _checked_size(image_size)
+    size = as_size("image_size", image_size, CalibrationError)
     left, left_start = _one([one for one, _ in views], spacing, size)
     right, right_start = _one([other for _, other in views], spacing, size)
     board = board_of([grid for pair in views for grid in pair], spacing)
@@ -210,13 +210,6 @@ def _pair(views: Sequence[Grid]) -> tuple[Grid, Grid]:
     if len(found) != 2:
         raise CalibrationError(f"each of views must be (left, right), not {len(found)} grids")
     return found[0], found[1]
-
-
-def _checked_size(size: Any) -> tuple[int, int]:
-    sides = listed("image_size", size, Integral, CalibrationError)
-    if len(sides) != 2 or min(sides) < 1:
-        raise CalibrationError(f"image_size must be (width, height), px, not {size!r}")
-    return int(sides[0]), int(sides[1])
 
 
 def _look(board: Array, grid: Grid, valid: NDArray[np.bool_], camera: int, view: int) -> Look:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, check_positive
+from cmp_cl.errors import CalibrationError, as_size, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import Look, adjust, root_mean_square
 from cmp_cl.stereo.lens import (
@@ -119,6 +119,11 @@ def calibrate_cameras(
     determine the focal length, or if it shares no moment with the others.
     """
     check_positive("spacing", spacing, CalibrationError)
+    check_kind("views", views, Mapping, CalibrationError)
+    check_kind("sizes", sizes, Mapping, CalibrationError)
+    check_kind("lens", lens, Lens, CalibrationError)
+    check_kind("unit", unit, str, CalibrationError)
+    views = {name: _grids(name, grids) for name, grids in views.items()}
     if not views:
         raise CalibrationError("no camera is given")
     moments = {len(grids) for grids in views.values()}
@@ -126,6 +131,10 @@ def calibrate_cameras(
         counts = ", ".join(f"{name} {len(grids)}" for name, grids in views.items())
         raise CalibrationError(f"every camera needs an entry for each moment, here {counts}")
     names = list(views)
+    missing = [name for name in names if name not in sizes]
+    if missing:
+        raise CalibrationError(f"sizes must have an entry for each camera: no {missing[0]!r}")
+    sizes = {name: as_size(f"sizes[{name!r}]", sizes[name], CalibrationError) for name in names}
     board = board_of([grid for grids in views.values() for grid in grids], spacing)
     looks = {name: _looks(views[name], board, number) for number, name in enumerate(names)}
     found = {name: _one(name, looks[name], board, sizes[name], lens) for name in names}
@@ -162,6 +171,14 @@ def calibrate_cameras(
         coverage={name: _coverage(looks[name], sizes[name]) for name in names},
         focal_sigma={name: found[name].focal_sigma for name in names},
     )
+
+
+def _grids(name: str, values: Sequence[Grid | None]) -> list[Grid | None]:
+    """Return the grids of a camera; raises CalibrationError if one is neither a grid nor None."""
+    check_kind("each name of views", name, str, CalibrationError)
+    grids = listed(f"views[{name!r}]", values, object, CalibrationError)
+    listed(f"views[{name!r}]", [g for g in grids if g is not None], Grid, CalibrationError)
+    return grids
 
 
 def _looks(grids: Sequence[Grid | None], board: Array, camera: int) -> list[Look]:

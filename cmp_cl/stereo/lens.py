@@ -8,7 +8,9 @@ import enum
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import CalibrationError, as_numbers
 
 Array = NDArray[np.float64]
 
@@ -72,3 +74,36 @@ def projected(lens: Lens, points: Array, camera: Array) -> tuple[Array, Array]:
         by_camera = np.hstack([slopes[:, POSE:], slopes[:, :POSE]])
     by_camera = np.asarray(by_camera, np.float64).reshape(len(points), 2, -1)
     return np.asarray(seen, np.float64).reshape(-1, 2), by_camera
+
+
+def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return an argument of that name as a new array; raises CalibrationError unless it has that
+    shape and is finite."""
+    array = as_numbers(name, value, CalibrationError)
+    if shape == (3,) and array.shape in ((3, 1), (1, 3)):
+        array = array.reshape(3)
+    if array.shape != shape:
+        raise CalibrationError(f"{name} must have shape {shape}, not {array.shape}")
+    if not np.isfinite(array).all():
+        raise CalibrationError(f"{name} must be finite, not {array.tolist()}")
+    return array
+
+
+def checked_distortion(name: str, value: ArrayLike) -> Array:
+    """Return coefficients of distortion, 5 for none; raises CalibrationError for a number of them
+    that OpenCV does not take."""
+    array = as_numbers(name, value, CalibrationError)
+    size = array.size
+    if size not in (0, 4, 5, 8, 12, 14):
+        raise CalibrationError(f"{name} must have 0, 4, 5, 8, 12 or 14 coefficients, not {size}")
+    return checked_array(name, array.reshape(-1), (size,)) if size else np.zeros(5)
+
+
+def check_matrix(name: str, matrix: Array) -> None:
+    """Raise CalibrationError if a matrix (3, 3) of that name is not that of a camera."""
+    if min(matrix[0, 0], matrix[1, 1]) <= 0:
+        raise CalibrationError(f"{name} must have positive focal lengths, not {matrix.tolist()}")
+    if matrix[0, 1] or matrix[1, 0] or (matrix[2] != (0, 0, 1)).any():
+        raise CalibrationError(
+            f"{name} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {matrix.tolist()}"
+        )

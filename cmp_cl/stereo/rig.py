@@ -7,13 +7,22 @@ from os import PathLike
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
+from cmp_cl.errors import CalibrationError, FieldError, check_kind
 from cmp_cl.files import write_text
 from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.stereo.lens import ESTIMATED, POSE, Lens, camera_of, projected
+from cmp_cl.stereo.lens import (
+    ESTIMATED,
+    POSE,
+    Lens,
+    camera_of,
+    check_matrix,
+    checked_array,
+    checked_distortion,
+    projected,
+)
 from cmp_cl.stereo.points import Points3D, PointStatus
 from cmp_cl.stereo.storage import new_storage, open_storage, read_matrix, yaml_text
 from cmp_cl.stereo.triangulation import (
@@ -66,13 +75,13 @@ class StereoRig:
     def __post_init__(self) -> None:
         if self.covariance is not None:
             size = 2 * ESTIMATED + POSE
-            self._set("covariance", _numbers("covariance", self.covariance, (size, size)))
+            self._set("covariance", checked_array("covariance", self.covariance, (size, size)))
         for name, shape in (("K1", (3, 3)), ("K2", (3, 3)), ("R", (3, 3)), ("T", (3,))):
-            self._set(name, _numbers(name, getattr(self, name), shape))
+            self._set(name, checked_array(name, getattr(self, name), shape))
         for name in ("D1", "D2"):
-            self._set(name, _distortion(name, getattr(self, name)))
-        _check_matrix("K1", self.K1)
-        _check_matrix("K2", self.K2)
+            self._set(name, checked_distortion(name, getattr(self, name)))
+        check_matrix("K1", self.K1)
+        check_matrix("K2", self.K2)
         if np.abs(self.R @ self.R.T - np.eye(3)).max() > 1e-4 or np.linalg.det(self.R) < 0:
             raise CalibrationError(f"R must be a rotation matrix, not {self.R.tolist()}")
         if np.linalg.norm(self.T) < 1e-9:
@@ -278,31 +287,3 @@ def spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:
     spread = np.full((*where.shape, *values.shape[1:]), np.nan)
     spread[where] = values
     return spread
-
-
-def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    array = as_numbers(name, value, CalibrationError)
-    if shape == (3,) and array.shape in ((3, 1), (1, 3)):
-        array = array.reshape(3)
-    if array.shape != shape:
-        raise CalibrationError(f"{name} must have shape {shape}, not {array.shape}")
-    if not np.isfinite(array).all():
-        raise CalibrationError(f"{name} must be finite, not {array.tolist()}")
-    return array
-
-
-def _distortion(name: str, value: ArrayLike) -> Array:
-    array = as_numbers(name, value, CalibrationError)
-    size = array.size
-    if size not in (0, 4, 5, 8, 12, 14):
-        raise CalibrationError(f"{name} must have 0, 4, 5, 8, 12 or 14 coefficients, not {size}")
-    return _numbers(name, array.reshape(-1), (size,)) if size else np.zeros(5)
-
-
-def _check_matrix(name: str, matrix: Array) -> None:
-    if min(matrix[0, 0], matrix[1, 1]) <= 0:
-        raise CalibrationError(f"{name} must have positive focal lengths, not {matrix.tolist()}")
-    if matrix[0, 1] or matrix[1, 0] or (matrix[2] != (0, 0, 1)).any():
-        raise CalibrationError(
-            f"{name} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {matrix.tolist()}"
-        )

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 import cv2
 import numpy as np
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, as_numbers, as_size
 from cmp_cl.synthetic.raster import Array
 from cmp_cl.synthetic.scene import Scene
 
@@ -50,9 +50,11 @@ def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
 
     shape: (rows, columns) of each view, px. The pattern of a default scene covers 92 % of the
         shorter side.
+
+    Raises ConfigError if the shape is not two whole numbers above 0.
     """
-    rows, columns = shape
-    focal = FILL * min(shape) / 32.0 * DISTANCE
+    rows, columns = as_size("shape", shape, ConfigError, "rows, columns")
+    focal = FILL * min(rows, columns) / 32.0 * DISTANCE
     half = math.atan2(8.0, DISTANCE)
     matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1.0]])
     rotation = rotation_matrix(0.0, 2 * half, 0.0)
@@ -65,6 +67,20 @@ def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
         R=rotation,
         T=centre - rotation @ centre,
     )
+
+
+def checked_rig(rig: Rig) -> Cameras:
+    """Return a rig as plain arrays; raises ConfigError if a part is missing or malformed."""
+    arrays = {}
+    for name, shape in (("K1", (3, 3)), ("D1", (-1,)), ("K2", (3, 3)), ("D2", (-1,)),
+                        ("R", (3, 3)), ("T", (3,))):  # fmt: skip
+        if not hasattr(rig, name):
+            raise ConfigError(f"rig must have K1, D1, K2, D2, R and T, not {type(rig).__name__}")
+        array = as_numbers(f"rig.{name}", getattr(rig, name), ConfigError)
+        if array.size != math.prod(shape) and -1 not in shape:
+            raise ConfigError(f"rig.{name} must have shape {shape}, not {array.shape}")
+        arrays[name] = array.reshape(shape)
+    return Cameras(**arrays)
 
 
 class PinholeCamera:

@@ -157,7 +157,11 @@ def random_scene(
     The contact is within 5 mm of the centre, in any direction. Blur is 0.7 to 1.1 px, noise 2 to
     4.5, light 0.2 to 1, vignetting 1 to 1.5. The surround is random. The position is within
     6 px (at VGA), the rotation within 3 degrees, the tilt within 2.
+
+    Raises ConfigError as `Scene` does.
     """
+    _check("seed", seed, 0, 2**63 - 1, kind=int)
+    _check_pair("shape", shape, 64, 8192, kind=int)
     draw = np.random.default_rng([seed, 1])
     indenters = [kind for kind in Indenter if kind is not Indenter.NONE]
     chosen = indenters[draw.integers(len(indenters))]
