@@ -1,12 +1,13 @@
-"""The weights of nodes in a calibration: from their images, and from the residuals."""
+"""The adjustment of a calibration: its derivatives, its units, and the weights of nodes."""
 
 import cv2
 import numpy as np
 import pytest
 from stereo_data import grid_of, project, toed_in_rig
 
-from cmp_cl import calibrate_camera
+from cmp_cl import calibrate, calibrate_camera
 from cmp_cl.stereo.adjustment import misfit
+from cmp_cl.stereo.lens import Lens, camera_of, projected
 
 SQUARE = 3.0
 
@@ -24,6 +25,49 @@ def test_the_misfit_is_what_the_residuals_have_beyond_their_nodes(extra):
 def test_residuals_smaller_than_their_nodes_allow_show_no_misfit():
     assert misfit(np.full(50, 0.5), np.ones(50), 100) == 0
     assert misfit(np.zeros(50), np.ones(50), 100) == 0
+
+
+@pytest.mark.parametrize("lens", list(Lens))
+def test_the_derivatives_of_a_projection_are_its_differences(lens):
+    draw = np.random.default_rng(0)
+    points = draw.uniform([-15, -15, 40], [15, 15, 60], (20, 3))
+    matrix = np.array([[900.0, 0, 400], [0, 910, 300], [0, 0, 1]])
+    rotation = cv2.Rodrigues(np.array([0.1, -0.2, 0.3]))[0]
+    distortion = draw.uniform(-0.02, 0.02, lens.coefficients)
+    camera = camera_of(matrix, distortion, rotation, np.array([1.0, -2, 3]))
+    found = projected(lens, points, camera)[1]
+    for parameter, slopes in enumerate(np.moveaxis(found, 2, 0)):
+        step = np.zeros(len(camera))
+        step[parameter] = 1e-5
+        more, less = (projected(lens, points, camera + sign * step)[0] for sign in (1, -1))
+        np.testing.assert_allclose(slopes, (more - less) / 2e-5, atol=1e-6 * np.abs(slopes).max())
+
+
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_the_unit_of_length_does_not_matter(unit, free):
+    draw = np.random.default_rng(3)
+    views = []
+    for _ in range(6):
+        rotation = cv2.Rodrigues(draw.uniform(-0.5, 0.5, 3))[0]
+        seen = project(toed_in_rig(), flat_board() @ rotation.T + [0, 0, draw.uniform(44, 56)])
+        views.append([grid_of(each + draw.normal(0, 0.05, each.shape), 0.05) for each in seen])
+    one, other = (
+        calibrate(views, spacing=SQUARE * each, image_size=(800, 1200), free_board=free)
+        for each in (1, unit)
+    )
+    factor = np.ones(22)
+    factor[19:] = unit
+    np.testing.assert_allclose(other.rig.K1, one.rig.K1, rtol=1e-6)
+    np.testing.assert_allclose(other.rig.T, one.rig.T * unit, rtol=1e-5)
+    assert other.error == pytest.approx(one.error, rel=1e-6)
+    deviations = (np.sqrt(np.diag(found.rig.covariance)) for found in (other, one))
+    np.testing.assert_allclose(next(deviations), next(deviations) * factor, rtol=1e-3)
+
+
+def flat_board():
+    row, column = np.indices((7, 10))
+    return np.stack([column - 4.5, row - 3.0, np.zeros((7, 10))], axis=-1) * SQUARE
 
 
 def views_of_board(draw, printing_error):

@@ -61,7 +61,24 @@ from cmp_cl.measure import (
 )
 from cmp_cl.pattern import Checkerboard, cell_for, fitting_paper
 from cmp_cl.stereo import undistort
-from cmp_cl.synthetic import binocular_frame, default_rig, random_scene, render
+from cmp_cl.stereo.cameras import calibrate_cameras
+from cmp_cl.stereo.exports import (
+    cameras_of,
+    save_cameras,
+    save_colmap,
+    save_corners,
+    save_kalibr,
+    save_opencv,
+    save_ros,
+)
+from cmp_cl.synthetic import (
+    Scene,
+    binocular_frame,
+    default_rig,
+    random_scene,
+    render,
+    render_stereo,
+)
 from cmp_cl.synthetic.scoring import score
 from cmp_cl.viz import arrow_figure, corner_overlay, grid_overlay, save_figure, surface_figure
 
@@ -72,6 +89,7 @@ BOARD = Path(media.__file__).parent / "data" / "board.png"
 PLANE = plane_displacement(GRID, GRID)
 RASTER = rasterize(PLANE, step=5.0)
 BOARD_5X6 = Checkerboard(shape=(5, 6), cell=2.0)
+CAMERAS = cameras_of(toed_in_rig(), SIZE)
 FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
 
 
@@ -168,13 +186,10 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
         (lambda: Checkerboard(shape=(5, 6), cell=2, stretch=1), "stretch must be a tuple of two"),
         (lambda: Checkerboard(shape=(5, 6), cell=2, paper=()), "paper must be a tuple of two"),
         (lambda: save_figure("a.png", surface_figure(FIELD), dpi=0), "dpi must be a number in"),
-        (lambda: random_scene("a"), "seed must be an integer in"),
-        (lambda: random_scene(1, shape=64), "shape must be a tuple of two numbers in"),
         (lambda: score(1, [(0, 0)], 5), "found must be (N, 2), not ()"),
         (lambda: score([], [(0, 0)], "a"), "cell must be a positive number, not 'a'"),
         (lambda: media.find_inputs(None), "paths must be several names of files, not None"),
         (lambda: media.write_csv("a.csv", None, []), "columns must be several, not one NoneType"),
-        (lambda: default_rig(5), "shape must be (rows, columns), each at least 1, not 5"),
         (lambda: cluster.open_store(None), "path must be the name of a file, not None"),
         (lambda: DetectorConfig().grey_levels(float), "dtype must be uint8 or uint16, not float64"),
     ],
@@ -182,6 +197,76 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
 def test_a_value_that_makes_no_sense_is_named(call, message):
     with pytest.raises((CmpClError, FileNotFoundError), match=f"^{re.escape(message)}"):
         call()
+
+
+def several(views=None, sizes=None, **changed):
+    """Calibrate a camera `a` of three views."""
+    views, sizes = ({"a": [GRID] * 3} if views is None else views), sizes or {"a": SIZE}
+    return calibrate_cameras(views, spacing=1, sizes=sizes, **changed)
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: undistort([[1, 2]], np.eye(2), np.zeros(5)), "matrix"),
+        (lambda: undistort([[1, 2]], "a", np.zeros(5)), "matrix"),
+        (lambda: undistort([[1, 2]], np.zeros((3, 3)), np.zeros(5)), "matrix"),
+        (lambda: undistort([[1, 2]], np.eye(3), np.zeros(3)), "distortion"),
+        (lambda: undistort([[1, 2]], np.eye(3), [np.nan] * 5), "distortion"),
+        (lambda: several([GRID]), "views"),
+        (lambda: several({1: [GRID] * 3}), "each name of views"),
+        (lambda: several({"a": GRID}), r"views\['a'\]"),
+        (lambda: several({"a": [GRID, 3]}), r"each of views\['a'\]"),
+        (lambda: several(sizes=[SIZE]), "sizes"),
+        (lambda: several(sizes={"b": SIZE}), "sizes"),
+        (lambda: several(sizes={"a": (9, 0)}), r"sizes\['a'\]"),
+        (lambda: several(lens="pinhole"), "lens"),
+        (lambda: several(unit=3), "unit"),
+        (lambda: default_rig(5), "shape"),
+        (lambda: default_rig((5, "a")), "shape"),
+        (lambda: default_rig((5, 0)), "shape"),
+        (lambda: integrate(RASTER, gradient_of(RASTER), mask="a"), "mask"),
+        (lambda: integrate(RASTER, gradient_of(RASTER), mask=np.ones(3, bool)), "the mask"),
+        (lambda: integrate(RASTER, gradient_of(RASTER), boundary="free"), "boundary"),
+        (lambda: cameras_of(None, SIZE), "rig"),
+        (lambda: cameras_of(toed_in_rig(), 5), "size"),
+        (lambda: save_corners("a.csv", [GRID]), "views"),
+        (lambda: save_corners("a.csv", {"a.png": 3}), r"views\['a.png'\]"),
+        (lambda: save_corners("a.yaml", {"a.png": GRID}, spacing="a"), "spacing"),
+        (lambda: save_ros("a.yaml", None, name="a"), "camera"),
+        (lambda: save_ros("a.yaml", CAMERAS["left"], name=3), "name"),
+        *(
+            (lambda save=save, cameras=cameras: save("a.yaml", cameras), name)
+            for save in (save_opencv, save_kalibr, save_colmap, save_cameras)
+            for cameras, name in [
+                (None, "cameras"),
+                ({}, "cameras"),
+                ({"a": 3}, r"cameras\['a'\]"),
+                ({3: CAMERAS["left"]}, "each name of cameras"),
+            ]
+        ),
+        (lambda: render_stereo(None, default_rig()), "scene"),
+        (lambda: render_stereo(Scene(), None), "rig"),
+        (lambda: render_stereo(Scene(), default_rig()._replace(K1="a")), "rig.K1"),
+        (lambda: render_stereo(Scene(), default_rig()._replace(T=np.zeros(2))), "rig.T"),
+        (lambda: random_scene("a"), "seed"),
+        (lambda: random_scene(-1), "seed"),
+        (lambda: random_scene(1, shape=5), "shape"),
+        (lambda: random_scene(1, markers="a"), "Scene.markers"),
+        (lambda: random_scene(1, indenter="a"), "Scene.indenter"),
+    ],
+)
+def test_a_wrong_argument_is_named_in_one_line(call, name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CmpClError, match=f"^{name} must (be|have) ") as refusal:
+        call()
+    assert "\n" not in str(refusal.value)
+    assert not list(tmp_path.iterdir())
+
+
+def gradient_of(raster):
+    """Return a gradient of zeros on a raster."""
+    return np.zeros((len(raster.y), len(raster.x), 2))
 
 
 @pytest.mark.parametrize("path", [None, 5, b"a.png", "", "a\0b", np.eye(3)])

@@ -149,7 +149,9 @@ def integrate(
     if gradient.shape != (len(raster.y), len(raster.x), 2):
         raise FieldError(f"the gradient is {gradient.shape}, the raster {raster.values.shape}")
     known = np.asarray(np.isfinite(gradient).all(axis=2), np.bool_)
+    check_kind("boundary", boundary, Boundary, FieldError)
     if mask is not None:
+        check_kind("mask", mask, np.ndarray, FieldError)
         if mask.shape != known.shape or mask.dtype != np.bool_:
             raise FieldError(
                 f"the mask must be bool of {known.shape}, not {mask.dtype} {mask.shape}"

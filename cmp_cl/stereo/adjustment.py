@@ -1,131 +1,168 @@
-"""The last step of a calibration: all views are adjusted together, each node weighted by its own
-sigma. It also gives the covariance of the result."""
+"""The last step of a calibration: cameras and boards are adjusted together.
+
+Any number of cameras look at one board at any number of moments. The unknowns are the parameters of
+the cameras, the pose of the board at each moment and, if the board is free, its nodes. Each node is
+weighted by its own sigma.
+"""
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
+import math
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.stereo.lens import POSE, Lens, projected, rotation_of
+
 Array = NDArray[np.float64]
 
-CAMERA = 8  # fx fy cx cy k1 k2 p1 p2
-POSE = 6  # rotation vector, translation
-OF_CAMERA = slice(POSE, POSE + CAMERA)  # columns of the derivatives of cv2.projectPoints
-_STEPS = 20
+_STEPS = 30
+_HALVINGS = 6
 _SMALL = 1e-9  # relative decrease of the cost at which the iteration ends
 _RANGE = 5.0  # the most by which the sigma of a node counts as larger or smaller than the median
-ROUNDS = 2  # of the adjustment and the variance of the misfit
+_TINY = 1e-300
+_ROUNDS = 2  # of the adjustment and the variance of the misfit
+_LOOSE = 0.1  # share of a square: expected standard deviation of a node from its nominal position
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class View:
-    """A view of a board by one or two cameras.
+class Look:
+    """What one camera sees of the board at one moment.
 
-    It holds the nodes on the board (N, 3), their positions in each image (N, 2), px, the standard
-    deviations of these (N,), px, NaN where unknown, and the board's pose in the first camera, (6,).
+    camera, moment: their numbers. nodes: (N,), indices into the board. xy: (N, 2), px. sigma: (N,),
+    standard deviations of xy, px, NaN where unknown.
     """
 
-    board: NDArray[np.floating[Any]]
-    seen: tuple[Array, ...]
-    sigma: tuple[Array, ...]
-    pose: Array
+    camera: int
+    moment: int
+    nodes: NDArray[np.intp]
+    xy: Array
+    sigma: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class State:
+    """The cameras (C, P), see `cmp_cl.stereo.lens`, the poses of the board in the first camera's
+    frame (M, 6), and the nodes of the board (B, 3)."""
+
+    cameras: Array
+    poses: Array
+    board: Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Adjusted:
     """The result of an adjustment.
 
-    parameters: 8 for each camera, and with two cameras the pose of the second, 6. covariance: of
-    these parameters. errors: (V, cameras), root mean square reprojection errors by view, px.
+    state: the cameras, poses and nodes. covariance: of the camera parameters that were free.
+    residuals: of each look, (N, 2), measured minus projected, px.
     """
 
-    parameters: Array
+    state: State
     covariance: Array
-    errors: Array
+    residuals: Sequence[Array]
 
 
-def adjust(views: Sequence[View], start: Array) -> Adjusted:
-    """Minimize the weighted reprojection error of all views by Gauss-Newton, from a near solution.
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Problem:
+    """What is adjusted, and by which data.
 
-    start: as `Adjusted.parameters`. Weights are those of `node_weights`. The covariance is scaled
-    by the residuals, so a factor that all sigmas share does not matter.
+    free: (C, P), True for each parameter of a camera that is unknown. flat: the nominal board,
+    (B, 3). loose: whether its nodes are unknown too. weights: of each look, (N,), 1 / px. spring:
+    stiffness of the springs that draw the nodes to the nominal board.
     """
-    parameters, poses = start, [view.pose for view in views]
-    for _ in range(ROUNDS):
-        weights = node_weights(views, residuals(views, parameters, poses), len(start))
-        parameters, poses, cost, normal = _settled(views, weights, parameters, poses)
-    covariance = np.linalg.pinv(normal, hermitian=True) * cost / freedom(views, len(start))
-    return Adjusted(parameters, covariance, root_mean_squares(residuals(views, parameters, poses)))
+
+    lens: Lens
+    looks: Sequence[Look]
+    free: NDArray[np.bool_]
+    flat: Array
+    loose: bool
+    weights: Sequence[Array]
+    spring: float
 
 
-def _settled(
-    views: Sequence[View],
-    weights: Sequence[tuple[Array, ...]],
-    parameters: Array,
-    poses: list[Array],
-) -> tuple[Array, list[Array], float, Array]:
-    """Take steps until the cost no longer falls; return the parameters, the poses, the cost and the
-    normal matrix of the parameters alone.
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Normal:
+    """The normal equations, of a few unknowns (n) and of G groups of b unknowns each.
+
+    The groups are the poses of a flat board, or the nodes of a free one; no two of them occur in
+    one residual. cost: sum of all weighted squared residuals and of the springs. both: (n, n),
+    right: (n,), cross: (G, n, b), own: (G, b, b), own_right: (G, b).
     """
-    cost, step = _system(views, weights, parameters, poses)
-    for _ in range(_STEPS):
-        by_parameters, by_poses, _ = step()
-        moved = [pose + change for pose, change in zip(poses, by_poses, strict=True)]
-        lower, next_step = _system(views, weights, parameters + by_parameters, moved)
-        if not lower < cost:
-            break
-        done = cost - lower < _SMALL * cost
-        parameters, poses, cost, step = parameters + by_parameters, moved, lower, next_step
-        if done:
-            break
-    return parameters, poses, cost, step()[2]
+
+    cost: float
+    both: Array
+    right: Array
+    cross: Array
+    own: Array
+    own_right: Array
 
 
-def freedom(views: Sequence[View], unknown: int) -> int:
-    """Return the degrees of freedom: residuals minus parameters, poses included; at least 1."""
-    count = sum(2 * len(view.board) * len(view.seen) for view in views)
-    return max(count - unknown - POSE * len(views), 1)
+def adjust(
+    lens: Lens,
+    looks: Sequence[Look],
+    start: State,
+    free: NDArray[np.bool_],
+    spacing: float | None = None,
+) -> Adjusted:
+    """Minimize the weighted reprojection error of all looks by Gauss-Newton, from a near solution.
+
+    free: (C, P), True for each parameter of a camera that is adjusted. spacing: the side of a
+        square of a free board, None for a flat one. Weights are those of `node_weights`.
+
+    A spring draws each node of a free board to its nominal position, with a standard deviation of a
+    tenth of a square. Against many residuals of a tenth of a pixel it only determines what the
+    views leave open: the size, the position and the orientation of the board.
+
+    The covariance is scaled by the residuals, so a factor that all sigmas share does not matter.
+    """
+    count = int(np.count_nonzero(free))
+    unknown = count
+    if spacing is not None:  # the position, the orientation and the size of the board are fixed
+        shown = np.unique(np.concatenate([look.nodes for look in looks]))
+        unknown += 3 * len(shown) - POSE - 1
+    degrees = freedom(looks, unknown)
+    state = start
+    for _ in range(_ROUNDS):
+        offs = [off for off, *_ in _seen(lens, looks, state)]
+        weights = node_weights(looks, offs, degrees)
+        spring = 0.0
+        if spacing is not None:  # the stiffness of the springs depends on the residuals
+            square = np.square(np.concatenate(offs)).sum(axis=1)
+            cost = float((square * np.square(np.concatenate(weights))).sum())
+            spring = cost / degrees / (_LOOSE * spacing) ** 2
+        problem = _Problem(lens, looks, free, start.board, spacing is not None, weights, spring)
+        state, normal = _settled(problem, state)
+    covariance = _reduced(normal)[0][:count, :count] * normal.cost / degrees
+    return Adjusted(state, covariance, [off for off, *_ in _seen(lens, looks, state)])
 
 
-def residuals(
-    views: Sequence[View], parameters: Array, poses: Sequence[Array]
-) -> list[tuple[Array, ...]]:
-    """Return seen minus projected, px, (N, 2) for each view and camera."""
-    return [
-        tuple(off for off, *_ in seen_by(view, parameters, pose))
-        for view, pose in zip(views, poses, strict=True)
-    ]
+def freedom(looks: Sequence[Look], unknown: int) -> int:
+    """Return the degrees of freedom: residuals minus unknowns, poses included; at least 1."""
+    count = 2 * sum(len(look.nodes) for look in looks)
+    return max(count - unknown - POSE * len({look.moment for look in looks}), 1)
 
 
-def root_mean_squares(offs: Sequence[tuple[Array, ...]]) -> Array:
-    """Return the root mean square lengths of residuals, (V, cameras), px."""
-    return np.array(
-        [[float(np.sqrt(np.square(off).sum(axis=1).mean())) for off in each] for each in offs]
-    )
+def root_mean_square(*offs: Array) -> float:
+    """Return the root mean square length of residuals (N, 2), px."""
+    return math.sqrt(float(np.square(np.concatenate(offs)).sum(axis=1).mean()))
 
 
-def node_weights(
-    views: Sequence[View], offs: Sequence[tuple[Array, ...]], unknown: int
-) -> list[tuple[Array, ...]]:
+def node_weights(looks: Sequence[Look], offs: Sequence[Array], free: int) -> list[Array]:
     """Return 1 / sqrt(sigma^2 + t^2) of each node, 1 / px.
 
-    offs: residuals near the solution, see `residuals`. unknown: how many parameters are
-    adjusted beside the poses. t^2 is the variance that no image shows: the print is not exact, the
-    board is not flat, or the model does not describe the lens. It is the same for all nodes. Nodes
-    of unknown sigma have the median one.
+    offs: residuals near the solution. free: degrees of freedom. t^2 is the variance that no image
+    shows: the print is not exact, the board is not flat, or the model does not describe the lens.
+    It is the same for all nodes. Nodes of unknown sigma have the median one.
     """
-    given = np.concatenate([sigma for view in views for sigma in view.sigma])
+    given = np.concatenate([look.sigma for look in looks])
     known = np.isfinite(given) & (given > 0)
     middle = float(np.median(given[known])) if known.any() else 1.0
     variance = np.square(np.clip(np.where(known, given, middle), middle / _RANGE, middle * _RANGE))
-    square = np.concatenate([np.square(off).sum(axis=1) for each in offs for off in each])
-    weights = 1 / np.sqrt(variance + misfit(square, variance, freedom(views, unknown)))
-    ends = np.cumsum([len(sigma) for view in views for sigma in view.sigma])
-    parts = iter(np.split(weights, ends))
-    return [tuple(next(parts) for _ in view.sigma) for view in views]
+    square = np.square(np.concatenate(offs)).sum(axis=1)
+    weights = 1 / np.sqrt(variance + misfit(square, variance, free))
+    return np.split(weights, np.cumsum([len(look.sigma) for look in looks])[:-1])
 
 
 def misfit(square: Array, variance: Array, free: float) -> float:
@@ -145,87 +182,126 @@ def misfit(square: Array, variance: Array, free: float) -> float:
     return extra
 
 
-def _system(
-    views: Sequence[View],
-    weights: Sequence[tuple[Array, ...]],
-    parameters: Array,
-    poses: list[Array],
-) -> tuple[float, Any]:
-    """Return the cost, and a function that returns the steps of the parameters and of each pose,
-    and the normal matrix of the parameters alone."""
-    cost = 0.0
-    parts = []
-    for view, weight, pose in zip(views, weights, poses, strict=True):
-        rows = []
-        for (off, by_parameters, by_pose, _), each in zip(
-            seen_by(view, parameters, pose), weight, strict=True
-        ):
-            scale = np.repeat(each, 2)[:, None]
-            rows.append((off.reshape(-1, 1) * scale, by_parameters * scale, by_pose * scale))
-        off, by_parameters, by_pose = (np.concatenate(each) for each in zip(*rows, strict=True))
-        cost += float(np.square(off).sum())
-        parts.append((off[:, 0], by_parameters, by_pose))
-
-    def step() -> tuple[Array, list[Array], Array]:
-        normal = np.zeros((len(parameters), len(parameters)))
-        right = np.zeros(len(parameters))
-        kept = []
-        for off, by_parameters, by_pose in parts:
-            own = np.linalg.pinv(by_pose)
-            free = by_parameters - by_pose @ (own @ by_parameters)
-            normal += free.T @ free
-            right += free.T @ off
-            kept.append(own)
-        change = np.linalg.pinv(normal, hermitian=True) @ right
-        moves = [
-            own @ (off - by_parameters @ change)
-            for own, (off, by_parameters, _) in zip(kept, parts, strict=True)
-        ]
-        return change, moves, normal
-
-    return cost, step
+def _settled(problem: _Problem, state: State) -> tuple[State, _Normal]:
+    """Take steps until the cost no longer falls; a step that raises it is halved."""
+    normal = _normal(problem, state)
+    for _ in range(_STEPS):
+        step = _step(problem, normal)
+        for halving in range(_HALVINGS):
+            moved = State(
+                state.cameras + step.cameras / 2**halving,
+                state.poses + step.poses / 2**halving,
+                state.board + step.board / 2**halving,
+            )
+            lower = _normal(problem, moved)
+            if lower.cost <= (1 + _SMALL) * normal.cost:
+                break
+        else:
+            break
+        done = normal.cost - lower.cost < _SMALL * normal.cost
+        state, normal = moved, lower
+        if done:
+            break
+    return state, normal
 
 
-def seen_by(view: View, parameters: Array, pose: Array) -> list[tuple[Array, Array, Array, Array]]:
-    """Return the residuals of a view in each camera, and the derivatives of its projection.
+def _step(problem: _Problem, normal: _Normal) -> State:
+    """Return the Gauss-Newton step."""
+    inverse, right, own_inverse = _reduced(normal)
+    both = inverse @ right
+    own = (own_inverse @ (normal.own_right - both @ normal.cross)[..., None])[..., 0]
+    count = np.count_nonzero(problem.free)
+    cameras = np.zeros(problem.free.shape)
+    cameras[problem.free] = both[:count]
+    if not problem.loose:
+        return State(cameras, own, np.zeros_like(problem.flat))
+    return State(cameras, both[count:].reshape(-1, POSE), own)
 
-    A residual is measured minus projected, (N, 2), px. The derivatives are (2 N, ...) by the
-    parameters and by the pose, and (N, 2, 3) by the node on the board.
+
+def _reduced(normal: _Normal) -> tuple[Array, Array, Array]:
+    """Eliminate the groups.
+
+    Returns the inverse (n, n) and the right side (n,) of the equations of the few unknowns alone,
+    and the inverse blocks of the groups.
     """
-    found: list[tuple[Array, Array, Array, Array]] = []
-    for camera, seen in enumerate(view.seen):
-        own = slice(CAMERA * camera, CAMERA * (camera + 1))
-        matrix, distortion = matrix_of(parameters[own]), parameters[own][4:]
-        here, chain = pose, None
-        if camera:
-            here, chain = composed(pose, parameters[2 * CAMERA :])
-        projected, slopes = cv2.projectPoints(
-            view.board.astype(np.float64), here[:3], here[3:], matrix, distortion
+    own_inverse = _inverse(normal.own, normal.own)
+    through = normal.cross @ own_inverse
+    reduced = normal.both - np.tensordot(through, normal.cross, axes=((0, 2), (0, 2)))
+    right = normal.right - np.tensordot(through, normal.own_right, axes=((0, 2), (0, 1)))
+    return _inverse(reduced, normal.both), right, own_inverse
+
+
+def _inverse(matrices: Array, like: Array) -> Array:
+    """Return the pseudoinverses of symmetric matrices (..., n, n), whatever the units of unknowns.
+
+    like: (..., n, n); in the units that are used, its diagonal is 1.
+    """
+    unit = np.sqrt(np.maximum(np.diagonal(like, axis1=-2, axis2=-1), _TINY))
+    units = unit[..., :, None] * unit[..., None, :]
+    inverse: Array = np.linalg.pinv(matrices / units, hermitian=True) / units
+    return inverse
+
+
+def _normal(problem: _Problem, state: State) -> _Normal:
+    """Return the normal equations at a state."""
+    count = np.count_nonzero(problem.free)
+    column = np.cumsum(problem.free).reshape(problem.free.shape) - 1
+    stretched = problem.flat - state.board
+    if not problem.loose:
+        size, groups, width = count, len(state.poses), POSE
+        own, own_right = np.zeros((groups, POSE, POSE)), np.zeros((groups, POSE))
+    else:
+        size, groups, width = count + state.poses.size, len(state.board), 3
+        own = np.tile(problem.spring * np.eye(3), (groups, 1, 1))
+        own_right = problem.spring * stretched
+    cost = float(problem.spring * np.square(stretched).sum())
+    both, right, cross = np.zeros((size, size)), np.zeros(size), np.zeros((groups, size, width))
+    for look, weight, (off, by_camera, by_pose, by_node) in zip(
+        problem.looks, problem.weights, _seen(problem.lens, problem.looks, state), strict=True
+    ):
+        free = problem.free[look.camera]
+        columns = column[look.camera][free]
+        if not problem.loose:
+            group, kept, grouped = np.array([look.moment]), by_camera[..., free], by_pose
+        else:
+            pose = count + POSE * look.moment + np.arange(POSE)
+            columns = np.concatenate([columns, pose])
+            group, kept = look.nodes, np.concatenate([by_camera[..., free], by_pose], axis=2)
+            grouped = by_node
+        off, kept, grouped = (
+            _by_group(each, weight, len(group)) for each in (off[..., None], kept, grouped)
         )
-        by_parameters: Array = np.zeros((len(slopes), len(parameters)))
-        by_parameters[:, own] = slopes[:, OF_CAMERA]
-        by_pose = np.asarray(slopes[:, :POSE], np.float64)
-        by_node = by_pose[:, 3:].reshape(-1, 2, 3) @ cv2.Rodrigues(here[:3])[0]
-        if chain is not None:
-            by_parameters[:, 2 * CAMERA :] = by_pose @ chain[1]
-            by_pose = by_pose @ chain[0]
-        off = np.asarray(seen - projected.reshape(-1, 2), np.float64)
-        found.append((off, by_parameters, by_pose, by_node))
-    return found
+        flat, turned = kept.reshape(off.size, len(columns)), grouped.transpose(0, 2, 1)
+        cost += float(np.square(off).sum())
+        both[np.ix_(columns, columns)] += flat.T @ flat
+        right[columns] += flat.T @ off.ravel()
+        cross[np.ix_(group, columns)] += kept.transpose(0, 2, 1) @ grouped
+        own[group] += turned @ grouped
+        own_right[group] += (turned @ off)[..., 0]
+    return _Normal(cost, both, right, cross, own, own_right)
 
 
-def matrix_of(parameters: Array) -> Array:
-    """Return the camera matrix of parameters that begin with fx, fy, cx, cy."""
-    fx, fy, cx, cy = parameters[:4]
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+def _by_group(values: Array, weight: Array, groups: int) -> Array:
+    """Return weighted values (N, 2, k) by group, (G, 2 N / G, k)."""
+    weighted: Array = values * weight[:, None, None]
+    return weighted.reshape(groups, 2 * len(weight) // groups, values.shape[2])
 
 
-def composed(first: Array, second: Array) -> tuple[Array, tuple[Array, Array]]:
-    """Return the pose that applies `first`, then `second`, (6,), and its derivatives, (6, 6)
-    each."""
-    turn, shift, *slopes = cv2.composeRT(first[:3], first[3:], second[:3], second[3:])
-    by = [np.asarray(each, np.float64) for each in slopes]
-    return np.concatenate([turn.ravel(), shift.ravel()]), (
-        np.block([[by[0], by[1]], [by[4], by[5]]]),
-        np.block([[by[2], by[3]], [by[6], by[7]]]),
-    )
+def _seen(
+    lens: Lens, looks: Sequence[Look], state: State
+) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """Yield the residuals of each look and the derivatives of its projection.
+
+    A residual is measured minus projected, (N, 2), px. The derivatives are (N, 2, P) by the camera,
+    (N, 2, 6) by the pose of the board, and (N, 2, 3) by the node on the board.
+    """
+    for look in looks:
+        camera, pose = state.cameras[look.camera], state.poses[look.moment]
+        nodes = state.board[look.nodes]
+        turn, by_turn = (np.asarray(each, np.float64) for each in cv2.Rodrigues(pose[:3]))
+        points = nodes @ turn.T + pose[3:]
+        seen, by_camera = projected(lens, points, camera)
+        by_point = (by_camera[..., -3:].reshape(-1, 3) @ rotation_of(camera)).reshape(-1, 2, 3)
+        turning = (by_turn.reshape(9, 3) @ nodes.T).reshape(3, 3, -1)  # d (R node)_i / d turn_k
+        by_pose = np.concatenate([np.einsum("nai,kin->nak", by_point, turning), by_point], axis=2)
+        yield look.xy - seen, by_camera, by_pose, (by_point.reshape(-1, 3) @ turn).reshape(-1, 2, 3)

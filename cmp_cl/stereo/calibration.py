@@ -1,27 +1,30 @@
 """Calibrates one camera, or a rig of two, on views of a flat board."""
 
 import dataclasses
-import math
-from collections.abc import Iterable, Sequence
-from numbers import Integral
-from typing import Any
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError, check_positive, listed
+from cmp_cl.errors import CalibrationError, FieldError, as_size, check_positive, listed
 from cmp_cl.grid.grid import Grid
-from cmp_cl.stereo.adjustment import CAMERA, OF_CAMERA, POSE, Adjusted, View, adjust, matrix_of
-from cmp_cl.stereo.free_board import adjust_board
-from cmp_cl.stereo.points import sides
+from cmp_cl.stereo.adjustment import Adjusted, Look, adjust, root_mean_square
+from cmp_cl.stereo.free_board import adjust_board, numbered_alike
+from cmp_cl.stereo.lens import Lens, distortion_of, matrix_of, rotation_of
 from cmp_cl.stereo.rig import StereoRig
-from cmp_cl.stereo.threads import one_thread
+from cmp_cl.stereo.start import (
+    MIN_NODES,
+    MIN_VIEWS,
+    Alone,
+    board_of,
+    calibrate_alone,
+    joined,
+    look_at,
+    unknowns,
+)
 
-MIN_VIEWS = 3
-MIN_NODES = 8  # fewest nodes of a board in a view
-# Share of the focal length; a larger sigma means that the views do not determine it.
-MAX_FOCAL_SIGMA = 0.05
+_LENS = Lens.PINHOLE
 _MAX_MISFIT = 1.0  # px: the joint reprojection error may reach this, or
 _MAX_MISFIT_RATIO = 3.0  # times the larger error of a camera alone
 Array = NDArray[np.float64]
@@ -91,56 +94,10 @@ def calibrate_camera(
     free board are numbered differently.
     """
     check_positive("spacing", spacing, CalibrationError)
-    image_size = _checked_size(image_size)
     grids = listed("grids", grids, Grid, CalibrationError)
-    grids = _numbered_alike(grids) if free_board else grids
-    parts = [_board(grid.xy, grid.valid, spacing, view) for view, grid in enumerate(grids)]
-    _check_views(len(parts))
-    try:
-        with one_thread():
-            error, matrix, distortion, rotations, translations, _, _, _ = (
-                cv2.calibrateCameraExtended(
-                    [board for board, _ in parts],
-                    [points for _, points in parts],
-                    image_size,
-                    np.eye(3),
-                    np.zeros(5),
-                    flags=cv2.CALIB_FIX_K3,
-                )
-            )
-    except cv2.error as failure:
-        raise CalibrationError(f"the views do not determine a camera: {failure}") from failure
-    slopes = (
-        cv2.projectPoints(board, rotation, translation, matrix, distortion)[1]
-        for (board, _), rotation, translation in zip(parts, rotations, translations, strict=True)
-    )
-    sigma = focal_sigma(((each[:, :POSE], each[:, OF_CAMERA]) for each in slopes), float(error))
-    if not sigma < MAX_FOCAL_SIGMA * matrix[0, 0]:
-        raise CalibrationError(
-            f"the views leave the focal length uncertain by {sigma / matrix[0, 0]:.0%}: "
-            "show the board tilted, in different directions"
-        )
-    views = [
-        _view(board, rotation, translation, grid)
-        for (board, _), rotation, translation, grid in zip(
-            parts, rotations, translations, grids, strict=True
-        )
-    ]
-    start = _parameters_of(matrix, distortion)
-    shape = None
-    if free_board:
-        adjusted, shape = _with_board(views, [grid.valid for grid in grids], start, spacing)
-        sigma = float(np.sqrt(np.diag(adjusted.covariance)[:2].max()))
-    else:
-        adjusted = adjust(views, start)
-    return CameraCalibration(
-        matrix=matrix_of(adjusted.parameters),
-        distortion=_distortion_of(adjusted.parameters),
-        focal_sigma=sigma,
-        error=_whole_error(adjusted, views),
-        view_errors=adjusted.errors[:, 0],
-        board=shape,
-    )
+    return _one(
+        grids, spacing, as_size("image_size", image_size, CalibrationError), free_board=free_board
+    )[0]
 
 
 def calibrate(
@@ -162,191 +119,89 @@ def calibrate(
     fits all views. Raises FieldError if the grids of a view have different shapes.
     """
     views = [_pair(pair) for pair in listed("views", views, Sequence, CalibrationError)]
-    for view, (left, right) in enumerate(views):
-        if left.shape != right.shape:
+    for view, (one, other) in enumerate(views):
+        if one.shape != other.shape:
             raise FieldError(
-                f"view {view}: the grids have different shapes: {left.shape} and {right.shape}"
+                f"view {view}: the grids have different shapes: {one.shape} and {other.shape}"
             )
     if free_board:
-        both = _numbered_alike([grid for pair in views for grid in pair])
-        views = list(zip(both[::2], both[1::2], strict=True))
-    one = calibrate_camera([left for left, _ in views], spacing=spacing, image_size=image_size)
-    two = calibrate_camera([right for _, right in views], spacing=spacing, image_size=image_size)
-    pairs = [
-        (
-            _board(left.xy, left.valid & right.valid, spacing, view),
-            _board(right.xy, left.valid & right.valid, spacing, view),
-        )
-        for view, (left, right) in enumerate(views)
+        grids = numbered_alike([grid for pair in views for grid in pair])
+        views = list(zip(grids[::2], grids[1::2], strict=True))
+    check_positive("spacing", spacing, CalibrationError)
+    size = as_size("image_size", image_size, CalibrationError)
+    left, left_start = _one([one for one, _ in views], spacing, size)
+    right, right_start = _one([other for _, other in views], spacing, size)
+    board = board_of([grid for pair in views for grid in pair], spacing)
+    looks = [
+        _look(board, grid, one.valid & other.valid, camera, view)
+        for view, (one, other) in enumerate(views)
+        for camera, grid in enumerate((one, other))
     ]
-    try:
-        with one_thread():
-            error, K1, D1, K2, D2, R, T, _, _, rotations, translations, _ = (
-                cv2.stereoCalibrateExtended(
-                    [left[0] for left, _ in pairs],
-                    [left[1] for left, _ in pairs],
-                    [right[1] for _, right in pairs],
-                    one.matrix.copy(),
-                    one.distortion.copy(),
-                    two.matrix.copy(),
-                    two.distortion.copy(),
-                    image_size,
-                    np.eye(3),
-                    np.zeros(3),
-                    flags=cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3,
-                )
-            )
-    except cv2.error as failure:
-        raise CalibrationError(f"the views do not determine a rig: {failure}") from failure
-    alone = max(one.error, two.error)
-    if not error <= max(_MAX_MISFIT, _MAX_MISFIT_RATIO * alone):
+    start, free = joined({"left": left_start, "right": right_start}, board), unknowns(_LENS, 2)
+    adjusted, shape = adjust(_LENS, looks, start, free), None
+    both, alone = root_mean_square(*adjusted.residuals), max(left.error, right.error)
+    if not both <= max(_MAX_MISFIT, _MAX_MISFIT_RATIO * alone):
         raise CalibrationError(
-            f"no pose between the cameras fits the views: both together miss by {error:.1f} px, "
+            f"no pose between the cameras fits the views: both together miss by {both:.1f} px, "
             f"each alone by {alone:.2f} px; check the shape of the board, and that left and "
             "right views are pairs"
         )
-    whole = [
-        _view(left[0], rotation, translation, *grids, both=grids[0].valid & grids[1].valid)
-        for (left, _), rotation, translation, grids in zip(
-            pairs, rotations, translations, views, strict=True
-        )
-    ]
-    pose = np.concatenate([cv2.Rodrigues(R)[0].reshape(-1), _double(T).reshape(-1)])
-    start = np.concatenate([_parameters_of(K1, D1), _parameters_of(K2, D2), pose])
-    shape = None
     if free_board:
-        seen = [left.valid & right.valid for left, right in views]
-        adjusted, shape = _with_board(whole, seen, start, spacing)
-    else:
-        adjusted = adjust(whole, start)
-    cameras = [adjusted.parameters[k : k + CAMERA] for k in (0, CAMERA)]
-    rotation, translation = np.split(adjusted.parameters[2 * CAMERA :], 2)
+        adjusted, shape = adjust_board(_LENS, looks, adjusted.state, free, board.shape[:2], spacing)
+    first, second = adjusted.state.cameras
     return StereoCalibration(
         rig=StereoRig(
-            matrix_of(cameras[0]),
-            _distortion_of(cameras[0]),
-            matrix_of(cameras[1]),
-            _distortion_of(cameras[1]),
-            _double(cv2.Rodrigues(rotation)[0]),
-            translation,
+            matrix_of(first),
+            distortion_of(first),
+            matrix_of(second),
+            distortion_of(second),
+            rotation_of(second),
+            second[-3:],
             unit,
             adjusted.covariance,
         ),
-        error=_whole_error(adjusted, whole),
-        view_errors=adjusted.errors,
-        left=one,
-        right=two,
+        error=root_mean_square(*adjusted.residuals),
+        view_errors=_errors(adjusted).reshape(-1, 2),
+        left=left,
+        right=right,
         board=shape,
     )
 
 
-def _numbered_alike(grids: Sequence[Grid]) -> list[Grid]:
-    """Return the grids of a free board with equal indices for the same node.
-
-    If a half turn exchanges black and white, the colours show which way up the board is. Raises
-    CalibrationError if the grids have different rows or columns.
-    """
-    for view, grid in enumerate(grids):
-        if grid.shape != grids[0].shape:
-            raise CalibrationError(
-                "the views of a free board must be numbered alike: the first grid has "
-                f"{grids[0].extent}, number {view} has {grid.extent}"
-            )
-    return [
-        grid.turned(2) if sum(grid.shape) % 2 and grid.parity != grids[0].parity else grid
-        for grid in grids
-    ]
-
-
-def _with_board(
-    views: Sequence[View], seen: Sequence[NDArray[np.bool_]], start: Array, spacing: float
-) -> tuple[Adjusted, Array]:
-    """Adjust with a free board; return its nodes too, (R, C, 3), NaN where no view shows one.
-
-    The views do not show how large a board is: the mean of its sides is `spacing`.
-    """
-    flat = on_board(np.ones_like(seen[0]), spacing)
-    nodes = [np.flatnonzero(each) for each in seen]
-    adjusted, found = adjust_board(views, nodes, start, flat, spacing)
-    shown = np.any(seen, axis=0)
-    shape = np.where(shown[..., None], found.reshape(*shown.shape, 3), np.nan)
-    lengths = np.concatenate([each.ravel() for each in sides(shape)])
-    if not np.isfinite(lengths).any():
-        return adjusted, shape
-    scale = spacing / float(np.nanmean(lengths))
-    centre = np.nanmean(shape, axis=(0, 1))
-    return _scaled(adjusted, scale), centre + (shape - centre) * scale
-
-
-def _scaled(adjusted: Adjusted, scale: float) -> Adjusted:
-    """Return the cameras with the distance between them multiplied by a factor."""
-    factors = np.ones(len(adjusted.parameters))
-    factors[2 * CAMERA + 3 :] = scale
-    return dataclasses.replace(
-        adjusted,
-        parameters=adjusted.parameters * factors,
-        covariance=adjusted.covariance * np.outer(factors, factors),
+def _one(
+    grids: Sequence[Grid], spacing: float, size: tuple[int, int], *, free_board: bool = False
+) -> tuple[CameraCalibration, Alone]:
+    """Calibrate one camera; return it, and what a calibration of several starts from."""
+    grids = numbered_alike(grids) if free_board else grids
+    board = board_of(grids, spacing)
+    looks = [_look(board, grid, grid.valid, 0, view) for view, grid in enumerate(grids)]
+    if len(looks) < MIN_VIEWS:
+        noun = "view" if len(looks) == 1 else "views"
+        raise CalibrationError(f"{len(looks)} {noun} of the board, at least {MIN_VIEWS} are needed")
+    try:
+        start = calibrate_alone(_LENS, looks, board, size)
+    except cv2.error as failure:
+        raise CalibrationError(f"the views do not determine a camera: {failure}") from failure
+    free, sigma = unknowns(_LENS, 1), start.focal_sigma
+    adjusted, shape = adjust(_LENS, looks, joined({"": start}, board), free), None
+    if free_board:
+        adjusted, shape = adjust_board(_LENS, looks, adjusted.state, free, board.shape[:2], spacing)
+        sigma = float(np.sqrt(np.diag(adjusted.covariance)[:2].max()))
+    camera = adjusted.state.cameras[0]
+    found = CameraCalibration(
+        matrix=matrix_of(camera),
+        distortion=distortion_of(camera),
+        focal_sigma=sigma,
+        error=root_mean_square(*adjusted.residuals),
+        view_errors=_errors(adjusted),
+        board=shape,
     )
+    return found, Alone(camera, dict(enumerate(adjusted.state.poses)), sigma)
 
 
-def _view(
-    board: NDArray[np.float32],
-    rotation: ArrayLike,
-    translation: ArrayLike,
-    *grids: Grid,
-    both: NDArray[np.bool_] | None = None,
-) -> View:
-    """Return a view of a board in one or two cameras, at the nodes of the mask `both` or at all."""
-    chosen = [grid.valid if both is None else both for grid in grids]
-    return View(
-        board=board,
-        seen=tuple(g.xy[v].astype(np.float64) for g, v in zip(grids, chosen, strict=True)),
-        sigma=tuple(g.sigma[v].astype(np.float64) for g, v in zip(grids, chosen, strict=True)),
-        pose=np.concatenate([_double(rotation).reshape(-1), _double(translation).reshape(-1)]),
-    )
-
-
-def _parameters_of(matrix: ArrayLike, distortion: ArrayLike) -> Array:
-    """Return the parameters fx fy cx cy k1 k2 p1 p2."""
-    k = _double(matrix)
-    return np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2], *_double(distortion).reshape(-1)[:4]])
-
-
-def _distortion_of(parameters: Array) -> Array:
-    return np.append(parameters[4:CAMERA], 0.0)
-
-
-def _whole_error(adjusted: Adjusted, views: Sequence[View]) -> float:
-    """Return the root mean square reprojection error over all views and cameras, px."""
-    counts = np.array([len(view.board) for view in views], np.float64)[:, None]
-    mean = (np.square(adjusted.errors) * counts).sum() / (counts.sum() * adjusted.errors.shape[1])
-    return float(math.sqrt(mean))
-
-
-def focal_sigma(slopes: Iterable[tuple[NDArray[Any], NDArray[Any]]], error: float) -> float:
-    """Return the larger standard deviation of fx and fy, px; infinite where undetermined.
-
-    OpenCV's own estimate drops small singular values: it is 0 where every view faces the camera.
-    slopes: for each view the derivatives of its projection by the pose and by the camera, whose
-    first two parameters are fx and fy. error: RMS reprojection error, px.
-    """
-    free = []
-    for by_pose, by_camera in slopes:
-        basis = np.linalg.qr(by_pose)[0]
-        free.append(by_camera - basis @ (basis.T @ by_camera))
-    stacked = np.concatenate(free)
-    scale = np.linalg.norm(stacked, axis=0)
-    if not (scale > 0).all():
-        return math.inf
-    _, singular, axes = np.linalg.svd(stacked / scale, full_matrices=False)
-    if not singular[-1] > 0:
-        return math.inf
-    deviation = np.linalg.norm(axes[:, :2] / singular[:, None], axis=0) / scale[:2]
-    return float(deviation.max() * error / math.sqrt(2))
-
-
-def _double(value: ArrayLike) -> Array:
-    return np.asarray(value, np.float64)
+def _errors(adjusted: Adjusted) -> Array:
+    """Return the RMS reprojection error of each look, px."""
+    return np.array([root_mean_square(off) for off in adjusted.residuals])
 
 
 def _pair(views: Sequence[Grid]) -> tuple[Grid, Grid]:
@@ -357,34 +212,12 @@ def _pair(views: Sequence[Grid]) -> tuple[Grid, Grid]:
     return found[0], found[1]
 
 
-def _checked_size(size: Any) -> tuple[int, int]:
-    sides = listed("image_size", size, Integral, CalibrationError)
-    if len(sides) != 2 or min(sides) < 1:
-        raise CalibrationError(f"image_size must be (width, height), px, not {size!r}")
-    return int(sides[0]), int(sides[1])
-
-
-def _check_views(count: int) -> None:
-    if count < MIN_VIEWS:
-        noun = "view" if count == 1 else "views"
-        raise CalibrationError(f"{count} {noun} of the board, at least {MIN_VIEWS} are needed")
-
-
-def _board(
-    xy: NDArray[np.float32], valid: NDArray[np.bool_], spacing: float, view: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the nodes of a view on the board (N, 3), in the unit of spacing, and in px (N, 2)."""
+def _look(board: Array, grid: Grid, valid: NDArray[np.bool_], camera: int, view: int) -> Look:
+    """Return what a camera sees of a board; raises CalibrationError if it is too little."""
     row, column = np.nonzero(valid)
     if len(row) < MIN_NODES or len(set(row)) < 2 or len(set(column)) < 2:
         raise CalibrationError(
             f"view {view} shows {len(row)} nodes, at least {MIN_NODES} in two rows and two "
             "columns are needed"
         )
-    return on_board(valid, spacing).astype(np.float32), np.ascontiguousarray(xy[valid], np.float32)
-
-
-def on_board(nodes: NDArray[np.bool_], spacing: float) -> Array:
-    """Return the positions of the nodes (R, C) on a flat board, (N, 3), in the unit of spacing."""
-    row, column = np.nonzero(nodes)
-    flat = np.column_stack([column, row, np.zeros(len(row))])
-    return flat.astype(np.float64) * spacing
+    return look_at(board, grid, valid, camera, view)

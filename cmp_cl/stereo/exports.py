@@ -7,6 +7,7 @@ half a pixel, and its file says so.
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, ConfigError
+from cmp_cl.errors import CalibrationError, ConfigError, as_size, check_kind
 from cmp_cl.files import check_path, csv_bytes, suffix_of, write_text
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.cameras import Camera, Lens
@@ -53,6 +54,12 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
     differ or a name has white space that .vnl cannot hold, OSError.
     """
     check_corners(path)
+    check_kind("views", views, Mapping, CalibrationError)
+    check_kind("spacing", spacing, Real, CalibrationError)
+    for name, grid in views.items():
+        check_kind("each name of views", name, str, CalibrationError)
+        if grid is not None:
+            check_kind(f"views[{name!r}]", grid, Grid, CalibrationError)
     shapes = {grid.shape for grid in views.values() if grid is not None}
     if not shapes:
         raise ConfigError("no view shows the board: there are no corners to write")
@@ -147,6 +154,8 @@ def cameras_of(rig: StereoRig, size: tuple[int, int]) -> dict[str, Camera]:
 
     Raises CalibrationError if a lens has other than 4, 5 or 8 coefficients.
     """
+    check_kind("rig", rig, StereoRig, CalibrationError)
+    size = as_size("size", size, CalibrationError)
     cameras = {}
     poses = (np.eye(3), np.zeros(3)), (rig.R, rig.T)
     lenses = ((rig.K1, rig.D1), (rig.K2, rig.D2))
@@ -172,6 +181,16 @@ def cameras_of(rig: StereoRig, size: tuple[int, int]) -> dict[str, Camera]:
     return cameras
 
 
+def _check_cameras(cameras: Mapping[str, Camera]) -> None:
+    """Raise CalibrationError if cameras are not at least one `Camera` by name."""
+    check_kind("cameras", cameras, Mapping, CalibrationError)
+    for name, camera in cameras.items():
+        check_kind("each name of cameras", name, str, CalibrationError)
+        check_kind(f"cameras[{name!r}]", camera, Camera, CalibrationError)
+    if not cameras:
+        raise CalibrationError("cameras must be at least one")
+
+
 def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
     """Write cameras as OpenCV's FileStorage YAML, whole or not at all.
 
@@ -179,6 +198,7 @@ def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> Non
     poses relative to the first camera. Two pinhole or rational cameras also have R and T, so that
     `StereoRig.load` reads the file. Raises OSError.
     """
+    _check_cameras(cameras)
     storage = new_storage()
     for number, (name, camera) in enumerate(cameras.items(), 1):
         storage.write(f"name{number}", name)
@@ -203,6 +223,8 @@ def save_ros(path: str | PathLike[str], camera: Camera, *, name: str) -> None:
 
     Raises OSError.
     """
+    check_kind("camera", camera, Camera, CalibrationError)
+    check_kind("name", name, str, CalibrationError)
     model = {
         Lens.PINHOLE: "plumb_bob",
         Lens.RATIONAL: "rational_polynomial",
@@ -248,6 +270,7 @@ def save_kalibr(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> Non
     The topic of each is /NAME/image_raw. Raises CalibrationError if a lens has no such
     model (rational, or k3 other than 0) or the unit is not m, cm, mm or um; OSError.
     """
+    _check_cameras(cameras)
     text, before = [], np.eye(4)
     for number, (name, camera) in enumerate(cameras.items()):
         pose = np.eye(4)
@@ -295,6 +318,7 @@ def save_colmap(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> Non
     COLMAP's pixel centres are at halves, so the principal points are larger by half a pixel. Raises
     OSError.
     """
+    _check_cameras(cameras)
     lines = [
         "# Camera list with one line of data per camera:",
         "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
@@ -324,6 +348,7 @@ def save_cameras(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> li
     Raises ConfigError on another name, and the errors of the formats.
     """
     ending = check_cameras(path)
+    _check_cameras(cameras)
     target = Path(path)
     if ending == "cameras.txt":
         save_colmap(target, cameras)

@@ -6,15 +6,23 @@ from numbers import Real
 from os import PathLike
 from typing import Any, Self
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
+from cmp_cl.errors import CalibrationError, FieldError, check_kind
 from cmp_cl.files import write_text
 from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.stereo.adjustment import CAMERA, OF_CAMERA, POSE
+from cmp_cl.stereo.lens import (
+    ESTIMATED,
+    POSE,
+    Lens,
+    camera_of,
+    check_matrix,
+    checked_array,
+    checked_distortion,
+    projected,
+)
 from cmp_cl.stereo.points import Points3D, PointStatus
 from cmp_cl.stereo.storage import new_storage, open_storage, read_matrix, yaml_text
 from cmp_cl.stereo.triangulation import (
@@ -66,14 +74,14 @@ class StereoRig:
 
     def __post_init__(self) -> None:
         if self.covariance is not None:
-            size = 2 * CAMERA + POSE
-            self._set("covariance", _numbers("covariance", self.covariance, (size, size)))
+            size = 2 * ESTIMATED + POSE
+            self._set("covariance", checked_array("covariance", self.covariance, (size, size)))
         for name, shape in (("K1", (3, 3)), ("K2", (3, 3)), ("R", (3, 3)), ("T", (3,))):
-            self._set(name, _numbers(name, getattr(self, name), shape))
+            self._set(name, checked_array(name, getattr(self, name), shape))
         for name in ("D1", "D2"):
-            self._set(name, _distortion(name, getattr(self, name)))
-        _check_matrix("K1", self.K1)
-        _check_matrix("K2", self.K2)
+            self._set(name, checked_distortion(name, getattr(self, name)))
+        check_matrix("K1", self.K1)
+        check_matrix("K2", self.K2)
         if np.abs(self.R @ self.R.T - np.eye(3)).max() > 1e-4 or np.linalg.det(self.R) < 0:
             raise CalibrationError(f"R must be a rotation matrix, not {self.R.tolist()}")
         if np.linalg.norm(self.T) < 1e-9:
@@ -196,16 +204,16 @@ class StereoRig:
         all_status = np.full(left.shape, PointStatus.MISSING, np.uint8)
         all_status[both] = status
         return Points3D(
-            xyz=_spread(both, xyz),
-            error=_spread(both, error),
-            covariance=_spread(both, covariance),
+            xyz=spread(both, xyz),
+            error=spread(both, error),
+            covariance=spread(both, covariance),
             status=all_status,
             source=np.where(both, np.maximum(left.status, right.status), NodeStatus.MISSING).astype(
                 np.uint8
             ),
             unit=self.unit,
-            calibration_covariance=None if self.covariance is None else _spread(both, shared),
-            bend_shift=_spread(both, moved),
+            calibration_covariance=None if self.covariance is None else spread(both, shared),
+            bend_shift=spread(both, moved),
         )
 
     def _first_order(self, seen: Array) -> tuple[Array, NDArray[np.uint8]]:
@@ -261,53 +269,21 @@ class StereoRig:
         Returns (N, 4) px, its derivatives with respect to the point, (N, 4, 3), and with respect
         to the 22 parameters of `covariance`, (N, 4, 22).
         """
-        rotation = cv2.Rodrigues(self.R)[0]
-        zero = np.zeros(3)
-        left, by_left = cv2.projectPoints(xyz, zero, zero, self.K1, self.D1)
-        right, by_right = cv2.projectPoints(xyz, rotation, self.T, self.K2, self.D2)
-        by_left, by_right = (each.reshape(len(xyz), 2, -1) for each in (by_left, by_right))
-        # With respect to the translation, which is with respect to the rotated point.
-        translation = slice(3, 6)
-        jacobian = np.concatenate(
-            [by_left[..., translation], by_right[..., translation] @ self.R], axis=1
-        )
-        by_rig = np.zeros((len(xyz), 4, 2 * CAMERA + POSE))
-        by_rig[:, :2, :CAMERA] = by_left[..., OF_CAMERA]
-        by_rig[:, 2:, CAMERA : 2 * CAMERA] = by_right[..., OF_CAMERA]
-        by_rig[:, 2:, 2 * CAMERA :] = by_right[..., :POSE]
-        return np.hstack([left.reshape(-1, 2), right.reshape(-1, 2)]), jacobian, by_rig
+        one = camera_of(self.K1, self.D1, np.eye(3), np.zeros(3))
+        two = camera_of(self.K2, self.D2, self.R, self.T)
+        left, by_left = projected(Lens.PINHOLE, xyz, one)
+        right, by_right = projected(Lens.PINHOLE, xyz, two)
+        # By the translation, which is by the rotated point.
+        jacobian = np.concatenate([by_left[..., -3:], by_right[..., -3:] @ self.R], axis=1)
+        by_rig = np.zeros((len(xyz), 4, 2 * ESTIMATED + POSE))
+        by_rig[:, :2, :ESTIMATED] = by_left[..., :ESTIMATED]
+        by_rig[:, 2:, ESTIMATED : 2 * ESTIMATED] = by_right[..., :ESTIMATED]
+        by_rig[:, 2:, 2 * ESTIMATED :] = by_right[..., -POSE:]
+        return np.hstack([left, right]), jacobian, by_rig
 
 
-def _spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:
+def spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:
     """Scatter values to the True elements of an (R, C) mask; the others are NaN."""
     spread = np.full((*where.shape, *values.shape[1:]), np.nan)
     spread[where] = values
     return spread
-
-
-def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
-    array = as_numbers(name, value, CalibrationError)
-    if shape == (3,) and array.shape in ((3, 1), (1, 3)):
-        array = array.reshape(3)
-    if array.shape != shape:
-        raise CalibrationError(f"{name} must have shape {shape}, not {array.shape}")
-    if not np.isfinite(array).all():
-        raise CalibrationError(f"{name} must be finite, not {array.tolist()}")
-    return array
-
-
-def _distortion(name: str, value: ArrayLike) -> Array:
-    array = as_numbers(name, value, CalibrationError)
-    size = array.size
-    if size not in (0, 4, 5, 8, 12, 14):
-        raise CalibrationError(f"{name} must have 0, 4, 5, 8, 12 or 14 coefficients, not {size}")
-    return _numbers(name, array.reshape(-1), (size,)) if size else np.zeros(5)
-
-
-def _check_matrix(name: str, matrix: Array) -> None:
-    if min(matrix[0, 0], matrix[1, 1]) <= 0:
-        raise CalibrationError(f"{name} must have positive focal lengths, not {matrix.tolist()}")
-    if matrix[0, 1] or matrix[1, 0] or (matrix[2] != (0, 0, 1)).any():
-        raise CalibrationError(
-            f"{name} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {matrix.tolist()}"
-        )

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, as_numbers
+from cmp_cl.stereo.lens import check_matrix, checked_array, checked_distortion
 
 # Px: largest distance of a pixel from itself after undistortion and distortion.
 _MAX_ROUND_TRIP = 0.01
@@ -22,11 +23,16 @@ def undistort(
 
     points: (N, 2), px. matrix, distortion: of the camera, as in `StereoRig`. Returns (N, 2)
         float64, and a mask (N,), True if distortion of the result leads back to the pixel. If it
-        does not, the lens model cannot be inverted there. Raises FieldError for other points.
+        does not, the lens model cannot be inverted there.
+
+    Raises FieldError for other points, and CalibrationError for another camera.
     """
     measured = as_numbers("points", points, FieldError)
     if measured.ndim != 2 or measured.shape[1] != 2:
         raise FieldError(f"points must be (N, 2), not {measured.shape}")
+    matrix = checked_array("matrix", matrix, (3, 3))
+    check_matrix("matrix", matrix)
+    distortion = checked_distortion("distortion", distortion)
     measured = measured.reshape(-1, 1, 2)
     if not len(measured):
         return np.empty((0, 2)), np.empty(0, bool)

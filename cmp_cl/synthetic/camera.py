@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 import cv2
 import numpy as np
 
-from cmp_cl.errors import ConfigError, check_shape
+from cmp_cl.errors import ConfigError, as_numbers, check_shape
 from cmp_cl.synthetic.raster import Array
 from cmp_cl.synthetic.scene import Scene
 
@@ -66,6 +66,20 @@ def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
         R=rotation,
         T=centre - rotation @ centre,
     )
+
+
+def checked_rig(rig: Rig) -> Cameras:
+    """Return a rig as plain arrays; raises ConfigError if a part is missing or malformed."""
+    arrays = {}
+    for name, shape in (("K1", (3, 3)), ("D1", (-1,)), ("K2", (3, 3)), ("D2", (-1,)),
+                        ("R", (3, 3)), ("T", (3,))):  # fmt: skip
+        if not hasattr(rig, name):
+            raise ConfigError(f"rig must have K1, D1, K2, D2, R and T, not {type(rig).__name__}")
+        array = as_numbers(f"rig.{name}", getattr(rig, name), ConfigError)
+        if array.size != math.prod(shape) and -1 not in shape:
+            raise ConfigError(f"rig.{name} must have shape {shape}, not {array.shape}")
+        arrays[name] = array.reshape(shape)
+    return Cameras(**arrays)
 
 
 class PinholeCamera:

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, check_kind
 from cmp_cl.image import GreyImage
-from cmp_cl.synthetic.camera import DISTANCE, FILL, PinholeCamera, Pose, Rig, facing_both
+from cmp_cl.synthetic.camera import (
+    DISTANCE,
+    FILL,
+    PinholeCamera,
+    Pose,
+    Rig,
+    checked_rig,
+    facing_both,
+)
 from cmp_cl.synthetic.material import SAMPLES, illumination, reflectance
 from cmp_cl.synthetic.raster import Array, Image, pixel_centres, resized
 from cmp_cl.synthetic.scene import Scene
@@ -70,13 +78,14 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
     Returns the left view, the right view and the nodes (N, N, 3) float64, mm, in the left camera's
     frame. The rig projects these nodes to both truths.
 
-    Raises ConfigError if the surface would fold over in one of the images.
+    Raises ConfigError if the rig is malformed, or if the surface would fold over in one of the
+    images.
     """
     check_kind("scene", scene, Scene, ConfigError)
-    rotation, translation = np.asarray(rig.R, float), np.asarray(rig.T, float).reshape(3)
-    left = PinholeCamera(rig.K1, rig.D1, np.eye(3), np.zeros(3))
-    right = PinholeCamera(rig.K2, rig.D2, rotation, translation)
-    axes, centre = facing_both(rotation, translation)
+    cameras = checked_rig(rig)
+    left = PinholeCamera(cameras.K1, cameras.D1, np.eye(3), np.zeros(3))
+    right = PinholeCamera(cameras.K2, cameras.D2, cameras.R, cameras.T)
+    axes, centre = facing_both(cameras.R, cameras.T)
     pose = Pose.of(scene, axes, centre, float(left.matrix[0, 0]))
     xyz = pose.place(surface(scene, nodes_at_rest(scene)))
     return (

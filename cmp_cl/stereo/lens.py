@@ -1,0 +1,109 @@
+"""The lens models, and the projection through them with its derivatives.
+
+The parameters of a camera are one vector: fx, fy, cx, cy, the coefficients of distortion, then its
+pose, a rotation vector and a translation: X = R X_first + T.
+"""
+
+import enum
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import CalibrationError, as_numbers
+
+Array = NDArray[np.float64]
+
+POSE = 6  # rotation vector, translation
+ESTIMATED = 8  # parameters of a pinhole that are estimated: fx fy cx cy k1 k2 p1 p2
+
+
+class Lens(enum.Enum):
+    """The lens model of a camera, in OpenCV's terms.
+
+    PINHOLE: k1 k2 p1 p2 k3 with k3 = 0. RATIONAL: k1 k2 p1 p2 k3 k4 k5 k6. FISHEYE: the
+    equidistant model of cv2.fisheye, k1 k2 k3 k4.
+    """
+
+    PINHOLE = "pinhole"
+    RATIONAL = "rational"
+    FISHEYE = "fisheye"
+
+    @property
+    def coefficients(self) -> int:
+        """Return the number of coefficients of distortion."""
+        return {Lens.PINHOLE: 5, Lens.RATIONAL: 8, Lens.FISHEYE: 4}[self]
+
+
+def camera_of(matrix: Array, distortion: Array, rotation: Array, translation: Array) -> Array:
+    """Return the parameters of a camera; rotation: (3, 3)."""
+    focal, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2]
+    turn = cv2.Rodrigues(rotation)[0].ravel()
+    return np.concatenate([focal, centre, distortion, turn, translation])
+
+
+def matrix_of(camera: Array) -> Array:
+    """Return the camera matrix (3, 3) of a camera's parameters."""
+    fx, fy, cx, cy = camera[:4]
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+
+
+def distortion_of(camera: Array) -> Array:
+    """Return the coefficients of distortion of a camera's parameters."""
+    return camera[4:-POSE]
+
+
+def rotation_of(camera: Array) -> Array:
+    """Return the rotation matrix (3, 3) of a camera's pose."""
+    return np.asarray(cv2.Rodrigues(camera[-POSE:-3])[0], np.float64)
+
+
+def projected(lens: Lens, points: Array, camera: Array) -> tuple[Array, Array]:
+    """Project points by a camera.
+
+    points: (N, 3), in the frame of the first camera. camera: its parameters, (P,). Returns the
+    pixels (N, 2), and their derivatives by the parameters, (N, 2, P).
+    """
+    pose = camera[-POSE:-3, None], camera[-3:, None]
+    model = matrix_of(camera), distortion_of(camera)
+    if lens is Lens.FISHEYE:
+        seen, slopes = cv2.fisheye.projectPoints(points[:, None], *pose, *model)
+        by_camera = slopes[:, :-1]  # the last one is the skew
+    else:
+        seen, slopes = cv2.projectPoints(points[:, None], *pose, *model)
+        by_camera = np.hstack([slopes[:, POSE:], slopes[:, :POSE]])
+    by_camera = np.asarray(by_camera, np.float64).reshape(len(points), 2, -1)
+    return np.asarray(seen, np.float64).reshape(-1, 2), by_camera
+
+
+def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return an argument of that name as a new array; raises CalibrationError unless it has that
+    shape and is finite."""
+    array = as_numbers(name, value, CalibrationError)
+    if shape == (3,) and array.shape in ((3, 1), (1, 3)):
+        array = array.reshape(3)
+    if array.shape != shape:
+        raise CalibrationError(f"{name} must have shape {shape}, not {array.shape}")
+    if not np.isfinite(array).all():
+        raise CalibrationError(f"{name} must be finite, not {array.tolist()}")
+    return array
+
+
+def checked_distortion(name: str, value: ArrayLike) -> Array:
+    """Return coefficients of distortion, 5 for none; raises CalibrationError for a number of them
+    that OpenCV does not take."""
+    array = as_numbers(name, value, CalibrationError)
+    size = array.size
+    if size not in (0, 4, 5, 8, 12, 14):
+        raise CalibrationError(f"{name} must have 0, 4, 5, 8, 12 or 14 coefficients, not {size}")
+    return checked_array(name, array.reshape(-1), (size,)) if size else np.zeros(5)
+
+
+def check_matrix(name: str, matrix: Array) -> None:
+    """Raise CalibrationError if a matrix (3, 3) of that name is not that of a camera."""
+    if min(matrix[0, 0], matrix[1, 1]) <= 0:
+        raise CalibrationError(f"{name} must have positive focal lengths, not {matrix.tolist()}")
+    if matrix[0, 1] or matrix[1, 0] or (matrix[2] != (0, 0, 1)).any():
+        raise CalibrationError(
+            f"{name} must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {matrix.tolist()}"
+        )
