@@ -286,6 +286,7 @@ _WIDEST_CELL, _WIDE_SCALE = 60, 0.45  # used if the blur is not known
 _MOST_WORKING_CELL = 100
 _DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
+_MOVED = ("threshold", "criteria", "contrast", "outer_radius")
 _REFINEMENTS: dict[str, type] = {
     "edge_lines": EdgeLines,
     "edge_step": EdgeStep,
@@ -426,6 +427,9 @@ class DetectorConfig:
 
     @classmethod
     def _from_dict(cls, data: Mapping[str, Any]) -> Self:
+        for key in data:
+            if key in _MOVED:
+                raise ConfigError(_moved(key, data[key]))
         values = _known(data, cls)
         if "detection" in values:
             values["detection"] = _detection(values["detection"])
@@ -458,6 +462,14 @@ def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
         key: None if value is False and types[key] is not bool else value
         for key, value in data.items()
     }
+
+
+def _moved(key: str, value: object) -> str:
+    """Return a message that says how to write a key that belongs in the table [detection]."""
+    moved = f"[{key}] as [detection.{key}]"
+    if not isinstance(value, Mapping):
+        moved = f"{key} = {_toml(None if value is False else value)} in that table"
+    return f'{key} belongs to the detection: write [detection] with kind = "binary_rings", {moved}'
 
 
 def _detection(value: object) -> RingHarmonic | BinaryRings | None:
