@@ -122,7 +122,8 @@ class RingHarmonic:
 
     noise: least response of a corner, standard deviations of the noise, 0 to 100; cells
         squeezed under 6 px need twice that.
-    relative: least response of a corner as a share of the reference response of the frame, 0 to 1;
+    relative: least response of a corner as a share of the reference response of the frame, 0 to 1.
+        Half of it is enough if the response is at least 3/4 of the length of the second harmonic;
         the share for squeezed cells is 5/3 as large.
     fine: whether a ring of 3 px searches for cells squeezed under 6 px.
     alignment: factor of the check that the harmonics of a small and of a large ring point in

@@ -21,6 +21,7 @@
 #define LEAST 80 /* least bound: a step of two grey levels may have this response */
 #define KINDS (1 + FINE)
 #define LIST_COLUMNS 6
+#define CLEAN (1 << 30) /* in the column of the sums: the response of the corner is clean */
 
 /* The column of a work-item; in the padding it is the border column. */
 #define HELD_COLUMN (size_t)(PAD + clamp((int)get_global_id(0) - PAD, 0, (int)columns - 1))
@@ -139,11 +140,14 @@ bool is_maximum(__global const short *response, const size_t p, const int x, con
   return true;
 }
 
+/* True if little is subtracted from the length: the corner is weak at most in contrast. */
+bool is_clean(const int response, const Harmonics h) { return 4 * response >= 3 * h.length; }
+
 /* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments
- * in x and y of the positive responses of the 5 x 5 around it. */
+ * in x and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or 0. */
 void append(__global const short *response, const size_t p, const int x, const int y,
-            const uint rows, const uint step, const uint capacity, __global uint *total,
-            __global int *list) {
+            const int mark, const uint rows, const uint step, const uint capacity,
+            __global uint *total, __global int *list) {
   const uint n = atomic_inc(total);
   if (n >= capacity) return;
   int sum = 0, sum_x = 0, sum_y = 0;
@@ -159,7 +163,7 @@ void append(__global const short *response, const size_t p, const int x, const i
   list[n] = x - PAD;
   list[capacity + n] = y;
   list[2 * capacity + n] = response[ROW(p, y) + x];
-  list[3 * capacity + n] = sum;
+  list[3 * capacity + n] = sum | mark;
   list[4 * capacity + n] = sum_x;
   list[5 * capacity + n] = sum_y;
 }
@@ -185,12 +189,13 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
   const Harmonics outer = harmonics_of(coarse_plane, p, x, y, 5, 4, rows, step);
   const Harmonics inner = harmonics_of(fine_plane, p, x, y, 3, 2, rows, step);
   if (!aligned(alignment, inner, outer) || !no_stripe(inner, outer)) return;
+  const int r = response[ROW(p, y) + x];
   if (support) { /* check 2: a ring of 4 px responds alike */
-    const int r = response[ROW(p, y) + x];
     const int middle = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 4, 3, rows, step));
     if (support * middle < r || middle > 2 * r) return;
   }
-  append(response, p, x, y, rows, step, capacity, counts + LIST(0), LIST_OF(0));
+  append(response, p, x, y, is_clean(r, outer) ? CLEAN : 0, rows, step, capacity,
+         counts + LIST(0), LIST_OF(0));
 }
 
 #if FINE
@@ -207,7 +212,7 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
   if (!is_maximum(response, p, x, y, rows, step)) return;
   const Harmonics inner = harmonics_of(fine_plane, p, x, y, 2, 1, rows, step);
   if (!aligned(4, inner, harmonics_of(fine_plane, p, x, y, 3, 2, rows, step))) return;
-  append(response, p, x, y, rows, step, capacity, counts + LIST(1), LIST_OF(1));
+  append(response, p, x, y, 0, rows, step, capacity, counts + LIST(1), LIST_OF(1));
 }
 
 #endif
@@ -307,14 +312,17 @@ __kernel void find_reference(__global const ulong *restrict squares, const uint 
   const Decision decision = found[p];
 
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
- * reference. Each marks the window around it as taken. One work-item per maximum. */
+ * reference, or half of that share if it is clean. Each marks the window around it as taken. One
+ * work-item per maximum. */
 __kernel void keep_coarse(__global const int *restrict lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint capacity, const int coarse_share,
                           __global uint *restrict row_counts, __global uint *restrict maxima,
                           __global uint *restrict taken) {
   ENTRY(0)
-  if (r <= decision.bound[0] || 128 * r < coarse_share * decision.reference) return;
+  const int clean = entry[3 * capacity] & CLEAN;
+  if (r <= decision.bound[0] || (clean ? 256 : 128) * r < coarse_share * decision.reference)
+    return;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
   const int left = x - NMS_RADIUS;
@@ -372,5 +380,6 @@ __kernel void put_in_order(__global const int *restrict lists, __global const ui
   for (size_t before = word - x / 32; before < word; ++before) rank += popcount(maxima[before]);
   if (rank >= corner_capacity) return;
   for (uint k = 0; k < LIST_COLUMNS; ++k)
-    corners[(size_t)k * length + p * corner_capacity + rank] = entry[k * capacity];
+    corners[(size_t)k * length + p * corner_capacity + rank] =
+        k == 3 ? entry[k * capacity] & ~CLEAN : entry[k * capacity];
 }

@@ -82,7 +82,8 @@ def corners(
     y, x = y[passed], x[passed]
     level = reference(coarse_response[y, x])
     share = math.floor(128 * rule.relative + 0.5)
-    strong = 128 * coarse_response[y, x] >= share * level
+    clean = is_clean(coarse_response[y, x], harmonics(thrice, y, x, COARSE))
+    strong = np.where(clean, 256, 128) * coarse_response[y, x] >= share * level
     kept = np.zeros(image.shape, np.bool_)
     kept[y[strong], x[strong]] = True
 
@@ -253,6 +254,15 @@ def looks_alike(
         middle = coarse_measure(harmonics(thrice, y, x, MIDDLE))
         passed &= (rule.support * middle >= response) & (middle <= 2 * response)
     return passed
+
+
+def is_clean(response: Whole, seen: Harmonics) -> NDArray[np.bool_]:
+    """Return True where the response is at least 3/4 of the length of the second harmonic.
+
+    Such a corner is weak at most in contrast: torn corners, dirt and texture lose more.
+    """
+    clean: NDArray[np.bool_] = 4 * response >= 3 * seen.length
+    return clean
 
 
 def looks_alike_when_squeezed(once: Whole, y: Whole, x: Whole) -> NDArray[np.bool_]:

@@ -259,13 +259,15 @@ Harmonics harmonics_of(const Ring *ring, const int x, const int a, const int d) 
 int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
 /* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments in x
- * and y of the positive responses of the 5 x 5 around it. `rows_of` holds the five rows; those
- * outside the image are 0. A response is at most 11 220, so the sum of five fits in 16 bits. */
+ * and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or 0. `rows_of` holds the
+ * five rows; those outside the image are 0. A response is at most 11 220, so the sum of five fits
+ * in 16 bits. */
+#define CLEAN (1 << 30) /* in the column of the sums: the response of the corner is clean */
 #define ABOVE_ZERO(v) ((v) & ~((v) >> (short)15))
 #define POSITIVE(k) ABOVE_ZERO(EIGHT_AT(rows_of[k] + x - 2))
 #define SUM5(v) ((int)v.s0 + (int)v.s1 + (int)v.s2 + (int)v.s3 + (int)v.s4)
 void append(__global int *restrict list, const uint n, const uint capacity, const int x, const int y,
-            __global const short *const *rows_of) {
+            const int mark, __global const short *const *rows_of) {
   const short8 above_2 = POSITIVE(0), above = POSITIVE(1), middle = POSITIVE(2);
   const short8 below = POSITIVE(3), below_2 = POSITIVE(4);
   const ushort8 columns = as_ushort8(above_2 + above + middle + below + below_2);
@@ -273,7 +275,7 @@ void append(__global int *restrict list, const uint n, const uint capacity, cons
   list[n] = x;
   list[capacity + n] = y;
   list[2 * capacity + n] = middle.s2;
-  list[3 * capacity + n] = SUM5(columns);
+  list[3 * capacity + n] = SUM5(columns) | mark;
   list[4 * capacity + n] = 2 * ((int)columns.s4 - (int)columns.s0) + (int)columns.s3 - (int)columns.s1;
   list[5 * capacity + n] = 2 * SUM5(far) + SUM5(near);
 }
@@ -351,8 +353,9 @@ void copy_entries(__global const int *from, const uint capacity, const uint coun
 }
 
 /* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
- * noise, and not below a share of the reference; a fine one counts only if no coarse corner is
- * within NMS_RADIUS. `maxima` gets a bit for each coarse corner. The lists keep the corners. */
+ * noise, and not below a share of the reference, or half of that share if it is clean; a fine one
+ * counts only if no coarse corner is within NMS_RADIUS. `maxima` gets a bit for each coarse corner.
+ * The lists keep the corners. */
 void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
             __global int *lists, const uint rows, const uint columns, const uint step,
             const uint bands, const uint capacity, const uint full_scale,
@@ -386,8 +389,9 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
     const uint count = SMALLER(SPAN_OF(band, 0).y, capacity);
     uint kept = 0;
     for (uint n = 0; n < count; ++n) {
-      const int r = list[2 * capacity + n];
-      if (r <= coarse_bound || 128 * r < coarse_share * reference) continue;
+      const int r = list[2 * capacity + n], clean = list[3 * capacity + n] & CLEAN;
+      if (r <= coarse_bound || (clean ? 256 : 128) * r < coarse_share * reference) continue;
+      list[3 * capacity + n] &= ~CLEAN;
 #if FINE
       const uint x = (uint)list[n] + PAD;
       maxima[(uint)list[capacity + n] * width + x / 32] |= 1u << x % 32;
@@ -557,6 +561,7 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
         const int x = column[upward ? peaks - 1 - k : k];
         const uint at = (uint)y * step + PAD + (uint)x;
         if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, row[0][x])) continue;
+        int mark = 0;
         if (fine) {
           const int2 v2 = harmonics_of(&inner, x, 2, 1).second;
           const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
@@ -572,10 +577,12 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
           if (support && (support * r4 < r || r4 > 2 * r)) continue;
           if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
             continue;
+          /* Little is subtracted from the length: the corner is weak at most in contrast. */
+          mark = 4 * r >= 3 * h5.length ? CLEAN : 0;
         }
         if (found[fine] < capacity) {
           const uint n = upward ? capacity - 1 - found[fine] : found[fine];
-          append(list, n, capacity, x, y, row - 2);
+          append(list, n, capacity, x, y, mark, row - 2);
         }
         ++found[fine];
       }

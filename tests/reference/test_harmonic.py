@@ -198,7 +198,12 @@ def test_the_kept_maxima_follow_the_definition(name):
         if alike and 6 * middle >= coarse[y, x] and middle <= 2 * coarse[y, x]:
             checked.append((y, x))
     level = harmonic.reference(np.array([coarse[at] for at in checked], np.int64))
-    kept = [at for at in checked if 128 * coarse[at] >= 24 * level]
+    kept = []
+    for y, x in checked:
+        length = at(y, x, (5, 4), thrice).length[0]
+        share = 12 if coarse[y, x] >= 0.75 * length else 24
+        if 128 * coarse[y, x] >= share * level:
+            kept.append((y, x))
     squeezed = []
     for y, x in peaks(fine, found.bounds[1]):
         small, large = at(y, x, (2, 1), once), at(y, x, (3, 2), once)
@@ -277,14 +282,25 @@ def test_a_corner_is_found_where_a_flake_of_the_print_beside_it_is_gone(angle, x
 
 
 def test_a_lower_relative_level_keeps_faint_corners():
-    faint = (corner(20, 20, 0.4) // 8 + 100).astype(np.uint8)
+    faint = (corner(20, 20, 0.4) // 16 + 100).astype(np.uint8)
     image = np.hstack([corner(20, 20, 0.4)] * 3 + [faint])
     assert (corners_of(image, fine=False).x < 123).all()
     assert (corners_of(image, fine=False, relative=0.05).x > 123).any()
 
 
+def test_a_corner_in_a_shadow_is_kept_if_it_is_clean():
+    """Of two corners with a sixth of the contrast, the one on a steep slope is not clean."""
+    faint = corner(20, 20, 0.4) // 6 + 100
+    slope = np.arange(41)
+    image = np.hstack([corner(20, 20, 0.4)] * 3 + [faint, faint + slope]).astype(np.uint8)
+    found = corners_of(image, fine=False).x
+    assert np.abs(found - 143).min() <= 1
+    assert np.abs(found - 184).min() > 3
+    assert np.abs(corners_of(image, fine=False, relative=0.1).x - 184).min() <= 1
+
+
 def test_a_mask_limits_the_kept_maxima_and_those_of_the_reference():
-    faint = (corner(20, 20, 0.4) // 8 + 100).astype(np.uint8)
+    faint = (corner(20, 20, 0.4) // 16 + 100).astype(np.uint8)
     image = np.hstack([faint] + [corner(20, 20, 0.4)] * 3)
     mask = np.zeros(image.shape, np.bool_)
     mask[:, :41] = True
