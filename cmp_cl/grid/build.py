@@ -11,6 +11,7 @@ from cmp_cl.corners import Corners, Refusal
 from cmp_cl.errors import GridError, ImageError, check_kind, check_shape
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.detached import drop_detached
+from cmp_cl.grid.dimming import is_dimmed_reflection
 from cmp_cl.grid.filter import bent_sigma
 from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides, empty_grid
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
@@ -327,7 +328,7 @@ def _numbered(
         numbered = followed(numbered, border.followed)
     declared = _declared(numbered, border.sides, shape if like is None else None)
     whole = all(declared) and numbered.seen_shape is None and numbered.nodes.at.shape == shape
-    reflected = _reflected(numbered.nodes, like, whole=whole)
+    reflected = _reflected(numbered.nodes, seen.image, like, whole=whole)
     return numbered, Ended(declared, border, reflected)
 
 
@@ -352,7 +353,7 @@ def _ends(nodes: Nodes, seen: Seen, border: Border, shape: tuple[int, int]) -> E
     return Ends(border.sides, cut_of(nodes, seen.image), border.passing)
 
 
-def _reflected(nodes: Nodes, like: Grid | None, *, whole: bool) -> bool:
+def _reflected(nodes: Nodes, image: GreyImage | None, like: Grid | None, *, whole: bool) -> bool:
     """Return whether a part of the nodes may be the reflection of another part, now or at rest.
 
     whole: whether the pattern ends on all sides, and has the known shape.
@@ -360,7 +361,9 @@ def _reflected(nodes: Nodes, like: Grid | None, *, whole: bool) -> bool:
     if whole or (like is not None and like.reflected):
         return like is not None and like.reflected
     at = np.where(nodes.status == NodeStatus.INTERPOLATED, NOWHERE, nodes.at)
-    return has_seam(at) or repeats_reversed(at)
+    if has_seam(at) or repeats_reversed(at):
+        return True
+    return image is not None and is_dimmed_reflection(at, nodes.parity, image)
 
 
 def _framed(numbered: Numbered) -> Grid:

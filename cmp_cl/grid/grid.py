@@ -162,8 +162,8 @@ class Grid:
             )
         if self.reflected:
             found.append(
-                "a part of the pattern may be a reflection, or another pattern: its steps, or its "
-                "printing errors, change at a line; give a region without it"
+                "a part of the pattern may be a reflection, or another pattern: its steps, its "
+                "printing errors or its brightness change at a line; give a region without it"
             )
         elif self.ambiguous:
             other = ""

@@ -10,7 +10,8 @@ edge, have such a seam too, and their numbers are equally doubtful.
 
 The printing errors, see `fingerprint`. They are repeated beyond the edge, reversed.
 
-A perfect print in a mirror without a seam looks like a larger pattern.
+A perfect print in a mirror without a seam looks like a larger pattern, unless the reflection is
+darker, see `dimming`.
 """
 
 from typing import Any
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from cmp_cl.grid.nodes import NOWHERE, Float, Points
 
 LINES = 16  # most rows or columns that are examined
+HINT = 3.5  # correlation of errors on these from which all lines are examined
 CROSSING = 4  # of them that must cross a seam, besides a quarter of all, or half if nodes are lost
 LOST = 2  # successive nodes that may be lost at a seam
 SHARE = 0.4  # share of the rows that may cross a seam without a step
@@ -40,7 +42,7 @@ MEDIAN = 1.18  # median length of errors, over their standard deviation per axis
 BESIDE = 4  # half cells: lines so near to the best share its errors
 # factors that make the product of an error, along rows plus 1j along columns, and its reflection
 # real
-COLUMNS, ROWS, FALLING, RISING = -1, 1, 1j, -1j
+COLUMNS, ROWS, FALLING, RISING = WAYS = -1, 1, 1j, -1j
 
 
 def has_seam(at: Points) -> bool:
@@ -60,7 +62,7 @@ def has_diagonal_seam(at: Points) -> bool:
     return any(
         _has_seam(lines, ABOVE_OTHERS_ACROSS)
         for way in (at, at[:, ::-1])
-        for lines in _diagonals(way, NOWHERE)
+        for lines in map(_some, _diagonals(way, NOWHERE))
     )
 
 
@@ -112,12 +114,19 @@ def repeats_reversed(at: Points) -> bool:
     error, cell = _errors(at)
     if not error.size:
         return has_diagonal_seam(at)
+    lines = [[error], [error.T], _diagonals(error), _diagonals(error[:, ::-1])]
     scores = [
-        _scores([_some(error)], COLUMNS, cell),
-        _scores([_some(error.T)], ROWS, cell),
-        _scores(_diagonals(error), FALLING, cell),
-        _scores(_diagonals(error[:, ::-1]), RISING, cell),
+        _scores([_some(each) for each in group], way, cell)
+        for group, way in zip(lines, WAYS, strict=True)
     ]
+    if not _stands_out(scores) and max(scores)[0] >= HINT:
+        best = scores.index(max(scores))
+        scores[best] = _scores(lines[best], WAYS[best], cell)
+    return _stands_out(scores)
+
+
+def _stands_out(scores: list[tuple[float, float, bool]]) -> bool:
+    """Return whether the best of the scores of all directions shows a reflection."""
     best, second, alike = max(scores)
     others = sorted(score for score, *_ in scores)[-2]
     return alike and best >= max(ABOVE_CHANCE, ABOVE_SECOND * max(others, second))
@@ -158,7 +167,7 @@ def _some(lines: NDArray[Any]) -> NDArray[Any]:
 
 
 def _diagonals(values: Points, nothing: complex = 0) -> list[Points]:
-    """Return some falling diagonals: (K, L) those on which row plus column is even, then odd.
+    """Return the falling diagonals: (K, L) those on which row plus column is even, then odd.
 
     A diagonal's values lie by half that sum, with `nothing` beside them.
     """
@@ -167,7 +176,7 @@ def _diagonals(values: Points, nothing: complex = 0) -> list[Points]:
     found = []
     for odd in (0, 1):
         every = np.arange(1 - wide, high)
-        ahead = _some(every[every % 2 == odd])[:, None]
+        ahead = every[every % 2 == odd][:, None]
         row = half + (ahead + odd) // 2
         column = row - ahead
         inside = (row >= 0) & (row < high) & (column >= 0) & (column < wide)

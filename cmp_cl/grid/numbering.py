@@ -9,7 +9,8 @@ often one. But the edge of an object that hides the pattern looks like a border 
 for such an edge, and decides nothing, if it differs between the frames: in the reach of the last
 squares, or in whether its line continues past the pattern. It is also taken for one if its line
 continues and the opposite side is no border, or if, without such an opposite side, its last squares
-at rest are not whole and its line has not moved with the pattern. If a side differs, the other
+at rest are not whole and its line has not moved with the pattern; or if its squares reach less far,
+or farther, than at rest because its line has stood still. If a side differs, the other
 sides are sure only of motions by less than half a cell.
 
 The printing errors, which move with the pattern, see `fingerprint`.
@@ -47,6 +48,9 @@ from cmp_cl.grid.nearest import (
 from cmp_cl.grid.nodes import Nodes, Points, check_room, median
 
 STILL = 0.125  # cells: a pattern that moved less as a whole has not moved
+# Cells: the reach of squares that changed by so much while the edge did not move, and its motion as
+# a share of that.
+CHANGED, FIXED = 0.06, 0.5
 BROKEN = 0.15  # cells: squares at a border that reach so much less, or more, are not whole
 FOLLOWED = 0.5  # cells: largest motion of the pattern as a whole from one frame to the next
 NO_BORDER = Border()
@@ -247,15 +251,19 @@ def _hidden(nodes: Nodes, border: Border, like: Grid) -> Sides:
 def _unmoved(nodes: Nodes, border: Border, like: Grid) -> Sides:
     """Return the sides that may be the edge of an object that stands still.
 
-    At rest their last squares are not whole and the opposite side is no border, and now their line
-    is not seen at another position.
+    Their last squares reach farther than at rest, or less far, but their line has not moved. Or at
+    rest these squares are not whole and the opposite side is no border, and now their line is not
+    seen at another position.
     """
     rest = Reference.of(like)
     lines = _edges(nodes.at, border.reach), _edges(rest.at, like.reach)
     unmoved = []
     for number, (now, before) in enumerate(zip(*lines, strict=True)):
-        broken = abs(like.reach[number] - 1) > BROKEN and math.isnan(like.reach[number ^ 1])
-        unmoved.append(broken and not (len(now) and _beside(now, before) > STILL * rest.cell))
+        reach, changed = like.reach[number], abs(border.reach[number] - like.reach[number])
+        broken = abs(reach - 1) > BROKEN and math.isnan(like.reach[number ^ 1])
+        moved = _beside(now, before) / rest.cell if len(now) and len(before) else math.nan
+        fixed = changed >= CHANGED and moved <= FIXED * changed
+        unmoved.append(fixed or (broken and not moved > STILL))
     return Sides(*unmoved)
 
 

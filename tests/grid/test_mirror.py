@@ -76,6 +76,29 @@ def test_a_reflection_with_a_seam_is_doubted_on_a_perfect_print():
     assert grid.reflected
 
 
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_darker_reflection_is_doubted_on_a_perfect_print(quarters):
+    image = mirrored(checkerboard(errors=0.0)).astype(float)
+    image[:, 7 * CELL :] *= 0.8
+    image = np.ascontiguousarray(np.rot90(image, quarters).round().astype(np.uint8))
+    assert min(numbered(image).shape) > 12
+    assert numbered(image).reflected
+
+
+def shadowed(image: np.ndarray, slope: float) -> np.ndarray:
+    row, column = np.indices(image.shape)
+    shade = np.where(column - slope * row > 6 * CELL, 0.8, 1)
+    return (image * shade).round().astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("errors", "wave", "slope"), [(0.03, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.2)]
+)
+def test_a_shadow_is_no_mirror(errors, wave, slope):
+    image = shadowed(checkerboard(errors=errors, wave=wave), slope)
+    assert not numbered(image).doubts
+
+
 @pytest.mark.parametrize("errors", [0.0, 0.03])
 @pytest.mark.parametrize("wave", [0.0, 0.3])
 def test_a_pattern_without_a_mirror_is_not_doubted(errors, wave):
@@ -110,6 +133,16 @@ def test_errors_repeated_in_the_same_order_are_no_reflection():
     at = nodes()
     at[:, 14:] = 12 * 12 + at[:, 2:12]
     assert not repeats_reversed(at)
+
+
+def test_the_errors_of_all_lines_show_a_narrow_reflection():
+    found = []
+    for seed in range(8):
+        at = nodes(60, 24, seed=seed)
+        assert not repeats_reversed(at)
+        at[:, 21:] = 12 * 41 - at[:, 20:17:-1].conj()
+        found.append(repeats_reversed(at))
+    assert all(found)
 
 
 def test_errors_that_may_be_the_cameras_are_no_reflection():
