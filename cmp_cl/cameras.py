@@ -15,13 +15,14 @@ import re
 import threading
 import time
 from collections.abc import Generator, Iterator
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import cv2
 
 from cmp_cl import media
-from cmp_cl.errors import ConfigError, ImageError, check_positive, listed
+from cmp_cl.errors import ConfigError, ImageError, check_kind, check_positive, listed
 from cmp_cl.media import Frame
 from cmp_cl.series.mcap import mcap_images
 
@@ -53,10 +54,16 @@ class CameraSettings:
                 raise ConfigError(f"size must be (width, height), px, not {self.size!r}")
         if self.fps is not None:
             check_positive("fps", self.fps, ConfigError)
+        if self.exposure is not None:
+            check_kind("exposure", self.exposure, Real, ConfigError)
 
 
 def is_live(name: str) -> bool:
-    """Return whether a name is a camera's number, a device such as /dev/video0, or an address."""
+    """Return whether a name is a camera's number, a device such as /dev/video0, or an address.
+
+    Raises ConfigError if it is no text.
+    """
+    check_kind("name", name, str, ConfigError)
     number = name.isascii() and name.isdigit() and not Path(name).exists()
     return number or re.match(r"/dev/video|[a-z][a-z0-9+.-]*://", name) is not None
 
@@ -76,7 +83,8 @@ class Source:
     from_start: whether times of a camera or an .mcap count from its first frame; else two of them
         have one clock, and can be paired.
 
-    Raises FileNotFoundError and ImageError as `cmp_cl.media` does.
+    Raises ConfigError for a name or settings of another type, and FileNotFoundError and ImageError
+    as `cmp_cl.media` does.
     """
 
     def __init__(
@@ -89,7 +97,8 @@ class Source:
     ) -> None:
         self.name = name
         self._max_pixels, self._from_start = max_pixels, from_start
-        self._settings = settings or CameraSettings()
+        self._settings = CameraSettings() if settings is None else settings
+        check_kind("settings", self._settings, CameraSettings, ConfigError)
         self.live = is_live(name)
         self._opened_as: int | str = int(name) if self.live and name.isdigit() else name
         self.paths = () if self.live else tuple(media.find_inputs([name]))
@@ -131,10 +140,10 @@ class Source:
                 for each in media.read_frames(path, max_pixels=self._max_pixels):
                     time_ms = each.time_ms if len(self.paths) == 1 else math.nan
                     yield Frame(next(numbers), each.image, time_ms)
-            except ImageError:
+            except ImageError as error:
                 if len(self.paths) == 1:
                     raise
-                yield Frame(next(numbers), None)
+                yield Frame(next(numbers), None, why=str(error))
 
     def _live_frames(self) -> Generator[Frame, None, None]:
         capture = self._capture()

@@ -33,7 +33,7 @@ from cmp_cl.config import DetectorConfig, to_toml
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError
-from cmp_cl.files import write_bytes, write_text
+from cmp_cl.files import check_path, write_bytes, write_text
 from cmp_cl.image import GreyImage, check_image
 
 _ABOUT = "about.json"
@@ -126,6 +126,7 @@ class Store:
 
 def open_store(folder: str | PathLike[str]) -> Store:
     """Open the store in a folder; raises ConfigError if there is none or its index is damaged."""
+    check_path(folder, ConfigError)
     try:
         about = json.loads((Path(folder) / _ABOUT).read_text(encoding="utf-8"))
         count, part = about["count"], about["part"]

@@ -8,16 +8,13 @@ import enum
 import math
 from collections.abc import Mapping
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, check_range
 from cmp_cl.files import check_path, read_toml, write_text
-
-if TYPE_CHECKING:
-    from cmp_cl.image import GreyImage
-
+from cmp_cl.image import GreyImage, check_dtype
 
 Part = TypeVar("Part")
 
@@ -27,19 +24,6 @@ class Fit(enum.Enum):
 
     LINEAR = "linear"
     QUADRATIC = "quadratic"
-
-
-def _check(
-    part: str, field: str, value: object, low: float, high: float, *, kind: type, odd: bool = False
-) -> None:
-    """Raise ConfigError unless value is a number of that kind within [low, high]."""
-    noun = "an odd integer" if odd else "an integer" if kind is int else "a number"
-    expected = f"{part}.{field} must be {noun} in [{low:.10g}, {high:.10g}], not {value!r}"
-    numeric = int if kind is int else (int, float)
-    if isinstance(value, bool) or not isinstance(value, numeric):
-        raise ConfigError(f"{expected} ({type(value).__name__})")
-    if not low <= value <= high or (odd and value % 2 == 0):
-        raise ConfigError(expected)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,8 +40,8 @@ class AdaptiveMean:
     masks: int = 1
 
     def __post_init__(self) -> None:
-        _check("AdaptiveMean", "window", self.window, 3, 255, kind=int, odd=True)
-        _check("AdaptiveMean", "offset", self.offset, 0, 65535, kind=int)
+        check_range("AdaptiveMean.window", self.window, 3, 255, kind=int, odd=True)
+        check_range("AdaptiveMean.offset", self.offset, 0, 65535, kind=int)
         if type(self.masks) is not int or self.masks not in (1, 3):
             raise ConfigError(f"AdaptiveMean.masks must be 1 or 3, not {self.masks!r}")
         if self.masks == 3 and self.offset:
@@ -81,8 +65,8 @@ class RapidCriteria:
     corrosion_threshold: int | None = 6
 
     def __post_init__(self) -> None:
-        _check("RapidCriteria", "sector_threshold", self.sector_threshold, 1, 16, kind=int)
-        _check("RapidCriteria", "ring_threshold", self.ring_threshold, 1, 17, kind=int)
+        check_range("RapidCriteria.sector_threshold", self.sector_threshold, 1, 16, kind=int)
+        check_range("RapidCriteria.ring_threshold", self.ring_threshold, 1, 17, kind=int)
         _check_corrosion("RapidCriteria", self.corrosion_threshold)
 
 
@@ -100,14 +84,14 @@ class SpectralCriteria:
     corrosion_threshold: int | None = 6
 
     def __post_init__(self) -> None:
-        _check("SpectralCriteria", "correlation", self.correlation, 0, 1, kind=float)
-        _check("SpectralCriteria", "phase", self.phase, 0, math.pi, kind=float)
+        check_range("SpectralCriteria.correlation", self.correlation, 0, 1)
+        check_range("SpectralCriteria.phase", self.phase, 0, math.pi)
         _check_corrosion("SpectralCriteria", self.corrosion_threshold)
 
 
 def _check_corrosion(part: str, value: object) -> None:
     if value is not None:
-        _check(part, "corrosion_threshold", value, -4, 17, kind=int)
+        check_range(f"{part}.corrosion_threshold", value, -4, 17, kind=int)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -125,9 +109,9 @@ class SectorContrast:
     noise: float = 2.5
 
     def __post_init__(self) -> None:
-        _check("SectorContrast", "minimum", self.minimum, 0, 255, kind=float)
-        _check("SectorContrast", "relative", self.relative, 0, 1, kind=float)
-        _check("SectorContrast", "noise", self.noise, 0, 100, kind=float)
+        check_range("SectorContrast.minimum", self.minimum, 0, 255)
+        check_range("SectorContrast.relative", self.relative, 0, 1)
+        check_range("SectorContrast.noise", self.noise, 0, 100)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -154,14 +138,14 @@ class RingHarmonic:
     support: int | None = 32
 
     def __post_init__(self) -> None:
-        _check("RingHarmonic", "noise", self.noise, 0, 100, kind=float)
-        _check("RingHarmonic", "relative", self.relative, 0, 1, kind=float)
+        check_range("RingHarmonic.noise", self.noise, 0, 100)
+        check_range("RingHarmonic.relative", self.relative, 0, 1)
         if type(self.fine) is not bool:
             raise ConfigError(f"RingHarmonic.fine must be True or False, not {self.fine!r}")
         if self.alignment is not None:
-            _check("RingHarmonic", "alignment", self.alignment, 1, 64, kind=int)
+            check_range("RingHarmonic.alignment", self.alignment, 1, 64, kind=int)
         if self.support is not None:
-            _check("RingHarmonic", "support", self.support, 1, 64, kind=int)
+            check_range("RingHarmonic.support", self.support, 1, 64, kind=int)
 
     @property
     def coarse_noise(self) -> int:
@@ -215,7 +199,7 @@ class BinaryRings:
 
         The outer radius is 4 under 12 px. Raises ConfigError for another cell.
         """
-        _check("BinaryRings", "for_cell(cell)", cell, 4, 1000, kind=float)
+        check_range("BinaryRings.for_cell(cell)", cell, 4, 1000)
         return cls(
             threshold=AdaptiveMean(window=window_for_cell(cell)), outer_radius=4 if cell < 12 else 5
         )
@@ -231,7 +215,7 @@ class EdgeLines:
     max_shift: float = 2.0
 
     def __post_init__(self) -> None:
-        _check("EdgeLines", "max_shift", self.max_shift, 0, 5, kind=float)
+        check_range("EdgeLines.max_shift", self.max_shift, 0, 5)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -248,7 +232,7 @@ class EdgeStep:
     cell: float = 8.6
 
     def __post_init__(self) -> None:
-        _check("EdgeStep", "cell", self.cell, 4, 1000, kind=float)
+        check_range("EdgeStep.cell", self.cell, 4, 1000)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -265,7 +249,7 @@ class Midlines:
     def __post_init__(self) -> None:
         if not isinstance(self.fit, Fit):
             raise ConfigError(f"Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC, not {self.fit!r}")
-        _check("Midlines", "max_shift", self.max_shift, 0, 5, kind=float)
+        check_range("Midlines.max_shift", self.max_shift, 0, 5)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -286,8 +270,8 @@ class Pyramid:
                 f"not {self.factors!r}"
             )
         for factor in self.factors:
-            _check("Pyramid", "factors", factor, 0.05, 4, kind=float)
-        _check("Pyramid", "expected", self.expected, 1, 2**31 - 1, kind=int)
+            check_range("Pyramid.factors", factor, 0.05, 4)
+        check_range("Pyramid.expected", self.expected, 1, 2**31 - 1, kind=int)
 
 
 _MOST_FACTORS = 32
@@ -302,7 +286,6 @@ _WIDEST_CELL, _WIDE_SCALE = 60, 0.45  # used if the blur is not known
 _MOST_WORKING_CELL = 100
 _DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
-_MOVED = ("threshold", "criteria", "contrast", "outer_radius")
 _REFINEMENTS: dict[str, type] = {
     "edge_lines": EdgeLines,
     "edge_step": EdgeStep,
@@ -334,12 +317,12 @@ class DetectorConfig:
         part = "DetectorConfig"
         _check_part(part, "detection", self.detection, RingHarmonic, BinaryRings)
         _check_part(part, "refinement", self.refinement, EdgeStep, EdgeLines, Midlines, type(None))
-        _check(part, "nms_radius", self.nms_radius, 1, 15, kind=int)
+        check_range(f"{part}.nms_radius", self.nms_radius, 1, 15, kind=int)
         if not isinstance(self.scale, Pyramid) and self.scale is not None:
-            _check(part, "scale", self.scale, 0.05, 4, kind=float)
+            check_range(f"{part}.scale", self.scale, 0.05, 4)
         if self.full_scale is not None:
-            _check(part, "full_scale", self.full_scale, 1, 65535, kind=int)
-        _check(part, "max_corners", self.max_corners, 1, 2**26, kind=int)
+            check_range(f"{part}.full_scale", self.full_scale, 1, 65535, kind=int)
+        check_range(f"{part}.max_corners", self.max_corners, 1, 2**26, kind=int)
 
     @classmethod
     def for_cell(cls, cell: float, *, blur: float | None = None) -> Self:
@@ -354,12 +337,12 @@ class DetectorConfig:
         size. At the working scale cells have at most 100 px. Raises ConfigError if cell or blur is
         out of range.
         """
-        _check("DetectorConfig", "for_cell(cell)", cell, 4, 1000, kind=float)
+        check_range("DetectorConfig.for_cell(cell)", cell, 4, 1000)
         scale = 1.0
         if blur is None:
             scale = _WIDE_SCALE if cell > _WIDEST_CELL else scale
         else:
-            _check("DetectorConfig", "for_cell(blur)", blur, 0, 1000, kind=float)
+            check_range("DetectorConfig.for_cell(blur)", blur, 0, 1000)
             if cell > _LEAST_CELL and blur > _MOST_BLUR:
                 scale = max(_WORKING_BLUR / blur, _LEAST_WORKING_CELL / cell)
         scale = min(scale, _MOST_WORKING_CELL / cell)
@@ -370,7 +353,7 @@ class DetectorConfig:
         )
 
     @classmethod
-    def for_image(cls, image: "GreyImage") -> Self:
+    def for_image(cls, image: GreyImage) -> Self:
         """Choose the configuration for the cells of an image, and for their blur.
 
         `estimate_cell` says how the cells are found. The surround of a small board can look like
@@ -410,10 +393,12 @@ class DetectorConfig:
         return dataclasses.replace(self, **changes)
 
     def grey_levels(self, dtype: Any) -> int:
-        """Return the largest grey level of an image of that dtype."""
-        if self.full_scale is not None:
-            return self.full_scale
-        return 255 if np.dtype(dtype) == np.uint8 else 65535
+        """Return the largest grey level of an image of that dtype, uint8 or uint16.
+
+        Raises ImageError for any other.
+        """
+        known = check_dtype(dtype)
+        return int(np.iinfo(known).max) if self.full_scale is None else self.full_scale
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the configuration as TOML, whole or not at all; raises OSError."""
@@ -441,9 +426,6 @@ class DetectorConfig:
 
     @classmethod
     def _from_dict(cls, data: Mapping[str, Any]) -> Self:
-        for key in data:
-            if key in _MOVED:
-                raise ConfigError(_moved(key, data[key]))
         values = _known(data, cls)
         if "detection" in values:
             values["detection"] = _detection(values["detection"])
@@ -476,14 +458,6 @@ def _known(data: Mapping[str, Any], kind: type) -> dict[str, Any]:
         key: None if value is False and types[key] is not bool else value
         for key, value in data.items()
     }
-
-
-def _moved(key: str, value: object) -> str:
-    """Return a message that says how to write a key that belongs in the table [detection]."""
-    moved = f"[{key}] as [detection.{key}]"
-    if not isinstance(value, Mapping):
-        moved = f"{key} = {_toml(None if value is False else value)} in that table"
-    return f'{key} belongs to the detection: write [detection] with kind = "binary_rings", {moved}'
 
 
 def _detection(value: object) -> RingHarmonic | BinaryRings | None:

@@ -16,7 +16,7 @@ from cmp_cl.config import DetectorConfig, Pyramid
 from cmp_cl.corners import Corners
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
-from cmp_cl.image import GreyImage
+from cmp_cl.image import GreyImage, check_dtype
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.opencl.device import Device, check_process, describe_handle, is_forked, select_device
 from cmp_cl.opencl.program import Programs, programs_of
@@ -56,9 +56,7 @@ class Detector(Closing):
     ) -> None:
         check_process()
         self.shape = _checked_shape(shape)
-        self.dtype = _checked_dtype(dtype)
-        if self.dtype not in (np.uint8, np.uint16):
-            raise ImageError(f"dtype must be uint8 or uint16, not {self.dtype}")
+        self.dtype = check_dtype(dtype)
         self.config = DetectorConfig() if config is None else config
         if not isinstance(self.config, DetectorConfig):
             raise ConfigError(f"config must be a DetectorConfig, not {config!r}")
@@ -73,7 +71,7 @@ class Detector(Closing):
         if queue is not None:
             self.device = describe_handle(queue.device)
         else:
-            self.device = device if isinstance(device, Device) else select_device(device)
+            self.device = select_device(device)
         needed = self.shape[0] * self.shape[1] * self.dtype.itemsize
         if needed > self.device.memory:
             raise CapacityError(
@@ -390,7 +388,7 @@ def detect(
     Raises the errors of Detector.
     """
     frame = as_frame(image)
-    device = device if isinstance(device, Device) else select_device(device)
+    device = select_device(device)
     if config is None:
         config = choose_config(frame, device=device)
     with Detector(shape=frame.shape, dtype=frame.dtype, config=config, device=device) as detector:
@@ -413,7 +411,7 @@ def choose_config(
     Raises the errors of Detector.
     """
     frame = as_frame(image)
-    device = device if isinstance(device, Device) else select_device(device)
+    device = select_device(device)
     return choose_by_corners(frame, full_scale, lambda config: detect(frame, config, device))
 
 
@@ -433,14 +431,6 @@ def _checked_shape(shape: Any) -> tuple[int, int]:
     if rows < 0 or columns < 0:
         raise ImageError(f"shape must be (H, W), not {shape!r}")
     return rows, columns
-
-
-def _checked_dtype(dtype: Any) -> np.dtype[Any]:
-    try:
-        known: np.dtype[Any] = np.dtype(dtype)
-    except TypeError as error:
-        raise ImageError(f"dtype must be uint8 or uint16, not {dtype!r}") from error
-    return known
 
 
 def _checked_mask(mask: ArrayLike, shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -70,9 +70,45 @@ def listed(name: str, values: Any, kind: type, error: type[CmpClError]) -> list[
 def as_numbers(name: str, value: Any, error: type[CmpClError]) -> NDArray[np.float64]:
     """Return an argument of that name as a new array; raise the error if it is not of numbers."""
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("they are complex")
         return np.array(value, np.float64)
     except (TypeError, ValueError) as why:
         raise error(f"{name} must be an array of numbers: {why}") from why
+
+
+def check_range(
+    name: str, value: Any, low: float, high: float, *, kind: type = float, odd: bool = False
+) -> None:
+    """Raise ConfigError if an argument of that name is not a number of that kind in [low, high].
+
+    kind: int or float, which takes an int too. odd: whether it must be odd.
+    """
+    noun = "an odd integer" if odd else "an integer" if kind is int else "a number"
+    number = isinstance(value, int | kind) and not isinstance(value, bool)
+    if not number or not low <= value <= high or (odd and value % 2 == 0):
+        what = "" if number else f" ({type(value).__name__})"
+        raise ConfigError(
+            f"{name} must be {noun} in [{low:.10g}, {high:.10g}], not {value!r}{what}"
+        )
+
+
+def check_pair(name: str, value: Any, low: float, high: float, *, kind: type = float) -> None:
+    """Raise ConfigError if an argument of that name is not a tuple of two such numbers."""
+    if not isinstance(value, tuple) or len(value) != 2:
+        raise ConfigError(
+            f"{name} must be a tuple of two numbers in [{low:g}, {high:g}], not {value!r}"
+        )
+    for entry in value:
+        check_range(name, entry, low, high, kind=kind)
+
+
+def check_shape(shape: Any, error: type[CmpClError]) -> None:
+    """Raise the error if a shape is not two whole numbers from 1."""
+    sides = shape if isinstance(shape, tuple | list) else ()
+    whole = [isinstance(n, int | np.integer) and type(n) is not bool and n >= 1 for n in sides]
+    if whole != [True, True]:
+        raise error(f"shape must be (rows, columns), each at least 1, not {shape!r}")
 
 
 def check_positive(name: str, value: object, error: type[CmpClError]) -> None:

@@ -1,16 +1,18 @@
 """Files written whole or not at all, and settings read within bounds."""
 
 import contextlib
+import csv
 import errno
 import os
 import secrets
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from io import StringIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from cmp_cl.errors import CmpClError
+from cmp_cl.errors import CmpClError, FieldError, listed
 
 _MOST_TOML = 1 << 16  # bytes
 _MOST_BRACKETS = 500  # in a TOML file, which limits the nesting of tables and arrays
@@ -23,7 +25,8 @@ def check_path(path: object, error: type[CmpClError | OSError]) -> None:
     character, which no system allows."""
     name = os.fspath(path) if isinstance(path, str | PathLike) else None
     if not isinstance(name, str) or not name or "\0" in name:
-        raise error(f"path must be the name of a file, not {path!r}")
+        said = " ".join(repr(path).split())
+        raise error(f"path must be the name of a file, not {said}")
 
 
 def suffix_of(path: str | PathLike[str], error: type[CmpClError]) -> str:
@@ -47,11 +50,10 @@ def whole_file(path: str | PathLike[str], *, durable: bool = False) -> Iterator[
         with _named(path), open(target, "wb") as file:
             yield file
         return
-    temporary = _temporary_name(target)
+    temporary = temporary_beside(target)
     try:
         with _named(path, temporary):
-            with open(temporary, "xb") as file:
-                _keep_rights(target, temporary)
+            with open(temporary, "wb") as file:
                 yield file
                 if durable:
                     file.flush()
@@ -88,7 +90,7 @@ def temporary_beside(target: Path, suffix: str = ".tmp") -> Path:
     """
     if target.exists() and not target.is_file():
         raise OSError(errno.EINVAL, "only a regular file can hold this format", str(target))
-    temporary = _temporary_name(target, suffix)
+    temporary = target.with_name(f".{secrets.token_hex(8)}{suffix}")
     try:
         with _named(target, temporary), open(temporary, "xb"):
             _keep_rights(target, temporary)
@@ -96,10 +98,6 @@ def temporary_beside(target: Path, suffix: str = ".tmp") -> Path:
         temporary.unlink(missing_ok=True)
         raise
     return temporary
-
-
-def _temporary_name(target: Path, suffix: str = ".tmp") -> Path:
-    return target.with_name(f".{secrets.token_hex(8)}{suffix}")
 
 
 def _keep_rights(old: Path, new: Path) -> None:
@@ -135,6 +133,24 @@ def write_bytes(path: str | PathLike[str], data: bytes, *, durable: bool = False
 def write_text(path: str | PathLike[str], text: str) -> None:
     """Write UTF-8 text whole or not at all, line ends as they are; raises OSError."""
     write_bytes(path, text.encode("utf-8"))
+
+
+def write_csv(
+    path: str | PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]
+) -> None:
+    """Write rows as CSV under a header of `columns`, whole or not at all.
+
+    Raises FieldError if the columns or the rows are not several, OSError.
+    """
+    header = listed("columns", columns, object, FieldError)
+    write_bytes(path, csv_bytes([header, *listed("rows", rows, Iterable, FieldError)]))
+
+
+def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
+    """Return rows as CSV in UTF-8."""
+    text = StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode("utf-8", "backslashreplace")
 
 
 def read_toml(path: str | PathLike[str]) -> dict[str, Any]:

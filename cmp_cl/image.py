@@ -1,5 +1,6 @@
 """The check of an image, with an error that says how to convert anything else."""
 
+from collections.abc import Sequence
 from os import PathLike
 from typing import Any, TypeAlias, cast
 
@@ -23,6 +24,17 @@ def check_image(image: Any) -> GreyImage:
     return cast(GreyImage, np.asarray(image))
 
 
+def check_dtype(dtype: Any) -> np.dtype[Any]:
+    """Return the type of an image's pixels; raises ImageError if it is not uint8 or uint16."""
+    try:
+        known: np.dtype[Any] = np.dtype(dtype)
+    except TypeError as error:
+        raise ImageError(f"dtype must be uint8 or uint16, not {dtype!r}") from error
+    if known not in _PIXELS:
+        raise ImageError(f"dtype must be uint8 or uint16, not {known}")
+    return known
+
+
 def _is_image(image: Any) -> bool:
     if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype not in _PIXELS:
         return False
@@ -39,12 +51,16 @@ def _not_an_image(image: Any) -> Exception:
     """Return an ImageError that says what is wrong with the image and how to convert it."""
     expected = "expected a NumPy array (H, W) of uint8 or uint16"
     if not isinstance(image, np.ndarray):
-        hint = "numpy.asarray(image) converts"
+        hint = ""
         if image is None:
-            hint = "cv2.imread gives None for a file that it cannot read"
+            hint = "; cv2.imread gives None for a file that it cannot read"
         elif isinstance(image, str | PathLike):
-            hint = "cv2.imread(image, cv2.IMREAD_GRAYSCALE) converts"
-        return ImageError(f"{expected}, got {type(image).__name__}; {hint}")
+            hint = "; cv2.imread(image, cv2.IMREAD_GRAYSCALE) converts"
+        elif hasattr(image, "image"):
+            hint = "; its attribute image is one"
+        elif hasattr(image, "__array__") or isinstance(image, Sequence):
+            hint = "; numpy.asarray(image) converts"
+        return ImageError(f"{expected}, got {type(image).__name__}{hint}")
     came = f"got shape {image.shape} of {image.dtype}"
     if np.ma.is_masked(image):
         return ImageError(

@@ -1,4 +1,4 @@
-"""Images and videos are read here, as grey; images and tables are written whole or not at all.
+"""Images and videos are read here, as grey; images are written whole or not at all.
 
 Videos are read by PyAV if it is installed (the extra `video`), else by OpenCV. PyAV knows the
 time of each frame and its size, keeps the levels of 10 to 16 bits, and refuses damaged frames.
@@ -6,7 +6,6 @@ OpenCV reduces all videos to 8 bits, and scales frames of another size to that o
 """
 
 import contextlib
-import csv
 import dataclasses
 import glob
 import importlib.util
@@ -17,8 +16,6 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from io import StringIO
-from numbers import Real
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -27,8 +24,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ImageError, check_kind
+from cmp_cl.errors import ImageError, check_kind, check_positive
 from cmp_cl.files import check_path, suffix_of, write_bytes
+from cmp_cl.files import write_csv as write_csv  # a public name of this module
 from cmp_cl.image import GreyImage
 from cmp_cl.image_size import page_sizes
 
@@ -82,6 +80,8 @@ def find_inputs(paths: Sequence[str | PathLike[str]]) -> list[Path]:
     """
     if isinstance(paths, str | PathLike):
         raise FileNotFoundError(f"paths must be several names of files, not {os.fspath(paths)!r}")
+    if not isinstance(paths, Iterable):
+        raise FileNotFoundError(f"paths must be several names of files, not {paths!r}")
     found: list[Path] = []
     for name in paths:
         check_path(name, FileNotFoundError)
@@ -197,12 +197,12 @@ def _tells_damage(said: str) -> bool:
 
 
 def _check_size(path: str | PathLike[str], size: tuple[int, int], most: int) -> None:
-    check_kind("max_pixels", most, Real, ImageError)
+    check_positive("max_pixels", most, ImageError)
     width, height = size
     if width * height > most:
         raise ImageError(
             f"{str(path)!r} has {width} x {height} pixels, more than the limit of {most}; "
-            "--max-pixels, or max_pixels=, raises it"
+            f"max_pixels={width * height} raises it"
         )
 
 
@@ -255,11 +255,13 @@ class Frame:
     image: (H, W) uint8 or uint16, or None if it cannot be read.
     time_ms: the time of a camera's frame or in the video, or from its frame rate if PyAV is not
         installed; NaN if unknown.
+    why: why a file of a folder gives no image; "" if it is not known.
     """
 
     index: int
     image: GreyImage | None
     time_ms: float = math.nan
+    why: str = ""
 
 
 def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[Frame]:
@@ -451,17 +453,3 @@ def grey_of(frame: NDArray[Any]) -> GreyImage:
     if frame.size != math.prod(frame.shape[:2]):
         raise ImageError(f"OpenCV delivers frames of shape {frame.shape}, neither grey nor BGR")
     return np.ascontiguousarray(frame.reshape(frame.shape[:2]))
-
-
-def write_csv(
-    path: str | PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[object]]
-) -> None:
-    """Write rows as CSV under a header of `columns`, whole or not at all; raises OSError."""
-    write_bytes(path, csv_bytes([columns, *rows]))
-
-
-def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
-    """Return rows as CSV in UTF-8."""
-    text = StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode("utf-8", "backslashreplace")

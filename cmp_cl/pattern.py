@@ -14,7 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import (
+    ConfigError,
+    check_kind,
+    check_pair,
+    check_positive,
+    check_range,
+    check_shape,
+)
 from cmp_cl.files import suffix_of, write_bytes
 
 PAPERS = {  # mm, upright
@@ -80,21 +87,19 @@ class Checkerboard:
     paper: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        check_shape(self.shape, ConfigError)
         rows, columns = self.shape
-        if type(rows) is not int or type(columns) is not int or min(rows, columns) < 1:
-            raise ConfigError(f"shape must be two whole numbers from 1, not {self.shape!r}")
         if (rows + 1) * (columns + 1) > _MOST_CELLS:
             raise ConfigError(
                 f"{rows} x {columns} corners are more than {_MOST_CELLS} cells; draw fewer"
             )
-        _check("cell", self.cell, 0.01, 1000)
+        check_range("cell", self.cell, 0.01, 1000)
         if self.border is not None:
-            _check("border", self.border, 0, 1000)
-        _check("ink_spread", self.ink_spread, -0.45 * self.cell, 0.45 * self.cell)
-        for factor in self.stretch:
-            _check("stretch", factor, 0.5, 2)
-        for side in self.paper or ():
-            _check("paper", side, 10, 2000)
+            check_range("border", self.border, 0, 1000)
+        check_range("ink_spread", self.ink_spread, -0.45 * self.cell, 0.45 * self.cell)
+        check_pair("stretch", self.stretch, 0.5, 2)
+        if self.paper is not None:
+            check_pair("paper", self.paper, 10, 2000)
         needed, sheet = self._extent(), self.size
         if self.paper is not None and (needed[0] > sheet[0] or needed[1] > sheet[1]):
             raise ConfigError(
@@ -219,12 +224,6 @@ def _bar(length: float, top: float) -> NDArray[np.float64]:
     )
 
 
-def _check(field: str, value: object, low: float, high: float) -> None:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not low <= value <= high:  # type: ignore[operator]
-        raise ConfigError(f"{field} must be a number in [{low:g}, {high:g}], not {value!r}")
-
-
 def _svg(drawing: _Drawing) -> bytes:
     width, height = drawing.size
     path = " ".join(
@@ -286,7 +285,7 @@ def _pdf(drawing: _Drawing) -> bytes:
 def _png(drawing: _Drawing, dpi: float) -> bytes:
     import cv2
 
-    _check("dpi", dpi, 10, 10_000)
+    check_range("dpi", dpi, 10, 10_000)
     scale = dpi / _MM_PER_INCH
     width, height = (math.ceil(side * scale - 1e-6) for side in drawing.size)
     if width * height > _MOST_PIXELS:
@@ -353,8 +352,11 @@ def _dxf(drawing: _Drawing, *, cells: NDArray[np.float64]) -> bytes:
 def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:
     """Return the (width, height) of a paper, mm, rotated to fit the longer side of a board.
 
-    name: a key of PAPERS.
+    name: a key of PAPERS. Raises ConfigError for any other name, and if board is no Checkerboard.
     """
+    check_kind("board", board, Checkerboard, ConfigError)
+    if not isinstance(name, str) or name not in PAPERS:
+        raise ConfigError(f"paper must be one of {', '.join(PAPERS)}, not {name!r}")
     width, height = PAPERS[name]
     upright = board.size[1] >= board.size[0]
     return (width, height) if upright else (height, width)
@@ -363,6 +365,9 @@ def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:
 def cell_for(size: float, shape: Sequence[int]) -> float:
     """Return the side of a cell, mm, for which the longer side of all cells is `size` mm.
 
-    shape: rows and columns of inner corners.
+    shape: rows and columns of inner corners. Raises ConfigError if size is not positive, or shape
+    is not two whole numbers from 1.
     """
+    check_positive("size", size, ConfigError)
+    check_shape(shape, ConfigError)
     return size / (max(shape) + 1)

@@ -1,5 +1,6 @@
 """Arguments of another type: one line names the argument, its type and the one expected."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -21,18 +22,22 @@ from cmp_cl import (
     build_grid,
     calibrate,
     calibrate_camera,
+    cluster,
     detect,
     drop_marks,
     media,
+    reference,
+    refine_markers,
     series,
 )
-from cmp_cl.cameras import CameraSettings
+from cmp_cl.cameras import CameraSettings, Source, is_live
 from cmp_cl.field import (
     PlaneScale,
     contact_of,
     displacement,
     green_lagrange,
     integrate,
+    mesh,
     motion_of,
     plane_displacement,
     plane_strain,
@@ -44,10 +49,21 @@ from cmp_cl.field import (
     without_motion,
 )
 from cmp_cl.grid import filter_grid, filter_positions
-from cmp_cl.measure import OneView, TwoViews, trusted
+from cmp_cl.measure import (
+    OneView,
+    TwoViews,
+    cell_of,
+    find_board,
+    find_boards,
+    find_pattern,
+    square_sides,
+    trusted,
+)
+from cmp_cl.pattern import Checkerboard, cell_for, fitting_paper
 from cmp_cl.stereo import undistort
-from cmp_cl.synthetic import render
-from cmp_cl.viz import arrow_figure, corner_overlay, grid_overlay, surface_figure
+from cmp_cl.synthetic import binocular_frame, default_rig, random_scene, render
+from cmp_cl.synthetic.scoring import score
+from cmp_cl.viz import arrow_figure, corner_overlay, grid_overlay, save_figure, surface_figure
 
 GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
 IMAGE = np.zeros((60, 70), np.uint8)
@@ -55,6 +71,7 @@ SIZE = IMAGE.shape[::-1]
 BOARD = Path(media.__file__).parent / "data" / "board.png"
 PLANE = plane_displacement(GRID, GRID)
 RASTER = rasterize(PLANE, step=5.0)
+BOARD_5X6 = Checkerboard(shape=(5, 6), cell=2.0)
 FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
 
 
@@ -105,12 +122,28 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: render(None), "scene", "Scene"),
         (lambda: trusted(GRID, "a"), "max_sigma", "Real"),
         (lambda: CameraSettings(size=(9, "a")), "each of size", "int"),
-        (lambda: media.read_image(BOARD, max_pixels="a"), "max_pixels", "Real"),
         (lambda: media.write_image("a.png", None), "image", "ndarray"),
         (lambda: corner_overlay(IMAGE, GRID), "corners", "Corners"),
         (lambda: grid_overlay(IMAGE, None), "grid", "Grid"),
         (lambda: series.open_series("a.npz", "mm"), "description", "Description"),
         (lambda: series.open_series("a.npz", None, "mm"), "constants", "Mapping"),
+        (lambda: series.open_series("a.npz", []), "description", "Description"),
+        (lambda: series.Description(units="mm"), "units", "Mapping"),
+        (lambda: media.write_csv("a.csv", ["row"], [1]), "each of rows", "Iterable"),
+        (lambda: build_grid(GRID), "corners", "Corners"),
+        (lambda: refine_markers(None, 1, IMAGE), "dense", "Grid"),
+        (lambda: refine_markers(GRID, "a", IMAGE), "count", "Integral"),
+        (lambda: cell_of(None), "grid", "Grid"),
+        (lambda: square_sides(None), "points", "Points3D"),
+        (lambda: mesh(None), "field", "DisplacementField"),
+        (lambda: save_figure("a.png", None), "figure", "Figure"),
+        (lambda: fitting_paper("a4", None), "board", "Checkerboard"),
+        (lambda: is_live(None), "name", "str"),
+        (lambda: Source(0), "name", "str"),
+        (lambda: Source(str(BOARD), "a"), "settings", "CameraSettings"),
+        (lambda: CameraSettings(exposure="a"), "exposure", "Real"),
+        (lambda: binocular_frame(None, None), "left", "Rendered"),
+        (lambda: reference.detect(IMAGE, "a"), "config", "DetectorConfig"),
     ],
 )
 def test_an_argument_of_another_type_is_named(call, name, expected):
@@ -118,7 +151,40 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
         call()
 
 
-@pytest.mark.parametrize("path", [None, 5, b"a.png", "", "a\0b"])
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: find_board(IMAGE, None), "shape must be (rows, columns), each at least 1"),
+        (lambda: find_pattern(IMAGE, shape=[[1], [2, 3]]), "shape must be (rows, columns)"),
+        (lambda: find_boards(None, (3, 4)), "views must be those of the left and the right view"),
+        (lambda: find_boards((IMAGE, IMAGE), (3, 4), regions=3), "regions must be those of the"),
+        (lambda: trusted(GRID, np.nan), "max_sigma must be above 0 px, not nan"),
+        (lambda: refine_markers(GRID, 1, IMAGE, contrast="a"), "contrast must be a number in"),
+        (lambda: refine_markers(GRID, -1, IMAGE), "a grid of (5, 6) nodes does not hold -1"),
+        (lambda: cell_for(100, None), "shape must be (rows, columns), each at least 1"),
+        (lambda: cell_for("a", (5, 6)), "size must be a positive number, not 'a'"),
+        (lambda: fitting_paper("a9", BOARD_5X6), "paper must be one of a5, a4, a3, letter, not"),
+        (lambda: Checkerboard(shape=5, cell=2), "shape must be (rows, columns), each at least 1"),
+        (lambda: Checkerboard(shape=(5, 6), cell=2, stretch=1), "stretch must be a tuple of two"),
+        (lambda: Checkerboard(shape=(5, 6), cell=2, paper=()), "paper must be a tuple of two"),
+        (lambda: save_figure("a.png", surface_figure(FIELD), dpi=0), "dpi must be a number in"),
+        (lambda: random_scene("a"), "seed must be an integer in"),
+        (lambda: random_scene(1, shape=64), "shape must be a tuple of two numbers in"),
+        (lambda: score(1, [(0, 0)], 5), "found must be (N, 2), not ()"),
+        (lambda: score([], [(0, 0)], "a"), "cell must be a positive number, not 'a'"),
+        (lambda: media.find_inputs(None), "paths must be several names of files, not None"),
+        (lambda: media.write_csv("a.csv", None, []), "columns must be several, not one NoneType"),
+        (lambda: default_rig(5), "shape must be (rows, columns), each at least 1, not 5"),
+        (lambda: cluster.open_store(None), "path must be the name of a file, not None"),
+        (lambda: DetectorConfig().grey_levels(float), "dtype must be uint8 or uint16, not float64"),
+    ],
+)
+def test_a_value_that_makes_no_sense_is_named(call, message):
+    with pytest.raises((CmpClError, FileNotFoundError), match=f"^{re.escape(message)}"):
+        call()
+
+
+@pytest.mark.parametrize("path", [None, 5, b"a.png", "", "a\0b", np.eye(3)])
 @pytest.mark.parametrize(
     ("call", "error"),
     [
@@ -138,15 +204,17 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
     ],
 )
 def test_what_names_no_file_is_refused(call, error, path):
-    with pytest.raises(error, match=r"^path must be the name of a file, not "):
+    with pytest.raises(error, match=r"^path must be the name of a file, not .*$"):
         call(path)
 
 
-@pytest.mark.parametrize("values", ["a", {}, [[1], [2, 3]]])
+@pytest.mark.parametrize("values", ["a", {}, [[1], [2, 3]], np.eye(3) * 1j])
 @pytest.mark.parametrize(
     ("call", "name", "error"),
     [
         (filter_grid, "values", GridError),
+        (lambda values: filter_grid(GRID.xy, measured=values), "measured", GridError),
+        (lambda values: score(values, [(0, 0)], 5), "found", FieldError),
         (lambda values: StereoRig(values, [], np.eye(3), [], np.eye(3), [1, 0, 0]), "K1", None),
         (
             lambda values: StereoRig(np.eye(3), values, np.eye(3), [], np.eye(3), [1, 0, 0]),
@@ -184,6 +252,20 @@ def test_wrong_shapes_of_a_pattern_a_split_and_an_image_are_refused():
         media.find_inputs("frames")
 
 
+@pytest.mark.parametrize(
+    ("image", "hint"),
+    [
+        (media.Frame(0, IMAGE), "got Frame; its attribute image is one"),
+        ([[1, 2], [3, 4]], "got list; numpy.asarray(image) converts"),
+        (GRID, "got Grid"),
+        (iter([IMAGE]), "got list_iterator"),
+    ],
+)
+def test_what_is_no_image_gets_a_hint_that_helps(image, hint):
+    with pytest.raises(ImageError, match=f"{re.escape(hint)}$"):
+        detect(image)
+
+
 def test_a_message_is_one_line_even_with_an_array_in_it():
     with pytest.raises(ConfigError) as refusal:
         DetectorConfig(nms_radius=np.zeros((3, 3)))
@@ -210,6 +292,7 @@ def test_frames_that_are_not_several_are_refused():
     ("call", "name", "error"),
     [
         (PlaneScale.of_pixel, "length", FieldError),
+        (lambda most: media.read_image(BOARD, max_pixels=most), "max_pixels", ImageError),
         (lambda side: PlaneScale.of_cells(GRID, side), "side", FieldError),
         (GRID.to_opencv, "spacing", ConfigError),
         (lambda depth: surface_height(RASTER, depth=depth), "depth", ConfigError),

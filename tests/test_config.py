@@ -185,28 +185,6 @@ def test_keys_left_out_of_toml_keep_their_defaults(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "instead"),
-    [
-        ("[threshold]\nwindow = 31", "[threshold] as [detection.threshold]"),
-        ("[criteria]\nkind = 'rapid'", "[criteria] as [detection.criteria]"),
-        ("contrast = false", "contrast = false in that table"),
-        ("outer_radius = 4", "outer_radius = 4 in that table"),
-    ],
-)
-def test_a_file_of_the_old_format_is_refused_in_one_line_that_says_what_to_write(
-    text, instead, tmp_path
-):
-    (tmp_path / "old.toml").write_text(text)
-    with pytest.raises(ConfigError) as caught:
-        DetectorConfig.load(tmp_path / "old.toml")
-    message = str(caught.value)
-    assert "old.toml" in message
-    assert 'write [detection] with kind = "binary_rings"' in message
-    assert message.endswith(instead)
-    assert "\n" not in message
-
-
-@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("windoww = 3", "unknown key 'windoww' for DetectorConfig; known: detection, "),

@@ -278,6 +278,18 @@ def test_an_older_file_gives_a_series_its_mode(tmp_path, suffix):
     assert path.stat().st_mode & 0o777 == 0o600
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".jsonl"])
+def test_what_a_series_cannot_hold_is_named_and_nothing_is_added(tmp_path, suffix):
+    for wrong in ({"a": object()}, {"a": [[1], [2, 3]]}, {"a/b": 1}, {3: 1}):
+        with pytest.raises(FieldError, match=r"^(a must be an array|the name of an array must be)"):
+            open_series(tmp_path / f"a{suffix}", None, wrong)
+    with open_series(tmp_path / f"a{suffix}", None, {"rest": rest()}) as series:
+        for name, wrong in {"index": 0.5, "time_ms": "b", "sigma": [[1], [2, 3]]}.items():
+            with pytest.raises(FieldError, match=f"^{name} must be"):
+                series.append(**{"index": 0, "time_ms": 0.0, **frame(0), name: wrong})
+        assert len(series) == 0
+
+
 @pytest.mark.skipif(os.name == "nt", reason="there are no named pipes on Windows")
 def test_hdf5_replaces_no_pipe(tmp_path):
     needs("h5py")

@@ -1,6 +1,7 @@
 """Arguments that commands share, and the views and regions of a frame that follow from them."""
 
 import argparse
+import contextlib
 import itertools
 import math
 import os
@@ -114,6 +115,14 @@ def positive(text: str) -> int:
     if re.fullmatch(r"\d{1,18}", text) is None or not int(text):
         raise argparse.ArgumentTypeError(f"{text!r} is not a positive whole number")
     return int(text)
+
+
+def positive_number(text: str) -> float:
+    """Parse a finite number above 0; raises ArgumentTypeError."""
+    with contextlib.suppress(ValueError):
+        if 0 < float(text) < math.inf:
+            return float(text)
+    raise argparse.ArgumentTypeError(f"{text!r} is not a positive number such as 2.5")
 
 
 def grid_shape(text: str) -> tuple[int, int]:

@@ -20,6 +20,7 @@ from cmp_cl.cli.arguments import (
     add_split,
     distinct_inputs,
     grid_shape,
+    positive_number,
     refuse_to_overwrite,
     regions_in,
     split_of,
@@ -68,7 +69,7 @@ def add_parser(commands: Any) -> None:
         help="inner corners of the board, either number first",
     )
     parser.add_argument(
-        "--square", metavar="LENGTH", type=float, required=True, help="side of a square"
+        "--square", metavar="LENGTH", type=positive_number, required=True, help="side of a square"
     )
     parser.add_argument(
         "--unit",
@@ -98,7 +99,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--max-sigma",
         metavar="PX",
-        type=float,
+        type=positive_number,
         default=MAX_SIGMA,
         help=f"use only corners with at most this standard deviation; default: {MAX_SIGMA:g} px",
     )
@@ -128,7 +129,7 @@ class _Pair(NamedTuple):
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     if arguments.camera:
-        _check_numbers(arguments)
+        _check_free_board(arguments)
         return calibrate_cameras.run(arguments)
     _check(arguments)
     names = _names(arguments)
@@ -193,21 +194,19 @@ def _check(arguments: argparse.Namespace) -> None:
         )
     if len(arguments.left) != len(arguments.right):
         raise ConfigError(
-            f"{len(arguments.left)} left views and {len(arguments.right)} right views do not form "
-            "pairs"
+            f"{counted(len(arguments.left), 'left view')} and "
+            f"{counted(len(arguments.right), 'right view')} do not form pairs"
         )
     if arguments.left and (arguments.split or arguments.mirror):
         raise ConfigError("--split and --mirror are for frames that show both views")
     if arguments.corners or arguments.picture or arguments.lens != "pinhole":
         raise ConfigError("--corners, --picture and --lens need --camera NAME=IMAGE...")
-    _check_numbers(arguments)
+    _check_free_board(arguments)
     check_cameras(arguments.out)
     check_target(arguments.out)
 
 
-def _check_numbers(arguments: argparse.Namespace) -> None:
-    if not 0 < arguments.square < np.inf:
-        raise ConfigError(f"--square must be a positive length, not {arguments.square}")
+def _check_free_board(arguments: argparse.Namespace) -> None:
     if arguments.free_board and arguments.camera:
         raise ConfigError("--free-board is for pairs of views, not for --camera")
     if arguments.free_board and sum(arguments.board) % 2 == 0:
@@ -216,8 +215,6 @@ def _check_numbers(arguments: argparse.Namespace) -> None:
             f"--free-board: a board of {rows} x {columns} corners looks the same after half a "
             "turn, so that its nodes cannot be told apart; one such as 9x6 is needed"
         )
-    if not arguments.max_sigma > 0:
-        raise ConfigError(f"--max-sigma must be above 0 px, not {arguments.max_sigma}")
 
 
 def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cmp_cl import media
 from cmp_cl.cli.arguments import add_device
 from cmp_cl.cli.messages import shown
+from cmp_cl.errors import ConfigError
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid, filter_positions
 from cmp_cl.image import GreyImage
@@ -88,6 +89,8 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     device = select_device(arguments.device)
     folder = Path(arguments.out)
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"--out {shown(folder)} is a file; give the name of a folder")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     rig = StereoRig(*default_rig(VIEW))
     shape = (SCENE.markers, SCENE.markers)

@@ -22,7 +22,7 @@ from cmp_cl.cli.arguments import (
     grid_shape,
     refuse_to_overwrite,
 )
-from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
+from cmp_cl.cli.messages import counted, in_shell, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.tables import CORNER_COLUMNS, NODE_COLUMNS, Table, corner_rows, node_rows
 from cmp_cl.closing import Closing
@@ -317,7 +317,7 @@ def _tell(tally: _Tally, progress: Progress, *, told: bool) -> None:
     if tally.counts:
         progress.say(f"{name}: {tally.line()}", sys.stdout)
     if tally.is_dark() and not (told and any(tally.counts)):
-        progress.say(f"cmp-cl: {name}: {of_few_bits(tally.brightest)}", sys.stderr)
+        progress.say(f"cmp-cl: {name}: {in_shell(of_few_bits(tally.brightest))}", sys.stderr)
 
 
 def _frames_in(paths: Sequence[Path]) -> int | None:

@@ -7,6 +7,7 @@ Exit status: 0 done, 1 `devices` has found no device, 2 the command failed
 import argparse
 import contextlib
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -17,7 +18,7 @@ import cv2
 import cmp_cl
 from cmp_cl.cli import bench as benchmark
 from cmp_cl.cli import calibrate, demo, detect, pattern, plot, render, run, tune
-from cmp_cl.cli.messages import one_line, shortened
+from cmp_cl.cli.messages import by_options, one_line, shortened
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 from cmp_cl.media import codec_messages_caught
@@ -53,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
     set_log_level(0)
     _open_streams()
+    arguments = argparse.Namespace()
     try:
         with handled(interrupt), codec_messages_caught(), warnings.catch_warnings():
             warnings.showwarning = _warn  # type: ignore[assignment]
@@ -67,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _silence(sys.stdout)
         return 0
     except (CmpClError, OSError) as error:
-        return _fail(one_line(error))
+        return _fail(by_options(one_line(error), arguments))
     except MemoryError:
         return _fail("there is not enough memory for this")
     except KeyboardInterrupt:
@@ -96,6 +98,8 @@ def _silence(stream: TextIO) -> None:
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
+        message = re.sub("invalid int value: (.*)", r"\1 is not a whole number", message)
+        message = re.sub("invalid float value: (.*)", r"\1 is not a number", message)
         self.exit(2, f"{self.prog}: {shortened(message)}; {self.prog} --help says more\n")
 
 

@@ -1,6 +1,8 @@
 """Names, errors and counts as they are written in a message of one line."""
 
+import argparse
 import os
+import re
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -21,7 +23,27 @@ def one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror is not None:
         name = "" if error.filename is None else f"{shown(error.filename)}: "
         return shortened(f"{name}{error.strerror}")
-    return shortened(" ".join(str(error).splitlines()))
+    return in_shell(shortened(" ".join(str(error).splitlines())))
+
+
+def in_shell(line: str) -> str:
+    """Return a message whose cure is an argument of Python with that of the command line."""
+    return re.sub(
+        r"\b(full_scale|max_pixels)=", lambda name: f"--{name[1].replace('_', '-')} ", line
+    )
+
+
+def by_options(line: str, arguments: argparse.Namespace) -> str:
+    """Return a message about an argument of Python as one about the option that gave it.
+
+    "Scene.markers must be ..." becomes "--markers must be ...".
+    """
+
+    def option(match: re.Match[str]) -> str:
+        given = getattr(arguments, match[1], None) is not None
+        return f"--{match[1].replace('_', '-')} must be" if given else match[0]
+
+    return re.sub(r"^(?:\w+\.)?(\w+) must be", option, line)
 
 
 def shortened(line: str) -> str:

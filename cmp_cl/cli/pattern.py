@@ -4,7 +4,7 @@ import argparse
 import dataclasses
 from typing import Any
 
-from cmp_cl.cli.arguments import grid_shape
+from cmp_cl.cli.arguments import grid_shape, positive_number
 from cmp_cl.cli.messages import shown
 from cmp_cl.pattern import PAPERS, Checkerboard, cell_for, fitting_paper
 
@@ -25,8 +25,10 @@ def add_parser(commands: Any) -> None:
         help="inner corners; there is one cell more along each side",
     )
     size = parser.add_mutually_exclusive_group(required=True)
-    size.add_argument("--cell", metavar="MM", type=float, help="side of a cell")
-    size.add_argument("--size", metavar="MM", type=float, help="longer side of all cells together")
+    size.add_argument("--cell", metavar="MM", type=positive_number, help="side of a cell")
+    size.add_argument(
+        "--size", metavar="MM", type=positive_number, help="longer side of all cells together"
+    )
     parser.add_argument(
         "--out", metavar="FILE", required=True, help="what to write: .svg, .pdf, .png or .dxf"
     )

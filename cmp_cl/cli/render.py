@@ -8,7 +8,6 @@ import numpy as np
 from cmp_cl import media
 from cmp_cl.cli.arguments import refuse_to_overwrite
 from cmp_cl.cli.messages import shown
-from cmp_cl.errors import ConfigError
 from cmp_cl.files import check_target
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
@@ -78,10 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     for path in (arguments.out, arguments.truth):
         if path is not None:
             check_target(path)
-    try:
-        rendered = render(_scene(arguments))
-    except ConfigError as error:  # the options have the names of the fields
-        raise ConfigError(str(error).replace("Scene.", "--")) from error
+    rendered = render(_scene(arguments))
     media.write_image(arguments.out, rendered.image)
     rows, columns = rendered.image.shape
     count = rendered.truth.shape[0] * rendered.truth.shape[1]

@@ -24,6 +24,7 @@ from cmp_cl.cli.arguments import (
     add_region,
     add_split,
     grid_shape,
+    positive_number,
     refuse_to_overwrite,
     regions_in,
     split_of,
@@ -32,7 +33,7 @@ from cmp_cl.cli.arguments import (
 )
 from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
-from cmp_cl.cli.sources import PAIR_WITHIN, Pairs, at_rest
+from cmp_cl.cli.sources import PAIR_WITHIN, Pairs, at_rest, because
 from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError
@@ -87,7 +88,9 @@ def add_parser(commands: Any) -> None:
     camera.add_argument(
         "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of the frames, px"
     )
-    camera.add_argument("--camera-fps", metavar="FPS", type=float, help="frames per second")
+    camera.add_argument(
+        "--camera-fps", metavar="FPS", type=positive_number, help="frames per second"
+    )
     camera.add_argument(
         "--exposure", metavar="VALUE", type=float, help="exposure time, in the driver's units"
     )
@@ -520,7 +523,7 @@ def _why_broken(frame: Frame, rest: GreyImage, *, live: bool) -> str:
             "than they are measured"
         )
     if frame.image is None:
-        return f"frame {frame.index} cannot be read and is skipped"
+        return f"frame {frame.index} cannot be read and is skipped{because(frame)}"
     rows, columns = frame.image.shape
     return (
         f"frame {frame.index} is {columns} x {rows} px of {frame.image.dtype}, the frame at rest "

@@ -7,7 +7,7 @@ from collections.abc import Generator
 import numpy as np
 
 from cmp_cl.cameras import CameraSettings, PairCount, Source, paired
-from cmp_cl.cli.messages import counted, shown
+from cmp_cl.cli.messages import counted, in_shell, shown
 from cmp_cl.errors import ConfigError, ImageError
 from cmp_cl.image import GreyImage
 from cmp_cl.media import Frame
@@ -94,7 +94,9 @@ def at_rest(source: Source | Pairs, number: int) -> tuple[GreyImage, Generator[F
         if frame.index < number:
             continue
         if frame.image is None:
-            raise ConfigError(f"--rest-frame {number} cannot be read; choose another one")
+            raise ConfigError(
+                f"--rest-frame {number} cannot be read; choose another one{because(frame)}"
+            )
         if source.live:
             return frame.image, _chained(frame, frames)
         frames.close()
@@ -105,6 +107,11 @@ def at_rest(source: Source | Pairs, number: int) -> tuple[GreyImage, Generator[F
         f"there is no --rest-frame {number}: {shown(source.name)} has {counted(count, 'frame')}, "
         "numbered from 0"
     )
+
+
+def because(frame: Frame) -> str:
+    """Return why a frame has no image, as the end of a message; "" if it is not known."""
+    return f": {in_shell(frame.why)}" if frame.why else ""
 
 
 def _side_by_side(left: GreyImage | None, right: GreyImage | None) -> GreyImage | None:

@@ -2,13 +2,12 @@
 
 import argparse
 import dataclasses
-import re
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.cli.arguments import unit_name
+from cmp_cl.cli.arguments import positive_number, unit_name
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.field import (
     PlaneField,
@@ -43,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--cell",
         metavar="SIDE",
-        type=_length,
+        type=positive_number,
         help="for one view of a flat pattern: side of its cells at rest, in --unit; the series "
         "then holds displacement, its sigma and rest in that unit",
     )
@@ -58,16 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--contact",
         metavar="DEPTH",
-        type=_length,
+        type=positive_number,
         help="with --stereo: add depth and normals of the nodes, and the area that is pressed in "
         "deeper than this, in the unit of the calibration",
     )
-
-
-def _length(text: str) -> float:
-    if re.fullmatch(r"\d*\.?\d*(e[+-]?\d+)?", text) is None or not re.search(r"[1-9]", text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a length such as 2.5")
-    return float(text)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ from typing import BinaryIO
 import numpy as np
 
 from cmp_cl.corners import Corners, Method, Refusal
+from cmp_cl.files import csv_bytes
 from cmp_cl.grid import Grid, NodeStatus
-from cmp_cl.media import csv_bytes
 
 CORNER_COLUMNS = (
     *("x_px", "y_px", "pixel_x_px", "pixel_y_px", "response", "method"),

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, FieldError, as_numbers
+from cmp_cl.errors import FieldError, as_numbers, check_range
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -32,8 +32,7 @@ def green_lagrange(rest: Array, now: Array, *, radius: int = 2) -> Array:
     rest, now = as_numbers("rest", rest, FieldError), as_numbers("now", now, FieldError)
     if rest.ndim != 3 or rest.shape[2] != 3 or now.shape != rest.shape:
         raise FieldError(f"rest and now must be (R, C, 3), not {rest.shape} and {now.shape}")
-    if type(radius) is not int or not 1 <= radius <= 50:
-        raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
+    check_range("radius", radius, 1, 50, kind=int)
     good, _, second, inverse = _local_frames(rest, now, radius)
     deformed = second @ second.transpose(0, 2, 1)
     relative = inverse @ deformed @ inverse.transpose(0, 2, 1)

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError
-from cmp_cl.files import suffix_of, whole_file, write_bytes
+from cmp_cl.errors import ConfigError, FieldError, check_kind
+from cmp_cl.files import suffix_of, whole_file, write_bytes, write_csv
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.media import write_csv
 from cmp_cl.stereo.points import PointStatus
 from cmp_cl.vtk import polydata, quadrilaterals
 
@@ -111,7 +110,10 @@ def _columns(arrays: dict[str, NDArray[Any]], names: Sequence[str], unit: str) -
 
 def mesh(field: "DisplacementField") -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
     """Return columns of the valid nodes of a field, and the quadrilaterals between them, (Q, 4)
-    indices."""
+    indices; raises FieldError if field is of another type."""
+    from cmp_cl.field.field import DisplacementField  # imported here: it imports this module
+
+    check_kind("field", field, DisplacementField, FieldError)
     valid = field.valid
     row, column = np.nonzero(valid)
     columns: dict[str, NDArray[Any]] = {

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners, Refusal
-from cmp_cl.errors import GridError, ImageError
+from cmp_cl.errors import GridError, ImageError, check_kind, check_shape
 from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.detached import drop_detached
 from cmp_cl.grid.filter import bent_sigma
-from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides
+from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides, empty_grid
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import join_islands
 from cmp_cl.grid.joints import cut
@@ -140,7 +140,7 @@ def build_grid(
     inside, seen = _checked(corners, image, shape, region)
     found = _found(seen, sparse_boards=like is None)
     if found is None:
-        return _empty(len(corners), shape, like)
+        return empty_grid(len(corners), shape, like)
     found, nodes = _whole(seen, found)
     grow(nodes, seen)
     drop_detached(nodes)
@@ -157,7 +157,7 @@ def build_grid(
             f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
         )
     if not boards:
-        return _empty(len(corners), shape, like)
+        return empty_grid(len(corners), shape, like)
     board = whole[0] if alone or len(whole) > 1 else boards[0]
     others = _others(found, board, seen, alone=alone)
     grid = _result(corners, inside, board)
@@ -221,8 +221,7 @@ def _checked(
     corners: Corners, image: GreyImage | None, shape: tuple[int, int] | None, region: Region | None
 ) -> tuple[Index, Seen]:
     """Check the arguments; return the indices of the corners in the region, and their data."""
-    if not isinstance(corners, Corners):
-        raise GridError(f"expected the Corners of an image, got {type(corners).__name__}")
+    check_kind("corners", corners, Corners, GridError)
     if image is not None:
         image = check_image(image)
         _check_holds(image, corners)
@@ -367,7 +366,7 @@ def _reflected(nodes: Nodes, like: Grid | None, *, whole: bool) -> bool:
 
 def _framed(numbered: Numbered) -> Grid:
     """Return the grid without its nodes: its rows, columns and numbers."""
-    return dataclasses.replace(_empty(0, numbered.nodes.at.shape), origin=numbered.origin)
+    return dataclasses.replace(empty_grid(0, numbered.nodes.at.shape), origin=numbered.origin)
 
 
 def _declared(numbered: Numbered, border: Sides, shape: tuple[int, int] | None) -> Sides:
@@ -391,19 +390,12 @@ def _check_holds(image: GreyImage, corners: Corners) -> None:
 
 
 def _known_shape(shape: tuple[int, int] | None, like: Grid | None) -> tuple[int, int] | None:
-    if shape is not None and not (
-        isinstance(shape, tuple | list)
-        and len(shape) == 2
-        and all(isinstance(n, int | np.integer) and not isinstance(n, bool) for n in shape)
-        and min(shape) >= 1
-    ):
-        raise GridError(f"shape must be (rows, columns), each at least 1, not {shape!r}")
     if shape is not None:
+        check_shape(shape, GridError)
         check_size(*shape)
     if like is None:
         return shape
-    if not isinstance(like, Grid):
-        raise GridError(f"like must be a Grid, not {type(like).__name__}")
+    check_kind("like", like, Grid, GridError)
     if not like.valid.any():
         raise GridError("the grid given as `like` has no nodes; give one that has been found")
     if shape is not None and tuple(shape) != like.shape:
@@ -430,21 +422,9 @@ def _check_previous(previous: Grid | None, like: Grid | None) -> None:
         return
     if like is None:
         raise GridError("the grid of the frame before needs the grid at rest too")
-    if not isinstance(previous, Grid):
-        raise GridError(f"previous must be a Grid, not {type(previous).__name__}")
+    check_kind("previous", previous, Grid, GridError)
     if not previous.valid.any():
         raise GridError("the grid of the frame before has no nodes; give one that has been found")
-
-
-def _empty(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None) -> Grid:
-    rows, columns = shape or (0, 0)
-    return Grid(
-        xy=np.full((rows, columns, 2), np.nan, np.float32),
-        status=np.zeros((rows, columns), np.uint8),
-        sigma=np.full((rows, columns), np.nan, np.float32),
-        index=np.full((corners, 2), -1, np.int32),
-        origin=(0, 0) if like is None else like.origin,
-    )
 
 
 def _others(found: Lattice, board: Board, seen: Seen, *, alone: bool) -> int:
@@ -477,7 +457,7 @@ def _others(found: Lattice, board: Board, seen: Seen, *, alone: bool) -> int:
         if count >= comparable:
             raise GridError(
                 f"two patterns are seen, of {found.size[own]} and {found.size[component]} corners, "
-                f"within {first} and {second}; say which is meant with a region (x0, y0, x1, y1)"
+                f"within {first} and {second}; give a region with one of them"
             )
         return count
     return 0

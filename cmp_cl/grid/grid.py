@@ -292,6 +292,21 @@ class Grid:
         return Grid(xy=xy, status=status, sigma=sigma, index=index, parity=self.parity)
 
 
+def empty_grid(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None) -> Grid:
+    """Return the grid of that many corners of which none is a node.
+
+    shape: its rows and columns; None means (0, 0). like: a grid with the same origin.
+    """
+    rows, columns = shape or (0, 0)
+    return Grid(
+        xy=np.full((rows, columns, 2), np.nan, np.float32),
+        status=np.zeros((rows, columns), np.uint8),
+        sigma=np.full((rows, columns), np.nan, np.float32),
+        index=np.full((corners, 2), -1, np.int32),
+        origin=(0, 0) if like is None else like.origin,
+    )
+
+
 def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Label the nodes connected by steps along rows and columns, the largest part first: (R, C).
 

@@ -1,13 +1,14 @@
 """Virtual markers are moved onto the edges of an image here (section 4.3 of the paper)."""
 
 import dataclasses
+from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from cmp_cl.errors import GridError
+from cmp_cl.errors import GridError, check_kind, check_range
 from cmp_cl.grid.grid import Grid, NodeStatus
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.opencl.device import Device, select_device
@@ -75,14 +76,17 @@ def refine_markers(
 
     On soft or worn edges, such as those of rendered gels, the curve through the nodes is the better
     estimate. Raises GridError if the grid does not have that count, ImageError, DeviceError,
-    KernelBuildError.
+    KernelBuildError; ConfigError for a contrast that is not a number from 0 to 65535.
     """
     image = check_image(image)
+    check_kind("dense", dense, Grid, GridError)
+    check_kind("count", count, Integral, GridError)
+    check_range("contrast", contrast, 0, 65535)
     _check_count(dense, count)
     at = profiles(dense, count)
     if not len(at.place) or not image.size:
         return dense
-    device = device if isinstance(device, Device) else select_device(device)
+    device = select_device(device)
     shift = _shifts(image, at, device, contrast)
     shift = np.where(np.isnan(shift), 0, shift)
     xy = dense.xy.copy()
@@ -93,8 +97,8 @@ def refine_markers(
 def _check_count(dense: Grid, count: int) -> None:
     """Raise GridError if the grid is not one of nodes and `count` markers on each edge."""
     times = count + 1
-    nodes = dense.status[::times, ::times]
-    if any(max(n - 1, 0) % times for n in dense.shape) or (nodes == NodeStatus.VIRTUAL).any():
+    whole = count >= 0 and not any(max(n - 1, 0) % times for n in dense.shape)
+    if not whole or (dense.status[::times, ::times] == NodeStatus.VIRTUAL).any():
         raise GridError(
             f"a grid of {dense.shape} nodes does not hold {count} virtual markers on each edge; "
             "give what with_virtual_markers(count) gave, and its count"

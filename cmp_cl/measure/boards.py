@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.cell import estimate_blur, estimate_cells
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
-from cmp_cl.errors import GridError, check_kind
+from cmp_cl.errors import GridError, check_kind, check_shape
 from cmp_cl.grid import Grid, NodeStatus, filter_positions
 from cmp_cl.grid.filter import image_sigma
 from cmp_cl.image import GreyImage
@@ -17,11 +17,11 @@ from cmp_cl.measure.patterns import (
     Region,
     align_views,
     check_size,
+    check_two,
     detected,
     find_pattern,
-    selected,
 )
-from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo import Points3D
 from cmp_cl.stereo.points import sides
 
@@ -46,7 +46,9 @@ def find_boards(
     Raises GridError if a view does not show all four sides of the board, because its corners
     cannot be told apart then.
     """
-    device = selected(device)
+    check_two("views", views)
+    check_two("regions", regions)
+    device = select_device(device)
     grids = []
     for view, region, side in zip(views, regions, ("left", "right"), strict=True):
         try:
@@ -77,7 +79,8 @@ def find_board(
 
     Raises GridError if the view does not show corners of all four sides of the board.
     """
-    device = selected(device)
+    check_shape(shape, GridError)
+    device = select_device(device)
     cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
     blur = estimate_blur(view, estimate_cells(view)._replace(side=cell))
     scaled = DetectorConfig.for_cell(cell, blur=blur).replace(full_scale=full_scale)
@@ -101,11 +104,13 @@ def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
     """Return the filtered grid of a board with only the nodes that calibration may use.
 
     It leaves out nodes that were not detected, and nodes whose corner has a sigma above max_sigma,
-    px. The sigma of the others is that of their filtered positions. Raises GridError if an argument
-    is of another type.
+    px. The sigma of the others is that of their filtered positions. Raises GridError if grid is of
+    another type, or max_sigma is not above 0.
     """
     check_kind("grid", grid, Grid, GridError)
     check_kind("max_sigma", max_sigma, Real, GridError)
+    if not max_sigma > 0:
+        raise GridError(f"max_sigma must be above 0 px, not {max_sigma!r}")
     good = (grid.status == NodeStatus.DETECTED) & (image_sigma(grid) <= max_sigma)
     kept = dataclasses.replace(
         grid,
@@ -117,6 +122,10 @@ def trusted(grid: Grid, max_sigma: float = MAX_SIGMA) -> Grid:
 
 
 def square_sides(points: Points3D) -> NDArray[np.float64]:
-    """Return the distances between neighbouring valid points, (N,), in their unit."""
+    """Return the distances between neighbouring valid points, (N,), in their unit.
+
+    Raises GridError if points is of another type.
+    """
+    check_kind("points", points, Points3D, GridError)
     every: NDArray[np.float64] = np.concatenate([each.ravel() for each in sides(points.xyz)])
     return every[np.isfinite(every)]

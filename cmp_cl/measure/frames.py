@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,16 +15,17 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import Grid, build_grid, filter_positions
+from cmp_cl.grid.grid import empty_grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.patterns import (
     Region,
     align_views,
     check_size,
+    check_two,
     exact_config,
     find_pattern,
-    selected,
 )
-from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
 
 # Frames without a grid over which numbers are continued. After more of them, a motion of half a
@@ -146,7 +146,7 @@ class OneView(Measurement):
     ) -> None:
         super().__init__()
         self._raw = raw
-        search = _Search(selected(device), shape, config, full_scale, track)
+        search = _Search(select_device(device), shape, config, full_scale, track)
         self._pattern = _Pattern(rest, search, region)
         self._detectors.enter_context(self._pattern.detector)
         self.unit = "px"
@@ -224,11 +224,8 @@ class TwoViews(Measurement):
         self._raw = raw
         self._rig = rig
         self._split = split
-        search = _Search(selected(device), shape, config, full_scale, track)
-        if not (isinstance(regions, Sequence) and len(regions) == 2):
-            raise ConfigError(
-                f"regions must be those of the left and the right view, not {regions!r}"
-            )
+        search = _Search(select_device(device), shape, config, full_scale, track)
+        check_two("regions", regions)
         with contextlib.ExitStack() as stack:
             patterns = []
             for side, view, region in zip(("left", "right"), split(rest), regions, strict=True):
@@ -393,7 +390,7 @@ class _Pattern:
             whole = None
         if whole is None or not whole.valid.any():
             self.lost()
-            return corners, _without_nodes(self.rest, len(corners))
+            return corners, empty_grid(len(corners), self.rest.shape, self.rest)
         self._previous, self._lost = whole, 0
         return corners, whole.cut_to(self.rest)
 
@@ -402,13 +399,3 @@ class _Pattern:
         self._lost += 1
         if self._lost > BRIDGED:
             self._previous = dataclasses.replace(self._previous or self.rest, ambiguous=True)
-
-
-def _without_nodes(rest: Grid, corners: int) -> Grid:
-    return Grid(
-        xy=np.full((*rest.shape, 2), np.nan, np.float32),
-        status=np.zeros(rest.shape, np.uint8),
-        sigma=np.full(rest.shape, np.nan, np.float32),
-        index=np.full((corners, 2), -1, np.int32),
-        origin=rest.origin,
-    )

@@ -1,5 +1,6 @@
 """Patterns of unknown cell size in a view, and two views of one pattern."""
 
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import DTypeLike
 
 from cmp_cl.config import DetectorConfig
 from cmp_cl.detector import Detector
-from cmp_cl.errors import GridError
+from cmp_cl.errors import ConfigError, GridError, check_kind, check_shape
 from cmp_cl.grid import Grid, NodeStatus, align
 from cmp_cl.grid.align import row_direction
 from cmp_cl.image import GreyImage
@@ -37,7 +38,9 @@ def find_pattern(
     Raises GridError if no cell size shows a pattern or the pattern seems to have another number of
     corners, and the errors of `Detector`.
     """
-    device = selected(device)
+    if shape is not None:
+        check_shape(shape, GridError)
+    device = select_device(device)
     best: Grid | None = None
     why = "no closed cell is seen"
     configs = (DetectorConfig.for_image(view), *map(DetectorConfig.for_cell, _USUAL_CELLS))
@@ -56,7 +59,7 @@ def find_pattern(
             break
     cell = np.nan if best is None else cell_of(best)
     if best is None or not cell >= 4:
-        size = "" if shape is None else f" of {' x '.join(map(str, np.ravel(shape)))} corners"
+        size = "" if shape is None else f" of {' x '.join(map(str, shape))} corners"
         brightest = int(view.max(initial=0)) if full_scale is None else 0
         hint = f"; {of_few_bits(brightest)}" if is_of_few_bits(view.dtype, brightest) else ""
         raise GridError(f"no pattern{size} is found: {why}{hint}")
@@ -75,8 +78,8 @@ def is_of_few_bits(dtype: DTypeLike, brightest: int) -> bool:
 def of_few_bits(brightest: int) -> str:
     """Return, as text, what to do about pixels of fewer than 16 bits."""
     return (
-        f"the brightest of the 16-bit pixels is {brightest}; for a 12-bit camera, give "
-        "--full-scale 4095, for a 10-bit one 1023 (full_scale= in Python)"
+        f"the brightest of the 16-bit pixels is {brightest}; give "
+        "full_scale=4095 for a 12-bit camera, full_scale=1023 for a 10-bit one"
     )
 
 
@@ -86,13 +89,23 @@ def check_size(grid: Grid) -> None:
         raise GridError(grid.doubts[0])
 
 
+def check_two(name: str, values: object) -> None:
+    """Raise ConfigError if an argument of that name is not a sequence of two."""
+    if not (isinstance(values, Sequence) and len(values) == 2):
+        raise ConfigError(f"{name} must be those of the left and the right view, not {values!r}")
+
+
 def detected(grid: Grid) -> int:
     """Count the nodes of a grid that the detector itself has found."""
     return int(np.count_nonzero(grid.status == NodeStatus.DETECTED))
 
 
 def cell_of(grid: Grid) -> float:
-    """Return the median side of a grid's cells, px, NaN if it has none."""
+    """Return the median side of a grid's cells, px, NaN if it has none.
+
+    Raises GridError if grid is of another type.
+    """
+    check_kind("grid", grid, Grid, GridError)
     sides = [np.linalg.norm(np.diff(grid.xy, axis=axis), axis=2).ravel() for axis in (0, 1)]
     known = np.concatenate(sides)
     known = known[np.isfinite(known)]
@@ -122,7 +135,3 @@ def align_views(left: Grid, right: Grid) -> Grid:
             "their rows do not agree"
         )
     return aligned
-
-
-def selected(device: Device | str | None) -> Device:
-    return device if isinstance(device, Device) else select_device(device)

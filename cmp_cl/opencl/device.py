@@ -104,16 +104,18 @@ def list_devices() -> list[Device]:
         ]
 
 
-def select_device(text: str | None = None) -> Device:
+def select_device(text: Device | str | None = None) -> Device:
     """Return the device that a text names: "0:0" (platform:device), "cpu", "gpu", or a part of its
     name or of its platform's name, case ignored. If several match, it is the first in
-    `list_devices`.
+    `list_devices`. A Device is returned as it is.
 
     None means the variable CMP_CL_DEVICE if it is set and not empty, else the first GPU, else the
     first CPU, else the first device.
 
     Raises DeviceError, which lists what there is, if nothing matches.
     """
+    if isinstance(text, Device):
+        return text
     if text is not None and not isinstance(text, str):
         raise DeviceError(f"a device is named by a text such as '0:0' or 'cpu', not {text!r}")
     devices = list_devices()

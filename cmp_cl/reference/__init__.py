@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cmp_cl.choice import choose_by_corners
 from cmp_cl.config import BinaryRings, DetectorConfig, Pyramid, RapidCriteria
 from cmp_cl.corners import Corners
-from cmp_cl.errors import ImageError
+from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.reference import (
@@ -56,7 +56,7 @@ def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = 
     config: None means the settings of `cmp_cl.choose_config`, chosen by what the oracle finds.
     mask: (H, W) bool, where candidates may be centred; pixels outside are still sampled.
 
-    Raises ImageError if image or mask is anything else.
+    Raises ImageError if image or mask is anything else, ConfigError if config is.
     """
     return detect_with_margin(image, config, mask)[0]
 
@@ -71,7 +71,8 @@ def detect_with_margin(
         refinement.
     """
     image = check_image(image)
-    config = config or _chosen(image)
+    config = _chosen(image) if config is None else config
+    check_kind("config", config, DetectorConfig, ConfigError)
     factor, found = _at_best_scale(image, config, mask)
     pixel, centroid, rounded = found.pixel, found.centroid, found.rounded
     if factor != 1:

@@ -52,10 +52,11 @@ def open_series(
     Raises ConfigError on another suffix or if the format's package is missing, OSError
     if the folder is missing or not writable.
     """
-    description, constants = description or Description(), constants or {}
+    description = Description() if description is None else description
+    constants = {} if constants is None else constants
     check_kind("description", description, Description, ConfigError)
     check_kind("constants", constants, Mapping, ConfigError)
-    suffix = ".jsonl" if path == "-" else suffix_of(path, ConfigError)
+    suffix = ".jsonl" if isinstance(path, str) and path == "-" else suffix_of(path, ConfigError)
     if suffix not in _WRITERS:
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(_WRITERS)}")
     return _WRITERS[suffix](path, description, constants)

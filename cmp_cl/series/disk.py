@@ -14,16 +14,15 @@ _ZEROS = bytes(1 << 16)
 
 
 class Appended:
-    """A file that appears when it is closed, with all parts that were written completely.
+    """A file that appears when it is finished, with all parts that were written completely.
 
     On a full disk it keeps those parts. If there is none, an older file stays.
 
     files: on leaving this context the file appears, or is removed if an error was raised.
     """
 
-    def __init__(self, path: str | PathLike[str]) -> None:
-        self.files = contextlib.ExitStack()
-        buffered: Any = self.files.enter_context(whole_file(path))
+    def __init__(self, path: str | PathLike[str], files: contextlib.ExitStack) -> None:
+        buffered: Any = files.enter_context(whole_file(path))
         self._file = buffered.raw  # a buffer would keep the bytes that a full disk refused
         self._path = path
         self._end = 0
@@ -41,11 +40,10 @@ class Appended:
             raise self.error from error
         self._end += len(part)
 
-    def close(self) -> None:
-        """Make the file appear under its name; raises OSError."""
-        with self.files:
-            if self.error is not None and not self._end:
-                raise self.error
+    def check_whole(self) -> None:
+        """Raise OSError if the disk has refused the first part."""
+        if self.error is not None and not self._end:
+            raise self.error
 
 
 class Reserve:
@@ -93,13 +91,12 @@ class Finishable:
 
     closed = False  # the attribute that a file has
 
-    def __init__(self, path: str | PathLike[str]) -> None:
+    def __init__(self, path: str | PathLike[str], files: contextlib.ExitStack) -> None:
         target = check_target(path)
-        self.files = contextlib.ExitStack()
-        buffered: Any = self.files.enter_context(whole_file(path))
+        buffered: Any = files.enter_context(whole_file(path))
         self._file = buffered.raw
         self._reserve = Reserve(None if target.exists() and not target.is_file() else target.parent)
-        self.files.callback(self._reserve.free)
+        files.callback(self._reserve.free)
         self._path = path
         self._length = 0
         self._error: OSError | None = None

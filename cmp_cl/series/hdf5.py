@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, temporary_beside
-from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Series
 from cmp_cl.series.disk import Reserve
 
 _CHUNK = 1 << 16  # bytes of a chunk of several small frames
@@ -98,7 +98,7 @@ class Hdf5Series(Series):
         self._datasets["time_ms"].attrs["unit"] = "ms"
         self._file.swmr_mode = True
 
-    def _abandon(self, raised: Raised) -> None:
+    def _abandon(self) -> None:
         self._drop = True
         self._finish()
 

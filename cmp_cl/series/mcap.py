@@ -18,7 +18,7 @@ from cmp_cl import media
 from cmp_cl.errors import FieldError, ImageError
 from cmp_cl.extras import extra
 from cmp_cl.image import GreyImage
-from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Series
 from cmp_cl.series.disk import Finishable
 
 TOPIC = "/cmp_cl/nodes"
@@ -123,7 +123,7 @@ class McapSeries(Series):
         with extra("mcap", "MCAP"):
             writing = importlib.import_module("mcap_ros2.writer")
         self._start_ns = int(description.settings.get("start_ns", "0"))
-        self._file = Finishable(path)
+        self._file = Finishable(path, self.files)
         self._writer: Any = writing.Writer(self._file, chunk_size=_CHUNK)
         self._schema = self._writer.register_msgdef("sensor_msgs/msg/PointCloud2", _POINT_CLOUD)
 
@@ -148,11 +148,8 @@ class McapSeries(Series):
             sequence=self._count,
         )
 
-    def _abandon(self, raised: Raised) -> None:
-        self._file.files.__exit__(*raised)
-
     def _finish(self) -> None:
-        with self._file.files:
+        with self.files:
             self._file.check_whole()
             about = {
                 **self.description.entries(),

@@ -1,6 +1,5 @@
 """A series as one .npz, for numpy.load."""
 
-import contextlib
 import io
 import json
 import math
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.files import check_target, whole_file
-from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Series
 from cmp_cl.series.disk import write_all
 
 
@@ -31,7 +30,6 @@ class NpzSeries(Series):
             constants = {"about": np.array(json.dumps(description.with_units())), **constants}
         super().__init__(description or Description(), constants)
         self._path = check_target(path)
-        self._files = contextlib.ExitStack()
         self._folder = _made_folder(self._path)
         self._columns: dict[str, _Column] = {}
         try:
@@ -57,15 +55,15 @@ class NpzSeries(Series):
     def _add_column(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         # Without a buffer, which would keep the bytes that a full disk refused. "w+b" starts anew
         # if the first frame was interrupted.
-        file = open(self._folder / f"{name}.npy", "w+b", buffering=0)  # noqa: SIM115, closed by _files
-        self._columns[name] = _Column(self._files.enter_context(file), shape, dtype)
+        file = open(self._folder / f"{name}.npy", "w+b", buffering=0)  # noqa: SIM115, closed by files
+        self._columns[name] = _Column(self.files.enter_context(file), shape, dtype)
 
-    def _abandon(self, raised: Raised) -> None:
+    def _abandon(self) -> None:
         self._remove()
 
     def _finish(self) -> None:
         try:
-            with self._files:
+            with self.files:
                 self._pack()
         except OSError as error:
             what = "1 frame" if self._count == 1 else f"{self._count} frames"
@@ -87,7 +85,7 @@ class NpzSeries(Series):
                     column.copy(self._count, member)
 
     def _remove(self) -> None:
-        self._files.close()
+        self.files.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 
 

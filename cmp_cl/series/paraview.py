@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError
 from cmp_cl.files import check_target, write_text
-from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Series
 from cmp_cl.vtk import polydata, quadrilaterals
 
 _END = "</Collection>\n</VTKFile>\n"
@@ -42,7 +42,8 @@ class ParaViewSeries(Series):
         name = self._folder / f"{index:06}.vtp"
         write_text(name, _polydata(rest, shift.astype(np.float64), frame))
         if self._file is None:
-            self._file = open(self._target, "w+b")  # noqa: SIM115, closed by _finish
+            file = open(self._target, "w+b")  # noqa: SIM115, closed by files
+            self._file = self.files.enter_context(file)
             about = json.dumps(self.description.with_units())
             self._file.write(
                 f'<?xml version="1.0"?>\n<!-- {escape(about).replace("--", "- -")} -->\n'
@@ -56,13 +57,6 @@ class ParaViewSeries(Series):
         self._file.write((line + _END).encode())
         self._file.flush()
         self._file.seek(at + len(line.encode()))
-
-    def _abandon(self, raised: Raised) -> None:
-        self._finish()
-
-    def _finish(self) -> None:
-        if self._file is not None:
-            self._file.close()
 
 
 def _polydata(rest: NDArray[np.float64], shift: NDArray[np.float64], frame: Frame) -> str:

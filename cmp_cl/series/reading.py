@@ -49,8 +49,12 @@ def read_series(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def _npz(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+    with open(path, "rb") as file:
+        if not zipfile.is_zipfile(file):
+            raise ValueError("it is not an .npz, or is cut off")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
 
 
 def _hdf5(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.files import check_target, write_text
-from cmp_cl.series.base import Constants, Description, FileName, Frame, Raised, Series
+from cmp_cl.series.base import Constants, Description, FileName, Frame, Series
 from cmp_cl.series.digits import nested, plain, rows_of
 from cmp_cl.series.disk import Appended, Finishable
 
@@ -74,7 +74,7 @@ class CsvSeries(Series):
     def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
         super().__init__(description, constants)
         self._target = check_target(path)
-        self._file = Appended(path)
+        self._file = Appended(path, self.files)
 
     def _write(self, index: int, time_ms: float, frame: Frame) -> None:
         table = list(node_columns(frame, self.description.units))
@@ -85,11 +85,9 @@ class CsvSeries(Series):
         rows = rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
         self._file.append(header + rows)
 
-    def _abandon(self, raised: Raised) -> None:
-        self._file.files.__exit__(*raised)
-
     def _finish(self) -> None:
-        self._file.close()
+        with self.files:
+            self._file.check_whole()
         about = self.description.with_units()
         about["constants"] = {name: plain(value) for name, value in self.constants.items()}
         beside = self._target.with_name(f"{self._target.name}-metadata.json")
@@ -108,7 +106,7 @@ class JsonLines(Series):
 
     def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
         super().__init__(description, constants)
-        self._file = None if os.fspath(path) == "-" else Appended(path)
+        self._file = None if os.fspath(path) == "-" else Appended(path, self.files)
         about = description.with_units()
         parts = {name: json.dumps(text).encode() for name, text in about.items()}
         self._line({**parts, "constants": _members(_nested(self.constants))})
@@ -125,13 +123,10 @@ class JsonLines(Series):
         time = repr(float(time_ms)) if np.isfinite(time_ms) else "null"
         self._line({"frame": b"%d" % index, "time_ms": time.encode(), **_nested(frame)})
 
-    def _abandon(self, raised: Raised) -> None:
-        if self._file is not None:
-            self._file.files.__exit__(*raised)
-
     def _finish(self) -> None:
-        if self._file is not None:
-            self._file.close()
+        with self.files:
+            if self._file is not None:
+                self._file.check_whole()
 
 
 def _nested(arrays: Mapping[str, NDArray[Any]]) -> dict[str, bytes]:
@@ -159,7 +154,7 @@ class ParquetSeries(Series):
             import pyarrow
             import pyarrow.parquet
         self._arrow: Any = pyarrow
-        self._file = Finishable(path)
+        self._file = Finishable(path, self.files)
         self._writer: Any = None
         self._waiting: list[Any] = []
         self._rows = self._bytes = 0
@@ -206,11 +201,8 @@ class ParquetSeries(Series):
             self._writer.write_table(self._arrow.Table.from_batches(self._waiting))
         self._waiting, self._rows, self._bytes = [], 0, 0
 
-    def _abandon(self, raised: Raised) -> None:
-        self._file.files.__exit__(*raised)
-
     def _finish(self) -> None:
-        with self._file.files:
+        with self.files:
             self._file.check_whole()
             if self._writer is None:
                 raise FieldError("no frame was measured: there is no table to write")

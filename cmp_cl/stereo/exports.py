@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, ConfigError
-from cmp_cl.files import check_path, suffix_of, write_text
+from cmp_cl.files import check_path, csv_bytes, suffix_of, write_text
 from cmp_cl.grid.grid import Grid
-from cmp_cl.media import csv_bytes
 from cmp_cl.stereo.cameras import Camera, Lens
 from cmp_cl.stereo.rig import StereoRig
 from cmp_cl.stereo.storage import new_storage, yaml_text

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 import cv2
 import numpy as np
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, check_shape
 from cmp_cl.synthetic.raster import Array
 from cmp_cl.synthetic.scene import Scene
 
@@ -49,8 +49,9 @@ def default_rig(shape: tuple[int, int] = (1200, 800)) -> Cameras:
     """Return two cameras 16 mm apart whose axes meet 45 mm away.
 
     shape: (rows, columns) of each view, px. The pattern of a default scene covers 92 % of the
-        shorter side.
+        shorter side. Raises ConfigError if it is not two whole numbers from 1.
     """
+    check_shape(shape, ConfigError)
     rows, columns = shape
     focal = FILL * min(shape) / 32.0 * DISTANCE
     half = math.atan2(8.0, DISTANCE)

@@ -88,7 +88,9 @@ def render_stereo(scene: Scene, rig: Rig) -> tuple[Rendered, Rendered, Array]:
 
 def binocular_frame(left: Rendered, right: Rendered) -> GreyImage:
     """Put the left and the right view side by side, (H, 2 W), as one camera sees them through
-    mirrors."""
+    mirrors; raises ConfigError if one is not Rendered."""
+    check_kind("left", left, Rendered, ConfigError)
+    check_kind("right", right, Rendered, ConfigError)
     frame: Image = np.concatenate([left.image, right.image], axis=1)
     return frame
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cmp_cl.errors import ConfigError
+from cmp_cl.errors import ConfigError, check_pair, check_range
 
 
 class Indenter(enum.Enum):
@@ -90,47 +90,31 @@ class Scene:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _check("markers", self.markers, 3, 100, kind=int)
-        _check_pair("shape", self.shape, 64, 8192, kind=int)
-        _check("side", self.side, 16, 64)
+        check_range("Scene.markers", self.markers, 3, 100, kind=int)
+        check_pair("Scene.shape", self.shape, 64, 8192, kind=int)
+        check_range("Scene.side", self.side, 16, 64)
         _check_member("indenter", self.indenter, Indenter)
         _check_member("mode", self.mode, Mode)
-        _check("severity", self.severity, 0, 2)
-        _check_pair("contact", self.contact, -32, 32)
-        _check("direction", self.direction, -7, 7)
-        _check("corrosion", self.corrosion, 0, 3)
-        _check("blur", self.blur, 0, 10)
-        _check("noise", self.noise, 0, 100)
-        _check("light", self.light, 0, 1)
-        _check("vignetting", self.vignetting, 1, 10)
-        _check("exposure", self.exposure, 0.05, 10)
+        check_range("Scene.severity", self.severity, 0, 2)
+        check_pair("Scene.contact", self.contact, -32, 32)
+        check_range("Scene.direction", self.direction, -7, 7)
+        check_range("Scene.corrosion", self.corrosion, 0, 3)
+        check_range("Scene.blur", self.blur, 0, 10)
+        check_range("Scene.noise", self.noise, 0, 100)
+        check_range("Scene.light", self.light, 0, 1)
+        check_range("Scene.vignetting", self.vignetting, 1, 10)
+        check_range("Scene.exposure", self.exposure, 0.05, 10)
         _check_member("surround", self.surround, Surround)
         if isinstance(self.bits, bool) or self.bits not in (8, 12):
             raise ConfigError(f"Scene.bits must be 8 or 12, not {self.bits!r}")
-        _check_pair("position", self.position, -8192, 8192)
-        _check("rotation", self.rotation, -7, 7)
-        _check_pair("tilt", self.tilt, -0.5, 0.5)
-        _check("seed", self.seed, 0, 2**63 - 1, kind=int)
+        check_pair("Scene.position", self.position, -8192, 8192)
+        check_range("Scene.rotation", self.rotation, -7, 7)
+        check_pair("Scene.tilt", self.tilt, -0.5, 0.5)
+        check_range("Scene.seed", self.seed, 0, 2**63 - 1, kind=int)
 
     def at_rest(self) -> "Scene":
         """Return the same scene with nothing pressing on the gel."""
         return dataclasses.replace(self, severity=0.0)
-
-
-def _check(field: str, value: object, low: float, high: float, *, kind: type = float) -> None:
-    noun = "an integer" if kind is int else "a number"
-    numeric = int if kind is int else (int, float)
-    if isinstance(value, bool) or not isinstance(value, numeric) or not low <= value <= high:
-        raise ConfigError(f"Scene.{field} must be {noun} in [{low:g}, {high:g}], not {value!r}")
-
-
-def _check_pair(field: str, value: object, low: float, high: float, *, kind: type = float) -> None:
-    if not isinstance(value, tuple) or len(value) != 2:
-        raise ConfigError(
-            f"Scene.{field} must be a tuple of two numbers in [{low:g}, {high:g}], not {value!r}"
-        )
-    for entry in value:
-        _check(field, entry, low, high, kind=kind)
 
 
 def _check_member(field: str, value: object, kind: type[enum.Enum]) -> None:
@@ -156,8 +140,11 @@ def random_scene(
 
     The contact is within 5 mm of the centre, in any direction. Blur is 0.7 to 1.1 px, noise 2 to
     4.5, light 0.2 to 1, vignetting 1 to 1.5. The surround is random. The position is within
-    6 px (at VGA), the rotation within 3 degrees, the tilt within 2.
+    6 px (at VGA), the rotation within 3 degrees, the tilt within 2. Raises ConfigError for a value
+    that `Scene` does not take.
     """
+    check_range("seed", seed, 0, 2**63 - 1, kind=int)
+    check_pair("shape", shape, 64, 8192, kind=int)
     draw = np.random.default_rng([seed, 1])
     indenters = [kind for kind in Indenter if kind is not Indenter.NONE]
     chosen = indenters[draw.integers(len(indenters))]

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cmp_cl.errors import FieldError, as_numbers, check_positive
+
 Points = NDArray[np.float64]  # (N, 2), px
 
 
@@ -89,7 +91,7 @@ def match(found: ArrayLike, truth: ArrayLike, distance: float) -> NDArray[np.int
     found: (N, 2), truth: (M, 2), distance: the largest of a pair, px.
     Returns (N,) int64, the index of each detection's corner, -1 for none.
     """
-    detections, corners = _points(found), _points(truth)
+    detections, corners = _points("found", found), _points("truth", truth)
     partner = np.full(len(detections), -1, np.int64)
     first, second, apart = _near(detections, corners, distance)
     taken = np.zeros(len(corners), np.bool_)
@@ -105,8 +107,15 @@ def score(found: ArrayLike, truth: ArrayLike, cell: float, ignored: ArrayLike = 
 
     found: (N, 2), truth: (M, 2) or (R, C, 2), px. cell: side of a cell, px.
     ignored: (K, 2), px, points where a detection is neither true nor false.
+
+    Raises FieldError if cell is not positive, or the others are not arrays of such a shape.
     """
-    detections, corners, junctions = _points(found), _points(truth), _points(ignored)
+    check_positive("cell", cell, FieldError)
+    detections, corners, junctions = (
+        _points("found", found),
+        _points("truth", truth),
+        _points("ignored", ignored),
+    )
     partner = match(detections, corners, reach(cell))
     hit = partner >= 0
     unmatched = detections[~hit]
@@ -142,8 +151,11 @@ def _ratio(part: int, whole: int) -> float:
     return part / whole if whole else float("nan")
 
 
-def _points(points: ArrayLike) -> Points:
-    finite = np.asarray(points, np.float64).reshape(-1, 2)
+def _points(name: str, points: ArrayLike) -> Points:
+    given = as_numbers(name, points, FieldError)
+    if given.size and given.shape[-1:] != (2,):
+        raise FieldError(f"{name} must be (N, 2), not {given.shape}")
+    finite = given.reshape(-1, 2)
     return finite[np.isfinite(finite).all(1)]
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.errors import FieldError, check_kind, check_range
 from cmp_cl.field import DisplacementField
 from cmp_cl.files import whole_file
 from cmp_cl.grid.grid import Grid
@@ -205,9 +205,16 @@ def corners_of_cells(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def save_figure(path: str | PathLike[str], figure: "Figure", *, dpi: int = 120) -> None:
-    """Write a figure as PNG, whole or not at all; dpi: pixels per inch; raises OSError."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    """Write a figure as PNG, whole or not at all.
 
+    figure: of matplotlib. dpi: pixels per inch, 10 to 10 000. Raises FieldError if figure is of
+    another type, ConfigError for another dpi, OSError.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    check_kind("figure", figure, Figure, FieldError)
+    check_range("dpi", dpi, 10, 10_000)
     FigureCanvasAgg(figure)
     with whole_file(path) as file:
         figure.savefig(file, format="png", dpi=dpi)

@@ -153,7 +153,8 @@ def test_broken_frames_and_frames_without_the_pattern_do_not_end_a_run(run, reco
     cv2.imwrite(str(recording / "1c.png"), np.full_like(press[0].frame, 90))
     status, out, err = run("run", recording, *STEREO)
     assert status == 0
-    assert "frame 2 cannot be read" in err
+    assert "frame 2 cannot be read and is skipped: " in err
+    assert "1a.png' is not an image that OpenCV can read" in err
     assert "frame 3 is 432 x 239 px" in err
     assert "1 without the pattern; 2 left out" in out
     series = np.load("press.npz")
@@ -410,6 +411,11 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
         (["none", *STEREO], ["none"]),
         (["frames", *STEREO, "--rest-frame", "9"], ["no --rest-frame 9", "3 frames"]),
         (["frames", *STEREO, "--rest-frame", "-1"], ["0 or more"]),
+        (["frames", *STEREO, "--rest-frame", "x"], ["'x' is not a whole number"]),
+        (
+            ["frames", *STEREO, "--max-pixels", "9"],
+            ["cannot be read", "limit of 9; --max-pixels 1"],
+        ),
         (["frames", *STEREO, "--split", "thirds"], ["halves", "thirds"]),
         (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["extends past the frame"]),
         (["frames", *STEREO, "--grid", "0x3"], ["0x3"]),
@@ -1096,6 +1102,7 @@ def test_folders_of_which_one_has_more_images_are_not_paired_by_guess(run, recor
         (["--left", "frames", "--right", "frames", "--split", "halves", *STEREO], "--split"),
         (["frames", "--pair-within", "3", *STEREO], "--pair-within"),
         (["frames", "--exposure", "3", *STEREO], "not a camera"),
+        (["0", "--camera-fps", "-3", *STEREO], "--camera-fps: '-3' is not a positive number"),
         (["0", "--pixel-format", "M", *STEREO], "four letters"),
     ],
 )
@@ -1185,8 +1192,8 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
         (("--cell", "2", "--stereo", "rig.yaml"), "--cell is for one view"),
         (("--contact", "2"), "--contact needs --stereo"),
         (("--unit", "cm"), "--unit needs --cell"),
-        (("--cell", "0"), "not a length"),
-        (("--contact", "nan", "--stereo", "rig.yaml"), "not a length"),
+        (("--cell", "0"), "not a positive number"),
+        (("--contact", "nan", "--stereo", "rig.yaml"), "not a positive number"),
     ],
 )
 def test_lengths_that_a_view_does_not_have_are_refused(run, arguments, message):

@@ -307,9 +307,9 @@ def test_requests_that_make_no_sense_are_refused():
     for region in ((50, 0, 40, 10), (0, 0, 40), "left", (0, 0, np.nan, 10)):
         with pytest.raises(GridError, match="region must be"):
             build_grid(corners, region=region)
-    with pytest.raises(GridError, match="like must be a Grid, not Corners"):
+    with pytest.raises(GridError, match="like must be of type Grid, not Corners"):
         build_grid(corners, like=corners)
-    with pytest.raises(GridError, match="Corners of an image, got ndarray"):
+    with pytest.raises(GridError, match="corners must be of type Corners, not ndarray"):
         build_grid(corners.xy)
     with pytest.raises(GridError, match="has no nodes"):
         build_grid(corners, like=build_grid(keep(corners, corners.xy[:, 0] < 0)))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ConfigError, FieldError, check_kind
+from cmp_cl.errors import FieldError, check_kind, check_range
 from cmp_cl.field.plane.displacement import PlaneField
 from cmp_cl.field.strain import fixes_plane, plane_moments, slope_weights
 
@@ -92,8 +92,7 @@ def plane_strain(field: PlaneField, *, radius: int = 2) -> PlaneStrain:
     number from 1 to 50.
     """
     check_kind("field", field, PlaneField, FieldError)
-    if type(radius) is not int or not 1 <= radius <= 50:
-        raise ConfigError(f"radius must be a whole number from 1 to 50, not {radius!r}")
+    check_range("radius", radius, 1, 50, kind=int)
     valid = field.valid
     known = valid & np.isfinite(field.sigma)
     used = known if known.any() else valid

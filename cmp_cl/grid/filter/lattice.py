@@ -110,7 +110,7 @@ def filter_grid(
     given[~there] = np.nan
     votes = there.copy()
     if measured is not None:
-        allowed = np.asarray(measured, np.bool_)
+        allowed = as_numbers("measured", measured, GridError).astype(np.bool_)
         if allowed.shape != there.shape:
             raise GridError(f"measured must be {there.shape}, not {allowed.shape}")
         votes &= allowed
@@ -150,7 +150,10 @@ def filter_at_rest(values: ArrayLike, *, measured: ArrayLike) -> Filtered:
     values, measured: as in `filter_grid`. The last few results are kept, because the frames of a
         recording share their positions at rest. The arrays of a result are read-only.
     """
-    given, votes = np.asarray(values, np.float64), np.asarray(measured, np.bool_)
+    given, votes = (
+        np.asarray(values, np.float64),
+        as_numbers("measured", measured, GridError).astype(np.bool_),
+    )
     return _at_rest(given.shape, given.tobytes(), votes.tobytes())
 
 
