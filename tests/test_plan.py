@@ -84,18 +84,12 @@ def test_without_the_gate_its_kernels_and_buffers_are_left_out(detector_for):
     )
 
 
-@pytest.mark.parametrize(
-    ("base", "for_cpus"),
-    [(FULL, "edge_step_eight"), (HARMONIC, "harmonic_step")],
-    ids=["rings", "harmonic"],
-)
-def test_without_refinement_its_kernels_and_buffers_are_left_out(
-    detector_for, form, base, for_cpus
-):
+@pytest.mark.parametrize("base", [FULL, HARMONIC], ids=["rings", "harmonic"])
+def test_without_refinement_its_kernels_and_buffers_are_left_out(detector_for, form, base):
     left_out(
         detector_for,
         base.replace(refinement=None),
-        launches=[for_cpus if form is Form.CPU else "edge_step"],
+        launches=["edge_step_eight" if form is Form.CPU else "edge_step"],
         than=base,
     )
 
@@ -165,7 +159,7 @@ def test_the_kernels_of_the_other_refinements_are_left_out(detector_for):
         kind: plan_of(detector_for, DetectorConfig(refinement=kind()))[2]
         for kind in (EdgeLines, EdgeStep, Midlines)
     }
-    lines, step = {"edge_lines", "harmonic_lines"}, {"edge_step", "harmonic_step"}
+    lines, step = {"edge_lines", "edge_lines_eight"}, {"edge_step", "edge_step_eight"}
     assert kernels[EdgeLines] & lines
     assert kernels[EdgeStep] & step
     assert not kernels[EdgeLines] & step

@@ -224,8 +224,5 @@ def test_every_kernel_file_has_a_test():
 SHARED_TESTS = {
     "border": "kernels/test_binarize.py",
     "centroids": "kernels/test_centroid.py",
-    "harmonic_band": "kernels/test_harmonic.py",
-    "harmonic_lines": "kernels/test_harmonic.py",
-    "harmonic_step": "kernels/test_harmonic.py",
     "markers": "grid/test_markers.py",
 }

@@ -4,8 +4,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from cmp_cl.config import EdgeStep, RingHarmonic
-from cmp_cl.stages import noise, refine
+from cmp_cl.config import RingHarmonic
+from cmp_cl.stages import noise
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import CORNER_COLUMNS, GROUP, Launch, PlanBase
 
@@ -15,7 +15,7 @@ SPAN = 64  # width of a bin, responses
 
 def files(plan: PlanBase) -> list[str]:
     """Return the kernel files."""
-    return [f"cpu/{_name(plan)}"] if plan.form is Form.CPU else ["border", "noise", "harmonic"]
+    return ["cpu/harmonic"] if plan.form is Form.CPU else ["border", "noise", "harmonic"]
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
@@ -37,7 +37,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
             "noise": 8 * frames * plan.bands,
             "spans": 8 * frames * plan.bands * plan.lists,
             "taken": 4 * frames * plan.segments,
-            "progress": 20 * frames,
+            "finished": 4 * frames,
         }
     return {**sizes, "noise": 8 * frames * noise.bands(plan)}
 
@@ -244,15 +244,8 @@ def _decide(plan: PlanBase) -> list[Launch]:
 # For CPUs
 
 
-def _name(plan: PlanBase) -> str:
-    """Return the name of the kernel that takes a band."""
-    if not plan.refines_in_bands:
-        return "harmonic_band"
-    return "harmonic_step" if isinstance(plan.config.refinement, EdgeStep) else "harmonic_lines"
-
-
 def _work_rows(plan: PlanBase) -> int:
-    """Return the rows of 16-bit numbers that a band keeps, see kernels/cpu/harmonic.clh."""
+    """Return the rows of 16-bit numbers that a band keeps, see kernels/cpu/harmonic.cl."""
     radius = plan.config.nms_radius
     smooth = 16 if radius <= 4 else 32
     responses = 8 if radius <= 3 else 16 if radius <= 7 else 32
@@ -265,7 +258,7 @@ def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
     band_rows = -(-plan.working[0] // plan.bands)
     corners = plan.corner_list
     return plan.stage(
-        _name(plan),
+        "harmonic_band",
         (plan.bands, plan.frames),
         (1, 1),
         frame=plan.image,
@@ -288,12 +281,11 @@ def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
         count_offset=corners["count_offset"],
         length=corners["length"],
         taken=b["taken"],
-        progress=b["progress"],
+        finished=b["finished"],
         noise=b["noise"],
         spans=b["spans"],
         lists=b["lists"],
         maxima=b["maxima"],
         corners=b["corners"],
         counts=b["counts"],
-        **refine.arguments_in_bands(plan),
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines, EdgeStep, RingHarmonic
+from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines, EdgeStep
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.program import Kernels
 from cmp_cl.stages.form import Form, form_for
@@ -100,11 +100,6 @@ class PlanBase:
         """Return the number of corners that a work-item of refinement processes at a time."""
         lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
         return LANES if self.form is Form.CPU and lines else 1
-
-    @property
-    def refines_in_bands(self) -> bool:
-        """Return whether the launch that finds the corners refines them too."""
-        return self.lanes == LANES and isinstance(self.rule, RingHarmonic)
 
     def constant(self, table: NDArray[Any]) -> cl.Buffer:
         """Return a constant table as a buffer on the device."""

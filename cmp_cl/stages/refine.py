@@ -17,7 +17,7 @@ RESULT_HEAD = 16  # numbers before the fields of a frame, as in kernels/result.c
 RESULT_FIELDS = 12
 POSITION, PIXEL, EDGES = slice(0, 2), slice(2, 4), slice(4, 8)
 RESPONSE, METHOD, VARIANCE, CORRELATION = 8, 9, 10, 11
-SHARES = 32  # shares of the corners for each unit of the device, or each band
+SHARES = 32  # shares of the corners for each unit of the device
 RADII = (3, 4, 5)  # of the rings, px of the working image
 RING_SAMPLES = 32
 STEP_RADIUS = (0.75, 4.5, 9.0)  # of EDGE_STEP's disc: cells, and its least and largest px
@@ -30,8 +30,6 @@ def files(plan: PlanBase) -> list[str]:
     refinement = plan.config.refinement
     if refinement is None:
         return ["centroids"]
-    if plan.refines_in_bands:
-        return []
     name = _name(refinement)
     return [f"cpu/{name}" if plan.lanes == LANES else name]
 
@@ -54,7 +52,6 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     )
     return {
         "LANES": plan.lanes,
-        "SHARES": SHARES,
         "LISTS": plan.lists,
         "SCALED": int(plan.scale is not None),
         "ANGLES": len(table) - 1,
@@ -70,8 +67,6 @@ def result_size(plan: PlanBase) -> int:
 
 def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the list of corners to positions."""
-    if plan.refines_in_bands:
-        return []
     refinement = plan.config.refinement
     return [_centroids(plan) if refinement is None else _refined(plan, refinement)]
 
@@ -105,7 +100,16 @@ def _centroids(plan: PlanBase) -> Launch:
 
 def _refined(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Launch:
     """Return the launch from the corners to their refined positions."""
-    b, name = plan.arrays, _name(refinement)
+    b, name, factor = plan.arrays, _name(refinement), plan.scale or 1.0
+    rings: dict[str, Any] = {}
+    if plan.scale is not None:
+        if plan.lanes == LANES:
+            rings["ring_reach"] = np.uint32(math.ceil(RADII[-1] / plan.scale) + 1)
+        rings["ring_samples"] = _ring_samples(plan, plan.scale)
+    disc: dict[str, Any] = {}
+    if isinstance(refinement, EdgeStep):
+        radius = _step_radius(refinement, factor)
+        disc = {"radius": np.float32(radius), "moments": plan.constant(moments(radius))}
     return _of_corners(
         plan,
         f"{name}_eight" if plan.lanes == LANES else name,
@@ -114,39 +118,12 @@ def _refined(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> Lau
         counts=b["counts"],
         **_full_size(plan),
         **plan.corner_list,
-        **_settings(plan, refinement),
+        max_shift=_largest_shift(plan),
+        scale=np.float32(factor),
+        **rings,
+        **disc,
         result=b["result"],
     )
-
-
-def arguments_in_bands(plan: PlanBase) -> dict[str, Any]:
-    """Return the arguments of the launch that finds the corners, if it refines them too."""
-    refinement = plan.config.refinement
-    if not plan.refines_in_bands or refinement is None:
-        return {}
-    return {
-        "full_image": plan.arrays["image"],
-        **{f"full_{name}": number for name, number in _full_size(plan).items()},
-        **_settings(plan, refinement),
-        "result": plan.arrays["result"],
-    }
-
-
-def _settings(plan: PlanBase, refinement: EdgeLines | EdgeStep | Midlines) -> dict[str, Any]:
-    """Return the settings of a refinement, by argument."""
-    factor = plan.scale or 1.0
-    settings: dict[str, Any] = {
-        "max_shift": _largest_shift(plan),
-        "scale": np.float32(factor),
-    }
-    if plan.scale is not None:
-        if plan.lanes == LANES:
-            settings["ring_reach"] = np.uint32(math.ceil(RADII[-1] / plan.scale) + 1)
-        settings["ring_samples"] = _ring_samples(plan, plan.scale)
-    if isinstance(refinement, EdgeStep):
-        radius = _step_radius(refinement, factor)
-        settings |= {"radius": np.float32(radius), "moments": plan.constant(moments(radius))}
-    return settings
 
 
 def _ring_samples(plan: PlanBase, scale: float) -> cl.Buffer:

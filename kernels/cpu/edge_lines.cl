@@ -1,7 +1,19 @@
 #include "cpu/edge_lines.clh"
 
-__kernel void edge_lines_eight(LIST_PARAMETERS, REFINEMENT_PARAMETERS,
+/* EDGE_LINES for CPUs. */
+__kernel void edge_lines_eight(__global const PIXEL *restrict image,
+                               __global const int *restrict corners,
+                               __global const uint *restrict counts, const uint rows,
+                               const uint columns, const uint step, const uint capacity,
+                               const uint count_offset, const uint length,
+                               const float max_shift, const float scale,
+#if SCALED
+                               const uint ring_reach, __global const float8 *restrict ring_samples,
+#endif
                                __global float *restrict result) {
-  refine(get_global_id(0), get_global_size(0), get_global_id(1), LIST_ARGUMENTS,
-         REFINEMENT_ARGUMENTS, result);
+  FRAME_OF_WORK_ITEM
+  FOR_EACH_EIGHT {
+    EDGES_OF_EIGHT
+    EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
+  }
 }

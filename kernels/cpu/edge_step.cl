@@ -1,7 +1,195 @@
-#include "cpu/edge_step.clh"
+#include "cpu/edge_lines.clh"
+#include "corner_model.clh"
 
-__kernel void edge_step_eight(LIST_PARAMETERS, REFINEMENT_PARAMETERS,
+/* EDGE_LINES, then EDGE_STEP, for CPUs. The lines and the equations are solved for eight corners at
+ * a time, the step's sums for one after the other. The pixels that the disc may contain, wherever
+ * in the middle pixel its centre lies, are listed once for all corners, row by row. A vector holds
+ * the next eight of the list, so every loop has the same length for every corner. The work from a
+ * pixel to the sums is cut into two loops, so that several vectors are in flight at a time. */
+
+/* A disc with more rows or pixels is processed in parts of whole rows. */
+#if SCALED
+#define MOST_ROWS 64
+#define MOST_PIXELS 2048
+#else /* a radius of 9 needs 19 rows and 312 pixels */
+#define MOST_ROWS 19
+#define MOST_PIXELS 312
+#endif
+#define BEHIND 32 /* elements behind the last pixel, which vector stores overwrite */
+
+#define ROUNDED(v) ((int)((v) + 1024.5f) - 1024) /* near 0; floor is a call */
+
+/* A row of the list begins with a pixel that is always outside the disc, so that the row before
+ * ends there. The columns -most to most from the middle pixel follow. */
+typedef struct {
+  int first, end, count; /* rows, counted from that of the middle pixel, and number of pixels */
+  int left_of[MOST_ROWS], begin_of[MOST_ROWS + 1];
+  float dx_of[MOST_PIXELS + BEHIND], dy_of[MOST_PIXELS + BEHIND];
+} Part;
+
+/* For each pixel: its weight, the model, the model's slopes and the grey level. */
+typedef struct {
+  PIXEL pixel_of[MOST_PIXELS + BEHIND];
+  float weight_of[MOST_PIXELS + BEHIND], model_of[MOST_PIXELS + BEHIND];
+  float slope_a_of[MOST_PIXELS + BEHIND], slope_b_of[MOST_PIXELS + BEHIND];
+  float grey_of[MOST_PIXELS + BEHIND];
+} Values;
+
+/* True if a pixel dx columns away may be in the disc; its row is at least `nearest` from the
+ * centre. */
+#define MAY_HOLD(dx) (((dx) - 0.5f) * ((dx) - 0.5f) + nearest * nearest < radius_2)
+
+/* List as many rows as fit, beginning with `first`. */
+void list_part(Part *part, const int first, const int reach, const float radius_2) {
+  int count = 0, most = 0, row = 0, dy = first;
+  for (; dy <= reach && row < MOST_ROWS; ++dy, ++row) {
+    const float nearest = dy == 0 ? 0.0f : (float)(dy < 0 ? -dy : dy) - 0.5f;
+    while (MAY_HOLD((float)most + 1)) ++most;
+    while (most > 0 && !MAY_HOLD((float)most)) --most;
+    const int width = 2 * most + 2;
+    if (count + width > MOST_PIXELS) break;
+    for (int k = 0; k < width + 8; k += 8) {
+      STORE_8(part->dx_of, count + k, (float)(k - most - 1) + EIGHT);
+      STORE_8(part->dy_of, count + k, (float8)((float)dy));
+    }
+    part->left_of[row] = -most - 1;
+    part->begin_of[row] = count;
+    count += width;
+  }
+  part->begin_of[row] = count;
+  part->first = first;
+  part->end = dy;
+  part->count = count;
+}
+
+/* Read the pixels of a part around (x, y). */
+void read_part(const Part *part, __global const PIXEL *image, const size_t p, const uint rows,
+               const uint columns, const uint step, const int x, const int y, PIXEL *pixel_of) {
+  const int top = y + part->first, count = part->end - part->first;
+  __global const PIXEL *line = image + CLAMPED_ROW(top);
+  for (int k = 0; k < count; line += (uint)(top + k) < rows - 1 ? step : 0, ++k) {
+    const int begin = part->begin_of[k], width = part->begin_of[k + 1] - begin;
+    const int left = x + part->left_of[k];
+#if SCALED
+    if (left < 0 || left + width > (int)columns) { /* the padding does not repeat the border here */
+      for (int i = 0; i < width; ++i)
+        pixel_of[begin + i] = line[SMALLER(LARGER(left + i, 0), (int)columns - 1)];
+      continue;
+    }
+#endif
+    for (int i = 0; i < width; i += 16)
+      *(PIXELS_ANYWHERE *)(pixel_of + begin + i) =
+          *(__global const PIXELS_ANYWHERE *)(line + left + i);
+  }
+}
+
+/* The sums over the pixels of eight corners that SOLVE_STEP needs. */
+typedef struct {
+  float c[LANES], middle[LANES], varied[LANES], sum_1[LANES];
+  float rr[LANES], ra[LANES], rb[LANES], rx[LANES], ry[LANES], px[LANES], py[LANES], rn[LANES];
+  float8 of_s[LANES], of_t[LANES];
+} Sums;
+
+/* The number of one corner in a vector of eight. */
+#define OF_LANE(v) ((const float *)&(v))[lane]
+
+__kernel void edge_step_eight(__global const PIXEL *restrict image,
+                              __global const int *restrict corners,
+                              __global const uint *restrict counts, const uint rows,
+                              const uint columns, const uint step, const uint capacity,
+                              const uint count_offset, const uint length,
+                              const float max_shift, const float scale,
+#if SCALED
+                              const uint ring_reach, __global const float8 *restrict ring_samples,
+#endif
+                              const float radius, __global const float8 *restrict moments,
                               __global float *restrict result) {
-  refine(get_global_id(0), get_global_size(0), get_global_id(1), LIST_ARGUMENTS,
-         REFINEMENT_ARGUMENTS, result);
+  FRAME_OF_WORK_ITEM
+  if (get_global_id(0) * LANES >= total) return;
+  const float radius_2 = radius * radius;
+  const float rim = 4 / radius_2;
+  const int reach = (int)(radius + 0.5f);
+
+  Part part;
+  Values values;
+  Sums sums;
+  list_part(&part, -reach, reach, radius_2);
+  const int whole = part.end > reach;
+
+#define TAKE_PART(first_row)                                                        \
+  if (!whole) list_part(&part, first_row, reach, radius_2);                         \
+  read_part(&part, image, p, rows, columns, step, near_x + middle_x, near_y + middle_y, \
+            values.pixel_of);                                                       \
+  for (int k = 0; k < part.count; k += 8) {                                         \
+    const float8 ux = LOAD_8(part.dx_of, k) - part_x, uy = LOAD_8(part.dy_of, k) - part_y; \
+    const float8 I = EIGHT_OF(float8, values.pixel_of + k) - centre;                \
+    CORNER_MODEL(uy * uy)                                                           \
+    SLOPES                                                                          \
+    STORE_8(values.weight_of, k, w);                                                \
+    STORE_8(values.model_of, k, P);                                                 \
+    STORE_8(values.slope_a_of, k, A);                                               \
+    STORE_8(values.slope_b_of, k, B);                                               \
+    STORE_8(values.grey_of, k, I);                                                  \
+  }
+
+  FOR_EACH_EIGHT {
+    EDGES_OF_EIGHT
+    EDGE_LINES(start_x, start_y, centroid_x, centroid_y)
+    EDGE_FRAME
+    for (uint lane = 0; lane < LANES && n + lane < total; ++lane) {
+      if (!as_uint(OF_LANE(good))) continue;
+      const int near_x = (int)OF_LANE(start_x), near_y = (int)OF_LANE(start_y);
+      const float a_x = OF_LANE(n1x) * BY_BLUR, a_y = OF_LANE(n1y) * BY_BLUR;
+      const float b_x = OF_LANE(n2x) * BY_BLUR, b_y = OF_LANE(n2y) * BY_BLUR;
+      /* The middle pixel, and the corner relative to it. */
+      const int middle_x = ROUNDED(OF_LANE(x)), middle_y = ROUNDED(OF_LANE(y));
+      const float part_x = OF_LANE(x) - (float)middle_x;
+      const float part_y = OF_LANE(y) - (float)middle_y;
+      const float centre = (float)image[CLAMPED_ROW(near_y) + near_x];
+
+      LEVEL_SUMS
+      for (int dy = -reach; dy <= reach; dy = part.end) {
+        TAKE_PART(dy)
+        for (int k = 0; k < part.count; k += 8)
+          ADD_LEVELS(LOAD_8(values.weight_of, k), LOAD_8(values.model_of, k),
+                     LOAD_8(values.grey_of, k))
+      }
+      LEVELS
+
+      RESIDUAL_SUMS
+      for (int dy = -reach; dy <= reach; dy = part.end) {
+        if (!whole) {
+          TAKE_PART(dy)
+        }
+        float8 last = 0;
+        for (int k = 0; k < part.count; k += 8) {
+          const float8 ux = LOAD_8(part.dx_of, k) - part_x, uy = LOAD_8(part.dy_of, k) - part_y;
+          const float8 w = LOAD_8(values.weight_of, k), P = LOAD_8(values.model_of, k);
+          const float8 left = RESIDUAL(LOAD_8(values.grey_of, k), P);
+          const float8 r = w > 0 ? left : (float8)(0.0f), wr = w * r;
+          ADD_RESIDUAL(wr, r, LOAD_8(values.slope_a_of, k), LOAD_8(values.slope_b_of, k), P)
+          vrn += (float8)(last.s7, wr.s0123, wr.s456) * r;
+          last = wr;
+        }
+      }
+#define PUT(name, value) sums.name[lane] = value;
+#define PUT_SUM(name) PUT(name, sum_of_eight(v##name))
+      PUT(c, c) PUT(middle, middle) PUT(varied, varied) PUT(sum_1, sum_1)
+      PUT_SUM(rr) PUT_SUM(ra) PUT_SUM(rb) PUT_SUM(rn)
+      PUT_SUM(rx) PUT_SUM(ry) PUT_SUM(px) PUT_SUM(py)
+      MOMENTS_AT(OF_LANE(angle))
+      PUT(of_s, of_s) PUT(of_t, of_t)
+    }
+
+#define TAKE(name) const REAL name = LOAD_8(sums.name, 0);
+    TAKE(c) TAKE(middle) TAKE(varied) TAKE(sum_1)
+    TAKE(rr) TAKE(ra) TAKE(rb) TAKE(rn) TAKE(rx) TAKE(ry) TAKE(px) TAKE(py)
+#define MOMENT_OF(axis, i, lane) sums.of_##axis[lane].s##i
+#define MOMENT(axis, i)                                                             \
+  (REAL)(MOMENT_OF(axis, i, 0), MOMENT_OF(axis, i, 1), MOMENT_OF(axis, i, 2),       \
+         MOMENT_OF(axis, i, 3), MOMENT_OF(axis, i, 4), MOMENT_OF(axis, i, 5),       \
+         MOMENT_OF(axis, i, 6), MOMENT_OF(axis, i, 7))
+    SOLVE_STEP
+    STORE_STEP
+  }
 }

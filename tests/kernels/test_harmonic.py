@@ -1,4 +1,4 @@
-"""kernels/harmonic.cl and kernels/cpu/harmonic.clh: the grey-level rule, equal to the oracle."""
+"""kernels/harmonic.cl and kernels/cpu/harmonic.cl: the grey-level rule, equal to the oracle."""
 
 import time
 from pathlib import Path
@@ -11,8 +11,7 @@ from comparison import assert_corners_equal, assert_maps_equal, assert_same_byte
 from corner_images import board, corner, noise
 from forms import in_form
 
-from cmp_cl import Detector, DetectorConfig, EdgeLines, EdgeStep, RingHarmonic, reference
-from cmp_cl.corners import Method
+from cmp_cl import Detector, DetectorConfig, EdgeLines, RingHarmonic, reference
 from cmp_cl.reference import harmonic
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.layout import PlanBase
@@ -168,22 +167,6 @@ def test_any_number_of_bands_gives_the_same_corners(device, monkeypatch, bands):
             corners = assert_corners_equal(detector, image)
             assert_same_bytes(detector.batch([image] * 2)[1], corners)
     assert len(corners) > 0
-
-
-@pytest.mark.parametrize("refinement", [EdgeLines(), EdgeStep()], ids=["lines", "step"])
-@pytest.mark.parametrize("bands", some([1, 2, 3, 5, 36, 70], (3, 70)))
-def test_any_number_of_bands_refines_every_corner(device, monkeypatch, bands, refinement):
-    """Even so many that a device cannot run all of them at a time: the last one refines alone."""
-    image = images.texture((70, 640), seed=2)
-    cpu = in_form(device, Form.CPU)
-    settings = {"shape": image.shape, "config": configured(refinement), "device": cpu}
-    with Detector(**settings) as detector:
-        expected = assert_corners_equal(detector, image)
-    monkeypatch.setattr(PlanBase, "bands", bands)
-    with Detector(**settings) as detector:
-        for found in (detector(image), detector(image), *detector.batch([image] * 3)):
-            assert_same_bytes(found, expected)
-    assert (expected.method != Method.KEPT).any()
 
 
 # --- the rule ------------------------------------------------------------------------------

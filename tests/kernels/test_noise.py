@@ -1,4 +1,4 @@
-"""kernels/noise.cl, and the noise that kernels/cpu/harmonic.clh sums up, equal the oracle."""
+"""kernels/noise.cl, and the noise that kernels/cpu/harmonic.cl sums up, equal the oracle."""
 
 import numpy as np
 import pyopencl as cl

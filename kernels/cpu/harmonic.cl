@@ -1,9 +1,8 @@
 #include "plane.clh"
 
 /* The grey-level rule for CPUs: one launch takes bands of rows from the image to the maxima of
- * both responses, and the last band to finish decides for the frame. Then the bands share
- * the refinement, if there is one for CPUs. More launches would cost more than what they leave out: a thread that has
- * nothing to do sleeps, and takes 20 us to wake up. kernels/harmonic.cl has the equations.
+ * both responses, and the last band to finish decides for the frame, because a launch of its own
+ * costs as much as half of the decision. kernels/harmonic.cl has the equations.
  *
  * Only the noise and the reference need the whole frame. A band therefore goes over its rows
  * once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
@@ -452,50 +451,29 @@ int take_rows(volatile __global uint *taken, const int next, const int height, c
 /* Row y of the frame. */
 #define FRAME_ROW(y) (frame + frame_start + ((size_t)p * rows + (size_t)(y)) * frame_step)
 
-/* How far the bands of a frame are; all 0 between launches. */
-typedef struct {
-  uint started, finished, decided; /* the bands that have, and 1 after the decision */
-  uint refined;                    /* the shares of the corners that are refined or taken */
-  uint left;                       /* the bands that have nothing left to do */
-} Progress;
-
-/* Wait for the decision; false if it would take too long. A band that has not started must not be
- * waited for, because its turn may come after that of the waiting one. */
-#define LONGEST_WAIT 200000 /* looks, of about a nanosecond each */
-int is_decided(volatile __global const Progress *frame, const uint bands) {
-  for (int k = 0; k < LONGEST_WAIT && frame->started == bands; ++k)
-    if (frame->decided) break;
-  return frame->decided;
-}
-
-#define BAND_PARAMETERS                                                             \
-  __global const PIXEL *frame, const uint frame_start, const uint frame_step,       \
-      __global PIXEL *image, __global const uint *restrict area, const uint rows,   \
-      const uint columns, const uint step, const uint band_rows, const uint capacity, \
-      const uint full_scale, const float inverse, const int alignment, const int support, \
-      __global ushort *restrict work, const uint work_size, const uint coarse_noise, \
-      const int coarse_share, const int fine_share, const uint corner_capacity,     \
-      const uint count_offset, const uint length, volatile __global uint *taken,    \
-      volatile __global Progress *progress, __global ulong *noise,                  \
-      __global uint2 *spans, __global int *lists, __global uint *restrict maxima,   \
-      __global int *corners, __global uint *counts
-#define BAND_ARGUMENTS                                                              \
-  frame, frame_start, frame_step, image, area, rows, columns, step, band_rows, capacity, \
-      full_scale, inverse, alignment, support, work, work_size, coarse_noise, coarse_share, \
-      fine_share, corner_capacity, count_offset, length, taken, progress, noise, spans, \
-      lists, maxima, corners, counts
-
 /* List the maxima of a band of the image, copy its rows to `image` unless the frame lies there, and
  * fill their padding. One work-item per band; an odd one goes up. Two bands share a segment of the
  * image and its list, which the second one fills from the end; together they may count more than
  * its capacity. `area` has a bit for every pixel. `taken` counts how often the bands of a segment
- * have taken rows, and is 0 between launches. The last band of a frame to finish decides for the
- * frame. The fences and the counts order the lists of all bands before the decision, and the
- * corners before the refinement, on every CPU: OpenCL 1.2 alone does not promise it between
- * groups. */
-void find_corners(const uint band, const uint bands, const size_t p, BAND_PARAMETERS) {
-  const uint segments = (bands + 1) / 2;
-  const size_t own = p * bands + band, segment = p * segments + band / 2;
+ * have taken rows. The last band of a frame to finish decides for the frame; `finished` counts
+ * them. Both counts are 0 between launches. The fences and the counts order the lists of all bands
+ * before the decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. */
+__kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
+                            const uint frame_step, __global PIXEL *image,
+                            __global const uint *restrict area, const uint rows,
+                            const uint columns, const uint step, const uint band_rows,
+                            const uint capacity, const uint full_scale, const float inverse,
+                            const int alignment, const int support,
+                            __global ushort *restrict work, const uint work_size,
+                            const uint coarse_noise, const int coarse_share,
+                            const int fine_share, const uint corner_capacity,
+                            const uint count_offset, const uint length,
+                            volatile __global uint *taken, volatile __global uint *finished,
+                            __global ulong *noise, __global uint2 *spans, __global int *lists,
+                            __global uint *restrict maxima, __global int *restrict corners,
+                            __global uint *restrict counts) {
+  const uint band = get_global_id(0), bands = get_global_size(0), segments = (bands + 1) / 2;
+  const size_t p = get_global_id(1), own = p * bands + band, segment = p * segments + band / 2;
   const int height = (int)rows, width = (int)columns;
   const int upward = band % 2, way = upward ? -1 : 1;
   const int top = (int)(band / 2 * 2 * band_rows);
@@ -512,8 +490,6 @@ void find_corners(const uint band, const uint bands, const size_t p, BAND_PARAME
   uint found[2] = {0, 0};
   for (int x = -PAD; x < (int)step - PAD; ++x) nothing[x] = 0;
   take_noise(noise_of_column, width);
-  progress += p;
-  atomic_inc(&progress->started);
 
   /* `done` rows of the band are done; before the first, the steps fill their buffers. */
   int left = take_rows(taken + segment, first - top, end - top, upward);
@@ -619,40 +595,11 @@ void find_corners(const uint band, const uint bands, const size_t p, BAND_PARAME
     spans[own * (1 + FINE) + fine] = (uint2)(start, found[fine]);
   }
   mem_fence(CLK_GLOBAL_MEM_FENCE);
-  if (atomic_inc(&progress->finished) + 1 == bands) {
-    mem_fence(CLK_GLOBAL_MEM_FENCE);
-    decide(p, noise, spans, lists, rows, columns, step, bands, capacity, full_scale,
-           coarse_noise, coarse_share, fine_share, corner_capacity, count_offset, length, maxima,
-           corners, counts);
-    mem_fence(CLK_GLOBAL_MEM_FENCE);
-    atomic_inc(&progress->decided);
-  }
-}
-
-/* The band of a work-item. */
-#define FIND_CORNERS                                                                \
-  const uint bands = get_global_size(0);                                            \
-  const size_t p = get_global_id(1);                                                \
-  find_corners(get_global_id(0), bands, p, BAND_ARGUMENTS);
-
-/* The last band leaves the counts as the next launch expects them. */
-#define END_BAND                                                                    \
-  volatile __global Progress *counted = progress + p;                               \
-  if (atomic_inc(&counted->left) + 1 < bands) return;                               \
-  counted->started = counted->finished = counted->decided = 0;                      \
-  counted->refined = counted->left = 0;                                             \
-  const uint segments = (bands + 1) / 2;                                            \
+  if (atomic_inc(finished + p) + 1 < bands) return;
+  mem_fence(CLK_GLOBAL_MEM_FENCE);
+  finished[p] = 0;
   for (uint k = 0; k < segments; ++k) taken[p * segments + k] = 0;
-
-/* Refine shares of the corners until none is left. They lie in `full_image`. */
-#define REFINED_PARAMETERS                                                          \
-  __global const PIXEL *full_image, const uint full_rows, const uint full_columns,  \
-      const uint full_step, REFINEMENT_PARAMETERS, __global float *result
-#define REFINE_CORNERS                                                              \
-  if (is_decided(progress + p, bands)) {                                            \
-    mem_fence(CLK_GLOBAL_MEM_FENCE);                                                \
-    const uint shares = SHARES * bands;                                             \
-    for (uint share; (share = atomic_inc(&progress[p].refined)) < shares;)          \
-      refine(share, shares, p, full_image, corners, counts, full_rows, full_columns, \
-             full_step, corner_capacity, count_offset, length, REFINEMENT_ARGUMENTS, result); \
-  }
+  decide(p, noise, spans, lists, rows, columns, step, bands, capacity, full_scale,
+         coarse_noise, coarse_share, fine_share, corner_capacity, count_offset, length, maxima,
+         corners, counts);
+}
