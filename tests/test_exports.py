@@ -16,6 +16,7 @@ from cmp_cl.errors import CalibrationError, ConfigError
 from cmp_cl.stereo import StereoRig
 from cmp_cl.stereo.cameras import Camera, Lens, calibrate_cameras
 from cmp_cl.stereo.exports import cameras_of, grid_to_opencv, save_cameras, save_corners
+from cmp_cl.stereo.joint import MisfitError
 
 SIZE = (640, 480)
 MATRIX = np.array([[420.0, 0, 325], [0, 418.0, 236], [0, 0, 1]])
@@ -87,6 +88,42 @@ def test_three_cameras_are_located_though_two_of_them_miss_views():
     two = {name: grids[name] for name in ("a", "b")}
     rig = calibrate_cameras(two, spacing=20, sizes=dict.fromkeys(two, SIZE)).rig()
     assert np.linalg.norm(rig.T) == pytest.approx(np.linalg.norm(truth["b"].T), rel=0.01)
+
+
+def test_swapped_views_of_one_of_three_cameras_are_refused_and_named():
+    seen = views(
+        {
+            "a": camera(Lens.PINHOLE),
+            "b": camera(Lens.PINHOLE, (0.01, 0.15, -0.02), (-50, 2, 5)),
+            "c": camera(Lens.PINHOLE, (-0.1, -0.2, 0.05), (60, -3, 8)),
+        }
+    )
+    sizes, right = dict.fromkeys(seen, SIZE), list(seen["b"])
+    seen["b"][2], seen["b"][7] = right[7], right[2]
+    with pytest.raises(MisfitError, match="without view 2 of b and view 7 of b the others") as why:
+        calibrate_cameras(seen, spacing=20, sizes=sizes)
+    assert why.value.odd == {2: ["b"], 7: ["b"]}
+    seen["b"] = [*right[1:], right[0]]  # no view fits: none is named
+    with pytest.raises(MisfitError, match="no pose between the cameras fits") as why:
+        calibrate_cameras(seen, spacing=20, sizes=sizes)
+    assert not why.value.odd
+    seen["b"][:9], seen["b"][9:] = [None] * 9, right[9:]
+    seen["b"][10], seen["b"][11] = right[11], right[10]  # too few are left to tell
+    with pytest.raises(MisfitError) as why:
+        calibrate_cameras(seen, spacing=20, sizes=sizes)
+    assert not why.value.odd
+
+
+@pytest.mark.parametrize("lens", list(Lens))
+def test_views_that_are_as_bad_for_each_camera_alone_are_not_refused(lens):
+    rng = np.random.default_rng(900002)
+    cameras = {"a": camera(lens), "b": camera(lens, translation=(-20.0, 0, 0))}
+    seen = {
+        name: [grid_of(grid.xy + rng.normal(0, 1, grid.xy.shape)) for grid in grids]
+        for name, grids in views(cameras).items()
+    }
+    found = calibrate_cameras(seen, spacing=20, sizes=dict.fromkeys(seen, SIZE), lens=lens)
+    assert 1.2 < found.error < 1.5
 
 
 def test_views_that_do_not_determine_a_camera_are_refused():

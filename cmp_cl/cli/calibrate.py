@@ -38,6 +38,7 @@ from cmp_cl.measure import MAX_SIGMA, Region, find_boards, square_sides
 from cmp_cl.opencl.device import select_device
 from cmp_cl.stereo import StereoCalibration, calibrate
 from cmp_cl.stereo.exports import cameras_of, check_cameras, save_cameras
+from cmp_cl.stereo.joint import MisfitError
 
 
 def add_parser(commands: Any) -> None:
@@ -169,13 +170,16 @@ def run(arguments: argparse.Namespace) -> int:
                 "camera give --camera NAME=IMAGE..., for those of two --left and --right"
             )
         raise CalibrationError(f"no view shows the board ({len(names)} given){hint}")
-    found = calibrate(
-        views,
-        spacing=arguments.square,
-        image_size=(size[1], size[0]),
-        unit=arguments.unit,
-        free_board=arguments.free_board,
-    )
+    try:
+        found = calibrate(
+            views,
+            spacing=arguments.square,
+            image_size=(size[1], size[0]),
+            unit=arguments.unit,
+            free_board=arguments.free_board,
+        )
+    except MisfitError as error:
+        raise calibrate_cameras.with_files(error, {"left": used, "right": used}) from error
     if check_cameras(arguments.out) in (".yaml", ".yml"):
         found.rig.save(arguments.out)
     else:

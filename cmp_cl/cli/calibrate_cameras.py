@@ -3,7 +3,7 @@
 import argparse
 import itertools
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from cmp_cl.measure import align_views, find_board, trusted
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.stereo.cameras import CamerasCalibration, Lens, calibrate_cameras
 from cmp_cl.stereo.exports import check_cameras, check_corners, save_cameras, save_corners
+from cmp_cl.stereo.joint import MisfitError
 from cmp_cl.viz import save_figure
 from cmp_cl.viz.calibration import residual_figure
 
@@ -80,13 +81,17 @@ def run(arguments: argparse.Namespace) -> int:
         name: [None if grid is None else trusted(grid, arguments.max_sigma) for grid in grids]
         for name, grids in views.items()
     }
-    found = calibrate_cameras(
-        kept,
-        spacing=arguments.square,
-        sizes=sizes,
-        lens=Lens(arguments.lens),
-        unit=arguments.unit,
-    )
+    try:
+        found = calibrate_cameras(
+            kept,
+            spacing=arguments.square,
+            sizes=sizes,
+            lens=Lens(arguments.lens),
+            unit=arguments.unit,
+        )
+    except MisfitError as error:
+        shorter = {name: [path.name for path in paths] for name, paths in files.items()}
+        raise with_files(error, shorter) from error
     written = [shown(path) for path in save_cameras(arguments.out, found.cameras)]
     if arguments.corners is not None:
         pictures = itertools.chain.from_iterable(
@@ -187,6 +192,13 @@ def _report(
             f"uncertain: {left_out}{pose}"
         )
     print(f"all views: {found.error:.3f} px")
+
+
+def with_files(error: MisfitError, names: Mapping[str, Sequence[str]]) -> CalibrationError:
+    """Return the error with the files of the views that do not fit; names: by camera and moment."""
+    odd = [names[name][moment] for moment, cameras in error.odd.items() for name in cameras]
+    files = ", ".join(shown(name) for name in dict.fromkeys(odd))
+    return CalibrationError(f"{error}; these views are {files}" if odd else str(error))
 
 
 def described(matrix: NDArray[np.float64], sigma: float) -> str:

@@ -22,6 +22,7 @@ from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
 from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, boxed, check_room
 from cmp_cl.grid.numbering import Numbered, like_rest
+from cmp_cl.grid.seam import touch
 from cmp_cl.grid.sizes import followed, in_shape
 from cmp_cl.image import GreyImage, check_image
 
@@ -361,7 +362,7 @@ def _reflected(nodes: Nodes, image: GreyImage | None, like: Grid | None, *, whol
     if whole or (like is not None and like.reflected):
         return like is not None and like.reflected
     at = np.where(nodes.status == NodeStatus.INTERPOLATED, NOWHERE, nodes.at)
-    if has_seam(at) or repeats_reversed(at):
+    if has_seam(at) or (like is None and touch(at)) or repeats_reversed(at):
         return True
     return image is not None and is_dimmed_reflection(at, nodes.parity, image)
 

@@ -307,7 +307,7 @@ def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[in
     if not len(asked):
         return typical
     every = np.full(np.add(shape, 2 * BESIDE), np.nan)
-    every[row + BESIDE, column + BESIDE] = off
+    every[row + BESIDE, column + BESIDE] = np.where(np.isfinite(off), off, np.nan)
     reach = np.arange(2 * BESIDE + 1)
     rows = row[asked, None, None] + reach[:, None]
     columns = column[asked, None, None] + reach

@@ -83,6 +83,7 @@ def extend(nodes: Nodes, seen: Seen, closed: Sides) -> None:
         found &= not evidence.reject(nodes, seen.image, seen.lines)
         nodes.crop()
         if not found:
+            evidence.reject_stragglers(nodes, seen.image, seen.lines)
             return
 
 

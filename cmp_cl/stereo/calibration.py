@@ -11,6 +11,7 @@ from cmp_cl.errors import CalibrationError, FieldError, as_size, check_positive,
 from cmp_cl.grid.grid import Grid
 from cmp_cl.stereo.adjustment import Adjusted, Look, adjust, root_mean_square
 from cmp_cl.stereo.free_board import adjust_board, numbered_alike
+from cmp_cl.stereo.joint import adjust_together
 from cmp_cl.stereo.lens import Lens, distortion_of, matrix_of, rotation_of
 from cmp_cl.stereo.rig import StereoRig
 from cmp_cl.stereo.start import (
@@ -25,8 +26,6 @@ from cmp_cl.stereo.start import (
 )
 
 _LENS = Lens.PINHOLE
-_MAX_MISFIT = 1.0  # px: the joint reprojection error may reach this, or
-_MAX_MISFIT_RATIO = 3.0  # times the larger error of a camera alone
 Array = NDArray[np.float64]
 
 
@@ -137,15 +136,9 @@ def calibrate(
         for view, (one, other) in enumerate(views)
         for camera, grid in enumerate((one, other))
     ]
-    start, free = joined({"left": left_start, "right": right_start}, board), unknowns(_LENS, 2)
-    adjusted, shape = adjust(_LENS, looks, start, free), None
-    both, alone = root_mean_square(*adjusted.residuals), max(left.error, right.error)
-    if not both <= max(_MAX_MISFIT, _MAX_MISFIT_RATIO * alone):
-        raise CalibrationError(
-            f"no pose between the cameras fits the views: both together miss by {both:.1f} px, "
-            f"each alone by {alone:.2f} px; check the shape of the board, and that left and "
-            "right views are pairs"
-        )
+    free = unknowns(_LENS, 2)
+    found = {"left": left_start, "right": right_start}
+    adjusted, shape = adjust_together(_LENS, looks, found, board, free), None
     if free_board:
         adjusted, shape = adjust_board(_LENS, looks, adjusted.state, free, board.shape[:2], spacing)
     first, second = adjusted.state.cameras
@@ -196,7 +189,7 @@ def _one(
         view_errors=_errors(adjusted),
         board=shape,
     )
-    return found, Alone(camera, dict(enumerate(adjusted.state.poses)), sigma)
+    return found, Alone(camera, dict(enumerate(adjusted.state.poses)), sigma, found.error)
 
 
 def _errors(adjusted: Adjusted) -> Array:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, as_size, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
-from cmp_cl.stereo.adjustment import Look, adjust, root_mean_square
+from cmp_cl.stereo.adjustment import Look, root_mean_square
+from cmp_cl.stereo.joint import adjust_together
 from cmp_cl.stereo.lens import (
     POSE,
     Lens,
@@ -31,7 +32,6 @@ from cmp_cl.stereo.start import (
     Alone,
     board_of,
     calibrate_alone,
-    joined,
     look_at,
     unknowns,
 )
@@ -116,7 +116,8 @@ def calibrate_cameras(
     boards are fitted together, with the lenses fixed.
 
     Raises CalibrationError if a camera has too few views or nodes, if its views do not
-    determine the focal length, or if it shares no moment with the others.
+    determine the focal length, if it shares no moment with the others, or if no pose between the
+    cameras fits all views.
     """
     check_positive("spacing", spacing, CalibrationError)
     check_kind("views", views, Mapping, CalibrationError)
@@ -141,7 +142,7 @@ def calibrate_cameras(
     free = unknowns(lens, len(names))
     free[:, :-POSE] = False
     every = [look for name in names for look in looks[name]]
-    adjusted = adjust(lens, every, joined(found, board), free)
+    adjusted = adjust_together(lens, every, found, board, free)
     errors = {name: np.full(len(grids), np.nan) for name, grids in views.items()}
     places: dict[str, list[Array | None]] = {name: [None] * len(errors[name]) for name in names}
     residuals: dict[str, list[Array | None]] = {name: [None] * len(errors[name]) for name in names}

@@ -27,12 +27,14 @@ class Alone:
     """A camera, calibrated alone.
 
     camera: its parameters, at the origin. poses: by moment, the pose of the board (6,).
-    focal_sigma: the larger standard deviation of the focal lengths, px.
+    focal_sigma: the larger standard deviation of the focal lengths, px. error: root mean square
+        reprojection error, px.
     """
 
     camera: Array
     poses: Mapping[int, Array]
     focal_sigma: float
+    error: float
 
 
 def board_of(grids: Sequence[Grid | None], spacing: float) -> Array:
@@ -87,7 +89,7 @@ def calibrate_alone(
             "show the board tilted, in different directions"
         )
     moments = [look.moment for look in looks]
-    return Alone(camera, dict(zip(moments, poses, strict=True)), sigma)
+    return Alone(camera, dict(zip(moments, poses, strict=True)), sigma, float(error))
 
 
 def unknowns(lens: Lens, cameras: int) -> NDArray[np.bool_]:

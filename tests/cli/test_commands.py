@@ -1027,6 +1027,26 @@ def test_one_camera_is_calibrated_by_itself(run, opencv_views):
     assert cv2.imread("r.png").std() > 10
 
 
+@pytest.mark.parametrize("named", [False, True])
+def test_files_in_the_wrong_order_are_named(run, opencv_views, named):
+    left, right = opencv_views
+    right = [*right[:2], right[3], right[2], right[4]]
+    views = "--left", *left, "--right", *right
+    if named:
+        views = (
+            "--camera",
+            f"left={left[0]}",
+            *left[1:],
+            "--camera",
+            f"right={right[0]}",
+            *right[1:],
+        )
+    outcome = run("calibrate", *views, *CHESSBOARD, "--out", "rig.yaml")
+    fails_in_one_line(outcome, "without view 2 of left, right and view 3 of left, right")
+    assert "these views are left03.jpg, right04.jpg, left04.jpg, right03.jpg" in outcome[2]
+    assert not Path("rig.yaml").exists()
+
+
 def test_named_cameras_make_a_rig_that_run_takes(run, opencv_views):
     left, right = (views[:4] for views in opencv_views)
     cameras = (
