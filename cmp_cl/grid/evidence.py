@@ -29,6 +29,11 @@ class Least(NamedTuple):
 
 USUAL = Least(0.4, 0.2, 0.85, 0.12)
 ALONE = Least(0.8, 0.7, 0.95, 0.12)  # for a node without a whole cell
+# A shadow divides the levels of a bright and of a dark cell alike: it changes their difference, but
+# hardly their ratio. Corners with the pattern's ratio need no more evidence than this.
+SHADED = Least(0.1, 0.1, 0.95, 0.12)
+SHADED_ALONE = Least(0.4, 0.1, 0.95, 0.12)  # for one without a whole cell
+RATIOS = 0.7, 1.3  # least and greatest multiple of the logarithm of the pattern's ratio
 # px: a node in a whole cell may be so far from its prediction, however small the cells are.
 NEAR = 1.5
 HIDDEN = 0.4  # cells: nodes nearer to the edge of the image than that may be missed
@@ -48,15 +53,14 @@ def reject(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
     edges do not lead to their neighbours. lines: of the corners, see `lines_of`.
     """
     dropped = False
-    usual: float | None = None
+    usual: _Usual | None = None
     while True:
         row, column, whole = _rim(nodes.there)
         if not len(row):
             return dropped
         if usual is None:
             every = _look(nodes, image, *_rim_and_inside(nodes.there))
-            contrast = (every.bright - every.dark)[len(row) :][every.known[len(row) :]]
-            usual = median(contrast) if len(contrast) else 0.0
+            usual = _Usual.of(every, len(row))
             look = every.first(len(row))
         else:
             look = _look(nodes, image, row, column)
@@ -170,7 +174,8 @@ class _Look(NamedTuple):
     """The image around some nodes, each (M,).
 
     along, down, cell: as in `mean_steps`, 0 where steps are not known. bright, dark: the grey
-    levels of the darker bright cell and of the brighter dark one. span: of the four cells.
+    levels of the darker bright cell and of the brighter dark one. span: of the four cells. ratio:
+    logarithm of the product of the bright cells over that of the dark ones.
     """
 
     row: Index
@@ -182,10 +187,27 @@ class _Look(NamedTuple):
     bright: Float
     dark: Float
     span: Float
+    ratio: Float
 
     def first(self, count: int) -> "_Look":
         """Return the first of them."""
         return _Look._make(values[:count] for values in self)
+
+
+class _Usual(NamedTuple):
+    """The median contrast and ratio of nodes inside the grid, as in `_Look`; 0 if none is known."""
+
+    contrast: float = 0.0
+    ratio: float = 0.0
+
+    @classmethod
+    def of(cls, look: _Look, first: int) -> "_Usual":
+        """Return those of the nodes from that one on."""
+        known = look.known[first:]
+        if not known.any():
+            return cls()
+        contrast = (look.bright - look.dark)[first:][known]
+        return cls(median(contrast), median(look.ratio[first:][known]))
 
 
 def _look(
@@ -203,7 +225,10 @@ def _look(
     black = (nodes.parity + row + column) % 2 == 0  # the cells after and before on the diagonal
     dark, bright = np.where(black, *high), np.where(black, *low[::-1])
     span = np.maximum(*high) - np.minimum(*low)
-    return _Look(row, column, along, down, cell, known, bright, dark, span)
+    log = np.log(np.maximum(level, 1))
+    ratio = log[1] + log[3] - log[0] - log[2]
+    ratio = np.where(black, ratio, -ratio)
+    return _Look(row, column, along, down, cell, known, bright, dark, span, ratio)
 
 
 def grey(image: GreyImage, at: Points) -> Float:
@@ -231,10 +256,10 @@ def _convincing(
     lines: Complex,
     look: _Look,
     in_cell: Mask,
-    usual: float,
+    usual: _Usual,
 ) -> Mask:
     """Return a mask of the nodes that look like corners of the pattern."""
-    row, column, along, down, cell, known, bright, dark, span = look
+    row, column, along, down, cell, known, bright, dark, span, ratio = look
     contrast = bright - dark
     cosine = _cosine(nodes, lines, row, column, along, down)
     at = nodes.at[row, column]
@@ -250,7 +275,7 @@ def _convincing(
     def fits(least: Least, near: Float) -> Mask:
         return (
             (contrast >= least.span * span)
-            & (contrast >= least.contrast * usual)
+            & (contrast >= least.contrast * usual.contrast)
             & ~(cosine < least.cosine)
             & (off <= np.maximum(least.off * cell, near))
         )
@@ -259,8 +284,16 @@ def _convincing(
     guessed = nodes.status[row, column] == NodeStatus.SECOND_LOOK.value
     beside = (inward < 0) | ((inward < EDGE_PIXELS) & (guessed | (off > EDGE_OFF)))
     beside |= (inward < EDGE_CELLS * cell) & (off > EDGE_OFF_CELLS * cell)
-    kept: Mask = known & fits(USUAL, near) & ~beside
-    return kept if in_cell.all() else kept & (in_cell | fits(ALONE, np.zeros(1)))
+    usually = fits(USUAL, near)
+    if not in_cell.all():
+        usually &= in_cell | fits(ALONE, np.zeros(1))
+    if not usually.all():
+        low, high = RATIOS
+        alike = (ratio >= low * usual.ratio) & (ratio <= high * usual.ratio)
+        alike &= nodes.owner[row, column] >= 0
+        usually |= alike & fits(SHADED, np.zeros(1)) & (in_cell | fits(SHADED_ALONE, np.zeros(1)))
+    kept: Mask = known & usually & ~beside
+    return kept
 
 
 def _typical(off: Float, cell: Float, row: Index, column: Index, shape: tuple[int, ...]) -> Float:
