@@ -1,6 +1,7 @@
 """Corners are arranged by row and column here: numbers, orientation, holes, second look."""
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -34,7 +35,7 @@ OTHER = 12  # corners: a lattice of so many may be the pattern that is meant
 WHOLE = 0.9  # share of the nodes of a known shape
 BORDERS = 3  # sides; the edge of the image, or things beside, may hide one
 FEW = 0.01  # share of the corners that may be sparser than those of a board in fine texture
-LEAST_BOARD = 9  # corners of a board among several
+LEAST_BOARD = 9  # corners of a board among several, or among more corners that are not its own
 TORN = 0.15  # px: a corner whose sigma is not below it is torn, as is one not refined as asked
 
 Region = tuple[float, float, float, float]
@@ -152,10 +153,13 @@ def build_grid(
         boards += _boards(seen, found, shape, taken, first=1)
     whole = [each for each in boards if each.is_whole(shape)]
     alone = len(whole) == 1 and (shape is not None or whole[0].is_bordered())
-    if not alone and found.size[0] < SMALL * len(inside):
+    least = SMALL * len(inside)
+    if shape is None and like is None:
+        least = max(least, min(len(inside) / 2, LEAST_BOARD))
+    if not alone and found.size[0] < least:
         raise GridError(
-            f"the largest lattice has {found.size[0]} of {len(inside)} corners, "
-            f"expected at least {SMALL:.0%}; check the detector's configuration or give a region"
+            f"the largest lattice has {found.size[0]} of {len(inside)} corners, expected at least "
+            f"{math.ceil(least)}; check the detector's configuration, or give a region or the shape"
         )
     if not boards:
         return empty_grid(len(corners), shape, like)

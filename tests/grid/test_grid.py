@@ -280,8 +280,15 @@ def test_a_small_second_board_is_left_out():
 
 def test_a_lattice_of_few_of_the_corners_is_refused():
     corners = board(3, 3, false=60.0, seed=3).corners
-    with pytest.raises(GridError, match="corners, expected at least 10%"):
+    with pytest.raises(GridError, match="has 4 of 549 corners, expected at least 55;"):
         build_grid(corners)
+
+
+def test_a_lattice_of_few_corners_is_no_board_among_many_others_unless_a_board_is_so_small():
+    corners = board(2, 4, false=4.0, seed=0).corners
+    with pytest.raises(GridError, match="has 6 of 40 corners, expected at least 9;"):
+        build_grid(corners)
+    assert build_grid(board(2, 4).corners).valid.sum() == 8
 
 
 def test_without_corners_the_grid_is_empty_or_of_the_known_shape():
