@@ -33,7 +33,7 @@ STEP = 0.1  # cells
 # Cells from the last nodes: depths at which the last squares may end.
 DEPTHS = np.arange(0.3, 1.45, STEP)
 PROFILE = np.concatenate([[-0.5], DEPTHS])  # the middle of the squares, then these depths
-PARALLEL = 0.16  # cells: three of four reaches must be as near to their median
+PARALLEL = 0.16  # cells: three of four reaches must be as near to their median, and the halves'
 ALIKE = 0.12  # cells: greatest difference between the reach of a side in two images
 PAST = np.array([0.3, 0.6, 0.9])  # cells past the pattern, where its border line has ended
 ACROSS_LINE = np.array([[-0.3], [0.3]])  # cells to either side of the border's line
@@ -231,9 +231,10 @@ def _squares(at: Points) -> Points:
 
 
 def common_reach(reach: Float, columns: int) -> float:
-    """Return the median reach of pairs, (columns,); NaN unless three of four are near it.
+    """Return the median reach of pairs, (columns,); NaN if they do not reach equally far.
 
-    A single pair cannot show whether squares reach equally far.
+    Three of four must be near the median, and the medians of both halves near each other: along an
+    oblique edge they differ. A single pair cannot show whether squares reach equally far.
     """
     count = len(reach)
     if count < max(min(2, columns - 2), 1):
@@ -241,7 +242,11 @@ def common_reach(reach: Float, columns: int) -> float:
     reaches = reach.tolist()
     middling = statistics.median(reaches)
     off = sorted(abs(each - middling) for each in reaches)
-    return middling if off[(3 * count - 1) // 4] <= PARALLEL else math.nan
+    half = count // 2
+    halves = (reaches[:half], reaches[-half:]) if half > 2 else (reaches, reaches)
+    first, last = map(statistics.median, halves)
+    near = max(off[(3 * count - 1) // 4], abs(first - last)) <= PARALLEL
+    return middling if near else math.nan
 
 
 def cut_of(nodes: Nodes, image: GreyImage) -> Sides:

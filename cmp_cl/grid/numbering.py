@@ -8,10 +8,10 @@ number, and nothing beyond a border at rest belongs to the pattern. That leaves 
 often one. But the edge of an object that hides the pattern looks like a border too. A side is taken
 for such an edge, and decides nothing, if it differs between the frames: in the reach of the last
 squares, or in whether its line continues past the pattern. It is also taken for one if its line
-continues and the opposite side is no border, or if, without such an opposite side, its last squares
-at rest are not whole and its line has not moved with the pattern; or if its squares reach less far,
-or farther, than at rest because its line has stood still. If a side differs, the other
-sides are sure only of motions by less than half a cell.
+continues and the opposite side is no border; if its line continues, or its squares reach less far,
+or farther, than at rest, and the line has stood still; or if its last squares are not whole and its
+line is not seen to have moved with the pattern. If a side differs, the other sides are sure only of
+motions by less than half a cell.
 
 The printing errors, which move with the pattern, see `fingerprint`.
 
@@ -97,8 +97,9 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
     """
     rest = Reference.of(like)
     turns = quarter_turns(nodes.at, rest, every=True)
-    at_rest = Border.of(like).turned(-turns[0][0])
-    whole = all(border.sides) and all(like.border) and not any(border.contradicts(at_rest))
+    quarters = turns[0][0]
+    whole = all(border.sides) and all(like.border)
+    whole &= not any(_hidden(nodes.turned(quarters), border.turned(quarters), like))
     if whole and nodes.at.shape in (like.shape, like.shape[::-1]):
         decided = _by_turn(nodes, border, like, rest, turns)
     else:
@@ -251,19 +252,22 @@ def _hidden(nodes: Nodes, border: Border, like: Grid) -> Sides:
 def _unmoved(nodes: Nodes, border: Border, like: Grid) -> Sides:
     """Return the sides that may be the edge of an object that stands still.
 
-    Their last squares reach farther than at rest, or less far, but their line has not moved. Or at
-    rest these squares are not whole and the opposite side is no border, and now their line is not
-    seen at another position.
+    Their line has not moved, although their last squares reach farther than at rest, or less far,
+    or it continues past the pattern. Or these squares are not whole, and their line is not seen at
+    one position at rest and at another now.
     """
-    rest = Reference.of(like)
+    rest, at_rest = Reference.of(like), Border.of(like)
     lines = _edges(nodes.at, border.reach), _edges(rest.at, like.reach)
     unmoved = []
     for number, (now, before) in enumerate(zip(*lines, strict=True)):
-        reach, changed = like.reach[number], abs(border.reach[number] - like.reach[number])
-        broken = abs(reach - 1) > BROKEN and math.isnan(like.reach[number ^ 1])
+        reaches = border.reach[number], like.reach[number]
+        broken = any(abs(reach - 1) > BROKEN for reach in reaches)
+        passing = border.passing[number] or at_rest.passing[number]
+        changed = abs(reaches[0] - reaches[1])
         moved = _beside(now, before) / rest.cell if len(now) and len(before) else math.nan
         fixed = changed >= CHANGED and moved <= FIXED * changed
-        unmoved.append(fixed or (broken and not moved > STILL))
+        still = passing and moved <= STILL
+        unmoved.append(fixed or still or (broken and not moved > STILL))
     return Sides(*unmoved)
 
 

@@ -339,6 +339,30 @@ def test_an_edge_that_stood_still_while_the_pattern_moved_is_no_border(moved, ed
     assert grid.ambiguous != sure
 
 
+def through_window(left: int, window: tuple[slice, slice], moved: int) -> np.ndarray:
+    """Return the view from a column of a pattern that moved down, px, behind a window."""
+    whole, _ = drawn(20, 20)
+    view = np.full((280, 280), 16, np.uint8)
+    view[window] = whole[100 - moved : 380 - moved, left : left + 280][window]
+    return view
+
+
+@pytest.mark.parametrize(
+    ("left", "window", "reach"),
+    [
+        (60, np.s_[70:210, 70:210], (0.5, 0.5, 0.5, 0.5)),  # through squares
+        (200, np.s_[60:200, :], (1, 1, np.nan, 1)),  # along squares, past the end of the pattern
+    ],
+)
+def test_a_pattern_that_moved_by_a_period_behind_a_window_is_ambiguous(left, window, reach):
+    views = [through_window(left, window, moved) for moved in (0, 40)]
+    rest = build_grid(seen_in(views[0]), views[0])
+    grid = build_grid(seen_in(views[1]), views[1], like=rest)
+    np.testing.assert_allclose(rest.reach, reach, atol=0.07)
+    np.testing.assert_allclose(grid.reach, reach, atol=0.07)
+    assert grid.ambiguous
+
+
 def test_a_sheet_that_was_cut_along_its_squares_has_borders_on_both_sides():
     views = []
     for x in (40, 80):
@@ -415,9 +439,10 @@ def test_parts_of_a_pattern_that_hardly_meet_are_not_numbered_by_one_border_each
     assert grid.ambiguous
 
 
-def test_an_oblique_edge_is_no_border():
+@pytest.mark.parametrize("slope", [0.038, 0.1])
+def test_an_oblique_edge_is_no_border(slope):
     whole, _ = drawn(20, 20)
-    view = behind(np.ascontiguousarray(whole[60:300, 60:300]), 190, 0.1)
+    view = behind(np.ascontiguousarray(whole[60:300, 60:300]), 190, slope)
     grid = build_grid(seen_in(view), view)
     assert grid.valid.any()
     assert not grid.border.right
