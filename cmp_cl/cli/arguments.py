@@ -12,6 +12,7 @@ from pathlib import Path
 from cmp_cl import media
 from cmp_cl.cli.messages import shown
 from cmp_cl.errors import ConfigError
+from cmp_cl.files import check_target
 from cmp_cl.grid.limits import MOST_NODES
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Region
@@ -23,24 +24,33 @@ Box = tuple[int, int, int, int]  # x, y, width, height, px
 View = tuple[Box, bool]  # its rectangle in the frame, and whether it is mirrored
 
 
-def refuse_to_overwrite(
-    inputs: Iterable[str | Path | None], outputs: Iterable[str | Path | None]
-) -> None:
+def check_files(inputs: Iterable[str | Path | None], outputs: Iterable[str | Path | None]) -> None:
     """Raise ConfigError if an output is an input, or two outputs are one file.
 
-    None stands for a file that was not requested. Devices and pipes may be named twice.
+    None stands for a file that was not requested. Devices and pipes may be named twice. Raises
+    OSError if an output cannot be written.
     """
     read = {os.path.realpath(path) for path in inputs if path is not None}
     written = set()
     for path in outputs:
-        if path is None or (os.path.exists(path) and not os.path.isfile(path)):
+        if path is None:
             continue
         real = os.path.realpath(path)
-        if real in read:
-            raise ConfigError(f"{shown(path)} is an input and would be overwritten")
-        if real in written:
-            raise ConfigError(f"{shown(path)} is given for two outputs")
-        written.add(real)
+        if os.path.isfile(path) or not os.path.exists(path):
+            if real in read:
+                raise ConfigError(f"{shown(path)} is an input and would be overwritten")
+            if real in written:
+                raise ConfigError(f"{shown(path)} is given for two outputs")
+            written.add(real)
+        check_target(path)
+
+
+def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
+    """Raise ConfigError if the path of an option has another suffix; None was not requested."""
+    if path is not None and Path(path).suffix.lower() not in suffixes:
+        *others, last = suffixes
+        endings = f"{', '.join(others)} or {last}" if others else last
+        raise ConfigError(f"{option} {shown(path)} must end in {endings}")
 
 
 def unit_name(text: str) -> str:

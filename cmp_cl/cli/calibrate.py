@@ -18,10 +18,10 @@ from cmp_cl.cli.arguments import (
     add_max_pixels,
     add_region,
     add_split,
+    check_files,
     distinct_inputs,
     grid_shape,
     positive_number,
-    refuse_to_overwrite,
     regions_in,
     split_of,
     unit_name,
@@ -31,7 +31,6 @@ from cmp_cl.cli.arguments import (
 from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
-from cmp_cl.files import check_target
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import MAX_SIGMA, Region, find_boards, square_sides
@@ -134,7 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
         return calibrate_cameras.run(arguments)
     _check(arguments)
     names = _names(arguments)
-    refuse_to_overwrite(itertools.chain(*names), [arguments.out])
+    check_files(itertools.chain(*names), [arguments.out])
     device = select_device(arguments.device)
     views: list[tuple[Grid, Grid]] = []
     used: list[str] = []
@@ -207,7 +206,6 @@ def _check(arguments: argparse.Namespace) -> None:
         raise ConfigError("--corners, --picture and --lens need --camera NAME=IMAGE...")
     _check_free_board(arguments)
     check_cameras(arguments.out)
-    check_target(arguments.out)
 
 
 def _check_free_board(arguments: argparse.Namespace) -> None:

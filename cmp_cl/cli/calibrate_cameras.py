@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import distinct_inputs, refuse_to_overwrite
+from cmp_cl.cli.arguments import check_files, check_suffix, distinct_inputs
 from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
-from cmp_cl.files import check_target
 from cmp_cl.grid import Grid
 from cmp_cl.measure import align_views, find_board, trusted
 from cmp_cl.opencl.device import Device, select_device
@@ -137,13 +136,9 @@ def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]]) -> No
     check_cameras(arguments.out)
     if arguments.corners is not None:
         check_corners(arguments.corners)
-    if arguments.picture is not None and Path(arguments.picture).suffix.lower() != ".png":
-        raise ConfigError(f"--picture {shown(arguments.picture)} must end in .png")
-    outputs = [arguments.out, arguments.corners, arguments.picture]
-    refuse_to_overwrite(itertools.chain(*files.values()), outputs)
-    for path in outputs:
-        if path is not None:
-            check_target(path)
+    check_suffix("--picture", arguments.picture, ".png")
+    outputs = arguments.out, arguments.corners, arguments.picture
+    check_files(itertools.chain(*files.values()), outputs)
 
 
 def _board(

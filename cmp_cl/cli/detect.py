@@ -19,8 +19,8 @@ from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
     add_max_pixels,
+    check_files,
     grid_shape,
-    refuse_to_overwrite,
 )
 from cmp_cl.cli.messages import counted, in_shell, one_line, shown, tell_what_opencv_hides
 from cmp_cl.cli.progress import Progress
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
     paths = media.find_inputs(arguments.inputs)
     overlays = _overlay_paths(arguments.overlay, paths)
     out = _csv_path(arguments.out)
-    refuse_to_overwrite([*paths, arguments.config], [*overlays.values(), out])
+    check_files([*paths, arguments.config], [*overlays.values(), out])
     tell_what_opencv_hides(paths)
     finder = _Finder(config, arguments)
     kind = _CornerOutput if arguments.grid is None else _NodeOutput

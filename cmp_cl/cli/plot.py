@@ -3,9 +3,9 @@
 import argparse
 import os
 import re
-from pathlib import Path
 from typing import Any
 
+from cmp_cl.cli.arguments import check_suffix
 from cmp_cl.cli.messages import counted, shown
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import check_target
@@ -53,8 +53,7 @@ def _node(text: str) -> tuple[int, int]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
-    if Path(arguments.out).suffix.lower() != ".png":
-        raise ConfigError(f"--out {shown(arguments.out)} must end in .png")
+    check_suffix("--out", arguments.out, ".png")
     if os.path.realpath(arguments.out) == os.path.realpath(arguments.series):
         raise ConfigError(f"{shown(arguments.out)} is the series and would be overwritten")
     check_target(arguments.out)

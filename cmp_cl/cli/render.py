@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from cmp_cl import media
-from cmp_cl.cli.arguments import refuse_to_overwrite
+from cmp_cl.cli.arguments import check_files
 from cmp_cl.cli.messages import shown
-from cmp_cl.files import check_target
 from cmp_cl.synthetic import Indenter, Mode, Scene, render
 
 
@@ -73,10 +72,7 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Render the scene that the arguments describe; return the exit status."""
-    refuse_to_overwrite([], [arguments.out, arguments.truth])
-    for path in (arguments.out, arguments.truth):
-        if path is not None:
-            check_target(path)
+    check_files([], [arguments.out, arguments.truth])
     rendered = render(_scene(arguments))
     media.write_image(arguments.out, rendered.image)
     rows, columns = rendered.image.shape

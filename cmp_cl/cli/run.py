@@ -7,25 +7,23 @@ import os
 import re
 import sys
 import time
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.cameras import CameraSettings, Source
-from cmp_cl.cli import strain
+from cmp_cl.cli import derived
 from cmp_cl.cli.arguments import (
-    Box,
     add_device,
     add_full_scale,
     add_max_pixels,
     add_region,
     add_split,
+    check_files,
+    check_suffix,
     grid_shape,
     positive_number,
-    refuse_to_overwrite,
     regions_in,
     split_of,
     views_of,
@@ -38,7 +36,7 @@ from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
+from cmp_cl.measure import Measured, MeasuredInSpace, OneView, TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, open_series
@@ -137,7 +135,7 @@ def add_parser(commands: Any) -> None:
         "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
         "outside are ignored in every frame",
     )
-    strain.add_arguments(parser)
+    derived.add_arguments(parser)
     parser.add_argument(
         "--raw",
         action="store_true",
@@ -184,7 +182,7 @@ def add_parser(commands: Any) -> None:
 
 
 def _camera_size(text: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    match = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 1280x720")
     return int(match[1]), int(match[2])
@@ -234,104 +232,56 @@ class _Tally:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Settings:
-    """The settings that the arguments give, checked and loaded."""
+    """The arguments, checked, and what they name, loaded."""
 
+    arguments: argparse.Namespace
     source: Source | Pairs
-    rest_frame: int
-    out: str
-    overlay: str | None
-    rerun: str | None
-    show: bool
     device: Device
-    shape: tuple[int, int] | None
     config: DetectorConfig | None
-    full_scale: int | None
-    raw: bool
-    region: Sequence[Box] | None
     rig: StereoRig | None
-    split: str
-    mirror: str | None
-    track: bool
-    added: strain.Added
 
     @classmethod
     def of(cls, arguments: argparse.Namespace) -> Self:
         if arguments.rest_frame < 0:
             raise ConfigError(f"--rest-frame must be 0 or more, not {arguments.rest_frame}")
         _check_source(arguments)
-        added = strain.Added.of(arguments)
+        derived.check(arguments)
         if arguments.stereo is None and (arguments.split or arguments.mirror):
             raise ConfigError("--split and --mirror need --stereo")
-        if arguments.out != "-":
-            _check_suffix("--out", arguments.out, *SERIES_SUFFIXES)
-        elif sys.__stdout__ is None:
+        out = None if arguments.out == "-" else arguments.out
+        check_suffix("--out", out, *SERIES_SUFFIXES)
+        if out is None and sys.__stdout__ is None:
             raise ConfigError("--out - needs standard output, which is closed")
-        _check_suffix("--overlay", arguments.overlay, *OVERLAY_SUFFIXES)
-        _check_suffix("--rerun", arguments.rerun, ".rrd")
+        check_suffix("--overlay", arguments.overlay, *OVERLAY_SUFFIXES)
+        check_suffix("--rerun", arguments.rerun, ".rrd")
         if arguments.show:
             _check_display()
         config = None if arguments.config is None else DetectorConfig.load(arguments.config)
         rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
         device = select_device(arguments.device)
-        camera = CameraSettings(
-            size=arguments.camera_size,
-            fps=arguments.camera_fps,
-            exposure=arguments.exposure,
-            fourcc=arguments.pixel_format,
-        )
-        source = (
-            Pairs(arguments, camera)
-            if arguments.left is not None
-            else Source(arguments.source, camera, max_pixels=arguments.max_pixels, from_start=True)
-        )
-        if camera != CameraSettings() and not source.live:
-            raise ConfigError(
-                f"{shown(source.name)} is not a camera, so it takes no camera settings"
-            )
-        refuse_to_overwrite(
+        source = _source(arguments)
+        check_files(
             [*source.paths, arguments.config, arguments.stereo],
-            [
-                None if arguments.out == "-" else arguments.out,
-                arguments.overlay,
-                arguments.rerun,
-            ],
+            [out, arguments.overlay, arguments.rerun],
         )
         tell_what_opencv_hides(source.paths)
-        return cls(
-            source=source,
-            rest_frame=arguments.rest_frame,
-            out=arguments.out,
-            overlay=arguments.overlay,
-            rerun=arguments.rerun,
-            show=arguments.show,
-            device=device,
-            shape=arguments.grid,
-            config=config,
-            full_scale=_full_scale(arguments.full_scale, source, config),
-            raw=arguments.raw,
-            region=arguments.region,
-            rig=rig,
-            split=arguments.split or "halves",
-            mirror=arguments.mirror,
-            track=arguments.track,
-            added=added,
-        )
+        return cls(arguments=arguments, source=source, device=device, config=config, rig=rig)
 
-    def description(self, measure: Measurement) -> Description:
-        """Return the description that is stored in the series."""
+    def description(self, unit: str) -> Description:
+        """Return the description that is stored in the series; unit: of the lengths."""
         lengths: tuple[str, ...] = ("rest", "displacement", "sigma")
         pixels: tuple[str, ...] = ("xy", "rest_px", "raw_rest", "raw_xy", "raw_sigma")
         if self.rig is not None:
             lengths += ("raw_rest", "raw_displacement", "raw_sigma")
             pixels = ("left", "right", "left_rest", "right_rest")
         units = {
-            **dict.fromkeys(lengths, measure.unit),
+            **dict.fromkeys(lengths, unit),
             **dict.fromkeys(pixels, "px"),
-            **strain.units(measure),
+            **derived.units(unit),
         }
         settings = {
             "source": self.source.name,
-            "rest_frame": str(self.rest_frame),
+            "rest_frame": str(self.arguments.rest_frame),
             "device": str(self.device),
             "configuration": repr(self.config) if self.config else "for the cells seen at rest",
         }
@@ -339,59 +289,73 @@ class _Settings:
             settings["start_ns"] = str(self.source.start_ns)
         return Description(units=units, settings=settings)
 
-    def measurement(self, rest: GreyImage) -> Measurement:
+    def measurement(self, rest: GreyImage) -> OneView | TwoViews:
         """Return the measurement of frames against this frame at rest.
 
         Raises GridError if it shows no pattern.
         """
+        asked, hint = self.arguments, ""
+        full_scale = asked.full_scale
+        if full_scale is None and (self.config is None or self.config.full_scale is None):
+            full_scale = self.source.full_scale
         search: Any = {
-            "shape": self.shape,
+            "shape": asked.grid,
             "config": self.config,
-            "full_scale": self.full_scale,
+            "full_scale": full_scale,
             "device": self.device,
-            "track": self.track,
-            "raw": self.raw,
+            "track": asked.track,
+            "raw": asked.raw,
         }
-        hint = ""
         try:
             if self.rig is None:
                 hint = "; --region picks one of several patterns; frames of two views need --stereo"
-                (region,) = regions_in(self.region, whole(rest))
-                return self._with_added(OneView(rest, region=region, **search))
-            split = split_of(self.split, self.mirror, rest.shape)
+                (region,) = regions_in(asked.region, whole(rest))
+                return OneView(rest, region=region, **search)
+            split = split_of(asked.split or "halves", asked.mirror, rest.shape)
             one, two = views_of(split)
             if isinstance(self.source, Pairs):  # regions are in the two frames
                 two = ((0, 0, *two[0][2:]), two[1])
-            left, right = regions_in(self.region, one, two)
-            return self._with_added(
-                TwoViews(rest, self.rig, split, regions=(left, right), **search)
-            )
+            left, right = regions_in(asked.region, one, two)
+            return TwoViews(rest, self.rig, split, regions=(left, right), **search)
         except GridError as error:
-            raise GridError(f"frame {self.rest_frame}, the frame at rest: {error}{hint}") from error
+            raise GridError(
+                f"frame {asked.rest_frame}, the frame at rest: {error}{hint}"
+            ) from error
 
-    def _with_added(self, measure: OneView | TwoViews) -> Measurement:
-        try:
-            return self.added.to(measure)
-        except BaseException:
-            measure.close()
-            raise
+
+def _source(arguments: argparse.Namespace) -> Source | Pairs:
+    """Open the source; raises ConfigError if camera settings are given for a file."""
+    camera = CameraSettings(
+        size=arguments.camera_size,
+        fps=arguments.camera_fps,
+        exposure=arguments.exposure,
+        fourcc=arguments.pixel_format,
+    )
+    source: Source | Pairs
+    if arguments.left is not None:
+        source = Pairs(arguments, camera)
+    else:
+        source = Source(arguments.source, camera, max_pixels=arguments.max_pixels, from_start=True)
+    if camera != CameraSettings() and not source.live:
+        raise ConfigError(f"{shown(source.name)} is not a camera, so it takes no camera settings")
+    return source
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     settings = _Settings.of(arguments)
     source = settings.source
-    rest, frames = at_rest(source, settings.rest_frame)
-    tally, stop, display = _Tally(track=settings.track), Stop(), _Display(settings)
+    rest, frames = at_rest(source, arguments.rest_frame)
+    tally, stop, display = _Tally(track=arguments.track), Stop(), _Display(settings)
     full: OSError | None = None
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
-        measure = stack.enter_context(settings.measurement(rest))
-        shown_at_rest = measure.constants.get("rest_px", measure.constants["rest"])
+        measure = settings.measurement(rest)
+        stack.enter_context(measure)
+        results = derived.results_of(measure, arguments)
         stack.enter_context(display)
-        series = stack.enter_context(
-            open_series(settings.out, settings.description(measure), measure.constants)
-        )
+        description = settings.description(results.unit)
+        series = stack.enter_context(open_series(arguments.out, description, results.constants))
         stack.callback(ignore)  # no signal stops the closing of the series
         progress = stack.enter_context(Progress(source.total, "frames"))
         for frame in stack.enter_context(contextlib.closing(frames)):
@@ -408,9 +372,9 @@ def run(arguments: argparse.Namespace) -> int:
                     )
                 continue
             start = time.perf_counter()
-            measured = measure(image)
+            measured = results(image)
             spent = (time.perf_counter() - start) * 1e3
-            if frame.index == settings.rest_frame:  # the numbers are those of this frame
+            if frame.index == arguments.rest_frame:  # the numbers are those of this frame
                 measured = dataclasses.replace(measured, ambiguous=False)
             try:
                 series.append(
@@ -425,34 +389,23 @@ def run(arguments: argparse.Namespace) -> int:
                 full = error
                 break
             tally.add(frame.index, measured, spent)
-            display.frame(frame, measured, shown_at_rest)
+            display.frame(frame, measured, measure.constants["rest"])
         if stop.name and not tally.frames:  # an older series stays
             raise KeyboardInterrupt
-    ended = f"stopped by {stop.name}; " if stop.name else ""
-    line = tally.line(measure.nodes, measure.unit, str(settings.device))
-    if isinstance(source, Pairs):
-        line += source.alone()
-    piped = settings.out == "-"
+    report = sys.stderr if arguments.out == "-" else sys.stdout
     if full is None or tally.frames:
-        text = f"{ended}wrote {shown(settings.out)}: {line}"
-        print(text, file=sys.stderr if piped else sys.stdout)
-    for written in (settings.overlay, settings.rerun):
+        ended = f"stopped by {stop.name}; " if stop.name else ""
+        line = tally.line(measure.nodes, results.unit, str(settings.device))
+        alone = source.alone() if isinstance(source, Pairs) else ""
+        print(f"{ended}wrote {shown(arguments.out)}: {line}{alone}", file=report)
+    for written in (arguments.overlay, arguments.rerun):
         if written is not None and display.error is None:
-            print(f"wrote {shown(written)}", file=sys.stderr if piped else sys.stdout)
+            print(f"wrote {shown(written)}", file=report)
     failed = [error for error in (full, display.error) if error is not None]
     if failed:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2
     return 130 if stop.name and not source.live else 0
-
-
-def _full_scale(
-    asked: int | None, source: Source | Pairs, config: DetectorConfig | None
-) -> int | None:
-    """Return the requested full scale, else that of the settings, else that of the source."""
-    if asked is not None or (config is not None and config.full_scale is not None):
-        return asked
-    return source.full_scale
 
 
 class _Display(contextlib.AbstractContextManager["_Display"]):
@@ -468,16 +421,16 @@ class _Display(contextlib.AbstractContextManager["_Display"]):
         self.error: OSError | None = None
 
     def __enter__(self) -> Self:
-        settings = self._settings
-        if settings.overlay is not None:
-            period_ms, unit = settings.source.period_ms, settings.rig.unit if settings.rig else "px"
+        asked, rig = self._settings.arguments, self._settings.rig
+        if asked.overlay is not None:
+            period_ms = self._settings.source.period_ms
             fps = 25.0 if np.isnan(period_ms) else 1e3 / period_ms
-            self._overlay = OverlayVideo(settings.overlay, fps=fps, unit=unit)
-        if settings.rerun is None and not settings.show:
+            self._overlay = OverlayVideo(asked.overlay, fps=fps, unit=rig.unit if rig else "px")
+        if asked.rerun is None and not asked.show:
             return self
-        option = "--show" if settings.show else "--rerun"
+        option = "--show" if asked.show else "--rerun"
         try:
-            self._log = RerunLog(settings.rerun)
+            self._log = RerunLog(asked.rerun)
         except ImportError as error:
             raise ConfigError(f"{option} needs rerun-sdk: pip install 'cmp-cl[view]'") from error
         except RuntimeError as error:
@@ -550,10 +503,3 @@ def _check_display() -> None:
         raise ConfigError(
             "--show needs a display, and there is none; --rerun FILE.rrd records to a file instead"
         )
-
-
-def _check_suffix(option: str, path: str | None, *suffixes: str) -> None:
-    if path is not None and Path(path).suffix.lower() not in suffixes:
-        *others, last = suffixes
-        endings = f"{', '.join(others)} or {last}" if others else last
-        raise ConfigError(f"{option} {shown(path)} must end in {endings}")

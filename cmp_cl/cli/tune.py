@@ -7,7 +7,6 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,8 +19,9 @@ from cmp_cl.cli.arguments import (
     add_max_pixels,
     add_region,
     add_split,
+    check_files,
+    check_suffix,
     grid_shape,
-    refuse_to_overwrite,
     regions_in,
     split_of,
     views_of,
@@ -38,7 +38,6 @@ from cmp_cl.config import (
 )
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, ImageError
-from cmp_cl.files import check_target
 from cmp_cl.grid import Grid
 from cmp_cl.grid.predict import predict
 from cmp_cl.image import GreyImage
@@ -169,11 +168,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
     if arguments.split is None and arguments.mirror is not None:
         raise ConfigError("--mirror needs --split")
-    if Path(arguments.out).suffix.lower() != ".toml":
-        raise ConfigError(f"--out {shown(arguments.out)} must end in .toml")
-    check_target(arguments.out)
+    check_suffix("--out", arguments.out, ".toml")
     paths = media.find_inputs(arguments.frames)
-    refuse_to_overwrite(paths, [arguments.out])
+    check_files(paths, [arguments.out])
     tell_what_opencv_hides(paths)
     device = select_device(arguments.device)
     views = _views(arguments)

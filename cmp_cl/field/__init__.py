@@ -1,7 +1,7 @@
 """Displacement and strain of the nodes, and their files."""
 
 from cmp_cl.field.contact import Contact, contact_of, surface_normals
-from cmp_cl.field.field import DisplacementField, displacement
+from cmp_cl.field.field import DisplacementField, displacement, mesh
 from cmp_cl.field.plane import (
     Motion,
     PlaneField,
@@ -24,7 +24,6 @@ from cmp_cl.field.poisson import (
     surface_height,
 )
 from cmp_cl.field.strain import green_lagrange
-from cmp_cl.field.writers import mesh
 
 __all__ = [
     "Boundary",

@@ -2,18 +2,21 @@
 
 import dataclasses
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.strain import Slopes, green_lagrange, slope_weights, strain_deviation
-from cmp_cl.field.writers import save
+from cmp_cl.field.writers import mesh_of, save
 from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid.grid import MEASURED, NodeStatus
 from cmp_cl.stereo.points import Points3D, PointStatus, largest_deviation
 
 Array = NDArray[np.float64]
+
+_IN_FILES = ("position", "displacement", "sigma", "strain", "strain_sigma", "position_sigma")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,7 +97,25 @@ class DisplacementField:
         The raw field is written beside a filtered one; the names of its arrays begin with raw_.
         Raises ConfigError on another suffix, OSError if the file cannot be written.
         """
-        save(self, path)
+        save(path, _arrays(self), self.unit)
+
+
+def mesh(field: DisplacementField) -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
+    """Return columns of the valid nodes of a field, and the quadrilaterals between them, (Q, 4)
+    indices; raises FieldError if field is of another type."""
+    check_kind("field", field, DisplacementField, FieldError)
+    return mesh_of(_arrays(field))
+
+
+def _arrays(field: DisplacementField) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a field by name; those of the raw one begin with raw_."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for begin, each in (("", field), ("raw_", field.raw)):
+        for name in _IN_FILES:
+            values = getattr(each, name, None)
+            if values is not None:
+                arrays[begin + name] = values
+    return arrays | {"status": field.status, "source": field.source}
 
 
 def _slopes(weights: tuple[Array, Array], filtered: Filtered, covariance: Array) -> Slopes:
