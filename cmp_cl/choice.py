@@ -35,7 +35,7 @@ def choose_by_corners(
     lost = _nearest(_some(expected.xy), found.xy) > _NEAR * found.edge_radius
     if np.count_nonzero(lost) > (1 - _SHARE) * len(lost):
         return for_any
-    if not len(found):
+    if len(found) < 2:
         return estimated
     apart = np.quantile(_nearest(_some(found.xy), found.xy, itself=True), _CLOSE[0])
     if apart >= _CLOSE[1] * cell:

@@ -70,3 +70,9 @@ def test_an_image_without_corners_has_settings_too(device):
     flat = np.full((60, 70), 100, np.uint16)
     chosen = cmp_cl.choose_config(flat, full_scale=1023, device=device)
     assert chosen == DetectorConfig.for_image(flat).replace(full_scale=1023)
+
+
+def test_an_image_with_a_single_corner_is_searched_without_a_warning(device):
+    image = np.full((60, 60), 200, np.uint8)
+    image[:30, :30] = image[30:, 30:] = 40
+    assert len(cmp_cl.detect(image, device=device)) == 1

@@ -314,6 +314,8 @@ def _numbered(
         return None, Ended()
     by_border = like is not None or shape not in (None, nodes.at.shape)
     border = _first_border(nodes, seen, shape) if by_border else Border()
+    if not nodes.there.any():
+        return None, Ended()
     if like is not None:
         numbered = like_rest(nodes, border, like, previous)
     elif shape is not None and by_border:
@@ -325,6 +327,8 @@ def _numbered(
         join_islands(numbered.nodes, found, seen, at_rest)
     count = np.count_nonzero(nodes.there)
     fill(numbered.nodes, seen, BRACKETED if shape is None else WEAK)
+    if not numbered.nodes.there.any():
+        return None, Ended()
     if seen.image is None or (by_border and np.count_nonzero(numbered.nodes.there) == count):
         border = border.turned(numbered.quarters)
     else:

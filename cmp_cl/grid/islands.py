@@ -42,6 +42,8 @@ def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) ->
 def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
     """Put an island into the grid; return whether its numbers are certain."""
     places = _expected(nodes, rest)
+    if places is None:
+        return False
     expected = Reference.at_places(places, nodes.parity, (0, 0))
     quarters, _ = quarter_turns(island.at, expected)[0]
     turned = island.turned(quarters)
@@ -66,8 +68,11 @@ def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
     return True
 
 
-def _expected(nodes: Nodes, rest: Grid | None) -> Points:
-    """Predict nodes by an affine map of their index, or of their position at rest, (R, C)."""
+def _expected(nodes: Nodes, rest: Grid | None) -> Points | None:
+    """Predict nodes by an affine map of their index, or of their position at rest, (R, C).
+
+    None if the nodes do not determine the map: fewer than three, or all on a line.
+    """
     place: Points
     if rest is None:
         row, column = np.indices(nodes.at.shape)
@@ -76,9 +81,9 @@ def _expected(nodes: Nodes, rest: Grid | None) -> Points:
         place = rest.xy[..., 0] + 1j * rest.xy[..., 1].astype(np.float64)
     known = nodes.there & ~np.isnan(place.real)
     model = np.stack([np.ones(place.shape), place, place.conj()], axis=-1)
-    motion = np.linalg.lstsq(model[known], nodes.at[known], rcond=None)[0]
+    motion, _, rank, _ = np.linalg.lstsq(model[known], nodes.at[known], rcond=None)
     expected: Points = model @ motion
-    return expected
+    return expected if rank == 3 else None
 
 
 def _same_steps(at: Points, places: Points) -> bool:

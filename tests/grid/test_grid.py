@@ -13,7 +13,7 @@ from cases import some
 from configs import rings
 from lattices import board, joined
 
-from cmp_cl import reference, synthetic
+from cmp_cl import detect, reference, synthetic
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import Grid, NodeStatus, build_grid
@@ -301,6 +301,41 @@ def test_without_corners_the_grid_is_empty_or_of_the_known_shape():
         known = build_grid(keep(corners, few), shape=(9, 9))
         assert known.shape == (9, 9)
         assert not known.valid.any()
+
+
+def marked_board(seed, marks=True, cell=16):
+    """Return 7 x 8 squares, each with a square of the other colour in it, behind spots."""
+    draw = np.random.default_rng(seed)
+    side = 4 * cell
+    image = np.full((9 * side, 10 * side), 230, np.uint8)
+    for row, column in np.ndindex(7, 8):
+        ink, other = (30, 230) if (row + column) % 2 == 0 else (230, 30)
+        square = image[(row + 1) * side :, (column + 1) * side :][:side, :side]
+        square[:] = ink
+        margin = int(side * draw.uniform(0.2, 0.5)) if marks else side
+        square[margin : side - margin, margin : side - margin] = other
+    for _ in range(6 * marks):
+        centre, radius = draw.uniform(0, 8 * side, 2).astype(int), draw.uniform(0.3, 2) * side
+        cv2.circle(image, centre.tolist(), int(radius), draw.uniform(0, 255), -1)
+    small = cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    return np.rint(cv2.GaussianBlur(small, (0, 0), 0.7)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("seed", [14, 51, 86, 1748])
+def test_a_board_whose_marks_hide_its_squares_gives_right_nodes_or_none(seed):
+    plain = marked_board(0, marks=False)
+    rest = build_grid(detect(plain), plain)
+    assert rest.shape == (6, 7)
+    image = marked_board(seed)
+    corners = detect(image)
+    assert len(corners) > 40
+    for known in ({"shape": (6, 7)}, {"shape": (8, 9)}, {"like": rest}, {}):
+        try:
+            grid = build_grid(corners, image, **known)
+        except GridError:
+            continue
+        xy = grid.xy[grid.valid] / 16
+        assert np.abs(xy - np.rint(xy)).max(initial=0) < 0.25
 
 
 def test_requests_that_make_no_sense_are_refused():
