@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from cmp_cl.grid import evidence
@@ -24,6 +25,9 @@ from cmp_cl.image import GreyImage
 NEAR = 0.3  # cells: largest distance of a node from its prediction
 ASTRAY = 0.07  # cells: a torn node that is farther from its prediction is looked for again,
 OUTLYING = 3.5  # if it is farther by this factor than nodes of its frame usually are
+OUTLYING_PX = 1.0  # a torn node that is farther, and farther than this share of a cell, and
+OUTLYING_CELLS = 0.15  # farther by that factor than the nodes around, is dropped
+BESIDE = 2  # nodes to each side, whose distances from their predictions are compared
 PASSES = 2  # nodes that the first pass finds show where others are
 USUAL = 25  # so many nodes show what is usual
 WIDEST = 18.0  # px: in wider cells a torn corner's own image is worth more than its neighbours
@@ -108,6 +112,7 @@ def fill(nodes: Nodes, seen: Seen, least: float) -> None:
                 break
             drop_misfits(nodes)
             _reject(nodes, seen)
+        _drop_outlying(nodes, seen.torn)
     _interpolate(nodes)
 
 
@@ -138,6 +143,39 @@ def drop_misfits(nodes: Nodes) -> None:
         around = [padded[row + r, column + c] for r in range(3) for c in range(3)]
         worst = bad & (off >= np.max(around, axis=0))
         nodes.drop(row[worst], column[worst])
+
+
+def _drop_outlying(nodes: Nodes, torn: Mask) -> None:
+    """Drop torn nodes that are much farther from their predictions than the nodes around, the
+    worst of each neighbourhood first.
+
+    The edge of a spot or of a bubble near a corner looks like an edge of the corner.
+    """
+    while (nodes.there & (torn & nodes.astray)[nodes.owner]).any():
+        predicted, weight = predict_all(nodes)
+        off = np.where(weight < BRACKETED, np.nan, np.abs(nodes.at - predicted))
+        row, column = np.nonzero((off > OUTLYING_PX) & torn[nodes.owner])
+        cell = mean_steps(nodes.at, row, column)[2]
+        far = off[row, column] > OUTLYING_CELLS * cell
+        far &= (cell <= WIDEST) | (nodes.owner[row, column] < 0)
+        if not far.any():
+            return
+        row, column = row[far], column[far]
+        usual, most = _around(off, row, column)
+        bad = (off[row, column] > OUTLYING * usual) & (off[row, column] >= most)
+        if not bad.any():
+            return
+        nodes.drop(row[bad], column[bad])
+
+
+def _around(off: Float, row: Index, column: Index) -> tuple[Float, Float]:
+    """Return the median of the known values within BESIDE nodes of others, (N,), and the greatest
+    one of the 3 x 3."""
+    padded = np.pad(off, BESIDE, constant_values=np.nan)
+    near = sliding_window_view(padded, (2 * BESIDE + 1, 2 * BESIDE + 1))[row, column]
+    ordered = np.sort(near.reshape(len(row), -1))  # NaN last
+    middle = np.count_nonzero(~np.isnan(ordered), axis=1) // 2
+    return ordered[np.arange(len(row)), middle], np.fmax.reduce(near[:, 1:-1, 1:-1], axis=(1, 2))
 
 
 def _near_changes(nodes: Nodes) -> Index:

@@ -338,6 +338,24 @@ def test_a_board_whose_marks_hide_its_squares_gives_right_nodes_or_none(seed):
         assert np.abs(xy - np.rint(xy)).max(initial=0) < 0.25
 
 
+@pytest.mark.parametrize("seed", [14, 52])
+def test_the_edge_of_a_spot_is_not_taken_for_the_edge_of_a_torn_corner(seed):
+    scene = synthetic.render(synthetic.random_scene(seed, markers=20))
+    image, draw = scene.image.copy(), np.random.default_rng(seed)
+    rows, columns = image.shape
+    for _ in range(10):
+        x, y = draw.uniform(0, columns, 2) * [1, rows / columns]
+        radius, grey = int(draw.uniform(0.6, 1.6) * scene.cell), int(draw.uniform(20, 230))
+        cv2.circle(image, (int(x), int(y)), radius, grey, -1, cv2.LINE_AA)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8)
+    corners = detect(image, DetectorConfig.for_cell(scene.cell))
+    grid = build_grid(corners, image, shape=(20, 20))
+    xy, truth = grid.xy[np.isin(grid.status, MEASURED)], scene.truth.reshape(-1, 2)
+    error = np.linalg.norm(xy[:, None] - truth, axis=2).min(axis=1)
+    assert len(xy) > 350
+    assert error.max() < 0.2 * scene.cell
+
+
 def test_requests_that_make_no_sense_are_refused():
     corners = board(6, 6).corners
     rest = build_grid(corners)
