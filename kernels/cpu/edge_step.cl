@@ -5,7 +5,7 @@
  * a time, the step's sums for one after the other. The pixels that the disc may contain, wherever
  * in the middle pixel its centre lies, are listed once for all corners, row by row. A vector holds
  * the next eight of the list, so every loop has the same length for every corner. The work from a
- * pixel to the sums is cut into two loops, so that several vectors are in flight at a time. */
+ * pixel to the sums is cut into three loops, so that several vectors are in flight at a time. */
 
 /* A disc with more rows or pixels is processed in parts of whole rows. */
 #if SCALED
@@ -83,6 +83,65 @@ void read_part(const Part *part, __global const PIXEL *image, const size_t p, co
   }
 }
 
+/* The loops over the list are not inlined: in the large kernel Intel's compiler keeps the sums in
+ * memory, where each addition waits for the store of the one before. */
+#define LOOP __attribute__((noinline))
+
+/* The arguments of CORNER_MODEL: the corner, counted from the middle pixel, and the normals of its
+ * edges in units of the blur. Grey levels are counted from `centre`. */
+typedef struct {
+  float x, y, a_x, a_y, b_x, b_y, rim, centre;
+} Model;
+
+LOOP void values_of(const Part *restrict part, const Model *restrict model,
+                    Values *restrict values) {
+  const float a_x = model->a_x, a_y = model->a_y, b_x = model->b_x, b_y = model->b_y;
+  const float rim = model->rim;
+  for (int k = 0; k < part->count; k += 8) {
+    const float8 ux = LOAD_8(part->dx_of, k) - model->x, uy = LOAD_8(part->dy_of, k) - model->y;
+    CORNER_MODEL(uy * uy)
+    SLOPES
+    STORE_8(values->weight_of, k, w);
+    STORE_8(values->model_of, k, P);
+    STORE_8(values->slope_a_of, k, A);
+    STORE_8(values->slope_b_of, k, B);
+    STORE_8(values->grey_of, k, GREYS_AT(values->pixel_of + k) - model->centre);
+  }
+}
+
+typedef struct {
+  float8 one, p, pp, i, pi;
+} LevelSums;
+
+LOOP void add_levels(const Values *restrict values, const int count, LevelSums *restrict sums) {
+  float8 v1 = sums->one, vp = sums->p, vpp = sums->pp, vi = sums->i, vpi = sums->pi;
+  for (int k = 0; k < count; k += 8)
+    ADD_LEVELS(LOAD_8(values->weight_of, k), LOAD_8(values->model_of, k),
+               LOAD_8(values->grey_of, k))
+  *sums = (LevelSums){v1, vp, vpp, vi, vpi};
+}
+
+typedef struct {
+  float8 rr, ra, rb, rx, ry, px, py, rn;
+} ResidualSums;
+
+LOOP void add_residuals(const Part *restrict part, const Model *restrict model,
+                        const Values *restrict values, const float m, const float c,
+                        ResidualSums *restrict sums) {
+  float8 vrr = sums->rr, vra = sums->ra, vrb = sums->rb, vrx = sums->rx, vry = sums->ry;
+  float8 vpx = sums->px, vpy = sums->py, vrn = sums->rn, last = 0;
+  for (int k = 0; k < part->count; k += 8) {
+    const float8 ux = LOAD_8(part->dx_of, k) - model->x, uy = LOAD_8(part->dy_of, k) - model->y;
+    const float8 w = LOAD_8(values->weight_of, k), P = LOAD_8(values->model_of, k);
+    const float8 left = RESIDUAL(LOAD_8(values->grey_of, k), P);
+    const float8 r = w > 0 ? left : (float8)(0.0f), wr = w * r;
+    ADD_RESIDUAL(wr, r, LOAD_8(values->slope_a_of, k), LOAD_8(values->slope_b_of, k), P)
+    vrn += (float8)(last.s7, wr.s0123, wr.s456) * r;
+    last = wr;
+  }
+  *sums = (ResidualSums){vrr, vra, vrb, vrx, vry, vpx, vpy, vrn};
+}
+
 /* The sums over the pixels of eight corners that SOLVE_STEP needs. */
 typedef struct {
   float c[LANES], middle[LANES], varied[LANES], sum_1[LANES];
@@ -120,17 +179,7 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
   if (!whole) list_part(&part, first_row, reach, radius_2);                         \
   read_part(&part, image, p, rows, columns, step, near_x + middle_x, near_y + middle_y, \
             values.pixel_of);                                                       \
-  for (int k = 0; k < part.count; k += 8) {                                         \
-    const float8 ux = LOAD_8(part.dx_of, k) - part_x, uy = LOAD_8(part.dy_of, k) - part_y; \
-    const float8 I = EIGHT_OF(float8, values.pixel_of + k) - centre;                \
-    CORNER_MODEL(uy * uy)                                                           \
-    SLOPES                                                                          \
-    STORE_8(values.weight_of, k, w);                                                \
-    STORE_8(values.model_of, k, P);                                                 \
-    STORE_8(values.slope_a_of, k, A);                                               \
-    STORE_8(values.slope_b_of, k, B);                                               \
-    STORE_8(values.grey_of, k, I);                                                  \
-  }
+  values_of(&part, &model, &values);
 
   FOR_EACH_EIGHT {
     EDGES_OF_EIGHT
@@ -139,41 +188,35 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
     for (uint lane = 0; lane < LANES && n + lane < total; ++lane) {
       if (!as_uint(OF_LANE(good))) continue;
       const int near_x = (int)OF_LANE(start_x), near_y = (int)OF_LANE(start_y);
-      const float a_x = OF_LANE(n1x) * BY_BLUR, a_y = OF_LANE(n1y) * BY_BLUR;
-      const float b_x = OF_LANE(n2x) * BY_BLUR, b_y = OF_LANE(n2y) * BY_BLUR;
       /* The middle pixel, and the corner relative to it. */
       const int middle_x = ROUNDED(OF_LANE(x)), middle_y = ROUNDED(OF_LANE(y));
-      const float part_x = OF_LANE(x) - (float)middle_x;
-      const float part_y = OF_LANE(y) - (float)middle_y;
       const float centre = (float)image[CLAMPED_ROW(near_y) + near_x];
+      const Model model = {OF_LANE(x) - (float)middle_x,
+                           OF_LANE(y) - (float)middle_y,
+                           OF_LANE(n1x) * BY_BLUR,
+                           OF_LANE(n1y) * BY_BLUR,
+                           OF_LANE(n2x) * BY_BLUR,
+                           OF_LANE(n2y) * BY_BLUR,
+                           rim,
+                           centre};
 
-      LEVEL_SUMS
+      LevelSums levels = {0, 0, 0, 0, 0};
       for (int dy = -reach; dy <= reach; dy = part.end) {
         TAKE_PART(dy)
-        for (int k = 0; k < part.count; k += 8)
-          ADD_LEVELS(LOAD_8(values.weight_of, k), LOAD_8(values.model_of, k),
-                     LOAD_8(values.grey_of, k))
+        add_levels(&values, part.count, &levels);
       }
+      const float8 v1 = levels.one, vp = levels.p, vpp = levels.pp, vi = levels.i, vpi = levels.pi;
       LEVELS
 
-      RESIDUAL_SUMS
+      ResidualSums residuals = {0, 0, 0, 0, 0, 0, 0, 0};
       for (int dy = -reach; dy <= reach; dy = part.end) {
         if (!whole) {
           TAKE_PART(dy)
         }
-        float8 last = 0;
-        for (int k = 0; k < part.count; k += 8) {
-          const float8 ux = LOAD_8(part.dx_of, k) - part_x, uy = LOAD_8(part.dy_of, k) - part_y;
-          const float8 w = LOAD_8(values.weight_of, k), P = LOAD_8(values.model_of, k);
-          const float8 left = RESIDUAL(LOAD_8(values.grey_of, k), P);
-          const float8 r = w > 0 ? left : (float8)(0.0f), wr = w * r;
-          ADD_RESIDUAL(wr, r, LOAD_8(values.slope_a_of, k), LOAD_8(values.slope_b_of, k), P)
-          vrn += (float8)(last.s7, wr.s0123, wr.s456) * r;
-          last = wr;
-        }
+        add_residuals(&part, &model, &values, m, c, &residuals);
       }
 #define PUT(name, value) sums.name[lane] = value;
-#define PUT_SUM(name) PUT(name, sum_of_eight(v##name))
+#define PUT_SUM(name) PUT(name, sum_of_eight(residuals.name))
       PUT(c, c) PUT(middle, middle) PUT(varied, varied) PUT(sum_1, sum_1)
       PUT_SUM(rr) PUT_SUM(ra) PUT_SUM(rb) PUT_SUM(rn)
       PUT_SUM(rx) PUT_SUM(ry) PUT_SUM(px) PUT_SUM(py)
