@@ -97,6 +97,7 @@ class Plan(PlanBase):
             "NMS_RADIUS": self.config.nms_radius,
             "NOISE_BAND": noise.NOISE_BAND,
             **defines_of(self.types),
+            **scale.defines(self),
             **self.detection.defines(self),
             **refine.defines(self),
         }

@@ -4,6 +4,7 @@ Pixel x of an image maps to (x + 0.5) s - 0.5 of the image scaled by s. Sizes an
 computed in integers from the exact ratio s, so that every machine has the same.
 """
 
+import functools
 from fractions import Fraction
 
 import numpy as np
@@ -28,6 +29,7 @@ def full_pixels(
     return held.astype(np.int32)
 
 
+@functools.lru_cache(maxsize=8)
 def resampling_weights(
     size: int, working: int, scale: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -50,7 +52,9 @@ def resampling_weights(
     for row, share in zip(weights, shares, strict=True):
         rounded = [(2 * WEIGHT_SUM * part + whole) // (2 * whole) for part, whole in share]
         row[: len(share)] = np.diff([0, *rounded])
-    return np.array(first, np.int32), weights
+    inputs = np.array(first, np.int32)
+    inputs.flags.writeable = weights.flags.writeable = False
+    return inputs, weights
 
 
 def _area(n: int, size: int, up: int, down: int) -> tuple[int, list[tuple[int, int]]]:
