@@ -14,6 +14,7 @@ from cmp_cl import (
     Detector,
     DetectorConfig,
     Device,
+    DeviceKind,
     EdgeLines,
     EdgeStep,
     Fit,
@@ -291,6 +292,17 @@ def test_buffers_need_at_most_eight_bytes_a_pixel_besides_the_image(device_in_fo
         sizes = sizes_of(device_in_form, config, dtype, shape)
         besides = sum(sizes.values()) - sizes["image"]
         assert besides <= 8 * shape[0] * shape[1], (name, dtype, sizes)
+
+
+@pytest.mark.parametrize("shape", [(480, 640), (1200, 1600)], ids=str)
+def test_on_cpus_eight_bytes_a_pixel_hold_the_image_too(device, shape):
+    """The columns that a window of 255 px needs beside a narrow image are left out."""
+    if device.kind is not DeviceKind.CPU:
+        pytest.skip("this device is no CPU")
+    for name, config in CONFIGS.items():
+        if (name, shape) != ("wide window", (480, 640)):
+            sizes = sizes_of(device, config, np.uint8, shape)
+            assert sum(sizes.values()) <= 8 * shape[0] * shape[1], (name, sizes)
 
 
 def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[int, int]):

@@ -46,7 +46,6 @@ def sizes(plan: PlanBase) -> dict[str, int]:
     return {
         "area": plane // 8,
         "binary": image,
-        "response": plan.types["RESPONSE"].itemsize * image,
         "candidates": 4 * plan.frames * plan.lists * plan.list_capacity,
         "maxima": plan.frames * plane // 8,
         "row_counts": 4 * plan.frames * plan.working[0],
@@ -55,15 +54,22 @@ def sizes(plan: PlanBase) -> dict[str, int]:
 
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
-    """Return the bytes of the temporary arrays, see `Plan`."""
+    """Return the bytes of the temporary arrays, see `Plan`.
+
+    The sums of binarization are not needed any more when there are responses. These lie at the
+    start of every other layout, and so stay.
+    """
     rule = _rule(plan)
-    capacity = plan.frames * plan.lists * plan.list_capacity
-    lists = {"responses": plan.types["RESPONSE"].itemsize * capacity}
-    if nms.keeps_keys(plan):
-        rows = plan.frames * plan.working[0] + 2
-        lists["key"] = plan.types["SCORE"].itemsize * rows * plan.step
-    gated = [gate.scratch(plan)] if rule.contrast is not None else []
-    return [binarize.scratch(plan, rule), lists, *gated]
+    element, step = plan.types["RESPONSE"].itemsize, plan.step
+    rows = plan.frames * plan.working[0] + 2
+    lists = {"responses": element * plan.frames * plan.lists * plan.list_capacity}
+    keys = {"key": plan.types["SCORE"].itemsize * rows * step} if nms.keeps_keys(plan) else {}
+    gated = {} if rule.contrast is None else gate.scratch(plan)
+    response = {"response": element * rows * step}
+    return [
+        binarize.scratch(plan, rule),
+        *({**response, **later} for later in (lists, keys, gated)),
+    ]
 
 
 def launches(plan: PlanBase) -> list[Launch]:

@@ -17,7 +17,9 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     several pixels at a time."""
     if plan.scale is None:
         return {}
-    return {f"TAPS_{axis}": weights.shape[1] for axis, (_, weights) in _inputs(plan, plan.scale).items()}
+    return {
+        f"TAPS_{axis}": weights.shape[1] for axis, (_, weights) in _inputs(plan, plan.scale).items()
+    }
 
 
 def launches(plan: PlanBase) -> list[Launch]:
