@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmp_cl.grid.border import Border, FourSides, full_lines
+from cmp_cl.grid.border import Border, full_lines
 from cmp_cl.grid.fingerprint import Fingerprint, shift_to, turn_to
 from cmp_cl.grid.grid import Grid, Rival, Sides
 from cmp_cl.grid.nearest import (
@@ -256,14 +256,18 @@ def _unmoved(nodes: Nodes, border: Border, like: Grid) -> Sides:
     or it continues past the pattern. Or these squares are not whole, and their line is not seen at
     one position at rest and at another now.
     """
-    rest, at_rest = Reference.of(like), Border.of(like)
-    lines = _edges(nodes.at, border.reach), _edges(rest.at, like.reach)
+    at_rest = Border.of(like)
     unmoved = []
-    for number, (now, before) in enumerate(zip(*lines, strict=True)):
-        reaches = border.reach[number], like.reach[number]
+    for side in range(4):
+        reaches = border.reach[side], like.reach[side]
         broken = any(abs(reach - 1) > BROKEN for reach in reaches)
-        passing = border.passing[number] or at_rest.passing[number]
+        passing = border.passing[side] or at_rest.passing[side]
         changed = abs(reaches[0] - reaches[1])
+        if not (broken or passing or changed >= CHANGED):
+            unmoved.append(False)
+            continue
+        rest = Reference.of(like)
+        now, before = _edge(nodes.at, reaches[0], side), _edge(rest.at, reaches[1], side)
         moved = _beside(now, before) / rest.cell if len(now) and len(before) else math.nan
         fixed = changed >= CHANGED and moved <= FIXED * changed
         still = passing and moved <= STILL
@@ -271,13 +275,11 @@ def _unmoved(nodes: Nodes, border: Border, like: Grid) -> Sides:
     return Sides(*unmoved)
 
 
-def _edges(at: Points, reach: FourSides) -> list[Points]:
-    """Return the points of each side at which its last squares end, px."""
-    edges = []
-    for way, cells in zip((at, at[::-1], at.T, at.T[::-1]), reach, strict=True):
-        edge = way[0] + cells * (way[0] - way[1]) if len(way) > 1 else way[:0].ravel()
-        edges.append(edge[~np.isnan(edge.real)])
-    return edges
+def _edge(at: Points, reach: float, side: int) -> Points:
+    """Return the points at which the last squares of a side end, px."""
+    lines = (at, at[::-1], at.T, at.T[::-1])[side]
+    edge = lines[0] + reach * (lines[0] - lines[1]) if len(lines) > 1 else lines[:0].ravel()
+    return edge[~np.isnan(edge.real)]
 
 
 def _beside(points: Points, others: Points) -> float:
