@@ -109,6 +109,7 @@ LOOP void values_of(const Part *restrict part, const Model *restrict model,
   }
 }
 
+/* What LEVEL_SUMS declares, v1 first. */
 typedef struct {
   float8 one, p, pp, i, pi;
 } LevelSums;
@@ -121,6 +122,7 @@ LOOP void add_levels(const Values *restrict values, const int count, LevelSums *
   *sums = (LevelSums){v1, vp, vpp, vi, vpi};
 }
 
+/* What RESIDUAL_SUMS declares. */
 typedef struct {
   float8 rr, ra, rb, rx, ry, px, py, rn;
 } ResidualSums;
