@@ -80,12 +80,20 @@ class Border(NamedTuple):
         return Sides(*(abs(step) > STEPPED for step in self.past))
 
     @property
+    def opposed(self) -> "Border":
+        """Return the same with only the sides whose opposite side is a border too."""
+        return self.without(Sides(*(not both for both in self.sides.opposed)))
+
+    @property
     def lone(self) -> Sides:
         """Return the sides whose line continues past the pattern, and whose opposite side is no
         border."""
-        facing = (self.reach[number] for number in (1, 0, 3, 2))
-        sides = zip(self.passing, facing, strict=True)
-        return Sides(*(passes and math.isnan(across) for passes, across in sides))
+        sides = zip(self.passing, self.sides.opposed, strict=True)
+        return Sides(*(passes and not both for passes, both in sides))
+
+    def without(self, sides: Sides) -> "Border":
+        """Return the same with no border on those sides."""
+        return self._replace(reach=_without(self.reach, sides), past=_without(self.past, sides))
 
     def turned(self, quarters: int) -> "Border":
         """Return the same after the numbers are turned as in `Grid.turned`."""
@@ -104,6 +112,13 @@ class Border(NamedTuple):
         """
         sides = zip(self.reach, other.reach, self.past, other.past, strict=True)
         return Sides(*(abs(a - b) > ALIKE or abs(c - d) > STEPPED for a, b, c, d in sides))
+
+
+def _without(values: FourSides, sides: Sides) -> FourSides:
+    top, bottom, left, right = (
+        math.nan if side else value for value, side in zip(values, sides, strict=True)
+    )
+    return top, bottom, left, right
 
 
 class Ends(NamedTuple):

@@ -14,9 +14,9 @@ from cmp_cl.grid.border import Border, Ends, border_of, cut_of, full_lines
 from cmp_cl.grid.detached import drop_detached
 from cmp_cl.grid.dimming import is_dimmed_reflection
 from cmp_cl.grid.filter import bent_sigma
-from cmp_cl.grid.grid import NO_SIDES, Grid, NodeStatus, Sides, empty_grid
+from cmp_cl.grid.grid import Grid, NodeStatus, Sides, empty_grid
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
-from cmp_cl.grid.islands import join_islands
+from cmp_cl.grid.islands import continued, join_islands
 from cmp_cl.grid.joints import cut
 from cmp_cl.grid.lattice import Lattice, bends, lattice, lines_of
 from cmp_cl.grid.limits import check_finite, check_size
@@ -44,11 +44,11 @@ Region = tuple[float, float, float, float]
 class Ended(NamedTuple):
     """Properties of the pattern besides its numbers.
 
-    sides: the sides on which it ends. border: the reach of its last squares.
+    sides: as `border` in `Grid`. border: the reach of its last squares.
     reflected: as in `Grid`.
     """
 
-    sides: Sides = NO_SIDES
+    sides: Sides | None = None
     border: Border = Border()
     reflected: bool = False
 
@@ -64,11 +64,8 @@ class Board(NamedTuple):
         there = self.numbered.nodes.there
         if shape is None:
             return there.size >= OTHER and bool(there.all())
-        if self.numbered.seen_shape is not None:
-            return False
-        top, bottom, left, right = full_lines(there)
-        every = (top, left, bottom + 1, right + 1) == (0, 0, *there.shape)
-        return every and bool(np.count_nonzero(there) >= WHOLE * there.size)
+        nearly = bool(np.count_nonzero(there) >= WHOLE * there.size)
+        return nearly and _fills_shape(self.numbered)
 
     def is_bordered(self) -> bool:
         """Return whether its border is seen, but for one side at most."""
@@ -316,6 +313,8 @@ def _numbered(
     border = _first_border(nodes, seen, shape) if by_border else Border()
     if not nodes.there.any():
         return None, Ended()
+    if not alone and any(border.sides):
+        border = border.without(continued(nodes, found, seen))
     if like is not None:
         numbered = like_rest(nodes, border, like, previous)
     elif shape is not None and by_border:
@@ -333,12 +332,17 @@ def _numbered(
         border = border.turned(numbered.quarters)
     else:
         border = border_of(numbered.nodes, seen.image)
+        if not alone and any(border.sides):
+            border = border.without(continued(numbered.nodes, found, seen))
     if like is None and shape is not None:
         numbered = followed(numbered, border.followed)
-    declared = _declared(numbered, border.sides, shape if like is None else None)
-    whole = all(declared) and numbered.seen_shape is None and numbered.nodes.at.shape == shape
+    sides = None if seen.image is None else border.sides
+    if like is None and shape is not None and _fills_shape(numbered):
+        sides = Sides(True, True, True, True)
+    whole = sides is not None and all(sides) and numbered.nodes.at.shape == shape
+    whole &= numbered.seen_shape is None
     reflected = _reflected(numbered.nodes, seen.image, like, whole=whole)
-    return numbered, Ended(declared, border, reflected)
+    return numbered, Ended(sides, border, reflected)
 
 
 def _first_border(nodes: Nodes, seen: Seen, shape: tuple[int, int] | None) -> Border:
@@ -380,14 +384,13 @@ def _framed(numbered: Numbered) -> Grid:
     return dataclasses.replace(empty_grid(0, numbered.nodes.at.shape), origin=numbered.origin)
 
 
-def _declared(numbered: Numbered, border: Sides, shape: tuple[int, int] | None) -> Sides:
-    """Return the borders of a pattern: all four if it is seen whole in a known shape."""
+def _fills_shape(numbered: Numbered) -> bool:
+    """Return whether nodes in a grid of known shape reach its first and last rows and columns."""
     there = numbered.nodes.there
-    if shape is None or numbered.seen_shape is not None or not there.any():
-        return border
+    if numbered.seen_shape is not None or not there.any():
+        return False
     top, bottom, left, right = full_lines(there)
-    whole = (top, left) == (0, 0) and (bottom + 1, right + 1) == there.shape
-    return Sides(True, True, True, True) if whole else border
+    return (top, left, bottom + 1, right + 1) == (0, 0, *there.shape)
 
 
 def _check_holds(image: GreyImage, corners: Corners) -> None:

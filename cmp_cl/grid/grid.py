@@ -41,6 +41,12 @@ class Sides(NamedTuple):
     left: bool = False
     right: bool = False
 
+    @property
+    def opposed(self) -> "Sides":
+        """Return the sides whose opposite side is in the set too."""
+        upright, level = self.top and self.bottom, self.left and self.right
+        return Sides(upright, upright, level, level)
+
     def turned(self, quarters: int) -> "Sides":
         """Return the same sides after `Grid.turned(quarters)`."""
         return Sides(*turned_sides(self, quarters))
@@ -85,7 +91,8 @@ class Grid:
         first row or column at rest. The number of a node is its index + origin.
     component: (R, C) int32, 0 for the nodes of the largest connected part, then 1, 2, ...; -1 where
         missing. It is computed if it is left out.
-    border: sides on which the pattern ends in the view.
+    border: sides on which the pattern ends in the view; None if that is unknown, because the grid
+        was built without the image.
     reach: the reach of its last squares beyond the last nodes, cells, 1 if they are whole: top,
         bottom, left, right, NaN where it is not seen.
     past: the difference of the image between the two sides of a border's line past the pattern, as
@@ -115,7 +122,7 @@ class Grid:
     parity: int = 0
     origin: tuple[int, int] = (0, 0)
     component: NDArray[np.int32] = dataclasses.field(default_factory=lambda: np.zeros((0, 0), "i4"))
-    border: Sides = NO_SIDES
+    border: Sides | None = None
     reach: tuple[float, float, float, float] = UNSEEN
     past: tuple[float, float, float, float] = UNSEEN
     continues: Sides = NO_SIDES
@@ -201,7 +208,7 @@ class Grid:
             index=index,
             parity=(self.parity + (0, columns, rows + columns, rows)[quarters]) % 2,
             origin=(0, 0),
-            border=self.border.turned(quarters),
+            border=self.border and self.border.turned(quarters),
             reach=turned_sides(self.reach, quarters),
             past=turned_sides(self.past, quarters),
             continues=self.continues.turned(quarters),

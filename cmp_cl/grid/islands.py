@@ -1,10 +1,13 @@
 """Islands get their numbers here: groups of nodes that no neighbour links to the others."""
 
-import numpy as np
+from typing import Any
 
-from cmp_cl.grid.grid import Grid
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.grid.grid import NO_SIDES, Grid, Sides
 from cmp_cl.grid.grow import Seen, attach, drop_misfits, grow
-from cmp_cl.grid.lattice import Lattice
+from cmp_cl.grid.lattice import Complex, Lattice
 from cmp_cl.grid.nearest import Bounds, Reference, climb, quarter_turns
 from cmp_cl.grid.nodes import Nodes, Points, boxed
 
@@ -12,6 +15,9 @@ LEAST = 9  # fewest corners of an island
 OFF = 0.25  # cells: largest distance of an island's middle from its prediction
 TURNED = 0.25  # of the steps: how much its own may differ from those expected
 MOST = 16  # islands that are tried
+LINES = 6  # the last ones of a side predict what lies beyond it
+BEYOND = 12  # lines: corners farther from the last nodes are not predicted
+IN_LINE = 0.85  # least cosine between a corner's edges and the lattice's steps
 
 
 def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) -> None:
@@ -37,6 +43,52 @@ def join_islands(nodes: Nodes, found: Lattice, seen: Seen, rest: Grid | None) ->
     if joined:
         drop_misfits(nodes)
         attach(nodes, seen)
+
+
+def continued(nodes: Nodes, found: Lattice, seen: Seen) -> Sides:
+    """Return the sides beyond which islands continue the rows, columns and colours of the nodes.
+
+    There the pattern does not end: an object hides a part of it.
+    """
+    island = nodes.free & (found.component >= 0)
+    island &= found.component < np.count_nonzero(found.size >= LEAST)
+    if np.count_nonzero(island) < LEAST:
+        return NO_SIDES
+    z, lines = seen.z[island], seen.lines[:, island]
+    at, parity = nodes.at, nodes.parity
+    rows, columns = at.shape
+    return Sides(
+        _continued(at, parity, z, lines),
+        _continued(at[::-1], parity + rows - 1, z, lines),
+        _continued(at.T, parity + 1, z, lines),
+        _continued(at.T[::-1], parity + columns, z, lines),
+    )
+
+
+def _continued(at: Points, parity: int, z: Points, lines: Complex) -> bool:
+    """Return whether corners beyond the first row of nodes, (R, C) px, continue them.
+
+    parity: the edges e0 and e2 of a corner lie along the row if parity + row + column is even. z,
+    lines: of the corners, as in `Seen`.
+    """
+    last = at[:LINES]
+    row, column = np.nonzero(~np.isnan(last.real))
+    motion = _affine(column + 1j * row, last[row, column])
+    if motion is None:
+        return False
+    start, same, mirrored = motion
+    off = z - start
+    place = (np.conj(same) * off - mirrored * off.conj()) / (abs(same) ** 2 - abs(mirrored) ** 2)
+    beyond = (place.imag < -1) & (place.imag > -BEYOND)
+    beyond &= (place.real > -0.5) & (place.real < at.shape[1] - 0.5)
+    number = np.rint(place[beyond].real) + 1j * np.rint(place[beyond].imag)
+    steps = np.array([[same + mirrored], [1j * (same - mirrored)]])
+    along_row = (parity + number.real + number.imag) % 2 == 0
+    steps = np.where(along_row, steps, steps[::-1])
+    cosine = np.abs((lines[:, beyond] * steps.conj()).real) / np.abs(steps)
+    fits = (np.abs(place[beyond] - number) <= OFF) & (cosine >= IN_LINE).all(axis=0)
+    count = int(np.count_nonzero(fits))
+    return count >= LEAST and 2 * count >= len(fits)
 
 
 def _join(nodes: Nodes, island: Nodes, rest: Grid | None) -> bool:
@@ -80,10 +132,18 @@ def _expected(nodes: Nodes, rest: Grid | None) -> Points | None:
     else:
         place = rest.xy[..., 0] + 1j * rest.xy[..., 1].astype(np.float64)
     known = nodes.there & ~np.isnan(place.real)
-    model = np.stack([np.ones(place.shape), place, place.conj()], axis=-1)
-    motion, _, rank, _ = np.linalg.lstsq(model[known], nodes.at[known], rcond=None)
-    expected: Points = model @ motion
-    return expected if rank == 3 else None
+    motion = _affine(place[known], nodes.at[known])
+    return None if motion is None else _basis(place) @ motion
+
+
+def _affine(place: Points, at: Points) -> NDArray[Any] | None:
+    """Return a, b, c of at = a + b place + c conj(place); None if places do not determine them."""
+    motion, _, rank, _ = np.linalg.lstsq(_basis(place), at, rcond=None)
+    return motion if rank == 3 else None
+
+
+def _basis(place: Points) -> Points:
+    return np.stack([np.ones(place.shape), place, place.conj()], axis=-1)
 
 
 def _same_steps(at: Points, places: Points) -> bool:

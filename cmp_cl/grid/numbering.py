@@ -26,6 +26,7 @@ one of the first three decides. Otherwise it is ambiguous, as it is if the previ
 contradicts a sure numbering by the grid at rest.
 """
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -34,7 +35,7 @@ import numpy as np
 
 from cmp_cl.grid.border import Border, full_lines
 from cmp_cl.grid.fingerprint import Fingerprint, shift_to, turn_to
-from cmp_cl.grid.grid import Grid, Rival, Sides
+from cmp_cl.grid.grid import NO_SIDES, Grid, Rival, Sides
 from cmp_cl.grid.nearest import (
     FAR,
     Bounds,
@@ -98,7 +99,7 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
     rest = Reference.of(like)
     turns = quarter_turns(nodes.at, rest, every=True)
     quarters = turns[0][0]
-    whole = all(border.sides) and all(like.border)
+    whole = all(border.sides) and all(like.border or NO_SIDES)
     whole &= not any(_hidden(nodes.turned(quarters), border.turned(quarters), like))
     if whole and nodes.at.shape in (like.shape, like.shape[::-1]):
         decided = _by_turn(nodes, border, like, rest, turns)
@@ -107,11 +108,7 @@ def like_rest(nodes: Nodes, border: Border, like: Grid, previous: Grid | None) -
         if not decided.sure or any(border.sides):
             decided = _with_print(nodes, like, rest, decided)
     if previous is not None:
-        followed = _by_frame_before(nodes, border, like, previous)
-        if not decided.sure or (decided.usual and followed.sure):
-            decided = followed
-        elif followed.sure and not decided.agrees(followed):
-            decided = Decision(decided.best, followed.best, sure=False)
+        decided = _with_frame_before(nodes, border, like, previous, decided)
     return _numbered(nodes, border, like, decided)
 
 
@@ -202,6 +199,27 @@ def _with_print(nodes: Nodes, like: Grid, rest: Reference, decided: Decision) ->
     return decided
 
 
+def _with_frame_before(
+    nodes: Nodes, border: Border, like: Grid, previous: Grid, decided: Decision
+) -> Decision:
+    """Compare a numbering with that which continues the previous frame, or replace it if unsure.
+
+    A border on one side of an axis alone may be the edge of an object. So it must not change the
+    numbers that continue the previous frame without it.
+    """
+    followed = freely = _by_frame_before(nodes, border, like, previous)
+    both = border.sides.opposed, like.border and like.border.opposed
+    if both != (border.sides, like.border):
+        at_rest = dataclasses.replace(like, border=both[1])
+        freely = _by_frame_before(nodes, border.opposed, at_rest, previous)
+    if not decided.sure or (decided.usual and followed.sure):
+        decided = followed
+    for other in (followed, freely):
+        if other.sure and not decided.agrees(other):
+            decided = Decision(decided.best, other.best, sure=False)
+    return decided
+
+
 def _by_frame_before(nodes: Nodes, border: Border, like: Grid, previous: Grid) -> Decision:
     """Choose the numbering nearest to the previous frame; it is sure if it moved under half a
     cell."""
@@ -233,7 +251,7 @@ def _bounds(nodes: Nodes, border: Border, like: Grid) -> Bounds:
     pattern, now or at rest, is no border.
     """
     here, rest = full_lines(nodes.there), _lines(like)
-    at_rest = like.border if any(like.border) else _known_ends(like, nodes.at)
+    at_rest = _known_ends(like, nodes.at) if like.border is None else like.border
     hidden = _hidden(nodes, border, like)
     ends = [end and not other for end, other in zip(at_rest, hidden, strict=True)]
     now = [end and not other for end, other in zip(border.sides, hidden, strict=True)]
@@ -338,10 +356,10 @@ def _numbered(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Nu
     best, second, sure, _ = decided
     turned = nodes.turned(best.quarters)
     first, shape = [], []
-    known: Sequence[bool] = like.border
+    known: Sequence[bool] = like.border or NO_SIDES
     if (best.top, best.left, *turned.at.shape) != (*like.origin, *like.shape):
         hidden = _hidden(turned, border.turned(best.quarters), like)
-        known = [end and not other for end, other in zip(like.border, hidden, strict=True)]
+        known = [end and not other for end, other in zip(known, hidden, strict=True)]
     ends = (known[:2], known[2:])
     for axis, start in enumerate((best.top, best.left)):
         low, high = like.origin[axis], like.origin[axis] + like.shape[axis]

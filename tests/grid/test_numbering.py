@@ -199,6 +199,14 @@ def test_a_pattern_that_moved_by_cells_is_numbered_by_its_border():
     assert not grid.ambiguous
 
 
+def test_nodes_that_end_without_a_border_in_view_do_not_decide_the_numbers():
+    rest = build_grid(board(10, 10, pull=0, twist=0).corners)
+    assert rest.border is None  # there was no image
+    near = board(10, 10, pull=0, twist=0, cell=15, origin=51 + 41j).corners
+    assert not build_grid(near, like=rest).ambiguous
+    assert build_grid(near, like=dataclasses.replace(rest, border=Sides())).ambiguous
+
+
 def rotated(image: np.ndarray, degrees: float) -> np.ndarray:
     rows, columns = image.shape
     around = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), -degrees, 1)
@@ -440,6 +448,41 @@ def test_parts_of_a_pattern_that_hardly_meet_are_not_numbered_by_one_border_each
     assert (now.border.left, now.border.right) == (True, False)
     grid = build_grid(seen_in(left_part), left_part, like=rest)
     assert grid.ambiguous
+
+
+@pytest.mark.parametrize("quarters", range(4))
+@pytest.mark.parametrize(
+    ("beyond", "ends"), [("paper", True), ("the pattern", False), ("other colours", True)]
+)
+def test_a_pattern_that_continues_beyond_an_object_does_not_end_there(quarters, beyond, ends):
+    image, _ = drawn(9, 20)
+    if beyond == "paper":
+        image[:, 330:] = 210
+    elif beyond == "other colours":
+        image[:, 380:520] = image[:, 360:500]
+    image[:, 330:370] = 210
+    image = np.ascontiguousarray(np.rot90(image, quarters))
+    grid = build_grid(seen_in(image), image)
+    assert sorted(grid.shape) == [9, 14]
+    assert grid.border == Sides(True, True, True, ends).turned(quarters)
+
+
+def test_the_edge_of_an_object_does_not_change_the_numbers_of_the_frame_before():
+    whole, corners = drawn(6, 30)
+    views, places = [], []
+    for step in range(6):  # the pattern moves by 6 px to the left, the edge by 2 px to the right
+        view = np.ascontiguousarray(whole[:, 60 + 6 * step : 300 + 6 * step])
+        view[:, 180 + 2 * step :] = 210
+        views.append(view)
+        places.append(corners - (60 + 6 * step, 0))
+    rest = before = build_grid(seen_in(views[0]), views[0])
+    first = np.subtract(*true(rest, places[0]))
+    for view, place in zip(views, places, strict=True):
+        before = build_grid(seen_in(view), view, like=rest, previous=before)
+        right = (np.subtract(*true(before, place)) == first[0]).all()
+        assert right or before.ambiguous
+    np.testing.assert_allclose(before.reach, rest.reach, atol=0.05)
+    assert not right
 
 
 @pytest.mark.parametrize("slope", [0.038, 0.1])
