@@ -33,7 +33,7 @@ STEP = 0.1  # cells
 # Cells from the last nodes: depths at which the last squares may end.
 DEPTHS = np.arange(0.3, 1.45, STEP)
 PROFILE = np.concatenate([[-0.5], DEPTHS])  # the middle of the squares, then these depths
-PARALLEL = 0.16  # cells: three of four reaches must be as near to their median, and the halves'
+PARALLEL = 0.11  # cells: three of four reaches must be as near to their median, and the halves'
 ALIKE = 0.12  # cells: greatest difference between the reach of a side in two images
 PAST = np.array([0.3, 0.6, 0.9])  # cells past the pattern, where its border line has ended
 ACROSS_LINE = np.array([[-0.3], [0.3]])  # cells to either side of the border's line

@@ -586,6 +586,8 @@ def test_one_pair_of_squares_of_many_does_not_tell_that_an_edge_is_parallel():
     assert common_reach(np.array([0.8]), columns=3) == 0.8
     assert common_reach(np.array([0.8, 0.9, 0.85, 0.2]), columns=9) == pytest.approx(0.825)
     assert math.isnan(common_reach(np.array([0.8, 0.4, 0.6, 0.2]), columns=9))
+    at_round_window = np.array([1.08, 0.95, 1.21])
+    assert math.isnan(common_reach(at_round_window, columns=6))
 
 
 def test_junctions_with_the_surround_are_no_nodes():
