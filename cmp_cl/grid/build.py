@@ -59,13 +59,27 @@ class Board(NamedTuple):
     numbered: Numbered
     ends: Ended
 
+    @property
+    def size(self) -> int:
+        """Return the number of its nodes."""
+        return int(np.count_nonzero(self.numbered.nodes.there))
+
+    @property
+    def area(self) -> float:
+        """Return the area of the box around its nodes, px^2."""
+        at = self.numbered.nodes.at[self.numbered.nodes.there]
+        return float(np.ptp(at.real) * np.ptp(at.imag))
+
+    def is_texture(self, first: "Board") -> bool:
+        """Return whether it has gaps and is as small as texture beside the first board."""
+        return self.size < self.numbered.nodes.at.size and self.area < RIVAL_AREA * first.area
+
     def is_whole(self, shape: tuple[int, int] | None) -> bool:
         """Return whether it is a full rectangle, or has nearly all nodes of that shape."""
-        there = self.numbered.nodes.there
+        every = self.numbered.nodes.at.size
         if shape is None:
-            return there.size >= OTHER and bool(there.all())
-        nearly = bool(np.count_nonzero(there) >= WHOLE * there.size)
-        return nearly and _fills_shape(self.numbered)
+            return self.size == every >= OTHER
+        return self.size >= WHOLE * every and _fills_shape(self.numbered)
 
     def is_bordered(self) -> bool:
         """Return whether its border is seen, but for one side at most."""
@@ -148,14 +162,15 @@ def build_grid(
     if like is None and len(found.size) > 1 and found.size[1] >= OTHER:
         taken = boards[0].owned(len(inside)) if boards else np.zeros(len(inside), np.bool_)
         boards += _boards(seen, found, shape, taken, first=1)
-    whole = [each for each in boards if each.is_whole(shape)]
+    whole = [each for each in boards if each.is_whole(shape) and not each.is_texture(boards[0])]
     alone = len(whole) == 1 and (shape is not None or whole[0].is_bordered())
     least = SMALL * len(inside)
     if shape is None and like is None:
         least = max(least, min(len(inside) / 2, LEAST_BOARD))
-    if not alone and found.size[0] < least:
+    most = min([int(found.size[0])] + [each.size for each in boards[:1]])
+    if not alone and most < least:
         raise GridError(
-            f"the largest lattice has {found.size[0]} of {len(inside)} corners, expected at least "
+            f"the largest lattice has {most} of {len(inside)} corners, expected at least "
             f"{math.ceil(least)}; check the detector's configuration, or give a region or the shape"
         )
     if not boards:
@@ -213,10 +228,13 @@ def _boards(
         grow(nodes, seen)
         drop_detached(nodes)
         numbered, ends = _numbered(nodes, seen, found, shape=shape, alone=True)
-        if numbered is None or np.count_nonzero(numbered.nodes.there) < least:
+        if numbered is None:
             continue
-        taken[numbered.nodes.owner[numbered.nodes.owner >= 0]] = True
-        yield Board(numbered, ends)
+        board = Board(numbered, ends)
+        if board.size < least:
+            continue
+        taken |= board.owned(len(taken))
+        yield board
 
 
 def _checked(

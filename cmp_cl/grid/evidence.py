@@ -34,6 +34,7 @@ ALONE = Least(0.8, 0.7, 0.95, 0.12)  # for a node without a whole cell
 SHADED = Least(0.1, 0.1, 0.95, 0.12)
 SHADED_ALONE = Least(0.4, 0.1, 0.95, 0.12)  # for one without a whole cell
 RATIOS = 0.7, 1.3  # least and greatest multiple of the logarithm of the pattern's ratio
+BLANK = 0.1  # share of the pattern's contrast; a second look with less is none
 # px: a node in a whole cell may be so far from its prediction, however small the cells are.
 NEAR = 1.5
 HIDDEN = 0.4  # cells: nodes nearer to the edge of the image than that may be missed
@@ -69,6 +70,22 @@ def reject(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
             return dropped
         nodes.drop(row[~kept], column[~kept])
         dropped = True
+
+
+def are_blank(nodes: Nodes, image: GreyImage, row: Index, column: Index) -> Mask:
+    """Return a mask of the nodes around which the image does not show the four cells of their
+    number.
+
+    The noise of a plain spot in front of the pattern, and its edge, look like corners to a search
+    for one. The contrast is that of Michelson, which a shadow does not change.
+    """
+    if not len(row):
+        return np.zeros(0, np.bool_)
+    inside = _look(nodes, image, *_some_inside(nodes.there))
+    look = _look(nodes, image, row, column)
+    usual = median(inside.michelson[inside.known]) if inside.known.any() else 0.0
+    blank: Mask = look.known & (look.michelson < BLANK * usual)
+    return blank
 
 
 def reject_stragglers(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
@@ -188,6 +205,12 @@ class _Look(NamedTuple):
     dark: Float
     span: Float
     ratio: Float
+
+    @property
+    def michelson(self) -> Float:
+        """Return the contrast as a share of the sum of both levels."""
+        michelson: Float = (self.bright - self.dark) / np.maximum(self.bright + self.dark, 1)
+        return michelson
 
     def first(self, count: int) -> "_Look":
         """Return the first of them."""

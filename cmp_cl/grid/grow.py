@@ -288,9 +288,10 @@ def _look_again(nodes: Nodes, looked: Float, image: GreyImage, least: float) -> 
     found = ~np.isnan(seen.real)
     row, column, seen, cell = row[found], column[found], seen[found], cell[found]
     nodes.put(row, column, seen, NodeStatus.SECOND_LOOK)
-    twice = _beside_another(nodes.at, row, column, APART * cell)
-    nodes.drop(row[twice], column[twice])
-    return not twice.all()
+    false = _beside_another(nodes.at, row, column, APART * cell)
+    false |= evidence.are_blank(nodes, image, row, column)
+    nodes.drop(row[false], column[false])
+    return not false.all()
 
 
 def _follow_edges(nodes: Nodes, torn: Mask, image: GreyImage) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from cases import some
 from configs import rings
-from lattices import board, joined
+from lattices import board, drawn, joined
 
 from cmp_cl import detect, reference, synthetic
 from cmp_cl.config import DetectorConfig
@@ -282,6 +282,31 @@ def test_a_lattice_of_few_of_the_corners_is_refused():
     corners = board(3, 3, false=60.0, seed=3).corners
     with pytest.raises(GridError, match="has 4 of 549 corners, expected at least 55;"):
         build_grid(corners)
+
+
+def test_a_grid_that_keeps_few_of_the_corners_is_refused():
+    image, at = drawn(9, 9)
+    corners = detect(image)
+    rows, columns = image.shape
+    blocks = np.random.default_rng(0).choice([40, 190], (rows // 6 + 1, columns // 6 + 1))
+    texture = blocks.repeat(6, 0).repeat(6, 1)[:rows, :columns]
+    y, x = np.indices(image.shape)
+    image = np.where(np.hypot(x - at[4, 4, 0], y - at[4, 4, 1]) > 28, texture, image)
+    with pytest.raises(GridError, match="has 6 of 81 corners, expected at least 9;"):
+        build_grid(corners, image.astype(np.uint8))
+
+
+def test_a_tiny_board_with_gaps_is_not_taken_for_the_asked_size_beside_a_full_board():
+    large = board(6, 9, cell=40, pull=0)
+    tiny = board(6, 8, cell=6, pull=0, jitter=0.05, origin=500 + 50j)
+    gap = (tiny.index == (0, 0)).all(1) | (tiny.index == (5, 7)).all(1)
+    torn = tiny._replace(corners=keep(tiny.corners, ~gap))
+    grid = build_grid(joined(large, torn), shape=(6, 8))
+    assert grid.doubts == ["the board looks like 6 x 9 corners; 6 x 8 were asked for"]
+    assert (grid.xy[..., 0] < 480).all()
+    whole = build_grid(joined(large, tiny), shape=(6, 8))
+    assert not whole.doubts
+    assert (whole.xy[..., 0] > 480).all()
 
 
 def test_a_lattice_of_few_corners_is_no_board_among_many_others_unless_a_board_is_so_small():
@@ -646,6 +671,18 @@ def test_a_second_look_finds_the_corner_and_rejects_the_other_colour(dtype):
     assert not (np.abs(astray - aside) > 0.25 * cell).any()
     blank = np.full_like(image, 90)
     assert np.isnan(second_look(blank, at, cell, line).real).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_noise_of_a_plain_spot_is_no_corner_to_a_second_look(seed):
+    image, at = drawn(9, 9)
+    y, x = np.indices(image.shape)
+    spot = np.hypot(x - at[4, 4, 0], y - at[4, 4, 1]) < 35
+    image[spot] = np.rint(np.random.default_rng(seed).normal(225, 3, spot.sum()))
+    grid = build_grid(detect(image), image, shape=(9, 9))
+    hidden = np.linalg.norm(at - at[4, 4], axis=2) < 30
+    assert not np.isin(grid.status[hidden], MEASURED).any()
+    assert np.isin(grid.status[~hidden], MEASURED).sum() >= 68
 
 
 def test_second_looks_move_on_from_pixel_to_pixel():
