@@ -167,7 +167,9 @@ def build_grid(
     least = SMALL * len(inside)
     if shape is None and like is None:
         least = max(least, min(len(inside) / 2, LEAST_BOARD))
-    most = min([int(found.size[0])] + [each.size for each in boards[:1]])
+    most = int(found.size[0])
+    if boards and boards[0].size < min(SMALL * len(inside), LEAST_BOARD):
+        most = boards[0].size
     if not alone and most < least:
         raise GridError(
             f"the largest lattice has {most} of {len(inside)} corners, expected at least "
