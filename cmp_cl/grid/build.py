@@ -144,9 +144,9 @@ def build_grid(
     not decide, it is the largest, unless another is comparable.
 
     Raises GridError if corners have no finite position or no edge angles, if two comparable
-    patterns are seen, if the largest lattice holds few of the corners, if a shape is far larger
-    than the number of corners, if `like` is empty or contradicts `shape`; ImageError for an image
-    that is not one, or not the corners' own.
+    patterns are seen, if the largest lattice or its grid holds few of the corners, if a shape is
+    far larger than the number of corners, if `like` is empty or contradicts `shape`; ImageError for
+    an image that is not one, or not the corners' own.
     """
     shape = _known_shape(shape, like)
     _check_previous(previous, like)
