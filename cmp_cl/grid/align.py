@@ -7,7 +7,8 @@ import numpy as np
 from cmp_cl.errors import GridError, listed
 from cmp_cl.grid.grid import Grid
 
-MOST_TURNED = 60  # degrees between the rows of two views, if colours do not decide
+# Degrees, if colours do not decide: between the rows of two views, and between the best two turns.
+MOST_TURNED, UNDECIDED = 60, 10
 
 
 def align(grids: Sequence[Grid]) -> list[Grid]:
@@ -18,8 +19,9 @@ def align(grids: Sequence[Grid]) -> list[Grid]:
     colour in all views. If several turns have the same colours, the one that leaves the rows most
     parallel to those of the first view is taken.
 
-    Raises GridError if a grid has no node, if shapes or colours do not agree, or if
-    several turns have the same colours and none leaves the rows within 60 degrees.
+    Raises GridError if a grid has no node, if shapes or colours do not agree, or if several turns
+    have the same colours and none leaves the rows within 60 degrees, or two leave them equally
+    parallel within 10 degrees.
     """
     grids = listed("grids", grids, Grid, GridError)
     for number, grid in enumerate(grids, 1):
@@ -41,7 +43,13 @@ def _like(first: Grid, grid: Grid) -> Grid:
             "the views cannot be numbered alike: their shapes, their checker colours or the "
             "directions of their rows do not agree"
         )
-    return fitting[int(np.argmin(off))]
+    best, second = sorted(off)[:2]
+    if second - best <= UNDECIDED:
+        raise GridError(
+            f"the views cannot be numbered alike: the board looks the same after a quarter turn, "
+            f"and its rows are rotated by {best:.0f} degrees or by {second:.0f}"
+        )
+    return fitting[off.index(best)]
 
 
 def row_direction(grid: Grid) -> complex:

@@ -112,6 +112,8 @@ def build_grid(
     shape: rows and columns of the pattern's inner corners. The grid then has this shape. If fewer
         are seen, the borders in view decide which part it is; if more are seen, the grid is the
         fullest window of this shape. Without it, the grid has the rows and columns that are seen.
+        A side with all its nodes at the edge of the image is no border of the pattern even so: the
+        shape may have been counted in this view.
     like: a grid of the same pattern, usually at rest. The result has its orientation and
         numbers, and at least its rows and columns: nodes beyond a side on which that grid
         shows no border are kept, see `Grid.origin`. Without it row 0 is at the top and column
@@ -357,8 +359,8 @@ def _numbered(
     if like is None and shape is not None:
         numbered = followed(numbered, border.followed)
     sides = None if seen.image is None else border.sides
-    if like is None and shape is not None and _fills_shape(numbered):
-        sides = Sides(True, True, True, True)
+    if seen.image is not None and like is None and shape is not None and _fills_shape(numbered):
+        sides = _known_sides(numbered.nodes, seen.image, border.sides)
     whole = sides is not None and all(sides) and numbered.nodes.at.shape == shape
     whole &= numbered.seen_shape is None
     reflected = _reflected(numbered.nodes, seen.image, like, whole=whole)
@@ -384,6 +386,20 @@ def _ends(nodes: Nodes, seen: Seen, border: Border, shape: tuple[int, int]) -> E
     if seen.image is None or not np.less(nodes.at.shape, shape).any():
         return Ends(border.sides)
     return Ends(border.sides, cut_of(nodes, seen.image), border.passing)
+
+
+def _known_sides(nodes: Nodes, image: GreyImage, seen: Sides) -> Sides:
+    """Return the borders of a pattern with all rows and columns of its known shape.
+
+    Where the image ends beside the last nodes, the pattern may continue: the shape may have been
+    counted in this view.
+
+    seen: the borders in view.
+    """
+    if all(seen):
+        return seen
+    cut = cut_of(nodes, image)
+    return Sides(*(end or not hidden for end, hidden in zip(seen, cut, strict=True)))
 
 
 def _reflected(nodes: Nodes, image: GreyImage | None, like: Grid | None, *, whole: bool) -> bool:

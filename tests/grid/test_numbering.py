@@ -187,6 +187,18 @@ def true(grid: Grid, corners: np.ndarray, within: float = 3) -> tuple[np.ndarray
     return np.stack([row, column], axis=1) + grid.origin, place
 
 
+def test_a_shape_that_was_counted_in_the_view_is_not_that_of_the_pattern():
+    whole, _ = drawn(20, 30)
+    at_rest, moved = (np.ascontiguousarray(whole[90:290, x : x + 250]) for x in (90, 130))
+    seen = build_grid(seen_in(at_rest), at_rest)
+    for image in (at_rest, None):
+        rest = build_grid(seen_in(at_rest), image, shape=seen.shape)
+        assert not any(rest.border or Sides())
+        now = build_grid(seen_in(moved), None if image is None else moved, like=rest)
+        assert now.shape == rest.shape
+        assert now.ambiguous
+
+
 def test_a_pattern_that_moved_by_cells_is_numbered_by_its_border():
     at_rest, _ = drawn(7, 9)
     rest = build_grid(seen_in(at_rest), at_rest)
@@ -702,6 +714,9 @@ def test_views_that_colours_do_not_tell_apart_are_numbered_by_the_direction_of_t
     assert first.shape == second.shape
     with pytest.raises(GridError, match="numbered alike"):
         align([first, build_grid(board(6, 5).corners)])
+    oblique = build_grid(board(6, 6, rotation=0.1 + np.deg2rad(43), twist=0).corners)
+    with pytest.raises(GridError, match="by 43 degrees or by 47"):
+        align([first, oblique])
     empty = build_grid(board(1, 2).corners)
     with pytest.raises(GridError, match="view 2 of 2 shows no node"):
         align([first, empty])
