@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from lattices import drawn
 from stereo_data import grid_of, project
 from videos import write_video
 
@@ -137,6 +138,22 @@ def test_views_that_are_swapped_or_mirrored_are_refused():
     for views, how in (((right, left), "swapped"), ((left[:, ::-1], right[:, ::-1]), "mirrored")):
         with pytest.raises(GridError, match=f"but with .* {how} to 0.0"):
             measure.TwoViews(np.hstack(views), rig, split)
+
+
+def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
+    camera = [[600, 0, 120], [0, 600, 100], [0, 0, 1]]
+    rig = StereoRig(camera, [], camera, [], np.eye(3), np.array([-4.0, 0, 0]))
+    split = cmp_cl.BinocularSplit.halves(500, 220)
+    sheet, _ = drawn(14, 30)  # cells of 20 px; the first column of nodes is at 60 px
+    bordered, inside = (
+        np.hstack([sheet[90:310, x : x + 250], sheet[90:310, x + 4 : x + 254]]) for x in (0, 107)
+    )
+    with measure.TwoViews(bordered, rig, split) as against_rest:
+        np.testing.assert_allclose(against_rest.rest.xyz[..., 2], 600, atol=60)
+    _, seen = measure.find_pattern(np.ascontiguousarray(inside[:, :250]))
+    for shape in (None, seen.shape):
+        with pytest.raises(GridError, match="different parts of the pattern"):
+            measure.TwoViews(inside, rig, split, shape=shape)
 
 
 def test_a_pattern_is_found_without_its_cell(rest_and_now):

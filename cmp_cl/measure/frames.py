@@ -15,7 +15,7 @@ from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, check_kind
 from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import Grid, build_grid, filter_positions
-from cmp_cl.grid.grid import empty_grid
+from cmp_cl.grid.grid import NO_SIDES, empty_grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.patterns import (
     Region,
@@ -34,6 +34,8 @@ BRIDGED = 1
 _FITS = 1.0  # px, largest reprojection error of a node that fits the rig
 _LEAST_FITTING = 0.75  # share of the nodes at rest that must fit
 _FLIP = np.array([-1, 1], np.float32)
+# Rows and columns to the nearest nodes of the same colours; the opposite ones follow from them.
+_SHIFTS = (0, 2), (2, 0), (1, 1), (1, -1)
 _BETTER = 0.25  # share of the reprojection error that is left if the views were swapped or mirrored
 
 
@@ -199,8 +201,9 @@ class TwoViews(Measurement):
     split: the rectangles of the two views in a frame. regions: regions of the left and of the right
     view, see `OneView`. The other arguments are those of `OneView`.
 
-    Raises GridError if a view of the frame at rest shows no such pattern, or the rig does
-    not fit three quarters of its nodes to 1 px; ImageError if a view extends past the frame;
+    Raises GridError if a view of the frame at rest shows no such pattern, or the rig does not fit
+    three quarters of its nodes to 1 px, or it fits other pairs of nodes as well and the two views
+    do not show the pattern's border on the same side; ImageError if a view extends past the frame;
     ConfigError if rig or split is of another type; and the errors of `Detector`.
     """
 
@@ -264,7 +267,7 @@ class TwoViews(Measurement):
     def _placed(self, left: Grid, right: Grid) -> Points3D:
         points = self._rig.triangulate(left, right)
         both = np.count_nonzero(left.valid & right.valid)
-        fitting = np.count_nonzero(points.valid & (points.error <= _FITS))
+        fitting = _fit(points)
         if not fitting >= _LEAST_FITTING * both or not both:
             raise GridError(
                 f"the rig fits {fitting} of the {both} nodes that both views show to "
@@ -272,7 +275,33 @@ class TwoViews(Measurement):
                 "views, and which view is the left one"
             )
         self._check_order(left, right, _middle(points.error))
+        self._check_pairs(left, right)
         return points
+
+    def _check_pairs(self, left: Grid, right: Grid) -> None:
+        """Raise GridError if the rig fits as well with the numbers of one view shifted, and no side
+        at which both views show the border of the pattern decides.
+
+        Along the epipolar lines another pair of nodes is a point at another depth.
+        """
+        borders = zip(left.border or NO_SIDES, right.border or NO_SIDES, strict=True)
+        both = [here and there for here, there in borders]
+        open_ways = not any(both[:2]), not any(both[2:])
+        for shift in _SHIFTS:
+            if any(step and not is_open for step, is_open in zip(shift, open_ways, strict=True)):
+                continue
+            for sign in (1, -1):
+                rows, columns = shifted = sign * shift[0], sign * shift[1]
+                other = dataclasses.replace(right, origin=shifted).cut_to(left)
+                points = self._rig.triangulate(left, other)
+                pairs = np.count_nonzero(left.valid & other.valid)
+                if pairs and _fit(points) >= _LEAST_FITTING * pairs:
+                    raise GridError(
+                        f"the two views may show different parts of the pattern: the rig fits as "
+                        f"well with the right view's numbers shifted by {rows} rows and {columns} "
+                        "columns; give the pattern's rows and columns, or show its border on the "
+                        "same side of both views"
+                    )
 
     def _check_order(self, left: Grid, right: Grid, error: float) -> None:
         """Raise GridError if the rig fits far better to views that are swapped or mirrored.
@@ -326,6 +355,11 @@ class TwoViews(Measurement):
             points=points,
             field=field,
         )
+
+
+def _fit(points: Points3D) -> int:
+    """Return the number of nodes that fit the rig."""
+    return int(np.count_nonzero(points.valid & (points.error <= _FITS)))
 
 
 def _middle(error: NDArray[np.float64]) -> float:
