@@ -213,6 +213,7 @@ class Grid:
             past=turned_sides(self.past, quarters),
             continues=self.continues.turned(quarters),
             seen_shape=seen,
+            rival=None,
         )
 
     @property
@@ -282,8 +283,8 @@ class Grid:
         They lie on cubic curves through the nodes, with status VIRTUAL. Node (r, c) is at
         ((count + 1) r, (count + 1) c) of the result, ((R - 1)(count + 1) + 1,
         (C - 1)(count + 1) + 1), whose nodes inside the cells are MISSING. So two such grids
-        match by equal indices as any two grids do. Raises GridError if count is not an
-        integer of at least 1, or makes a grid too large.
+        match by equal numbers as any two grids do, and doubts remain. Raises GridError if count is
+        not an integer of at least 1, or makes a grid too large.
         """
         if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
             raise GridError(f"the number of markers on an edge must be at least 1, not {count!r}")
@@ -296,7 +297,19 @@ class Grid:
         sigma = np.full(status.shape, np.nan, np.float32)
         sigma[::times, ::times] = self.sigma
         index = np.where(self.index < 0, -1, self.index * times).astype(np.int32)
-        return Grid(xy=xy, status=status, sigma=sigma, index=index, parity=self.parity)
+        seen, rival = self.seen_shape, self.rival
+        return dataclasses.replace(
+            self,
+            xy=xy,
+            status=status,
+            sigma=sigma,
+            index=index,
+            origin=(times * self.origin[0], times * self.origin[1]),
+            component=components(there),
+            seen_shape=seen and (times * (seen[0] - 1) + 1, times * (seen[1] - 1) + 1),
+            rival=rival and Rival(times * rival.rows, times * rival.columns, rival.quarters),
+            edge_radius=math.nan,
+        )
 
 
 def empty_grid(corners: int, shape: tuple[int, ...] | None, like: Grid | None = None) -> Grid:

@@ -8,6 +8,7 @@ from lattices import board
 
 from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, NodeStatus, build_grid
+from cmp_cl.grid.grid import Rival
 from cmp_cl.grid.markers import profiles, refine_markers
 from cmp_cl.opencl.device import select_device
 from cmp_cl.reference import markers as oracle
@@ -47,6 +48,19 @@ def test_nodes_stay_where_they_are_and_markers_divide_the_edges(count):
     assert np.isnan(dense.sigma[dense.status == NodeStatus.VIRTUAL]).all()
     row, column = np.indices(dense.shape)
     np.testing.assert_array_equal(dense.valid, (row % times == 0) | (column % times == 0))
+
+
+def test_numbers_and_doubts_of_the_nodes_remain():
+    grid = dataclasses.replace(
+        build_grid(board(6, 9).corners), origin=(-2, 1), ambiguous=True, rival=Rival(1, -1)
+    )
+    dense = grid.with_virtual_markers(3)
+    assert dense.origin == (-8, 4)
+    assert dense.ambiguous
+    assert dense.rival == Rival(4, -4)
+    assert dense.component.max() == 0
+    asked = dataclasses.replace(grid, seen_shape=(7, 9)).with_virtual_markers(1)
+    assert asked.doubts[0] == "the board looks like 13 x 17 corners; 11 x 17 were asked for"
 
 
 def test_markers_lie_on_a_parabola_through_the_nodes():
