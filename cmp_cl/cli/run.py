@@ -352,6 +352,7 @@ def run(arguments: argparse.Namespace) -> int:
         stack.enter_context(handled(stop))
         measure = settings.measurement(rest)
         stack.enter_context(measure)
+        _tell_doubts(arguments.rest_frame, measure)
         results = derived.results_of(measure, arguments)
         stack.enter_context(display)
         description = settings.description(results.unit)
@@ -406,6 +407,17 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2
     return 130 if stop.name and not source.live else 0
+
+
+def _tell_doubts(number: int, measure: OneView | TwoViews) -> None:
+    """Print the doubts about the frame at rest, whose number that is."""
+    if isinstance(measure, OneView):
+        views = {"": measure.rest_grid}
+    else:
+        views = dict(zip(("the left view: ", "the right view: "), measure.rest_grids, strict=True))
+    for view, grid in views.items():
+        for doubt in grid.doubts:
+            print(f"cmp-cl: frame {number}, the frame at rest: {view}{doubt}", file=sys.stderr)
 
 
 class _Display(contextlib.AbstractContextManager["_Display"]):

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from cases import some
 from disks import full_after
+from lattices import drawn
 from messages import fails_in_one_line
 from plane_images import moved_board
 from stereo_data import bumblebee_rig, grid_of, photographs
@@ -304,6 +305,19 @@ def test_a_stopped_run_keeps_what_it_has(run, recording, press, monkeypatch, nam
     assert status == 130
     assert np.load("press.npz")["index"].tolist() == [0]
     assert [signal.getsignal(getattr(signal, stop)) for stop in STOPS] == before
+
+
+def test_doubts_about_the_frame_at_rest_are_told(run, tmp_path):
+    frame = np.full((400, 700), 210, np.uint8)
+    for (left, top), (image, _) in zip(
+        ((0, 0), (320, 40)), (drawn(9, 9), drawn(5, 6)), strict=True
+    ):
+        frame[top : top + len(image), left : left + image.shape[1]] = image
+    cv2.imwrite(str(tmp_path / "0.png"), frame)
+    status, _, told = run("run", tmp_path, "--out", "press.npz")
+    assert status == 0
+    assert told.startswith("cmp-cl: frame 0, the frame at rest: another pattern of 30 corners")
+    assert not run("run", tmp_path, "--grid", "9x9", "--out", "press.npz")[2]
 
 
 def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
