@@ -170,8 +170,8 @@ def build_grid(
     if shape is None and like is None:
         least = max(least, min(len(inside) / 2, LEAST_BOARD))
     most = int(found.size[0])
-    if boards and boards[0].size < min(SMALL * len(inside), LEAST_BOARD):
-        most = boards[0].size
+    if boards and boards[0].size < min(least, LEAST_BOARD):
+        most = min(most, boards[0].size)
     if not alone and most < least:
         raise GridError(
             f"the largest lattice has {most} of {len(inside)} corners, expected at least "

@@ -93,11 +93,13 @@ def reject_stragglers(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
 
     Where a board touches things behind it, some of these complete its outer squares by chance. A
     last line that has at most half of the nodes in view is probably beyond the border; its nodes
-    are stragglers. lines: of the corners, see `lines_of`.
+    are stragglers. If only second looks have found them, there is no such line. lines: of the
+    corners, see `lines_of`.
     """
     dropped = False
     while _has_few(nodes.there):
-        row, column = place = _stragglers(nodes, image)
+        row, column, guessed = _stragglers(nodes, image)
+        place = row, column
         if not len(row):
             return dropped
         look = _look(nodes, image, *place)
@@ -108,7 +110,7 @@ def reject_stragglers(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
         )
         others = others[~np.isnan(others)]
         contrast, usual = look.bright - look.dark, median(inside.bright - inside.dark)
-        kept = look.known & (contrast >= np.maximum(ALONE.span * look.span, ALONE.contrast * usual))
+        kept = ~guessed & look.known & (contrast >= np.maximum(ALONE.span * look.span, ALONE.contrast * usual))
         kept &= off <= np.minimum(np.maximum(STRAY, ALIKE * median(others)), ALONE.off * look.cell)
         kept &= ~(_cosine(nodes, lines, row, column, look.along, look.down) < ALONE.cosine)
         if kept.all():
@@ -126,18 +128,20 @@ def _has_few(there: Mask) -> bool:
     return any(len(way) > 2 and 2 * way[0].sum() <= way[1].sum() for way in ways)
 
 
-def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index]:
-    """Return the nodes of the last lines that have at most half of the nodes in view."""
-    few = np.zeros(nodes.at.shape, np.bool_)
+def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index, Mask]:
+    """Return the nodes of the last lines that have at most half of the nodes in view, and a mask of
+    those on a line without any corner."""
+    few, guessed = np.zeros((2, *nodes.at.shape), np.bool_)
     for quarters in range(4):
-        at, found = turned_lines(nodes.at, quarters), turned_lines(few, quarters)
+        at, owner = turned_lines(nodes.at, quarters), turned_lines(nodes.owner, quarters)
         if len(at) > 2:
             there = ~np.isnan(at[0].real)
             beyond = in_view(at[1] + (1 + HIDDEN) * (at[1] - at[2]), image)
             if 2 * np.count_nonzero(there) <= np.count_nonzero(there | beyond):
-                found[0] = there
+                turned_lines(few, quarters)[0] |= there
+                turned_lines(guessed, quarters)[0] |= there & (owner[0] < 0).all()
     row, column = np.nonzero(few)
-    return row, column
+    return row, column, guessed[row, column]
 
 
 @kept_by_mask
