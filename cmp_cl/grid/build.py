@@ -134,9 +134,9 @@ def build_grid(
     It then has the numbers by which the middle of the view has moved least, which are right if it
     moved by less than half a cell.
 
-    A pattern that rotated by more than 40 degrees needs a border or printing errors to decide. A
-    pattern that is seen whole and looks the same after a quarter turn gets the smallest rotation,
-    and is ambiguous from 40 to 50 degrees. The edge of an object that hides the pattern along a row
+    If the border, the colours and the printing errors allow several rotations, the smallest is
+    taken: a pattern is expected to rotate by less than 40 degrees from rest. From 40 to 50 degrees
+    the grid is then ambiguous. The edge of an object that hides the pattern along a row
     is taken for its border only if it leaves as much of the last squares as at rest and does not
     continue past the pattern. If no closed cell is found the grid is empty, (0, 0) or of the known
     shape.
