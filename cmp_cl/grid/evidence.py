@@ -110,7 +110,8 @@ def reject_stragglers(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
         )
         others = others[~np.isnan(others)]
         contrast, usual = look.bright - look.dark, median(inside.bright - inside.dark)
-        kept = ~guessed & look.known & (contrast >= np.maximum(ALONE.span * look.span, ALONE.contrast * usual))
+        kept = look.known & ~guessed
+        kept &= contrast >= np.maximum(ALONE.span * look.span, ALONE.contrast * usual)
         kept &= off <= np.minimum(np.maximum(STRAY, ALIKE * median(others)), ALONE.off * look.cell)
         kept &= ~(_cosine(nodes, lines, row, column, look.along, look.down) < ALONE.cosine)
         if kept.all():
