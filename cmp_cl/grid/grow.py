@@ -27,6 +27,7 @@ ASTRAY = 0.07  # cells: a torn node that is farther from its prediction is looke
 OUTLYING = 3.5  # if it is farther by this factor than nodes of its frame usually are
 OUTLYING_PX = 1.0  # a torn node that is farther, and farther than this share of a cell, and
 OUTLYING_CELLS = 0.15  # farther by that factor than the nodes around, is dropped
+OUTLYING_WIDE, OUTLYING_WIDE_CELLS = 8.0, 0.2  # the same for a corner in wide cells
 BESIDE = 2  # nodes to each side, whose distances from their predictions are compared
 PASSES = 2  # nodes that the first pass finds show where others are
 USUAL = 25  # so many nodes show what is usual
@@ -156,13 +157,14 @@ def _drop_outlying(nodes: Nodes, torn: Mask) -> None:
         off = np.where(weight < BRACKETED, np.nan, np.abs(nodes.at - predicted))
         row, column = np.nonzero((off > OUTLYING_PX) & torn[nodes.owner])
         cell = mean_steps(nodes.at, row, column)[2]
-        far = off[row, column] > OUTLYING_CELLS * cell
-        far &= (cell <= WIDEST) | (nodes.owner[row, column] < 0)
+        wide = (cell > WIDEST) & (nodes.owner[row, column] >= 0)
+        far = off[row, column] > np.where(wide, OUTLYING_WIDE_CELLS, OUTLYING_CELLS) * cell
         if not far.any():
             return
-        row, column = row[far], column[far]
+        row, column, wide = row[far], column[far], wide[far]
         usual, most = _around(off, row, column)
-        bad = (off[row, column] > OUTLYING * usual) & (off[row, column] >= most)
+        bad = off[row, column] > np.where(wide, OUTLYING_WIDE, OUTLYING) * usual
+        bad &= off[row, column] >= most
         if not bad.any():
             return
         nodes.drop(row[bad], column[bad])

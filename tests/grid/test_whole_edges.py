@@ -153,6 +153,20 @@ def test_a_corner_far_from_its_prediction_is_moved_if_its_own_image_is_torn(cell
     assert (others == NodeStatus.DETECTED).all()
 
 
+@pytest.mark.parametrize(
+    ("off", "status"), [(0.18, NodeStatus.DETECTED), (0.25, NodeStatus.INTERPOLATED)]
+)
+def test_a_torn_corner_of_wide_cells_that_alone_is_far_off_is_dropped(off, status):
+    image, corners = checkerboard(24)
+    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
+    moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
+    xy, sigma = found.xy.copy(), found.sigma.copy()
+    xy[moved, 1] += off * 24
+    sigma[moved] = np.nan
+    grid = build_grid(dataclasses.replace(found, xy=xy, sigma=sigma), image, shape=(SIZE, SIZE))
+    assert grid.status[TORN] == status
+
+
 def test_a_corner_whose_refinement_was_rejected_counts_as_torn():
     image, corners = checkerboard(12)
     found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
