@@ -185,7 +185,7 @@ class Grid:
 
     def turned(self, quarters: int) -> "Grid":
         """Return the grid after `quarters` quarter turns: after one, row 0 is the former last
-        column; raises GridError if `quarters` is not whole."""
+        column. The result has no `rival`. Raises GridError if `quarters` is not whole."""
         check_kind("quarters", quarters, Integral, GridError)
         quarters %= 4
         if not quarters:

@@ -102,6 +102,8 @@ def test_the_rival_of_a_wrong_numbering_is_the_right_one():
     np.testing.assert_array_equal(wrong, grid.rival[:2])
     assert grid.rival.quarters == 0
     assert grid.margin > 0
+    assert grid.turned(1).ambiguous
+    assert grid.turned(1).rival is None  # it was relative to the former numbers
 
 
 def test_frames_in_order_continue_the_numbers_over_any_distance():

@@ -47,6 +47,18 @@ def asked(image, corners, expected, parity=0):
     return along_edges(nodes, image, row, column, np.array([expected]), steps)[0]
 
 
+def displaced(
+    image: np.ndarray, place: complex, off: complex, sigma: float = np.nan
+) -> cmp_cl.Corners:
+    """Return the corners of an image; the one at that place, px, is off, with that sigma."""
+    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
+    moved = np.abs(found.xy @ [1, 1j] - place).argmin()
+    xy, sigmas = found.xy.copy(), found.sigma.copy()
+    xy[moved] += off.real, off.imag
+    sigmas[moved] = sigma
+    return dataclasses.replace(found, xy=xy, sigma=sigmas)
+
+
 @pytest.mark.parametrize("off", [1.5, -1.5, 1.5j, 1 - 1j])
 def test_a_node_moves_towards_where_its_edges_meet(off):
     image, corners = checkerboard(12, tear=3.5)
@@ -120,12 +132,7 @@ def test_a_torn_corner_whose_four_neighbours_are_torn_is_measured_after_them():
 )
 def test_a_torn_corner_is_moved_if_it_is_seven_hundredths_of_a_cell_off(off, status):
     image, corners = checkerboard(18)
-    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
-    moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
-    xy, sigma = found.xy.copy(), found.sigma.copy()
-    xy[moved, 0] += off * 18
-    sigma[moved] = np.nan
-    torn = dataclasses.replace(found, xy=xy, sigma=sigma)
+    torn = displaced(image, corners[TORN], off * 18)
     assert build_grid(torn, image, shape=(SIZE, SIZE)).status[TORN] == status
 
 
@@ -140,12 +147,8 @@ def test_a_torn_corner_is_moved_if_it_is_seven_hundredths_of_a_cell_off(off, sta
 )
 def test_a_corner_far_from_its_prediction_is_moved_if_its_own_image_is_torn(cell, sigma, status):
     image, corners = checkerboard(cell)
-    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
-    moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
-    xy, sigmas = found.xy.copy(), found.sigma.copy()
-    xy[moved] += 0.14 * cell, 0.14 * cell
-    sigmas[moved] = sigma
-    grid = build_grid(dataclasses.replace(found, xy=xy, sigma=sigmas), image, shape=(SIZE, SIZE))
+    moved = displaced(image, corners[TORN], 0.14 * cell * (1 + 1j), sigma)
+    grid = build_grid(moved, image, shape=(SIZE, SIZE))
     off = abs(grid.xy[TORN] @ [1, 1j] - corners[TORN])
     assert grid.status[TORN] == status
     assert off < 0.2 if status == NodeStatus.SECOND_LOOK else off > 0.18 * cell
@@ -158,13 +161,8 @@ def test_a_corner_far_from_its_prediction_is_moved_if_its_own_image_is_torn(cell
 )
 def test_a_torn_corner_of_wide_cells_that_alone_is_far_off_is_dropped(off, status):
     image, corners = checkerboard(24)
-    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
-    moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
-    xy, sigma = found.xy.copy(), found.sigma.copy()
-    xy[moved, 1] += off * 24
-    sigma[moved] = np.nan
-    grid = build_grid(dataclasses.replace(found, xy=xy, sigma=sigma), image, shape=(SIZE, SIZE))
-    assert grid.status[TORN] == status
+    torn = displaced(image, corners[TORN], off * 24j)
+    assert build_grid(torn, image, shape=(SIZE, SIZE)).status[TORN] == status
 
 
 def test_a_corner_whose_refinement_was_rejected_counts_as_torn():
@@ -195,10 +193,5 @@ def test_only_outliers_among_the_corners_of_a_worn_print_are_moved(seed):
 
 def test_the_only_node_with_all_its_neighbours_does_not_count_as_usual():
     image, corners = checkerboard(12, size=7)
-    found = cmp_cl.detect(image, cmp_cl.DetectorConfig())
-    moved = np.abs(found.xy @ [1, 1j] - corners[3, 3]).argmin()
-    xy, sigma = found.xy.copy(), found.sigma.copy()
-    xy[moved] += 1.7
-    sigma[moved] = np.nan
-    torn = dataclasses.replace(found, xy=xy, sigma=sigma)
+    torn = displaced(image, corners[3, 3], 1.7 + 1.7j)
     assert build_grid(torn, image, shape=(7, 7)).status[3, 3] == NodeStatus.SECOND_LOOK
