@@ -152,7 +152,7 @@ def test_views_that_may_show_different_parts_of_a_pattern_are_refused():
         np.testing.assert_allclose(against_rest.rest.xyz[..., 2], 600, atol=60)
     _, seen = measure.find_pattern(np.ascontiguousarray(inside[:, :250]))
     for shape in (None, seen.shape):
-        with pytest.raises(GridError, match="different parts of the pattern"):
+        with pytest.raises(GridError, match=r"different parts .* by 0 rows and -?2 columns"):
             measure.TwoViews(inside, rig, split, shape=shape)
 
 
