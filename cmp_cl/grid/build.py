@@ -17,7 +17,7 @@ from cmp_cl.grid.filter import bent_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus, Sides, empty_grid
 from cmp_cl.grid.grow import BRACKETED, WEAK, Seen, extend, fill, grow
 from cmp_cl.grid.islands import continued, join_islands
-from cmp_cl.grid.joints import cut
+from cmp_cl.grid.joints import cut, cut_by_image
 from cmp_cl.grid.lattice import Lattice, bends, lattice, lines_of
 from cmp_cl.grid.limits import check_finite, check_size
 from cmp_cl.grid.mirror import has_seam, repeats_reversed
@@ -156,9 +156,7 @@ def build_grid(
     found = _found(seen, sparse_boards=like is None)
     if found is None:
         return empty_grid(len(corners), shape, like)
-    found, nodes = _whole(seen, found)
-    grow(nodes, seen)
-    drop_detached(nodes)
+    found, nodes = _grown(seen, found)
     numbered, ends = _numbered(nodes, seen, found, shape=shape, like=like, previous=previous)
     boards = [] if numbered is None else [Board(numbered, ends)]
     if like is None and len(found.size) > 1 and found.size[1] >= OTHER:
@@ -226,11 +224,7 @@ def _boards(
     while (component := component + 1) < np.count_nonzero(found.size >= min(least, LEAST_BOARD)):
         if 2 * np.count_nonzero(taken[found.component == component]) > found.size[component]:
             continue
-        found, nodes = _whole(seen, found, component)
-        small = found.component >= np.count_nonzero(found.size >= LEAST_BOARD)
-        nodes.free &= ~taken & ((found.component < 0) | small)
-        grow(nodes, seen)
-        drop_detached(nodes)
+        found, nodes = _grown(seen, found, component, taken)
         numbered, ends = _numbered(nodes, seen, found, shape=shape, alone=True)
         if numbered is None:
             continue
@@ -303,6 +297,27 @@ def _with_wider(found: Lattice, left: Index, wider: Lattice) -> Lattice:
     )
     axis = np.concatenate([found.axis, wider.axis[:count]])[order]
     return Lattice(rank[label], size[order], node, turn, support, axis)
+
+
+def _grown(
+    seen: Seen, found: Lattice, component: int = 0, taken: Mask | None = None
+) -> tuple[Lattice, Nodes]:
+    """Return the lattice with that component cut until it is one pattern, and its nodes, with the
+    corners that belong to them.
+
+    taken: (N,) bool, corners that belong to other boards; None if there are no other boards.
+    """
+    while True:
+        found, nodes = _whole(seen, found, component)
+        if taken is not None:
+            small = found.component >= np.count_nonzero(found.size >= LEAST_BOARD)
+            nodes.free &= ~taken & ((found.component < 0) | small)
+        grow(nodes, seen)
+        drop_detached(nodes)
+        parts = cut_by_image(found, nodes, seen.image, component)
+        if parts is None:
+            return found, nodes
+        found = parts
 
 
 def _whole(seen: Seen, found: Lattice, component: int = 0) -> tuple[Lattice, Nodes]:

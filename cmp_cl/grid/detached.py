@@ -3,7 +3,7 @@
 import numpy as np
 
 from cmp_cl.grid.grid import components
-from cmp_cl.grid.nodes import Nodes
+from cmp_cl.grid.nodes import Mask, Nodes, Points
 
 _AROUND = 4  # rows and columns around a part whose nodes say where it should lie
 _LEAST = 6  # nodes there
@@ -21,15 +21,23 @@ def drop_detached(nodes: Nodes) -> None:
         return
     part = components(there)
     for number in range(1, int(part.max()) + 1):
-        row, column = np.nonzero(part == number)
-        near = part == 0
-        near[: max(row.min() - _AROUND, 0)] = near[row.max() + _AROUND + 1 :] = False
-        near[:, : max(column.min() - _AROUND, 0)] = near[:, column.max() + _AROUND + 1 :] = False
-        if np.count_nonzero(near) < _LEAST:
-            continue
-        model = np.column_stack([np.ones(np.count_nonzero(near)), *np.nonzero(near)])
-        origin, down, along = np.linalg.lstsq(model, nodes.at[near], rcond=None)[0]
-        off = nodes.at[row, column] - (origin + down * row + along * column)
-        if abs(off.mean()) > _OFF * max(abs(down), abs(along)):
-            nodes.drop(row, column)
+        if distance_from_place(nodes.at, part == number, part == 0) > _OFF:
+            nodes.drop(*np.nonzero(part == number))
     nodes.crop()
+
+
+def distance_from_place(at: Points, part: Mask, others: Mask) -> float:
+    """Return the distance, cells, of a part of the nodes from where the others around say it lies.
+
+    at: (R, C), px. part, others: (R, C) bool. 0 if there are too few others around.
+    """
+    row, column = np.nonzero(part)
+    near = others.copy()
+    near[: max(row.min() - _AROUND, 0)] = near[row.max() + _AROUND + 1 :] = False
+    near[:, : max(column.min() - _AROUND, 0)] = near[:, column.max() + _AROUND + 1 :] = False
+    if np.count_nonzero(near) < _LEAST:
+        return 0.0
+    model = np.column_stack([np.ones(np.count_nonzero(near)), *np.nonzero(near)])
+    origin, down, along = np.linalg.lstsq(model, at[near], rcond=None)[0]
+    off = at[row, column] - (origin + down * row + along * column)
+    return float(abs(off.mean()) / max(abs(down), abs(along)))

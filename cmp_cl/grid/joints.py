@@ -4,6 +4,9 @@ A cell that closes by chance can link a board to squares behind it, or two parts
 pattern by wrong numbers. The steps tell: on one pattern they change little from one cell to the
 next, and where it is bent they go on changing as they did. So neighbouring cells whose steps agree
 belong together. What is linked to them only through cells that do not agree is another lattice.
+
+The steps of a cell across a torn ring may agree all the same. There the image decides, together
+with the place of what lies inside the ring.
 """
 
 from typing import NamedTuple
@@ -12,8 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.grid.detached import distance_from_place
 from cmp_cl.grid.lattice import Index, Lattice, Mask
-from cmp_cl.grid.nodes import Nodes, upright
+from cmp_cl.grid.links import shown_parts
+from cmp_cl.grid.nodes import NOWHERE, Nodes, upright
+from cmp_cl.image import GreyImage
 
 Steps = NDArray[np.complex64]
 
@@ -21,6 +27,7 @@ ALIKE = 0.25  # of the steps: largest difference between two cells of one patter
 BENT = 0.3  # of the steps: largest difference of their change from the ones before and after
 PAIRS = 3  # of cells, which show that there is a bend between two parts
 LEAST = 4  # cells that may be another pattern
+OTHER_PLACE = 0.7  # cells: half of the shortest step that changes no colours
 NEIGHBOURS = (0, 1), (1, -1), (1, 0), (1, 1)  # the other four are their opposites
 
 
@@ -29,35 +36,91 @@ def cut(found: Lattice, nodes: Nodes, component: int = 0) -> Lattice | None:
 
     nodes: the component in its box, untouched. Corners in no large part belong to no component.
     """
-    lines = nodes.at.astype(np.complex64)
-    along, down = lines[:, 1:] - lines[:, :-1], lines[1:] - lines[:-1]
-    along, down = along[1:] + along[:-1], down[:, 1:] + down[:, :-1]  # twice the steps of a cell
-    if _hang_together(along, down):
+    along, down = _steps(nodes)
+    beside, below = _agreements(along, down)
+    cell = ~np.isnan(along.real + down.real)
+    if (beside.all() and below.all()) or _hang_together(beside, below, cell):
         return None
     cells = _whole_cells(along, down)
     part = _parts(cells)
-    size = np.bincount(part)
-    large = np.flatnonzero(size >= LEAST)
+    large = _large(part)
     if len(large) < 2:
         return None
-    large = large[np.argsort(-size[large], kind="stable")]
     places = [(cells.row[part == k], cells.column[part == k]) for k in large]
-    return _relabelled(found, nodes, component, places)
+    masks = [_nodes_of(nodes.at.shape, *place) for place in places]
+    return _relabelled(found, nodes, component, masks)
 
 
-def _hang_together(along: Steps, down: Steps) -> bool:
-    """Return whether all but a few cells form one part, joined by neighbours that agree."""
+def cut_by_image(
+    found: Lattice, nodes: Nodes, image: GreyImage | None, component: int = 0
+) -> Lattice | None:
+    """Return the lattice with parts of that component cut off, None where it is one.
+
+    These parts lie elsewhere than the nodes around them say, and no cell that the image shows links
+    them to the largest part.
+
+    nodes: the component, grown. image: (H, W); without it nothing is cut off.
+    """
+    if image is None or nodes.there.all() or _is_smooth(nodes):
+        return None
+    parts = shown_parts(nodes, image)
+    if len(parts) < 2:
+        return None
+    off = [0.0, *(distance_from_place(nodes.at, p & ~parts[0], parts[0]) for p in parts[1:])]
+    right = [part for part, cells in zip(parts, off, strict=True) if cells <= OTHER_PLACE]
+    wrong = [part for part, cells in zip(parts, off, strict=True) if cells > OTHER_PLACE]
+    return _relabelled(found, nodes, component, [np.any(right, axis=0), *wrong]) if wrong else None
+
+
+def _nodes_of(shape: tuple[int, ...], row: Index, column: Index) -> Mask:
+    """Return a mask of the nodes around cells."""
+    mask = np.zeros(shape, np.bool_)
+    for r in (0, 1):
+        for c in (0, 1):
+            mask[row + r, column + c] = True
+    return mask
+
+
+def _is_smooth(nodes: Nodes) -> bool:
+    """Return whether all neighbouring cells agree."""
+    along, down = _steps(nodes)
+    beside, below = _agreements(along, down)
+    size = along.real + down.real
+    beside |= np.isnan(size[:, 1:] + size[:, :-1])
+    below |= np.isnan(size[1:] + size[:-1])
+    return bool(beside.all() and below.all())
+
+
+def _steps(nodes: Nodes) -> tuple[Steps, Steps]:
+    """Return twice the steps of each cell, (R - 1, C - 1), along its rows and its columns."""
+    lines = nodes.at.astype(np.complex64)
+    along, down = lines[:, 1:] - lines[:, :-1], lines[1:] - lines[:-1]
+    return along[1:] + along[:-1], down[:, 1:] + down[:, :-1]
+
+
+def _large(part: Index) -> Index:
+    """Return the parts of at least LEAST cells, the largest first."""
+    size = np.bincount(part)
+    large = np.flatnonzero(size >= LEAST)
+    return large[np.argsort(-size[large], kind="stable")]
+
+
+def _agreements(along: Steps, down: Steps) -> tuple[Mask, Mask]:
+    """Return which cells agree with the next one of their row, and of their column."""
     size = _square(along) + _square(down)
     least = ALIKE**2 * size
     apart = _square(along[:, 1:] - along[:, :-1]) + _square(down[:, 1:] - down[:, :-1])
     beside = apart < np.minimum(least[:, 1:], least[:, :-1])
     apart = _square(along[1:] - along[:-1]) + _square(down[1:] - down[:-1])
     below = apart < np.minimum(least[1:], least[:-1])
-    if beside.all() and below.all():
-        return True
-    rows, columns = size.shape
+    return beside, below
+
+
+def _hang_together(beside: Mask, below: Mask, cell: Mask) -> bool:
+    """Return whether all but a few cells form one part, joined by neighbours that agree."""
+    rows, columns = cell.shape
     shown = np.zeros((2 * rows - 1, 2 * columns - 1), np.uint8)  # cells, and what joins them
-    shown[::2, ::2] = size == size
+    shown[::2, ::2] = cell
     shown[::2, 1::2], shown[1::2, ::2] = beside, below
     count, label = cv2.connectedComponents(shown, connectivity=4)
     if count < 3:
@@ -152,34 +215,25 @@ def _components(count: int, pairs: Index, lowest: Index | None = None) -> Index:
             lowest = lowest[lowest]
 
 
-def _relabelled(
-    found: Lattice, nodes: Nodes, component: int, parts: list[tuple[Index, Index]]
-) -> Lattice | None:
-    """Return the lattice with the corners of each part as a component of its own.
+def _relabelled(found: Lattice, nodes: Nodes, component: int, parts: list[Mask]) -> Lattice | None:
+    """Return the lattice with the corners of each part, (R, C) nodes, as a component of its own.
 
-    A corner between two parts goes to the larger one. None if the first part holds all corners.
+    A corner of two parts goes to the first. None if the first part holds all corners.
     """
     label = found.component.copy()
+    free: Mask = (nodes.owner >= 0) & (label[nodes.owner] == component)
     label[label == component] = -1
     unit = upright(complex(found.axis[component]))
-    free: Mask = nodes.owner >= 0
     sizes, axes = [], []
-    for number, (row, column) in enumerate(parts):
-        mine = np.zeros_like(free)
-        for r in (0, 1):
-            for c in (0, 1):
-                mine[row + r, column + c] = True
-        mine &= free
+    for number, part in enumerate(parts):
+        mine = part & free
         free &= ~mine
-        label[nodes.owner[mine]] = len(found.size) + number
-        sizes.append(np.count_nonzero(mine))
-        here, ahead = (row, column), (row, column + 1)
-        if unit.imag:
-            ahead = (row + 1, column)
         if not number and not free.any():
             return None
-        step = (nodes.at[ahead] - nodes.at[here]).mean()
-        axes.append(step * (unit.real + unit.imag))
+        label[nodes.owner[mine]] = len(found.size) + number
+        sizes.append(np.count_nonzero(mine))
+        step = np.diff(np.where(part, nodes.at, NOWHERE), axis=0 if unit.imag else 1)
+        axes.append(step[~np.isnan(step)].mean() * (unit.real + unit.imag))
     size = np.concatenate([found.size, sizes])
     size[component] = 0
     order = np.argsort(-size, kind="stable")[: np.count_nonzero(size)]

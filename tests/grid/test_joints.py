@@ -9,11 +9,13 @@ import pytest
 from cmp_cl import DetectorConfig, build_grid, build_grids, detect
 from cmp_cl.errors import GridError
 from cmp_cl.grid.build import Board, Ended, _others
+from cmp_cl.grid.grid import MEASURED
 from cmp_cl.grid.grow import Seen
-from cmp_cl.grid.joints import cut
+from cmp_cl.grid.joints import cut, cut_by_image
 from cmp_cl.grid.lattice import Lattice, lines_of
 from cmp_cl.grid.nodes import boxed
 from cmp_cl.grid.numbering import Numbered
+from cmp_cl.synthetic import Indenter, random_scene, render
 
 BOARD = (7, 9)  # inner corners
 CELL = 24  # px
@@ -270,3 +272,43 @@ def test_cells_between_the_corners_of_a_part_are_not_cut_again_and_again():
         assert parts.size[0] < found.size[0]
         found = parts
     assert parts is None
+
+
+def torn_ring(shift: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes of parity 0 with a ring of missing ones, and the image of their squares.
+
+    Inside the ring the numbers are wrong by so many rows and columns. A chain of three cells links
+    them to the others.
+    """
+    true = plane(24, 24, 12) + (20 + 20j)
+    squares = np.kron(np.indices((25, 25)).sum(axis=0) % 2, np.ones((12, 12)))
+    image = np.pad(np.where(squares > 0, 210, 40).astype(np.uint8), 8)
+    at = true.copy()
+    at[5:19, 5:19] = np.nan
+    at[7:17, 7:17] = true[7 + shift : 17 + shift, 7 - shift : 17 - shift]
+    chain = np.linspace(at[4, 10:12], at[7, 10:12], 4)
+    at[5:7, 10:12] = chain[1:3]
+    return at, image
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_part_inside_a_torn_ring_is_cut_off_if_its_numbers_are_wrong(quarters):
+    at, image = torn_ring(shift=1)
+    z, found = linked(np.rot90(at, quarters))
+    parts = cut_by_image(found, boxed(z, found), image)
+    assert parts is not None
+    assert parts.size.tolist() == [24 * 24 - 14 * 14, 10 * 10]
+
+
+def test_a_part_inside_a_torn_ring_stays_if_its_numbers_are_right():
+    at, image = torn_ring(shift=0)
+    z, found = linked(at)
+    assert cut_by_image(found, boxed(z, found), image) is None
+
+
+def test_no_number_inside_a_torn_ring_is_wrong():
+    scene = random_scene(73004, markers=40, severity=2.0, indenter=Indenter.TORUS)
+    shot = render(scene)
+    grid = build_grid(detect(shot.image), shot.image, shape=(40, 40))
+    off = np.linalg.norm(grid.xy - shot.truth, axis=2)[np.isin(grid.status, MEASURED)]
+    assert np.count_nonzero(off < 0.3 * shot.cell) == len(off) > 1250
