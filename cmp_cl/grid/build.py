@@ -358,14 +358,16 @@ def _numbered(
         numbered = in_shape(nodes, bends(seen.edges), shape, _ends(nodes, seen, border, shape))
     else:
         numbered = Numbered(nodes)
+    every = np.count_nonzero(nodes.there)  # those outside the known shape too
+    count = np.count_nonzero(numbered.nodes.there)
     if not alone and np.count_nonzero(found.size >= LEAST_BOARD) > 1:
         at_rest = None if like is None else like.cut_to(_framed(numbered))
         join_islands(numbered.nodes, found, seen, at_rest)
-    count = np.count_nonzero(nodes.there)
     fill(numbered.nodes, seen, BRACKETED if shape is None else WEAK)
     if not numbered.nodes.there.any():
         return None, Ended()
-    if seen.image is None or (by_border and np.count_nonzero(numbered.nodes.there) == count):
+    same = every == count == np.count_nonzero(numbered.nodes.there)
+    if seen.image is None or (by_border and same):
         border = border.turned(numbered.quarters)
     else:
         border = border_of(numbered.nodes, seen.image)

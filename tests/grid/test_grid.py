@@ -1,7 +1,6 @@
 """Corners are numbered by row and column."""
 
 import copy
-import dataclasses
 import json
 import time
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 from cases import some
 from configs import rings
-from lattices import board, drawn, joined
+from lattices import board, drawn, joined, keep
 
 from cmp_cl import detect, reference, synthetic
 from cmp_cl.config import DetectorConfig
@@ -103,15 +102,6 @@ def test_the_parity_is_the_colour_of_the_first_cell(black):
     corners, index, _ = board(8, 8, black=black)
     rest = keep(corners, index[:, 0] > 0)
     assert build_grid(rest).parity == black
-
-
-def keep(corners, which):
-    fields = {
-        field.name: getattr(corners, field.name)[which]
-        for field in dataclasses.fields(corners)
-        if field.name not in ("device", "edge_radius")
-    }
-    return dataclasses.replace(corners, **fields)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -7,7 +7,7 @@ import time
 import cv2
 import numpy as np
 import pytest
-from lattices import Board, board, drawn, endless, joined
+from lattices import Board, board, drawn, endless, joined, keep
 
 from cmp_cl import align, build_grids, reference
 from cmp_cl.config import DetectorConfig
@@ -670,6 +670,18 @@ def test_a_wrong_size_is_reported_though_no_corner_of_the_last_line_is_seen():
     assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
 
 
+def test_a_wrong_size_is_reported_though_second_looks_replace_as_many_nodes_as_lie_outside_it():
+    image, nodes = drawn(6, 9)
+    corner = nodes.reshape(6, 9, 2)
+    x, y = np.rint(corner[2:, -1].mean(axis=0)).astype(int)
+    image[y - 36 : y + 37, x - 5 : x + 6] = 128  # two nodes of the last column are left
+    corners = seen_in(image)
+    away = np.linalg.norm(corners.xy[:, None] - corner[2:4, 4], axis=2)
+    grid = build_grid(keep(corners, (away > 2).all(axis=1)), image, shape=(6, 8))
+    assert np.count_nonzero(grid.status == NodeStatus.SECOND_LOOK) == 2
+    assert grid.seen_shape == (6, 9)
+
+
 def test_things_beside_a_board_are_not_taken_for_its_squares():
     image, _ = drawn(6, 9)
     for number, level in enumerate((210, 40, 210, 210, 210, 210, 210, 40, 125, 40)):
@@ -746,13 +758,7 @@ def island(aside: complex) -> tuple[Board, np.ndarray]:
     inside = away < 5
     whole.corners.xy[inside] += [aside.real, aside.imag]
     kept = inside | (away > 9)
-    fields = {
-        field.name: getattr(whole.corners, field.name)[kept]
-        for field in dataclasses.fields(whole.corners)
-        if field.name not in ("device", "edge_radius")
-    }
-    corners = dataclasses.replace(whole.corners, **fields)
-    return Board(corners, whole.index[kept], whole.truth), inside[kept]
+    return Board(keep(whole.corners, kept), whole.index[kept], whole.truth), inside[kept]
 
 
 def test_an_island_gets_the_numbers_that_its_surroundings_give():
@@ -786,15 +792,7 @@ def test_an_island_between_two_places_is_left_out():
 
 
 def test_many_corners_at_one_position_take_little_time():
-    corners = board(12, 12).corners
-    heap = dataclasses.replace(
-        corners,
-        **{
-            field.name: np.repeat(getattr(corners, field.name)[:1], 20_000, axis=0)
-            for field in dataclasses.fields(corners)
-            if field.name not in ("device", "edge_radius")
-        },
-    )
+    heap = keep(board(12, 12).corners, np.zeros(20_000, np.int64))
     start = time.perf_counter()
     assert build_grid(heap).shape == (0, 0)
     assert time.perf_counter() - start < 3  # s: about 0.2 s; all pairs would take minutes

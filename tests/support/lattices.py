@@ -1,5 +1,6 @@
 """Corners of warped checkerboards, made without an image."""
 
+import dataclasses
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,16 @@ class Board(NamedTuple):
     corners: Corners
     index: NDArray[np.int64]
     truth: NDArray[np.complex128]
+
+
+def keep(corners: Corners, which: NDArray[np.bool_] | NDArray[np.int64]) -> Corners:
+    """Return some of the corners: those of a mask, (N,), or of indices."""
+    fields = {
+        field.name: getattr(corners, field.name)[which]
+        for field in dataclasses.fields(corners)
+        if field.name not in ("device", "edge_radius")
+    }
+    return dataclasses.replace(corners, **fields)
 
 
 def board(
