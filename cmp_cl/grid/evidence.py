@@ -93,8 +93,8 @@ def reject_stragglers(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
 
     Where a board touches things behind it, some of these complete its outer squares by chance. A
     last line that has at most half of the nodes in view is probably beyond the border; its nodes
-    are stragglers. If only second looks have found them, there is no such line. lines: of the
-    corners, see `lines_of`.
+    are stragglers. If only one is a corner, and the others second looks, there is no such line.
+    lines: of the corners, see `lines_of`.
     """
     dropped = False
     while _has_few(nodes.there):
@@ -131,7 +131,7 @@ def _has_few(there: Mask) -> bool:
 
 def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index, Mask]:
     """Return the nodes of the last lines that have at most half of the nodes in view, and a mask of
-    those on a line without any corner."""
+    those on a line of a single corner or none."""
     few, guessed = np.zeros((2, *nodes.at.shape), np.bool_)
     for quarters in range(4):
         at, owner = turned_lines(nodes.at, quarters), turned_lines(nodes.owner, quarters)
@@ -140,7 +140,7 @@ def _stragglers(nodes: Nodes, image: GreyImage) -> tuple[Index, Index, Mask]:
             beyond = in_view(at[1] + (1 + HIDDEN) * (at[1] - at[2]), image)
             if 2 * np.count_nonzero(there) <= np.count_nonzero(there | beyond):
                 turned_lines(few, quarters)[0] |= there
-                turned_lines(guessed, quarters)[0] |= there & (owner[0] < 0).all()
+                turned_lines(guessed, quarters)[0] |= there & (np.count_nonzero(owner[0] >= 0) < 2)
     row, column = np.nonzero(few)
     return row, column, guessed[row, column]
 
