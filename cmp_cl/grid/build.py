@@ -25,6 +25,7 @@ from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, boxed, check_room
 from cmp_cl.grid.numbering import Numbered, like_rest
 from cmp_cl.grid.seam import touch
 from cmp_cl.grid.sizes import followed, in_shape
+from cmp_cl.grid.skipped import skips_corners
 from cmp_cl.image import GreyImage, check_image
 
 SMALL = 0.1  # least share of the corners that the pattern must hold
@@ -146,9 +147,10 @@ def build_grid(
     not decide, it is the largest, unless another is comparable.
 
     Raises GridError if corners have no finite position or no edge angles, if two comparable
-    patterns are seen, if the largest lattice or its grid holds few of the corners, if a shape is
-    far larger than the number of corners, if `like` is empty or contradicts `shape`; ImageError for
-    an image that is not one, or not the corners' own.
+    patterns are seen, if the largest lattice or its grid holds few of the corners or leaves out
+    those in the middle of its cells, if a shape is far larger than the number of corners, if `like`
+    is empty or contradicts `shape`; ImageError for an image that is not one, or not the corners'
+    own.
     """
     shape = _known_shape(shape, like)
     _check_previous(previous, like)
@@ -178,6 +180,11 @@ def build_grid(
     if not boards:
         return empty_grid(len(corners), shape, like)
     board = whole[0] if alone or len(whole) > 1 else boards[0]
+    if skips_corners(board.numbered.nodes, seen.z):
+        raise GridError(
+            f"the lattice of {board.size} nodes leaves out corners that lie in the middle of its "
+            "cells; the pattern is too blurred, or seen at too low an angle"
+        )
     others = _others(found, board, seen, alone=alone)
     grid = _result(corners, inside, board)
     if shape is None:
@@ -229,7 +236,7 @@ def _boards(
         if numbered is None:
             continue
         board = Board(numbered, ends)
-        if board.size < least:
+        if board.size < least or skips_corners(numbered.nodes, seen.z):
             continue
         taken |= board.owned(len(taken))
         yield board

@@ -239,7 +239,7 @@ def _attach(nodes: Nodes, seen: Seen) -> bool:
     if not len(free):
         return False
     row, column, at, _, cell, line = _expected(nodes, WEAK)
-    near, corner = _nearest(at, seen.z[free], NEAR * cell)
+    near, corner = nearest_pairs(at, seen.z[free], NEAR * cell)
     corner = free[corner]
     first, third = np.exp(1j * seen.edges[corner, 0]), np.exp(1j * seen.edges[corner, 2])
     along = np.abs(((first - third) * line[near].conj()).real)
@@ -250,7 +250,7 @@ def _attach(nodes: Nodes, seen: Seen) -> bool:
     return len(near) > 0
 
 
-def _nearest(at: Points, z: Points, reach: Float) -> tuple[Index, Index]:
+def nearest_pairs(at: Points, z: Points, reach: Float) -> tuple[Index, Index]:
     """Return the indices in `at` and in `z` of mutually nearest points within reach."""
     order = np.argsort(z.real, kind="stable")
     x = z.real[order]

@@ -12,8 +12,9 @@ from cases import some
 from configs import rings
 from lattices import board, drawn, joined, keep
 
-from cmp_cl import detect, reference, synthetic
+from cmp_cl import build_grids, detect, reference, synthetic
 from cmp_cl.config import DetectorConfig
+from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError, ImageError
 from cmp_cl.grid import Grid, NodeStatus, build_grid
 from cmp_cl.grid.grow import drop_misfits
@@ -102,6 +103,33 @@ def test_the_parity_is_the_colour_of_the_first_cell(black):
     corners, index, _ = board(8, 8, black=black)
     rest = keep(corners, index[:, 0] > 0)
     assert build_grid(rest).parity == black
+
+
+def with_middles(share: float) -> Corners:
+    """Return the corners of a board and corners in the middle of that share of its cells, with
+    edges along the diagonals."""
+    whole = board(10, 10, jitter=0.0)
+    at = whole.truth
+    middles = ((at[1:, 1:] + at[:-1, :-1]) / 2).ravel()
+    middles = middles[: round(share * len(middles))]
+    nodes = len(whole.corners)
+    both = keep(whole.corners, np.arange(nodes + len(middles)) % nodes)
+    both.xy[nodes:] = np.stack([middles.real, middles.imag], axis=1)
+    both.edges[nodes:] = np.angle(at[1, 1] - at[0, 0]) + np.arange(4) * np.pi / 2
+    return both
+
+
+def test_a_lattice_that_leaves_out_the_corners_between_its_rows_is_refused():
+    corners = with_middles(1.0)
+    with pytest.raises(GridError, match="the lattice of 100 nodes leaves out corners"):
+        build_grid(corners)
+    assert build_grids(corners) == []
+
+
+def test_marks_in_half_of_the_cells_are_no_corners_that_are_left_out():
+    corners = with_middles(0.5)
+    assert build_grid(corners).shape == (10, 10)
+    assert [grid.shape for grid in build_grids(corners)] == [(10, 10)]
 
 
 @pytest.mark.parametrize("seed", range(4))
