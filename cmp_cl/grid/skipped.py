@@ -20,20 +20,21 @@ def skips_corners(nodes: Nodes, z: Points) -> bool:
 
     z: (N,), all corners, px.
     """
-    other = np.ones(len(z), np.bool_)
-    other[nodes.owner[nodes.owner >= 0]] = False
-    if np.count_nonzero(other) <= MOST * LEAST:
+    owned = nodes.owner >= 0
+    others = len(z) - np.count_nonzero(owned)
+    if others <= MOST * LEAST:
         return False
     at = nodes.at
     left, right = at[:-1, :-1] + at[1:, :-1], at[:-1, 1:] + at[1:, 1:]
     whole = ~np.isnan(left.real + right.real)
     left, right, cells = left[whole], right[whole], np.count_nonzero(whole)
-    if cells < LEAST or np.count_nonzero(other) <= MOST * cells:
+    if cells < LEAST or others <= MOST * cells:
         return False
     middle, along = (left + right) / 4, (right - left) / 2
     down = (at[1:, :-1] + at[1:, 1:] - at[:-1, :-1] - at[:-1, 1:])[whole] / 2
-    cell, corner = nearest_pairs(middle, z[other], MIDDLE * (np.abs(along) + np.abs(down)))
-    off, along, down = z[other][corner] - middle[cell], along[cell], down[cell]
+    other = np.delete(z, nodes.owner[owned])
+    cell, corner = nearest_pairs(middle, other, MIDDLE * (np.abs(along) + np.abs(down)))
+    off, along, down = other[corner] - middle[cell], along[cell], down[cell]
     area = (along.conj() * down).imag
     column, row = (off.conj() * down).imag / area, (along.conj() * off).imag / area
     return bool(np.count_nonzero(np.hypot(column, row) < MIDDLE) > MOST * cells)
