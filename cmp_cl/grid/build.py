@@ -381,7 +381,7 @@ def _numbered(
         if not alone and any(border.sides):
             border = border.without(continued(numbered.nodes, found, seen))
     if like is None and shape is not None:
-        numbered = followed(numbered, border.followed)
+        numbered = followed(numbered, border, seen)
     sides = None if seen.image is None else border.sides
     if seen.image is not None and like is None and shape is not None and _fills_shape(numbered):
         sides = _known_sides(numbered.nodes, seen.image, border.sides)

@@ -3,14 +3,19 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.grid.border import Ends
-from cmp_cl.grid.grid import Sides
-from cmp_cl.grid.nodes import Index, Mask, Nodes
+from cmp_cl.grid.border import Border, Ends
+from cmp_cl.grid.grid import NO_SIDES, Sides
+from cmp_cl.grid.grow import Seen, nearest_pairs
+from cmp_cl.grid.lattice import bends
+from cmp_cl.grid.nodes import NOWHERE, Index, Mask, Nodes, Points
 from cmp_cl.grid.numbering import Numbered
 
 WHOLE = 1024  # weight of a corner with straight boundaries
 STRAIGHT = 0.5  # largest bend of a corner that is no junction with the surround
 LEAST_LINE = 3  # corners: half of fewer may be a single false one
+# Corners that are no nodes and form a further line: how many, of how many of its places, how far
+# from them, cells, and the least cosine between their edges and the lattice's steps.
+LEAST_FURTHER, MOST_OF, OFF, IN_LINE = 2, 0.6, 0.2, 0.9
 
 
 def in_shape(
@@ -58,17 +63,67 @@ def in_shape(
     )
 
 
-def followed(numbered: Numbered, sides: Sides) -> Numbered:
-    """Return the nodes, and on which sides further cells show that the shape is too small.
+def followed(numbered: Numbered, border: Border, seen: Seen) -> Numbered:
+    """Return the nodes, and on which sides more of the pattern shows that the shape is too small.
 
-    The corners of these cells are hidden, or too few for a line. One line on each side is counted.
-    Nothing is told where the nodes may be another part of the shape.
+    There, further cells follow, whose corners are hidden or too few for a line. Or corners follow
+    that are no nodes, because things in their cells or beside them disturb the evidence. One line
+    on each side is counted. Nothing is told where the nodes may be another part of the shape.
     """
-    if numbered.seen_shape is not None or numbered.ambiguous or not any(sides):
+    if numbered.seen_shape is not None or numbered.ambiguous:
+        return numbered
+    lines = _further_lines(numbered.nodes, border.sides, seen)
+    sides = Sides(*(any(side) for side in zip(border.followed, lines, strict=True)))
+    if not any(sides):
         return numbered
     rows, columns = numbered.nodes.at.shape
-    seen = rows + sides.top + sides.bottom, columns + sides.left + sides.right
-    return numbered._replace(continues=sides, seen_shape=seen)
+    size = rows + sides.top + sides.bottom, columns + sides.left + sides.right
+    return numbered._replace(continues=sides, seen_shape=size)
+
+
+def _further_lines(nodes: Nodes, ends: Sides, seen: Seen) -> Sides:
+    """Return the sides beyond which corners that are no nodes form most of a line.
+
+    ends: the sides on which the pattern ends, which are left out.
+    """
+    other = np.ones(len(seen.z), np.bool_)
+    other[nodes.owner[nodes.owner >= 0]] = False
+    corner = np.flatnonzero(other)
+    if all(ends) or len(corner) < LEAST_FURTHER or min(nodes.at.shape) < 2:
+        return NO_SIDES
+    at, parity, (rows, columns) = nodes.at, nodes.parity, nodes.at.shape
+    ways = (
+        (at, parity),
+        (at[::-1], parity + rows - 1),
+        (at.T, parity + 1),
+        (at.T[::-1], parity + columns),
+    )
+    top, bottom, left, right = (
+        not end and _is_line_further(*way, corner, seen)
+        for way, end in zip(ways, ends, strict=True)
+    )
+    return Sides(top, bottom, left, right)
+
+
+def _is_line_further(at: Points, parity: int, corner: Index, seen: Seen) -> bool:
+    """Return whether corners continue most columns of nodes, (R, C) px, before the first row.
+
+    parity: the edges e0 and e2 of a corner lie along the row if parity + row + column is even.
+    corner: the corners that may.
+    """
+    line, out = at[0], at[0] - at[1]
+    after = np.append(line[1:] - line[:-1], NOWHERE)
+    before = np.append(NOWHERE, after[:-1])
+    along = np.where(np.isnan(after), before, after)
+    known = np.flatnonzero(~np.isnan(out) & ~np.isnan(along))
+    near, found = nearest_pairs((line + out)[known], seen.z[corner], OFF * np.abs(out[known]))
+    column, found = known[near], corner[found]
+    steps = np.stack([along[column], out[column]])
+    steps = np.where((parity - 1 + column) % 2 == 0, steps, steps[::-1])
+    cosine = np.abs((seen.lines[:, found] * steps.conj()).real) / np.abs(steps)
+    fits = (cosine >= IN_LINE).all(axis=0) & ~(bends(seen.edges[found]) > STRAIGHT)
+    count = int(np.count_nonzero(fits))
+    return count >= LEAST_FURTHER and count > MOST_OF * len(known)
 
 
 def _misfit(seen: tuple[int, ...], shape: tuple[int, int], border: Sides) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from lattices import Board, board, drawn, endless, joined, keep
 
-from cmp_cl import align, build_grids, reference
+from cmp_cl import align, build_grids, detect, reference
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
@@ -682,6 +682,30 @@ def test_a_wrong_size_is_reported_though_no_corner_of_the_last_line_is_seen():
     assert grid.seen_shape == (6, 9)
     assert grid.continues == Sides(right=True)
     assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
+
+
+def with_marks_at_the_end(rows: int, columns: int) -> np.ndarray:
+    """Return an image of a board whose last squares of each row have a mark of the other colour.
+
+    The corners there are found, but do not look like nodes.
+    """
+    image, nodes = drawn(rows, columns, cell=40)
+    x = round(float(nodes.reshape(rows, columns, 2)[0, -1, 0]))
+    for row in range(rows + 1):
+        y = 40 + 40 * row
+        image[y + 7 : y + 33, x + 8 : x + 34] = 40 if (row + columns) % 2 else 210
+    return image
+
+
+@pytest.mark.parametrize("quarters", range(4))
+def test_a_wrong_size_is_reported_though_marks_disturb_the_last_line(quarters):
+    image = np.ascontiguousarray(np.rot90(with_marks_at_the_end(6, 9), quarters))
+    corners = detect(image, DetectorConfig.for_cell(40))
+    asked, size = ((6, 8), (6, 9)) if quarters % 2 == 0 else ((8, 6), (9, 6))
+    grid = build_grid(corners, image, shape=asked)
+    assert grid.seen_shape == size
+    sides = (Sides(right=True), Sides(top=True), Sides(left=True), Sides(bottom=True))
+    assert grid.continues == sides[quarters]
 
 
 def test_a_wrong_size_is_reported_though_second_looks_replace_as_many_nodes_as_lie_outside_it():
