@@ -55,14 +55,7 @@ def continued(nodes: Nodes, found: Lattice, seen: Seen) -> Sides:
     if np.count_nonzero(island) < LEAST:
         return NO_SIDES
     z, lines = seen.z[island], seen.lines[:, island]
-    at, parity = nodes.at, nodes.parity
-    rows, columns = at.shape
-    return Sides(
-        _continued(at, parity, z, lines),
-        _continued(at[::-1], parity + rows - 1, z, lines),
-        _continued(at.T, parity + 1, z, lines),
-        _continued(at.T[::-1], parity + columns, z, lines),
-    )
+    return Sides(*(_continued(*way, z, lines) for way in nodes.from_sides()))
 
 
 def _continued(at: Points, parity: int, z: Points, lines: Complex) -> bool:

@@ -96,6 +96,19 @@ class Nodes:
         rows, columns = self.at.shape
         return (self.parity + (0, columns, rows + columns, rows)[quarters]) % 2
 
+    def from_sides(self) -> tuple[tuple[Points, int], ...]:
+        """Return the nodes from the top, the bottom, the left and the right, and their parity.
+
+        Row 0 is the last line of that side.
+        """
+        at, parity, (rows, columns) = self.at, self.parity, self.at.shape
+        return (
+            (at, parity),
+            (at[::-1], parity + rows - 1),
+            (at.T, parity + 1),
+            (at.T[::-1], parity + columns),
+        )
+
     def window(self, top: int, left: int, shape: tuple[int, int]) -> "Nodes":
         """Return the nodes in a window of that shape, whose first row and column are top and
         left."""

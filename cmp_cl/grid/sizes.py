@@ -91,18 +91,12 @@ def _further_lines(nodes: Nodes, ends: Sides, seen: Seen) -> Sides:
     corner = np.flatnonzero(other)
     if all(ends) or len(corner) < LEAST_FURTHER or min(nodes.at.shape) < 2:
         return NO_SIDES
-    at, parity, (rows, columns) = nodes.at, nodes.parity, nodes.at.shape
-    ways = (
-        (at, parity),
-        (at[::-1], parity + rows - 1),
-        (at.T, parity + 1),
-        (at.T[::-1], parity + columns),
+    return Sides(
+        *(
+            not end and _is_line_further(*way, corner, seen)
+            for way, end in zip(nodes.from_sides(), ends, strict=True)
+        )
     )
-    top, bottom, left, right = (
-        not end and _is_line_further(*way, corner, seen)
-        for way, end in zip(ways, ends, strict=True)
-    )
-    return Sides(top, bottom, left, right)
 
 
 def _is_line_further(at: Points, parity: int, corner: Index, seen: Seen) -> bool:
