@@ -274,11 +274,11 @@ def test_cells_between_the_corners_of_a_part_are_not_cut_again_and_again():
     assert parts is None
 
 
-def torn_ring(shift: int) -> tuple[np.ndarray, np.ndarray]:
+def torn_ring(shift: int, wide: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Return nodes of parity 0 with a ring of missing ones, and the image of their squares.
 
-    Inside the ring the numbers are wrong by so many rows and columns. A chain of three cells links
-    them to the others.
+    Inside the ring the numbers are wrong by so many rows and columns. A chain of three rows of
+    cells, so many wide, links them to the others.
     """
     true = plane(24, 24, 12) + (20 + 20j)
     squares = np.kron(np.indices((25, 25)).sum(axis=0) % 2, np.ones((12, 12)))
@@ -286,14 +286,15 @@ def torn_ring(shift: int) -> tuple[np.ndarray, np.ndarray]:
     at = true.copy()
     at[5:19, 5:19] = np.nan
     at[7:17, 7:17] = true[7 + shift : 17 + shift, 7 - shift : 17 - shift]
-    chain = np.linspace(at[4, 10:12], at[7, 10:12], 4)
-    at[5:7, 10:12] = chain[1:3]
+    chain = slice(10, 11 + wide)
+    at[5:7, chain] = np.linspace(at[4, chain], at[7, chain], 4)[1:3]
     return at, image
 
 
+@pytest.mark.parametrize("wide", [1, 4])
 @pytest.mark.parametrize("quarters", range(4))
-def test_a_part_inside_a_torn_ring_is_cut_off_if_its_numbers_are_wrong(quarters):
-    at, image = torn_ring(shift=1)
+def test_a_part_inside_a_torn_ring_is_cut_off_if_its_numbers_are_wrong(quarters, wide):
+    at, image = torn_ring(shift=1, wide=wide)
     z, found = linked(np.rot90(at, quarters))
     parts = cut_by_image(found, boxed(z, found), image)
     assert parts is not None

@@ -15,12 +15,15 @@ from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid, NodeStatus, Sides, build_grid
 from cmp_cl.grid.align import row_direction
-from cmp_cl.grid.border import common_reach
+from cmp_cl.grid.border import Border, common_reach
 from cmp_cl.grid.evidence import _typical
 from cmp_cl.grid.fingerprint import Fingerprint, turn_to
+from cmp_cl.grid.grow import Seen
+from cmp_cl.grid.lattice import lattice, lines_of
 from cmp_cl.grid.nearest import Reference
-from cmp_cl.grid.nodes import kept_by_mask, median, turned_lines
-from cmp_cl.grid.sizes import _full
+from cmp_cl.grid.nodes import boxed, kept_by_mask, median, turned_lines
+from cmp_cl.grid.numbering import Numbered
+from cmp_cl.grid.sizes import _full, followed
 
 MEASURED = [NodeStatus.DETECTED, NodeStatus.ATTACHED, NodeStatus.SECOND_LOOK]
 
@@ -684,6 +687,23 @@ def test_a_wrong_size_is_reported_though_no_corner_of_the_last_line_is_seen():
     assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
 
 
+@pytest.mark.parametrize("quarters", range(4))
+def test_corners_of_a_further_line_are_counted_where_no_border_is_seen(quarters):
+    whole = board(9, 7, pull=0, twist=0, rotation=0).corners
+    edges, lines = whole.edges, lines_of(whole.edges)
+    z = whole.xy.astype(np.float64).view(np.complex128)[:, 0]
+    seen = Seen(z, edges, lines, None, np.ones(len(z) + 1, np.bool_))
+    found = lattice(z.astype(np.complex64), lines)
+    nodes = boxed(z, found).turned(quarters)
+    rows, columns = nodes.at.shape
+    numbered = Numbered(nodes.window(1, 1, (rows - 2, columns - 2)))
+    nothing = followed(numbered, Border(reach=(1.0, 1.0, 1.0, 1.0)), seen)
+    assert nothing.seen_shape is None
+    assert followed(numbered, Border(), seen).seen_shape == (rows, columns)
+    top = followed(numbered, Border(reach=(math.nan, 1.0, 1.0, 1.0)), seen)
+    assert top.continues == Sides(top=True)
+
+
 def with_marks_at_the_end(rows: int, columns: int) -> np.ndarray:
     """Return an image of a board whose last squares of each row have a mark of the other colour.
 
@@ -708,15 +728,16 @@ def test_a_wrong_size_is_reported_though_marks_disturb_the_last_line(quarters):
     assert grid.continues == sides[quarters]
 
 
-def test_a_wrong_size_is_reported_though_second_looks_replace_as_many_nodes_as_lie_outside_it():
+@pytest.mark.parametrize("missed", [0, 2])
+def test_a_wrong_size_is_reported_though_second_looks_may_replace_nodes_outside_it(missed):
     image, nodes = drawn(6, 9)
     corner = nodes.reshape(6, 9, 2)
     x, y = np.rint(corner[2:, -1].mean(axis=0)).astype(int)
     image[y - 36 : y + 37, x - 5 : x + 6] = 128  # two nodes of the last column are left
     corners = seen_in(image)
-    away = np.linalg.norm(corners.xy[:, None] - corner[2:4, 4], axis=2)
+    away = np.linalg.norm(corners.xy[:, None] - corner[2 : 2 + missed, 4], axis=2)
     grid = build_grid(keep(corners, (away > 2).all(axis=1)), image, shape=(6, 8))
-    assert np.count_nonzero(grid.status == NodeStatus.SECOND_LOOK) == 2
+    assert np.count_nonzero(grid.status == NodeStatus.SECOND_LOOK) == missed
     assert grid.seen_shape == (6, 9)
 
 
