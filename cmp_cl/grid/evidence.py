@@ -93,7 +93,7 @@ def reject_stragglers(nodes: Nodes, image: GreyImage, lines: Complex) -> bool:
 
     Where a board touches things behind it, some of these complete its outer squares by chance. A
     last line that has at most half of the nodes in view is probably beyond the border; its nodes
-    are stragglers. If only one is a corner, and the others second looks, there is no such line.
+    are stragglers. If at most one is a corner, and the others second looks, there is no such line.
     lines: of the corners, see `lines_of`.
     """
     dropped = False

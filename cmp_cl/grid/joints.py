@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.grid.detached import distance_from_place
 from cmp_cl.grid.lattice import Index, Lattice, Mask
-from cmp_cl.grid.links import shown_parts
+from cmp_cl.grid.links import nodes_of, shown_parts
 from cmp_cl.grid.nodes import NOWHERE, Nodes, upright
 from cmp_cl.image import GreyImage
 
@@ -46,9 +46,9 @@ def cut(found: Lattice, nodes: Nodes, component: int = 0) -> Lattice | None:
     large = _large(part)
     if len(large) < 2:
         return None
-    places = [(cells.row[part == k], cells.column[part == k]) for k in large]
-    masks = [_nodes_of(nodes.at.shape, *place) for place in places]
-    return _relabelled(found, nodes, component, masks)
+    part_of = np.full(cell.shape, -1)
+    part_of[cells.row, cells.column] = part
+    return _relabelled(found, nodes, component, [nodes_of(part_of == k, 1) for k in large])
 
 
 def cut_by_image(
@@ -70,15 +70,6 @@ def cut_by_image(
     right = [part for part, cells in zip(parts, off, strict=True) if cells <= OTHER_PLACE]
     wrong = [part for part, cells in zip(parts, off, strict=True) if cells > OTHER_PLACE]
     return _relabelled(found, nodes, component, [np.any(right, axis=0), *wrong]) if wrong else None
-
-
-def _nodes_of(shape: tuple[int, ...], row: Index, column: Index) -> Mask:
-    """Return a mask of the nodes around cells."""
-    mask = np.zeros(shape, np.bool_)
-    for r in (0, 1):
-        for c in (0, 1):
-            mask[row + r, column + c] = True
-    return mask
 
 
 def _is_smooth(nodes: Nodes) -> bool:

@@ -25,10 +25,10 @@ def shown_parts(nodes: Nodes, image: GreyImage) -> list[Mask]:
     It shows a cell if each of the four sides has the colours of its number. Blocks of 2 x 2 such
     cells with two cells in common are one part. Nodes in no block belong to none.
     """
-    level = nodes.parity + np.add.outer(*map(np.arange, nodes.at.shape))
-    black = np.where(level % 2 == 0, 1, -1)
-    along = _differences(nodes.at, image) * black[:, :-1]
-    down = _differences(nodes.at.T, image).T * -black[:-1]
+    odd = (nodes.parity + np.add.outer(*map(np.arange, nodes.at.shape))) % 2
+    sign = 1 - 2 * odd
+    along = _differences(nodes.at, image) * sign[:, :-1]
+    down = _differences(nodes.at.T, image).T * -sign[:-1]
     least = SHOWN * np.nanmedian(np.concatenate([along.ravel(), down.ravel()]))
     along, down = along > least, down > least
     cell = along[:-1] & along[1:] & down[:, :-1] & down[:, 1:]
@@ -39,15 +39,16 @@ def shown_parts(nodes: Nodes, image: GreyImage) -> list[Mask]:
     size = stats[:, cv2.CC_STAT_AREA]
     size[0] = 0  # of what is in no part
     order = np.argsort(-size, kind="stable")
-    return [_nodes_of(part == k) for k in order[: np.count_nonzero(size >= LEAST)]]
+    return [nodes_of(part == k, 2) for k in order[: np.count_nonzero(size >= LEAST)]]
 
 
-def _nodes_of(block: Mask) -> Mask:
-    """Return a mask of the nodes, (R, C), of blocks of 2 x 2 cells, (R - 2, C - 2)."""
+def nodes_of(block: Mask, cells: int) -> Mask:
+    """Return a mask of the nodes, (R, C), of blocks of so many cells each way, (R - cells, C -
+    cells)."""
     rows, columns = block.shape
-    nodes = np.zeros((rows + 2, columns + 2), np.bool_)
-    for r in (0, 1, 2):
-        for c in (0, 1, 2):
+    nodes = np.zeros((rows + cells, columns + cells), np.bool_)
+    for r in range(cells + 1):
+        for c in range(cells + 1):
             nodes[r : r + rows, c : c + columns] |= block
     return nodes
 

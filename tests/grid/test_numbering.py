@@ -618,9 +618,7 @@ def test_junctions_with_the_surround_are_no_nodes():
 @pytest.mark.parametrize("shape", [None, (6, 9)])
 def test_a_thing_that_completes_one_square_at_a_corner_adds_no_line(shape):
     image, corners = drawn(6, 9)
-    image[180:200, 220:240] = (
-        40  # below the last white square, right of the paper below a black one
-    )
+    image[180:200, 220:240] = 40  # below the last square, which is white
     image = cv2.GaussianBlur(image, (0, 0), 0.6)
     seen = seen_in(image)
     assert (np.abs(seen.xy - [219.5, 179.5]).max(axis=1) < 1).any()
