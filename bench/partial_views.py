@@ -1,14 +1,14 @@
-"""Boards partly out of view, boards of a wrong size, and an island: which nodes are found, and how
-they are numbered.
+"""Boards partly out of view, torn gels, boards of a wrong size, and an island: which nodes are
+found, and how they are numbered.
 
     python bench/partial_views.py           writes results/partial_views.json
 
-Photographs are cut at each of their four sides, so that a part of the board is missing, and given
-to each method. A node is right if it lies within 3 px of a corner and its number fits the
-lattice of the others, false if no corner lies within a quarter of a cell. A view is silently wrong
-if its numbers are not those of the whole board and no warning says so; only methods that are told
-the size of the board give such numbers. The photographs lie in ../shared/data beside the repository
-and are not part of it.
+Photographs and gels are cut at each of their four sides, so that a part of the board is missing,
+and given to each method; torn gels are given whole. A node is right if it lies within 3 px of a
+corner and its number fits the lattice of the others, false if no corner lies within a quarter of a
+cell. A view is silently wrong if its numbers are not those of the whole board and no warning says
+so; only methods that are told the size of the board give such numbers. The photographs lie in
+../shared/data beside the repository and are not part of it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -24,7 +24,7 @@ from cmp_cl.errors import GridError
 from cmp_cl.grid import Grid
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.image import GreyImage
-from cmp_cl.synthetic import random_scene, render
+from cmp_cl.synthetic import Indenter, Rendered, random_scene, render
 
 SETS: dict[str, tuple[tuple[str, ...], tuple[float, ...], tuple[int, int] | None]] = {
     "stereo_opencv": (
@@ -41,6 +41,7 @@ SETS: dict[str, tuple[tuple[str, ...], tuple[float, ...], tuple[int, int] | None
     "curved": (("curve_4",), (0.2, 0.4), None),
 }
 GELS = 3  # presses of each severity
+TORN = 40  # gels that a ring tears
 
 
 class View(NamedTuple):
@@ -84,6 +85,7 @@ def views(folder: str) -> Iterator[View]:
             yield from _cuts(title, image, truth, region, cell, whole, share)
     if folder == "stereo_opencv":
         yield from gels()
+        yield from torn_gels()
 
 
 def gels() -> Iterator[View]:
@@ -92,13 +94,25 @@ def gels() -> Iterator[View]:
         for seed in range(1700, 1700 + GELS):
             scene = random_scene(seed, markers=40, severity=severity)
             shot = render(scene)
-            row, column = np.indices(shot.truth.shape[:2])
-            truth = np.concatenate([shot.truth, np.stack([row, column], axis=-1)], axis=-1)
-            region = np.ones(shot.image.shape, np.bool_)
             name = f"gels/severity {severity:g}, {seed}"
-            yield from _cuts(
-                name, shot.image, truth.reshape(-1, 4), region, shot.cell, (40, 40), 0.25
-            )
+            yield from _cuts(*_whole(name, shot), 0.25)
+
+
+def torn_gels() -> Iterator[View]:
+    """Yield whole gels that are pressed by a ring so hard that the pattern is torn around it."""
+    for seed in range(1800, 1800 + TORN):
+        markers = 40 + seed % 13
+        scene = random_scene(seed, markers=markers, indenter=Indenter.TORUS, severity=2.0)
+        yield _whole(f"torn gels/{seed}", render(scene))
+
+
+def _whole(name: str, shot: Rendered) -> View:
+    """Return the view of a whole gel."""
+    index = np.indices(shot.truth.shape[:2]).transpose(1, 2, 0)
+    truth = np.concatenate([shot.truth, index], axis=-1).reshape(-1, 4)
+    region = np.ones(shot.image.shape, np.bool_)
+    rows, columns = shot.truth.shape[:2]
+    return View(name, shot.image, truth, region, shot.cell, (rows, columns))
 
 
 def _cuts(

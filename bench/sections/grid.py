@@ -9,9 +9,11 @@ def partial_views(result: Row) -> str:
     parts.append(
         "Each image is cropped from its four sides. A node is right if it lies within 3 px of a "
         "corner and its row and column fit a single lattice. It is false if no corner lies within "
-        "a quarter of a cell. `with a warning` counts the views in which the method says that the "
-        "numbering may be wrong, `silently wrong` those in which it is wrong without a warning, "
-        "which can happen only to methods that are told the size of the board.\n"
+        "a quarter of a cell. `other` nodes are mostly corners whose number does not fit. Torn "
+        "gels are not cropped: a ring is pressed into them at severity 2. `with a warning` counts "
+        "the views in which the method says that the numbering may be wrong, `silently wrong` "
+        "those in which it is wrong without a warning, which can happen only to methods that are "
+        "told the size of the board.\n"
     )
     keys = ("set", "method", "views", "visible", "right", "false", "other", "refused")
     keys += ("with a warning", "silently wrong")
