@@ -13,7 +13,7 @@ def partial_views(result: Row) -> str:
         "gels are not cropped: a ring is pressed into them at severity 2. `with a warning` counts "
         "the views in which the method says that the numbering may be wrong, `silently wrong` "
         "those in which it is wrong without a warning, which can happen only to methods that are "
-        "told the size of the board.\n"
+        "told the size of the board. libcbdetect's answers differ from run to run.\n"
     )
     keys = ("set", "method", "views", "visible", "right", "false", "other", "refused")
     keys += ("with a warning", "silently wrong")
