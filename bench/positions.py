@@ -32,7 +32,7 @@ from cmp_cl.field import PlaneScale, displacement, plane_displacement, plane_str
 from cmp_cl.grid import filter_grid, filter_positions
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.measure import exact_config
-from cmp_cl.stereo import Points3D, PointStatus
+from cmp_cl.space import Points3D, PointStatus
 from cmp_cl.synthetic import Scene, random_scene
 
 CORROSIONS = (0.0, 0.3, 2.0)  # beside the 1 of accuracy.py

@@ -47,7 +47,7 @@ from cmp_cl.maps import HarmonicMaps, Maps
 from cmp_cl.marks import drop_marks
 from cmp_cl.opencl.device import Device, DeviceKind, list_devices, select_device
 from cmp_cl.series import SeriesWriter
-from cmp_cl.stereo import (
+from cmp_cl.space import (
     BinocularSplit,
     Points3D,
     PointStatus,

@@ -6,8 +6,8 @@ import pytest
 from stereo_data import grid_of, project, toed_in_rig
 
 from cmp_cl import calibrate, calibrate_camera
-from cmp_cl.stereo.adjustment import misfit
-from cmp_cl.stereo.lens import Lens, camera_of, projected
+from cmp_cl.space.adjustment import misfit
+from cmp_cl.space.lens import Lens, camera_of, projected
 
 SQUARE = 3.0
 

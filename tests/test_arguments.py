@@ -60,9 +60,9 @@ from cmp_cl.measure import (
     trusted,
 )
 from cmp_cl.pattern import Checkerboard, cell_for, fitting_paper
-from cmp_cl.stereo import undistort
-from cmp_cl.stereo.cameras import calibrate_cameras
-from cmp_cl.stereo.exports import (
+from cmp_cl.space import undistort
+from cmp_cl.space.cameras import calibrate_cameras
+from cmp_cl.space.exports import (
     cameras_of,
     save_cameras,
     save_colmap,

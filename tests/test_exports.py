@@ -13,10 +13,10 @@ import pytest
 from stereo_data import grid_of, photographs, toed_in_rig, truth_grid
 
 from cmp_cl.errors import CalibrationError, ConfigError
-from cmp_cl.stereo import StereoRig
-from cmp_cl.stereo.cameras import Camera, Lens, calibrate_cameras
-from cmp_cl.stereo.exports import cameras_of, grid_to_opencv, save_cameras, save_corners
-from cmp_cl.stereo.joint import MisfitError
+from cmp_cl.space import StereoRig
+from cmp_cl.space.cameras import Camera, Lens, calibrate_cameras
+from cmp_cl.space.exports import cameras_of, grid_to_opencv, save_cameras, save_corners
+from cmp_cl.space.joint import MisfitError
 
 SIZE = (640, 480)
 MATRIX = np.array([[420.0, 0, 325], [0, 418.0, 236], [0, 0, 1]])

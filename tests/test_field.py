@@ -25,7 +25,7 @@ from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.field import displacement, green_lagrange
 from cmp_cl.grid import NodeStatus
 from cmp_cl.series.npz import _Column
-from cmp_cl.stereo import PointStatus
+from cmp_cl.space import PointStatus
 
 
 def pressed(*, raw=False):

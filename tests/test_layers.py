@@ -21,7 +21,7 @@ LAYERS = [
     {"choice", "reference", "synthetic"},
     {"grid"},
     {"detector"},
-    {"series", "stereo"},
+    {"series", "space"},
     {"cameras", "field"},
     {"viz"},
     {"cluster", "measure"},

@@ -20,7 +20,7 @@ from stereo_data import (
 
 from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
 from cmp_cl.grid import NodeStatus
-from cmp_cl.stereo import (
+from cmp_cl.space import (
     BinocularSplit,
     PointStatus,
     StereoRig,
@@ -29,8 +29,8 @@ from cmp_cl.stereo import (
     triangulate_points,
     undistort,
 )
-from cmp_cl.stereo.points import largest_deviation
-from cmp_cl.stereo.triangulation import inverse_symmetric
+from cmp_cl.space.points import largest_deviation
+from cmp_cl.space.triangulation import inverse_symmetric
 from cmp_cl.synthetic import default_rig, random_scene, render_stereo
 
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])

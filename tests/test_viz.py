@@ -293,7 +293,7 @@ def test_a_recording_for_rerun_has_compressed_images_and_lines_that_end_at_gaps(
 
 def test_importing_the_modules_imports_no_extra():
     code = (
-        "import sys, cmp_cl.viz, cmp_cl.stereo, cmp_cl.field; "
+        "import sys, cmp_cl.viz, cmp_cl.space, cmp_cl.field; "
         "print([name for name in ('matplotlib', 'rerun', 'pyvista') if name in sys.modules])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)

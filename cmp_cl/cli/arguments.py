@@ -16,7 +16,7 @@ from cmp_cl.files import check_target
 from cmp_cl.grid.limits import MOST_NODES
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Region
-from cmp_cl.stereo import BinocularSplit
+from cmp_cl.space import BinocularSplit
 
 _BOX = r"(\d+),(\d+),(\d+),(\d+)"
 

@@ -35,9 +35,9 @@ from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import MAX_SIGMA, Region, find_boards, square_sides
 from cmp_cl.opencl.device import select_device
-from cmp_cl.stereo import StereoCalibration, calibrate
-from cmp_cl.stereo.exports import cameras_of, check_cameras, save_cameras
-from cmp_cl.stereo.joint import MisfitError
+from cmp_cl.space import StereoCalibration, calibrate
+from cmp_cl.space.exports import cameras_of, check_cameras, save_cameras
+from cmp_cl.space.joint import MisfitError
 
 
 def add_parser(commands: Any) -> None:

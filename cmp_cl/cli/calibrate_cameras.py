@@ -17,9 +17,9 @@ from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
 from cmp_cl.measure import align_views, find_board, trusted
 from cmp_cl.opencl.device import Device, select_device
-from cmp_cl.stereo.cameras import CamerasCalibration, Lens, calibrate_cameras
-from cmp_cl.stereo.exports import check_cameras, check_corners, save_cameras, save_corners
-from cmp_cl.stereo.joint import MisfitError
+from cmp_cl.space.cameras import CamerasCalibration, Lens, calibrate_cameras
+from cmp_cl.space.exports import check_cameras, check_corners, save_cameras, save_corners
+from cmp_cl.space.joint import MisfitError
 from cmp_cl.viz import save_figure
 from cmp_cl.viz.calibration import residual_figure
 

@@ -20,7 +20,7 @@ from cmp_cl.grid import Grid, filter_positions
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import MeasuredInSpace, TwoViews, cell_of
 from cmp_cl.opencl.device import select_device
-from cmp_cl.stereo import BinocularSplit, StereoRig
+from cmp_cl.space import BinocularSplit, StereoRig
 from cmp_cl.synthetic import (
     Indenter,
     Mode,

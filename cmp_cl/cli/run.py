@@ -40,7 +40,7 @@ from cmp_cl.measure import Measured, MeasuredInSpace, OneView, TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, open_series
-from cmp_cl.stereo import StereoRig
+from cmp_cl.space import StereoRig
 from cmp_cl.viz import RerunLog
 from cmp_cl.viz.video import OVERLAY_SUFFIXES, OverlayVideo
 

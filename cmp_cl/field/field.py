@@ -12,7 +12,7 @@ from cmp_cl.field.strain import Slopes, green_lagrange, slope_weights, strain_de
 from cmp_cl.field.writers import mesh_of, save
 from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid, noise_of_change
 from cmp_cl.grid.grid import MEASURED, NodeStatus
-from cmp_cl.stereo.points import Points3D, PointStatus, largest_deviation
+from cmp_cl.space.points import Points3D, PointStatus, largest_deviation
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from cmp_cl.measure.patterns import (
     find_pattern,
 )
 from cmp_cl.opencl.device import Device, select_device
-from cmp_cl.stereo import BinocularSplit, Points3D, StereoRig
+from cmp_cl.space import BinocularSplit, Points3D, StereoRig
 
 # Frames without a grid over which numbers are continued. After more of them, a motion of half a
 # cell per frame could reach the next position that looks the same.

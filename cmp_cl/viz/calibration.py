@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cmp_cl.stereo.cameras import CamerasCalibration
+from cmp_cl.space.cameras import CamerasCalibration
 from cmp_cl.viz.plots import new_figure
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import Grid, NodeStatus
-from cmp_cl.stereo import Points3D, PointStatus, StereoRig
+from cmp_cl.space import Points3D, PointStatus, StereoRig
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from cmp_cl.errors import CalibrationError, ConfigError, as_size, check_kind
 from cmp_cl.files import check_path, csv_bytes, suffix_of, write_text
 from cmp_cl.grid.grid import Grid
-from cmp_cl.stereo.cameras import Camera, Lens
-from cmp_cl.stereo.rig import StereoRig
-from cmp_cl.stereo.storage import new_storage, yaml_text
+from cmp_cl.space.cameras import Camera, Lens
+from cmp_cl.space.rig import StereoRig
+from cmp_cl.space.storage import new_storage, yaml_text
 
 Array = NDArray[np.float64]
 Views = Mapping[str, Grid | None]

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
-from cmp_cl.stereo.adjustment import Adjusted, Look, adjust, root_mean_square
-from cmp_cl.stereo.lens import Lens
-from cmp_cl.stereo.start import MIN_VIEWS, Alone, joined
+from cmp_cl.space.adjustment import Adjusted, Look, adjust, root_mean_square
+from cmp_cl.space.lens import Lens
+from cmp_cl.space.start import MIN_VIEWS, Alone, joined
 
 _MAX_MISFIT = 1.0  # px: the joint reprojection error may reach this, or
 _MAX_MISFIT_RATIO = 3.0  # times the largest error of a camera alone

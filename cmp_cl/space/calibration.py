@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, FieldError, as_size, check_positive, listed
 from cmp_cl.grid.grid import Grid
-from cmp_cl.stereo.adjustment import Adjusted, Look, adjust, root_mean_square
-from cmp_cl.stereo.free_board import adjust_board, numbered_alike
-from cmp_cl.stereo.joint import adjust_together
-from cmp_cl.stereo.lens import Lens, distortion_of, matrix_of, rotation_of
-from cmp_cl.stereo.rig import StereoRig
-from cmp_cl.stereo.start import (
+from cmp_cl.space.adjustment import Adjusted, Look, adjust, root_mean_square
+from cmp_cl.space.free_board import adjust_board, numbered_alike
+from cmp_cl.space.joint import adjust_together
+from cmp_cl.space.lens import Lens, distortion_of, matrix_of, rotation_of
+from cmp_cl.space.rig import StereoRig
+from cmp_cl.space.start import (
     MIN_NODES,
     MIN_VIEWS,
     Alone,

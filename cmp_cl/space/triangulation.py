@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, as_numbers
-from cmp_cl.stereo.lens import check_matrix, checked_array, checked_distortion
+from cmp_cl.space.lens import check_matrix, checked_array, checked_distortion
 
 # Px: largest distance of a pixel from itself after undistortion and distortion.
 _MAX_ROUND_TRIP = 0.01

@@ -1,7 +1,7 @@
 """Calibration of one, two or more cameras from views of a flat board, with a choice of lens.
 
 `cmp_cl.calibrate` makes the rig of two pinhole cameras for triangulation. `calibrate_cameras` takes
-any number of cameras and wide lenses, for the formats of `cmp_cl.stereo.exports`.
+any number of cameras and wide lenses, for the formats of `cmp_cl.space.exports`.
 """
 
 import dataclasses
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, as_size, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
-from cmp_cl.stereo.adjustment import Look, root_mean_square
-from cmp_cl.stereo.joint import adjust_together
-from cmp_cl.stereo.lens import (
+from cmp_cl.space.adjustment import Look, root_mean_square
+from cmp_cl.space.joint import adjust_together
+from cmp_cl.space.lens import (
     POSE,
     Lens,
     camera_of,
@@ -25,8 +25,8 @@ from cmp_cl.stereo.lens import (
     projected,
     rotation_of,
 )
-from cmp_cl.stereo.rig import StereoRig, spread
-from cmp_cl.stereo.start import (
+from cmp_cl.space.rig import StereoRig, spread
+from cmp_cl.space.start import (
     MIN_NODES,
     MIN_VIEWS,
     Alone,

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
 from cmp_cl.grid.grid import Grid
-from cmp_cl.stereo.adjustment import Look, State
-from cmp_cl.stereo.lens import ESTIMATED, POSE, Lens, camera_of, projected
-from cmp_cl.stereo.threads import one_thread
+from cmp_cl.space.adjustment import Look, State
+from cmp_cl.space.lens import ESTIMATED, POSE, Lens, camera_of, projected
+from cmp_cl.space.threads import one_thread
 
 MIN_VIEWS = 3
 MIN_NODES = 8  # fewest nodes of a board in a view

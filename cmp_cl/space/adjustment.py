@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.stereo.lens import POSE, Lens, projected, rotation_of
+from cmp_cl.space.lens import POSE, Lens, projected, rotation_of
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Look:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class State:
-    """The cameras (C, P), see `cmp_cl.stereo.lens`, the poses of the board in the first camera's
+    """The cameras (C, P), see `cmp_cl.space.lens`, the poses of the board in the first camera's
     frame (M, 6), and the nodes of the board (B, 3)."""
 
     cameras: Array
