@@ -17,7 +17,7 @@ import pytest
 
 import cmp_cl
 from cmp_cl import config as settings
-from cmp_cl import field, grid, measure, series, stereo, synthetic, viz
+from cmp_cl import field, grid, measure, series, space, synthetic, viz
 from cmp_cl.cli.main import main
 from cmp_cl.grid import border, evidence, grow
 from cmp_cl.reference import edge_step
