@@ -7,11 +7,9 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from accuracy import unpacked
 from environment import RESULTS
-from field import grouped
 from methods import DEFAULT
 from sections.detection import (
     accuracy,
@@ -98,43 +96,6 @@ def figures(timed: Row, errors: Row) -> str:
     )
 
 
-def exactness(image: Row, space: Row) -> str:
-    """Return the errors by severity, in the image and in space, for the page on accuracy."""
-    spaces = grouped(space["frames"], "config", "severity")
-    severities = sorted({row["severity"] for row in spaces})
-    body: list[list[Any]] = []
-    for corrosion, print_ in ((0, "perfect print"), (1, "worn print")):
-        rows = {
-            row["severity"]: row
-            for row in image["groups"]
-            if row["corrosion"] == corrosion and "severity" in row
-        }
-        body += [
-            [f"{print_}: {what}, px", *(rows[each][kind]["rms"] for each in severities)]
-            for kind, what in (
-                ("raw position", "a corner from its image"),
-                ("position", "a filtered node"),
-                ("raw displacement", "displacement, raw"),
-                ("displacement", "displacement, filtered"),
-            )
-        ]
-    ours = next(iter(dict.fromkeys(row["config"] for row in spaces)))
-    found = {row["severity"]: row for row in spaces if row["config"] == ours}
-    body += [
-        [f"worn print: {what}, µm", *(found[each][f"{kind}_rms_um"] for each in severities)]
-        for kind, what in (
-            ("raw_moved", "displacement in space, raw"),
-            ("moved", "displacement in space, filtered"),
-        )
-    ]
-    head = ("RMS error", *(f"severity {each:g}" for each in severities))
-    return (
-        f"Commits {image['environment']['commit']} (px) and {space['environment']['commit']} "
-        "(µm). Severity 1 is a press of 2 mm, a shear of 1.2 mm or a twist of 20 degrees; the "
-        f"pattern in space is 32 mm wide.\n\n{table(head, body)}"
-    )
-
-
 def insert(page: str, text: str) -> None:
     """Replace the earlier text on a page of the documentation by this one."""
     path = RESULTS.parents[1] / page
@@ -181,11 +142,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     out = folder / "REPORT.md"
     out.write_text("\n".join(text))
     print(f"wrote {out}")
-    measured = [read(folder, name) for name in ("speed", "accuracy", "positions", "field")]
-    if folder == RESULTS and None not in measured:
-        timed, errors, places, spaces = measured
+    timed, errors = read(folder, "speed"), read(folder, "accuracy")
+    if folder == RESULTS and timed is not None and errors is not None:
         insert("README.md", figures(timed, errors))
-        insert("docs/questions/accuracy.md", exactness(places, spaces))
     return 0
 
 

@@ -47,7 +47,7 @@ python_use_unqualified_type_names = True
 autodoc_typehints_format = "short"
 autoclass_content = "class"
 
-EXECUTED = ("tutorials/", "questions/")  # their blocks run, and the site shows what they print
+EXECUTED = ("tutorials/", "questions")  # their blocks run, and the site shows what they print
 HEAD = """---
 file_format: mystnb
 kernelspec:
