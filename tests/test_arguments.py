@@ -36,14 +36,10 @@ from cmp_cl.field import (
     contact_of,
     displacement,
     green_lagrange,
-    integrate,
     mesh,
     motion_of,
     plane_displacement,
     plane_strain,
-    projected_density,
-    rasterize,
-    surface_height,
     surface_normals,
     with_measured_noise,
     without_motion,
@@ -87,7 +83,6 @@ IMAGE = np.zeros((60, 70), np.uint8)
 SIZE = IMAGE.shape[::-1]
 BOARD = Path(media.__file__).parent / "data" / "board.png"
 PLANE = plane_displacement(GRID, GRID)
-RASTER = rasterize(PLANE, step=5.0)
 BOARD_5X6 = Checkerboard(shape=(5, 6), cell=2.0)
 CAMERAS = cameras_of(toed_in_rig(), SIZE)
 FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
@@ -128,11 +123,6 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: BinocularSplit((0, 0, 9, 9), (9, 0, 9, 9), "no"), "mirror_left", "bool"),
         (lambda: OneView(IMAGE, config="a", full_scale=255), "config", "DetectorConfig"),
         (lambda: contact_of(FIELD, deeper_than=None), "deeper_than", "Real"),
-        (lambda: integrate(None, np.zeros((3, 3, 2))), "raster", "Raster"),
-        (lambda: surface_height(None, depth=1.0), "displaced", "Raster"),
-        (lambda: surface_height(RASTER, depth=1.0, camera="a"), "camera", "Real"),
-        (lambda: projected_density(None, distance=1.0), "displaced", "Raster"),
-        (lambda: rasterize(FIELD, step=1.0), "field", "PlaneField"),
         (lambda: without_motion(PLANE, None), "motion", "Motion"),
         (lambda: with_measured_noise(None), "field", "PlaneField"),
         (lambda: arrow_figure(IMAGE, GRID, None), "now", "Grid"),
@@ -225,9 +215,6 @@ def several(views=None, sizes=None, **changed):
         (lambda: default_rig(5), "shape"),
         (lambda: default_rig((5, "a")), "shape"),
         (lambda: default_rig((5, 0)), "shape"),
-        (lambda: integrate(RASTER, gradient_of(RASTER), mask="a"), "mask"),
-        (lambda: integrate(RASTER, gradient_of(RASTER), mask=np.ones(3, bool)), "the mask"),
-        (lambda: integrate(RASTER, gradient_of(RASTER), boundary="free"), "boundary"),
         (lambda: cameras_of(None, SIZE), "rig"),
         (lambda: cameras_of(toed_in_rig(), 5), "size"),
         (lambda: save_corners("a.csv", [GRID]), "views"),
@@ -262,11 +249,6 @@ def test_a_wrong_argument_is_named_in_one_line(call, name, tmp_path, monkeypatch
         call()
     assert "\n" not in str(refusal.value)
     assert not list(tmp_path.iterdir())
-
-
-def gradient_of(raster):
-    """Return a gradient of zeros on a raster."""
-    return np.zeros((len(raster.y), len(raster.x), 2))
 
 
 @pytest.mark.parametrize("path", [None, 5, b"a.png", "", "a\0b", np.eye(3)])
@@ -308,8 +290,6 @@ def test_what_names_no_file_is_refused(call, error, path):
         ),
         (lambda values: PlaneScale(values, "mm"), "matrix", FieldError),
         (PlaneScale.pixels(), "xy", FieldError),
-        (lambda values: integrate(RASTER, values), "gradient", FieldError),
-        (lambda values: rasterize(PLANE, values, step=5.0), "values", FieldError),
         (surface_normals, "positions", FieldError),
         (lambda values: green_lagrange(FIELD.position, values), "now", FieldError),
         (lambda values: undistort(values, np.eye(3), np.zeros(5)), "points", FieldError),
@@ -380,7 +360,6 @@ def test_frames_that_are_not_several_are_refused():
         (lambda most: media.read_image(BOARD, max_pixels=most), "max_pixels", ImageError),
         (lambda side: PlaneScale.of_cells(GRID, side), "side", FieldError),
         (GRID.to_opencv, "spacing", ConfigError),
-        (lambda depth: surface_height(RASTER, depth=depth), "depth", ConfigError),
         (lambda fps: CameraSettings(fps=0 if fps is None else fps), "fps", ConfigError),
         (
             lambda side: calibrate_camera([], spacing=side, image_size=(70, 60)),

@@ -1,7 +1,6 @@
-"""Displacement, strain, height and density in the plane, against closed forms."""
+"""Displacement and strain in the plane, against closed forms."""
 
 import dataclasses
-import functools
 import math
 
 import numpy as np
@@ -17,15 +16,11 @@ from cmp_cl.field.plane import (
     motion_of,
     plane_displacement,
     plane_strain,
-    rasterize,
     with_measured_noise,
     without_motion,
 )
-from cmp_cl.field.poisson import Boundary, integrate, projected_density, surface_height
 
 SIGMA = 0.02  # px
-WAVE = 2 * math.pi / 120 * np.array([0.8, 0.6])  # rad/px
-LENGTH = 60.0  # px: displacement over slope
 
 
 def lattice(rows=40, columns=40, side=12.0):
@@ -46,14 +41,6 @@ def gradient_of(strain):
 def green(gradient):
     tensor = (gradient.T @ gradient - np.eye(2)) / 2
     return np.array([tensor[0, 0], tensor[1, 1], tensor[0, 1]])
-
-
-def height(xy):
-    return 1.5 * np.cos(xy @ WAVE)
-
-
-def slope(xy):
-    return -1.5 * np.sin(xy @ WAVE)[..., None] * WAVE
 
 
 @pytest.mark.parametrize("wear", [0.0, 0.2])
@@ -172,97 +159,6 @@ def test_cells_of_known_side_give_millimetres_through_a_homography():
     np.testing.assert_allclose(field.position, flat, atol=0.05)
 
 
-@functools.cache
-def wave():
-    """Return the displacement that a wave shows, at the pixels."""
-    rest = lattice()
-    return rasterize(plane_displacement(grid_of(rest), grid_of(rest - LENGTH * slope(rest))))
-
-
-def test_a_raster_holds_the_displacement_at_every_pixel():
-    raster = wave()
-    xy = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
-    inside = ~np.isnan(raster.values[..., 0])
-    assert 0.9 < inside.mean() < 0.95  # the board is rotated
-    off = np.square(raster.values + LENGTH * slope(xy))[inside].mean()
-    assert math.sqrt(off) < 0.005 * 5  # px: the wave moves nodes by up to 5 px
-
-
-def test_a_missing_node_empties_its_four_cells_only():
-    rest = np.stack(np.meshgrid(np.arange(6) * 10.0, np.arange(6) * 10.0), axis=-1)
-    rest[2, 3] = np.nan
-    raster = rasterize(plane_displacement(grid_of(rest), grid_of(rest + 1)))
-    missing = np.isnan(raster.values[..., 0])
-    assert missing.shape == (51, 51)
-    assert missing[11:30, 21:40].all()
-    assert missing.sum() == 19 * 19
-    assert raster.values[~missing] == pytest.approx(1)
-
-
-@pytest.mark.parametrize("masked", [False, True])
-def test_the_height_of_a_wave_is_right_within_2_percent(masked):
-    raster = wave()
-    xy = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
-    mask = np.linalg.norm(xy - [250, 260], axis=-1) < 190 if masked else None
-    found = integrate(raster, -raster.values / LENGTH, mask=mask)
-    inside = ~np.isnan(found.value)
-    off = (found.value - height(xy))[inside]
-    assert np.std(off) < 0.02 * np.std(height(xy)[inside])
-    assert np.nanmean(found.value) == pytest.approx(0, abs=1e-9)
-    assert np.sqrt(np.nanmean(np.square(found.misfit))) < 0.01 * np.abs(WAVE).max()
-
-
-def test_the_height_of_a_membrane_that_is_held_at_its_rim_is_absolute():
-    rest = np.stack(np.meshgrid(np.arange(0, 121, 6.0), np.arange(0, 121, 6.0)), axis=-1)
-    xy = np.stack(np.meshgrid(np.arange(121.0), np.arange(121.0)), axis=-1)
-    k = math.pi / 120
-    truth = 3 * np.sin(k * xy[..., 0]) * np.sin(k * xy[..., 1])
-    gradient = (
-        3
-        * k
-        * np.stack(
-            [
-                np.cos(k * xy[..., 0]) * np.sin(k * xy[..., 1]),
-                np.sin(k * xy[..., 0]) * np.cos(k * xy[..., 1]),
-            ],
-            axis=-1,
-        )
-    )
-    raster = rasterize(plane_displacement(grid_of(rest), grid_of(rest), raw=True))
-    inside = np.zeros((121, 121), bool)
-    inside[1:-1, 1:-1] = True
-    found = integrate(raster, gradient, mask=inside, boundary=Boundary.ZERO)
-    assert np.nanmax(np.abs(found.value - truth)) < 0.01 * 3
-
-
-def test_two_parts_of_a_mask_have_a_mean_of_zero_each():
-    raster = wave()
-    mask = np.zeros(raster.values.shape[:2], bool)
-    mask[100:200, 100:150] = mask[100:200, 300:380] = True
-    found = integrate(raster, -raster.values / LENGTH, mask=mask).value
-    assert np.nanmean(found[:, :200]) == pytest.approx(0, abs=1e-9)
-    assert np.nanmean(found[:, 250:]) == pytest.approx(0, abs=1e-9)
-
-
-def test_gradients_in_water_and_gas_are_scaled_by_depth_distance_and_refraction():
-    raster = wave()
-    water = surface_height(raster, depth=240.24, index=1.333)
-    np.testing.assert_allclose(
-        water.gradient, -raster.values / (240.24 * (1 - 1 / 1.333)), rtol=1e-12
-    )
-    gas = projected_density(
-        rasterize(
-            plane_displacement(
-                grid_of(lattice(5, 5)), grid_of(lattice(5, 5) + 0.1), PlaneScale.of_pixel(0.5)
-            )
-        ),
-        distance=200.0,
-    )
-    assert gas.unit == "kg/m2"
-    expected = -0.05 / 200 * 1.000273 / 2.26e-4 * 1e-3  # kg/m2 a mm
-    np.testing.assert_allclose(gas.gradient[2, 2], expected, rtol=1e-3)
-
-
 def detected(*images, cell):
     """Return the grids of images, all numbered as in the first."""
     config = cmp_cl.DetectorConfig.for_cell(cell).replace(refinement=cmp_cl.EdgeStep(cell=cell))
@@ -376,29 +272,6 @@ def test_the_errors_that_neighbours_share_rotate_with_the_nodes():
     np.testing.assert_allclose(back.shared[1], at_rest, atol=1e-6)
 
 
-@pytest.mark.exhaustive
-def test_the_height_of_an_imaged_wave_agrees_with_its_formula_and_with_openfcd():
-    board = (24, 24, 276, 276)
-    images = [
-        moved_board((300, 300), 12, lambda q: 0 * q, board=board, noise=2),
-        moved_board((300, 300), 12, lambda q: -LENGTH * slope(q), board=board, noise=2, seed=1),
-    ]
-    raster = rasterize(plane_displacement(*detected(*images, cell=12)))
-    found = integrate(raster, -raster.values / LENGTH)
-    xy = np.stack(np.meshgrid(raster.x, raster.y), axis=-1)
-    inside = ~np.isnan(found.value)
-    wanted = height(xy)
-    assert np.std((found.value - wanted)[inside]) < 0.02 * np.std(wanted[inside])
-
-    fcd = pytest.importorskip("openfcd.core.fcd", reason="openfcd, another method, is not here")
-    carriers = fcd.calculate_carriers(images[0].astype(float))
-    other = fcd.fftinvgrad(*(-u for u in fcd.fcd_displacement(images[1].astype(float), carriers)))
-    other = other[np.ix_(raster.y.astype(int), raster.x.astype(int))] / LENGTH
-    middle = (slice(40, -40), slice(40, -40))  # its Fourier transforms ring at the border
-    assert np.std((other - found.value)[middle]) < 0.15 * np.std(wanted[middle])
-    assert np.std((found.value - wanted)[middle]) < np.std((other - wanted)[middle])
-
-
 def test_nodes_are_compared_by_number_if_more_are_in_view_than_at_rest():
     row, column = np.indices((4, 5))
     rest = grid_of(np.stack([10.0 * column, 10.0 * row], axis=2))
@@ -419,11 +292,3 @@ def test_arguments_that_do_not_fit_are_refused():
         plane_strain(field, radius=0)
     with pytest.raises(FieldError, match="4 x 4"):
         with_measured_noise(plane_displacement(grid_of(lattice(3, 3)), grid_of(lattice(3, 3))))
-    with pytest.raises(ConfigError, match="step"):
-        rasterize(field, step=0)
-    with pytest.raises(FieldError, match="mm"):
-        projected_density(rasterize(field), distance=3)
-    with pytest.raises(ConfigError, match="focus"):
-        surface_height(rasterize(field), depth=10, camera=1)
-    with pytest.raises(FieldError, match="four valid"):
-        rasterize(plane_displacement(rest, grid_of(np.full((5, 5, 2), np.nan))))

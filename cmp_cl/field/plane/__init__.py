@@ -1,4 +1,4 @@
-"""Displacement and strain in the plane, from one view: on the nodes, and on a raster.
+"""Displacement and strain in the plane, from one view.
 
 `plane_displacement` returns the displacement of each node, in px or in a length. `Motion` is the
 part of it that is a common translation, rotation and zoom. `plane_strain` returns the part that
@@ -12,7 +12,6 @@ from cmp_cl.field.plane.displacement import (
     with_measured_noise,
 )
 from cmp_cl.field.plane.motion import Motion, motion_of, without_motion
-from cmp_cl.field.plane.raster import Raster, rasterize
 from cmp_cl.field.plane.strain import PlaneStrain, PrincipalStrain, plane_strain
 
 __all__ = [
@@ -21,11 +20,9 @@ __all__ = [
     "PlaneScale",
     "PlaneStrain",
     "PrincipalStrain",
-    "Raster",
     "motion_of",
     "plane_displacement",
     "plane_strain",
-    "rasterize",
     "with_measured_noise",
     "without_motion",
 ]
