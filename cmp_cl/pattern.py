@@ -1,4 +1,4 @@
-"""The checkerboard to print: SVG, PDF, PNG or DXF, true to size.
+"""The checkerboard to print: SVG or PNG, true to size.
 
 Lengths are mm, x points right and y down from the top-left corner of the sheet.
 """
@@ -7,7 +7,7 @@ import dataclasses
 import math
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from typing import NamedTuple
 
@@ -32,7 +32,6 @@ PAPERS = {  # mm, upright
 }
 
 _MM_PER_INCH = 25.4
-_POINTS_PER_MM = 72 / _MM_PER_INCH
 _STRIP = 8.0  # mm beside the cells for a scale bar with its label
 _BAR = 0.4  # mm, thickness of a scale bar
 _TICK = 2.0  # mm, height of the bars' ends
@@ -42,7 +41,7 @@ _WIDTH = 0.5  # mean width of a letter, as a share of its size
 _LENGTHS = (200, 100, 50, 20, 10, 5, 2, 1)  # mm, possible lengths of a scale bar
 _MOST_PIXELS = 4 * 10**8
 _MOST_CELLS = 10**6
-_LONGEST_SIDE = 5080.0  # mm, the largest page of a PDF
+_LONGEST_SIDE = 5000.0  # mm
 
 
 class _Label(NamedTuple):
@@ -69,10 +68,6 @@ class Checkerboard:
         left cell is black.
     cell: side of a cell, mm, 0.01 to 1000.
     border: width of the white border around the cells, mm, 0 to 1000; None means one cell.
-    ink_spread: how far black spreads past its drawn edge in print, mm, less than half a cell. Cells
-        are drawn smaller by that much on each side. It is negative if black shrinks.
-    stretch: factors on all lengths along x and y, 0.5 to 2: nominal over measured length of
-        the scale bars of a trial print.
     scale_bar: draw a scale bar along x and one along y, with the size of the pattern.
     paper: width and height of the sheet, mm; the pattern is centred on it. None means a sheet that
         just holds the pattern.
@@ -81,8 +76,6 @@ class Checkerboard:
     shape: tuple[int, int]
     cell: float
     border: float | None = None
-    ink_spread: float = 0.0
-    stretch: tuple[float, float] = (1.0, 1.0)
     scale_bar: bool = True
     paper: tuple[float, float] | None = None
 
@@ -96,12 +89,10 @@ class Checkerboard:
         check_range("cell", self.cell, 0.01, 1000)
         if self.border is not None:
             check_range("border", self.border, 0, 1000)
-        check_range("ink_spread", self.ink_spread, -0.45 * self.cell, 0.45 * self.cell)
-        check_pair("stretch", self.stretch, 0.5, 2)
         if self.paper is not None:
             check_pair("paper", self.paper, 10, 2000)
-        needed, sheet = self._extent(), self.size
-        if self.paper is not None and (needed[0] > sheet[0] or needed[1] > sheet[1]):
+        needed, sheet = self._needed(), self.size
+        if needed[0] > sheet[0] or needed[1] > sheet[1]:
             raise ConfigError(
                 f"the pattern needs {needed[0]:.1f} x {needed[1]:.1f} mm and the paper has "
                 f"{sheet[0]:g} x {sheet[1]:g}; take smaller cells, a smaller border or other paper"
@@ -115,88 +106,73 @@ class Checkerboard:
     @property
     def size(self) -> tuple[float, float]:
         """Return the width and height of the sheet, mm."""
-        return self._extent() if self.paper is None else self.paper
+        return self._needed() if self.paper is None else self.paper
 
     @property
     def corners(self) -> NDArray[np.float64]:
         """Return the positions of the inner corners on the sheet, (R, C, 2), (x, y), mm."""
         rows, columns = self.shape
         left, top = self._origin()
-        x = left + np.arange(1, columns + 1) * self.cell * self.stretch[0]
-        y = top + np.arange(1, rows + 1) * self.cell * self.stretch[1]
+        x = left + np.arange(1, columns + 1) * self.cell
+        y = top + np.arange(1, rows + 1) * self.cell
         return np.stack(np.meshgrid(x, y), axis=2)
 
     def save(self, path: str | PathLike[str], *, dpi: float = 600) -> None:
-        """Write the sheet as .svg, .pdf, .png or .dxf, by suffix, whole or not at all.
+        """Write the sheet as .svg or .png, by suffix, whole or not at all.
 
-        .svg and .pdf: filled paths, a unit of the SVG is 1 mm. .dxf: closed polylines, mm, y
-        up, on the layers CELLS and SCALE. .png: grey levels at `dpi` pixels per inch, which the
+        .svg: filled paths, a unit is 1 mm. .png: grey levels at `dpi` pixels per inch, which the
         file states; a pixel on an edge is darker the more of it is covered.
 
         Raises ConfigError on another suffix, a dpi outside 10 to 10 000 or more than 400
         million pixels, OSError if the file cannot be written.
         """
         suffix = suffix_of(path, ConfigError)
-        writers: dict[str, Callable[[], bytes]] = {
-            ".svg": lambda: _svg(self._drawing()),
-            ".pdf": lambda: _pdf(self._drawing()),
-            ".png": lambda: _png(self._drawing(), dpi),
-            ".dxf": lambda: _dxf(self._drawing(), cells=self._cells()),
-        }
-        if suffix not in writers:
-            raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(writers)}")
-        write_bytes(path, writers[suffix]())
+        if suffix not in (".svg", ".png"):
+            raise ConfigError(f"{str(path)!r}: the suffix must be .svg or .png")
+        drawing = self._drawing()
+        write_bytes(path, _svg(drawing) if suffix == ".svg" else _png(drawing, dpi))
 
     def _board(self) -> tuple[float, float]:
-        """Return the width and height of all cells together, mm, not stretched."""
+        """Return the width and height of all cells together, mm."""
         return (self.shape[1] + 1) * self.cell, (self.shape[0] + 1) * self.cell
 
-    def _around(self) -> tuple[float, float]:
-        """Return the widths of the border without and with a scale bar, mm."""
-        border = self.cell if self.border is None else self.border
-        return border, border + _STRIP if self.scale_bar else border
+    def _border(self) -> float:
+        return self.cell if self.border is None else self.border
 
-    def _extent(self) -> tuple[float, float]:
-        """Return the width and height that the pattern needs, mm."""
+    def _needed(self) -> tuple[float, float]:
+        """Return the width and height of the cells with borders and scale bars, mm."""
         width, height = self._board()
-        before, after = self._around()
-        return (
-            (before + width + after) * self.stretch[0],
-            (before + height + after) * self.stretch[1],
-        )
+        around = 2 * self._border() + (_STRIP if self.scale_bar else 0.0)
+        return width + around, height + around
 
     def _origin(self) -> tuple[float, float]:
         """Return the top-left corner of the cells on the sheet, mm."""
-        before = self._around()[0]
-        free = np.subtract(self.size, self._extent()) / 2
+        (width, height), needed = self.size, self._needed()
         return (
-            float(free[0]) + before * self.stretch[0],
-            float(free[1]) + before * self.stretch[1],
+            (width - needed[0]) / 2 + self._border(),
+            (height - needed[1]) / 2 + self._border(),
         )
 
-    def _cells(self) -> NDArray[np.float64]:
-        """Return the black cells, (N, 4), mm from the top left of the cells, not stretched."""
-        rows, columns = self.shape
-        row, column = np.indices((rows + 1, columns + 1)).reshape(2, -1)
-        black = (row + column) % 2 == 0
-        start = np.column_stack([column[black], row[black]]) * self.cell
-        return np.hstack([start + self.ink_spread, start + self.cell - self.ink_spread])
-
     def _drawing(self) -> _Drawing:
-        bars, labels = self._bars() if self.scale_bar else (np.empty((0, 4)), ())
+        rows, columns = self.shape
+        row, column = np.nonzero(np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2 == 0)
+        black = np.column_stack([column, row, column + 1, row + 1]) * self.cell
+        labels: tuple[_Label, ...] = ()
+        if self.scale_bar:
+            bars, labels = self._bars()
+            black = np.vstack([black, bars])
         left, top = self._origin()
-        x, y = self.stretch
         return _Drawing(
             size=self.size,
-            black=np.vstack([self._cells(), bars]) * (x, y, x, y) + (left, top, left, top),
-            labels=tuple(_Label(left + a * x, top + b * y, text) for a, b, text in labels),
+            black=black + np.array([left, top, left, top]),
+            labels=tuple(_Label(left + x, top + y, text) for x, y, text in labels),
         )
 
     def _bars(self) -> tuple[NDArray[np.float64], tuple[_Label, ...]]:
-        """Return the scale bars below and right of the cells, and their labels, in the frame of
-        `_cells`."""
+        """Return the scale bars below and right of the cells, and their labels, mm from the
+        top left of the cells."""
         width, height = self._board()
-        border = self._around()[0]
+        border = self._border()
         lengths = [next((x for x in _LENGTHS if x <= side), 1) for side in (width, height)]
         below = _bar(lengths[0], height + border + _GAP)
         beside = _bar(lengths[1], width + border + _GAP)[:, [1, 0, 3, 2]]
@@ -243,45 +219,6 @@ def _svg(drawing: _Drawing) -> bytes:
     ).encode()
 
 
-def _pdf(drawing: _Drawing) -> bytes:
-    """Return one page of PDF, its content in mm with y down. The font is Helvetica, which every
-    viewer has."""
-    width, height = (side * _POINTS_PER_MM for side in drawing.size)
-    rectangles = "\n".join(
-        f"{x0:.5f} {y0:.5f} {x1 - x0:.5f} {y1 - y0:.5f} re" for x0, y0, x1, y1 in drawing.black
-    )
-    labels = "\n".join(
-        f"BT /F1 {_LETTER} Tf 1 0 0 -1 {x:.5f} {y:.5f} Tm ({text}) Tj ET"
-        for x, y, text in drawing.labels
-    )
-    unit = _POINTS_PER_MM
-    content = zlib.compress(
-        f"{unit:.8f} 0 0 {-unit:.8f} 0 {height:.5f} cm\n{rectangles}\nf\n{labels}\n".encode()
-    )
-    objects = [
-        b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
-        b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width:.5f} {height:.5f}] "
-        "/Contents 4 0 R /Resources << /Font << /F1 5 0 R >> >> >>".encode(),
-        f"<< /Length {len(content)} /Filter /FlateDecode >>\nstream\n".encode()
-        + content
-        + b"\nendstream",
-        b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
-    ]
-    body = bytearray(b"%PDF-1.6\n%\xe2\xe3\xcf\xd3\n")
-    starts = []
-    for number, text in enumerate(objects, start=1):
-        starts.append(len(body))
-        body += f"{number} 0 obj\n".encode() + text + b"\nendobj\n"
-    table = len(body)
-    body += f"xref\n0 {len(objects) + 1}\n0000000000 65535 f \n".encode()
-    body += b"".join(f"{start:010d} 00000 n \n".encode() for start in starts)
-    body += (
-        f"trailer\n<< /Size {len(objects) + 1} /Root 1 0 R >>\nstartxref\n{table}\n%%EOF\n"
-    ).encode()
-    return bytes(body)
-
-
 def _png(drawing: _Drawing, dpi: float) -> bytes:
     import cv2
 
@@ -291,7 +228,7 @@ def _png(drawing: _Drawing, dpi: float) -> bytes:
     if width * height > _MOST_PIXELS:
         raise ConfigError(
             f"{width} x {height} px are more than {_MOST_PIXELS // 10**6} million; "
-            "take a smaller dpi, or .svg, .pdf or .dxf"
+            "take a smaller dpi, or .svg"
         )
     black = np.zeros((height, width), np.float32)
     for x0, y0, x1, y1 in drawing.black * scale:
@@ -325,28 +262,6 @@ def _covered(start: float, end: float, count: int) -> tuple[slice, NDArray[np.fl
     edge = np.arange(first, max(last, first) + 1)
     inside = np.minimum(edge[1:], end) - np.maximum(edge[:-1], start)
     return slice(first, max(last, first)), inside.clip(0, 1).astype(np.float32)
-
-
-def _dxf(drawing: _Drawing, *, cells: NDArray[np.float64]) -> bytes:
-    """Return ASCII DXF of release 12, which every reader takes; y points up."""
-    height = drawing.size[1]
-    out: list[object] = [0, "SECTION", 2, "HEADER", 9, "$ACADVER", 1, "AC1009"]
-    out += [9, "$INSUNITS", 70, 4, 0, "ENDSEC"]
-    out += [0, "SECTION", 2, "TABLES", 0, "TABLE", 2, "LAYER", 70, 2]
-    for layer in ("CELLS", "SCALE"):
-        out += [0, "LAYER", 2, layer, 70, 0, 62, 7, 6, "CONTINUOUS"]
-    out += [0, "ENDTAB", 0, "ENDSEC", 0, "SECTION", 2, "ENTITIES"]
-    for number, (x0, y0, x1, y1) in enumerate(drawing.black):
-        layer = "CELLS" if number < len(cells) else "SCALE"
-        out += [0, "POLYLINE", 8, layer, 66, 1, 70, 1, 10, 0.0, 20, 0.0, 30, 0.0]
-        for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)):
-            out += [0, "VERTEX", 8, layer, 10, f"{x:.6f}", 20, f"{height - y:.6f}", 30, 0.0]
-        out += [0, "SEQEND", 8, layer]
-    for x, y, text in drawing.labels:
-        out += [0, "TEXT", 8, "SCALE", 10, f"{x:.6f}", 20, f"{height - y:.6f}", 30, 0.0]
-        out += [40, _LETTER, 1, text]
-    out += [0, "ENDSEC", 0, "EOF"]
-    return ("\n".join(map(str, out)) + "\n").encode("ascii")
 
 
 def fitting_paper(name: str, board: Checkerboard) -> tuple[float, float]:

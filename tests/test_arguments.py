@@ -173,7 +173,6 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
         (lambda: cell_for("a", (5, 6)), "size must be a positive number, not 'a'"),
         (lambda: fitting_paper("a9", BOARD_5X6), "paper must be one of a5, a4, a3, letter, not"),
         (lambda: Checkerboard(shape=5, cell=2), "shape must be (rows, columns), each at least 1"),
-        (lambda: Checkerboard(shape=(5, 6), cell=2, stretch=1), "stretch must be a tuple of two"),
         (lambda: Checkerboard(shape=(5, 6), cell=2, paper=()), "paper must be a tuple of two"),
         (lambda: save_figure("a.png", surface_figure(FIELD), dpi=0), "dpi must be a number in"),
         (lambda: score(1, [(0, 0)], 5), "found must be (N, 2), not ()"),

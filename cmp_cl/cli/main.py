@@ -11,37 +11,16 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn, TextIO
+from typing import NoReturn, TextIO
 
 import cv2
 
 import cmp_cl
-from cmp_cl.cli import bench as benchmark
-from cmp_cl.cli import calibrate, demo, detect, pattern, plot, render, run, tune
+from cmp_cl.cli import calibrate, demo, detect, devices, pattern, plot, render, run
 from cmp_cl.cli.messages import by_options, one_line, shortened
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
 from cmp_cl.media import codec_messages_caught
-from cmp_cl.opencl.caches import pocl_is_stuck
-from cmp_cl.opencl.device import DEVICE_VARIABLE
-
-INSTALL = """\
-What to install for a device:
-  Linux, x86-64      pip install "pyopencl[pocl]": PoCL, which runs on every such CPU and needs a
-                     linker: apt install gcc libc6-dev, or dnf install gcc glibc-devel
-  Linux, other CPUs  apt install pocl-opencl-icd (Debian, Ubuntu) or dnf install pocl (Fedora)
-  Windows            the graphics driver of NVIDIA, AMD or Intel, or Intel's CPU Runtime for OpenCL
-  macOS              conda install -c conda-forge pyopencl pocl; for Apple's own OpenCL
-                     ocl_icd_wrapper_apple instead of pocl
-  Jetson             NVIDIA ships no OpenCL for it; apt install pocl-opencl-icd uses its CPU
-  NVIDIA             the driver; on Debian also nvidia-opencl-icd; in a container
-                     NVIDIA_DRIVER_CAPABILITIES=compute,utility and a file
-                     /etc/OpenCL/vendors/nvidia.icd that says libnvidia-opencl.so.1
-  Intel              GPU: apt install intel-opencl-icd; CPU: Intel's CPU Runtime for OpenCL
-  AMD                ROCm's rocm-opencl-runtime, or apt install mesa-opencl-icd and
-                     RUSTICL_ENABLE=radeonsi
-If PoCL cannot write its cache, it is not found; set XDG_CACHE_HOME to a folder that it can
-write."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -111,15 +90,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"cmp-cl {cmp_cl.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    _add_devices(commands)
+    devices.add_parser(commands)
     detect.add_parser(commands)
     render.add_parser(commands)
     demo.add_parser(commands)
     run.add_parser(commands)
     plot.add_parser(commands)
     calibrate.add_parser(commands)
-    tune.add_parser(commands)
-    benchmark.add_parser(commands)
     pattern.add_parser(commands)
     return parser
 
@@ -138,53 +115,3 @@ def _fail(message: str, *, status: int = 2) -> int:
     except OSError:  # the terminal is closed
         _silence(sys.stderr)
     return status
-
-
-# devices
-
-
-def _add_devices(commands: Any) -> None:
-    parser = commands.add_parser(
-        "devices",
-        help="list the OpenCL devices, and say which one is used by default",
-        description="Lists the OpenCL devices and says which one is used by default, and why.",
-    )
-    parser.set_defaults(run=_devices)
-
-
-def _devices(arguments: argparse.Namespace) -> int:
-    devices = cmp_cl.list_devices()
-    if not devices:
-        print(f"cmp-cl: no OpenCL device was found: {_why_none()}", file=sys.stderr)
-        print(INSTALL, file=sys.stderr)
-        return 1
-    rows = [("index", "name", "platform", "driver", "kind", "memory MB")]
-    rows += [
-        (d.index, d.name, d.platform, d.driver, d.kind.value, str(d.memory >> 20)) for d in devices
-    ]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        print(
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        )
-    chosen = cmp_cl.select_device()
-    wanted = os.environ.get(DEVICE_VARIABLE)
-    why = f"the first {chosen.kind.value.upper()}"
-    if wanted is not None:
-        why = f"{DEVICE_VARIABLE} is {wanted!r}"
-    print(f"used by default: {chosen.index}, {chosen}: {why}")
-    return 0
-
-
-def _why_none() -> str:
-    stuck = pocl_is_stuck()
-    if stuck:
-        return stuck
-    folder = os.environ.get("OCL_ICD_VENDORS", "/etc/OpenCL/vendors")
-    if os.path.isdir(folder):
-        drivers = sorted(name for name in os.listdir(folder) if name.endswith(".icd"))
-    else:
-        drivers = [folder] if os.path.isfile(folder) else []
-    if drivers:
-        return f"{', '.join(drivers)} in {folder} cannot be loaded or have no device"
-    return f"no driver is registered in {folder}"

@@ -29,31 +29,12 @@ def add_parser(commands: Any) -> None:
     size.add_argument(
         "--size", metavar="MM", type=positive_number, help="longer side of all cells together"
     )
-    parser.add_argument(
-        "--out", metavar="FILE", required=True, help="what to write: .svg, .pdf, .png or .dxf"
-    )
+    parser.add_argument("--out", metavar="FILE", required=True, help="what to write: .svg or .png")
     parser.add_argument(
         "--border",
         metavar="MM",
         type=float,
         help="white border around the cells, 0 for none; default: one cell",
-    )
-    parser.add_argument(
-        "--ink-spread",
-        metavar="MM",
-        type=float,
-        default=0.0,
-        help="how far black grows beyond its edge in print; cells are drawn smaller by as much on "
-        "each side; negative if black shrinks; default: 0",
-    )
-    parser.add_argument(
-        "--stretch",
-        metavar=("X", "Y"),
-        nargs=2,
-        type=float,
-        default=(1.0, 1.0),
-        help="factors on all lengths: nominal over measured length of the scale bars of a trial "
-        "print; default: 1 1",
     )
     parser.add_argument(
         "--paper",
@@ -74,8 +55,6 @@ def run(arguments: argparse.Namespace) -> int:
         shape=arguments.grid,
         cell=cell_for(arguments.size, arguments.grid) if cell is None else cell,
         border=arguments.border,
-        ink_spread=arguments.ink_spread,
-        stretch=tuple(arguments.stretch),
         scale_bar=not arguments.no_scale_bar,
     )
     if arguments.paper is not None:

@@ -159,8 +159,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--config",
         metavar="TOML",
-        help="settings of the detector, for example from cmp-cl tune; default: the most complete "
-        "ones for the cell size at rest",
+        help="settings of the detector; default: the most complete ones for the cell size at rest",
     )
     add_full_scale(parser)
     add_max_pixels(parser)

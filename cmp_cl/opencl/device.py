@@ -16,9 +16,11 @@ DEVICE_VARIABLE = "CMP_CL_DEVICE"
 _MOST_WORKERS = 4096
 _POCL_WORKERS = ("POCL_AFFINITY", "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT")
 
+_VENDORS_VARIABLE = "OCL_ICD_VENDORS"
+_VENDORS = "/etc/OpenCL/vendors"  # where the loader of OpenCL looks for drivers
 _INSTALL_HINT = (
-    "install an OpenCL implementation: pip install 'pyopencl[pocl]' (Linux, x86-64), a GPU needs "
-    "its vendor's driver; `cmp-cl devices` says more"
+    "pip install 'pyopencl[pocl]' installs one for the CPU (Linux, x86-64), a GPU needs its "
+    "vendor's driver; `cmp-cl devices` says more"
 )
 
 
@@ -121,8 +123,7 @@ def select_device(text: Device | str | None = None) -> Device:
     devices = list_devices()
     wanted = text if text is not None else os.environ.get(DEVICE_VARIABLE) or None
     if not devices:
-        stuck = caches.pocl_is_stuck()
-        raise DeviceError(f"no OpenCL device found; {stuck or _INSTALL_HINT}")
+        raise DeviceError(f"no OpenCL device found: {why_none()}; {_INSTALL_HINT}")
     if wanted is None:
         ranks = {DeviceKind.GPU: 0, DeviceKind.CPU: 1, DeviceKind.ACCELERATOR: 2}
         return min(devices, key=lambda device: ranks[device.kind])
@@ -132,6 +133,40 @@ def select_device(text: Device | str | None = None) -> Device:
         source = "" if text is not None else f" (from {DEVICE_VARIABLE})"
         raise DeviceError(f"no OpenCL device matches {wanted!r}{source}; there is: {known}")
     return matches[0]
+
+
+def why_none() -> str:
+    """Return why no device is found, as far as that can be seen."""
+    stuck = caches.pocl_is_stuck()
+    if stuck:
+        return stuck
+    named = os.environ.get(_VENDORS_VARIABLE)
+    if named and not os.path.exists(named):
+        return f"{_VENDORS_VARIABLE} names {named!r}, which does not exist; unset it or correct it"
+    limit = _memory_limit()
+    if limit is not None:
+        return (
+            f"the memory of a process is limited to {limit >> 20} MB here, and a driver may not "
+            "fit; raise the limit, for example by ulimit -v unlimited"
+        )
+    folder = named or _VENDORS
+    if os.path.isdir(folder):
+        drivers = sorted(name for name in os.listdir(folder) if name.endswith(".icd"))
+    else:
+        drivers = [folder] if os.path.isfile(folder) else []
+    if drivers:
+        return f"{', '.join(drivers)} in {folder} cannot be loaded or have no device"
+    return f"no driver is registered in {folder}"
+
+
+def _memory_limit() -> int | None:
+    """Return the most bytes of memory that this process may have; None without a limit."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return None
+    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if soft == resource.RLIM_INFINITY else soft
 
 
 def describe_handle(handle: cl.Device) -> Device:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from cmp_cl import list_devices
 from cmp_cl.cli.main import main
 
 BENCH = Path(__file__).resolve().parents[2] / "bench"
@@ -18,16 +19,16 @@ def load(name):
     return module
 
 
-def test_the_quick_benchmark_checks_its_answers(capsys):
-    assert main(["bench", "--repeats", "2"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert "1936 corners" in lines[1]
-    rows = [line.split() for line in lines[3:7]]
-    assert [row[0] for row in rows] == ["default", "EDGE_LINES", "binary", "centroids"]
-    for row in rows:
-        assert row[-3:-1] == ["0", "0"], "something was missed or invented"
-        assert float(row[-5]) > 0
-        assert float(row[-1]) < 0.3
+def test_each_device_is_timed_and_its_answer_is_checked(capsys, monkeypatch):
+    monkeypatch.setattr("cmp_cl.cli.devices.FRAMES", 2)
+    assert main(["devices", "--time"]) == 0
+    head, *rows = capsys.readouterr().out.partition("1936 corners")[2].splitlines()[1:]
+    assert head.split()[:2] == ["index", "median"]
+    assert [row.split()[0] for row in rows] == [device.index for device in list_devices()]
+    for _, median, late, missed, false, rmse in map(str.split, rows):
+        assert 0 < float(median) <= float(late)
+        assert (missed, false) == ("0", "0")
+        assert float(rmse) < 0.3
 
 
 def speed_result(ms=1.0, missed=0, rmse=0.1):

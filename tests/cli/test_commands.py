@@ -1,4 +1,4 @@
-"""demo, run, calibrate and tune as a user has them, on small rendered frames."""
+"""demo, run and calibrate as a user has them, on small rendered frames."""
 
 import contextlib
 import csv
@@ -27,20 +27,18 @@ from videos import write_deep_video, write_video
 from cmp_cl import (
     BinocularSplit,
     ConfigError,
-    Detector,
     DetectorConfig,
     EdgeLines,
     GridError,
     NodeStatus,
-    RingHarmonic,
     StereoRig,
     media,
     select_device,
 )
-from cmp_cl.cli import demo, tune
+from cmp_cl.cli import demo
 from cmp_cl.cli import run as run_module
 from cmp_cl.cli.arguments import region_in, split_of
-from cmp_cl.measure import exact_config, find_boards, square_sides, trusted
+from cmp_cl.measure import find_boards, square_sides, trusted
 from cmp_cl.media import Frame
 from cmp_cl.series import read_series
 from cmp_cl.series.npz import NpzSeries, _Column
@@ -835,168 +833,6 @@ def test_our_corners_measure_30_mm_with_the_published_calibration():
     sides = np.concatenate(found)
     assert sides.mean() == pytest.approx(30, abs=0.02)
     assert sides.std() < 0.07
-
-
-# tune
-
-
-def test_tune_writes_settings_that_lose_nothing(run, recording, press, monkeypatch):
-    every = tune.changes
-
-    def some(full, cell):
-        return {name: every(full, cell)[name] for name in ("binary rings", "EdgeLines")}
-
-    monkeypatch.setattr(tune, "changes", some)
-    status, out, err = run(
-        "tune", recording, "--grid", "12x12", "--split", "halves", "--out", "my.toml"
-    )
-    assert (status, err) == (0, "")
-    assert "6 views of 216 x 240 px" in out
-    assert str(select_device()) in out
-    said = {line[: tune.WIDTH].strip(): line.split() for line in out.splitlines()}
-    assert said["everything"][1:3] == ["0", "0"]
-    assert said["everything"][-1] == "-"
-    assert int(said["binary rings"][2]) > 0
-    assert said["binary rings"][-1] == "corners"
-    assert said["EdgeLines"][-1] == "exactness"
-    assert out.endswith("wrote my.toml\n")
-    config = DetectorConfig.load("my.toml")
-    assert config == exact_config(config.refinement.cell)
-    with Detector(shape=VIEW, config=config) as detector:
-        for shot in press:
-            grid = detector.grid(shot.left.image, shape=(12, 12))[1]
-            assert (grid.status == NodeStatus.DETECTED).all()
-            assert np.linalg.norm(grid.xy - shot.left.truth, axis=2).max() < 2
-
-
-def test_tune_looks_at_the_pattern_in_the_region_alone(run, press, monkeypatch):
-    monkeypatch.setattr(tune, "changes", lambda *_: {})
-    cv2.imwrite("0.png", np.hstack([press[1].right.image, press[1].left.image]))
-    arguments = "tune", "0.png", "--grid", "12x12"
-    fails_in_one_line(run(*arguments), "two patterns")
-    status, out, err = run(*arguments, "--region", f"{VIEW[1]},0,{VIEW[1]},{VIEW[0]}")
-    assert (status, err) == (0, "")
-    row = next(line for line in out.splitlines() if line.startswith("everything"))
-    assert row.split()[1:3] == ["0", "0"]
-
-
-def test_changes_are_kept_while_they_lose_nothing_and_save_time(monkeypatch):
-    full = exact_config(12.0)
-    ways = tune.changes(full, 12.0)
-
-    def ms(config):
-        rule = config.detection
-        if not isinstance(rule, RingHarmonic):
-            return 20.0
-        spent = 10.0
-        spent -= 4 * (rule.alignment is None)
-        spent -= 3 * (rule.support is None)
-        spent -= 2 * isinstance(config.refinement, EdgeLines)
-        spent -= 1 * (not rule.fine and rule.alignment is not None)
-        return spent
-
-    def missed(config):
-        """Count the missed corners without any check, as EdgeLines does alone."""
-        rule = config.detection
-        both = isinstance(rule, RingHarmonic) and rule.alignment is rule.support is None
-        return int(both or isinstance(config.refinement, EdgeLines))
-
-    def measured(configs, *_):
-        return [
-            tune.Row(name, config, missed(config), 0, 0.3, ms(config))
-            for name, config in configs.items()
-        ]
-
-    monkeypatch.setattr(tune, "measure", measured)
-    table = measured({"everything": full, **{name: way(full) for name, way in ways.items()}})
-    chosen = tune.cheapest(table, ways, [], select_device(), None)
-    assert chosen.name == "no alignment check"  # squeezed cells take time only beside it
-    assert chosen.config == ways["no alignment check"](full)
-    assert tune.cheapest(table[:1], ways, [], select_device(), None).config == full
-
-
-def test_every_change_of_tune_changes_the_settings_and_they_add_up():
-    full = exact_config(12.0)
-    ways = tune.changes(full, 12.0)
-    alone = [change(full) for change in ways.values()]
-    assert full not in alone
-    assert len(set(map(repr, alone))) == len(ways) == 7
-    together = full
-    for name in ("no alignment check", "no support check", "EdgeLines", "no squeezed cells"):
-        together = ways[name](together)
-    assert together == DetectorConfig(
-        detection=RingHarmonic(alignment=None, support=None, fine=False), refinement=EdgeLines()
-    )
-    rings = ways["binary rings"](full)
-    assert ways["no support check"](rings) == rings
-    wide = tune.changes(exact_config(80.0), 80.0)
-    assert set(wide) - set(ways) == {"full size"}
-    assert set(ways) - set(wide) == {"no squeezed cells"}
-    assert wide["full size"](exact_config(80.0)).scale is None
-
-
-def flat_frame():
-    """Return a frame with a flat grid of 6 x 6 nodes, 10 px apart."""
-    row, column = np.indices((6, 6))
-    grid = grid_of(np.stack([20 + 10 * column, 30 + 10 * row], axis=-1))
-    return tune.Frame(np.zeros((100, 100), np.uint8), grid, 10.0, tune.around(grid))
-
-
-def test_the_ring_around_a_grid_has_the_nodes_next_to_its_rim():
-    ring = tune.around(flat_frame().grid)
-    assert len(ring) == 28
-    assert ring.min(axis=0).tolist() == [10, 20]
-    assert ring.max(axis=0).tolist() == [80, 90]
-
-
-def test_missed_extra_and_rough_corners_are_counted():
-    frame = flat_frame()
-    every = frame.grid.xy.reshape(-1, 2)
-    missed, extra, off = tune.judge(every, frame)
-    assert (missed, extra) == (0, 0)
-    assert off.max() < 1e-6
-    junction = np.array([[11, 21]], np.float32)
-    stranger = np.array([[45.0, 55.0], [95.0, 95.0]], np.float32)
-    moved = every.copy()
-    moved[14] += (0.6, 0.0)
-    found = np.concatenate([moved[1:], junction, stranger])
-    missed, extra, off = tune.judge(found, frame)
-    assert (missed, extra) == (1, 2)
-    assert off.max() == pytest.approx(0.6, abs=0.2)
-    assert tune.judge(found, frame._replace(region=(0, 0, 90, 90)))[1] == 1
-    nothing = tune.judge(np.empty((0, 2), np.float32), frame)
-    assert nothing[:2] == (36, 0)
-
-
-def test_what_is_lost_is_named():
-    full = tune.Row("everything", exact_config(12.0), 3, 1, 0.3, 2.0)
-    assert full.loses(full) == ""
-    assert full._replace(missed=4).loses(full) == "corners"
-    assert full._replace(extra=2, roughness=0.4).loses(full) == "certainty, exactness"
-    assert full._replace(roughness=np.nan).loses(full) == "exactness"
-    assert full._replace(config=full.config.replace(refinement=None)).loses(full) == "the grid"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["none.png"], ["none.png"]),
-        (["0.png", "--out", "cmp.yaml"], ["toml"]),
-        (["0.png", "--mirror", "left"], ["--split"]),
-        (["0.png", "--grid", "many"], ["many"]),
-        (["0.png"], ["no frame shows the pattern"]),
-        (["0.png", "1.png"], ["one size"]),
-        (["0.png", "--region", "0,0,9,9:0,0,9,9"], ["one rectangle per view", "1 here"]),
-    ],
-)
-def test_a_wrong_argument_of_tune_is_one_line_and_no_file(
-    run, tmp_path, monkeypatch, arguments, words
-):
-    monkeypatch.setattr("cmp_cl.measure.patterns._USUAL_CELLS", ())
-    cv2.imwrite("0.png", np.full(VIEW, 90, np.uint8))
-    cv2.imwrite("1.png", np.full((100, 90), 90, np.uint8))
-    fails_in_one_line(run("tune", "--grid", "9x9", *arguments), *words)
-    assert not list(tmp_path.glob("*.toml"))
 
 
 # all commands
