@@ -129,11 +129,19 @@ def test_without_either_a_gpu_comes_before_a_cpu(lab):
     assert select_device() == OTHER
 
 
-def test_no_device_says_what_to_install(lab):
+def test_no_device_says_what_to_install(lab, tmp_path):
     lab.setattr(module, "list_devices", lambda: [])
+    lab.setenv("OCL_ICD_VENDORS", str(tmp_path))
     for text in (None, "cpu"):
         with pytest.raises(DeviceError, match=r"pip install 'pyopencl\[pocl\]'"):
             select_device(text)
+
+
+def test_no_device_says_what_hides_them(lab, tmp_path):
+    lab.setattr(module, "list_devices", lambda: [])
+    lab.setenv("OCL_ICD_VENDORS", str(tmp_path / "nowhere"))
+    with pytest.raises(DeviceError, match=r"OCL_ICD_VENDORS names .*nowhere.*does not exist"):
+        select_device()
 
 
 def test_no_platform_is_no_device(monkeypatch):

@@ -1,71 +1,67 @@
-"""The folders in which compiled kernels are kept: PoCL's, and cmp_cl's for others.
+"""The folders in which compiled kernels are kept: PoCL's, and cmp_cl's for other implementations.
 
-Their contents are executed, so a folder that others may write to is not used. pyopencl's own cache
-is not used at all.
+What lies there is executed. It is trusted as pyopencl trusts its own, unless the folder is another
+user's or everybody may write to it.
 """
 
-import atexit
-import contextlib
+import functools
 import importlib
 import math
 import os
 import shutil
 import stat
+import subprocess
 import sys
 import tempfile
-import warnings
 from pathlib import Path
 from typing import Any
 
 import platformdirs
 import pyopencl as cl
 
-_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+from cmp_cl.errors import DeviceError
+
 _LEAST_LARGEST = 1 << 20  # bytes; the largest file in the cache has about 250 kB
 _LEAST_FREE = 32 << 20  # bytes; a plan's kernels take some 10 MB in PoCL's cache
+_PROBE_S = 60.0
+_PROBE = """
+import os
+import pyopencl as cl
+platform = next(p for p in cl.get_platforms() if p.name == "Portable Computing Language")
+context = cl.Context(platform.get_devices()[:1])
+text = "__kernel void probe(__global int *a) { a[get_global_id(0)] = %d; }" % os.getpid()
+kernel = cl.Kernel(cl.Program(context, text).build(cache_dir=False), "probe")
+memory = cl.Buffer(context, cl.mem_flags.READ_WRITE, 64)
+kernel.set_arg(0, memory)
+with cl.CommandQueue(context) as queue:
+    cl.enqueue_nd_range_kernel(queue, kernel, (16,), (16,)).wait()
+"""
 
 
 def own_folder() -> Path | None:
-    """Return this user's folder of compiled kernels, made if missing; None if that fails.
+    """Return the user's folder of compiled kernels, made if missing; None if that fails.
 
-    A folder of another user, or one that others may write to, is not used, and a warning says so.
+    Raises DeviceError as `check_owner`.
     """
     folder = platformdirs.user_cache_path("cmp_cl", appauthor=False)
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not is_ours(folder.lstat()):
-            _warn(folder)
-            return None
-        if os.name != "nt":
-            folder.chmod(0o700)
     except OSError:
         return None
+    check_owner(folder)
     return folder
 
 
-def _warn(folder: Path) -> None:
-    warnings.warn(
-        f"the kernels in {str(folder)!r} are not used: the folder is not yours alone; chmod 700 "
-        "it, or name another one in XDG_CACHE_HOME",
-        RuntimeWarning,
-        stacklevel=3,
-    )
-
-
-def is_ours(status: os.stat_result) -> bool:
-    """Return whether a file or folder belongs to this user, and no one else may write to it."""
-    if not hasattr(os, "getuid"):  # Windows has a folder for each user
-        return True
-    return status.st_uid == os.getuid() and not status.st_mode & _OTHERS_WRITE
-
-
-def read_ours(path: Path) -> bytes:
-    """Read a file of this user; raises PermissionError if it is not this user's alone, and
-    OSError."""
-    with open(path, "rb") as file:
-        if not is_ours(os.fstat(file.fileno())):
-            raise PermissionError(f"{str(path)!r} is not ours alone")
-        return file.read()
+def check_owner(folder: Path) -> None:
+    """Raise DeviceError if a folder is another user's, or everybody may write to it."""
+    if not hasattr(os, "getuid") or not folder.exists():  # Windows has a folder for each user
+        return
+    status = folder.stat()
+    if status.st_uid not in (os.getuid(), 0) or status.st_mode & stat.S_IWOTH:
+        raise DeviceError(
+            f"the compiled kernels in {str(folder)!r} may be someone else's: the folder is another "
+            "user's or everybody may write to it; name another one in XDG_CACHE_HOME, or chmod o-w"
+        )
 
 
 def pocl_folder() -> Path:
@@ -76,54 +72,41 @@ def pocl_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pocl"
 
 
-def guard_pocl() -> None:
-    """Give PoCL a temporary folder in place of one that is not this user's alone.
+def check_pocl() -> None:
+    """Raise DeviceError if PoCL would end the process when it compiles, or run foreign kernels."""
+    check_owner(pocl_folder())
+    stuck = pocl_is_stuck()
+    if stuck:
+        raise DeviceError(stuck)
+    if not any(pocl_folder().rglob("*.so")):
+        _check_compiler()
 
-    PoCL does not check the owner of its kernels. The folder is removed with the process, and a
-    warning says so. This must be called before PoCL starts.
+
+@functools.cache
+def _check_compiler() -> None:
+    """Raise DeviceError if PoCL cannot compile; it would end this process, so a child tries it.
+
+    It links with `ld` and the files of gcc and the C library.
     """
-    folder = pocl_folder()
-    with contextlib.suppress(OSError):  # PoCL cannot read what cannot be inspected
-        if folder.exists() and not is_ours(folder.stat()):
-            _warn(folder)
-            temporary = tempfile.mkdtemp(prefix="cmp_cl-")
-            atexit.register(shutil.rmtree, temporary, ignore_errors=True)
-            os.environ["POCL_CACHE_DIR"] = temporary
-
-
-class _InMemory:
-    """A cache of pyopencl that ends with the process."""
-
-    def __init__(self) -> None:
-        self._kept: dict[str, object] = {}
-
-    def __getitem__(self, key: object) -> object:
-        return self._kept[repr(key)]
-
-    def store_if_not_present(self, key: object, value: object) -> None:
-        """Keep a value, unless one is there."""
-        self._kept.setdefault(repr(key), value)
-
-
-_INVOKERS = _InMemory()
-
-
-def guard_invokers() -> None:
-    """Let pyopencl make the functions that call kernels in each process, not load them.
-
-    In the user's cache they are pickles, which are code. pyopencl does not check their owner, and
-    fails with an error of SQLite if the file is damaged or the disk is full.
-    """
-    name, switch = "pyopencl.invoker", "_PYOPENCL_NO_CACHE"
-    if name not in sys.modules:
-        before = getattr(cl, switch, None)
-        setattr(cl, switch, True)  # during the import, or it would open the cache
-        try:
-            importlib.import_module(name)
-        finally:
-            setattr(cl, switch, before)
-    invoker: Any = sys.modules[name]
-    invoker.invoker_cache = _INVOKERS
+    if not sys.executable or getattr(sys, "frozen", False):  # there is no Python to start
+        return
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE],
+            env={**os.environ, "PYOPENCL_NO_CACHE": "1"},
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_PROBE_S,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return
+    if done.returncode:
+        said = (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[0]
+        raise DeviceError(
+            f"PoCL cannot compile kernels ({said}); it needs a linker: apt install gcc libc6-dev, "
+            "or dnf install gcc glibc-devel"
+        )
 
 
 def pocl_is_stuck() -> str:
@@ -133,10 +116,14 @@ def pocl_is_stuck() -> str:
     small for its files, it ends the process.
     """
     folder = pocl_folder()
-    there = next((each for each in (folder, *folder.parents) if each.exists()), None)
-    if there is None or not there.is_dir() or not os.access(there, os.W_OK):
+    there = next((each for each in (folder, *folder.parents) if each.exists()), folder)
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
         return (
-            f"PoCL cannot write to its cache {str(folder)!r}; XDG_CACHE_HOME names another folder"
+            f"PoCL cannot write to its cache {str(folder)!r}: {error.strerror}; XDG_CACHE_HOME "
+            "names another folder"
         )
     largest = _largest_file()
     if largest < _LEAST_LARGEST:
@@ -161,3 +148,37 @@ def _largest_file() -> float:
         return math.inf
     soft, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
     return math.inf if soft == resource.RLIM_INFINITY else soft
+
+
+class _InMemory:
+    """A cache of pyopencl that ends with the process."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, object] = {}
+
+    def __getitem__(self, key: object) -> object:
+        return self._kept[repr(key)]
+
+    def store_if_not_present(self, key: object, value: object) -> None:
+        """Keep a value, unless one is there."""
+        self._kept.setdefault(repr(key), value)
+
+
+_INVOKERS = _InMemory()
+
+
+def guard_invokers() -> None:
+    """Let pyopencl make the functions that call kernels in each process, not load them.
+
+    It keeps them in SQLite, and fails if the folder cannot be written or the disk is full.
+    """
+    name, switch = "pyopencl.invoker", "_PYOPENCL_NO_CACHE"
+    if name not in sys.modules:
+        before = getattr(cl, switch, None)
+        setattr(cl, switch, True)  # during the import, or it would open the cache
+        try:
+            importlib.import_module(name)
+        finally:
+            setattr(cl, switch, before)
+    invoker: Any = sys.modules[name]
+    invoker.invoker_cache = _INVOKERS

@@ -20,7 +20,7 @@ _VENDORS_VARIABLE = "OCL_ICD_VENDORS"
 _VENDORS = "/etc/OpenCL/vendors"  # where the loader of OpenCL looks for drivers
 _INSTALL_HINT = (
     "pip install 'pyopencl[pocl]' installs one for the CPU (Linux, x86-64), a GPU needs its "
-    "vendor's driver; `cmp-cl devices` says more"
+    "vendor's; `cmp-cl devices` says more"
 )
 
 
@@ -96,7 +96,6 @@ def list_devices() -> list[Device]:
     """
     check_process()
     _check_workers()
-    caches.guard_pocl()
     _Started.here = True
     with _workers_on_own_cores():
         return [
@@ -123,7 +122,7 @@ def select_device(text: Device | str | None = None) -> Device:
     devices = list_devices()
     wanted = text if text is not None else os.environ.get(DEVICE_VARIABLE) or None
     if not devices:
-        raise DeviceError(f"no OpenCL device found: {why_none()}; {_INSTALL_HINT}")
+        raise DeviceError(f"no OpenCL device found: {why_none()}")
     if wanted is None:
         ranks = {DeviceKind.GPU: 0, DeviceKind.CPU: 1, DeviceKind.ACCELERATOR: 2}
         return min(devices, key=lambda device: ranks[device.kind])
@@ -156,7 +155,7 @@ def why_none() -> str:
         drivers = [folder] if os.path.isfile(folder) else []
     if drivers:
         return f"{', '.join(drivers)} in {folder} cannot be loaded or have no device"
-    return f"no driver is registered in {folder}"
+    return f"no driver is registered in {folder}; {_INSTALL_HINT}"
 
 
 def _memory_limit() -> int | None:

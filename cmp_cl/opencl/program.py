@@ -119,7 +119,8 @@ class Programs:
     ) -> Kernels:
         """Return the kernels of the stages.
 
-        Raises KernelBuildError with the compiler's log, DeviceError in a forked child.
+        Raises KernelBuildError with the compiler's log; DeviceError in a forked child, and if PoCL
+        cannot compile or a cache is someone else's.
         """
         check_process()
         return Kernels([self._program(stage, defines, macros or {}) for stage in stages])
@@ -164,7 +165,8 @@ def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) ->
     kept = _place(context, text, options)
     program = None if kept is None else _loaded(context, kept, options)
     if program is None:
-        _check_compiler(context, stage)
+        if any(is_pocl(device) for device in context.devices):
+            caches.check_pocl()
         try:
             program = _built(cl.Program(context, text), options)
         except cl.Error as error:
@@ -175,13 +177,6 @@ def _compiled(context: cl.Context, stage: str, text: str, options: list[str]) ->
         if kept is not None:
             _keep(kept, program)
     return program
-
-
-def _check_compiler(context: cl.Context, stage: str) -> None:
-    """Raise KernelBuildError if the compiler is known to end the process instead."""
-    stuck = caches.pocl_is_stuck() if any(is_pocl(device) for device in context.devices) else ""
-    if stuck:
-        raise KernelBuildError(f"the kernels of {stage} are not compiled: {stuck}")
 
 
 def _built(program: cl.Program, options: list[str]) -> cl.Program:
@@ -213,7 +208,7 @@ def _keeps_by_itself(device: cl.Device) -> bool:
 def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program | None:
     """Load a stored program, if the file is whole and the device accepts it."""
     with contextlib.suppress(OSError, cl.Error):
-        data = caches.read_ours(path)
+        data = path.read_bytes()
         digest, binary = data[:32], data[32:]
         if hashlib.sha256(binary).digest() == digest:
             return _built(cl.Program(context, context.devices, [binary]), options)
@@ -223,7 +218,6 @@ def _loaded(context: cl.Context, path: Path, options: list[str]) -> cl.Program |
 def _keep(path: Path, program: cl.Program) -> None:
     with contextlib.suppress(OSError, cl.Error):
         (binary,) = program.binaries
-        path.unlink(missing_ok=True)  # the mode of an old file might let others write to it
         write_bytes(path, hashlib.sha256(binary).digest() + binary)
 
 
