@@ -61,7 +61,6 @@ from cmp_cl.space.cameras import calibrate_cameras
 from cmp_cl.space.exports import (
     cameras_of,
     save_cameras,
-    save_colmap,
     save_corners,
     save_kalibr,
     save_opencv,
@@ -216,14 +215,14 @@ def several(views=None, sizes=None, **changed):
         (lambda: default_rig((5, 0)), "shape"),
         (lambda: cameras_of(None, SIZE), "rig"),
         (lambda: cameras_of(toed_in_rig(), 5), "size"),
-        (lambda: save_corners("a.csv", [GRID]), "views"),
-        (lambda: save_corners("a.csv", {"a.png": 3}), r"views\['a.png'\]"),
+        (lambda: save_corners("a.vnl", [GRID]), "views"),
+        (lambda: save_corners("a.vnl", {"a.png": 3}), r"views\['a.png'\]"),
         (lambda: save_corners("a.yaml", {"a.png": GRID}, spacing="a"), "spacing"),
         (lambda: save_ros("a.yaml", None, name="a"), "camera"),
         (lambda: save_ros("a.yaml", CAMERAS["left"], name=3), "name"),
         *(
             (lambda save=save, cameras=cameras: save("a.yaml", cameras), name)
-            for save in (save_opencv, save_kalibr, save_colmap, save_cameras)
+            for save in (save_opencv, save_kalibr, save_cameras)
             for cameras, name in [
                 (None, "cameras"),
                 ({}, "cameras"),

@@ -83,7 +83,7 @@ def add_parser(commands: Any) -> None:
         metavar="FILE",
         required=True,
         help="the calibration to write: .yaml or .yml (OpenCV, for cmp-cl run), .camera_info.yaml "
-        "(ROS), .camchain.yaml (Kalibr), or cameras.txt (COLMAP)",
+        "(ROS), or .camchain.yaml (Kalibr)",
     )
     add_split(
         parser,

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--corners",
         metavar="FILE",
-        help="with --camera: write the corners, .vnl (mrcal), .yaml .yml .json (OpenCV) or .csv",
+        help="with --camera: write the corners, .vnl (mrcal), or .yaml or .yml (OpenCV)",
     )
     parser.add_argument(
         "--picture",

@@ -1,7 +1,6 @@
 """Writes corners and cameras in the formats that other calibration tools read.
 
-Pixel coordinates are OpenCV's, with (0, 0) at the centre of the first pixel. COLMAP's are larger by
-half a pixel, and its file says so.
+Pixel coordinates are OpenCV's, with (0, 0) at the centre of the first pixel.
 """
 
 import json
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError, ConfigError, as_size, check_kind
-from cmp_cl.files import check_path, csv_bytes, suffix_of, write_text
+from cmp_cl.files import check_path, suffix_of, write_text
 from cmp_cl.grid.grid import Grid
 from cmp_cl.space.cameras import Camera, Lens
 from cmp_cl.space.rig import StereoRig
@@ -24,14 +23,6 @@ from cmp_cl.space.storage import new_storage, yaml_text
 
 Array = NDArray[np.float64]
 Views = Mapping[str, Grid | None]
-
-
-def grid_to_opencv(grid: Grid, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the valid nodes of a grid as cv2.calibrateCamera takes a view, see `Grid.to_opencv`.
-
-    spacing: side of a square.
-    """
-    return grid.to_opencv(spacing)
 
 
 # corners
@@ -45,10 +36,9 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
 
     .vnl: mrcal's corners.vnl, `# filename x y level`, row by row, with `- -` for a missing corner
     and for an image without the board. mrcal weights a level of n by 2^-n. The level is log2(sigma
-    / smallest sigma of all), rounded, and 0 if sigma is unknown. .yaml .yml .json: OpenCV's
-    FileStorage: `rows`, `columns`, `spacing`, and of each view
-        `name`, `object_points` (N, 3) and `image_points` (N, 2).
-    .csv: a row for each node: image, row, column, x_px, y_px, sigma_px.
+    / smallest sigma of all), rounded, and 0 if sigma is unknown. .yaml .yml: OpenCV's FileStorage:
+    `rows`, `columns`, `spacing`, and of each view `name`, `object_points` (N, 3) and
+        `image_points` (N, 2).
 
     Raises ConfigError on another suffix or without any view, CalibrationError if shapes
     differ or a name has white space that .vnl cannot hold, OSError.
@@ -96,19 +86,8 @@ def _vnl(views: Views, _: float) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _opencv_yaml(views: Views, spacing: float) -> str:
+def _opencv_corners(views: Views, spacing: float) -> str:
     storage = new_storage()
-    _write_corners(storage, views, spacing)
-    return yaml_text(storage)
-
-
-def _opencv_json(views: Views, spacing: float) -> str:
-    storage = new_storage(cv2.FILE_STORAGE_FORMAT_JSON)
-    _write_corners(storage, views, spacing)
-    return storage.releaseAndGetString()
-
-
-def _write_corners(storage: cv2.FileStorage, views: Views, spacing: float) -> None:
     seen = {name: grid for name, grid in views.items() if grid is not None}
     rows, columns = next(iter(seen.values())).shape
     storage.write("rows", rows)
@@ -124,25 +103,13 @@ def _write_corners(storage: cv2.FileStorage, views: Views, spacing: float) -> No
         storage.write("image_points", points.reshape(-1, 2))
         storage.endWriteStruct()
     storage.endWriteStruct()
-
-
-def _corners_csv(views: Views, _: float) -> str:
-    rows: list[Sequence[object]] = [("image", "row", "column", "x_px", "y_px", "sigma_px")]
-    for name, grid in views.items():
-        if grid is None:
-            continue
-        for row, column in np.argwhere(grid.valid).tolist():
-            numbers = (*grid.xy[row, column], grid.sigma[row, column])
-            rows.append((name, row, column, *(f"{number:.9g}" for number in numbers)))
-    return csv_bytes(rows).decode()
+    return yaml_text(storage)
 
 
 _CORNER_WRITERS: dict[str, Callable[[Views, float], str]] = {
     ".vnl": _vnl,
-    ".yaml": _opencv_yaml,
-    ".yml": _opencv_yaml,
-    ".json": _opencv_json,
-    ".csv": _corners_csv,
+    ".yaml": _opencv_corners,
+    ".yml": _opencv_corners,
 }
 
 
@@ -311,48 +278,18 @@ def _metres(camera: Camera) -> float:
     return lengths[camera.unit]
 
 
-def save_colmap(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Write cameras as COLMAP's cameras.txt, numbered from 1, whole or not at all.
-
-    Pinholes are OPENCV, or FULL_OPENCV with k3 or a rational lens; fisheyes are OPENCV_FISHEYE.
-    COLMAP's pixel centres are at halves, so the principal points are larger by half a pixel. Raises
-    OSError.
-    """
-    _check_cameras(cameras)
-    lines = [
-        "# Camera list with one line of data per camera:",
-        "#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
-        f"# Number of cameras: {len(cameras)}",
-    ]
-    for number, camera in enumerate(cameras.values(), 1):
-        k, distortion = camera.matrix, camera.distortion
-        if camera.lens is Lens.FISHEYE:
-            model = "OPENCV_FISHEYE"
-        elif camera.lens is Lens.RATIONAL or distortion[4:].any():
-            model, distortion = "FULL_OPENCV", np.pad(distortion, (0, 8 - len(distortion)))
-        else:
-            model, distortion = "OPENCV", distortion[:4]
-        numbers = [k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5, *distortion]
-        width, height = camera.size
-        values = " ".join(repr(float(value)) for value in numbers)
-        lines.append(f"{number} {model} {width} {height} {values}")
-    write_text(path, "\n".join(lines) + "\n")
-
-
 def save_cameras(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> list[Path]:
     """Write cameras in the format that the file name determines; return the files.
 
     NAME.camchain.yaml: Kalibr. NAME.camera_info.yaml: ROS; several cameras get a file each,
-        NAME-CAMERA.camera_info.yaml. cameras.txt: COLMAP. Other .yaml and .yml: OpenCV.
+        NAME-CAMERA.camera_info.yaml. Other .yaml and .yml: OpenCV.
 
     Raises ConfigError on another name, and the errors of the formats.
     """
     ending = check_cameras(path)
     _check_cameras(cameras)
     target = Path(path)
-    if ending == "cameras.txt":
-        save_colmap(target, cameras)
-    elif ending == ".camchain.yaml":
+    if ending == ".camchain.yaml":
         save_kalibr(target, cameras)
     elif ending == ".camera_info.yaml":
         stem = target.name[: -len(ending)]
@@ -374,9 +311,7 @@ def check_cameras(path: str | PathLike[str]) -> str:
     for ending in (".camchain.yaml", ".camera_info.yaml", ".yaml", ".yml"):
         if name.endswith(ending):
             return ending
-    if name == "cameras.txt":
-        return name
     raise ConfigError(
-        f"{str(path)!r}: the name must end in .yaml, .yml, .camera_info.yaml (ROS), "
-        ".camchain.yaml (Kalibr), or be cameras.txt (COLMAP)"
+        f"{str(path)!r}: the name must end in .yaml, .yml, .camera_info.yaml (ROS) or "
+        ".camchain.yaml (Kalibr)"
     )

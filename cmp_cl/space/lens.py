@@ -15,6 +15,7 @@ from cmp_cl.errors import CalibrationError, as_numbers
 Array = NDArray[np.float64]
 
 POSE = 6  # rotation vector, translation
+_LARGEST = 1e12  # px, or of a unit of length; the squares of larger numbers may overflow
 ESTIMATED = 8  # parameters of a pinhole that are estimated: fx fy cx cy k1 k2 p1 p2
 
 
@@ -78,14 +79,16 @@ def projected(lens: Lens, points: Array, camera: Array) -> tuple[Array, Array]:
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return an argument of that name as a new array; raises CalibrationError unless it has that
-    shape and is finite."""
+    shape and no number is NaN or larger than any camera has."""
     array = as_numbers(name, value, CalibrationError)
     if shape == (3,) and array.shape in ((3, 1), (1, 3)):
         array = array.reshape(3)
     if array.shape != shape:
         raise CalibrationError(f"{name} must have shape {shape}, not {array.shape}")
-    if not np.isfinite(array).all():
-        raise CalibrationError(f"{name} must be finite, not {array.tolist()}")
+    if not (np.abs(array) <= _LARGEST).all():
+        raise CalibrationError(
+            f"{name} must be finite and at most {_LARGEST:g}, not {array.tolist()}"
+        )
     return array
 
 

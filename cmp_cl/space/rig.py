@@ -1,7 +1,9 @@
 """Two calibrated cameras, and points in space from equal grid indices."""
 
 import dataclasses
+import itertools
 import math
+import warnings
 from numbers import Real
 from os import PathLike
 from typing import Any, Self
@@ -99,16 +101,18 @@ class StereoRig:
 
         The keys are K1 D1 K2 D2 R T; M1, M2, cameraMatrix1, distCoeffs1, ... are accepted too.
         OpenCV's stereo_calib writes two files, intrinsics.yml and extrinsics.yml.
-        unit: name of the unit of T; None means the file's key `unit`, or mm.
+        unit: name of the unit of T; None means the file's key `unit`. Without either it is mm, with
+            a warning.
 
-        Raises CalibrationError if a file cannot be read, or a parameter is missing,
-        malformed or given twice with different values.
+        Raises CalibrationError if a file cannot be read, or a parameter is missing, malformed or
+        given twice.
         """
         found: dict[str, Array] = {}
         named = unit
+        keys = [*itertools.chain.from_iterable(_ALIASES.values()), _COVARIANCE, "unit"]
         covariance: Array | None = None
         for path in paths:
-            storage = open_storage(path)
+            storage = open_storage(path, keys)
             for name, aliases in _ALIASES.items():
                 for alias in aliases:
                     value = read_matrix(storage, alias, path)
@@ -125,17 +129,24 @@ class StereoRig:
             kept = read_matrix(storage, _COVARIANCE, path)
             covariance = covariance if kept is None else kept
             written = storage.getNode("unit")
+            if not (written.empty() or written.isString()):
+                raise CalibrationError(f"{path}: unit must be a word such as mm")
             if named is None and written.isString():
                 named = written.string()
+        files = ", ".join(map(str, paths))
         missing = [" or ".join(_ALIASES[name]) for name in _ALIASES if name not in found]
         if missing:
-            files = ", ".join(str(path) for path in paths)
             what = f"{files}: no {'; no '.join(missing)}"
             raise CalibrationError(f"{what}; a rig has two cameras" if "K1" in found else what)
+        if named is None:
+            named = "mm"
+            warnings.warn(
+                f"{files}: no unit, so T is taken to be in mm; add a line unit: mm", stacklevel=2
+            )
         try:
-            return cls(**found, unit="mm" if named is None else named, covariance=covariance)
+            return cls(**found, unit=named, covariance=covariance)
         except CalibrationError as error:
-            raise CalibrationError(f"{', '.join(map(str, paths))}: {error}") from error
+            raise CalibrationError(f"{files}: {error}") from error
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the rig as YAML that OpenCV reads. The file is replaced whole or not at all.

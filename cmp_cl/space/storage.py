@@ -1,5 +1,7 @@
 """Files of OpenCV's FileStorage: read with limits on their size and nesting, written to memory."""
 
+import re
+from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
 
@@ -16,8 +18,12 @@ _MOST_NESTED = 4000  # OpenCV's parsers recurse, and overflow the stack from som
 _OPENING = (b"[", b"{", b"<", b"- ", b"-\t", b"-\n")
 
 
-def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
-    """Open a file at `path` of OpenCV's FileStorage; raises CalibrationError if that fails."""
+def open_storage(path: str | PathLike[str], keys: Iterable[str] = ()) -> cv2.FileStorage:
+    """Open a file at `path` of OpenCV's FileStorage.
+
+    Raises CalibrationError if that fails, or if one of the keys is in the file twice: OpenCV would
+    read one of them without saying which.
+    """
     check_path(path, CalibrationError)
     try:
         with Path(path).open("rb") as file:
@@ -25,9 +31,11 @@ def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
         if len(data) > _MAX_FILE:
             raise CalibrationError(f"{path}: over {_MAX_FILE} bytes, no calibration file")
         check_nesting(data, path)
-        return cv2.FileStorage(
-            data.decode("utf-8"), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY
-        )
+        text = data.decode("utf-8")
+        for key in keys:
+            if len(re.findall(rf'^{key}\s*:|"{key}"\s*:|<{key}[\s>]', text, re.MULTILINE)) > 1:
+                raise CalibrationError(f"{path}: {key} is given twice; remove one of them")
+        return cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except OSError as error:
         why = error.strerror
         raise CalibrationError(f"cannot read the calibration {str(path)!r}: {why}") from error
@@ -39,10 +47,9 @@ def open_storage(path: str | PathLike[str]) -> cv2.FileStorage:
         raise CalibrationError(f"{path}: neither YAML, XML nor JSON as OpenCV writes it") from error
 
 
-def new_storage(form: int = cv2.FILE_STORAGE_FORMAT_YAML) -> cv2.FileStorage:
-    """Return an empty storage in memory; form: of OpenCV's FILE_STORAGE_FORMAT, YAML or JSON."""
-    suffix = ".json" if form == cv2.FILE_STORAGE_FORMAT_JSON else ".yml"
-    return cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | form)
+def new_storage() -> cv2.FileStorage:
+    """Return an empty storage in memory, in YAML."""
+    return cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
 
 
 def yaml_text(storage: cv2.FileStorage) -> str:
@@ -56,7 +63,7 @@ def read_matrix(
     """Read a matrix of at most _MAX_NUMBERS entries; None if the key is missing.
 
     storage: the open file. path: its name, for messages. Raises CalibrationError if the entry is
-        damaged, larger, or not a matrix.
+        damaged, larger, not a matrix, or not of type d or f: OpenCV cuts the numbers of others.
     """
     node = storage.getNode(key)
     if node.empty():
@@ -64,6 +71,9 @@ def read_matrix(
     try:
         size = node.getNode("rows").real() * node.getNode("cols").real() if node.isMap() else np.inf
         if size <= _MAX_NUMBERS:
+            kind = node.getNode("dt").string()
+            if kind not in ("d", "f"):
+                raise CalibrationError(f"{path}: {key} must have dt: d or f, not {kind!r}")
             return np.array(node.mat(), np.float64)
     except (cv2.error, ValueError) as error:
         raise CalibrationError(f"{path}: {key} is a damaged matrix: {error}") from error

@@ -865,15 +865,15 @@ def test_one_camera_is_calibrated_by_itself(run, opencv_views):
     left = opencv_views[0][:4]
     status, out, _ = run(
         *("calibrate", "--camera", f"front={left[0]}", *left[1:], *CHESSBOARD),
-        *("--out", "front.camera_info.yaml", "--corners", "corners.csv", "--picture", "r.png"),
+        *("--out", "front.camera_info.yaml", "--corners", "corners.vnl", "--picture", "r.png"),
     )
     assert status == 0
-    assert "wrote front.camera_info.yaml, corners.csv, r.png: 4 views on " in out
+    assert "wrote front.camera_info.yaml, corners.vnl, r.png: 4 views on " in out
     assert 'camera_name: "front"' in Path("front.camera_info.yaml").read_text()
     error = float(out.split("all views: ")[1].split()[0])
     assert 0.05 < error < 0.3
     assert 0.1 < float(out.split("px (+- ")[1].split(")")[0]) < 10  # of the focal length
-    assert len(Path("corners.csv").read_text().splitlines()) > 4 * 50
+    assert len(Path("corners.vnl").read_text().splitlines()) > 4 * 50
     assert cv2.imread("r.png").std() > 10
 
 

@@ -11,7 +11,8 @@ from cmp_cl.field import DisplacementField, displacement
 from cmp_cl.grid import Grid, NodeStatus
 from cmp_cl.space import Points3D, PointStatus, StereoRig
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+_ABOVE = Path(__file__).resolve().parents[3:]
+SHARED = next((at for up in _ABOVE if (at := up / "shared" / "data").is_dir()), Path("shared/data"))
 
 
 def photographs(name: str) -> Path:
