@@ -23,9 +23,9 @@ from cmp_cl import (
     RingHarmonic,
     SpectralCriteria,
 )
+from cmp_cl.opencl.launches import GROUP
 from cmp_cl.opencl.program import kernel_folder
 from cmp_cl.stages.form import Form, form_for
-from cmp_cl.stages.layout import GROUP
 from cmp_cl.stages.plan import Plan
 
 FRAME = images.scene().image[20:53, 30:61].copy()  # 33 x 31

@@ -3,8 +3,9 @@
 import numpy as np
 
 from cmp_cl.config import BinaryRings
+from cmp_cl.opencl.launches import Launch
 from cmp_cl.opencl.program import sum_of_terms
-from cmp_cl.stages.layout import Launch, PlanBase
+from cmp_cl.stages.layout import PlanBase
 
 SLAB = 2  # bytes of sums per pixel; larger sums are computed slab by slab
 

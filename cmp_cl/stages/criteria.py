@@ -5,8 +5,9 @@ from typing import Any, cast
 import numpy as np
 
 from cmp_cl.config import BinaryRings, RapidCriteria, SpectralCriteria
+from cmp_cl.opencl.launches import GROUP, Launch
 from cmp_cl.stages import spectral
-from cmp_cl.stages.layout import GROUP, Launch, PlanBase
+from cmp_cl.stages.layout import PlanBase
 
 
 def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:

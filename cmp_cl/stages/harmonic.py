@@ -5,9 +5,10 @@ from typing import Any, cast
 import numpy as np
 
 from cmp_cl.config import RingHarmonic
+from cmp_cl.opencl.launches import GROUP, Launch
 from cmp_cl.stages import noise
 from cmp_cl.stages.form import Form
-from cmp_cl.stages.layout import CORNER_COLUMNS, GROUP, Launch, PlanBase
+from cmp_cl.stages.layout import CORNER_COLUMNS, PlanBase
 
 BINS = 256  # bins of the histogram of responses, from which the reference comes
 SPAN = 64  # width of a bin, responses

@@ -1,35 +1,23 @@
-"""The layout of frames on a device, and kernels bound to their arguments by name."""
+"""The layout of frames on a device, and the launches over its pixels and corners."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import NDArray
 
 from cmp_cl.config import BinaryRings, DetectorConfig, EdgeLines, EdgeStep
-from cmp_cl.opencl.device import Device, DeviceKind
-from cmp_cl.opencl.program import Kernels
+from cmp_cl.opencl.device import Device
+from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
 from cmp_cl.stages.form import Form, form_for
 from cmp_cl.stages.resampling import working_shape
 from cmp_cl.stages.types import types_of
 
-GROUP = 64  # work-items in a group of a kernel over a list
 LEAST_PAD = 16  # columns on either side of the pixels, for rings, discs and tents
 LANES = 8  # corners of a vector in the form for CPUs
 CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
 
 
-class Launch(NamedTuple):
-    """A kernel with its arguments, which must outlive it, and the work-items it runs over."""
-
-    stage: str
-    kernel: cl.Kernel
-    items: tuple[int, ...]
-    group: tuple[int, ...] | None
-    arguments: dict[str, Any]
-
-
-class PlanBase:
+class PlanBase(Binder):
     """The layout of frames on a device, and methods that bind the stages to it.
 
     shape: (H, W) of a frame; working: the same at the working scale. pad: columns of padding on
@@ -40,7 +28,6 @@ class PlanBase:
     the buffers and parts of them, by name. image: the input of the first stage.
     """
 
-    kernels: Kernels
     arrays: dict[str, cl.Buffer]
     image: cl.Buffer
 
@@ -55,8 +42,7 @@ class PlanBase:
         frames: int,
         form: Form | None = None,
     ) -> None:
-        self.queue = queue
-        self.device = device
+        super().__init__(queue, device)
         self.form = form_for(device) if form is None else form
         self.shape = shape
         self.dtype = dtype
@@ -101,35 +87,11 @@ class PlanBase:
         lines = isinstance(self.config.refinement, EdgeLines | EdgeStep)
         return LANES if self.form is Form.CPU and lines else 1
 
-    def constant(self, table: NDArray[Any]) -> cl.Buffer:
-        """Return a constant table as a buffer on the device."""
-        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.queue.context, flags, hostbuf=np.ascontiguousarray(table))
-
-    def stage(
-        self, name: str, items: tuple[int, ...], group: tuple[int, ...] | None, **arguments: Any
-    ) -> Launch:
-        """Bind a kernel over work-items in groups; None lets the device choose the group.
-
-        arguments: by name, in the order of the kernel's.
-        """
-        kernel = self.kernels.bind(name, *arguments.values())
-        return Launch(name, kernel, items, group, arguments)
-
     def dense(self, name: str, *heights: int, **arguments: Any) -> Launch:
         """Bind a kernel with one work-item per element of a row, of a slab of that height."""
         height = heights[0] if heights else self.working[0]
         items = (self.step, height, self.frames)
         return self.stage(name, items, (self.width, 1, 1), **arguments)
-
-    def few(self, name: str, items: int, planes: int, **arguments: Any) -> Launch:
-        """Bind a kernel with few work-items, such as one per row.
-
-        On a CPU a work-group has one work-item, because PoCL compiles a kernel anew for every size
-        of work-group.
-        """
-        group = (1, 1) if self.device.kind is DeviceKind.CPU else None
-        return self.stage(name, (items, planes), group, **arguments)
 
     def of_corners(self, name: str, **arguments: Any) -> Launch:
         """Bind a kernel with one work-item per entry of the list of corners."""
@@ -162,8 +124,3 @@ class PlanBase:
             "count_offset": np.uint32(self.frames * self.lists),
             "length": np.uint32(self.frames * self.corner_capacity),
         }
-
-
-def multiple(value: int, of: int) -> int:
-    """Return the least positive multiple of `of` that is not below the value."""
-    return max(-(-value // of), 1) * of

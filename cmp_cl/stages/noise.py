@@ -1,6 +1,7 @@
 """The noise of an image, for the grey-level rule and for the contrast gate."""
 
-from cmp_cl.stages.layout import Launch, PlanBase
+from cmp_cl.opencl.launches import Launch
+from cmp_cl.stages.layout import PlanBase
 
 NOISE_BAND = 8  # rows of a work-item
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from cmp_cl.config import EdgeLines, EdgeStep, Fit, Midlines
 from cmp_cl.corners import Corners, Method
-from cmp_cl.stages.layout import LANES, Launch, PlanBase, multiple
+from cmp_cl.opencl.launches import Launch, multiple
+from cmp_cl.stages.layout import LANES, PlanBase
 from cmp_cl.stages.moments import BLUR, moments
 from cmp_cl.stages.resampling import full_pixels
 

@@ -7,8 +7,9 @@ response.
 from typing import cast
 
 from cmp_cl.config import BinaryRings, RapidCriteria
+from cmp_cl.opencl.launches import Launch
 from cmp_cl.stages import binarize, criteria, gate, nms
-from cmp_cl.stages.layout import Launch, PlanBase
+from cmp_cl.stages.layout import PlanBase
 
 
 def files(plan: PlanBase) -> list[str]:

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.stages.layout import Launch, PlanBase
+from cmp_cl.opencl.launches import Launch
+from cmp_cl.stages.layout import PlanBase
 from cmp_cl.stages.resampling import resampling_weights
 
 
