@@ -6,7 +6,7 @@ import errno
 import os
 import secrets
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from io import StringIO
 from os import PathLike
 from pathlib import Path
@@ -100,6 +100,40 @@ def temporary_beside(target: Path, suffix: str = ".tmp") -> Path:
     return temporary
 
 
+def part_of(target: Path) -> tuple[Path, list[Path]]:
+    """Make an empty file NAME.part beside a target, with its mode and owner, for data that are
+    complete at any time.
+
+    Returns it, and the parts of that name that were there before: the new one is then NAME.part-2,
+    and so on. Raises OSError, also if the target is a device or a pipe.
+    """
+    if target.exists() and not target.is_file():
+        raise OSError(errno.EINVAL, "only a regular file can hold this format", str(target))
+    earlier: list[Path] = []
+    part = target.with_name(f"{target.name}.part")
+    part = first_free(part, lambda path: open(path, "xb").close(), earlier)
+    _keep_rights(target, part)
+    return part, earlier
+
+
+def first_free(path: Path, make: Callable[[Path], object], taken: list[Path] | None = None) -> Path:
+    """Make a file or folder of that name, or NAME-2, NAME-3 and so on if that exists; return it.
+
+    make: makes it, and raises FileExistsError. taken: gets the names that exist.
+    """
+    free, number = path, 1
+    while True:
+        try:
+            make(free)
+        except FileExistsError:
+            if taken is not None:
+                taken.append(free)
+            number += 1
+            free = path.with_name(f"{path.name}-{number}")
+        else:
+            return free
+
+
 def _keep_rights(old: Path, new: Path) -> None:
     """Give a file the mode of another one, and its owner if that is allowed."""
     with contextlib.suppress(FileNotFoundError):
@@ -147,10 +181,23 @@ def write_csv(
 
 
 def csv_bytes(rows: Iterable[Iterable[object]]) -> bytes:
-    """Return rows as CSV in UTF-8."""
+    """Return rows as CSV in UTF-8.
+
+    A text that a spreadsheet would take for a formula begins with an apostrophe (OWASP, CSV
+    injection).
+    """
     text = StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows([map(_harmless, row) for row in rows])
     return text.getvalue().encode("utf-8", "backslashreplace")
+
+
+def _harmless(cell: object) -> object:
+    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return cell
+    with contextlib.suppress(ValueError):
+        float(cell)
+        return cell
+    return f"'{cell}"
 
 
 def read_toml(path: str | PathLike[str]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import os
 import re
 import sys
 import time
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -39,7 +40,7 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, MeasuredInSpace, OneView, TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.opencl.device import Device, select_device
-from cmp_cl.series import SERIES_SUFFIXES, Description, open_series
+from cmp_cl.series import SERIES_SUFFIXES, Description, SeriesWriter
 from cmp_cl.space import StereoRig
 from cmp_cl.viz import RerunLog
 from cmp_cl.viz.video import OVERLAY_SUFFIXES, OverlayVideo
@@ -99,9 +100,9 @@ def add_parser(commands: Any) -> None:
         "--out",
         metavar="FILE",
         required=True,
-        help="the series: .npz (numpy.load), .h5 (can be read while it is written), .parquet, "
-        ".csv, .jsonl, .pvd (ParaView), .mcap (ROS 2), or - for JSON lines on standard output; "
-        "see below",
+        help="the series: .npz (numpy.load), .h5 (HDF5), .csv, .pvd (ParaView), .mcap "
+        "(ROS 2), or - for JSON lines on standard output; while it is written, and after a kill, "
+        "it is FILE.part; see below",
     )
     parser.add_argument("--stereo", metavar="YAML", help="the calibration of the two views")
     parser.add_argument(
@@ -355,7 +356,10 @@ def run(arguments: argparse.Namespace) -> int:
         results = derived.results_of(measure, arguments)
         stack.enter_context(display)
         description = settings.description(results.unit)
-        series = stack.enter_context(open_series(arguments.out, description, results.constants))
+        series = stack.enter_context(
+            SeriesWriter(arguments.out, description=description, **results.constants)
+        )
+        _tell_earlier(series.earlier)
         stack.callback(ignore)  # no signal stops the closing of the series
         progress = stack.enter_context(Progress(source.total, "frames"))
         for frame in stack.enter_context(contextlib.closing(frames)):
@@ -406,6 +410,16 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2
     return 130 if stop.name and not source.live else 0
+
+
+def _tell_earlier(parts: list[Path]) -> None:
+    """Print which parts of a series an earlier run has left."""
+    for part in parts:
+        print(
+            f"cmp-cl: {shown(part)} is of a run that was killed, or that still goes on, and is "
+            "kept: it holds all frames up to then; delete it if you need none of them",
+            file=sys.stderr,
+        )
 
 
 def _tell_doubts(number: int, measure: OneView | TwoViews) -> None:

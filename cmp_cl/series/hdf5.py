@@ -1,131 +1,95 @@
 """A series as HDF5, readable while it grows."""
 
-import os
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.extras import extra
-from cmp_cl.files import check_target, temporary_beside
-from cmp_cl.series.base import Constants, Description, FileName, Frame, Series
-from cmp_cl.series.disk import Reserve
+from cmp_cl.series.base import Arrays, Description, Format
+from cmp_cl.series.disk import check_room
 
-_CHUNK = 1 << 16  # bytes of a chunk of several small frames
-_RESERVE = 1 << 21  # bytes held in reserve besides two chunks of every dataset
+_ROOM = 1 << 18  # bytes that HDF5 may need to complete a file, measured: under 2^16
 
 
-class Hdf5Series(Series):
+class Hdf5Format(Format):
     """HDF5 with the datasets index (F,), time_ms (F,), every array (F, ...) and the constants.
 
     The attributes of the file are the version, the time and the settings; the attribute `unit` of a
-    dataset is its unit. Every frame is flushed, so a killed program loses none. The file appears
-    under its name with the first frame. From then on h5py.File(path, swmr=True) reads it, even if
-    its writer was killed.
+    dataset is its unit. All values have checksums. Every frame is a chunk of its own and is
+    flushed. h5py.File(NAME.part, swmr=True) reads the part, even if its writer was killed.
 
-    HDF5 crashes if it cannot write the last parts of a file. So some disk space is reserved until
-    the file is closed or the disk is full.
+    HDF5 crashes if it cannot complete a file. So a frame is refused while there is still room for
+    that.
 
-    Raises ConfigError without h5py, and OSError.
+    Raises ConfigError without h5py.
     """
 
-    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
-        super().__init__(description, constants)
+    def __init__(self, part: Path, description: Description, constants: Arrays) -> None:
+        super().__init__(part, description, constants)
         with extra("hdf5", "HDF5"):
             import h5py
-        self._target = check_target(path)
-        self._temporary = temporary_beside(self._target)
-        self._file: Any = h5py.File(self._temporary, "w", libver="latest")
+        check_room(part.parent, _ROOM)
+        self._file: Any = h5py.File(part, "w", libver="latest")
         self._datasets: dict[str, Any] = {}
-        self._reserve = Reserve(self._target.parent)
-        self._drop = False
         for name, value in description.entries().items():
             self._file.attrs[name] = value
-        for name, array in self.constants.items():
-            data = str(array) if array.dtype.kind in "US" else array
-            self._set_unit(name, self._file.create_dataset(name, data=data))
+        compact = h5py.h5p.create(h5py.h5p.DATASET_CREATE)  # in the header, which has a checksum
+        compact.set_layout(h5py.h5d.COMPACT)
+        for name, array in constants.items():
+            data = np.asarray(np.char.encode(array, "utf-8")) if array.dtype.kind == "U" else array
+            how = {"fletcher32": True} if array.ndim and array.size else {"dcpl": compact}
+            self._set_unit(name, self._file.create_dataset(name, data=data, **how))
 
     def _set_unit(self, name: str, dataset: Any) -> None:
         if name in self.description.units:
             dataset.attrs["unit"] = self.description.units[name]
 
-    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
-        full: Frame = {
-            **frame,
-            "time_ms": np.asarray(time_ms, np.float64),
-            "index": np.asarray(index, np.int64),  # written last: it counts complete frames
-        }
+    def write(self, number: int, index: int, time_ms: float, frame: Arrays) -> None:
+        times = {"time_ms": np.asarray(time_ms), "index": np.asarray(index, np.int64)}
+        full = {**frame, **times}  # index comes last: it counts whole frames
+        check_room(self.part.parent, _ROOM + 2 * sum(value.nbytes for value in full.values()))
         try:
-            if not self._count:
+            if not number:
                 self._begin(full)
             for name, value in full.items():
-                _add_frame(self._datasets[name], self._count, value)
+                dataset = self._datasets[name]
+                dataset.resize(number + 1, axis=0)
+                dataset[number] = value
+                dataset.flush()
         except (RuntimeError, OSError) as error:
-            self._reserve.free()
-            self._drop = True
-            raise self._failed(error) from error
-        if not self._count:
-            os.replace(self._temporary, self._target)
+            raise _as_os_error(error) from error
 
-    def _failed(self, error: Exception) -> OSError:
-        """Return HDF5's error as an OSError of the file."""
-        if isinstance(error, OSError) and error.errno is not None:
-            return OSError(error.errno, error.strerror, str(self._target))
-        said = re.search(r"errno = (\d+)", str(error))
-        if said is None:
-            return OSError(f"{self._target}: {error}")
-        return OSError(int(said[1]), os.strerror(int(said[1])), str(self._target))
-
-    def _begin(self, frame: Frame) -> None:
+    def _begin(self, frame: Arrays) -> None:
         """Make the datasets; none can be added while others read the file."""
-        size = _RESERVE + 2 * sum(max(value.nbytes, _CHUNK) for value in frame.values())
-        self._reserve.grow(size)
         for name, value in frame.items():
-            if name in self._datasets:
-                continue
-            frames = max(1, min(1024, _CHUNK // max(value.nbytes, 1)))
-            dataset = self._file.create_dataset(
-                name,
-                shape=(0, *value.shape),
-                maxshape=(None, *value.shape),
-                chunks=(frames, *(max(side, 1) for side in value.shape)),
-                dtype=value.dtype,
-                fillvalue=np.nan if value.dtype.kind == "f" else None,
-            )
-            self._set_unit(name, dataset)
-            self._datasets[name] = dataset
+            if name not in self._datasets:
+                self._datasets[name] = self._file.create_dataset(
+                    name,
+                    shape=(0, *value.shape),
+                    maxshape=(None, *value.shape),
+                    chunks=(1, *(max(side, 1) for side in value.shape)),
+                    dtype=value.dtype,
+                    fletcher32=True,
+                )
+                self._set_unit(name, self._datasets[name])
         self._datasets["time_ms"].attrs["unit"] = "ms"
         self._file.swmr_mode = True
 
-    def _abandon(self) -> None:
-        self._drop = True
-        self._finish()
+    def finish(self, target: Path, frames: int) -> None:
+        self.close()
+        super().finish(target, frames)
 
-    def _finish(self) -> None:
+    def close(self) -> None:
         self._datasets.clear()
-        self._reserve.free()
         try:
             self._file.close()
         except RuntimeError as error:
-            raise self._failed(error) from error
-        if self._drop:
-            self._temporary.unlink(missing_ok=True)
-        elif self._temporary.exists():  # no frame came
-            os.replace(self._temporary, self._target)
+            raise _as_os_error(error) from error
 
 
-def _add_frame(dataset: Any, number: int, value: NDArray[Any]) -> None:
-    """Append a frame to a dataset and flush it, as resize, an assignment and flush would.
-
-    h5py's functions for this take three times as long as HDF5's own.
-    """
-    import h5py
-
-    found = dataset.id
-    found.set_extent((number + 1, *value.shape))
-    space = found.get_space()
-    space.select_hyperslab((number, *(0,) * value.ndim), (1, *value.shape))
-    within = h5py.h5s.create_simple((1, *value.shape))
-    found.write(within, space, np.ascontiguousarray(value))
-    found.flush()
+def _as_os_error(error: Exception) -> OSError:
+    """Return HDF5's error as an OSError."""
+    said = re.search(r"errno = (\d+), error message = '([^']*)'", str(error))
+    return OSError(int(said[1]), said[2]) if said else OSError(str(error))

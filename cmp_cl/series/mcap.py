@@ -5,9 +5,11 @@ the files.
 """
 
 import contextlib
+import errno
 import importlib
 from collections.abc import Iterator
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -15,16 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.errors import FieldError, ImageError
+from cmp_cl.errors import ImageError
 from cmp_cl.extras import extra
 from cmp_cl.image import GreyImage
-from cmp_cl.series.base import Constants, Description, FileName, Frame, Series
-from cmp_cl.series.disk import Finishable
+from cmp_cl.series.base import Arrays, Description, Format, at_rest, moved_by
+from cmp_cl.series.disk import Appended, check_room
 
 TOPIC = "/cmp_cl/nodes"
 POINT_FIELDS = ("x", "y", "z", "dx", "dy", "dz", "sigma", "row", "column")
 
-_CHUNK = 1 << 18  # bytes that wait in memory
+_MOST_OF_END = 1 << 14  # bytes of the summary without the frames
+_INDEX = 160  # bytes of the summary for each frame
 _RULE = "=" * 80
 _POINT_CLOUD = f"""\
 std_msgs/Header header
@@ -105,60 +108,90 @@ def point_cloud(
     }
 
 
-class McapSeries(Series):
+class McapFormat(Format):
     """MCAP with one PointCloud2 per frame on /cmp_cl/nodes, for ROS 2, Foxglove and rosbags.
 
     It needs the constant `rest`, and `displacement` or `xy` in each frame. Lengths are in the
     series' unit, not in m. Stamps are the times of the frames, added to the setting `start_ns`
     if there is one; the stamp of a frame without a time is its number in ms. The description is the
-    metadata record `cmp_cl`. The file appears when the series is closed.
+    metadata record `cmp_cl`. Every frame is a chunk of its own. The part has no summary: `mcap
+    recover` makes it a whole file.
 
     Raises ConfigError without the packages, FieldError without `rest`.
     """
 
-    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
-        super().__init__(description, constants)
-        if self.constants.get("rest", np.empty(0)).ndim != 3:
-            raise FieldError("an MCAP needs the positions at rest, (R, C, 2) or (R, C, 3)")
+    def __init__(self, part: Path, description: Description, constants: Arrays) -> None:
+        super().__init__(part, description, constants)
+        rest = at_rest(constants, "an MCAP")
         with extra("mcap", "MCAP"):
             writing = importlib.import_module("mcap_ros2.writer")
         self._start_ns = int(description.settings.get("start_ns", "0"))
-        self._file = Finishable(path, self.files)
-        self._writer: Any = writing.Writer(self._file, chunk_size=_CHUNK)
+        self._file = _Waiting(part)
+        size = 4 * len(POINT_FIELDS) * rest[..., 0].size
+        self._writer: Any = writing.Writer(self._file, chunk_size=max(size, 1))
+        self._writer.add_metadata("cmp_cl", _about(description))
+        self._file.flush_to_disk()
         self._schema = self._writer.register_msgdef("sensor_msgs/msg/PointCloud2", _POINT_CLOUD)
+        self._most = size + _MOST_OF_END  # bytes of a frame and of the summary without frames
+        self._cut = False
 
-    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
-        rest = self.constants["rest"]
-        shift = frame.get("displacement")
-        if shift is None and "xy" in frame:
-            shift = frame["xy"] - rest
-        if shift is None or shift.shape != rest.shape:
-            raise FieldError("an MCAP needs the displacement or the positions xy of the nodes")
-        self._file.check()
+    def write(self, number: int, index: int, time_ms: float, frame: Arrays) -> None:
+        rest, shift = moved_by(self.constants, frame, "an MCAP")
+        check_room(self.part.parent, self._most + _INDEX * number)
         sigma = frame.get("sigma", np.full(rest.shape[:2], np.nan))
         stamp = self._start_ns + round((time_ms if np.isfinite(time_ms) else index) * 1e6)
-        self._file.expect(2 * _CHUNK + 4 * len(POINT_FIELDS) * sigma.size)
         frame_id = "camera" if rest.shape[2] == 3 else "image"
+        if self._cut:
+            raise OSError(errno.ENOSPC, "an earlier frame was refused")
+        self._cut = True  # the writer counts a frame that the disk then refuses
         self._writer.write_message(
             topic=TOPIC,
             schema=self._schema,
             message=point_cloud(rest, shift, sigma, stamp, frame_id),
             log_time=stamp,
             publish_time=stamp,
-            sequence=self._count,
+            sequence=number,
         )
+        self._file.flush_to_disk()
+        self._cut = False
 
-    def _finish(self) -> None:
-        with self.files:
-            self._file.check_whole()
-            about = {
-                **self.description.entries(),
-                **{f"unit of {name}": unit for name, unit in self.description.units.items()},
-            }
-            inner = getattr(self._writer, "_writer", None)
-            if inner is not None:
-                inner.add_metadata("cmp_cl", about)
-            self._writer.finish()
+    def finish(self, target: Path, frames: int) -> None:
+        if self._cut:
+            raise OSError(errno.ENOSPC, "no room for the summary: mcap recover adds it")
+        self._writer.finish()
+        self._file.flush_to_disk()
+        self.close()
+        super().finish(target, frames)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class _Waiting(Appended):
+    """The file of an MCAP writer, whose data wait in memory until a frame is complete."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._parts: list[bytes] = []
+
+    def write(self, data: bytes) -> int:
+        self._parts.append(bytes(data))
+        return len(data)
+
+    def tell(self) -> int:
+        return self.end + sum(map(len, self._parts))
+
+    def flush(self) -> None:
+        """Do nothing: a frame is written as a whole."""
+
+    def flush_to_disk(self) -> None:
+        parts, self._parts = self._parts, []
+        self.append(b"".join(parts))
+
+
+def _about(description: Description) -> dict[str, str]:
+    units = {f"unit of {name}": unit for name, unit in description.units.items()}
+    return description.entries() | units
 
 
 def mcap_images(

@@ -1,23 +1,21 @@
 """Series as tables: a row for each node of each frame, or a line for each frame."""
 
+import io
 import json
 import os
 import sys
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError
-from cmp_cl.extras import extra
-from cmp_cl.files import check_target, write_text
-from cmp_cl.series.base import Constants, Description, FileName, Frame, Series
-from cmp_cl.series.digits import nested, plain, rows_of
-from cmp_cl.series.disk import Appended, Finishable
+from cmp_cl.files import csv_bytes, write_text
+from cmp_cl.series.base import Arrays, Description, Format
+from cmp_cl.series.disk import Appended
 
-_ROWS = 1 << 17  # rows of a group in a Parquet file
-_END = 1 << 16  # bytes reserved for the end of such a file, besides an eighth of a group
 _AXES = "x", "y", "z"
 _PARTS = {  # names of the parts of arrays that are not vectors
     **dict.fromkeys(("strain", "strain_sigma"), ("xx", "yy", "xy")),
@@ -25,8 +23,8 @@ _PARTS = {  # names of the parts of arrays that are not vectors
 }
 
 
-def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, NDArray[Any], str]]:
-    """Return name, values (N,) and unit ("" for none) of each column of a frame's R x C nodes.
+def node_columns(frame: Arrays, units: Mapping[str, str]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Return the columns of a frame's R x C nodes: name with unit, values (R C,).
 
     frame: arrays by name. units: their units by name. (R, C) is one column; (R, C, 2) and (R, C, 3)
     have the suffixes _x, _y, _z, strains _xx, _yy, _xy, others numbers. Numbers and vectors of the
@@ -37,184 +35,109 @@ def node_columns(frame: Frame, units: Mapping[str, str]) -> Iterator[tuple[str, 
     shapes = [value.shape[:2] for value in frame.values() if value.ndim in (2, 3)]
     if not shapes:
         raise FieldError("a table needs an array (R, C) or (R, C, K) of nodes")
-    rows, columns = np.indices(shapes[0])
-    yield "row", rows.ravel(), ""
-    yield "column", columns.ravel(), ""
-    for name, value in frame.items():
-        if value.shape[:2] != shapes[0]:
+    shape = shapes[0]
+    rows, columns = np.indices(shape)
+    yield "row", rows.ravel()
+    yield "column", columns.ravel()
+    ordered = sorted(frame.items(), key=lambda item: item[1].shape[:2] != shape)
+    for name, value in ordered:
+        of_nodes = value.shape[:2] == shape
+        if value.ndim > (3 if of_nodes else 1):
             continue
-        unit = units.get(name, "")
-        if value.ndim == 2:
-            yield name, value.ravel(), unit
+        full = value if of_nodes else np.broadcast_to(value, (*shape, *value.shape))
+        unit = f"_{units[name]}" if name in units else ""
+        if full.ndim == 2:
+            yield f"{name}{unit}", full.ravel()
             continue
-        for part, end in enumerate(_ends(name, value.shape[2])):
-            yield f"{name}_{end}", value[..., part].ravel(), unit
-    for name, value in frame.items():
-        unit = units.get(name, "")
-        if value.ndim == 0:
-            yield name, np.broadcast_to(value, rows.size), unit
-        elif value.ndim == 1:
-            for part, end in zip(value, _ends(name, value.size), strict=True):
-                yield f"{name}_{end}", np.broadcast_to(part, rows.size), unit
+        ends = _PARTS.get(name, _AXES)
+        if full.shape[2] > len(ends):
+            ends = tuple(map(str, range(full.shape[2])))
+        for part, end in enumerate(ends[: full.shape[2]]):
+            yield f"{name}_{end}{unit}", full[..., part].ravel()
 
 
-def _ends(name: str, count: int) -> tuple[str, ...]:
-    """Return the suffixes of the names of an array's parts."""
-    ends = _PARTS.get(name, _AXES)
-    return ends[:count] if count <= len(ends) else tuple(map(str, range(count)))
-
-
-class CsvSeries(Series):
+class CsvFormat(Format):
     """CSV with the units in its header; the description is in NAME.csv-metadata.json.
 
-    Floats have 9 digits; missing ones are nan. The metadata file has the name that W3C recommends.
-    Both appear when the series is closed.
+    Floats have 9 digits; missing ones are nan. The metadata file has the name that W3C recommends;
+    it has the constants too.
     """
 
-    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
-        super().__init__(description, constants)
-        self._target = check_target(path)
-        self._file = Appended(path, self.files)
+    def __init__(self, part: Path, description: Description, constants: Arrays) -> None:
+        super().__init__(part, description, constants)
+        self._file = Appended(part)
 
-    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
-        table = list(node_columns(frame, self.description.units))
-        header = b""
-        if not self._count:
-            names = [f"{name}_{unit}" if unit else name for name, _, unit in table]
-            header = (",".join(["frame", "time_ms", *names]) + "\n").encode()
-        rows = rows_of(f"{index},{float(time_ms):.9g}", [values for _, values, _ in table])
-        self._file.append(header + rows)
+    def write(self, number: int, index: int, time_ms: float, frame: Arrays) -> None:
+        columns = dict(node_columns(frame, self.description.units))
+        columns = {"frame": np.array(index), "time_ms": np.array(time_ms), **columns}
+        text = io.BytesIO()
+        if not number:
+            text.write(csv_bytes([columns]))
+            self._write_metadata()
+        kinds = ["%.9g" if column.dtype.kind == "f" else "%d" for column in columns.values()]
+        table = np.stack(np.broadcast_arrays(*columns.values()), axis=1)
+        np.savetxt(text, table, fmt=",".join(kinds))
+        self._file.append(text.getvalue())
 
-    def _finish(self) -> None:
-        with self.files:
-            self._file.check_whole()
+    def _write_metadata(self) -> None:
         about = self.description.with_units()
         about["constants"] = {name: plain(value) for name, value in self.constants.items()}
-        beside = self._target.with_name(f"{self._target.name}-metadata.json")
-        try:
-            write_text(beside, json.dumps(about, indent=1))
-        except OSError:
-            if self._file.error is None:  # otherwise append has reported the full disk
-                raise
+        write_text(_metadata_of(self.part), json.dumps(about, indent=1))
+
+    def finish(self, target: Path, frames: int) -> None:
+        if not frames:
+            self._write_metadata()
+        self.close()
+        os.replace(_metadata_of(self.part), _metadata_of(target))
+        super().finish(target, frames)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def discard(self) -> None:
+        super().discard()
+        _metadata_of(self.part).unlink(missing_ok=True)
 
 
-class JsonLines(Series):
-    """One line of JSON per frame; the first line has the description and the constants.
+def _metadata_of(table: Path) -> Path:
+    return table.with_name(f"{table.name}-metadata.json")
 
-    A missing number is null. `-` is standard output, flushed after each line.
+
+class JsonLines(Format):
+    """One line of JSON per frame on standard output, flushed after each.
+
+    The first line has the description and the constants. A missing number is null.
     """
 
-    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
-        super().__init__(description, constants)
-        self._file = None if os.fspath(path) == "-" else Appended(path, self.files)
-        about = description.with_units()
-        parts = {name: json.dumps(text).encode() for name, text in about.items()}
-        self._line({**parts, "constants": _members(_nested(self.constants))})
+    def __init__(self, part: Path, description: Description, constants: Arrays) -> None:
+        super().__init__(part, description, constants)
+        self._line(description.with_units() | {"constants": _plain(constants)})
 
-    def _line(self, members: Mapping[str, bytes]) -> None:
-        line = _members(members) + b"\n"
-        if self._file is not None:
-            self._file.append(line)
-        else:
-            sys.stdout.buffer.write(line)
-            sys.stdout.buffer.flush()
+    def _line(self, members: Mapping[str, Any]) -> None:
+        sys.stdout.buffer.write(json.dumps(members).encode() + b"\n")
+        sys.stdout.buffer.flush()
 
-    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
-        time = repr(float(time_ms)) if np.isfinite(time_ms) else "null"
-        self._line({"frame": b"%d" % index, "time_ms": time.encode(), **_nested(frame)})
+    def write(self, number: int, index: int, time_ms: float, frame: Arrays) -> None:
+        time = plain(np.array(time_ms))
+        self._line({"frame": index, "time_ms": time, **_plain(frame)})
 
-    def _finish(self) -> None:
-        with self.files:
-            if self._file is not None:
-                self._file.check_whole()
+    def finish(self, target: Path, frames: int) -> None:
+        """Do nothing: each line is complete."""
+
+    def discard(self) -> None:
+        """Do nothing: there is no file."""
 
 
-def _nested(arrays: Mapping[str, NDArray[Any]]) -> dict[str, bytes]:
-    return {name: nested(value) for name, value in arrays.items()}
+def _plain(arrays: Arrays) -> dict[str, Any]:
+    return {name: plain(value) for name, value in arrays.items()}
 
 
-def _members(values: Mapping[str, bytes]) -> bytes:
-    """Return an object of JSON from its values in JSON."""
-    texts = (json.dumps(name).encode() + b": " + value for name, value in values.items())
-    return b"{" + b", ".join(texts) + b"}"
-
-
-class ParquetSeries(Series):
-    """Parquet with a row for each node of each frame, for pandas, Polars, DuckDB and Arrow.
-
-    The metadata of the schema holds the description, and the constants as JSON; the metadata of a
-    field holds its `unit`. The file appears when the series is closed.
-
-    Raises ConfigError without pyarrow.
-    """
-
-    def __init__(self, path: FileName, description: Description, constants: Constants) -> None:
-        super().__init__(description, constants)
-        with extra("parquet", "Parquet"):
-            import pyarrow
-            import pyarrow.parquet
-        self._arrow: Any = pyarrow
-        self._file = Finishable(path, self.files)
-        self._writer: Any = None
-        self._waiting: list[Any] = []
-        self._rows = self._bytes = 0
-
-    def _write(self, index: int, time_ms: float, frame: Frame) -> None:
-        self._file.check()
-        table = list(node_columns(frame, self.description.units))
-        count = len(table[0][1])
-        full = [
-            ("frame", np.full(count, index, np.int64), ""),
-            ("time_ms", np.full(count, time_ms, np.float64), "ms"),
-            *((n, v.astype(np.int32) if n in ("row", "column") else v, u) for n, v, u in table),
-        ]
-        arrow = self._arrow
-        if self._writer is None:
-            about = self.description.entries()
-            about["constants"] = json.dumps(
-                {name: plain(value) for name, value in self.constants.items()}
-            )
-            schema = arrow.schema(
-                [
-                    arrow.field(
-                        name, arrow.from_numpy_dtype(v.dtype), metadata={"unit": u} if u else None
-                    )
-                    for name, v, u in full
-                ],
-                metadata=about,
-            )
-            repeated = [name for name, value, _ in full if value.dtype.kind != "f"]
-            self._writer = arrow.parquet.ParquetWriter(
-                self._file, schema, use_dictionary=["time_ms", *repeated]
-            )
-        self._waiting.append(
-            arrow.record_batch([_arrow_array(v) for _, v, _ in full], schema=self._writer.schema)
-        )
-        self._rows += count
-        self._bytes += sum(v.nbytes for _, v, _ in full)
-        self._file.expect(self._bytes * 9 // 8 + _END)
-        if self._rows >= _ROWS:
-            self._flush()
-
-    def _flush(self) -> None:
-        if self._waiting:
-            self._writer.write_table(self._arrow.Table.from_batches(self._waiting))
-        self._waiting, self._rows, self._bytes = [], 0, 0
-
-    def _finish(self) -> None:
-        with self.files:
-            self._file.check_whole()
-            if self._writer is None:
-                raise FieldError("no frame was measured: there is no table to write")
-            self._flush()
-            self._writer.close()
-
-
-def _arrow_array(values: NDArray[Any]) -> Any:
-    """Return an array (N,) of numbers as an Arrow array; `pyarrow.array` would import pandas."""
-    import pyarrow
-
-    flat = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else values
-    buffer = pyarrow.py_buffer(np.ascontiguousarray(flat))
-    kind = pyarrow.from_numpy_dtype(values.dtype)
-    return pyarrow.Array.from_buffers(kind, len(values), [None, buffer])
+def plain(value: NDArray[Any]) -> Any:
+    """Return an array as nested lists for JSON, with None for NaN and infinity."""
+    if value.dtype.kind == "S":
+        value = np.char.decode(value, "utf-8")
+    if value.dtype.kind != "f" or np.isfinite(value).all():
+        return value.tolist()
+    numbers = value.astype(object)
+    numbers[~np.isfinite(value)] = None
+    return numbers.tolist()
