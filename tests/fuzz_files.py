@@ -40,7 +40,7 @@ from cmp_cl import (
     cluster,
     media,
 )
-from cmp_cl.series import Description, open_series, read_series
+from cmp_cl.series import Description, SeriesWriter, read_series
 from cmp_cl.series.mcap import mcap_images
 from cmp_cl.synthetic import default_rig
 from cmp_cl.viz.plots import Quantity, Recorded, sheet_figure
@@ -148,7 +148,7 @@ def series(folder: Path) -> Iterator[Path]:
     for suffix, size in itertools.product(("npz", "h5"), (2, 3)):
         path = folder / f"{size}.{suffix}"
         constants = {"rest": rest[..., :size], "unit": np.array("mm")}
-        with open_series(path, Description(units={"xy": "px"}), constants) as series:
+        with SeriesWriter(path, description=Description(units={"xy": "px"}), **constants) as series:
             for number in range(3):
                 moved = {"xy": rest[..., :2] + number} if size == 2 else {"displacement": rest / 99}
                 sigma = np.full((4, 5), 0.1)

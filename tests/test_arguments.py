@@ -132,9 +132,7 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: media.write_image("a.png", None), "image", "ndarray"),
         (lambda: corner_overlay(IMAGE, GRID), "corners", "Corners"),
         (lambda: grid_overlay(IMAGE, None), "grid", "Grid"),
-        (lambda: series.open_series("a.npz", "mm"), "description", "Description"),
-        (lambda: series.open_series("a.npz", None, "mm"), "constants", "Mapping"),
-        (lambda: series.open_series("a.npz", []), "description", "Description"),
+        (lambda: series.SeriesWriter("a.npz", description="mm"), "description", "Description"),
         (lambda: series.Description(units="mm"), "units", "Mapping"),
         (lambda: media.write_csv("a.csv", ["row"], [1]), "each of rows", "Iterable"),
         (lambda: build_grid(GRID), "corners", "Corners"),
@@ -264,8 +262,7 @@ def test_a_wrong_argument_is_named_in_one_line(call, name, tmp_path, monkeypatch
         (DetectorConfig.load, ConfigError),
         (DetectorConfig().save, FileNotFoundError),
         (series.read_series, ConfigError),
-        (series.open_series, ConfigError),
-        (series.SeriesWriter, FileNotFoundError),
+        (series.SeriesWriter, ConfigError),
     ],
 )
 def test_what_names_no_file_is_refused(call, error, path):

@@ -25,7 +25,7 @@ FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "_generated" not in path.parts)
 API = [path for path in PAGES if path.parent.name == "api"]
 EXECUTED = {"tutorials", "notebooks"}  # by the site, which fails if one of their cells does
-EXTRAS = {"dask": "distributed", "hdf5": "h5py", "mcap": "mcap_ros2", "parquet": "pyarrow"}
+EXTRAS = {"dask": "distributed", "hdf5": "h5py", "mcap": "mcap_ros2"}
 EXTRAS |= {"plot": "matplotlib", "view": "rerun"}
 SELF_EXPLANATORY = {"self", "path", "paths", "changes"}
 FOUND = re.compile(r"\.\. auto\w+:: (?:cmp_cl\.)([\w.]+)")

@@ -3,28 +3,18 @@
 import base64
 import csv
 import math
-import os
-import signal
 import struct
-import subprocess
-import sys
-import tracemalloc
 import xml.etree.ElementTree
-import zipfile
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from cases import some
-from disks import full_after
 from stereo_data import gel, grid_of, points, project, toed_in_rig
 
-from cmp_cl import SeriesWriter
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.field import displacement, green_lagrange
 from cmp_cl.grid import NodeStatus
-from cmp_cl.series.npz import _Column
 from cmp_cl.space import PointStatus
 
 
@@ -356,195 +346,3 @@ def test_an_unknown_suffix_is_refused(tmp_path):
     with pytest.raises(OSError, match="no folder"):
         pressed().save(tmp_path / "none" / "press.vtp")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_series_is_one_file_of_stacked_arrays(tmp_path):
-    field = pressed()
-    path = tmp_path / "a press.npz"
-    with SeriesWriter(path, position=field.position, unit=field.unit) as series:
-        for frame in (0, 1, 5):
-            series.append(
-                index=frame,
-                time_ms=frame * 33.3,
-                displacement=frame * field.displacement,
-                status=field.status,
-            )
-        assert len(series) == 3
-        assert not path.exists()
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a press.npz"]
-    with np.load(path, allow_pickle=False) as data:
-        assert data["index"].tolist() == [0, 1, 5]
-        np.testing.assert_allclose(data["time_ms"], [0, 33.3, 166.5])
-        assert data["displacement"].shape == (3, 12, 10, 3)
-        np.testing.assert_array_equal(data["displacement"][2], 5 * field.displacement)
-        np.testing.assert_array_equal(data["status"][1], field.status)
-        np.testing.assert_array_equal(data["position"], field.position)
-        assert data["unit"] == "mm"
-    assert zipfile.ZipFile(path).testzip() is None
-
-
-def test_a_series_without_frames_is_a_file_too(tmp_path):
-    with SeriesWriter(tmp_path / "none.npz", unit="mm"):
-        pass
-    with np.load(tmp_path / "none.npz") as data:
-        assert data["index"].shape == data["time_ms"].shape == (0,)
-
-
-def test_an_error_in_the_loop_keeps_the_frames_before_it(tmp_path):
-    with pytest.raises(ZeroDivisionError), SeriesWriter(tmp_path / "a.npz") as series:  # noqa: PT012
-        series.append(index=0, time_ms=0, value=np.ones(3))
-        series.append(index=1, time_ms=1 / 0, value=np.ones(3))
-    with np.load(tmp_path / "a.npz") as data:
-        assert data["index"].tolist() == [0]
-
-
-@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
-def test_a_frame_that_a_full_disk_refuses_is_not_in_the_series(tmp_path):
-    frame = np.arange(1000.0)
-    with SeriesWriter(tmp_path / "a.npz", unit="mm") as series, full_after(20_000):
-        series.append(index=0, time_ms=0, value=frame)
-        series.append(index=1, time_ms=1, value=-frame)
-        with pytest.raises(OSError, match=r"File too large: '.*a.npz'"):
-            series.append(index=2, time_ms=2, value=frame)
-        assert len(series) == 2
-    with np.load(tmp_path / "a.npz") as data:
-        assert data["index"].tolist() == [0, 1]
-        np.testing.assert_array_equal(data["value"], [frame, -frame])
-    assert os.listdir(tmp_path) == ["a.npz"]
-
-
-@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
-def test_a_series_that_a_full_disk_refuses_stays_in_parts(tmp_path):
-    frame = np.arange(1000.0)
-    (tmp_path / "a.npz").write_text("old")
-    series = SeriesWriter(tmp_path / "a.npz", rest=frame, unit="mm")
-    for index in range(2):
-        series.append(index=index, time_ms=np.nan, value=frame, other=-frame)
-    with full_after(30_000), pytest.raises(OSError, match=r"2 frames, is in .*a\.npz\.parts"):
-        series.close()
-    series.close()
-    assert (tmp_path / "a.npz").read_text() == "old"
-    parts = {path.stem: np.load(path) for path in (tmp_path / "a.npz.parts").iterdir()}
-    assert sorted(parts) == ["index", "other", "rest", "time_ms", "unit", "value"]
-    np.testing.assert_array_equal(parts["value"], [frame, frame])
-    np.testing.assert_array_equal(parts["other"], [-frame, -frame])
-    np.testing.assert_array_equal(parts["rest"], frame)
-    assert parts["index"].tolist() == [0, 1]
-    with SeriesWriter(tmp_path / "a.npz") as another:  # leaves the parts of the first alone
-        another.append(index=0, time_ms=0, value=frame)
-    assert len(os.listdir(tmp_path / "a.npz.parts")) == 6
-    assert sorted(os.listdir(tmp_path)) == ["a.npz", "a.npz.parts"]
-
-
-@pytest.mark.skipif(os.name == "nt", reason="there is no kill -9 on Windows")
-def test_a_kill_leaves_the_parts_of_a_series(tmp_path):
-    code = (
-        "import os, sys; sys.path[:0] = eval(sys.argv[2]); import numpy as np;"
-        "from cmp_cl import SeriesWriter; series = SeriesWriter(sys.argv[1], unit='mm');"
-        "[series.append(index=n, time_ms=n, value=np.full(5, n)) for n in range(3)];"
-        "os.kill(os.getpid(), 9)"
-    )
-    child = [sys.executable, "-c", code, str(tmp_path / "a.npz"), repr(sys.path)]
-    assert subprocess.run(child, check=False).returncode == -9
-    value = np.load(tmp_path / "a.npz.parts" / "value.npy")
-    np.testing.assert_array_equal(value, np.repeat([[0], [1], [2]], 5, axis=1))
-    assert not (tmp_path / "a.npz").exists()
-
-
-def test_a_frame_unlike_the_first_is_refused_and_leaves_no_trace(tmp_path):
-    with SeriesWriter(tmp_path / "a.npz", unit="mm") as series:
-        series.append(index=0, time_ms=0, value=np.ones(3))
-        for other in (
-            {"value": np.ones(4)},
-            {"value": np.ones(3, np.float32)},
-            {"value": np.ones(3), "more": 1},
-            {},
-        ):
-            with pytest.raises(FieldError, match="the first frame had"):
-                series.append(index=1, time_ms=1, **other)
-        series.append(index=2, time_ms=2, value=np.zeros(3))
-    with np.load(tmp_path / "a.npz") as data:
-        assert data["index"].tolist() == [0, 2]
-        assert data["value"].tolist() == [[1, 1, 1], [0, 0, 0]]
-    with pytest.raises(FieldError, match="closed"):
-        series.append(index=3, time_ms=3, value=np.zeros(3))
-
-
-def test_a_frame_that_was_interrupted_is_written_over(tmp_path, monkeypatch):
-    write = _Column.write
-
-    def interrupted(column, frame, value):
-        write(column, frame, value)
-        raise KeyboardInterrupt
-
-    with SeriesWriter(tmp_path / "a.npz") as series:
-        for frame in range(3):
-            if frame:
-                monkeypatch.setattr(_Column, "write", interrupted)
-                with pytest.raises(KeyboardInterrupt):
-                    series.append(index=10, time_ms=10, value=np.full(3, 10.0))
-                monkeypatch.setattr(_Column, "write", write)
-            series.append(index=frame, time_ms=frame, value=np.full(3, float(frame)))
-    with np.load(tmp_path / "a.npz") as data:
-        assert data["index"].tolist() == [0, 1, 2]
-        assert data["value"].tolist() == [[0] * 3, [1] * 3, [2] * 3]
-
-
-def test_a_series_refuses_names_and_values_that_it_cannot_store(tmp_path):
-    with SeriesWriter(tmp_path / "a.npz", unit="mm") as series:
-        with pytest.raises(FieldError, match="constants"):
-            series.append(index=0, time_ms=0, unit=np.ones(3))
-        with pytest.raises(FieldError, match="numbers"):
-            series.append(index=0, time_ms=0, value=np.array([None]))
-        assert len(series) == 0
-    with pytest.raises(OSError, match="none"):
-        SeriesWriter(tmp_path / "none" / "a.npz")
-    with pytest.raises(IsADirectoryError):
-        SeriesWriter(tmp_path)
-
-
-def test_memory_does_not_grow_with_the_recording(tmp_path):
-    frame = np.zeros((100, 100, 3))
-    tracemalloc.start()
-    try:
-        with SeriesWriter(tmp_path / "long.npz") as series:
-            for index in range(100):
-                series.append(index=index, time_ms=index, value=frame)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert (tmp_path / "long.npz").stat().st_size > 100 * frame.nbytes
-    assert peak < 20 * frame.nbytes
-
-
-INTERRUPTED = """
-import signal, sys, time
-import numpy as np
-from cmp_cl import SeriesWriter
-signal.signal(signal.SIGINT, signal.default_int_handler)  # which a background job ignores
-with SeriesWriter(sys.argv[1]) as series:
-    for index in range(10**6):
-        series.append(index=index, time_ms=index, value=np.full((20, 20), index))
-        if index == 3:
-            print("running", flush=True)
-        time.sleep(0.001)
-"""
-
-
-@pytest.mark.skipif(os.name != "posix", reason="sends POSIX signals")
-def test_ctrl_c_keeps_the_frames(tmp_path):
-    path = tmp_path / "press.npz"
-    root = Path(__file__).resolve().parents[1]
-    with subprocess.Popen(
-        [sys.executable, "-c", INTERRUPTED, path],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": str(root)},
-    ) as program:
-        assert program.stdout.readline() == b"running\n"
-        program.send_signal(signal.SIGINT)
-        program.wait(timeout=60)
-    with np.load(path) as data:
-        assert len(data["index"]) >= 4
-        np.testing.assert_array_equal(data["value"][:, 3, 4], data["index"])
-    assert [entry.name for entry in tmp_path.iterdir()] == ["press.npz"]

@@ -13,7 +13,7 @@ from plane_images import moved_board
 from cmp_cl.cameras import Source
 from cmp_cl.cli.main import main
 from cmp_cl.errors import FieldError, ImageError
-from cmp_cl.series import Description, open_series
+from cmp_cl.series import Description, SeriesWriter
 from cmp_cl.series.mcap import POINT_FIELDS, TOPIC, mcap_images
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "ros_node.py"
@@ -147,7 +147,7 @@ def test_rosbags_reads_the_nodes_and_their_stamps(ros, tmp_path):
     shift[0, 1] = np.nan
     path = tmp_path / "nodes.mcap"
     about = Description(units={"displacement": "mm"}, settings={"start_ns": str(START * 10**6)})
-    with open_series(path, about, {"rest": rest}) as series:
+    with SeriesWriter(path, description=about, rest=rest) as series:
         for number in range(2):
             series.append(
                 index=number,
@@ -176,7 +176,7 @@ def test_rosbags_reads_the_nodes_and_their_stamps(ros, tmp_path):
 
 def test_an_mcap_needs_the_positions_at_rest(tmp_path):
     with pytest.raises(FieldError, match="rest"):
-        open_series(tmp_path / "a.mcap")
+        SeriesWriter(tmp_path / "a.mcap")
 
 
 def test_a_recording_of_a_robot_is_measured_and_its_stamps_are_kept(ros, tmp_path):

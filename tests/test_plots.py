@@ -11,7 +11,7 @@ from stereo_data import grid_of
 
 from cmp_cl.cli.main import main
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.series import open_series, read_series
+from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.viz.plots import Quantity, Recorded, curve_figure, map_figure, sheet_figure
 from cmp_cl.viz.video import OverlayVideo
 
@@ -21,7 +21,7 @@ def record(path, *, views):
     row, column = np.mgrid[:8, :10]
     rest = np.stack([5.0 * column, 5.0 * row, 0 * row + 40.0], axis=-1)[..., : views + 1]
     constants = {"rest": rest, "unit": "px" if views == 1 else "mm"}
-    with open_series(path, None, constants) as series:
+    with SeriesWriter(path, **constants) as series:
         for number in range(5):
             shift = 0 * rest
             shift[..., 0] = 0.01 * number * rest[..., 0]
@@ -128,7 +128,7 @@ def test_a_file_that_is_no_series_of_nodes_is_refused(tmp_path):
         Recorded.of(
             {"index": np.arange(2), "time_ms": np.arange(2.0), "xy": np.zeros((2, 3, 3, 2))}
         )
-    with open_series(tmp_path / "none.npz", None, {"rest": np.zeros((2, 2, 2))}):
+    with SeriesWriter(tmp_path / "none.npz", rest=np.zeros((2, 2, 2))):
         pass
     with pytest.raises(FieldError, match="no frame"):
         Recorded.of(read_series(tmp_path / "none.npz"))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.extras import extra
-from cmp_cl.files import suffix_of
+from cmp_cl.files import check_path, suffix_of
 from cmp_cl.series.npz import CONSTANTS
 
 _DAMAGE = (  # raised on reading a damaged zip, .npy or HDF5
@@ -85,6 +85,7 @@ def read_series(
     not fit into the memory, or if an array that this library writes has another shape or kind of
     values: the message says which, what was expected and what was found.
     """
+    check_path(path, ConfigError)
     suffix = suffix_of(re.sub(r"\.part(-\d+)?$", "", os.fspath(path)), ConfigError)
     if suffix not in (".npz", ".h5", ".hdf5"):
         raise ConfigError(

@@ -70,7 +70,7 @@ class SeriesWriter(Closing):
         self._open = True
         self.earlier: list[Path] = []
         self._target = Path("-")
-        if path == "-":
+        if isinstance(path, str) and path == "-":
             self._format: Format = JsonLines(self._target, description, self._constants)
             return
         suffix = suffix_of(path, ConfigError)

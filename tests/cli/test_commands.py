@@ -40,8 +40,7 @@ from cmp_cl.cli import run as run_module
 from cmp_cl.cli.arguments import region_in, split_of
 from cmp_cl.measure import find_boards, square_sides, trusted
 from cmp_cl.media import Frame
-from cmp_cl.series import read_series
-from cmp_cl.series.npz import NpzSeries, _Column
+from cmp_cl.series import SeriesWriter, read_series
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -236,7 +235,7 @@ def camera_of(images, opened):
     ("camera", "known_as"), [(["3"], 3), (["/dev/video3", "--camera-fps", "50"], "/dev/video3")]
 )
 def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch, camera, known_as):
-    append = NpzSeries.append
+    append = SeriesWriter.append
 
     def press_ctrl_c_after_three(series, **frame):
         append(series, **frame)
@@ -247,7 +246,7 @@ def test_a_camera_runs_until_ctrl_c(run, recording, press, monkeypatch, camera, 
     images = [press[2].frame, None, rest, None, *others, rest, press[1].frame]
     opened = []
     monkeypatch.setattr(cv2, "VideoCapture", camera_of(images, opened))
-    monkeypatch.setattr(NpzSeries, "append", press_ctrl_c_after_three)
+    monkeypatch.setattr(SeriesWriter, "append", press_ctrl_c_after_three)
     before = signal.getsignal(signal.SIGINT)
     status, out, err = run("run", *camera, *STEREO, "--rest-frame", 2)
     assert status == 0
@@ -365,13 +364,13 @@ def test_a_run_that_nohup_started_goes_on(run, recording, press, monkeypatch):
 
 @pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
 def test_a_disk_that_fills_up_ends_a_run_with_what_it_has(run, recording, press, monkeypatch):
-    append = NpzSeries.append
+    append = SeriesWriter.append
 
     def filling(series, **frame):
         with full_after(5000 if len(series) == 2 else 10**9):
             append(series, **frame)
 
-    monkeypatch.setattr(NpzSeries, "append", filling)
+    monkeypatch.setattr(SeriesWriter, "append", filling)
     status, out, err = run("run", recording, *STEREO)
     assert status == 2
     assert "wrote press.npz: 2 frames" in out
@@ -402,14 +401,14 @@ def test_a_video_that_a_full_disk_cuts_is_not_written_but_the_series_is(
 
 
 def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press, monkeypatch):
-    copied = _Column.copy
+    close = SeriesWriter.close
 
-    def copy(*arguments):
+    def closing(series):
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
-        copied(*arguments)
+        close(series)
 
-    monkeypatch.setattr(_Column, "copy", copy)
+    monkeypatch.setattr(SeriesWriter, "close", closing)
     before = signal.getsignal(signal.SIGINT)
     status, _, _ = run("run", recording, *STEREO)
     assert status == 0
@@ -567,7 +566,7 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
     assert np.nanmax(np.abs(shown[-1]["field"].displacement)) > 0.1
 
 
-@pytest.mark.parametrize("suffix", [".h5", ".csv", ".jsonl", ".pvd"])
+@pytest.mark.parametrize("suffix", [".h5", ".csv", ".pvd"])
 def test_a_series_is_written_in_the_format_of_its_suffix(run, one_view, suffix):
     if suffix == ".h5":
         pytest.importorskip("h5py", reason="h5py is not installed")
@@ -580,10 +579,6 @@ def test_a_series_is_written_in_the_format_of_its_suffix(run, one_view, suffix):
         assert str(found["unit"]) == "px"
     elif suffix == ".csv":
         assert Path("flat.csv").read_text().startswith("frame,time_ms,row,column,xy_x_px,xy_y_px")
-    elif suffix == ".jsonl":
-        first = json.loads(Path("flat.jsonl").read_text().splitlines()[0])
-        assert first["units"]["xy"] == "px"
-        assert first["device"]
     else:
         assert len(list(Path("flat_frames").iterdir())) == Path("flat.pvd").read_text().count(
             "<DataSet"
@@ -594,6 +589,8 @@ def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
     command = [sys.executable, "-m", "cmp_cl", "run", str(one_view), "--grid", "12x12"]
     done = subprocess.run([*command, "--out", "-"], capture_output=True, text=True, check=True)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert lines[0]["units"]["xy"] == "px"
+    assert lines[0]["device"]
     assert [line["frame"] for line in lines[1:]] == list(range(len(lines) - 1))
     assert "wrote -" in done.stderr
 
