@@ -17,7 +17,7 @@ LAYERS = [
     {"corners", "maps"},
     {"opencl"},
     {"stages"},
-    {"cell", "marks"},
+    {"cell", "lattice", "marks"},
     {"choice", "reference", "synthetic"},
     {"grid"},
     {"detector"},

@@ -1,0 +1,1 @@
+"""The lattice of a checkerboard: from corners to numbers, by a few ideas."""

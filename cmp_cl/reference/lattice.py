@@ -1,0 +1,377 @@
+"""Corners to parts of the lattice: links, faces, parts.
+
+A half-edge h = 4 i + s is boundary s of corner i. Every decision is made in integers, or in float32
+with + - * and comparisons in a fixed order, so that the kernels give the same bits.
+"""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.lattice.constants import LatticeConstants
+
+Whole = NDArray[np.int64]
+Real = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+TURN = 65536  # units of an angle in a full turn
+DIRECTIONS = 1024  # unit vectors in a full turn
+COSINE = (np.rint(16384 * np.cos(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS))) / 16384).astype(
+    np.float32
+)
+COLUMN_STEP = np.array([1, 0, -1, 0])
+ROW_STEP = np.array([0, 1, 0, -1])
+F = np.float32
+LEAST_CONTRAST = 32  # sixteenths of a grey level, twice: below it a ratio means nothing
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Directed:
+    """Corners with their boundaries: x, y (N,) float32; angle (N, 4), 1/65536 turn; contrast (N,),
+    twice the contrast of their cells in sixteenths of a grey level; known (N,), False without
+    angles."""
+
+    x: Real
+    y: Real
+    angle: Whole
+    contrast: Whole
+    known: Mask
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Parts:
+    """Closed faces and the parts that they form, all (4 N,) by half-edge.
+
+    twin: the half-edge at the other end of its link, -1 without one. face: the least half-edge of
+    its closed face, -1 without one. agree: its face and that of its twin agree. cut: how often the
+    tolerance of its face was lowered. root: the least half-edge of its part, -1 without one.
+    column, row: number of its corner from that of the root. direction: of the half-edge in the
+    lattice, 0 to 3. contradicted: its part has no numbers.
+    """
+
+    twin: Whole
+    face: Whole
+    agree: Mask
+    cut: Whole
+    root: Whole
+    column: Whole
+    row: Whole
+    direction: Whole
+    contradicted: Mask
+
+
+def parts(
+    plane: NDArray[np.integer],
+    xy: NDArray[np.float32],
+    edges: NDArray[np.float32],
+    constants: LatticeConstants,
+) -> Parts:
+    """Return the parts of the lattice.
+
+    plane: (H, W), S1 of section 11 of the specification. xy: (N, 2), px. edges: (N, 4), rad, NaN
+    where unknown.
+    """
+    corners = directed(plane, xy, edges, constants)
+    return parts_of(corners, links(plane, corners, constants), constants)
+
+
+# --- arithmetic ---------------------------------------------------------------------------
+
+
+def inverse_root(x: Real) -> Real:
+    """Return 1 / sqrt(x) by a start from the bits and three Newton steps; x > 0."""
+    x = np.asarray(x, np.float32)
+    y = (np.int32(0x5F3759DF) - (x.view(np.int32) >> 1)).view(np.float32)
+    half = F(0.5) * x
+    for _ in range(3):
+        y = y * (F(1.5) - (half * y) * y)
+    return y
+
+
+def length_of(square: Real) -> Real:
+    result: Real = square * inverse_root(square)
+    return result
+
+
+def unit(angle: Whole) -> tuple[Real, Real]:
+    """Return the cosine and the sine of angles of 1/65536 turn, from a table."""
+    m = ((angle + 32) >> 6) % DIRECTIONS
+    return COSINE[m], COSINE[(m - DIRECTIONS // 4) % DIRECTIONS]
+
+
+def read(plane: NDArray[np.integer], x: Real, y: Real) -> Whole:
+    """Return the levels at the nearest pixels; beyond the image its border is repeated."""
+    height, width = plane.shape
+    column = np.clip(np.floor(x + F(0.5)).astype(np.int64), 0, width - 1)
+    row = np.clip(np.floor(y + F(0.5)).astype(np.int64), 0, height - 1)
+    level: Whole = plane[row, column].astype(np.int64)
+    return level
+
+
+# --- corners and links --------------------------------------------------------------------
+
+
+def directed(
+    plane: NDArray[np.integer],
+    xy: NDArray[np.float32],
+    edges: NDArray[np.float32],
+    constants: LatticeConstants,
+) -> Directed:
+    """Return the directions of the two boundary lines of each corner, and its contrast."""
+    known: Mask = ~np.isnan(np.concatenate([xy, edges], axis=1)).any(axis=1)
+    x, y = (np.where(known, each, F(0)) for each in xy.astype(np.float32).T)
+    turns = np.where(known[:, None], edges, 0).astype(np.float32) * F(10430.378)
+    q = np.floor(turns + F(0.5)).astype(np.int64) % TURN
+    opposite = (q[:, 2:] + TURN // 2) % TURN
+    apart = (opposite - q[:, :2] + TURN // 2) % TURN - TURN // 2
+    line = (q[:, :2] + (apart >> 1)) % TURN
+    angle = np.concatenate([line, (line + TURN // 2) % TURN], axis=1)
+    between = (angle + (((np.roll(angle, -1, axis=1) - angle) % TURN) >> 1)) % TURN
+    across, down = unit(between)
+    radius = F(constants.contrast_radius_px)
+    level = read(plane, x[:, None] + radius * across, y[:, None] + radius * down)
+    contrast = level[:, 1] + level[:, 3] - level[:, 0] - level[:, 2]
+    contrast = np.maximum(contrast, LEAST_CONTRAST)
+    return Directed(x=x, y=y, angle=angle, contrast=contrast, known=known)
+
+
+def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeConstants) -> Whole:
+    """Return pairs (i, j) of corners near each other, (M, 2), in order of i, then of j.
+
+    Corners are in square bins. The candidates of a corner are all in the bins around its own, as
+    far as it takes until these hold `link_neighbours` corners.
+    """
+    height, width = shape
+    some = np.flatnonzero(corners.known)
+    shift = 2
+    while ((width * height) >> (2 * shift)) > max(len(some), 1):
+        shift += 1
+    column = np.clip(np.floor(corners.x[some]).astype(np.int64), 0, width - 1) >> shift
+    row = np.clip(np.floor(corners.y[some]).astype(np.int64), 0, height - 1) >> shift
+    rows, columns = ((height - 1) >> shift) + 1, ((width - 1) >> shift) + 1
+    count = np.bincount(row * columns + column, minlength=rows * columns).reshape(rows, columns)
+    total = np.zeros((rows + 1, columns + 1), np.int64)
+    total[1:, 1:] = count.cumsum(0).cumsum(1)
+    ring = np.full(len(some), constants.link_rings)
+    for k in range(constants.link_rings, 0, -1):
+        top, bottom = np.maximum(row - k, 0), np.minimum(row + k + 1, rows)
+        left, right = np.maximum(column - k, 0), np.minimum(column + k + 1, columns)
+        within = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+        ring[within >= constants.link_neighbours] = k
+    order = np.argsort(row * columns + column, kind="stable")
+    start = np.concatenate([[0], count.ravel().cumsum()])
+    pairs = []
+    for dr in range(-constants.link_rings, constants.link_rings + 1):  # one row of bins is a run
+        near = np.flatnonzero((ring >= abs(dr)) & (row + dr >= 0) & (row + dr < rows))
+        first = (row[near] + dr) * columns + np.maximum(column[near] - ring[near], 0)
+        last = (row[near] + dr) * columns + np.minimum(column[near] + ring[near], columns - 1)
+        number = start[last + 1] - start[first]
+        place = np.arange(number.sum()) - np.repeat(number.cumsum() - number, number)
+        other = order[np.repeat(start[first], number) + place]
+        pairs.append(np.stack([np.repeat(near, number), other], axis=1))
+    both = np.concatenate(pairs)
+    both = some[both[both[:, 0] != both[:, 1]]]
+    ordered: Whole = both[np.lexsort((both[:, 1], both[:, 0]))]
+    return ordered
+
+
+def links(plane: NDArray[np.integer], corners: Directed, constants: LatticeConstants) -> Whole:
+    """Return the twin of each half-edge, (4 N,), -1 without one.
+
+    Of each half-edge the two cheapest candidates are looked at; the first with a side in the image
+    is its choice. A link is a choice of both its ends.
+    """
+    count = len(corners.x)
+    if np.count_nonzero(corners.known) < 2:
+        return np.full(4 * count, -1)
+    i, j = candidates(plane.shape, corners, constants).T
+    dx, dy = corners.x[j] - corners.x[i], corners.y[j] - corners.y[i]
+    square = dx * dx + dy * dy
+    length = length_of(np.maximum(square, F(1)))
+    s, along_i = _boundary(corners.angle[i], dx, dy)
+    t, along_j = _boundary(corners.angle[j], -dx, -dy)
+    straight = F(constants.least_cosine) * length
+    good = (square >= 1) & (along_i > straight) & (along_j > straight) & ((s + t) % 2 == 1)
+    cost = length + F(constants.turn_price) * ((length + length) - (along_i + along_j))
+    key = np.floor(cost * F(64)).astype(np.int64)
+    h, other, key = (4 * i + s)[good], (4 * j + t)[good], key[good]
+    order = np.lexsort((other, key, h))
+    h, other = h[order], other[order]
+    first = np.concatenate([[True], h[1:] != h[:-1]]) if len(h) else np.zeros(0, np.bool_)
+    second = np.concatenate([[False], first[:-1]]) & ~first
+    choice = np.full(4 * count, -1)
+    for rank in (second, first):
+        seen = rank.copy()
+        seen[rank] = has_side(plane, corners, h[rank], other[rank], constants)
+        choice[h[seen]] = other[seen]
+    twin = np.where(choice[choice] == np.arange(4 * count), choice, -1)
+    return np.where(choice >= 0, twin, -1)
+
+
+def _boundary(angle: Whole, dx: Real, dy: Real) -> tuple[Whole, Real]:
+    """Return the boundary nearest to a chord, and the chord's length along it."""
+    (across_0, down_0), (across_1, down_1) = unit(angle[:, 0]), unit(angle[:, 1])
+    along_0, along_1 = across_0 * dx + down_0 * dy, across_1 * dx + down_1 * dy
+    line = np.where(np.abs(along_0) >= np.abs(along_1), 0, 1)
+    along = np.where(line == 0, along_0, along_1)
+    return np.where(along >= 0, line, line + 2), np.abs(along)
+
+
+def side_sum(
+    plane: NDArray[np.integer],
+    start: tuple[Real, Real],
+    step: tuple[Real, Real],
+    constants: LatticeConstants,
+) -> Whole:
+    """Return the sum over five points of the level left of a way less that right of it."""
+    (x, y), (dx, dy) = start, step
+    square = np.maximum(dx * dx + dy * dy, F(1))
+    depth = np.maximum(
+        F(constants.side_depth_cells), F(constants.side_depth_px) * inverse_root(square)
+    )
+    across, down = -(depth * dy), depth * dx
+    total = np.zeros(x.shape, np.int64)
+    for t in (0.25, 0.375, 0.5, 0.625, 0.75):
+        at_x, at_y = x + F(t) * dx, y + F(t) * dy
+        total += read(plane, at_x - across, at_y - down)
+        total -= read(plane, at_x + across, at_y + down)
+    return total
+
+
+def has_side(
+    plane: NDArray[np.integer],
+    corners: Directed,
+    h: Whole,
+    other: Whole,
+    constants: LatticeConstants,
+) -> Mask:
+    """Return whether the image shows a side of a cell between two half-edges, as both claim."""
+    low, high = np.minimum(h, other), np.maximum(h, other)
+    p, q = low >> 2, high >> 2
+    start = corners.x[p], corners.y[p]
+    step = corners.x[q] - start[0], corners.y[q] - start[1]
+    total = side_sum(plane, start, step, constants) * (1 - 2 * (low & 1))
+    seen = total.astype(np.float32)
+    contrast = corners.contrast[p].astype(np.float32) * corners.contrast[q].astype(np.float32)
+    least = F(0.25 * 25 * constants.least_side**2)
+    result: Mask = (total > 0) & (seen * seen > least * contrast)
+    return result
+
+
+# --- faces and parts ----------------------------------------------------------------------
+
+
+def following(twin: Whole) -> Whole:
+    """Return the next half-edge of a face, (4 N,): step, turn right; -1 without a link."""
+    return np.where(twin >= 0, (twin & ~3) | ((twin - 1) & 3), -1)
+
+
+def around(twin: Whole) -> Whole:
+    """Return the four half-edges of the face that begins at each, (4, 4 N), -1 if it is open."""
+    after = following(twin)
+    path = [np.arange(len(twin))]
+    for _ in range(4):
+        path.append(np.where(path[-1] >= 0, after[path[-1]], -1))
+    closed = path[4] == path[0]
+    return np.where(closed, np.stack(path[:4]), -1)
+
+
+def parts_of(corners: Directed, twin: Whole, constants: LatticeConstants) -> Parts:
+    """Return the parts: closed faces that agree, cut until no part contradicts itself."""
+    path = around(twin)
+    closed = path[0] >= 0
+    face = np.where(closed, path.min(axis=0), -1)
+    gap, size = _difference(corners, twin, path)
+    cut = np.zeros(len(twin), np.int64)
+    tolerance = constants.face_tolerances()
+    for repeat in range(constants.cuts + 1):
+        agree = (gap >= 0) & (gap < tolerance[np.maximum(cut, cut[twin])] * size)
+        root, column, row, direction = numbered(twin, following(twin), closed, agree)
+        bad = contradicted(root, column, row, direction)
+        if not bad.any() or repeat == constants.cuts:
+            break
+        cut[bad] += 1
+    return Parts(
+        twin=twin,
+        face=face,
+        agree=agree,
+        cut=cut,
+        root=root,
+        column=column,
+        row=row,
+        direction=direction,
+        contradicted=bad,
+    )
+
+
+def _difference(corners: Directed, twin: Whole, path: Whole) -> tuple[Real, Real]:
+    """Return by half-edge how far its face and that of its twin differ, and their size, px^2; a
+    difference of -1 where one of them is open."""
+    closed = path[0] >= 0
+    node = np.maximum(path, 0) >> 2
+    steps = []
+    for at in (corners.x[node], corners.y[node]):
+        steps.append(((at[1] - at[0]) + (at[2] - at[3]), (at[3] - at[0]) + (at[2] - at[1])))
+    (ux, vx), (uy, vy) = steps
+    sx, sy, tx, ty = (each + each[twin] for each in (ux, uy, vx, vy))
+    gap = (sx * sx + sy * sy) + (tx * tx + ty * ty)
+    size = (ux * ux + uy * uy) + (vx * vx + vy * vy)
+    both = closed & (twin >= 0) & closed[twin]
+    return np.where(both, gap, F(-1)), np.minimum(size, size[twin])
+
+
+def numbered(
+    twin: Whole, after: Whole, closed: Mask, agree: Mask
+) -> tuple[Whole, Whole, Whole, Whole]:
+    """Return root, column, row and direction of each closed half-edge, root -1 of the others.
+
+    A step along a half-edge goes to the next of its face, and across it to its twin where both
+    faces agree. The least half-edge of a part is its root, with number (0, 0) and direction 0.
+    """
+    count = len(twin)
+    root = np.where(closed, np.arange(count), -1)
+    here = np.flatnonzero(closed)
+    across = np.flatnonzero(agree)
+    source = np.concatenate([here, across])
+    target = np.concatenate([after[here], twin[across]])
+    turn = np.concatenate([np.ones(len(here), np.int64), np.full(len(across), 2)])
+    while len(source):  # hook the greater root to the lesser, then shorten all ways to the roots
+        before = root.copy()
+        least = np.minimum(root[source], root[target])
+        np.minimum.at(root, before[source], least)
+        np.minimum.at(root, before[target], least)
+        root[here] = root[root[here]]
+        if np.array_equal(root, before):
+            break
+    column, row, direction = (np.zeros(count, np.int64) for _ in range(3))
+    reached = root == np.arange(count)
+    while len(source):  # breadth first from the roots, both ways along each step
+        forth = reached[source] & ~reached[target]
+        back = reached[target] & ~reached[source]
+        if not (forth.any() or back.any()):
+            break
+        a, b = source[forth], target[forth]
+        column[b] = column[a] + COLUMN_STEP[direction[a]]
+        row[b] = row[a] + ROW_STEP[direction[a]]
+        direction[b] = (direction[a] + turn[forth]) % 4
+        a, b = source[back], target[back]
+        direction[a] = (direction[b] - turn[back]) % 4
+        column[a] = column[b] - COLUMN_STEP[direction[a]]
+        row[a] = row[b] - ROW_STEP[direction[a]]
+        reached[target[forth]] = True
+        reached[source[back]] = True
+    return root, column, row, direction
+
+
+def contradicted(root: Whole, column: Whole, row: Whole, direction: Whole) -> Mask:
+    """Return by half-edge whether one corner of its part has two numbers or two rotations there."""
+    h = np.flatnonzero(root >= 0)
+    rotation = (direction[h] - h) % 4
+    state = np.stack([column[h], row[h], rotation], axis=1)
+    order = np.lexsort((root[h], h >> 2))
+    same = (h[order][1:] >> 2 == h[order][:-1] >> 2) & (root[h][order][1:] == root[h][order][:-1])
+    differ = same & (state[order][1:] != state[order][:-1]).any(axis=1)
+    bad = np.zeros(len(root), np.bool_)
+    bad[root[h][order][1:][differ]] = True
+    return np.where(root >= 0, bad[root], False)

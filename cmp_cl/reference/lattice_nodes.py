@@ -1,0 +1,410 @@
+"""From numbered corners to the nodes of a board: one prediction, one score in nats, a second look.
+
+A board is an array of nodes, (R, C), with a margin of missing nodes. All is float32 with + - * in
+a fixed order, and integers, so that the kernels give the same bits.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.reference.lattice import (
+    LEAST_CONTRAST,
+    F,
+    Mask,
+    Real,
+    Whole,
+    inverse_root,
+    length_of,
+    read,
+    side_sum,
+)
+
+Plane = NDArray[np.integer]
+SecondLook = Callable[[Real, Real, Real, tuple[Real, Real]], tuple[Real, Real]]
+
+NONE, LOOKED = -1, -2  # owners of a node: missing, or found by a second look
+FOUR = ((0, 1), (1, 0), (0, -1), (-1, 0))  # (row, column) of the neighbours
+OUTSIDE = F(-9.0)  # nats of a node outside the image
+FIRM = F(8.0)  # weight of a prediction between neighbours
+
+
+@dataclasses.dataclass(eq=False, kw_only=True)
+class Board:
+    """Nodes of one board, (R, C): x, y float32 px, NaN where missing; owner: its corner, LOOKED or
+    NONE. sign: +1 if the boundary of node (0, 0) towards greater columns is from white to black,
+    clockwise, else -1."""
+
+    x: Real
+    y: Real
+    owner: Whole
+    sign: int
+
+    @property
+    def there(self) -> Mask:
+        there: Mask = self.owner != NONE
+        return there
+
+    def parity(self) -> Whole:
+        """Return `sign` at every node, (R, C)."""
+        rows, columns = self.x.shape
+        return self.sign * (1 - 2 * (np.add.outer(np.arange(rows), np.arange(columns)) & 1))
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Steps:
+    """Steps of the lattice at every node: (ux, uy) to the next column, (vx, vy) to the next row,
+    cell: their mean length, px; known: False where no step is known within 5 x 5 nodes."""
+
+    ux: Real
+    uy: Real
+    vx: Real
+    vy: Real
+    cell: Real
+    known: Mask
+
+
+def shifted(a: NDArray[Any], row: int, column: int, fill: float) -> NDArray[Any]:
+    """Return a[r + row, c + column] at every (r, c); `fill` beyond the array."""
+    rows, columns = a.shape
+    wide = np.full((rows + 6, columns + 6), fill, a.dtype)
+    wide[3:-3, 3:-3] = a
+    return wide[3 + row : 3 + row + rows, 3 + column : 3 + column + columns]
+
+
+def inverse(x: Real) -> Real:
+    root = inverse_root(x)
+    return root * root
+
+
+def predictors() -> list[tuple[Any, list[tuple[int, int, Any]]]]:
+    """Return weights and the nodes (row, column, factor) that each prediction is a sum of."""
+    found = []
+    for r, c in ((0, 1), (1, 0)):
+        a, b = F(4 / 6), F(-1 / 6)
+        cubic = [(-r, -c, a), (r, c, a), (-2 * r, -2 * c, b), (2 * r, 2 * c, b)]
+        found += [(F(12), cubic), (F(4), [(-r, -c, F(0.5)), (r, c, F(0.5))])]
+    for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        found.append((F(1.5), [(r, 0, F(1)), (0, c, F(1)), (r, c, F(-1))]))
+    for r, c in FOUR:
+        found.append((F(0.7), [(r, c, F(2)), (2 * r, 2 * c, F(-1))]))
+        found.append((F(0.7), [(r, c, F(3)), (2 * r, 2 * c, F(-3)), (3 * r, 3 * c, F(1))]))
+    return found
+
+
+PREDICTORS = predictors()
+
+
+def predicted(x: Real, y: Real) -> tuple[Real, Real, Real]:
+    """Return where the neighbours predict each node, and the weight of that; 0 where unknown."""
+    total_x, total_y, weight = (np.zeros(x.shape, np.float32) for _ in range(3))
+    for w, terms in PREDICTORS:
+        px, py = np.zeros(x.shape, np.float32), np.zeros(x.shape, np.float32)
+        for r, c, factor in terms:
+            px = px + factor * shifted(x, r, c, np.nan)
+            py = py + factor * shifted(y, r, c, np.nan)
+        seen = ~np.isnan(px)
+        total_x = np.where(seen, total_x + w * px, total_x)
+        total_y = np.where(seen, total_y + w * py, total_y)
+        weight = np.where(seen, weight + w, weight)
+    share = inverse(np.maximum(weight, F(0.5)))
+    return total_x * share, total_y * share, weight
+
+
+def steps_of(x: Real, y: Real) -> Steps:
+    """Return the mean of the steps before and after each node, or of those within 5 x 5 nodes."""
+    found, known = [], np.ones(x.shape, np.bool_)
+    for r, c in ((0, 1), (1, 0)):
+        after, before = (shifted(x, r, c, np.nan) - x), (x - shifted(x, -r, -c, np.nan))
+        count = (~np.isnan(after)).astype(np.int64) + ~np.isnan(before)
+        many = np.zeros(x.shape, np.int64)
+        for i in range(-2, 3):
+            for j in range(-2, 3):
+                many = many + shifted(count, i, j, 0)
+        for at in (x, y):
+            after, before = (shifted(at, r, c, np.nan) - at), (at - shifted(at, -r, -c, np.nan))
+            total = np.nan_to_num(after) + np.nan_to_num(before)
+            around = np.zeros(x.shape, np.float32)
+            for i in range(-2, 3):
+                for j in range(-2, 3):
+                    around = around + shifted(total, i, j, 0)
+            own = np.where(count == 2, F(0.5) * total, total)
+            wide = around * inverse(np.maximum(many, 1).astype(np.float32))
+            found.append(np.where(count > 0, own, wide))
+        known &= many > 0
+    ux, uy, vx, vy = found
+    cell = F(0.5) * (
+        length_of(np.maximum(ux * ux + uy * uy, F(1e-6)))
+        + length_of(np.maximum(vx * vx + vy * vy, F(1e-6)))
+    )
+    return Steps(ux=ux, uy=uy, vx=vx, vy=vy, cell=cell, known=known)
+
+
+def side_sums(plane: Plane, x: Real, y: Real, parity: Whole, k: LatticeConstants) -> list[Whole]:
+    """Return the evidence of the sides to the right and down, (R, C) each, as sums of five
+    differences in sixteenths of a grey level; 0 where a node is missing."""
+    sums = []
+    for (r, c), sign in (((0, 1), parity), ((1, 0), -parity)):
+        dx, dy = shifted(x, r, c, np.nan) - x, shifted(y, r, c, np.nan) - y
+        both = np.flatnonzero(~np.isnan(dx.ravel()))
+        total = np.zeros(x.size, np.int64)
+        start, step = (x.ravel()[both], y.ravel()[both]), (dx.ravel()[both], dy.ravel()[both])
+        total[both] = side_sum(plane, start, step, k) * sign.ravel()[both]
+        sums.append(total.reshape(x.shape))
+    return sums
+
+
+def cells_at(
+    plane: Plane, x: Real, y: Real, steps: Steps, parity: Whole, k: LatticeConstants
+) -> tuple[Whole, Whole]:
+    """Return of the four cells at each node the least bright less the greatest dark level, and
+    twice their contrast, in sixteenths of a grey level."""
+    quality = np.full(x.shape, 1 << 20)
+    contrast = np.zeros(x.shape, np.int64)
+    for depth in k.cell_depths:
+        f = F(depth)
+        sx, sy, tx, ty = (
+            f * (steps.ux + steps.vx),
+            f * (steps.uy + steps.vy),
+            f * (steps.vx - steps.ux),
+            f * (steps.vy - steps.uy),
+        )
+        dark = read(plane, x + sx, y + sy), read(plane, x - sx, y - sy)
+        bright = read(plane, x + tx, y + ty), read(plane, x - tx, y - ty)
+        least = np.minimum(bright[0], bright[1]) - np.maximum(dark[0], dark[1])
+        other = np.minimum(dark[0], dark[1]) - np.maximum(bright[0], bright[1])
+        quality = np.minimum(quality, np.where(parity > 0, least, other))
+        if depth == k.cell_depths[0]:
+            contrast = ((bright[0] + bright[1]) - (dark[0] + dark[1])) * parity
+    return quality, contrast
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Evidence:
+    """score: nats (R, C); count: sides; misfit: squared distance from the prediction, cells^2, 0
+    where unknown; weight: of the prediction; at_x, at_y: the prediction."""
+
+    score: Real
+    count: Whole
+    misfit: Real
+    weight: Real
+    at_x: Real
+    at_y: Real
+    steps: Steps
+    side: list[Real]
+    quality: Real
+
+
+def evidence(
+    plane: Plane,
+    board: Board,
+    k: LatticeConstants,
+    new: tuple[Real, Real] | None = None,
+) -> Evidence:
+    """Return the score of each node of the board, or of new positions in their places.
+
+    new: x, y (R, C), NaN where there is none. Their sides lead to the board's own nodes.
+    """
+    there, parity = board.there, board.parity()
+    steps = steps_of(board.x, board.y)
+    at_x, at_y, weight = predicted(board.x, board.y)
+    x, y = (board.x, board.y) if new is None else new
+    filled_x, filled_y = np.nan_to_num(x), np.nan_to_num(y)
+    quality, contrast = cells_at(plane, filled_x, filled_y, steps, parity, k)
+    if new is not None:
+        own = np.nan_to_num(board.x), np.nan_to_num(board.y)
+        contrast = cells_at(plane, *own, steps, parity, k)[1]
+    contrast = np.where(there & steps.known, contrast, 0)
+    total, many = np.zeros(x.shape, np.int64), np.zeros(x.shape, np.int64)
+    for i in range(-2, 3):
+        for j in range(-2, 3):
+            total = total + shifted(contrast, i, j, 0)
+            many = many + shifted((there & steps.known).astype(np.int64), i, j, 0)
+    many = np.maximum(many, 1)
+    total = np.maximum(total, LEAST_CONTRAST * many)
+    share = (2 * many).astype(np.float32) * inverse(total.astype(np.float32))
+
+    if new is None:
+        right, down = side_sums(plane, x, y, parity, k)
+        sums = [right, down, shifted(right, 0, -1, 0), shifted(down, -1, 0, 0)]
+    else:
+        sums = _sides_to(plane, board, x, y, parity, k)
+    sides, count, all_sides = np.zeros(x.shape, np.float32), np.zeros(x.shape, np.int64), []
+    for (r, c), each in zip(FOUR, sums, strict=True):
+        seen = ~np.isnan(shifted(board.x, r, c, np.nan)) & ~np.isnan(x)
+        whole = np.clip((each.astype(np.float32) * share) * F(0.2), F(-1), F(1))
+        sides = np.where(seen, sides + whole, sides)
+        all_sides.append(np.where(seen, whole, F(np.nan)))
+        count = count + seen
+    cells = np.clip(quality.astype(np.float32) * share, F(-1), F(1))
+    dx, dy = filled_x - at_x, filled_y - at_y
+    with np.errstate(over="ignore", invalid="ignore"):
+        misfit = (dx * dx + dy * dy) * inverse(np.maximum(steps.cell * steps.cell, F(1e-6)))
+    misfit = np.where(weight > 0, misfit, F(0))
+    far = np.minimum(misfit, F(k.misfit_cap_cells**2))
+    firm, loose = F(0.5 / k.firm_sd_cells**2), F(0.5 / k.loose_sd_cells**2)
+    penalty = far * np.where(weight >= FIRM, firm, loose)
+    score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + F(k.prior_nats)) - penalty
+    height, width = plane.shape
+    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    score = np.where(inside, score, OUTSIDE)
+    return Evidence(
+        score=np.where(np.isnan(x), F(np.nan), score),
+        count=count,
+        misfit=misfit,
+        weight=weight,
+        at_x=at_x,
+        at_y=at_y,
+        steps=steps,
+        side=all_sides,
+        quality=cells,
+    )
+
+
+def _sides_to(
+    plane: Plane, board: Board, x: Real, y: Real, parity: Whole, k: LatticeConstants
+) -> list[Whole]:
+    """Return the sides from new positions to the board's own neighbours; sampled from the upper or
+    the left end, as `side_sums`."""
+    sums = []
+    for r, c in FOUR:
+        ox, oy = shifted(board.x, r, c, np.nan), shifted(board.y, r, c, np.nan)
+        both = np.flatnonzero((~np.isnan(ox) & ~np.isnan(x)).ravel())
+        here, there = (x.ravel()[both], y.ravel()[both]), (ox.ravel()[both], oy.ravel()[both])
+        sign = (parity if r == 0 else -parity).ravel()[both]
+        if r + c < 0:
+            here, there, sign = there, here, -sign
+        total = np.zeros(x.size, np.int64)
+        step = there[0] - here[0], there[1] - here[1]
+        total[both] = side_sum(plane, here, step, k) * sign
+        sums.append(total.reshape(x.shape))
+    return sums
+
+
+# --- rounds -------------------------------------------------------------------------------
+
+
+def settled(
+    plane: Plane, xy: NDArray[np.float32], board: Board, look: SecondLook, k: LatticeConstants
+) -> Board:
+    """Return the board after rounds of dropping, attaching and second looks, until none changes it.
+
+    xy: (N, 2), all corners. look: given x and y of predictions (M,), px, the cell there and a step
+    (x, y) along e0 and e2, returns x and y of the corners there, NaN without one.
+    """
+    looked_x = np.full(board.x.shape, F(-1e6))
+    looked_y = looked_x.copy()
+    for _ in range(k.rounds):
+        board = dropped(plane, board, k)
+        if np.count_nonzero(board.there) < 4:
+            break
+        now = evidence(plane, board, k)
+        there, known = board.there, now.steps.known & (now.weight > 0)
+        beside = np.zeros(there.shape, np.bool_)
+        for step in FOUR:
+            beside |= shifted(there, *step, False)
+        height, width = plane.shape
+        px, py = now.at_x, now.at_y
+        inside = (px > 0) & (py > 0) & (px < width - 1) & (py < height - 1)
+        torn = there & (now.weight >= FIRM) & (now.misfit > F(k.repair_cells**2))
+        want = ((~there & beside & known) | torn) & inside
+        row, column = (each.astype(np.int64) for each in np.nonzero(want))
+        if not len(row):
+            break
+        new_x, new_y = (np.full(there.shape, np.nan, np.float32) for _ in range(2))
+        new_owner = np.full(there.shape, NONE)
+        cell = now.steps.cell[row, column]
+        nearest, square = _nearest(xy, px[row, column], py[row, column])
+        used = np.zeros(len(xy), np.bool_)
+        used[board.owner[board.owner >= 0]] = True
+        reach = F(k.reach_cells) * cell
+        within = square < reach * reach
+        hole = ~torn[row, column]
+        good = hole & within & ~used[nearest]
+        r, c = row[good], column[good]
+        new_x[r, c], new_y[r, c] = xy[nearest[good]].T
+        new_owner[r, c] = nearest[good]
+        close = F(k.repair_cells) * cell
+        taken = used[nearest] & (square < close * close)
+        ask = ~hole | (~good & ~taken)
+        r, c = row[ask], column[ask]
+        fresh = ((np.abs(px - looked_x) > 0.5) | (np.abs(py - looked_y) > 0.5))[r, c]
+        r, c = r[fresh], c[fresh]
+        if len(r):
+            looked_x[r, c], looked_y[r, c] = px[r, c], py[r, c]
+            steps, parity = now.steps, board.parity()[r, c]
+            even = parity > 0
+            line = (
+                np.where(even, steps.ux[r, c], steps.vx[r, c]),
+                np.where(even, steps.uy[r, c], steps.vy[r, c]),
+            )
+            new_x[r, c], new_y[r, c] = look(px[r, c], py[r, c], steps.cell[r, c], line)
+            new_owner[r, c] = np.where(np.isnan(new_x[r, c]), NONE, LOOKED)
+        found = evidence(plane, board, k, (new_x, new_y))
+        least = np.where(torn, now.score + F(k.enter_nats), F(k.enter_nats))
+        edge = F(k.edge_px)
+        near_edge = (new_x < edge) | (new_y < edge)
+        near_edge |= (new_x > width - 1 - edge) | (new_y > height - 1 - edge)
+        take = (new_owner != NONE) & (found.score >= least)
+        take &= ~((new_owner == LOOKED) & near_edge)
+        take &= _first_claims(new_owner, found.score, take)
+        if not take.any():
+            break
+        board = Board(
+            x=np.where(take, new_x, board.x),
+            y=np.where(take, new_y, board.y),
+            owner=np.where(take, new_owner, board.owner),
+            sign=board.sign,
+        )
+    return board
+
+
+def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
+    """Return the board without nodes that score too little, the worst of each 3 x 3 first."""
+    for _ in range(k.drop_passes):
+        now = evidence(plane, board, k)
+        score, there = now.score, board.there
+        worst = np.full(score.shape, F(99))
+        for i in range(-1, 2):
+            for j in range(-1, 2):
+                worst = np.fmin(worst, shifted(score, i, j, np.nan))
+        low = score < F(k.stay_nats)
+        bad = there & ((now.count == 0) | (low & ((score <= worst) | (score < 0))))
+        if not bad.any():
+            break
+        board = Board(
+            x=np.where(bad, F(np.nan), board.x),
+            y=np.where(bad, F(np.nan), board.y),
+            owner=np.where(bad, NONE, board.owner),
+            sign=board.sign,
+        )
+    return board
+
+
+def _nearest(xy: NDArray[np.float32], x: Real, y: Real) -> tuple[Whole, Real]:
+    """Return the nearest corner to each point, the lower index of equals, and its squared
+    distance."""
+    best: Whole = np.zeros(len(x), np.int64)
+    least = np.full(len(x), np.inf, np.float32)
+    for first in range(0, len(x), 1024):
+        some = np.s_[first : first + 1024]
+        dx, dy = xy[:, 0] - x[some, None], xy[:, 1] - y[some, None]
+        square = np.where(np.isnan(dx), np.inf, dx * dx + dy * dy)
+        best[some] = square.argmin(axis=1)
+        least[some] = square.min(axis=1)
+    return best, least
+
+
+def _first_claims(owner: Whole, score: Real, take: Mask) -> Mask:
+    """Return whether a node has the best score of those that claim its corner; of equals the
+    first."""
+    claims = np.flatnonzero((take & (owner >= 0)).ravel())
+    order = claims[np.lexsort((claims, -score.ravel()[claims]))]
+    _, first = np.unique(owner.ravel()[order], return_index=True)
+    good = np.ones(take.size, np.bool_)
+    good[np.setdiff1d(order, order[first])] = False
+    return good.reshape(take.shape)
