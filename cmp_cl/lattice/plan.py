@@ -1,0 +1,159 @@
+"""The plan of the lattice: buffers and bound kernels from the corners of a frame to its board.
+
+A plan serves frames of one shape and pixel type, with up to `capacity` corners. It allocates once.
+"""
+
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from cmp_cl.image import GreyImage
+from cmp_cl.lattice import links, parts
+from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
+from cmp_cl.opencl.program import Programs
+from cmp_cl.opencl.shared import shared_buffer, shares_memory
+from cmp_cl.stages.layout import LEAST_PAD
+from cmp_cl.stages.refine import EDGES, POSITION, RESULT_FIELDS, RESULT_HEAD
+
+FILES = ("bins", "links", "faces", "parts")
+SHARED = ("image", "corners")  # buffers that the host writes
+ONE_GROUP = 256  # work-items of a kernel that is one work-group
+LANES = 8  # the fields of the corners have a multiple of so many elements
+
+
+class LatticePlan(Binder):
+    """Buffers and bound kernels for one frame at a time.
+
+    shape: (H, W) of a frame. dtype: uint8 or uint16. full_scale: its largest grey level. capacity:
+    the most corners. constants: those of the lattice. pad: columns of padding on either side of the
+    image; step: elements of a row; start: the first element of the first row.
+    """
+
+    def __init__(
+        self,
+        *,
+        queue: cl.CommandQueue,
+        programs: Programs,
+        device: Device,
+        shape: tuple[int, int],
+        dtype: np.dtype[Any],
+        full_scale: int,
+        capacity: int,
+        constants: LatticeConstants,
+    ) -> None:
+        super().__init__(queue, device)
+        self.shape = shape
+        self.dtype = dtype
+        self.full_scale = full_scale
+        self.capacity = multiple(capacity, GROUP)
+        self.constants = constants
+        self.pad = LEAST_PAD
+        self.step = multiple(shape[1] + 2 * self.pad, GROUP)
+        self.start = self.step
+        self.kernels = programs.kernels(FILES, self._defines)
+        self._here: dict[str, NDArray[Any]] = {}
+        self.buffers = {name: self._buffer(name, size) for name, size in self.sizes.items()}
+        self.launches = [*links.launches(self), *parts.launches(self)]
+
+    @property
+    def _defines(self) -> dict[str, str | int]:
+        whole = self.dtype == np.uint8 and self.full_scale == 255
+        return {
+            "PIXEL": "uchar" if self.dtype == np.uint8 else "ushort",
+            "PAD": self.pad,
+            "WHOLE_LEVELS": int(whole),
+            "HEAD": RESULT_HEAD,
+            "EDGES_FIELD": EDGES.start,
+        }
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Return the bytes of every buffer, by name."""
+        return {
+            "image": (self.shape[0] + 2) * self.step * self.dtype.itemsize,
+            "corners": 4 * (RESULT_HEAD + RESULT_FIELDS * self.capacity),
+            **links.sizes(self),
+            **parts.sizes(self),
+        }
+
+    def _buffer(self, name: str, size: int) -> cl.Buffer:
+        """Return a buffer, in memory shared with the host if it is one of SHARED and the device
+        can."""
+        if name in SHARED and shares_memory(self.device.handle):
+            buffer, self._here[name] = shared_buffer(self.queue.context, size)
+            return buffer
+        return cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, size)
+
+    # How kernels are bound
+
+    @property
+    def size(self) -> dict[str, Any]:
+        """Return the rows and columns of the image, by argument."""
+        return {"rows": np.uint32(self.shape[0]), "columns": np.uint32(self.shape[1])}
+
+    @property
+    def levels(self) -> dict[str, Any]:
+        """Return the smoothed image, by argument."""
+        return {
+            "levels": self.buffers["levels"],
+            "level_step": np.uint32(self.step),
+            **self.size,
+        }
+
+    @property
+    def corners(self) -> dict[str, Any]:
+        """Return the corners in the layout of kernels/result.clh, by argument."""
+        return {"corners": self.buffers["corners"], "capacity": np.uint32(self.capacity)}
+
+    @property
+    def width(self) -> int:
+        """Return the work-items of a group of a kernel over pixels: on a CPU a whole row."""
+        return self.step if self.device.kind is DeviceKind.CPU else GROUP
+
+    def of_corners(self, name: str, **arguments: Any) -> Launch:
+        """Bind a kernel with one work-item per corner."""
+        return self.stage(name, (self.capacity,), (GROUP,), **arguments)
+
+    def of_half_edges(self, name: str, **arguments: Any) -> Launch:
+        """Bind a kernel with one work-item per half-edge."""
+        return self.stage(name, (4 * self.capacity,), (GROUP,), **arguments)
+
+    def one_group(self, name: str, **arguments: Any) -> Launch:
+        """Bind a kernel that is one work-group; on a CPU it is one work-item."""
+        items = 1 if self.device.kind is DeviceKind.CPU else ONE_GROUP
+        return self.stage(name, (items,), (items,), **arguments)
+
+    # What happens in a frame
+
+    def take(self, image: GreyImage, xy: NDArray[np.float32], edges: NDArray[np.float32]) -> None:
+        """Give the plan an image and its corners: (H, W), (N, 2) px, (N, 4) rad."""
+        count, pad = len(xy), self.pad
+        padded = np.empty((self.shape[0] + 2, self.step), self.dtype)
+        padded[1:-1, pad:-pad][:, : self.shape[1]] = image
+        padded[1:-1, :pad] = image[:, :1]
+        padded[1:-1, pad + self.shape[1] :] = image[:, -1:]
+        numbers = np.zeros(RESULT_HEAD + EDGES.stop * multiple(count, LANES), np.float32)
+        numbers[:1].view(np.uint32)[0] = count
+        for field, values in ((POSITION, xy), (EDGES, edges)):
+            first = RESULT_HEAD + field.start * multiple(count, LANES)
+            numbers[first : first + values.size] = values.ravel()
+        for name, values in (("image", padded), ("corners", numbers)):
+            if name in self._here:
+                self._here[name].view(values.dtype)[: values.size] = values.ravel()
+            else:
+                cl.enqueue_copy(self.queue, self.buffers[name], values)
+
+    def launch(self) -> None:
+        """Enqueue the launches of a frame."""
+        for _, kernel, items, group, _ in self.launches:
+            cl.enqueue_nd_range_kernel(self.queue, kernel, items, group)
+
+    def read(self, name: str, dtype: Any) -> NDArray[Any]:
+        """Return a buffer, once the launches are done."""
+        values = np.empty(self.sizes[name] // np.dtype(dtype).itemsize, dtype)
+        cl.enqueue_copy(self.queue, values, self.buffers[name])
+        return values
