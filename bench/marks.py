@@ -15,8 +15,9 @@ import numpy as np
 from environment import environment, parser_of, write_result
 from scenes import TEST_SEED, rendered
 
-from cmp_cl import Detector, DetectorConfig, detect, drop_marks
+from cmp_cl import Detector, DetectorConfig, detect
 from cmp_cl.image import GreyImage
+from cmp_cl.marks import drop_marks
 from cmp_cl.synthetic import random_scene
 from cmp_cl.synthetic.scoring import Score, score, total
 

@@ -285,7 +285,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(json.dumps({"corners": corners, **milliseconds(lambda: detector(image), 100)}))
         return 0
     chosen = cmp_cl.select_device(device)
-    on_gpu = chosen.kind is cmp_cl.DeviceKind.GPU
+    on_gpu = chosen.kind is cmp_cl.opencl.device.DeviceKind.GPU
     print(f"{chosen}, driver {chosen.driver}")
     shapes = SIZES[:4] if arguments.quick else [*SIZES, LARGEST]
     frames = many(BATCHES[:3] if arguments.quick else BATCHES, device)

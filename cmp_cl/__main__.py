@@ -2,6 +2,6 @@
 
 import sys
 
-from cmp_cl.cli.main import main
+from cmp_cl.cli.starting import main
 
 sys.exit(main())

@@ -18,16 +18,13 @@ from cmp_cl import (
     GridError,
     ImageError,
     StereoRig,
-    align,
     build_grid,
     calibrate,
     calibrate_camera,
     cluster,
     detect,
-    drop_marks,
     media,
     reference,
-    refine_markers,
     series,
 )
 from cmp_cl.cameras import CameraSettings, Source, is_live
@@ -44,7 +41,8 @@ from cmp_cl.field import (
     with_measured_noise,
     without_motion,
 )
-from cmp_cl.grid import filter_grid, filter_positions
+from cmp_cl.grid import align, filter_grid, filter_positions, refine_markers
+from cmp_cl.marks import drop_marks
 from cmp_cl.measure import (
     OneView,
     TwoViews,

@@ -24,12 +24,12 @@ from cmp_cl import (
     DetectorConfig,
     EdgeStep,
     Fit,
-    Maps,
     Midlines,
     RapidCriteria,
     SpectralCriteria,
     reference,
 )
+from cmp_cl.maps import Maps
 
 SCENES = {
     "board": Path(cmp_cl.__file__).parent / "data" / "board.png",

@@ -6,9 +6,10 @@ import os
 import pyopencl as cl
 import pytest
 
-from cmp_cl import Device, DeviceKind, list_devices, select_device
+from cmp_cl import Device, list_devices, select_device
 from cmp_cl.errors import DeviceError
 from cmp_cl.opencl import device as module
+from cmp_cl.opencl.device import DeviceKind
 
 
 def made_up(index: str, name: str, platform: str, kind: DeviceKind) -> Device:

@@ -446,7 +446,7 @@ uses = {{
     "select_device": cmp_cl.select_device,
     "Detector": lambda: cmp_cl.Detector(shape=image.shape, device=device),
     "detect": lambda: cmp_cl.detect(image),
-    "refine_markers": lambda: cmp_cl.refine_markers(
+    "refine_markers": lambda: cmp_cl.grid.refine_markers(
         rest.with_virtual_markers(1), 1, image, device
     ),
     "a detector of the parent": lambda: detector(image),

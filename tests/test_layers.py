@@ -3,6 +3,7 @@
 import ast
 import functools
 import re
+from collections import Counter
 from pathlib import Path
 
 import cmp_cl
@@ -28,6 +29,7 @@ LAYERS = [
     {"cli"},
 ]
 UPWARDS = {"config": {"cell"}}  # DetectorConfig.for_image estimates the cell when it is called
+FOLDERS_TO_SHRINK = {".", "cli", "grid", "reference", "space", "stages"}  # over twelve modules
 ASIDE = {"__main__", "__init__"}  # the entries, which import everything
 
 
@@ -103,3 +105,19 @@ def test_every_kernel_file_has_the_oracle_that_its_readme_names():
     for _, oracles in rows:
         for oracle in set(re.findall(r"`(\w+)`", oracles)):
             assert (ROOT / "reference" / f"{oracle}.py").is_file(), oracle
+
+
+def test_nothing_but_tests_and_benches_imports_the_oracle():
+    importing = {
+        name
+        for name, path in modules().items()
+        if not name.startswith("reference")
+        and any(other.startswith("reference") for other in imported(path, everywhere=True))
+    }
+    assert importing == set()
+
+
+def test_a_folder_has_at_most_twelve_modules():
+    counts = Counter(path.parent for path in modules().values() if path.name != "__init__.py")
+    large = {path.relative_to(ROOT).as_posix() for path, count in counts.items() if count > 12}
+    assert large <= FOLDERS_TO_SHRINK

@@ -9,9 +9,9 @@ import pytest
 from corner_images import board
 
 import cmp_cl
-from cmp_cl import DetectorConfig, EdgeLines, Midlines, drop_marks
+from cmp_cl import DetectorConfig, EdgeLines, Midlines
 from cmp_cl.errors import ConfigError, ImageError
-from cmp_cl.marks import edge_lengths
+from cmp_cl.marks import drop_marks, edge_lengths
 from cmp_cl.synthetic import random_scene, render
 from cmp_cl.synthetic.scoring import match
 

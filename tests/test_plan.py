@@ -14,7 +14,6 @@ from cmp_cl import (
     Detector,
     DetectorConfig,
     Device,
-    DeviceKind,
     EdgeLines,
     EdgeStep,
     Fit,
@@ -23,6 +22,7 @@ from cmp_cl import (
     RingHarmonic,
     SpectralCriteria,
 )
+from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.stages.form import Form
 from cmp_cl.stages.plan import Plan, Plans
 from cmp_cl.stages.refine import RESULT_HEAD

@@ -15,11 +15,11 @@ from cmp_cl import (
     BinaryRings,
     DetectorConfig,
     EdgeStep,
-    Maps,
     RapidCriteria,
     RingHarmonic,
     SpectralCriteria,
 )
+from cmp_cl.maps import Maps
 
 SIDE = 47
 CONFIGS = [

@@ -121,7 +121,7 @@ def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
 
 
 def align_views(left: Grid, right: Grid) -> Grid:
-    """Return the right grid with the numbers of the left one, see `cmp_cl.align`.
+    """Return the right grid with the numbers of the left one, see `cmp_cl.grid.align`.
 
     The two cameras of a rig have nearly the same side up. If the rows of the two views differ by
     more than 60 degrees, one of the views is numbered wrongly.

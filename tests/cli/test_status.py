@@ -13,7 +13,6 @@ import pytest
 
 from cmp_cl import CalibrationError, KernelBuildError
 from cmp_cl.cli import main as cli
-from cmp_cl.cli import starting
 
 PROJECT = Path(__file__).parents[2]
 (COMMANDS,) = (
@@ -121,21 +120,6 @@ def test_a_signal_while_modules_are_imported_is_130_and_one_line(tmp_path, name)
     child.send_signal(getattr(signal, name))
     assert child.communicate(timeout=60) == ("", "cmp-cl: interrupted\n")
     assert child.returncode == 130
-
-
-@pytest.mark.parametrize(
-    ("program", "arguments", "ours"),
-    [
-        ("/usr/bin/cmp-cl", ["python", "/usr/bin/cmp-cl", "devices"], True),
-        ("C:\\bin\\cmp-cl.exe" if os.name == "nt" else "cmp-cl.py", ["cmp-cl"], True),
-        ("-m", ["python", "-m", "cmp_cl", "devices"], True),
-        ("-m", ["python", "-m", "pytest"], False),
-        ("program.py", ["python", "program.py", "cmp_cl"], False),
-        ("", ["python"], False),
-    ],
-)
-def test_only_the_command_answers_ctrl_c_in_place_of_python(program, arguments, ours):
-    assert starting.is_command(program, arguments) is ours
 
 
 def test_json_lines_to_a_closed_standard_output_are_refused():

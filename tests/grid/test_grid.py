@@ -12,11 +12,11 @@ from cases import some
 from configs import rings
 from lattices import board, drawn, joined, keep
 
-from cmp_cl import build_grids, detect, reference, synthetic
+from cmp_cl import detect, reference, synthetic
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError, ImageError
-from cmp_cl.grid import Grid, NodeStatus, build_grid
+from cmp_cl.grid import Grid, NodeStatus, build_grid, build_grids
 from cmp_cl.grid.grow import drop_misfits
 from cmp_cl.grid.joints import cut
 from cmp_cl.grid.lattice import _counted, lattice, lines_of, near_pairs

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_cl import DetectorConfig, build_grid, build_grids, detect
+from cmp_cl import DetectorConfig, build_grid, detect
 from cmp_cl.errors import GridError
+from cmp_cl.grid import build_grids
 from cmp_cl.grid.build import Board, Ended, _others
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.grid.grow import Seen

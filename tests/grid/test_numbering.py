@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from lattices import Board, board, drawn, endless, joined, keep
 
-from cmp_cl import align, build_grids, detect, reference
+from cmp_cl import detect, reference
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.errors import GridError
-from cmp_cl.grid import Grid, NodeStatus, Sides, build_grid
+from cmp_cl.grid import Grid, NodeStatus, Sides, align, build_grid, build_grids
 from cmp_cl.grid.align import row_direction
 from cmp_cl.grid.border import Border, common_reach
 from cmp_cl.grid.evidence import _typical

@@ -171,7 +171,7 @@ def test_a_corner_whose_refinement_was_rejected_counts_as_torn():
     moved = np.abs(found.xy @ [1, 1j] - corners[TORN]).argmin()
     xy, refusal = found.xy.copy(), found.refusal.copy()
     xy[moved] += 1.7
-    refusal[moved] = cmp_cl.Refusal.SHIFT
+    refusal[moved] = cmp_cl.corners.Refusal.SHIFT
     torn = dataclasses.replace(found, xy=xy, refusal=refusal)
     assert build_grid(torn, image, shape=(SIZE, SIZE)).status[TORN] == NodeStatus.SECOND_LOOK
 

@@ -19,10 +19,10 @@ from cmp_cl import (
     Method,
     Midlines,
     RapidCriteria,
-    Refusal,
     SpectralCriteria,
     reference,
 )
+from cmp_cl.corners import Refusal
 
 EIGHT = images.eight_bits()
 DEEP = images.sixteen_bits()

@@ -2,7 +2,8 @@
 
 import dataclasses
 
-from cmp_cl import Device, DeviceKind
+from cmp_cl import Device
+from cmp_cl.opencl.device import DeviceKind
 from cmp_cl.stages.form import Form
 
 KINDS = {Form.CPU: DeviceKind.CPU, Form.PORTABLE: DeviceKind.GPU}
