@@ -24,6 +24,7 @@ LAYERS = [
     {"detector"},
     {"series", "space"},
     {"cameras", "field"},
+    {"motion"},
     {"viz"},
     {"cluster", "measure"},
     {"cli"},

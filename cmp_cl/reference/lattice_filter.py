@@ -65,6 +65,60 @@ class Filtered:
     margin: Floats
 
 
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Whole:
+    """A lattice that was filtered without a search for parts, as kernels/filter.cl does.
+
+    values: (R, C, K). sigma, noise, refused, margin: as in `Filtered`. common: (R, C, K, K), the
+    covariance of the coordinates from the residuals of the votes around, over its mean diagonal.
+    weights: (A, B, R, C), of the pairs. gain: (R, C), the share of the variance that they leave.
+    """
+
+    values: Floats
+    sigma: Floats
+    noise: Floats
+    refused: Bools
+    margin: float
+    common: Floats
+    weights: Floats
+    gain: Floats
+
+
+def filter_whole(values: Floats, measured: Bools, most_noise: Floats) -> Whole:
+    """Filter displacements (R, C, K), NaN where missing, as one part without its bilinear surface.
+
+    A node with a value that is not measured has no vote and gets the mean of its neighbours; a hole
+    is filled like one without a vote. most_noise: (R, C), NaN where unknown.
+    """
+    there = np.asarray(np.isfinite(values).all(axis=2), np.bool_)
+    votes = there & measured
+    found = _component(values, votes, most_noise, bends=True, plane=False)
+    kept, s2, smooth, variance, margin = found[:5]
+    residual, weights, gain = found[5:]
+    gone = votes & ~kept
+    off = ((values - smooth) ** 2).mean(axis=2)
+    variance = np.where(kept, variance, s2)
+    variance = np.where(gone, np.maximum(off, s2), variance)
+    changed = there & ~gone & np.isfinite(variance)
+    common = np.zeros((*there.shape, values.shape[2], values.shape[2]))
+    for r, c in np.ndindex(*there.shape):
+        near = np.where(kept, _near(there.shape, r, c, 2.0), 0)
+        sums = np.einsum("rc,rci,rcj->ij", near, residual, residual)
+        mean = np.trace(sums) / len(sums)
+        common[r, c] = sums / mean if mean > 0 else np.eye(len(sums))
+    rows, columns = (sum(n >= 2 * side + 1 for side, _ in PAIRED_BENDING) for n in there.shape)
+    return Whole(
+        values=np.where(changed[..., None], smooth, values),
+        sigma=np.where(there, np.sqrt(variance), np.nan),
+        noise=np.where(there, np.sqrt(s2), np.nan),
+        refused=gone,
+        margin=margin,
+        common=common,
+        weights=weights.reshape(rows, columns, *there.shape),
+        gain=gain,
+    )
+
+
 def filter_grid(
     values: Floats,
     measured: Bools | None = None,
@@ -86,7 +140,7 @@ def filter_grid(
         rows, columns = np.nonzero(votes & part)
         box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
         here = there[box] & part[box]
-        kept, s2, smooth, variance, near = _component(
+        kept, s2, smooth, variance, near, *_ = _component(
             values[box],
             votes[box] & part[box],
             None if most_noise is None else most_noise[box],
@@ -130,11 +184,13 @@ def _components(votes: Bools) -> list[Bools]:
 
 
 def _component(
-    given: Floats, votes: Bools, most: Floats | None, *, bends: bool
-) -> tuple[Bools, Floats, Floats, Floats, float]:
-    """Return the kept votes, s2, the filtered values (R, C, K), their variance, the margin."""
-    plane = _plane(given, votes)
-    data = np.where(votes[..., None], given - plane, 0)
+    given: Floats, votes: Bools, most: Floats | None, *, bends: bool, plane: bool = True
+) -> tuple[Bools, Floats, Floats, Floats, float, Floats, Floats, Floats]:
+    """Return the kept votes, s2, the filtered values (R, C, K), their variance, the margin, the
+    residual of the pilot, the weights of the pairs, and the share of the variance that they
+    leave."""
+    surface = _plane(given, votes) if plane else np.zeros(given.shape)
+    data = np.where(votes[..., None], given - surface, 0)
     if not votes.all():
         data = _filled(data, votes)
     margin = math.inf
@@ -151,8 +207,10 @@ def _component(
     chosen = _least_noise(data, kept, s2) if bends else s2
     if most is not None:
         chosen = np.where(np.isnan(most), chosen, np.minimum(chosen, most**2))
-    values, variance = _mixture(data, kept, s2, chosen, PAIRED_BENDING if bends else PAIRED)
-    return kept, s2, values + plane, variance, margin
+    values, variance, weights, gain = _mixture(
+        data, kept, s2, chosen, PAIRED_BENDING if bends else PAIRED
+    )
+    return kept, s2, values + surface, variance, margin, residual, weights, gain
 
 
 def _plane(values: Floats, votes: Bools) -> Floats:
@@ -247,7 +305,8 @@ def _mixture(
     s2: Floats,
     chosen: Floats,
     paired: tuple[tuple[int, int], ...],
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the values, their variance, the weights (P, R, C), and the share of the variance."""
     rows, columns, _ = data.shape
     estimates, risks, gains, owns = [], [], [], []
     for h_row, p_row in paired:
@@ -277,8 +336,8 @@ def _mixture(
     mean_risk = (weights * np.where(weights > 0, risk, 0)).sum(axis=0)
     mean_own = (weights * np.array(owns)).sum(axis=0)
     expected = chosen * mean_risk + 2 * (s2 - chosen) * mean_own - s2
-    variance = np.maximum(expected, chosen * (weights * gain).sum(axis=0))
-    return values, variance
+    share = (weights * gain).sum(axis=0)
+    return values, np.maximum(expected, chosen * share), weights, share
 
 
 def _least_noise(data: Floats, votes: Bools, s2: Floats) -> Floats:

@@ -1,0 +1,283 @@
+#include "field.clh"
+
+/* From the nodes of two views to their displacement in space. REAL is double where the device has
+ * it; float32 errs by some hundredths of a micrometre on points a few centimetres away. */
+
+#if DOUBLE
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+typedef double REAL;
+#else
+typedef float REAL;
+#endif
+
+#define MOST_STEPS 30
+#define ROUND_TRIP ((REAL)1e-2) /* px, from a pixel through the lens and back */
+#define LEAST_SINE_2 0.030153689f /* the square of the sine of 10 degrees */
+
+/* Why a node has no position, as PointStatus in cmp_cl/space/points.py. */
+#define MISSING 0
+#define VALID 1
+#define PARALLEL 2
+#define BEHIND 3
+#define INCONSISTENT 4
+
+#define LAST_MEASURED 3 /* of NodeStatus: detected, attached, found by a second look */
+
+/* A camera: fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4, then rotation (9) and translation (3)
+ * from the left camera, then the centre of the camera there (3). */
+#define CAMERA 31
+#define K1 camera[4]
+#define K2 camera[5]
+#define P1 camera[6]
+#define P2 camera[7]
+#define K3 camera[8]
+#define K4 camera[9]
+#define K5 camera[10]
+#define K6 camera[11]
+#define S1 camera[12]
+#define S2 camera[13]
+#define S3 camera[14]
+#define S4 camera[15]
+#define ROTATION (camera + 16)
+#define TRANSLATION (camera + 25)
+#define CENTRE (camera + 28)
+
+/* The pixel of a point (x, y) of the plane at distance 1, and its derivatives xx xy yx yy. */
+void distort(__global const REAL *camera, const REAL x, const REAL y, REAL *pixel, REAL *slope) {
+  const REAL r = x * x + y * y;
+  const REAL over = 1 + r * (K4 + r * (K5 + r * K6));
+  const REAL g = (1 + r * (K1 + r * (K2 + r * K3))) / over;
+  const REAL by_r =
+      (K1 + r * (2 * K2 + 3 * r * K3) - g * (K4 + r * (2 * K5 + 3 * r * K6))) / over;
+  const REAL fx = camera[0], fy = camera[1], thin_x = S1 + 2 * r * S2, thin_y = S3 + 2 * r * S4;
+  pixel[0] =
+      fx * (x * g + 2 * P1 * x * y + P2 * (r + 2 * x * x) + r * (S1 + r * S2)) + camera[2];
+  pixel[1] =
+      fy * (y * g + P1 * (r + 2 * y * y) + 2 * P2 * x * y + r * (S3 + r * S4)) + camera[3];
+  const REAL mixed = 2 * x * y * by_r + 2 * P1 * x + 2 * P2 * y;
+  slope[0] = fx * (g + 2 * x * x * by_r + 2 * P1 * y + 6 * P2 * x + 2 * x * thin_x);
+  slope[1] = fx * (mixed + 2 * y * thin_x);
+  slope[2] = fy * (mixed + 2 * x * thin_y);
+  slope[3] = fy * (g + 2 * y * y * by_r + 6 * P1 * y + 2 * P2 * x + 2 * y * thin_y);
+}
+
+/* The point of the plane at distance 1 that a pixel shows, by Newton's method; false if the lens
+ * cannot be inverted there. */
+int undistort(__global const REAL *camera, const REAL *pixel, REAL *point) {
+  REAL x = (pixel[0] - camera[2]) / camera[0], y = (pixel[1] - camera[3]) / camera[1];
+  REAL seen[2], slope[4], off_x = 0, off_y = 0;
+  for (int step = 0; step < MOST_STEPS; ++step) {
+    distort(camera, x, y, seen, slope);
+    off_x = pixel[0] - seen[0];
+    off_y = pixel[1] - seen[1];
+    if (off_x * off_x + off_y * off_y < EXACT * EXACT) break;
+    const REAL determinant = slope[0] * slope[3] - slope[1] * slope[2];
+    x += (slope[3] * off_x - slope[1] * off_y) / determinant;
+    y += (slope[0] * off_y - slope[2] * off_x) / determinant;
+  }
+  point[0] = x;
+  point[1] = y;
+  return off_x * off_x + off_y * off_y < ROUND_TRIP * ROUND_TRIP;
+}
+
+/* The pixel of a point in the frame of the left camera, its two derivatives by the point, and its
+ * depth. */
+REAL project(__global const REAL *camera, const REAL *point, REAL *pixel, REAL *by_point) {
+  REAL there[3], slope[4];
+  for (int j = 0; j < 3; ++j)
+    there[j] = ROTATION[3 * j] * point[0] + ROTATION[3 * j + 1] * point[1] +
+               ROTATION[3 * j + 2] * point[2] + TRANSLATION[j];
+  const REAL x = there[0] / there[2], y = there[1] / there[2];
+  distort(camera, x, y, pixel, slope);
+  for (int j = 0; j < 3; ++j) {
+    const REAL by_x = (ROTATION[j] - x * ROTATION[6 + j]) / there[2];
+    const REAL by_y = (ROTATION[3 + j] - y * ROTATION[6 + j]) / there[2];
+    by_point[j] = slope[0] * by_x + slope[1] * by_y;
+    by_point[3 + j] = slope[2] * by_x + slope[3] * by_y;
+  }
+  return there[2];
+}
+
+REAL dot_3(const REAL *a, const REAL *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+void cross_3(const REAL *a, const REAL *b, REAL *result) {
+  result[0] = a[1] * b[2] - a[2] * b[1];
+  result[1] = a[2] * b[0] - a[0] * b[2];
+  result[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* The shift of a node by bent edges, px: parabolas along both lines and lines across them, fitted
+ * to BEND x BEND nodes; see bend_shift in cmp_cl/grid/filter/bends.py. bend_down, bend_along: the
+ * weights of the value of the line and of the first and second derivative of the parabola. It is 0
+ * if fewer than three quarters of the nodes are there, or if the lines nearly coincide. */
+float2 bend_of(__global const float2 *nodes, __global const uchar *status, const int row,
+               const int column, __global const float *bend_down,
+               __global const float *bend_along, const float radius) {
+  const int top = WINDOW_START(row, BEND_DOWN / 2, ROWS);
+  const int left = WINDOW_START(column, BEND_ALONG / 2, COLUMNS);
+  __global const float *down = bend_down + row * 3 * BEND_DOWN;
+  __global const float *along = bend_along + column * 3 * BEND_ALONG;
+  float2 t_down = 0, t_along = 0, k_down = 0, k_along = 0;
+  int count = 0;
+  for (int r = 0; r < BEND_DOWN; ++r) {
+    float2 value = 0, slope = 0, second = 0;
+    for (int c = 0; c < BEND_ALONG; ++c) {
+      const int j = (top + r) * COLUMNS + left + c;
+      count += status[j] != MISSING;
+      value += along[c] * nodes[j];
+      slope += along[BEND_ALONG + c] * nodes[j];
+      second += along[2 * BEND_ALONG + c] * nodes[j];
+    }
+    t_down += down[BEND_DOWN + r] * value;
+    k_down += down[2 * BEND_DOWN + r] * value;
+    t_along += down[r] * slope;
+    k_along += down[r] * second;
+  }
+  const float q_down = fmax(dot(t_down, t_down), 1e-30f);
+  const float q_along = fmax(dot(t_along, t_along), 1e-30f);
+  const float area = t_down.x * t_along.y - t_down.y * t_along.x;
+  if (!(area * area > LEAST_SINE_2 * q_down * q_along)) return 0;
+  if (4 * count < 3 * BEND_DOWN * BEND_ALONG) return 0;
+  const float bend_d = (t_down.x * k_down.y - t_down.y * k_down.x) / q_down;
+  const float bend_a = (t_along.x * k_along.y - t_along.y * k_along.x) / q_along;
+  return radius * radius / 6 / area * (bend_d * t_along - bend_a * t_down);
+}
+
+/* Triangulate the nodes that both views show, and subtract their position at rest. Sampson's step
+ * moves the image points onto each other's epipolar lines; then the middle of the shortest segment
+ * between their rays; then one Gauss-Newton step on the reprojection error, weighted by 1 / sigma^2.
+ *
+ * nodes: of a view, complete, px of the view; status: of NodeStatus; sigma: px, not positive if
+ * unknown. rest: positions (3 planes), rest_*: their status, source, covariance (6 planes) and
+ * motion by bent edges (3 planes). moved: 3 planes, 0 where not valid. points: the sum of the
+ * covariances of both moments. own: the variance now per axis. One work-item a node. */
+__kernel void space(__global const float2 *nodes_left, __global const float2 *nodes_right,
+                    __global const uchar *status_left, __global const uchar *status_right,
+                    __global const float *sigma_left, __global const float *sigma_right,
+                    __global const REAL *left, __global const REAL *right,
+                    const REAL least_sine, const float largest_error,
+                    __global const float *bend_down, __global const float *bend_along,
+                    const float radius_left, const float radius_right,
+                    __global const REAL *rest, __global const uchar *rest_status,
+                    __global const uchar *rest_source, __global const float *rest_points,
+                    __global const float *rest_bent, __global float *moved,
+                    __global float *points, __global float *own, __global float *bent,
+                    __global uchar *status, __global uchar *source, __global uchar *valid,
+                    __global uchar *measured, __global uchar *votes, __global int *counts) {
+  const int i = get_global_id(0);
+  if (i >= NODES) return;
+  const int there = status_left[i] != MISSING && status_right[i] != MISSING;
+  const uchar worse = max(status_left[i], status_right[i]);
+  source[i] = there && rest_source[i] != MISSING ? max(worse, rest_source[i]) : (uchar)MISSING;
+  const REAL pixel[4] = {nodes_left[i].x, nodes_left[i].y, nodes_right[i].x, nodes_right[i].y};
+  REAL one[3], two[3], seen[4], slope[4];
+  int now = VALID;
+  const int invertible = undistort(left, pixel, one) & undistort(right, pixel + 2, two);
+  one[2] = two[2] = 1;
+
+  /* Sampson's step */
+  __global const REAL *turn = right + 16, *move = right + 25, *camera = right;
+  REAL essential[9];
+  for (int j = 0; j < 3; ++j) {
+    const int next = (j + 1) % 3, last = (j + 2) % 3; /* row j of the matrix of the cross product */
+    for (int k = 0; k < 3; ++k)
+      essential[3 * j + k] = move[next] * turn[3 * last + k] - move[last] * turn[3 * next + k];
+  }
+  REAL line_one[3], line_two[3];
+  for (int j = 0; j < 3; ++j) {
+    line_one[j] = two[0] * essential[j] + two[1] * essential[3 + j] + essential[6 + j];
+    line_two[j] =
+        essential[3 * j] * one[0] + essential[3 * j + 1] * one[1] + essential[3 * j + 2];
+  }
+  const REAL square = line_one[0] * line_one[0] + line_one[1] * line_one[1] +
+                      line_two[0] * line_two[0] + line_two[1] * line_two[1];
+  const REAL step = dot_3(line_one, one) / (square > TINY ? square : TINY);
+  REAL first[3] = {one[0] - step * line_one[0], one[1] - step * line_one[1], 1};
+  const REAL second[3] = {two[0] - step * line_two[0], two[1] - step * line_two[1], 1};
+
+  /* The middle of the shortest segment between the rays */
+  REAL turned[3], unmoved[3], centre[3], across[3], point[3];
+  for (int k = 0; k < 3; ++k) {
+    turned[k] = second[0] * turn[k] + second[1] * turn[3 + k] + second[2] * turn[6 + k];
+    unmoved[k] = two[0] * turn[k] + two[1] * turn[3 + k] + two[2] * turn[6 + k];
+    centre[k] = CENTRE[k];
+  }
+  const REAL oo = dot_3(first, first), ot = dot_3(first, turned), tt = dot_3(turned, turned);
+  const REAL ahead_one = dot_3(first, centre), ahead_two = dot_3(turned, centre);
+  const REAL shared = oo * tt - ot * ot;
+  const REAL depth_one = (ahead_one * tt - ot * ahead_two) / shared;
+  const REAL depth_two = (ot * ahead_one - oo * ahead_two) / shared;
+  for (int k = 0; k < 3; ++k)
+    point[k] = (depth_one * first[k] + depth_two * turned[k] + centre[k]) / 2;
+  cross_3(one, unmoved, across);
+  const REAL sine_2 = dot_3(across, across) / (dot_3(one, one) * dot_3(unmoved, unmoved));
+
+  /* One Gauss-Newton step */
+  REAL jacobian[12];
+  const REAL depth_left = project(left, point, seen, jacobian);
+  const REAL depth_right = project(right, point, seen + 2, jacobian + 6);
+  if (!(depth_left > 0 && depth_right > 0)) now = BEHIND;
+  if (!(sine_2 >= least_sine * least_sine)) now = PARALLEL;
+  if (!invertible) now = INCONSISTENT;
+  const int known = sigma_left[i] > 0 && sigma_right[i] > 0;
+  REAL weight[4], residual[4];
+  for (int j = 0; j < 4; ++j) {
+    const REAL sigma = j < 2 ? sigma_left[i] : sigma_right[i];
+    weight[j] = known ? 1 / (sigma * sigma) : 1;
+    residual[j] = pixel[j] - seen[j];
+  }
+  const float2 bend_left =
+      bend_of(nodes_left, status_left, i / COLUMNS, i % COLUMNS, bend_down, bend_along, radius_left);
+  const float2 bend_right = bend_of(nodes_right, status_right, i / COLUMNS, i % COLUMNS, bend_down,
+                                    bend_along, radius_right);
+  const REAL bend[4] = {bend_left.x, bend_left.y, bend_right.x, bend_right.y};
+  REAL a[6] = {0, 0, 0, 0, 0, 0}, by_residual[3] = {0, 0, 0}, by_bend[3] = {0, 0, 0};
+  for (int j = 0; j < 4; ++j) {
+    const REAL *d = jacobian + 3 * j;
+    const REAL x = weight[j] * d[0], y = weight[j] * d[1], z = weight[j] * d[2];
+    a[0] += x * d[0];
+    a[1] += x * d[1];
+    a[2] += x * d[2];
+    a[3] += y * d[1];
+    a[4] += y * d[2];
+    a[5] += z * d[2];
+    for (int k = 0; k < 3; ++k) {
+      by_residual[k] += weight[j] * d[k] * residual[j];
+      by_bend[k] += weight[j] * d[k] * bend[j];
+    }
+  }
+  const REAL c0 = a[3] * a[5] - a[4] * a[4], c1 = a[2] * a[4] - a[1] * a[5];
+  const REAL c2 = a[1] * a[4] - a[2] * a[3], determinant = a[0] * c0 + a[1] * c1 + a[2] * c2;
+  const REAL v[6] = {c0 / determinant,
+                     c1 / determinant,
+                     c2 / determinant,
+                     (a[0] * a[5] - a[2] * a[2]) / determinant,
+                     (a[1] * a[2] - a[0] * a[4]) / determinant,
+                     (a[0] * a[3] - a[1] * a[1]) / determinant};
+#define TIMES_COVARIANCE(x)                                                                \
+  {                                                                                        \
+    v[0] * x[0] + v[1] * x[1] + v[2] * x[2], v[1] * x[0] + v[3] * x[1] + v[4] * x[2],      \
+        v[2] * x[0] + v[4] * x[1] + v[5] * x[2]                                            \
+  }
+  const REAL better[3] = TIMES_COVARIANCE(by_residual), bent_by[3] = TIMES_COVARIANCE(by_bend);
+  REAL error = 0;
+  for (int j = 0; j < 4; ++j) {
+    const REAL left_over = residual[j] - dot_3(jacobian + 3 * j, better);
+    error += left_over * left_over;
+  }
+  if (now == VALID && !(error <= 2 * largest_error * largest_error)) now = INCONSISTENT;
+  if (!there) now = MISSING;
+  status[i] = now == VALID ? rest_status[i] : now;
+  const int good = status[i] == VALID;
+  const int vote = good && source[i] != MISSING && source[i] <= LAST_MEASURED;
+  valid[i] = good;
+  measured[i] = votes[i] = vote;
+  if (!vote) atomic_inc(counts + HOLES);
+  own[i] = good && known ? (float)((v[0] + v[3] + v[5]) / 3) : NAN;
+  for (int k = 0; k < 3; ++k) {
+    moved[k * NODES + i] = good ? (float)(point[k] + better[k] - rest[k * NODES + i]) : 0.0f;
+    bent[k * NODES + i] = good ? (float)bent_by[k] - rest_bent[k * NODES + i] : 0.0f;
+  }
+  for (int p = 0; p < 6; ++p)
+    points[p * NODES + i] = good && known ? (float)v[p] + rest_points[p * NODES + i] : NAN;
+}

@@ -1,0 +1,273 @@
+"""The kernels from the nodes of two views to the displacement and the strain, and their oracles."""
+
+import dataclasses
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from cmp_cl import StereoRig
+from cmp_cl.field import displacement
+from cmp_cl.field.strain import slope_weights
+from cmp_cl.grid.filter import image_sigma
+from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
+from cmp_cl.motion import plan as plans
+from cmp_cl.motion.plan import FieldPlan
+from cmp_cl.opencl.program import programs_of
+from cmp_cl.reference import lattice_filter, space
+from cmp_cl.reference import strain as strains
+from cmp_cl.space import PointStatus
+from cmp_cl.synthetic import default_rig
+
+SHAPE = 480, 400
+LENSES = {
+    "pinhole": (np.array([-0.2, 0.05, 1e-3, -5e-4, 0.01]),) * 2,
+    "rational": (np.array([0.3, -0.1, 1e-3, 2e-3, 0.01, 0.4, -0.05, 0.02]), np.zeros(0)),
+    "thin prism": (np.array([-0.1, 0, 0, 0, 0, 0, 0, 0, 1e-3, 0, -2e-3, 0]), np.zeros(4)),
+}
+FEW = 1e-3  # largest part of the noise by which a displacement may differ from the oracle's
+RADIUS = 8.0  # px, of the corners' discs
+
+
+def rig_with(lens="pinhole"):
+    k1, _, k2, _, r, t = default_rig(SHAPE)[:6]
+    one, two = LENSES[lens]
+    return StereoRig(k1, one, k2, two, r, t)
+
+
+def views_of(rig, xyz, rng, noise=0.03):
+    """Return grids of both views of points (R, C, 3), with noise, px, that sigma knows."""
+    found = []
+    for name in ("1", "2"):
+        turn, move = (np.eye(3), np.zeros(3)) if name == "1" else (rig.R, rig.T)
+        camera = camera_of(rig, name)
+        local = xyz @ turn.T + move
+        plane = (local[..., :2] / local[..., 2:]).reshape(-1, 2)
+        pixels = np.array([space.seen(camera, point) for point in plane]).reshape(*xyz.shape[:2], 2)
+        found.append(
+            Grid(
+                xy=(pixels + noise * rng.standard_normal(pixels.shape)).astype(np.float32),
+                status=np.full(xyz.shape[:2], NodeStatus.DETECTED, np.uint8),
+                sigma=rng.uniform(0.5 * noise, 1.5 * noise, xyz.shape[:2]).astype(np.float32),
+                index=np.zeros((0, 2), np.int32),
+                edge_radius=RADIUS,
+            )
+        )
+    return tuple(found)
+
+
+def camera_of(rig, name):
+    numbers = plans.camera_numbers(
+        getattr(rig, f"K{name}"),
+        getattr(rig, f"D{name}"),
+        np.eye(3) if name == "1" else rig.R,
+        np.zeros(3) if name == "1" else rig.T,
+    )
+    return space.Camera(
+        focal=numbers[:2],
+        centre=numbers[2:4],
+        distortion=numbers[4:16],
+        rotation=numbers[16:25].reshape(3, 3),
+        move=numbers[25:28],
+    )
+
+
+def surface(rows, columns, press=0.0):
+    """Return points of a gel with cells of 0.8 mm, pressed by a ball, mm."""
+    y, x = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    x, y = (x - (columns - 1) / 2) * 0.8, (y - (rows - 1) / 2) * 0.8
+    near = np.exp(-(x**2 + y**2) / 8)
+    return np.stack([x * (1 + 0.1 * press * near), y, 46 - press * near], axis=-1)
+
+
+def with_holes(grid, *nodes, status=NodeStatus.MISSING):
+    changed = grid.status.copy()
+    xy = grid.xy.copy()
+    for node in nodes:
+        changed[node] = status
+        if status is NodeStatus.MISSING:
+            xy[node] = np.nan
+    return dataclasses.replace(grid, status=changed, xy=xy)
+
+
+@pytest.fixture
+def run(device):
+    """Return run(rig, rest, now): the plan, its results and its field for two pairs of grids."""
+    made = []
+
+    def of(rig, rest, now, *, complete=None):
+        programs = programs_of(device.handle)
+        plan = FieldPlan(
+            cl.CommandQueue(programs.context),
+            programs,
+            device,
+            rest=rig.triangulate(*rest),
+            rig=rig,
+            edge_radii=(RADIUS, RADIUS),
+            strain=True,
+        )
+        made.append(plan)
+        for view, grid, whole in zip(("left", "right"), now, complete or now, strict=True):
+            plan.nodes[f"nodes_{view}"][:] = whole.xy
+            plan.nodes[f"status_{view}"][:] = grid.status
+            plan.nodes[f"sigma_{view}"][:] = image_sigma(grid)
+        plan.start()
+        results = plan.read()
+        return plan, results, plan.field(results)
+
+    yield of
+    for plan in made:
+        plan.release()
+
+
+def expected(rig, rest, now, complete):
+    """Return what the oracles make of the same grids: the field and the strain."""
+    cameras = camera_of(rig, "1"), camera_of(rig, "2")
+    at_rest = rig.triangulate(*rest)
+    points = space.points(
+        tuple(grid.xy.astype(float) for grid in complete),
+        tuple(grid.status > 0 for grid in now),
+        tuple(map(image_sigma, now)),
+        cameras,
+        (RADIUS, RADIUS),
+    )
+    status = np.where(points.status == space.VALID, at_rest.status, points.status)
+    valid = status == space.VALID
+    measured = valid & np.isin(np.maximum(now[0].status, now[1].status), MEASURED)
+    quiet = lattice_filter.filter_grid(at_rest.xyz, at_rest.valid)
+    before = np.trace(at_rest.covariance, axis1=2, axis2=3) / 3
+    after = np.trace(points.covariance, axis1=2, axis2=3) / 3
+    most = np.sqrt(before + after + 9 * np.maximum(quiet.noise**2 - before, 0))
+    moved = np.where(valid[..., None], points.xyz - at_rest.xyz, np.nan)
+    found = lattice_filter.filter_whole(moved, measured, most)
+    change = points.bent - np.where(np.isfinite(at_rest.bend_shift), at_rest.bend_shift, 0)
+    return status, moved, found, np.where(valid[..., None], found.values - change, np.nan)
+
+
+CASES = {
+    "whole": ((20, 22), [], []),
+    "holes and a tear": ((18, 16), [(5, 5), (0, 3), (9, 9), (9, 10), (10, 10)], []),
+    "a border line is missing": ((16, 17), [(0, c) for c in range(17)], []),
+    "two parts": ((12, 24), [(r, c) for r in range(12) for c in range(10, 14)], []),
+    "outliers": ((20, 20), [(3, 3)], [(8, 8), (15, 4)]),
+    "narrow": ((3, 9), [], []),
+    "wide": ((7, 40), [(3, 20)], []),
+}
+
+
+@pytest.mark.parametrize(
+    ("case", "lens"),
+    [*((case, "pinhole") for case in CASES), ("whole", "rational"), ("whole", "thin prism")],
+)
+def test_the_field_is_the_oracles(run, case, lens):
+    shape, holes, wrong = CASES[case]
+    rng, rig = np.random.default_rng(3), rig_with(lens)
+    rest = views_of(rig, surface(*shape), rng)
+    complete = views_of(rig, surface(*shape, press=1.0), rng)
+    for node in wrong:
+        complete[0].xy[node] += 2.0
+    now = tuple(with_holes(grid, *holes) for grid in complete)
+    _, results, field = run(rig, rest, now, complete=complete)
+    status, moved, found, displaced = expected(rig, rest, now, complete)
+    np.testing.assert_array_equal(field.status, status)
+    assert found.margin > 1e-3, "the case tests a bound"
+    np.testing.assert_array_equal(np.isnan(field.displacement), np.isnan(displaced))
+    np.testing.assert_allclose(field.raw.displacement, moved, rtol=0, atol=2e-6)
+    noise = np.nanmedian(found.noise) if np.isfinite(found.noise).any() else 1e-3
+    np.testing.assert_allclose(field.displacement, displaced, rtol=0, atol=FEW * noise)
+    known = np.isfinite(found.sigma)
+    covariance = found.common * found.sigma[..., None, None] ** 2
+    covariance = np.where(known[..., None, None], covariance, np.nan)
+    np.testing.assert_allclose(
+        field.covariance[known],
+        covariance[known],
+        rtol=0,
+        atol=3e-3 * np.nanmax(covariance) if known.any() else 0,
+    )
+    assert results["counts"][1:].sum() == found.refused.sum()
+    assert bool(wrong) == found.refused.any()
+
+
+@pytest.mark.parametrize("case", ["whole", "holes and a tear", "narrow"])
+def test_the_strain_is_the_oracles(run, case):
+    shape, holes, _ = CASES[case]
+    rng, rig = np.random.default_rng(4), rig_with()
+    rest = views_of(rig, surface(*shape), rng)
+    complete = views_of(rig, surface(*shape, press=1.0), rng)
+    now = tuple(with_holes(grid, *holes) for grid in complete)
+    _, _, field = run(rig, rest, now, complete=complete)
+    _, _, found, _ = expected(rig, rest, now, complete)
+    filters = tuple(
+        np.stack(
+            [
+                lattice_filter.axis_filter(n, *f)
+                for f in lattice_filter.PAIRED_BENDING
+                if n > 2 * f[0]
+            ]
+        )
+        for n in shape
+    )
+    slopes = strains.slope_variances(
+        found.weights, found.sigma / np.sqrt(found.gain), field.valid, filters
+    )
+    quiet = displacement(rig.triangulate(*rest), rig.triangulate(*rest))
+    at_rest = quiet.filtered[0]
+    still = tuple(np.square(at_rest.deviation_of(w)) for w in slope_weights(quiet.valid, 2))
+    strain, deviation = strains.strain(
+        quiet.position,
+        np.where(field.valid[..., None], field.displacement, np.nan),
+        (quiet.position_covariance, field.covariance),
+        (still, slopes),
+    )
+    np.testing.assert_allclose(field.strain, strain, rtol=0, atol=2e-5)
+    known = np.isfinite(deviation)
+    np.testing.assert_array_equal(np.isnan(field.strain_sigma), ~known)
+    np.testing.assert_allclose(field.strain_sigma[known], deviation[known], rtol=1e-2)
+
+
+def test_a_whole_lattice_has_the_field_that_displacement_returns(run):
+    rng, rig = np.random.default_rng(5), rig_with()
+    rest, now = (views_of(rig, surface(24, 20, press), rng) for press in (0.0, 1.0))
+    _, _, field = run(rig, rest, now)
+    other = displacement(rig.triangulate(*rest), rig.triangulate(*now))
+    for one, two in ((field, other), (field.raw, other.raw)):
+        np.testing.assert_allclose(one.displacement, two.displacement, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(one.sigma, two.sigma, rtol=2e-3)
+        np.testing.assert_allclose(one.position, two.position, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(one.status, two.status)
+        np.testing.assert_array_equal(one.source, two.source)
+
+
+def test_points_that_no_rig_can_see_say_why(run):
+    rng, rig = np.random.default_rng(6), rig_with()
+    rest = views_of(rig, surface(9, 9), rng)
+    now = views_of(rig, surface(9, 9), rng)
+    now[1].xy[2, 2] += (0, 12)  # off its epipolar line
+    now[1].xy[4, 4] = now[0].xy[4, 4] + 300  # behind the cameras
+    now = tuple(with_holes(grid, (6, 6)) for grid in now)
+    _, _, field = run(rig, rest, now, complete=tuple(map(_filled, now)))
+    other = rig.triangulate(*now)
+    np.testing.assert_array_equal(field.status, other.status)
+    assert set(np.unique(field.status)) >= {PointStatus.MISSING, PointStatus.INCONSISTENT}
+
+
+def _filled(grid):
+    return dataclasses.replace(grid, xy=np.nan_to_num(grid.xy))
+
+
+def test_the_same_nodes_give_the_same_bytes(run):
+    rng, rig = np.random.default_rng(7), rig_with()
+    rest, now = (views_of(rig, surface(11, 13, press), rng) for press in (0.0, 1.0))
+    first, again = (run(rig, rest, now)[1] for _ in range(2))
+    for name, values in first.items():
+        assert values.tobytes() == again[name].tobytes(), name
+
+
+def test_a_device_without_double_precision_errs_by_hundredths_of_a_micrometre(run, monkeypatch):
+    rng, rig = np.random.default_rng(8), rig_with()
+    rest, now = (views_of(rig, surface(16, 16, press), rng) for press in (0.0, 1.0))
+    _, _, exact = run(rig, rest, now)
+    monkeypatch.setattr(plans, "has_double", lambda device: False)
+    _, _, single = run(rig, rest, now)
+    off = np.abs(single.displacement - exact.displacement).max()
+    assert 0 < off < 1e-4
