@@ -65,7 +65,7 @@ def recordings() -> list[tuple[DetectorConfig, list[np.ndarray]]]:
     for shape, markers, bits, config in (
         ((480, 640), 30, 8, DetectorConfig()),
         ((240, 320), 16, 12, DetectorConfig(full_scale=4095, refinement=EdgeStep())),
-        ((121, 83), 7, 8, DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3)))),
+        ((121, 83), 7, 8, DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(window=9)))),
         (
             (97, 131),
             8,

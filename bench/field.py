@@ -45,7 +45,6 @@ from cmp_cl.measure import (
     MAX_SIGMA,
     TwoViews,
     align_views,
-    exact_config,
     find_pattern,
     square_sides,
     trusted,
@@ -70,8 +69,8 @@ SEVERITIES = (0.5, 1.0, 1.5)
 OBJECTS = tuple(kind for kind in Indenter if kind is not Indenter.NONE)
 FIRST_SEED = TEST_SEED + 500
 CONFIGS = {
-    "run (EDGE_STEP)": exact_config(CELL),
-    "EDGE_LINES": exact_config(CELL).replace(refinement=EdgeLines()),
+    "run (EDGE_STEP)": DetectorConfig.for_cell(CELL),
+    "EDGE_LINES": DetectorConfig.for_cell(CELL).replace(refinement=EdgeLines()),
 }
 
 
@@ -262,20 +261,13 @@ def numbering(device: Device, rounds: int) -> list[dict[str, Any]]:
 # boards
 
 
-def full_size(cell: float) -> DetectorConfig:
-    """Return the library's settings for a cell without a working scale."""
-    return exact_config(cell).replace(scale=None)
-
-
 def with_lines(config: Callable[[float], DetectorConfig]) -> Callable[[float], DetectorConfig]:
     return lambda cell: config(cell).replace(refinement=EdgeLines())
 
 
 BOARD_CONFIGS: dict[str, Callable[[float], DetectorConfig]] = {
-    "EDGE_LINES, working scale": with_lines(exact_config),
-    "EDGE_LINES, full size": with_lines(full_size),
-    "EDGE_STEP, working scale": exact_config,
-    "EDGE_STEP, full size": full_size,
+    "EDGE_LINES": with_lines(DetectorConfig.for_cell),
+    "EDGE_STEP": DetectorConfig.for_cell,
 }
 
 

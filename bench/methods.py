@@ -11,7 +11,6 @@ import numpy as np
 from peers import PEERS, Detect, Pattern
 
 from cmp_cl import (
-    AdaptiveMean,
     BinaryRings,
     Corners,
     Detector,
@@ -33,7 +32,6 @@ LINES = "cmp_cl, EDGE_LINES"
 FOR_CELL = "cmp_cl, for_cell"
 PAPER = "cmp_cl, paper's preset"
 RINGS = "cmp_cl, binary rings"
-THREE = f"{RINGS}, three thresholds"
 FULL = "cmp_cl, full with grid"
 GRIDDED = f"{DEFAULT} + grid"
 FILTERED = f"{DEFAULT} + grid + filter"
@@ -70,13 +68,9 @@ def configs(markers: int, cell: float) -> dict[str, DetectorConfig]:
     }
     alone: dict[str, RingHarmonic | BinaryRings] = {
         "cmp_cl, no squeezed cells": RingHarmonic(fine=False),
-        "cmp_cl, no alignment check": RingHarmonic(alignment=None),
-        "cmp_cl, no support check": RingHarmonic(support=None),
-        "cmp_cl, both checks looser": RingHarmonic(alignment=16, support=8),
         RINGS: rings,
         f"{RINGS}, window of Table 2": BinaryRings(threshold=gated.threshold),
         f"{RINGS}, for the cell": BinaryRings.for_cell(cell),
-        THREE: BinaryRings(threshold=AdaptiveMean(masks=3)),
         f"{RINGS}, no gate": BinaryRings(contrast=None),
         f"{RINGS}, corrosion below 4": BinaryRings(criteria=RapidCriteria(corrosion_threshold=4)),
         f"{RINGS}, no corrosion criterion": BinaryRings(

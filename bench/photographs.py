@@ -11,14 +11,14 @@ cell, found on rendered scenes.
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import cv2
 import methods
 import numpy as np
 from environment import DATA, environment, parser_of, write_result
-from peers import PEERS, Detect, Pattern, available, keep_freed_memory
+from peers import PEERS, Pattern, available, keep_freed_memory
 from scenes import read_listed
 from scipy.spatial import cKDTree
 
@@ -28,7 +28,6 @@ from cmp_cl import (
     Detector,
     DetectorConfig,
     EdgeLines,
-    choose_config,
 )
 from cmp_cl.config import window_for_cell
 from cmp_cl.image import GreyImage
@@ -200,7 +199,7 @@ def summary(parts: Sequence[Judged]) -> dict[str, Any]:
 
 def own_rows(cell: float) -> dict[str, DetectorConfig]:
     """Return our configurations for cells of that side, px: the default, and the binary rings: by
-    default, with three thresholds, and with the cell's window and both outer radii."""
+    default, and with the cell's window and both outer radii."""
     window = AdaptiveMean(window=window_for_cell(cell))
     return {
         methods.DEFAULT: DetectorConfig(),
@@ -209,7 +208,6 @@ def own_rows(cell: float) -> dict[str, DetectorConfig]:
             refinement=EdgeLines()
         ),
         methods.RINGS: DetectorConfig(detection=BinaryRings()),
-        methods.THREE: DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
         **{
             f"{methods.RINGS}, window of 1.3 cells, outer radius {radius}": DetectorConfig(
                 detection=BinaryRings(threshold=window, outer_radius=radius)
@@ -217,23 +215,6 @@ def own_rows(cell: float) -> dict[str, DetectorConfig]:
             for radius in (4, 5)
         },
     }
-
-
-CHOICES: dict[str, Callable[[GreyImage], DetectorConfig]] = {
-    "cmp_cl, choose_config": choose_config,
-    "cmp_cl, for_image": DetectorConfig.for_image,
-}
-
-
-def each_with_its_own(
-    photographs: Sequence[Photograph], choose: Callable[[GreyImage], DetectorConfig]
-) -> Detect:
-    """Return what finds corners with the settings that are chosen for each photograph."""
-    detectors = {
-        id(image): Detector(shape=image.shape, config=choose(image))
-        for image in (each.image for each in photographs)
-    }
-    return lambda image: detectors[id(image)](image).xy
 
 
 def rows(
@@ -249,9 +230,6 @@ def rows(
     for label, config in own_rows(cell).items():
         detector = Detector(shape=first.image.shape, config=config)
         detectors.append((label, repr(config), lambda image, run=detector: run(image).xy))
-    for label, choose in CHOICES.items():
-        settings = f"{choose.__name__}(image)"
-        detectors.append((label, settings, each_with_its_own(photographs, choose)))
     for peer in (PEERS[each] for each in names):
         settings = peer.settings(nearest)
         detectors.append((peer.label, json.dumps(settings), peer.make(settings, Pattern(count))))

@@ -27,11 +27,10 @@ from peers import PEERS, Detect, Pattern, available
 from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
 
-from cmp_cl import Detector, Grid, GridError, NodeStatus
+from cmp_cl import Detector, DetectorConfig, Grid, GridError, NodeStatus
 from cmp_cl.field import PlaneScale, displacement, plane_displacement, plane_strain
 from cmp_cl.grid import filter_grid, filter_positions
 from cmp_cl.grid.grid import MEASURED
-from cmp_cl.measure import exact_config
 from cmp_cl.space import Points3D, PointStatus
 from cmp_cl.synthetic import Scene, random_scene
 
@@ -318,7 +317,9 @@ def bound(frames: int) -> dict[str, Any]:
         shown, still = rendered(noisy), rendered(clean)
         shape = (noisy.markers, noisy.markers)
         radius = 0.75 * still.cell
-        with Detector(shape=shown.image.shape, config=exact_config(still.cell)) as detector:
+        with Detector(
+            shape=shown.image.shape, config=DetectorConfig.for_cell(still.cell)
+        ) as detector:
             grids = [detector.grid(frame.image, shape=shape)[1] for frame in (shown, still)]
         truth = turned_truth(grids[0], shown.truth)
         parts.append(np.square(grids[0].xy - grids[1].xy).sum(axis=2).ravel())
@@ -547,7 +548,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     nodes, lost = [], 0
     for scene, contested in tqdm(list(chosen_scenes(arguments.quick)), unit=" scenes"):
         if scene.markers not in detectors:
-            config = exact_config(0.92 * min(scene.shape) / (scene.markers + 1))
+            config = DetectorConfig.for_cell(0.92 * min(scene.shape) / (scene.markers + 1))
             detectors[scene.markers] = Detector(shape=scene.shape, config=config)
             pattern = Pattern(scene.markers)
             rivals[scene.markers] = {name: peer(name, pattern).detect for name in found}

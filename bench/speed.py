@@ -14,7 +14,7 @@ from typing import Any
 import methods
 import numpy as np
 from environment import environment, parser_of, write_result
-from methods import DEFAULT, LINES, RINGS, THREE, Method
+from methods import DEFAULT, LINES, RINGS, Method
 from peers import PEERS, Pattern, available, keep_freed_memory
 from scenes import TEST_SEED, Frame, vga, wide
 
@@ -216,7 +216,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, reason in reasons.items():
         print(f"left out: {PEERS[name].label}: {reason}")
     names = [name for name in found if not arguments.quick or name in QUICK_PEERS]
-    own = [DEFAULT, LINES, RINGS, THREE] if arguments.quick else None
+    own = [DEFAULT, LINES, RINGS] if arguments.quick else None
     count, rounds = (2, 8) if arguments.quick else (4, 30)
     rounds = arguments.rounds or rounds
     keep_freed_memory()

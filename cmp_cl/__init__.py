@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from cmp_cl.config import EdgeStep as EdgeStep
     from cmp_cl.config import Fit as Fit
     from cmp_cl.config import Midlines as Midlines
-    from cmp_cl.config import Pyramid as Pyramid
     from cmp_cl.config import RapidCriteria as RapidCriteria
     from cmp_cl.config import RingHarmonic as RingHarmonic
     from cmp_cl.config import SectorContrast as SectorContrast
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from cmp_cl.corners import Corners as Corners
     from cmp_cl.corners import Method as Method
     from cmp_cl.detector import Detector as Detector
-    from cmp_cl.detector import choose_config as choose_config
     from cmp_cl.detector import detect as detect
     from cmp_cl.errors import CalibrationError as CalibrationError
     from cmp_cl.errors import CapacityError as CapacityError
@@ -53,10 +51,10 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOMES = {
-    "config": "AdaptiveMean BinaryRings DetectorConfig EdgeLines EdgeStep Fit Midlines Pyramid "
+    "config": "AdaptiveMean BinaryRings DetectorConfig EdgeLines EdgeStep Fit Midlines "
     "RapidCriteria RingHarmonic SectorContrast SpectralCriteria",
     "corners": "Corners Method",
-    "detector": "Detector choose_config detect",
+    "detector": "Detector detect",
     "errors": "CalibrationError CapacityError CmpClError ConfigError DeviceError FieldError "
     "GridError ImageError KernelBuildError",
     "field": "DisplacementField displacement",

@@ -14,7 +14,7 @@ import numpy as np
 
 from cmp_cl.errors import ConfigError, check_range
 from cmp_cl.files import check_path, read_toml, write_text
-from cmp_cl.image import GreyImage, check_dtype
+from cmp_cl.image import check_dtype
 
 Part = TypeVar("Part")
 
@@ -32,23 +32,14 @@ class AdaptiveMean:
 
     window: side of the square window, px, odd, 3 to 255.
     offset: C, grey levels of the image as given, 0 to 65535; black iff I + C < mean.
-    masks: number of threshold layers: 1, or 3 at mean and mean -+ sigma/2 (then offset must be 0).
     """
 
     window: int = 21
     offset: int = 0
-    masks: int = 1
 
     def __post_init__(self) -> None:
         check_range("AdaptiveMean.window", self.window, 3, 255, kind=int, odd=True)
         check_range("AdaptiveMean.offset", self.offset, 0, 65535, kind=int)
-        if type(self.masks) is not int or self.masks not in (1, 3):
-            raise ConfigError(f"AdaptiveMean.masks must be 1 or 3, not {self.masks!r}")
-        if self.masks == 3 and self.offset:
-            raise ConfigError(
-                f"AdaptiveMean.offset must be 0 with masks=3, not {self.offset!r}: "
-                "the outer layers already move the threshold"
-            )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -100,8 +91,7 @@ class SectorContrast:
 
     minimum: least contrast of a candidate, in 1/255 of full scale, 0 to 255.
     relative: least contrast as a share of the 90th percentile of the frame, 0 to 1.
-    noise: least difference of the sector means, standard deviations of the noise, 0 to 100; with
-        three threshold layers it is at least 3.
+    noise: least difference of the sector means, standard deviations of the noise, 0 to 100.
     """
 
     minimum: float = 20
@@ -126,27 +116,17 @@ class RingHarmonic:
         Half of it is enough if the response is at least 3/4 of the length of the second harmonic;
         the share for squeezed cells is 5/3 as large.
     fine: whether a ring of 3 px searches for cells squeezed under 6 px.
-    alignment: factor of the check that the harmonics of a small and of a large ring point in
-        the same direction, 1 to 64; a smaller one is stricter, None leaves the check out.
-    support: factor of the check that a ring of 4 px responds as one of 5 px does, 1 to 64; a
-        smaller one is stricter, None leaves the check out.
     """
 
     noise: float = 2.0
     relative: float = 0.1875
     fine: bool = True
-    alignment: int | None = 8
-    support: int | None = 32
 
     def __post_init__(self) -> None:
         check_range("RingHarmonic.noise", self.noise, 0, 100)
         check_range("RingHarmonic.relative", self.relative, 0, 1)
         if type(self.fine) is not bool:
             raise ConfigError(f"RingHarmonic.fine must be True or False, not {self.fine!r}")
-        if self.alignment is not None:
-            check_range("RingHarmonic.alignment", self.alignment, 1, 64, kind=int)
-        if self.support is not None:
-            check_range("RingHarmonic.support", self.support, 1, 64, kind=int)
 
     @property
     def coarse_noise(self) -> int:
@@ -253,38 +233,8 @@ class Midlines:
         check_range("Midlines.max_shift", self.max_shift, 0, 5)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Pyramid:
-    """Several working scales (section 7); the one whose count is nearest to `expected` is used.
-
-    factors: scale factors, each 0.05 to 4, 1 to 32 of them.
-    expected: number of corners that the pattern has, at least 1.
-    """
-
-    factors: tuple[float, ...]
-    expected: int
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.factors, tuple) or not 1 <= len(self.factors) <= _MOST_FACTORS:
-            raise ConfigError(
-                f"Pyramid.factors must be a tuple of 1 to {_MOST_FACTORS} factors, "
-                f"not {self.factors!r}"
-            )
-        for factor in self.factors:
-            check_range("Pyramid.factors", factor, 0.05, 4)
-        check_range("Pyramid.expected", self.expected, 1, 2**31 - 1, kind=int)
-
-
-_MOST_FACTORS = 32
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
 _WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px
-# px, for detection at a working scale; chosen on rendered boards and gels with cells of 8 to 280
-# px, sharp and blurred
-_LEAST_CELL = 30
-_LEAST_WORKING_CELL = 24
-_MOST_BLUR, _WORKING_BLUR = 0.7, 0.6
-_WIDEST_CELL, _WIDE_SCALE = 60, 0.45  # used if the blur is not known
-_MOST_WORKING_CELL = 100
 _DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
 _MOVED = ("threshold", "criteria", "contrast", "outer_radius")
@@ -302,7 +252,7 @@ class DetectorConfig:
     detection: the detection rule, RingHarmonic or BinaryRings.
     nms_radius: radius of the window of non-maximum suppression, px, 1 to 15.
     refinement: EdgeStep, EdgeLines or Midlines, or None for centroids.
-    scale: working scale (0.05 to 4), or Pyramid, or None for the image at full size.
+    scale: working scale (0.05 to 4), or None for the image at full size.
     full_scale: largest grey level of the camera (1 to 65535); None means 255 for
         uint8 and 65535 for uint16.
     max_corners: initial capacity of the list of corners, 1 to 2**26; it grows.
@@ -311,7 +261,7 @@ class DetectorConfig:
     detection: RingHarmonic | BinaryRings = RingHarmonic()
     nms_radius: int = 3
     refinement: EdgeStep | EdgeLines | Midlines | None = EdgeStep()
-    scale: float | Pyramid | None = None
+    scale: float | None = None
     full_scale: int | None = None
     max_corners: int = 65536
 
@@ -320,52 +270,23 @@ class DetectorConfig:
         _check_part(part, "detection", self.detection, RingHarmonic, BinaryRings)
         _check_part(part, "refinement", self.refinement, EdgeStep, EdgeLines, Midlines, type(None))
         check_range(f"{part}.nms_radius", self.nms_radius, 1, 15, kind=int)
-        if not isinstance(self.scale, Pyramid) and self.scale is not None:
+        if self.scale is not None:
             check_range(f"{part}.scale", self.scale, 0.05, 4)
         if self.full_scale is not None:
             check_range(f"{part}.full_scale", self.full_scale, 1, 65535, kind=int)
         check_range(f"{part}.max_corners", self.max_corners, 1, 2**26, kind=int)
 
     @classmethod
-    def for_cell(cls, cell: float, *, blur: float | None = None) -> Self:
-        """Choose the configuration for cells of that side, px (4 to 1000).
+    def for_cell(cls, cell: float) -> Self:
+        """Leave out what cells of that side, px (4 to 1000), do not need.
 
-        cell: side of a cell, px. blur: standard deviation of the blur of the edges, px (0 to 1000),
-            or None if it is unknown.
-
-        If cells are under 20 px wide, squeezed cells are searched for. Cells above 30 px with a
-        blur above 0.7 px are detected at a working scale, at which their blur is 0.6 px and their
-        side at least 24 px. If the blur is unknown, cells above 60 px are detected at 45 % of their
-        size. At the working scale cells have at most 100 px. Raises ConfigError if cell or blur is
-        out of range.
+        Squeezed cells are searched for only if cells are under 20 px wide. The radius of the
+        refinement is that of the cell. Raises ConfigError if the cell is out of range.
         """
         check_range("DetectorConfig.for_cell(cell)", cell, 4, 1000)
-        scale = 1.0
-        if blur is None:
-            scale = _WIDE_SCALE if cell > _WIDEST_CELL else scale
-        else:
-            check_range("DetectorConfig.for_cell(blur)", blur, 0, 1000)
-            if cell > _LEAST_CELL and blur > _MOST_BLUR:
-                scale = max(_WORKING_BLUR / blur, _LEAST_WORKING_CELL / cell)
-        scale = min(scale, _MOST_WORKING_CELL / cell)
         return cls(
-            detection=RingHarmonic(fine=bool(cell < _WIDE_CELL)),
-            refinement=EdgeStep(cell=cell),
-            scale=None if scale == 1 else scale,
+            detection=RingHarmonic(fine=bool(cell < _WIDE_CELL)), refinement=EdgeStep(cell=cell)
         )
-
-    @classmethod
-    def for_image(cls, image: GreyImage) -> Self:
-        """Choose the configuration for the cells of an image, and for their blur.
-
-        `estimate_cell` says how the cells are found. The surround of a small board can look like
-        wide cells: `choose_config` checks the settings by the corners that they find. Raises
-        ImageError if the image is not (H, W) uint8 or uint16.
-        """
-        from cmp_cl.cell import cell_and_blur
-
-        cell, blur = cell_and_blur(image)
-        return cls.for_cell(cell, blur=blur)
 
     @classmethod
     def paper(cls, markers: int) -> Self:
@@ -436,8 +357,6 @@ class DetectorConfig:
             values["detection"] = _detection(values["detection"])
         if "refinement" in values:
             values["refinement"] = _chosen("refinement", values["refinement"], _REFINEMENTS)
-        if isinstance(values.get("scale"), Mapping):
-            values["scale"] = _part("scale", values["scale"], Pyramid)
         return cls(**values)
 
 
@@ -493,8 +412,6 @@ def _part(field: str, value: object, kind: type[Part]) -> Part | None:
     if not isinstance(value, Mapping):
         raise ConfigError(f"{field} must be a table, not {value!r}")
     values = _known(value, kind)
-    if isinstance(values.get("factors"), list):
-        values["factors"] = tuple(values["factors"])
     if "fit" in values:
         fits = [fit.value for fit in Fit]
         if values["fit"] not in fits:
@@ -545,6 +462,4 @@ def _toml(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, Fit):
         return f'"{value.value}"'
-    if isinstance(value, tuple):
-        return "[" + ", ".join(_toml(entry) for entry in value) + "]"
     return repr(float(value)) if isinstance(value, float) else repr(value)

@@ -10,9 +10,8 @@ import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
 from cmp_cl.arrays import Frame, as_frame
-from cmp_cl.choice import choose_by_corners
 from cmp_cl.closing import Closing
-from cmp_cl.config import DetectorConfig, Pyramid
+from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.errors import CapacityError, ConfigError, DeviceError, ImageError
 from cmp_cl.grid.grid import Grid
@@ -99,8 +98,7 @@ class Detector(Closing):
         self._closed = False
         self.regrown = 0  # how often a list was too short and a frame was processed again
         if self.shape[0] and self.shape[1]:
-            for factor in self._factors:
-                self._plans.lend(factor)
+            self._plans.lend()
 
     def close(self) -> None:
         """Release the device's memory; the detector cannot be used afterwards."""
@@ -142,7 +140,7 @@ class Detector(Closing):
             return no_corners(str(self.device))
         with self._lock:
             self._check_alive()
-            return self._best(self._each_factor([image], 1))[0]
+            return self._whole(self._plans.lend(), [image])[0]
 
     def stream(self, frames: Iterable[Frame]) -> Iterator[Corners]:
         """Yield the corners of each frame, in order.
@@ -151,7 +149,7 @@ class Detector(Closing):
         soon as the next one is requested. Calls and other streams may be interleaved. Raises the
         errors of a call, at the frame that causes them.
         """
-        if isinstance(self.config.scale, Pyramid) or not (self.shape[0] and self.shape[1]):
+        if not (self.shape[0] and self.shape[1]):
             yield from map(self, _iterated("frames", frames))
             return
         waiting: Plan | None = None
@@ -160,7 +158,7 @@ class Detector(Closing):
                 image = self._checked(frame)
                 with self._lock:
                     self._check_alive()
-                    plan = self._plans.lend(self._factors[0])
+                    plan = self._plans.lend()
                     self._start(plan, [image], self._transfers)
                     self._plans.keep(plan)
                     ready, waiting = waiting, plan
@@ -199,7 +197,7 @@ class Detector(Closing):
             return [no_corners(str(self.device)) for _ in range(count)]
         with self._lock:
             self._check_alive()
-            return self._best(self._each_factor(frames, count))
+            return self._whole(self._plans.lend(count), frames)
 
     def on_device(self, frame: Frame | cl.Buffer) -> tuple[Corners, cl.Buffer]:
         """Find the corners of one frame, and also leave their positions on the device.
@@ -208,11 +206,8 @@ class Detector(Closing):
 
         Returns the corners, and a buffer with their `xy`, (N, 2) float32, px, which belongs to the
         caller (8 bytes if N is 0). The buffer is written through the detector's queue; other queues
-        must wait for that queue to finish. Raises the errors of `batch`, and ConfigError with a
-        Pyramid.
+        must wait for that queue to finish. Raises the errors of `batch`.
         """
-        if isinstance(self.config.scale, Pyramid):
-            raise ConfigError("positions stay on the device at one scale alone, not with a Pyramid")
         frames: cl.Buffer | list[GreyImage] = (
             frame if isinstance(frame, cl.Buffer) else [self._checked(frame)]
         )
@@ -223,7 +218,7 @@ class Detector(Closing):
             read_write: Any = cl.mem_flags.READ_WRITE
             if not (self.shape[0] and self.shape[1]):
                 return no_corners(str(self.device)), cl.Buffer(self._queue.context, read_write, 8)
-            plan = self._plans.lend(self._factors[0])
+            plan = self._plans.lend()
             corners = self._whole(plan, frames)[0]
             positions = cl.Buffer(self._queue.context, read_write, max(corners.xy.nbytes, 8))
             if len(corners):
@@ -231,9 +226,7 @@ class Detector(Closing):
             return corners, positions
 
     def maps(self, frame: Frame) -> Maps | HarmonicMaps:
-        """Return every intermediate image of a frame; with a Pyramid those of its first factor.
-
-        Raises the errors of a call."""
+        """Return every intermediate image of a frame. Raises the errors of a call."""
         from cmp_cl.stages.maps import no_maps, read_maps
 
         image = self._checked(frame)
@@ -241,7 +234,7 @@ class Detector(Closing):
             self._check_alive()
             if not image.size:
                 return no_maps(self.shape, self.config)
-            plan = self._plans.make(factor=self._factors[0], frames=1, form=Form.PORTABLE)
+            plan = self._plans.make(frames=1, form=Form.PORTABLE)
             try:
                 self._whole(plan, [image])  # lets the lists grow
                 return read_maps(plan)
@@ -279,13 +272,6 @@ class Detector(Closing):
             strict=strict,
         )
 
-    @property
-    def _factors(self) -> list[float | None]:
-        scale = self.config.scale
-        if isinstance(scale, Pyramid):
-            return [*sorted(scale.factors, reverse=True)]
-        return [scale]
-
     def _start(
         self, plan: Plan, frames: list[GreyImage] | cl.Buffer, transfers: cl.CommandQueue
     ) -> None:
@@ -310,13 +296,6 @@ class Detector(Closing):
         except cl.MemoryError as error:
             raise plan.refused(error) from error
 
-    def _each_factor(self, frames: list[GreyImage] | cl.Buffer, count: int) -> list[list[Corners]]:
-        """Return the corners of each frame at each working scale."""
-        plans = [self._plans.lend(factor, count) for factor in self._factors]
-        for plan in plans:
-            self._start(plan, frames, self._queue)
-        return [self._finish(plan, self._queue) for plan in plans]
-
     def _whole(self, plan: Plan, frames: list[GreyImage] | cl.Buffer) -> list[Corners]:
         self._start(plan, frames, self._queue)
         return self._finish(plan, self._queue)
@@ -330,17 +309,6 @@ class Detector(Closing):
             self._plans.drop(plan)
             raise
         plan.launch(plan.launches)
-
-    def _best(self, results: list[list[Corners]]) -> list[Corners]:
-        """Choose, for each frame, the working scale whose count is nearest to the expected one."""
-        scale = self.config.scale
-        if not isinstance(scale, Pyramid):
-            return results[0]
-        expected = scale.expected
-        return [
-            min(choice, key=lambda found: abs(len(found) - expected))
-            for choice in zip(*results, strict=True)
-        ]
 
     def _checked(self, frame: Frame) -> GreyImage:
         """Return the frame as an image of this detector."""
@@ -383,36 +351,14 @@ def detect(
 
     It makes a Detector, runs it and releases it. For many images of one shape make a Detector
     yourself.
-    config: the settings; None means choose_config(image, device=device).
+    config: the settings; None means DetectorConfig(), as for every caller.
 
     Raises the errors of Detector.
     """
     frame = as_frame(image)
     device = select_device(device)
-    if config is None:
-        config = choose_config(frame, device=device)
     with Detector(shape=frame.shape, dtype=frame.dtype, config=config, device=device) as detector:
         return detector(frame)
-
-
-def choose_config(
-    image: Frame, *, full_scale: int | None = None, device: Device | str | None = None
-) -> DetectorConfig:
-    """Choose the settings for an image, (H, W) uint8 or uint16, by the corners that they find.
-
-    The radius and the working scale of `DetectorConfig.for_image` suit the cells. These settings
-    are chosen if they find the corners that `DetectorConfig()` finds, else `DetectorConfig()`,
-    which needs no size: for example for a small board in front of wide shapes. If the corners are
-    closer together than the estimated cell, the radius of the refinement is set from their
-    distance.
-
-    full_scale: as in DetectorConfig. device: as Detector takes it.
-
-    Raises the errors of Detector.
-    """
-    frame = as_frame(image)
-    device = select_device(device)
-    return choose_by_corners(frame, full_scale, lambda config: detect(frame, config, device))
 
 
 def _iterated(name: str, frames: Iterable[Frame]) -> Iterator[Frame]:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 class Maps:
     """Every intermediate image of a frame with BinaryRings, each (H, W) unless said otherwise.
 
-    With three threshold layers the maps up to `contrast` have a leading axis of 3, in the order
-    mean, mean - sigma/2, mean + sigma/2. Maps of stages that the configuration leaves out are None.
-    With a working scale the maps have the size of the scaled image.
+    Maps of stages that the configuration leaves out are None. With a working scale the maps have
+    the size of the scaled image.
 
     binary: bool, True where black.
     inner, outer: uint16 ring bits, bit i is sample i, clockwise from twelve o'clock.

@@ -1,8 +1,7 @@
 #include "plane.clh"
 
 /* Binarization (section 3.1): black iff (I + C) n < S, with S the sum of the n = w w pixels of
- * the window, border repeated. Bit k of a pixel is its colour in threshold layer k, 1 where
- * black.
+ * the window, border repeated. A pixel of the binary image is 1 where black.
  *
  * The sums are those of a slab, `slab` rows of each frame from `first` on, with one spare row
  * before the first slab and after the last.
@@ -27,7 +26,7 @@ __kernel void repeat_border_binary(const uint rows, const uint columns, const ui
   const size_t row = get_global_id(0);
   REPEAT_BORDER(uchar, binary + ROW(0, row) + PAD)
   if (row % rows == 0)
-    for (uint layer = 0; layer < LAYERS; ++layer) counts[row / rows * LAYERS + layer] = 0;
+    counts[row / rows] = 0;
   row_counts[row] = 0;
   for (uint word = 0; word < step / 32; ++word) {
     maxima[row * (step / 32) + word] = 0;
@@ -49,8 +48,6 @@ __kernel void column_sums(__global const PIXEL *restrict image, const uint rows,
 #undef TERM
 }
 
-#if LAYERS == 1
-
 /* Sum the column sums over the window, and compare. */
 __kernel void binarize(__global const PIXEL *restrict image,
                        __global const COLUMN *restrict sums, const uint rows,
@@ -62,43 +59,3 @@ __kernel void binarize(__global const PIXEL *restrict image,
   binary[i] = (uchar)(((LEVEL)image[i] + offset) * count < (LEVEL)WIDE_SUM(uint, TERM));
 #undef TERM
 }
-
-#else
-
-/* Sum of squares of each pixel's column within the window. */
-__kernel void column_squares(__global const PIXEL *restrict image, const uint rows,
-                             const uint step, const uint first, const uint slab,
-                             const SQUARE zero, __global SQUARE *restrict squares) {
-  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-#define GREY(k) (SQUARE)image[NEAR_ROW(p, (int)(first + y) + (k)) + x]
-#define TERM(k) GREY(k) * GREY(k)
-  squares[SUMS_ROW(p, y) + x] = WINDOW_SUM(SQUARE, TERM);
-#undef TERM
-#undef GREY
-}
-
-/* Three layers, black iff I < mean - k sigma for k = 0, -1/2, +1/2: with d = n I - S and v = n
- * Q - S S, the variance times n n, k sigma n is half the root of v. */
-__kernel void binarize_three(__global const PIXEL *restrict image,
-                             __global const COLUMN *restrict sums,
-                             __global const SQUARE *restrict squares, const uint rows,
-                             const uint step, const uint first, const uint slab,
-                             const ulong count, const ulong zero,
-                             __global uchar *restrict binary) {
-  const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
-  const size_t i = ROW(p, first + y) + x, window = SUMS_ROW(p, y) + x;
-#define TERM(k) (ulong)sums[window + (k)]
-  const ulong s = WINDOW_SUM(ulong, TERM);
-#undef TERM
-#define TERM(k) (ulong)squares[window + (k)]
-  const ulong v = count * WINDOW_SUM(ulong, TERM) - s * s;
-#undef TERM
-  const ulong level = count * (ulong)image[i];
-  const ulong distance = level < s ? s - level : level - s;
-  const ulong square = distance * distance;
-  const uchar black = level < s, more_black = level < s || square < (v + 3) / 4;
-  const uchar less_black = level < s && square > v / 4;
-  binary[i] = (uchar)(black | more_black << 1 | less_black << 2);
-}
-
-#endif

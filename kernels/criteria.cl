@@ -20,21 +20,14 @@
 
 #if RAPID
 
-/* The colour in a layer; multiplying by `to_top` moves its bit to the top. LLVM vectorises
- * products of bytes, but not shifts by a variable. */
-#if LAYERS == 1
-#define COLOUR(v) (v)
-#else
-#define COLOUR(v) (uchar)((uchar)((v) * to_top) >> 7)
-#endif
-#define BLACK_AT(dx, dy) COLOUR(binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)])
+#define BLACK_AT(dx, dy) binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)]
 #define LOAD_INNER(i, dx, dy) const uchar a##i = BLACK_AT(dx, dy);
 #define LOAD_OUTER(i, dx, dy) const uchar b##i = BLACK_AT(dx, dy);
 #define LOAD_REGION(i, dx, dy) const uchar r##i = BLACK_AT(dx, dy);
 
-/* Response R of Eq. 24 where all criteria hold in one of the layers, 0 elsewhere. */
-__kernel void rapid_criteria(__global const uchar *restrict binary, const uchar to_top,
-                             const uint rows, const uint step, const uchar sector_threshold,
+/* Response R of Eq. 24 where all criteria hold, 0 elsewhere. */
+__kernel void rapid_criteria(__global const uchar *restrict binary, const uint rows,
+                             const uint step, const uchar sector_threshold,
                              const uchar ring_threshold, const char corrosion_threshold,
                              const uchar zero, __global uchar *restrict response) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);

@@ -10,9 +10,9 @@
 #define FULL ((PIXEL)(-1)) /* the largest grey level */
 #define NO_CONTRAST (PIXEL_BITS == 8 ? SHRT_MIN : INT_MIN)
 #define BINS 256 /* of the histograms that the percentile is read from */
-#define WORD_OF(bits) (bits + (frame * rows + index / step) * (step / 32) + index % step / 32)
+#define WORD_OF(bits) (bits + (p * rows + index / step) * (step / 32) + index % step / 32)
 
-/* Clear the histograms. One work-item per bin of a layer. */
+/* Clear the histograms. One work-item per bin. */
 __kernel void clear_bins(__global uint *restrict counted, __global uint *restrict bins) {
   const size_t p = get_global_id(1);
   if (get_global_id(0) == 0) counted[p] = 0;
@@ -33,15 +33,15 @@ __kernel void sector_contrast(__global const PIXEL *restrict image,
                               __global CONTRAST *restrict contrast,
                               __global CONTRAST *restrict mean_difference,
                               __global uint *restrict counted, __global uint *restrict bins) {
-  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / LAYERS;
+  const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= min(counts[p], capacity)) return;
-  const uint index = list[p * capacity + n], layer = p % LAYERS;
+  const uint index = list[p * capacity + n];
   const int x = index % step, y = index / step;
   contrast[p * capacity + n] = inner_contrast[p * capacity + n] = (CONTRAST)NO_CONTRAST;
   if (!(*WORD_OF(maxima) >> index % 32 & 1)) return;
   atomic_inc(counted + p);
-#define GREY_AT(i, dx, dy) image[NEAR_ROW(frame, y + (dy)) + x + (dx)],
-#define COLOUR_AT(i, dx, dy) binary[NEAR_ROW(frame, y + (dy)) + x + (dx)] >> layer & 1,
+#define GREY_AT(i, dx, dy) image[NEAR_ROW(p, y + (dy)) + x + (dx)],
+#define COLOUR_AT(i, dx, dy) binary[NEAR_ROW(p, y + (dy)) + x + (dx)],
   const int inner[] = {INNER_RING(GREY_AT)}, outer[] = {OUTER_RING(GREY_AT)};
   const int black[] = {INNER_RING(COLOUR_AT)};
   int start = 0;
@@ -125,24 +125,24 @@ __kernel void percentile(__global const uint *restrict counted,
     return;
   }
   ulong noise = 0;
-  for (uint band = 0; band < bands; ++band) noise += noise_sums[p / LAYERS * bands + band];
+  for (uint band = 0; band < bands; ++band) noise += noise_sums[p * bands + band];
   const ulong twice = 2 * (ulong)(rows > 2 ? rows - 2 : 0) * (columns > 2 ? columns - 2 : 0);
   const ulong bound = twice ? (noise_factor * noise + twice - 1) / twice : 0;
   bounds[p] = (int2)(limit[value], twice ? (int)min(bound, (ulong)INT_MAX) : INT_MIN);
 }
 
-/* Keep the maxima that pass the gate in one of the layers in which they are candidates. One
- * work-item per candidate. */
+/* Keep the maxima that pass the gate. One work-item per candidate. */
 __kernel void pass_gate(__global const uint *restrict list, __global const uint *restrict counts,
                         __global const CONTRAST *restrict contrast,
                         __global const CONTRAST *restrict mean_difference,
                         __global const int2 *restrict bounds, const uint rows, const uint step,
                         const uint capacity, __global uint *restrict passed,
                         __global uint *restrict row_counts) {
-  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / LAYERS;
+  const size_t n = get_global_id(0), p = get_global_id(1);
   if (n >= min(counts[p], capacity) || contrast[p * capacity + n] == NO_CONTRAST) return;
   const size_t i = p * capacity + n;
   if (contrast[i] < bounds[p].x || mean_difference[i] < bounds[p].y) return;
-  const uint index = list[i], bit = 1u << index % 32, row = index / step;
-  if (!(atomic_or(WORD_OF(passed), bit) & bit)) atomic_inc(row_counts + frame * rows + row);
+  const uint index = list[i];
+  atomic_or(WORD_OF(passed), 1u << index % 32);
+  atomic_inc(row_counts + p * rows + index / step);
 }

@@ -111,8 +111,7 @@ int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
 /* Check 1: the second harmonics of a small and of a large ring point in the same direction. */
 bool aligned(const int alignment, const Harmonics inner, const Harmonics outer) {
-  return alignment == 0 ||
-         (long)alignment * dot_of(inner.second, outer.second) >= dot_of(outer.second, outer.second);
+  return (long)alignment * dot_of(inner.second, outer.second) >= dot_of(outer.second, outer.second);
 }
 
 /* Check 3: no stripe. Around the middle of a stripe the grey level also rises and falls twice,
@@ -180,7 +179,6 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
                             __global const short *restrict response,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint capacity,
-                            const int alignment, const int support,
                             __global uint *restrict counts, __global int *restrict lists) {
   const int x = (int)get_global_id(0), y = (int)get_global_id(1);
   const size_t p = get_global_id(2);
@@ -188,12 +186,11 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
   if (!is_maximum(response, p, x, y, rows, step)) return;
   const Harmonics outer = harmonics_of(coarse_plane, p, x, y, 5, 4, rows, step);
   const Harmonics inner = harmonics_of(fine_plane, p, x, y, 3, 2, rows, step);
-  if (!aligned(alignment, inner, outer) || !no_stripe(inner, outer)) return;
+  if (!aligned(8, inner, outer) || !no_stripe(inner, outer)) return;
   const int r = response[ROW(p, y) + x];
-  if (support) { /* check 2: a ring of 4 px responds alike */
-    const int middle = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 4, 3, rows, step));
-    if (support * middle < r || middle > 2 * r) return;
-  }
+  /* Check 2: a ring of 4 px responds alike. */
+  const int middle = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 4, 3, rows, step));
+  if (32 * middle < r || middle > 2 * r) return;
   append(response, p, x, y, is_clean(r, outer) ? CLEAN : 0, rows, step, capacity,
          counts + LIST(0), LIST_OF(0));
 }

@@ -31,27 +31,19 @@ __kernel void score_map(__global const RESPONSE *restrict response, const uint r
 }
 
 #define CANDIDATE                                                                   \
-  const size_t n = get_global_id(0), p = get_global_id(1), frame = p / LAYERS;      \
+  const size_t n = get_global_id(0), p = get_global_id(1);                         \
   if (n >= min(counts[p], capacity)) return;                                        \
   const uint index = list[p * capacity + n];                                        \
-  const size_t i = ROW(frame, 0) + index;                                           \
+  const size_t i = ROW(p, 0) + index;                                               \
   const int y = (int)(index / step);
 
-/* Write the responses of the candidates. With three layers they add up to 2 R(0) + R(-1/2) +
- * R(+1/2), by atomic additions to the word that holds the pixel. */
+/* Write the responses of the candidates. */
 __kernel void scatter(__global const uint *restrict list, __global const uint *restrict counts,
                       const uint rows, const uint step, const uint capacity,
                       __global const RESPONSE *restrict list_of_responses,
                       __global RESPONSE *restrict response) {
   CANDIDATE
-  const RESPONSE r = list_of_responses[p * capacity + n];
-#if LAYERS == 1
-  response[i] = r;
-#else
-  const uint pixels = sizeof(uint) / sizeof(RESPONSE), weight = p % LAYERS == 0 ? 2 : 1;
-  __global uint *word = (__global uint *)response + i / pixels;
-  atomic_add(word, (weight * r) << (32 / pixels * (i % pixels)));
-#endif
+  response[i] = list_of_responses[p * capacity + n];
 }
 
 #define KEY(pixel, y) (SCORE)(10 * tent(pixel, y, rows, step) + *(pixel))
@@ -71,8 +63,7 @@ __kernel void score(__global const uint *restrict list, __global const uint *res
 #define KEY_AT(i, y) KEY(response + (i), y)
 #endif
 
-/* Keep a key that is above all earlier ones and not below any later one. Layers share
- * candidates, so each is kept once. */
+/* Keep a key that is above all earlier ones and not below any later one. */
 __kernel void maximum(__global const uint *restrict list, __global const uint *restrict counts,
                       const uint rows, const uint step, const uint capacity,
                       __global const RESPONSE *restrict response,
@@ -95,10 +86,11 @@ __kernel void maximum(__global const uint *restrict list, __global const uint *r
     }
   }
   const uint bit = 1u << index % 32;
-  __global uint *word = maxima + (frame * rows + y) * (step / 32) + index % step / 32;
+  __global uint *word = maxima + (p * rows + y) * (step / 32) + index % step / 32;
 #if GATE /* the gate counts the maxima that pass */
   atomic_or(word, bit);
 #else
-  if (!(atomic_or(word, bit) & bit)) atomic_inc(row_counts + frame * rows + y);
+  atomic_or(word, bit);
+  atomic_inc(row_counts + p * rows + y);
 #endif
 }

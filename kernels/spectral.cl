@@ -7,13 +7,8 @@
  * |F2| exceeds |F1| and |F3|, and 0 if not; that of an outer ring says whether it does. Bit i is
  * sample i. */
 
-#if LAYERS == 1
-#define COLOUR(v) (v)
-#else
-#define COLOUR(v) ((v) >> layer & 1)
-#endif
 #define RING_BIT(i, dx, dy) \
-  | ((uint)COLOUR(binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)]) << (i))
+  | ((uint)binary[NEAR_ROW(p, (int)y + (dy)) + x + (dx)] << (i))
 #define ROTATE(v, k) ((((v) >> (k)) | ((v) << (16 - (k)))) & 0xffffu)
 
 /* The largest correlation of the two rings over all rotations, and the smallest |centre| of the
@@ -37,10 +32,10 @@ uint2 best_rotation(const uint g1, const uint g2) {
   return (uint2)(best, smallest);
 }
 
-/* Response of the inner ring where all criteria hold in layer `layer`, 0 elsewhere. `area` has
+/* Response of the inner ring where all criteria hold, 0 elsewhere. `area` has
  * a bit for every pixel, set where candidates may be; other pixels are skipped. */
 __kernel void spectral_criteria(__global const uchar *restrict binary,
-                                __global const uchar *restrict area, const uint layer,
+                                __global const uchar *restrict area,
                                 __global const int *restrict inner_response,
                                 __global const uchar *restrict outer_passes,
                                 __global const uchar *restrict least_correlation,
@@ -74,7 +69,6 @@ __kernel void spectral_maps(__global const uchar *restrict binary, const uint ro
                             __global uchar *restrict phase) {
   const size_t x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
   const size_t i = ROW(p, y) + x;
-  const uint layer = 0;
   const uint g2 = 0 INNER_RING(RING_BIT);
   const uint g1 = 0 OUTER_RING(RING_BIT);
   const int n1 = (int)popcount(g1), nr = (int)popcount(0u REGION(RING_BIT));

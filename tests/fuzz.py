@@ -43,7 +43,6 @@ from cmp_cl import (
     Fit,
     ImageError,
     Midlines,
-    Pyramid,
     RapidCriteria,
     RingHarmonic,
     SectorContrast,
@@ -67,7 +66,6 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
 
     What goes into the text of the kernels is drawn from `compiled`, all else from `rng`.
     """
-    masks = _one(compiled, 1, 1, 3)
     window = _one(compiled, 21, 9, 3, 255, 2 * int(compiled.integers(1, 40)) + 1)
     outer_radius = _one(compiled, 4, 5)
     nms_radius = _one(compiled, 3, 1, 15, int(compiled.integers(1, 16)))
@@ -75,9 +73,9 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
     kind = _one(compiled, RapidCriteria, RapidCriteria, SpectralCriteria)
     refined = _one(compiled, None, EdgeLines, EdgeStep, Midlines)
     fit = _one(compiled, *Fit)
-    harmonic, fine, aligned, supported = compiled.random(4) < (0.5, 0.67, 0.8, 0.8)
+    harmonic, fine = compiled.random(2) < (0.5, 0.67)
 
-    offset = _one(rng, 5, int(rng.integers(1, 65536))) if has_offset and masks == 1 else 0
+    offset = _one(rng, 5, int(rng.integers(1, 65536))) if has_offset else 0
     corrosion = _one(rng, 6, int(rng.integers(-4, 18))) if has_corrosion else None
     criteria = {
         RapidCriteria: RapidCriteria(
@@ -106,21 +104,15 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
         EdgeStep: EdgeStep(cell=_one(rng, 12.0, 4, 1000, float(rng.uniform(4, 40)))),
         Midlines: Midlines(fit=fit, max_shift=float(rng.uniform(0, 5))),
     }
-    scale = _one(
-        rng,
-        float(rng.uniform(0.3, 2)),
-        Pyramid(factors=(1.0, 0.7), expected=int(rng.integers(1, 40))),
-    )
+    scale = float(rng.uniform(0.3, 2))
     detection = {
         True: RingHarmonic(
             noise=_one(rng, 2.0, 0, 100, float(rng.uniform(0, 4))),
             relative=_one(rng, 0.1875, 0, 1, float(rng.random())),
             fine=bool(fine),
-            alignment=_one(rng, 8, 1, 64, int(rng.integers(1, 65))) if aligned else None,
-            support=_one(rng, 32, 1, 64, int(rng.integers(1, 65))) if supported else None,
         ),
         False: BinaryRings(
-            threshold=AdaptiveMean(window=window, offset=offset, masks=masks),
+            threshold=AdaptiveMean(window=window, offset=offset),
             outer_radius=outer_radius,
             criteria=criteria[kind],
             contrast=contrast if has_gate else None,
@@ -216,8 +208,6 @@ def valid_case(
     config = random_config(compiled, rng)
     shape = tuple(int(n) for n in rng.integers(1, 72, 2))
     mask = rng.random(shape) < 0.8 if rng.random() < 0.2 else None
-    if mask is not None and isinstance(config.scale, Pyramid):
-        mask = None
     with Detector(shape=shape, dtype=dtype, config=config, device=device, mask=mask) as detector:
         for batch in range(-(-images // BATCH)):
             frames = [
@@ -231,8 +221,7 @@ def valid_case(
             if batch % 8 == 0:
                 for frame, found in zip(frames, detector.stream(frames), strict=True):
                     assert_same_bytes(detector(frame), found)
-                if not isinstance(config.scale, Pyramid):
-                    assert_maps_equal(detector, frames[0], mask=mask)
+                assert_maps_equal(detector, frames[0], mask=mask)
         again = list(detector.stream(frames))
         for one, other in zip(again, results, strict=True):
             assert_same_bytes(one, other)
@@ -240,7 +229,7 @@ def valid_case(
 
 PARTS = (
     *(AdaptiveMean, RapidCriteria, SpectralCriteria, SectorContrast, BinaryRings, RingHarmonic),
-    *(EdgeLines, EdgeStep, Midlines, Pyramid, DetectorConfig),
+    *(EdgeLines, EdgeStep, Midlines, DetectorConfig),
 )
 FIELDS = [(part, field.name) for part in PARTS for field in dataclasses.fields(part)]
 
@@ -254,10 +243,6 @@ def invalid_case(seed: int, number: int, device: str | None) -> bool:
     values += [True, object(), 2**70, (1.0,), np.float32(0.5), np.int64(7), 1.5, 256, ()]
     part, field = FIELDS[int(rng.integers(len(FIELDS)))]
     arguments = {field: values[int(rng.integers(len(values)))]}
-    if part is Pyramid:
-        arguments = {"factors": (1.0,), "expected": 3} | arguments
-    if part is AdaptiveMean and rng.random() < 0.3:
-        arguments |= {"masks": 3, "offset": 1}
     try:
         part(**arguments)
     except CmpClError:

@@ -35,7 +35,6 @@ from cmp_cl import (
     DetectorConfig,
     EdgeStep,
     Midlines,
-    Pyramid,
     StereoRig,
     cluster,
     media,
@@ -73,7 +72,7 @@ def settings(folder: Path) -> Iterator[Path]:
     for number, config in enumerate(
         (
             DetectorConfig(refinement=EdgeStep(cell=17.5)),
-            DetectorConfig(refinement=Midlines(), scale=Pyramid(factors=(1.0, 0.5), expected=9)),
+            DetectorConfig(refinement=Midlines(), scale=0.5),
         )
     ):
         config.save(folder / f"{number}.toml")

@@ -6,9 +6,9 @@ import pyopencl as cl
 import pytest
 from comparison import assert_same_bytes
 
-from cmp_cl import Detector, DetectorConfig, Pyramid, detect
+from cmp_cl import Detector, DetectorConfig, detect
 from cmp_cl.arrays import as_frame
-from cmp_cl.errors import ConfigError, ImageError
+from cmp_cl.errors import ImageError
 
 BOARD = images.eight_bits()["board"]
 IMAGE = np.arange(48, dtype=np.uint8).reshape(6, 8)
@@ -67,9 +67,7 @@ def test_a_detector_takes_arrays_of_other_libraries(array, device):
     expected = detect(BOARD, device=device)
     assert len(expected) > 3
     assert_same_bytes(detect(array, device=device), expected)
-    with Detector(
-        shape=BOARD.shape, config=DetectorConfig.for_image(BOARD), device=device
-    ) as detector:
+    with Detector(shape=BOARD.shape, device=device) as detector:
         for found in (
             detector(array),
             *detector.stream([array, BOARD]),
@@ -102,13 +100,7 @@ def test_positions_stay_on_the_device_if_requested(device, name, config):
             np.testing.assert_array_equal(here, expected.xy)
 
 
-def test_positions_of_several_scales_or_frames_do_not_stay(device):
-    config = DetectorConfig(scale=Pyramid(factors=(1.0, 0.5), expected=9))
-    with (
-        Detector(shape=BOARD.shape, config=config, device=device) as detector,
-        pytest.raises(ConfigError, match="Pyramid"),
-    ):
-        detector.on_device(BOARD)
+def test_positions_of_several_frames_do_not_stay(device):
     context = cl.Context([device.handle])
     two = cl.Buffer(context, cl.mem_flags.READ_ONLY, 2 * BOARD.nbytes)
     with (

@@ -14,7 +14,6 @@ from cmp_cl.config import (
     EdgeStep,
     Fit,
     Midlines,
-    Pyramid,
     RapidCriteria,
     RingHarmonic,
     SectorContrast,
@@ -27,7 +26,6 @@ from cmp_cl.errors import ConfigError
 BOUNDS = [
     (RingHarmonic, "noise", 0, 100, 1e-3),
     (RingHarmonic, "relative", 0, 1, 1e-3),
-    (RingHarmonic, "alignment", 1, 64, 1),
     (RingHarmonic, "support", 1, 64, 1),
     (AdaptiveMean, "window", 3, 255, 2),
     (AdaptiveMean, "offset", 0, 65535, 1),
@@ -83,15 +81,7 @@ def test_a_fraction_is_refused_where_an_integer_is_needed():
     ("make", "message"),
     [
         (lambda: AdaptiveMean(window=20), "AdaptiveMean.window must be an odd integer in [3, 255]"),
-        (lambda: AdaptiveMean(masks=2), "AdaptiveMean.masks must be 1 or 3, not 2"),
-        (lambda: AdaptiveMean(masks=True), "AdaptiveMean.masks must be 1 or 3, not True"),
-        (lambda: AdaptiveMean(masks=3.0), "AdaptiveMean.masks must be 1 or 3, not 3.0"),
-        (lambda: AdaptiveMean(masks=3, offset=1), "AdaptiveMean.offset must be 0 with masks=3"),
         (lambda: Midlines(fit="linear"), "Midlines.fit must be Fit.LINEAR or Fit.QUADRATIC"),
-        (lambda: Pyramid(factors=(), expected=1), "Pyramid.factors must be a tuple of 1 to 32"),
-        (lambda: Pyramid(factors=[1.0], expected=1), "Pyramid.factors must be a tuple"),
-        (lambda: Pyramid(factors=(0.01,), expected=1), "Pyramid.factors must be a number in"),
-        (lambda: Pyramid(factors=(1.0,), expected=0), "Pyramid.expected must be an integer in"),
         (lambda: RingHarmonic(fine=1), "RingHarmonic.fine must be True or False, not 1"),
         (lambda: RingHarmonic(noise=None), "RingHarmonic.noise must be a number in [0, 100]"),
         (lambda: BinaryRings(outer_radius=3), "BinaryRings.outer_radius must be 4 or 5"),
@@ -118,7 +108,6 @@ def test_a_fraction_is_refused_where_an_integer_is_needed():
         (lambda: DetectorConfig.paper(0), "20, 30 or 40 markers a side, not 0"),
         (lambda: DetectorConfig.paper([20]), "20, 30 or 40 markers a side, not [20]"),
         (lambda: DetectorConfig.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),
-        (lambda: DetectorConfig.for_cell(40, blur=-1), "for_cell(blur) must be a number in [0, "),
         (lambda: BinaryRings.for_cell(3), "for_cell(cell) must be a number in [4, 1000], not 3"),
     ],
 )
@@ -139,10 +128,8 @@ def test_a_configuration_is_frozen_keyword_only_and_hashable():
 
 CONFIGS = {
     "defaults": DetectorConfig(),
-    "harmonic": DetectorConfig(detection=RingHarmonic(noise=2.5, relative=0.25, alignment=16)),
-    "nothing_but_the_rule": DetectorConfig(
-        detection=RingHarmonic(fine=False, alignment=None, support=None), refinement=None
-    ),
+    "harmonic": DetectorConfig(detection=RingHarmonic(noise=2.5, relative=0.25)),
+    "nothing_but_the_rule": DetectorConfig(detection=RingHarmonic(fine=False), refinement=None),
     "rings": DetectorConfig(detection=BinaryRings()),
     "parts_left_out": DetectorConfig(
         detection=BinaryRings(contrast=None, criteria=RapidCriteria(corrosion_threshold=None)),
@@ -153,8 +140,8 @@ CONFIGS = {
         refinement=EdgeStep(cell=17.5),
     ),
     "pyramid": DetectorConfig(
-        detection=BinaryRings(threshold=AdaptiveMean(window=31, masks=3)),
-        scale=Pyramid(factors=(1.0, 0.5, 1 / 3), expected=1600),
+        detection=BinaryRings(threshold=AdaptiveMean(window=31)),
+        scale=0.5,
         refinement=Midlines(fit=Fit.QUADRATIC, max_shift=1.5),
         full_scale=4095,
     ),
@@ -174,8 +161,8 @@ def test_toml_brings_back_the_same_configuration(config, tmp_path):
 
 
 def test_keys_left_out_of_toml_keep_their_defaults(tmp_path):
-    (tmp_path / "cmp.toml").write_text('[detection]\nkind = "ring_harmonic"\nsupport = 8\n')
-    expected = DetectorConfig(detection=RingHarmonic(support=8))
+    (tmp_path / "cmp.toml").write_text('[detection]\nkind = "ring_harmonic"\nnoise = 3\n')
+    expected = DetectorConfig(detection=RingHarmonic(noise=3))
     assert DetectorConfig.load(tmp_path / "cmp.toml") == expected
     (tmp_path / "cmp.toml").write_text(
         RINGS + "[detection.threshold]\nwindow = 31\n[detection.contrast]\n"
@@ -231,7 +218,6 @@ def test_a_file_of_the_old_format_is_refused_in_one_line_that_says_what_to_write
         ("[refinement]\nkind = 'edge_lines'\nfit = 'linear'", "unknown key 'fit' for EdgeLines"),
         ("[refinement]\nkind = 'midlines'\nfit = 'cubic'", "one of ['linear', 'quadratic']"),
         ("[scale]\nfactors = [1.0]", "expected"),
-        ("[scale]\nfactors = 1.0\nexpected = 9", "Pyramid.factors must be a tuple"),
         ("nms_radius = nan", "DetectorConfig.nms_radius must be an integer in [1, 15]"),
         ("nms_radius = ", "Invalid value"),
         ("nms_radius = 3\nnms_radius = 4", "Cannot overwrite a value"),
@@ -275,27 +261,6 @@ def test_squeezed_cells_are_searched_if_cells_are_small():
     assert wide == DetectorConfig(detection=rule, refinement=EdgeStep(cell=20))
 
 
-@pytest.mark.parametrize(
-    ("cell", "blur", "scale"),
-    [
-        (60, None, None),
-        (61, None, 0.45),
-        (400, None, 0.25),
-        (30, 3, None),
-        (90, 0.7, None),
-        (125, 0.7, 0.8),
-        (90, 1.2, 0.5),
-        (90, 4, 24 / 90),
-        (1000, 0, 0.1),
-    ],
-)
-def test_wide_cells_get_a_scale_if_they_are_blurred_or_their_blur_is_unknown(cell, blur, scale):
-    config = DetectorConfig.for_cell(cell, blur=blur)
-    assert config.scale == (None if scale is None else pytest.approx(scale))
-    rest = DetectorConfig(detection=RingHarmonic(fine=False), refinement=EdgeStep(cell=cell))
-    assert config.replace(scale=None) == rest
-
-
 def test_the_bounds_of_the_rule_are_whole_numbers():
     """They are 2 standard deviations of the noise, twice that for the small ring, and the shares
     24/128 and 40/128."""
@@ -316,9 +281,3 @@ def test_the_papers_preset_holds_the_windows_of_table_2(markers, window):
         contrast=None,
     )
     assert paper.refinement == Midlines(fit=Fit.LINEAR)
-
-
-def test_a_pyramid_has_at_most_32_factors():
-    assert len(Pyramid(factors=(0.5,) * 32, expected=1).factors) == 32
-    with pytest.raises(ConfigError, match="1 to 32"):
-        Pyramid(factors=(0.5,) * 33, expected=1)

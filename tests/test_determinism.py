@@ -43,7 +43,6 @@ CONFIGS = {
         detection=BinaryRings(threshold=AdaptiveMean(window=11), outer_radius=4),
         refinement=EdgeStep(cell=9),
     ),
-    "three thresholds": DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
     "spectral": DetectorConfig(
         detection=BinaryRings(criteria=SpectralCriteria()), refinement=Midlines(fit=Fit.QUADRATIC)
     ),
@@ -61,7 +60,6 @@ DIGESTS = {
     ("deep", "default"): "82ae75654c8eafd0",
     ("deep", "paper"): "6c4b2e7e23089b5c",
     ("deep", "small cells"): "b66317f6580c8404",
-    ("deep", "three thresholds"): "cd16cb6b24d3293c",
     ("deep", "spectral"): "4d9033fc4b7aa6f0",
     ("deep", "dense, scaled"): "d24b6bcf53066cb2",
     ("noise", "default"): "6c62b792e7ce9729",
@@ -70,7 +68,6 @@ DIGESTS = {
     ("scene", "paper"): "a3c04001cbe7a2dd",
     ("scene", "rings"): "5aff1259250435c6",
     ("scene", "small cells"): "84f938f9a6c622d0",
-    ("scene", "three thresholds"): "e927e30e64ed5016",
     ("scene", "spectral"): "d93a7ca9b7a3681e",
     ("scene", "dense, scaled"): "3ecf4bb86ca1d737",
     ("ties", "default"): "751379dbf95e0ea6",

@@ -18,8 +18,8 @@ LAYERS = [
     {"corners", "maps"},
     {"opencl"},
     {"stages"},
-    {"cell", "lattice", "marks"},
-    {"choice", "reference", "synthetic"},
+    {"lattice", "marks"},
+    {"reference", "synthetic"},
     {"grid"},
     {"detector"},
     {"series", "space"},
@@ -29,7 +29,6 @@ LAYERS = [
     {"cluster", "measure"},
     {"cli"},
 ]
-UPWARDS = {"config": {"cell"}}  # DetectorConfig.for_image estimates the cell when it is called
 FOLDERS_TO_SHRINK = {".", "cli", "grid", "reference", "space", "stages"}  # over twelve modules
 ASIDE = {"__main__", "__init__"}  # the entries, which import everything
 
@@ -78,7 +77,7 @@ def test_a_module_imports_only_what_stands_below_it():
     wrong = [
         (name, other)
         for name, path in modules().items()
-        for other in imported(path, everywhere=True) - UPWARDS.get(name, set())
+        for other in imported(path, everywhere=True)
         if None not in (layer_of(name), layer_of(other)) and layer_of(other) > layer_of(name)
     ]
     assert wrong == []

@@ -29,7 +29,7 @@ from cmp_cl.stages.refine import RESULT_HEAD
 
 IMAGE = images.eight_bits()["board"]
 FULL = DetectorConfig(
-    detection=BinaryRings(threshold=AdaptiveMean(masks=3)),
+    detection=BinaryRings(),
     scale=0.63,
     refinement=EdgeStep(),
     max_corners=512,
@@ -45,7 +45,7 @@ def detector_for(detector_in_form):
 def plan_of(detector_for, config):
     detector = detector_for(IMAGE, config)
     assert len(detector(IMAGE)) > 0
-    plan = detector._plans.lend(config.scale)
+    plan = detector._plans.lend()
     kernels = plan.kernels.names
     launched = [launch.stage for launch in plan.launches]
     assert set(launched) <= kernels
@@ -95,23 +95,14 @@ def test_without_refinement_its_kernels_and_buffers_are_left_out(detector_for, f
     )
 
 
-def test_without_extra_layers_their_kernels_are_left_out(detector_for):
-    left_out(
-        detector_for,
-        rings(FULL, threshold=AdaptiveMean()),
-        launches=["column_squares", "binarize_three"],
-        buffers=["squares"],
-    )
-
-
 def test_without_a_working_scale_nothing_is_resampled(detector_for):
     left_out(
         detector_for,
-        rings(FULL, scale=None, threshold=AdaptiveMean()),
+        FULL.replace(scale=None),
         files=["scale"],
         launches=["resample"],
         buffers=["working"],
-        than=rings(FULL, scale=2.0, threshold=AdaptiveMean()),
+        than=FULL.replace(scale=2.0),
     )
 
 
@@ -191,7 +182,7 @@ def test_refinement_writes_nothing_for_a_frame_without_corners(device_in_form, r
     """Refinement stops at the number of corners."""
     config = DetectorConfig(refinement=refinement)
     with Detector(shape=IMAGE.shape, device=device_in_form, config=config) as detector:
-        plan = detector._plans.lend(None)
+        plan = detector._plans.lend()
         result = plan.arrays["result"]
         before = np.full(result.size // 4, 7, np.float32)
         cl.enqueue_copy(plan.queue, result, before)
@@ -212,14 +203,7 @@ DETECTIONS = {
     "rings": BinaryRings(),
     "rings without the gate": BinaryRings(contrast=None),
     "wide window": BinaryRings(threshold=AdaptiveMean(window=255)),
-    "three thresholds": BinaryRings(threshold=AdaptiveMean(masks=3)),
-    "three thresholds without the gate": BinaryRings(
-        threshold=AdaptiveMean(masks=3), contrast=None
-    ),
     "spectral": BinaryRings(criteria=SpectralCriteria()),
-    "spectral, three thresholds": BinaryRings(
-        criteria=SpectralCriteria(), threshold=AdaptiveMean(masks=3)
-    ),
 }
 REFINEMENTS = {
     "centroids": None,
@@ -240,7 +224,7 @@ CONFIGS = {
     "scaled centroids": DetectorConfig(scale=0.5, refinement=None),
     "suppression in 15 px": DetectorConfig(nms_radius=15),
 }
-QUICK = ("harmonic", "three thresholds", "midlines", "scaled step")
+QUICK = ("harmonic", "rings", "midlines", "scaled step")
 configurations = pytest.mark.parametrize(
     "config",
     [
@@ -269,7 +253,7 @@ def names_of(kernel):
 @configurations
 def test_every_argument_has_the_name_that_its_kernel_gives_it(device_in_form, config, dtype):
     with Detector(shape=IMAGE.shape, dtype=dtype, config=config, device=device_in_form) as detector:
-        for launch in detector._plans.lend(config.scale).launches:
+        for launch in detector._plans.lend().launches:
             assert list(launch.arguments) == names_of(launch.kernel), launch.stage
 
 
@@ -314,7 +298,6 @@ def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[i
         shape=shape,
         dtype=np.dtype(dtype),
         config=config,
-        factor=config.scale,
         mask=None,
         frames=1,
     )
@@ -324,7 +307,7 @@ def sizes_of(device: Device, config: DetectorConfig, dtype: type, shape: tuple[i
 def test_the_sizes_are_those_of_the_buffers(device_in_form):
     sizes = sizes_of(device_in_form, HARMONIC, np.uint8, IMAGE.shape)
     with Detector(shape=IMAGE.shape, config=HARMONIC, device=device_in_form) as detector:
-        assert detector._plans.lend(None).sizes == sizes
+        assert detector._plans.lend().sizes == sizes
         assert detector.memory == sum(sizes.values())
 
 
@@ -334,8 +317,8 @@ def test_the_sizes_are_those_of_the_buffers(device_in_form):
 class Counted:
     """A plan without memory, which knows whether it was released."""
 
-    def __init__(self, *, factor, frames):
-        self.factor, self.frames, self.released = factor, frames, False
+    def __init__(self, *, frames):
+        self.frames, self.released = frames, False
 
     def release(self):
         self.released = True
@@ -352,19 +335,18 @@ def kept(plans, count):
     """Return plans that streams keep."""
     lent = []
     for _ in range(count):
-        lent.append(plans.lend(None))
+        lent.append(plans.lend())
         plans.keep(lent[-1])
     return lent
 
 
 def test_a_plan_is_lent_again_unless_a_stream_keeps_it(plans):
-    first = plans.lend(None)
-    assert plans.lend(None) is first
-    assert plans.lend(0.5) is not first
+    first = plans.lend()
+    assert plans.lend() is first
     plans.keep(first)
-    assert plans.lend(None) is not first
+    assert plans.lend() is not first
     plans.take_back(first)
-    assert plans.lend(None) is first
+    assert plans.lend() is first
 
 
 def test_of_plans_that_no_stream_keeps_two_stay(plans):
@@ -373,7 +355,7 @@ def test_of_plans_that_no_stream_keeps_two_stay(plans):
     for plan in lent[:3] + lent[4:]:
         plans.take_back(plan)
     assert [plan.released for plan in lent] == [False] * 5
-    assert plans.lend(None) is lent[0]
+    assert plans.lend() is lent[0]
     assert [plan.released for plan in lent] == [False, False, True, False, True]
     assert {*plans} == {lent[0], lent[1], lent[3]}
 
@@ -382,17 +364,17 @@ def test_a_plan_after_the_first_two_stays_while_it_is_lent(plans):
     lent = kept(plans, 4)
     for plan in lent[2:]:
         plans.take_back(plan)
-    assert plans.lend(None) is lent[2]
+    assert plans.lend() is lent[2]
     assert [plan.released for plan in lent] == [False, False, False, True]
 
 
 def test_plans_of_batches_stay_until_the_size_changes(plans):
-    single = plans.lend(None)
-    three = [plans.lend(factor, 3) for factor in (1.0, 0.5)]
-    assert plans.lend(1.0, 3) is three[0]
-    assert plans.lend(0.5) not in three
-    assert not any(plan.released for plan in three)
-    two = plans.lend(1.0, 2)
-    assert all(plan.released for plan in three)
+    single = plans.lend()
+    three = plans.lend(3)
+    assert plans.lend(3) is three
+    assert plans.lend() is single
+    assert not three.released
+    two = plans.lend(2)
+    assert three.released
     assert not single.released
-    assert plans.lend(1.0, 2) is two
+    assert plans.lend(2) is two

@@ -33,9 +33,7 @@ FEW = np.where(np.arange(31) < 16, FRAME, 128).astype(np.uint8)
 DEEP = FRAME.astype(np.uint16) * 16 + 7
 CONFIGS = {
     "default": DetectorConfig(),
-    "wide cells, no checks": DetectorConfig(
-        detection=RingHarmonic(fine=False, alignment=None, support=None), nms_radius=15
-    ),
+    "wide cells, no checks": DetectorConfig(detection=RingHarmonic(fine=False), nms_radius=15),
     "rings": rings(),
     "least": DetectorConfig(
         detection=BinaryRings(outer_radius=4, contrast=None), nms_radius=1, refinement=None
@@ -43,9 +41,7 @@ CONFIGS = {
     "wide windows": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(window=255)), nms_radius=15
     ),
-    "three thresholds, step": DetectorConfig(
-        detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(cell=11)
-    ),
+    "rings, step": DetectorConfig(detection=BinaryRings(), refinement=EdgeStep(cell=11)),
     "spectral, midlines": DetectorConfig(
         detection=BinaryRings(criteria=SpectralCriteria(correlation=0)), refinement=Midlines()
     ),
@@ -58,8 +54,8 @@ SIXTEEN_BITS = {
     "offset": DetectorConfig(
         detection=BinaryRings(threshold=AdaptiveMean(window=9, offset=3)), full_scale=4095
     ),
-    "spectral, three thresholds": DetectorConfig(
-        detection=BinaryRings(threshold=AdaptiveMean(masks=3), criteria=SpectralCriteria()),
+    "spectral": DetectorConfig(
+        detection=BinaryRings(criteria=SpectralCriteria()),
         full_scale=4095,
     ),
 }

@@ -13,7 +13,6 @@ import pytest
 from configs import rings
 
 from cmp_cl import (
-    AdaptiveMean,
     BinaryRings,
     Detector,
     DetectorConfig,
@@ -108,8 +107,8 @@ CONFIGS = {
         detection=RingHarmonic(fine=False), refinement=EdgeStep(), scale=0.5
     ),
     "rings": rings(),
-    "three thresholds, step, scaled": DetectorConfig(
-        detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(), scale=0.5
+    "rings, step, scaled": DetectorConfig(
+        detection=BinaryRings(), refinement=EdgeStep(), scale=0.5
     ),
     "midlines": DetectorConfig(
         detection=BinaryRings(contrast=None), refinement=Midlines(fit=Fit.QUADRATIC)

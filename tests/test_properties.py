@@ -24,9 +24,7 @@ from cmp_cl.maps import Maps
 SIDE = 47
 CONFIGS = [
     DetectorConfig(),
-    DetectorConfig(
-        detection=RingHarmonic(noise=0, relative=0, alignment=None, support=None), nms_radius=1
-    ),
+    DetectorConfig(detection=RingHarmonic(noise=0, relative=0), nms_radius=1),
     rings(),
     DetectorConfig(
         detection=BinaryRings(
@@ -41,7 +39,7 @@ CONFIGS = [
         )
     ),
     DetectorConfig(
-        detection=BinaryRings(threshold=AdaptiveMean(masks=3)), refinement=EdgeStep(cell=10)
+        detection=BinaryRings(threshold=AdaptiveMean(window=31)), refinement=EdgeStep(cell=10)
     ),
 ]
 TURNS = [(turns, mirrored) for turns in range(4) for mirrored in (False, True)]

@@ -200,8 +200,7 @@ def photographs(result: Row) -> str:
         "distance of a corner from the mean of its four neighbours, in px, divided by the square "
         "root of 5/4. The curvature of the surface adds the same amount to it for all methods. "
         "False corners are counted only where every corner is listed; `outside` counts the "
-        "detections elsewhere. `choose_config` and `for_image` choose settings for each "
-        "photograph; `detect(image)` and `cmp-cl detect` use the former. The small boards are "
+        "detections elsewhere. The small boards are "
         "rendered, so their truth is exact; behind each is a part of a photograph of a room, "
         "enlarged four times, whose own corners count as `outside`.\n"
     )

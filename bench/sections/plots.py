@@ -11,14 +11,14 @@ import matplotlib.patheffects
 import matplotlib.pyplot as plt
 import matplotlib.ticker
 import numpy as np
-from methods import DEFAULT, FILTERED, FULL, GRIDDED, LINES, PAPER, RINGS, THREE
+from methods import DEFAULT, FILTERED, FULL, GRIDDED, LINES, PAPER, RINGS
 
 from sections.tables import Row, is_peer
 
 mpl.rcParams["figure.dpi"] = 90
 LEAST = 0.05  # what stands for 0 on a logarithmic axis, per thousand corners
 OURS, PEER, GRID = "#c43c1e", "#3b6ea5", "#6a9a5b"
-SHOWN = (DEFAULT, LINES, RINGS, THREE, GRIDDED, FULL, FILTERED, PAPER)
+SHOWN = (DEFAULT, LINES, RINGS, GRIDDED, FULL, FILTERED, PAPER)
 
 
 def front_of(points: Sequence[Row], key: str) -> list[str]:

@@ -28,13 +28,13 @@ from cmp_cl.cli.tables import CORNER_COLUMNS, NODE_COLUMNS, Table, corner_rows, 
 from cmp_cl.closing import Closing
 from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
-from cmp_cl.detector import Detector, choose_config
+from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, ImageError
 from cmp_cl.files import whole_file
 from cmp_cl.grid import build_grid
 from cmp_cl.image import GreyImage
 from cmp_cl.marks import drop_marks
-from cmp_cl.measure.patterns import is_of_few_bits, of_few_bits
+from cmp_cl.measure.patterns import full_scale_for, is_of_few_bits, of_few_bits
 from cmp_cl.opencl.device import select_device
 from cmp_cl.viz import corner_overlay, grid_overlay
 
@@ -46,8 +46,8 @@ def add_parser(commands: Any) -> None:
         help="find the corners in images, folders of images and videos",
         description="Finds the corners of checkerboard-like patterns. Colour becomes grey. "
         "One line for each file says how many corners were found, on which device, and in how "
-        "many milliseconds: from the image in host memory to the corners in host memory, "
-        "without reading the file and without building the kernels.",
+        "many milliseconds: from the image in host memory to the corners in host memory, with the "
+        "making of the detector for the first image of a size.",
     )
     parser.add_argument("inputs", nargs="+", metavar="IMAGE", help="image, video or folder")
     parser.add_argument(
@@ -65,8 +65,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--config",
         metavar="TOML",
-        help="settings of the detector; without it the cell size is estimated from each image, "
-        "in a video until corners are found",
+        help="settings of the detector; default: those of DetectorConfig(), for cells of any size",
     )
     parser.add_argument(
         "--grid",
@@ -88,8 +87,8 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Find the corners of every input; return the exit status."""
-    config = None if arguments.config is None else DetectorConfig.load(arguments.config)
-    if config is not None and arguments.full_scale is not None:
+    config = DetectorConfig() if arguments.config is None else DetectorConfig.load(arguments.config)
+    if arguments.full_scale is not None:
         config = config.replace(full_scale=arguments.full_scale)
     paths = media.find_inputs(arguments.inputs)
     overlays = _overlay_paths(arguments.overlay, paths)
@@ -129,16 +128,18 @@ class _Tally:
         self.broken: list[int] = []
         self.overlays: list[Path] = []
         self.brightest = 0
+        self.full_scale: int | None = None
         self.device = ""
         self.size = 0  # nodes of the pattern
 
     def line(self) -> str:
         corners = f"{_span(self.counts)} corners"
-        time_of_one = f"{statistics.median(self.milliseconds):.2f} ms"
+        spent = f"{self.milliseconds[0]:.2f} ms"
         if len(self.counts) > 1:
             corners = f"{len(self.counts)} frames, {corners} each,"
-            time_of_one = f"a median of {time_of_one} each"
-        line = f"{corners} in {time_of_one} (upload, kernels, download) on {self.device}"
+            median = statistics.median(self.milliseconds)
+            spent = f"{sum(self.milliseconds):.0f} ms, a median of {median:.2f} ms each,"
+        line = f"{corners} in {spent} on {self.device}"
         if self.nodes:
             line += f"; {_span(self.nodes)} of {self.size} nodes"
         if self.ambiguous:
@@ -152,7 +153,11 @@ class _Tally:
 
     def is_dark(self) -> bool:
         """Return whether 16-bit pixels seem to be of fewer bits, so that corners may be missing."""
-        return is_of_few_bits(np.uint16, self.brightest)
+        return self.full_scale is None and is_of_few_bits(np.uint16, self.brightest)
+
+    def is_too_bright(self) -> bool:
+        """Return whether pixels exceed the full scale, so that corners may be missing."""
+        return self.full_scale is not None and self.brightest > self.full_scale
 
     def refused_line(self) -> str:
         (first, why), *more = self.refused.items()
@@ -241,28 +246,24 @@ class _NodeOutput(_CornerOutput):
 class _Finder(Closing):
     """Finds corners in a sequence of images, and keeps its detector as long as it fits them."""
 
-    def __init__(self, config: DetectorConfig | None, arguments: argparse.Namespace) -> None:
+    def __init__(self, config: DetectorConfig, arguments: argparse.Namespace) -> None:
         self._config, self._arguments = config, arguments
         self._device = None if arguments.device is None else select_device(arguments.device)
         self._key: object = None
         self._kept = ExitStack()
 
     def find(self, tally: _Tally) -> Iterator[tuple[int, GreyImage, Corners]]:
-        """Yield the frames of a file that can be read: number, image and corners.
-
-        Without a configuration it is estimated from each frame until one has corners.
-        """
+        """Yield the frames of a file that can be read: number, image and corners."""
         path, config, asked = tally.path, self._config, self._arguments
         scale = media.full_scale(path) if asked.full_scale is None else asked.full_scale
-        if config is not None and config.full_scale is None:
+        if config.full_scale is None:
             config = config.replace(full_scale=scale)
         for frame in media.read_frames(path, max_pixels=asked.max_pixels):
             if frame.image is None:
                 tally.broken.append(frame.index)
                 continue
-            chosen = config or choose_config(frame.image, full_scale=scale, device=self._device)
-            self._fit(frame.image, chosen)
             start = time.perf_counter()
+            self._fit(frame.image, config)
             corners = self._detector(frame.image)
             milliseconds = (time.perf_counter() - start) * 1e3
             if asked.drop_marks:
@@ -270,16 +271,15 @@ class _Finder(Closing):
             tally.counts.append(len(corners))
             tally.milliseconds.append(milliseconds)
             tally.device = corners.device
-            if frame.image.dtype == np.uint16 and chosen.full_scale is None:
+            if frame.image.dtype == np.uint16:
                 tally.brightest = max(tally.brightest, int(frame.image.max()))
-            if len(corners):
-                config = chosen
+                tally.full_scale = config.full_scale
             yield frame.index, frame.image, corners
         if not tally.counts:
             raise ImageError(f"{str(path)!r} has no frame that can be read")
 
     def _fit(self, image: GreyImage, config: DetectorConfig) -> None:
-        """Make a detector for such images, and run it once: some devices compile only then."""
+        """Make a detector for such images."""
         key = (image.shape, image.dtype, config)
         if key == self._key:
             return
@@ -287,7 +287,6 @@ class _Finder(Closing):
         self._detector = self._kept.enter_context(
             Detector(shape=image.shape, dtype=image.dtype, config=config, device=self._device)
         )
-        self._detector(image)
         self._key = key
 
     def close(self) -> None:
@@ -316,6 +315,13 @@ def _tell(tally: _Tally, progress: Progress, *, told: bool) -> None:
         progress.say(f"cmp-cl: {name}: {tally.broken_line()}", sys.stderr)
     if tally.counts:
         progress.say(f"{name}: {tally.line()}", sys.stdout)
+    if tally.is_too_bright():
+        progress.say(
+            f"cmp-cl: {name}: the brightest pixel is {tally.brightest}, above the full scale of "
+            f"{tally.full_scale} and counted as that; give --full-scale "
+            f"{full_scale_for(tally.brightest)}",
+            sys.stderr,
+        )
     if tally.is_dark() and not (told and any(tally.counts)):
         progress.say(f"cmp-cl: {name}: {in_shell(of_few_bits(tally.brightest))}", sys.stderr)
 

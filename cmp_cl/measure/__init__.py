@@ -20,7 +20,7 @@ which `cmp_cl.calibrate` makes the rig.
 
 from cmp_cl.measure.boards import MAX_SIGMA, find_board, find_boards, square_sides, trusted
 from cmp_cl.measure.frames import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
-from cmp_cl.measure.patterns import Region, align_views, cell_of, exact_config, find_pattern
+from cmp_cl.measure.patterns import Region, align_views, cell_of, find_pattern
 
 __all__ = [
     "MAX_SIGMA",
@@ -32,7 +32,6 @@ __all__ = [
     "TwoViews",
     "align_views",
     "cell_of",
-    "exact_config",
     "find_board",
     "find_boards",
     "find_pattern",

@@ -6,9 +6,6 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.cell import estimate_blur, estimate_cells
-from cmp_cl.config import DetectorConfig
-from cmp_cl.detector import Detector
 from cmp_cl.errors import GridError, check_kind, check_shape
 from cmp_cl.grid import Grid, NodeStatus, filter_positions
 from cmp_cl.grid.filter import image_sigma
@@ -16,7 +13,6 @@ from cmp_cl.image import GreyImage
 from cmp_cl.measure.patterns import (
     Region,
     align_views,
-    check_size,
     check_two,
     detected,
     find_pattern,
@@ -73,25 +69,12 @@ def find_board(
     view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners. region,
         full_scale, device: as in `OneView`.
 
-    The corners are detected at the scale that `DetectorConfig.for_image` chooses. If some are
-    missing, they are detected at full size too, where the rings are smaller relative to the board
-    and do not extend past narrow outer squares. The result with more corners is used.
+    The corners are those of `DetectorConfig()`, the settings of every caller that gives none.
 
     Raises GridError if the view does not show corners of all four sides of the board.
     """
     check_shape(shape, GridError)
-    device = select_device(device)
-    cell, _ = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
-    blur = estimate_blur(view, estimate_cells(view)._replace(side=cell))
-    scaled = DetectorConfig.for_cell(cell, blur=blur).replace(full_scale=full_scale)
-    grids = []
-    for config in dict.fromkeys((scaled, scaled.replace(scale=None))):
-        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
-            grids.append(detector.grid(view, shape=shape, region=region)[1])
-        if detected(grids[-1]) == shape[0] * shape[1]:
-            break
-    grid = max(grids, key=detected)
-    check_size(grid)
+    _, grid = find_pattern(view, shape=shape, region=region, full_scale=full_scale, device=device)
     seen = grid.status == NodeStatus.DETECTED
     if not (seen[[0, -1]].any(axis=1).all() and seen[:, [0, -1]].any(axis=0).all()):
         raise GridError(

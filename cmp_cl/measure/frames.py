@@ -22,7 +22,6 @@ from cmp_cl.measure.patterns import (
     align_views,
     check_size,
     check_two,
-    exact_config,
     find_pattern,
 )
 from cmp_cl.opencl.device import Device, select_device
@@ -121,7 +120,8 @@ class OneView(Measurement):
     rest: the frame at rest, (H, W) uint8 or uint16.
     shape: (rows, columns) of the pattern's corners; None takes the shape that is seen at rest.
     region: (x0, y0, x1, y1), px, holds the pattern in every frame; None is the whole frame.
-    config: configuration of the detector; None is `exact_config` for the cells seen at rest.
+    config: configuration of the detector; None finds the pattern at rest with `DetectorConfig()`,
+        as every caller does, and then takes `DetectorConfig.for_cell` for its cells.
     track: continue the numbers of the previous frame if the frame at rest leaves them ambiguous.
         Frames then come in order, and the pattern as a whole moves by less than half a cell from
         the frame at rest to the first and from each to the next. After two frames without a grid,
@@ -396,7 +396,7 @@ class _Pattern:
             cell, _ = find_pattern(
                 view, shape=shape, region=region, full_scale=search.full_scale, device=device
             )
-            config = exact_config(cell, search.full_scale)
+            config = DetectorConfig.for_cell(cell).replace(full_scale=search.full_scale)
         check_kind("config", config, DetectorConfig, ConfigError)
         if search.config is not None and search.full_scale is not None:
             config = config.replace(full_scale=search.full_scale)

@@ -12,13 +12,12 @@ from cmp_cl.errors import ConfigError, GridError, check_kind, check_shape
 from cmp_cl.grid import Grid, NodeStatus, align
 from cmp_cl.grid.align import row_direction
 from cmp_cl.image import GreyImage
-from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.device import Device
 
 Region: TypeAlias = tuple[float, float, float, float]  # x0, y0, x1, y1, px
 
 _MOST_ROTATED = np.pi / 3  # rad between the rows of one pattern in two views
 _FEW_BITS = 2**14  # a grey level that an image of 16 bits reaches, unless it is very dark
-_USUAL_CELLS = (20.0, 12.0, 40.0)  # px, tried if the estimated cell does not find the pattern
 
 
 def find_pattern(
@@ -31,40 +30,29 @@ def find_pattern(
 ) -> tuple[float, Grid]:
     """Find a pattern of unknown cell size; return the side of its cells, px, and its grid.
 
-    view, shape, region, full_scale, device: as in `OneView`. The estimated cell and some usual ones
-    are tried in turn. The search ends with the first that shows all nodes of a known shape, or a
-    grid of most corners. Otherwise the cell with the most detected nodes is chosen.
+    view, shape, region, full_scale, device: as in `OneView`. The corners are those of
+        `DetectorConfig()`, the settings of every caller that gives none.
 
-    Raises GridError if no cell size shows a pattern or the pattern seems to have another number of
-    corners, and the errors of `Detector`.
+    Raises GridError if there is no pattern or the pattern seems to have another number of corners,
+    and the errors of `Detector`.
     """
     if shape is not None:
         check_shape(shape, GridError)
-    device = select_device(device)
-    best: Grid | None = None
+    config = DetectorConfig(full_scale=full_scale)
     why = "no closed cell is seen"
-    configs = (DetectorConfig.for_image(view), *map(DetectorConfig.for_cell, _USUAL_CELLS))
-    for config in configs:
-        config = config.replace(full_scale=full_scale)
-        with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
-            try:
-                corners, grid = detector.grid(view, shape=shape, region=region)
-            except GridError as error:
-                why = str(error)
-                continue
-        if detected(grid) > (0 if best is None else detected(best)):
-            best = grid
-        enough = len(corners) / 2 if shape is None else grid.status.size - 1
-        if detected(grid) > enough:
-            break
-    cell = np.nan if best is None else cell_of(best)
-    if best is None or not cell >= 4:
+    with Detector(shape=view.shape, dtype=view.dtype, config=config, device=device) as detector:
+        try:
+            _, grid = detector.grid(view, shape=shape, region=region)
+            cell = cell_of(grid)
+        except GridError as error:
+            why, cell = str(error), np.nan
+    if not cell >= 4:
         size = "" if shape is None else f" of {' x '.join(map(str, shape))} corners"
         brightest = int(view.max(initial=0)) if full_scale is None else 0
         hint = f"; {of_few_bits(brightest)}" if is_of_few_bits(view.dtype, brightest) else ""
         raise GridError(f"no pattern{size} is found: {why}{hint}")
-    check_size(best)
-    return cell, best
+    check_size(grid)
+    return cell, grid
 
 
 def is_of_few_bits(dtype: DTypeLike, brightest: int) -> bool:
@@ -77,10 +65,16 @@ def is_of_few_bits(dtype: DTypeLike, brightest: int) -> bool:
 
 def of_few_bits(brightest: int) -> str:
     """Return, as text, what to do about pixels of fewer than 16 bits."""
+    level = full_scale_for(brightest)
     return (
-        f"the brightest of the 16-bit pixels is {brightest}; give "
-        "full_scale=4095 for a 12-bit camera, full_scale=1023 for a 10-bit one"
+        f"the brightest of the 16-bit pixels is {brightest}; give the camera's largest grey level, "
+        f"full_scale={level} if it has {level.bit_length()} bits"
     )
+
+
+def full_scale_for(brightest: int) -> int:
+    """Return the full scale of 8, 10, 12, 14 or 16 bits that holds a grey level."""
+    return int(next(2**bits - 1 for bits in (8, 10, 12, 14, 16) if brightest < 2**bits))
 
 
 def check_size(grid: Grid) -> None:
@@ -110,14 +104,6 @@ def cell_of(grid: Grid) -> float:
     known = np.concatenate(sides)
     known = known[np.isfinite(known)]
     return float(np.median(known)) if len(known) else float("nan")
-
-
-def exact_config(cell: float, full_scale: int | None = None) -> DetectorConfig:
-    """Return the most complete and exact configuration for a deformed pattern.
-
-    cell: side of its cells, px. full_scale: see `OneView`. It is that of `DetectorConfig.for_cell`.
-    """
-    return DetectorConfig.for_cell(cell).replace(full_scale=full_scale)
 
 
 def align_views(left: Grid, right: Grid) -> Grid:

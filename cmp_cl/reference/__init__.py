@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.choice import choose_by_corners
-from cmp_cl.config import BinaryRings, DetectorConfig, Pyramid, RapidCriteria
+from cmp_cl.config import BinaryRings, DetectorConfig, RapidCriteria
 from cmp_cl.corners import Corners
 from cmp_cl.errors import ConfigError, ImageError, check_kind
 from cmp_cl.image import GreyImage, check_image
@@ -31,7 +30,7 @@ from cmp_cl.reference import (
 
 __all__ = ["detect", "detect_with_margin", "maps"]
 
-_OF_ALL_LAYERS = {"response", "score", "maximum"}  # fields of Maps; each layer has the others
+_LATER = {"response", "score", "maximum"}  # fields of Maps that the criteria do not give
 
 Mask = NDArray[np.bool_] | None
 
@@ -53,7 +52,7 @@ class _Found:
 def detect(image: GreyImage, config: DetectorConfig | None = None, mask: Mask = None) -> Corners:
     """Find the corners of an image, (H, W) uint8 or uint16.
 
-    config: None means the settings of `cmp_cl.choose_config`, chosen by what the oracle finds.
+    config: None means DetectorConfig().
     mask: (H, W) bool, where candidates may be centred; pixels outside are still sampled.
 
     Raises ImageError if image or mask is anything else, ConfigError if config is.
@@ -71,9 +70,10 @@ def detect_with_margin(
         refinement.
     """
     image = check_image(image)
-    config = _chosen(image) if config is None else config
+    config = DetectorConfig() if config is None else config
     check_kind("config", config, DetectorConfig, ConfigError)
-    factor, found = _at_best_scale(image, config, mask)
+    factor = 1.0 if config.scale is None else float(config.scale)
+    found = _at_scale(image, config, _checked(mask, image), factor)
     pixel, centroid, rounded = found.pixel, found.centroid, found.rounded
     if factor != 1:
         pixel = scale.nearest(scale.to_full(pixel.astype(np.float64), factor), image.shape)
@@ -100,27 +100,8 @@ def maps(
 ) -> Maps | HarmonicMaps:
     """Return every intermediate image of `detect`, with a value at every pixel."""
     image = check_image(image)
-    return _at_best_scale(image, config or _chosen(image), mask)[1].maps
-
-
-def _chosen(image: GreyImage) -> DetectorConfig:
-    """Return the settings for an image that is given without any."""
-    return choose_by_corners(image, None, lambda config: detect(image, config))
-
-
-def _at_best_scale(image: GreyImage, config: DetectorConfig, mask: Mask) -> tuple[float, _Found]:
-    """Return the best working scale and what is found at that scale."""
-    mask = _checked(mask, image)
-    if not isinstance(config.scale, Pyramid):
-        factor = 1.0 if config.scale is None else float(config.scale)
-        return factor, _at_scale(image, config, mask, factor)
-    found = {
-        factor: _at_scale(image, config, mask, factor)
-        for factor in map(float, config.scale.factors)
-    }
-    counts = {factor: len(each.pixel) for factor, each in found.items()}
-    best = scale.best_factor(counts, config.scale.expected)
-    return best, found[best]
+    config = config or DetectorConfig()
+    return _at_scale(image, config, _checked(mask, image), float(config.scale or 1)).maps
 
 
 def _checked(mask: Mask, image: GreyImage) -> NDArray[np.bool_]:
@@ -162,35 +143,19 @@ def _of_rings(
     mask: NDArray[np.bool_],
 ) -> _Found:
     """Find corners by the paper's criteria; the gate examines the maxima of the response."""
-    layers = [_layer(binary, mask, rings) for binary in binarize.binarize(image, rings.threshold)]
-    weights = (1,) if len(layers) == 1 else (2, 1, 1)
-    response = sum(
-        weight * layer.pop("response") for weight, layer in zip(weights, layers, strict=True)
-    )
+    layer = _layer(binarize.binarize(image, rings.threshold), mask, rings)
+    response = layer["response"]
     score = nms.score(response)
     maximum = nms.maxima(response, score, nms_radius)
     if rings.contrast is not None:
-        gated = [
-            gate.gate(
-                image,
-                layer["inner"],
-                layer["candidate"] & maximum,
-                rings.outer_radius,
-                rings.contrast,
-                full_scale,
-                len(layers),
-            )
-            for layer in layers
-        ]
-        for layer, (contrast, _) in zip(layers, gated, strict=True):
-            layer["contrast"] = contrast
-        maximum = np.any([kept for _, kept in gated], axis=0)
-    merged = layers[0]
-    if len(layers) > 1:
-        merged = {
-            name: None if values is None else np.stack([each[name] for each in layers])
-            for name, values in merged.items()
-        }
+        layer["contrast"], maximum = gate.gate(
+            image,
+            layer["inner"],
+            maximum,
+            rings.outer_radius,
+            rings.contrast,
+            full_scale,
+        )
     y, x = np.nonzero(maximum)
     centroid, rounded = nms.centroids(response, x, y)
     return _Found(
@@ -198,7 +163,7 @@ def _of_rings(
         response=response[y, x],
         centroid=centroid,
         rounded=rounded,
-        maps=Maps(**merged, response=response, score=score, maximum=maximum),
+        maps=Maps(**layer, score=score, maximum=maximum),
     )
 
 
@@ -209,7 +174,7 @@ def _layer(
     inner = ring.ring_bits(binary, ring.INNER)
     outer = ring.ring_bits(binary, ring.OUTER[rings.outer_radius])
     fields = {field.name for field in dataclasses.fields(Maps)}
-    layer: dict[str, Any] = dict.fromkeys(fields - _OF_ALL_LAYERS)
+    layer: dict[str, Any] = dict.fromkeys(fields - _LATER)
     if isinstance(rings.criteria, RapidCriteria):
         layer |= vars(criteria.rapid(binary, inner, outer, rings.criteria))
     else:

@@ -18,20 +18,18 @@ def gate(
     outer_radius: int,
     contrast: SectorContrast,
     full_scale: int,
-    masks: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """Return the contrast min(sc1, sc2), (H, W), 0 off candidates, and the kept candidates, (H, W)
         bool.
 
     candidate: (H, W) bool, the maxima of the response that are candidates of this binary image.
-    masks: number of threshold layers, 1 or 3. The inner ring of a candidate is never constant: both
-    forms of the criteria exclude it.
+    The inner ring of a candidate is never constant: both forms of the criteria exclude it.
     """
     y, x = np.nonzero(candidate)
     sc1, sc2, sm = sector_contrast(image, x, y, inner[y, x], outer_radius)
     least = contrast_bound(sc1, contrast, full_scale)
     amplitude, pixels = noise_amplitude(image)
-    factor = noise_factor(contrast, masks)
+    factor = noise_factor(contrast)
     both = np.minimum(sc1, sc2)
     kept = (both >= least) & (2 * pixels * sm >= factor * amplitude)
     contrast_map = np.zeros(image.shape, np.int32)
@@ -100,7 +98,6 @@ def noise_amplitude(image: GreyImage) -> tuple[int, int]:
     return int(np.abs(second).sum()), second.size
 
 
-def noise_factor(contrast: SectorContrast, masks: int) -> int:
-    """Return F = floor(6.68 k + .5), with k the noise bound; k >= 3 with three layers."""
-    deviations = contrast.noise if masks == 1 else max(contrast.noise, 3)
-    return math.floor(6.68 * deviations + 0.5)
+def noise_factor(contrast: SectorContrast) -> int:
+    """Return F = floor(6.68 k + .5), with k the noise bound."""
+    return math.floor(6.68 * contrast.noise + 0.5)

@@ -25,7 +25,8 @@ COARSE: Ring = (5, 4)  # distance along the axes and along the diagonals, px
 MIDDLE: Ring = (4, 3)
 FINE: Ring = (3, 2)
 FINEST: Ring = (2, 1)
-FINE_ALIGNMENT = 4
+ALIGNMENT, FINE_ALIGNMENT = 8, 4
+SUPPORT = 32
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -248,11 +249,9 @@ def looks_alike(
     small, large = harmonics(once, y, x, FINE), harmonics(thrice, y, x, COARSE)
     along, whole = _dot(small, large), _dot(large, large)
     passed: NDArray[np.bool_] = 8 * large.centre * whole <= large.length * (11 * whole + 8 * along)
-    if rule.alignment is not None:
-        passed &= rule.alignment * along >= whole
-    if rule.support is not None:
-        middle = coarse_measure(harmonics(thrice, y, x, MIDDLE))
-        passed &= (rule.support * middle >= response) & (middle <= 2 * response)
+    passed &= ALIGNMENT * along >= whole
+    middle = coarse_measure(harmonics(thrice, y, x, MIDDLE))
+    passed &= (SUPPORT * middle >= response) & (middle <= 2 * response)
     return passed
 
 

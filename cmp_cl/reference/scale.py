@@ -104,8 +104,3 @@ def mask_at_working(mask: NDArray[np.bool_], scale: float) -> NDArray[np.bool_]:
 def _nearest_along(length: int, scale: float) -> NDArray[np.int64]:
     position = to_full(np.arange(working_length(length, scale)).astype(np.float64), scale)
     return np.clip(np.floor(position + 0.5), 0, length - 1).astype(np.int64)
-
-
-def best_factor(counts: dict[float, int], expected: int) -> float:
-    """Return the factor whose count is nearest to the expected one; of equals the larger."""
-    return min(counts, key=lambda factor: (abs(counts[factor] - expected), -factor))

@@ -1,4 +1,4 @@
-"""Binarization against the mean of a window, with one threshold layer or three."""
+"""Binarization against the mean of a window."""
 
 import numpy as np
 
@@ -28,20 +28,17 @@ def macros(plan: PlanBase, rule: BinaryRings) -> dict[str, str]:
     }
 
 
-def scratch(plan: PlanBase, rule: BinaryRings) -> dict[str, int]:
+def scratch(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the temporary arrays."""
-    slab = (plan.frames * _slab_rows(plan, rule) + 2) * plan.step
-    sums = {"sums": plan.types["COLUMN"].itemsize * slab}
-    if rule.threshold.masks == 3:
-        sums["squares"] = plan.types["SQUARE"].itemsize * slab
-    return sums
+    slab = (plan.frames * _slab_rows(plan) + 2) * plan.step
+    return {"sums": plan.types["COLUMN"].itemsize * slab}
 
 
 def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
-    """Return the launches from the image to the binary images, and to empty lists."""
+    """Return the launches from the image to the binary image, and to empty lists."""
     frame_rows, b = plan.frames * plan.working[0], plan.arrays
     stages = [plan.few("repeat_border", frame_rows, 1, **plan.size, image=plan.image)]
-    for first in range(0, plan.working[0], _slab_rows(plan, rule)):
+    for first in range(0, plan.working[0], _slab_rows(plan)):
         stages += _slab(plan, rule, first)
     emptied = {"counts": b["counts"], "row_counts": b["row_counts"]}
     if rule.contrast is not None:
@@ -58,15 +55,13 @@ def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
     return [*stages, border]
 
 
-def _slab_rows(plan: PlanBase, rule: BinaryRings) -> int:
-    types = plan.types
-    squares = types["SQUARE"].itemsize if rule.threshold.masks == 3 else 0
-    return -(-plan.working[0] // ((types["COLUMN"].itemsize + squares) // SLAB))
+def _slab_rows(plan: PlanBase) -> int:
+    return -(-plan.working[0] // (plan.types["COLUMN"].itemsize // SLAB))
 
 
 def _slab(plan: PlanBase, rule: BinaryRings, first: int) -> list[Launch]:
     """Return the launches for the slab of rows from `first` on."""
-    b, threshold, slab = plan.arrays, rule.threshold, _slab_rows(plan, rule)
+    b, threshold, slab = plan.arrays, rule.threshold, _slab_rows(plan)
     height = min(slab, plan.working[0] - first)
     window = {
         "rows": plan.size["rows"],
@@ -77,19 +72,9 @@ def _slab(plan: PlanBase, rule: BinaryRings, first: int) -> list[Launch]:
     column, count = plan.types["COLUMN"].type, threshold.window**2
     image, sums = {"image": plan.image}, {"sums": b["sums"]}
     stages = [plan.dense("column_sums", height, **image, **window, zero=column(0), **sums)]
-    if threshold.masks == 1:
-        level = plan.types["LEVEL"].type
-        # A mean of bytes is never above 255.
-        offset = threshold.offset if plan.dtype == np.uint16 else min(threshold.offset, 255)
-        levels = {"count": level(count), "offset": level(offset), "zero": np.uint32(0)}
-        given = {**image, **sums, **window, **levels, "binary": b["binary"]}
-        return [*stages, plan.dense("binarize", height, **given)]
-    squares = {"squares": b["squares"]}
-    zero = plan.types["SQUARE"].type(0)
-    levels = {"count": np.uint64(count), "zero": np.uint64(0)}
-    given = {**image, **sums, **squares, **window, **levels, "binary": b["binary"]}
-    return [
-        *stages,
-        plan.dense("column_squares", height, **image, **window, zero=zero, **squares),
-        plan.dense("binarize_three", height, **given),
-    ]
+    level = plan.types["LEVEL"].type
+    # A mean of bytes is never above 255.
+    offset = threshold.offset if plan.dtype == np.uint16 else min(threshold.offset, 255)
+    levels = {"count": level(count), "offset": level(offset), "zero": np.uint32(0)}
+    given = {**image, **sums, **window, **levels, "binary": b["binary"]}
+    return [*stages, plan.dense("binarize", height, **given)]

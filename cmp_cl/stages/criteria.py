@@ -1,4 +1,4 @@
-"""The four criteria on the two rings of a binary image: the candidates of each threshold layer."""
+"""The four criteria on the two rings of a binary image: the candidates."""
 
 from typing import Any, cast
 
@@ -11,21 +11,16 @@ from cmp_cl.stages.layout import PlanBase
 
 
 def launches(plan: PlanBase, rule: BinaryRings) -> list[Launch]:
-    """Return the launches from the binary images to the lists of candidates."""
-    stages = []
-    for layer in range(rule.threshold.masks):
-        rapid = isinstance(rule.criteria, RapidCriteria)
-        stages.append((_rapid if rapid else _spectral)(plan, rule, layer))
-        stages.append(_collect(plan, layer))
-    return stages
+    """Return the launches from the binary image to the list of candidates."""
+    rapid = isinstance(rule.criteria, RapidCriteria)
+    return [(_rapid if rapid else _spectral)(plan, rule), _collect(plan)]
 
 
-def _rapid(plan: PlanBase, rule: BinaryRings, layer: int) -> Launch:
+def _rapid(plan: PlanBase, rule: BinaryRings) -> Launch:
     criteria, b = cast(RapidCriteria, rule.criteria), plan.arrays
     return plan.dense(
         "rapid_criteria",
         binary=b["binary"],
-        to_top=np.uint8(128 >> layer),
         rows=plan.size["rows"],
         step=plan.size["step"],
         sector_threshold=np.uint8(criteria.sector_threshold),
@@ -36,7 +31,7 @@ def _rapid(plan: PlanBase, rule: BinaryRings, layer: int) -> Launch:
     )
 
 
-def _spectral(plan: PlanBase, rule: BinaryRings, layer: int) -> Launch:
+def _spectral(plan: PlanBase, rule: BinaryRings) -> Launch:
     criteria, b = cast(SpectralCriteria, rule.criteria), plan.arrays
     inner_response, outer_passes = spectral.response_tables()
     least = spectral.least_correlation(criteria.correlation)
@@ -44,7 +39,6 @@ def _spectral(plan: PlanBase, rule: BinaryRings, layer: int) -> Launch:
         "spectral_criteria",
         binary=b["binary"],
         area=b["area"],
-        layer=np.uint32(layer),
         inner_response=plan.constant(inner_response),
         outer_passes=plan.constant(outer_passes),
         least_correlation=plan.constant(least),
@@ -56,7 +50,7 @@ def _spectral(plan: PlanBase, rule: BinaryRings, layer: int) -> Launch:
     )
 
 
-def _collect(plan: PlanBase, layer: int) -> Launch:
+def _collect(plan: PlanBase) -> Launch:
     b = plan.arrays
     return plan.stage(
         "list_candidates",
@@ -64,7 +58,6 @@ def _collect(plan: PlanBase, layer: int) -> Launch:
         (plan.width // 8, 1, 1),
         response=b["response"],
         area=b["area"],
-        layer=np.uint32(layer),
         rows=plan.size["rows"],
         step=plan.size["step"],
         capacity=np.uint32(plan.list_capacity),
@@ -75,8 +68,8 @@ def _collect(plan: PlanBase, layer: int) -> Launch:
 
 
 def of_candidates(plan: PlanBase, name: str, **arguments: Any) -> Launch:
-    """Bind a kernel with one work-item per entry of the lists of candidates."""
-    items = (plan.list_capacity, plan.frames * plan.lists)
+    """Bind a kernel with one work-item per entry of the list of candidates."""
+    items = (plan.list_capacity, plan.frames)
     return plan.stage(name, items, (GROUP, 1), **arguments)
 
 

@@ -13,39 +13,37 @@ from cmp_cl.stages.layout import PlanBase
 BINS = 256  # bins of the histograms of contrasts
 CONTRASTS = ("inner_contrast", "contrast", "mean_difference")
 NOISE_FACTOR = 6.68  # Immerkaer's estimate sums 6 sqrt(pi / 2) standard deviations; less 11 %
-LEAST_NOISE_OF_THREE = 3  # standard deviations, with three thresholds
 
 
 def sizes(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the buffers."""
-    planes = plan.frames * plan.lists
     return {
         "noise": 8 * plan.frames * noise.bands(plan),
-        "found": 8 * planes,
-        "bounds": 8 * planes,
-        "counted": 4 * planes,
-        "bins": 4 * planes * BINS,
+        "found": 8 * plan.frames,
+        "bounds": 8 * plan.frames,
+        "counted": 4 * plan.frames,
+        "bins": 4 * plan.frames * BINS,
         "passed": plan.frames * plan.working[0] * plan.step // 8,
     }
 
 
 def scratch(plan: PlanBase) -> dict[str, int]:
     """Return the bytes of the temporary arrays."""
-    capacity = plan.frames * plan.lists * plan.list_capacity
+    capacity = plan.frames * plan.list_capacity
     contrasts = dict.fromkeys(CONTRASTS, plan.types["CONTRAST"].itemsize * capacity)
     return {**noise.scratch(plan), **contrasts}
 
 
 def launches(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     """Return the launches from the maxima to a bit for every maximum that passes."""
-    b, planes = plan.arrays, plan.frames * plan.lists
+    b = plan.arrays
     contrasts = {name: b[name] for name in CONTRASTS}
     counted = {"counted": b["counted"]}
     given = listed(plan)
     limits = {name: given.pop(name) for name in ("rows", "step", "capacity")}
     return [
         *noise.launches(plan),
-        plan.stage("clear_bins", (BINS, planes), (GROUP, 1), **counted, bins=b["bins"]),
+        plan.stage("clear_bins", (BINS, plan.frames), (GROUP, 1), **counted, bins=b["bins"]),
         of_candidates(
             plan,
             "sector_contrast",
@@ -79,7 +77,6 @@ def _percentile(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
     levels = np.arange(2**16 if deep else 2**8)
     floor = math.ceil(gate.minimum * plan.config.grey_levels(plan.dtype) / 255)
     limit = np.maximum(np.ceil(np.float64(gate.relative) * levels), floor).astype(np.int32)
-    least_noise = gate.noise if plan.lists == 1 else max(gate.noise, LEAST_NOISE_OF_THREE)
     given = {
         "counted": b["counted"],
         "noise_sums": b["noise"],
@@ -89,15 +86,14 @@ def _percentile(plan: PlanBase, gate: SectorContrast) -> list[Launch]:
         "bands": np.uint32(noise.bands(plan)),
     }
     left = {
-        "noise_factor": np.uint32(math.floor(NOISE_FACTOR * least_noise + 0.5)),
+        "noise_factor": np.uint32(math.floor(NOISE_FACTOR * gate.noise + 0.5)),
         "bins": b["bins"],
         "found": b["found"],
         "bounds": b["bounds"],
     }
 
     def percentile(shift: int) -> Launch:
-        planes = plan.frames * plan.lists
-        return plan.few("percentile", planes, 1, **given, shift=np.uint32(shift), **left)
+        return plan.few("percentile", plan.frames, 1, **given, shift=np.uint32(shift), **left)
 
     if not deep:
         return [percentile(0)]

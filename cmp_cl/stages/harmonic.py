@@ -88,12 +88,6 @@ def _full_scale(plan: PlanBase) -> int:
     return plan.config.grey_levels(plan.dtype)
 
 
-def _checks(plan: PlanBase) -> dict[str, Any]:
-    """Return the factors of the checks; 0 leaves a check out."""
-    rule = _rule(plan)
-    return {"alignment": np.int32(rule.alignment or 0), "support": np.int32(rule.support or 0)}
-
-
 # One work-item per pixel
 
 
@@ -139,7 +133,6 @@ def _by_pixels(plan: PlanBase) -> list[Launch]:
             response=b["response"],
             area=b["area"],
             **limits,
-            **_checks(plan),
             **found,
         ),
         *_decide(plan),
@@ -272,7 +265,6 @@ def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
         capacity=np.uint32(plan.list_capacity),
         full_scale=np.uint32(_full_scale(plan)),
         inverse=np.float32(1 / _full_scale(plan)),
-        **_checks(plan),
         work=b["work"],
         work_size=np.uint32(_work_rows(plan) * plan.step),
         coarse_noise=np.uint32(rule.coarse_noise),

@@ -38,7 +38,6 @@ class PlanBase(Binder):
         shape: tuple[int, int],
         dtype: np.dtype[Any],
         config: DetectorConfig,
-        scale: float | None,
         frames: int,
         form: Form | None = None,
     ) -> None:
@@ -49,12 +48,12 @@ class PlanBase(Binder):
         self.types = types_of(dtype, config)
         self.config = config
         self.rule = config.detection
-        self.scale = None if scale == 1 else scale
+        self.scale = None if config.scale == 1 else config.scale
         self.frames = frames
         self.working = shape if self.scale is None else working_shape(shape, self.scale)
         pixels = self.working[0] * self.working[1]
         if isinstance(self.rule, BinaryRings):
-            self.lists = self.rule.threshold.masks
+            self.lists = 1
             self.pad = multiple(max(LEAST_PAD, self.rule.threshold.window // 2), LEAST_PAD)
             self.list_capacity = multiple(pixels // 20 + 1, GROUP)  # the lists grow
         else:

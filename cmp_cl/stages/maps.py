@@ -6,7 +6,7 @@ buffer.
 
 import dataclasses
 import math
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -45,7 +45,6 @@ def no_maps(shape: tuple[int, int], config: DetectorConfig) -> Maps | HarmonicMa
             fine_response=np.empty(shape, np.int32) if rule.fine else None,
             maximum=np.empty(shape, np.bool_),
         )
-    layers = (3, *shape) if rule.threshold.masks == 3 else shape
     dtypes: dict[str, Any] = {"binary": np.bool_, "inner": np.uint16, "outer": np.uint16}
     dtypes["candidate"] = np.bool_
     if isinstance(rule.criteria, RapidCriteria):
@@ -57,18 +56,17 @@ def no_maps(shape: tuple[int, int], config: DetectorConfig) -> Maps | HarmonicMa
     if rule.contrast is not None:
         dtypes["contrast"] = np.int32
     values: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Maps))
-    values |= {name: np.empty(layers, dtype) for name, dtype in dtypes.items()}
+    values |= {name: np.empty(shape, dtype) for name, dtype in dtypes.items()}
     values |= {name: np.empty(shape, np.int32) for name in ("response", "score")}
     return Maps(**values | {"maximum": np.empty(shape, np.bool_)})
 
 
-def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any, planes: int = 1) -> NDArray[Any]:
-    """Return the planes of a buffer without their padding: (H, W), or (3, H, W)."""
+def _plane(plan: Plan, buffer: cl.Buffer, dtype: Any) -> NDArray[Any]:
+    """Return a plane without its padding, (H, W)."""
     rows, columns = plan.working
-    padded = np.empty((planes * rows + 2, plan.step), dtype)
+    padded = np.empty((rows + 2, plan.step), dtype)
     cl.enqueue_copy(plan.queue, padded, buffer)
-    inside = padded[1:-1, plan.pad : plan.pad + columns].reshape(planes, rows, columns)
-    return np.ascontiguousarray(inside[0] if planes == 1 else inside)
+    return np.ascontiguousarray(padded[1:-1, plan.pad : plan.pad + columns])
 
 
 def _bits(plan: Plan, name: str) -> NDArray[np.bool_]:
@@ -100,9 +98,9 @@ def _ring_maps(plan: Plan, rule: BinaryRings) -> dict[str, Any]:
     for launch in plan.launches:
         plan.launch([launch])
         if launch.stage == "repeat_border_binary":
-            values["binary"] = _binary(plan)
+            values["binary"] = _plane(plan, plan.arrays["binary"], np.uint8) > 0
             rapid = isinstance(rule.criteria, RapidCriteria)
-            values |= (_rapid_maps if rapid else _spectral_maps)(plan, values["binary"])
+            values |= (_rapid_maps if rapid else _spectral_maps)(plan)
             if rule.criteria.corrosion_threshold is None:
                 values["corrosion"] = None
         elif launch.stage == "list_candidates":
@@ -117,54 +115,32 @@ def _ring_maps(plan: Plan, rule: BinaryRings) -> dict[str, Any]:
     return values | {"maximum": _bits(plan, "maxima" if rule.contrast is None else "passed")}
 
 
-def _per_pixel(
-    plan: Plan, name: str, outputs: list[Any], planes: int, *inputs: Any
-) -> list[NDArray[Any]]:
-    """Run a kernel that writes maps with one work-item per pixel of every plane."""
+def _per_pixel(plan: Plan, name: str, outputs: list[Any], *inputs: Any) -> list[NDArray[Any]]:
+    """Run a kernel that writes maps with one work-item per pixel."""
     rows = plan.working[0]
-    size = (planes * rows + 2) * plan.step
+    size = (rows + 2) * plan.step
     buffers = [
         cl.Buffer(plan.queue.context, cl.mem_flags.WRITE_ONLY, size * np.dtype(dtype).itemsize)
         for dtype in outputs
     ]
     kernel = plan.kernels.bind(name, *inputs, np.uint32(rows), np.uint32(plan.step), *buffers)
-    items, group = (plan.step, rows, planes), (plan.width, 1, 1)
+    items, group = (plan.step, rows, 1), (plan.width, 1, 1)
     cl.enqueue_nd_range_kernel(plan.queue, kernel, items, group)
-    return [
-        _plane(plan, buffer, dtype, planes) for buffer, dtype in zip(buffers, outputs, strict=True)
-    ]
+    return [_plane(plan, buffer, dtype) for buffer, dtype in zip(buffers, outputs, strict=True)]
 
 
-def _binary(plan: Plan) -> NDArray[np.bool_]:
-    """Return the threshold layers; bit k of a pixel is its colour in layer k."""
-    bits = _plane(plan, plan.arrays["binary"], np.uint8)
-    if plan.lists == 1:
-        return bits > 0
-    return np.stack([bits >> k & 1 for k in range(plan.lists)]) > 0
-
-
-def _black(plan: Plan, binary: NDArray[np.bool_]) -> cl.Buffer:
-    """Return the threshold layers on the device, as padded planes of their own."""
-    rows, columns = plan.working
-    after = plan.step - plan.pad - columns
-    planes = np.pad(
-        binary.reshape(plan.lists, rows, columns), ((0, 0), (0, 0), (plan.pad, after)), "edge"
-    )
-    return plan.constant(np.pad(planes.reshape(-1, plan.step), ((1, 1), (0, 0))))
-
-
-def _rapid_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[Any] | None]:
+def _rapid_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
     dtypes = [np.uint16, np.uint16, *(dtype for _, dtype in _RAPID_MAPS)]
-    inner, outer, *others = _per_pixel(plan, "ring_maps", dtypes, plan.lists, _black(plan, binary))
+    inner, outer, *others = _per_pixel(plan, "ring_maps", dtypes, plan.arrays["binary"])
     values: dict[str, NDArray[Any] | None] = {"inner": inner, "outer": outer}
     values |= {name: values for (name, _), values in zip(_RAPID_MAPS, others, strict=True)}
     return values | dict.fromkeys(_SPECTRAL_MAPS)
 
 
-def _spectral_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[Any] | None]:
+def _spectral_maps(plan: Plan) -> dict[str, NDArray[Any] | None]:
     dtypes = [np.uint16, np.uint16, np.int8, np.uint8, np.uint8]
     inner, outer, corrosion, best, half_samples = _per_pixel(
-        plan, "spectral_maps", dtypes, plan.lists, _black(plan, binary)
+        plan, "spectral_maps", dtypes, plan.arrays["binary"]
     )
     margins = spectral.margins()
     smaller = np.minimum(margins[inner], margins[outer]).astype(np.float32)
@@ -185,22 +161,19 @@ def _spectral_maps(plan: Plan, binary: NDArray[np.bool_]) -> dict[str, NDArray[A
 
 def _at_candidates(plan: Plan, dtype: Any, name: str | None) -> NDArray[Any]:
     """Return an image of a number for each candidate, 1 if no list is named, and 0 elsewhere."""
-    rows, planes, capacity = plan.working[0], plan.lists, plan.list_capacity
-    counts = np.empty(plan.frames * (planes + 1), np.uint32)
-    index = np.empty((planes, capacity), np.uint32)
-    numbers = np.ones((planes, capacity), plan.types["CONTRAST"])
+    rows, capacity = plan.working[0], plan.list_capacity
+    counts = np.empty(2, np.uint32)
+    index = np.empty(capacity, np.uint32)
+    numbers = np.ones(capacity, plan.types["CONTRAST"])
     cl.enqueue_copy(plan.queue, counts, plan.arrays["counts"])
     cl.enqueue_copy(plan.queue, index, plan.arrays["candidates"])
     if name is not None:
         cl.enqueue_copy(plan.queue, numbers, plan.arrays[name])
-    image = np.zeros((planes, rows * plan.step), dtype)
-    for plane in range(planes):
-        count = counts[plane]
-        image[plane, index[plane, :count]] = numbers[plane, :count]
-    inside = image.reshape(planes, rows, plan.step)[..., plan.pad :][..., : plan.working[1]]
-    return cast(NDArray[Any], inside[0] if planes == 1 else inside)
+    image = np.zeros(rows * plan.step, dtype)
+    image[index[: counts[0]]] = numbers[: counts[0]]
+    return image.reshape(rows, plan.step)[:, plan.pad :][:, : plan.working[1]]
 
 
 def _score_map(plan: Plan) -> NDArray[np.int32]:
-    (scores,) = _per_pixel(plan, "score_map", [np.int32], 1, plan.arrays["response"])
+    (scores,) = _per_pixel(plan, "score_map", [np.int32], plan.arrays["response"])
     return scores

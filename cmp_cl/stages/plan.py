@@ -41,9 +41,8 @@ class Overflow(Exception):
 
 
 class Plan(PlanBase):
-    """Buffers and bound kernels for `frames` frames of one shape at one working scale.
+    """Buffers and bound kernels for `frames` frames of one shape at the working scale.
 
-    factor: the working scale, or None for the image as it is.
     mask: (H, W) bool, where candidates may be centred, or None.
     frames: number of frames at a time. form: the form of the kernels; None chooses it by device.
     """
@@ -60,13 +59,11 @@ class Plan(PlanBase):
         shape: tuple[int, int],
         dtype: np.dtype[Any],
         config: DetectorConfig,
-        factor: float | None,
         mask: NDArray[np.bool_] | None,
         frames: int,
         form: Form | None = None,
     ) -> None:
-        super().__init__(queue, device, shape, dtype, config, factor, frames, form)
-        self.factor = factor
+        super().__init__(queue, device, shape, dtype, config, frames, form)
         self.events: list[tuple[str, cl.Event]] = []
         self.uploads: list[cl.Event] = []  # unfinished, in another queue
         self._here: dict[str, NDArray[Any]] = {}  # what the host writes or reads of shared buffers
@@ -353,16 +350,16 @@ class Plan(PlanBase):
 class Plans:
     """Makes, lends and releases the plans of a detector.
 
-    A plan that a stream keeps is not lent. Two plans for as many frames at one working scale stay,
-    which a stream uses in turn; more of them go when no stream keeps them, because it ended or was
-    abandoned. Plans for batches go when a batch of another size comes.
+    A plan that a stream keeps is not lent. Two plans for as many frames stay, which a stream uses
+    in turn; more of them go when no stream keeps them, because it ended or was abandoned. Plans for
+    batches go when a batch of another size comes.
 
     shared: the arguments that all plans have in common.
     """
 
     def __init__(self, **shared: Any) -> None:
         self.make = functools.partial(Plan, **shared)
-        self._alike: defaultdict[tuple[int, float | None], list[Plan]] = defaultdict(list)
+        self._alike: defaultdict[int, list[Plan]] = defaultdict(list)
         self._kept: set[Plan] = set()
         self.keep = self._kept.add  # for a stream, until its result is read
         self.take_back = self._kept.discard
@@ -370,9 +367,9 @@ class Plans:
     def __iter__(self) -> Iterator[Plan]:
         return iter([plan for alike in self._alike.values() for plan in alike])
 
-    def lend(self, factor: float | None, frames: int = 1) -> Plan:
+    def lend(self, frames: int = 1) -> Plan:
         """Return a plan that no stream keeps; make one if there is none."""
-        alike = self._alike[frames, factor]
+        alike = self._alike[frames]
         for plan in alike:
             if plan not in self._kept:
                 for spare in set(alike[2:]) - self._kept - {plan}:
@@ -381,12 +378,12 @@ class Plans:
         for plan in self:
             if plan.frames != frames and 1 not in (plan.frames, frames):  # another size of batch
                 self.drop(plan)
-        alike.append(self.make(factor=factor, frames=frames))
+        alike.append(self.make(frames=frames))
         return alike[-1]
 
     def drop(self, plan: Plan) -> None:
         """Release the plan, and forget it if it was lent."""
-        alike = self._alike[plan.frames, plan.factor]
+        alike = self._alike[plan.frames]
         alike[:] = [other for other in alike if other is not plan]
         plan.release()
 

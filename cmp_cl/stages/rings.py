@@ -25,7 +25,6 @@ def defines(plan: PlanBase) -> dict[str, str | int]:
     """Return the macros that only these kernels need."""
     rule = _rule(plan)
     return {
-        "LAYERS": rule.threshold.masks,
         "OUTER_RADIUS": rule.outer_radius,
         "RAPID": int(isinstance(rule.criteria, RapidCriteria)),
         "GATE": int(rule.contrast is not None),
@@ -47,7 +46,7 @@ def sizes(plan: PlanBase) -> dict[str, int]:
     return {
         "area": plane // 8,
         "binary": image,
-        "candidates": 4 * plan.frames * plan.lists * plan.list_capacity,
+        "candidates": 4 * plan.frames * plan.list_capacity,
         "maxima": plan.frames * plane // 8,
         "row_counts": 4 * plan.frames * plan.working[0],
         **(gate.sizes(plan) if rule.contrast is not None else {}),
@@ -63,12 +62,12 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
     rule = _rule(plan)
     element, step = plan.types["RESPONSE"].itemsize, plan.step
     rows = plan.frames * plan.working[0] + 2
-    lists = {"responses": element * plan.frames * plan.lists * plan.list_capacity}
+    lists = {"responses": element * plan.frames * plan.list_capacity}
     keys = {"key": plan.types["SCORE"].itemsize * rows * step} if nms.keeps_keys(plan) else {}
     gated = {} if rule.contrast is None else gate.scratch(plan)
     response = {"response": element * rows * step}
     return [
-        binarize.scratch(plan, rule),
+        binarize.scratch(plan),
         *({**response, **later} for later in (lists, keys, gated)),
     ]
 

@@ -16,7 +16,6 @@ _BY_PIXEL: dict[str, tuple[type[np.generic], type[np.generic]]] = {
     "WEIGHTED": (np.uint32, np.uint64),  # a resampled pixel, times the sum of its weights
     "COLUMN": (np.uint16, np.uint32),  # the sum of a window's column
     "LEVEL": (np.int32, np.uint32),  # (I + C) n, compared with the sum of a window
-    "SQUARE": (np.uint32, np.uint64),  # the sum of a window column's squares
     "CONTRAST": (np.int16, np.int32),  # of the gate
 }
 _IN_C: dict[type[np.generic], str] = {

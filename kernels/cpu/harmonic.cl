@@ -463,7 +463,6 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint band_rows,
                             const uint capacity, const uint full_scale, const float inverse,
-                            const int alignment, const int support,
                             __global ushort *restrict work, const uint work_size,
                             const uint coarse_noise, const int coarse_share,
                             const int fine_share, const uint corner_capacity,
@@ -571,10 +570,10 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
           const Harmonics h4 = harmonics_of(&between, x, 4, 3);
           const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
           const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
-          if (alignment && (long)alignment * along < all) continue;
+          if (8 * (long)along < all) continue;
           const int r = row[0][x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
                                       ((h4.centre >> 2) + (h4.centre >> 3));
-          if (support && (support * r4 < r || r4 > 2 * r)) continue;
+          if (32 * r4 < r || r4 > 2 * r) continue;
           if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
             continue;
           /* Little is subtracted from the length: the corner is weak at most in contrast. */

@@ -12,7 +12,6 @@ from cmp_cl import Detector, DetectorConfig, EdgeLines, EdgeStep
 from cmp_cl.field import PlaneScale, displacement, plane_displacement
 from cmp_cl.grid import build_grid, filter_positions
 from cmp_cl.grid.filter import bend_shift, bend_shift_of, image_sigma, with_bends
-from cmp_cl.measure import exact_config
 from cmp_cl.reference import detect, lattice_filter
 from cmp_cl.synthetic import Indenter, Mode, random_scene, render
 
@@ -153,7 +152,7 @@ def pressed():
         mode=Mode.TWIST,
     )
     still, shown = render(scene.at_rest()), render(scene)
-    with Detector(shape=scene.shape, config=exact_config(still.cell)) as detector:
+    with Detector(shape=scene.shape, config=DetectorConfig.for_cell(still.cell)) as detector:
         rest = detector.grid(still.image, shape=(40, 40))[1]
         now = detector.grid(shown.image, like=rest)[1]
     rotated = [np.rot90(shown.truth.reshape(40, 40, 2), k) for k in range(4)]

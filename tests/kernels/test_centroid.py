@@ -14,7 +14,7 @@ RULES = {
     "rings": rings(refinement=None),
     "harmonic": DetectorConfig(refinement=None),
     "every maximum": DetectorConfig(
-        detection=RingHarmonic(noise=0, relative=0, alignment=None, support=None),
+        detection=RingHarmonic(noise=0, relative=0),
         nms_radius=1,
         refinement=None,
     ),

@@ -7,7 +7,7 @@ from cases import some
 from comparison import RAPID, assert_maps_equal
 from configs import rings
 
-from cmp_cl import AdaptiveMean, RapidCriteria
+from cmp_cl import RapidCriteria
 from cmp_cl.reference import ring
 
 EIGHT = images.eight_bits()
@@ -24,12 +24,6 @@ def check(detector_for, image, mask=None, **changes):
 @pytest.mark.parametrize("name", some(EIGHT, ("texture", "worn scene", "two levels")))
 def test_every_map_is_the_oracles(detector_for, name, outer_radius):
     check(detector_for, EIGHT[name], outer_radius=outer_radius)
-
-
-@pytest.mark.parametrize("name", some(["noise", "near levels", "worn scene"], ("noise",)))
-def test_every_map_of_three_thresholds_is_the_oracles(detector_for, name):
-    maps = check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
-    assert maps.candidate.shape == (3, *images.SHAPE)
 
 
 @pytest.mark.parametrize("name", ["texture", "fine board"])

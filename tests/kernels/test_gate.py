@@ -9,7 +9,6 @@ from configs import rings
 from corner_images import corner, noise
 
 from cmp_cl import (
-    AdaptiveMean,
     BinaryRings,
     DetectorConfig,
     RapidCriteria,
@@ -39,16 +38,6 @@ def test_the_gate_keeps_what_the_oracle_keeps(detector_for, name, outer_radius):
 @pytest.mark.parametrize("name", some(DEEP, ("12-bit scene",)))
 def test_the_gate_of_sixteen_bits_keeps_what_the_oracle_keeps(detector_for, name, full_scale):
     check(detector_for, DEEP[name], full_scale=full_scale)
-
-
-@pytest.mark.parametrize("name", some(EIGHT, ("worn scene",)))
-def test_the_gate_looks_at_every_layer_of_three_thresholds(detector_for, name):
-    check(detector_for, EIGHT[name], threshold=AdaptiveMean(masks=3))
-
-
-@pytest.mark.parametrize("name", some(["texture", "12-bit scene", "two levels"], ("texture",)))
-def test_three_thresholds_of_sixteen_bits_equal_the_oracle(detector_for, name):
-    check(detector_for, DEEP[name], threshold=AdaptiveMean(masks=3))
 
 
 @pytest.mark.parametrize(
@@ -95,21 +84,6 @@ def test_each_condition_decides(detector_for):
     assert kept(mixed, relative=1) < kept(mixed, relative=0.2)
     grainy = EIGHT["texture"]
     assert kept(grainy, noise=20) < kept(grainy, noise=0)
-
-
-def test_three_thresholds_ask_for_three_deviations(detector_for):
-    three = AdaptiveMean(masks=3)
-    kept = [
-        check(
-            detector_for,
-            EIGHT["texture"],
-            threshold=three,
-            contrast=SectorContrast(noise=deviations),
-        ).maximum
-        for deviations in (0, 3, 20)
-    ]
-    np.testing.assert_array_equal(kept[0], kept[1])
-    assert kept[2].sum() < kept[1].sum()
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

@@ -14,7 +14,7 @@ COLUMNS = [1, 2, 3, 4, 5, 6, 7, 8, 9, 31, 33, 64]
 def summed(detector, image):
     """Return the noise of the last frame, summed over the bands."""
     detector(image)
-    plan = detector._plans.lend(None)
+    plan = detector._plans.lend()
     sums = np.empty(plan.sizes["noise"] // 8, np.uint64)
     cl.enqueue_copy(plan.queue, sums, plan.arrays["noise"])
     return int(sums.sum())

@@ -7,7 +7,7 @@ from cases import some
 from comparison import assert_corners_equal, assert_maps_equal
 from corner_images import board, noise
 
-from cmp_cl import BinaryRings, DetectorConfig, EdgeLines, EdgeStep, Midlines, Pyramid, reference
+from cmp_cl import BinaryRings, DetectorConfig, EdgeLines, EdgeStep, Midlines
 from cmp_cl.reference import scale as oracle
 from cmp_cl.stages.resampling import resampling_weights, working_shape
 
@@ -89,20 +89,6 @@ def test_a_mask_is_scaled_with_the_image(detector_for):
         corners = assert_corners_equal(detector_for(image, config, mask), image, mask=mask)
         assert len(corners) > 0
         assert_maps_equal(detector_for(image, config, mask), image, mask=mask)
-
-
-@pytest.mark.parametrize("expected", some([1, 7, 12, 1000], (7,)))
-def test_a_pyramid_takes_the_scale_with_the_nearest_count(detector_for, expected):
-    image = board(*images.SHAPE, 20)[0]
-    pyramid = Pyramid(factors=(0.5, 0.63, 1.0, 2.0), expected=expected)
-    corners = assert_corners_equal(
-        detector_for(image, DetectorConfig(detection=BinaryRings(), scale=pyramid)), image
-    )
-    counts = {
-        factor: len(reference.detect(image, DetectorConfig(detection=BinaryRings(), scale=factor)))
-        for factor in pyramid.factors
-    }
-    assert abs(len(corners) - expected) == min(abs(n - expected) for n in counts.values())
 
 
 def test_scale_one_is_the_image_as_it_is(detector_for):

@@ -8,7 +8,7 @@ import pytest
 from cases import some
 from comparison import FLOATS, assert_maps_equal
 
-from cmp_cl import AdaptiveMean, BinaryRings, DetectorConfig, SpectralCriteria
+from cmp_cl import BinaryRings, DetectorConfig, SpectralCriteria
 
 EIGHT = images.eight_bits()
 FIELDS = ("inner", "outer", *FLOATS, "corrosion", "candidate", "response")
@@ -33,18 +33,6 @@ def test_every_map_is_the_oracles(detector_for, name):
 def test_the_gate_with_the_smaller_ring_equals_the_oracle(detector_for, name):
     config = DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria(), outer_radius=4))
     check(detector_for, EIGHT[name], config, fields=(*FIELDS, "contrast", "maximum"))
-
-
-@pytest.mark.parametrize("name", ["texture", "worn scene"])
-def test_the_layers_of_three_thresholds_are_the_oracles(detector_for, name):
-    threshold = AdaptiveMean(masks=3)
-    check(
-        detector_for,
-        EIGHT[name],
-        DetectorConfig(
-            detection=BinaryRings(criteria=SpectralCriteria(), threshold=threshold, contrast=None)
-        ),
-    )
 
 
 @pytest.mark.parametrize(

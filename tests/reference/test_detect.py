@@ -7,7 +7,6 @@ from corner_images import board, corner, noise
 
 from cmp_cl import reference
 from cmp_cl.config import (
-    AdaptiveMean,
     BinaryRings,
     DetectorConfig,
     EdgeLines,
@@ -22,7 +21,6 @@ IMAGE, TRUTH = board(110, 120, 12)
 CONFIGS = {
     "rings": rings(),
     "radius 4": DetectorConfig(detection=BinaryRings(outer_radius=4)),
-    "three thresholds": DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3))),
     "spectral": DetectorConfig(detection=BinaryRings(criteria=SpectralCriteria())),
     "no gate": DetectorConfig(detection=BinaryRings(contrast=None)),
     "paper": DetectorConfig.paper(40),
@@ -159,20 +157,6 @@ def test_a_mask_follows_the_working_scale():
 def test_a_wrong_mask_is_refused(mask):
     with pytest.raises(ImageError, match="mask"):
         reference.detect(IMAGE, rings(), mask)
-
-
-def test_three_thresholds_weigh_two_one_one():
-    config = DetectorConfig(detection=BinaryRings(threshold=AdaptiveMean(masks=3)))
-    maps = reference.maps(IMAGE, config)
-    assert maps.binary.shape == maps.contrast.shape == (3, *IMAGE.shape)
-    single = reference.maps(IMAGE, rings())
-    np.testing.assert_array_equal(maps.binary[0], single.binary)
-    both = maps.maximum & single.maximum
-    np.testing.assert_array_equal(maps.contrast[0][both], single.contrast[both])
-    assert both.sum() > 10
-    others = maps.response - 2 * single.response
-    assert others.min() == 0
-    assert others.max() == 10
 
 
 def test_a_map_that_is_left_out_is_none():

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from configs import rings
 from corner_images import board, corner, noise
-from images import texture
 
 from cmp_cl import reference
-from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, SectorContrast
+from cmp_cl.config import BinaryRings, DetectorConfig, SectorContrast
 from cmp_cl.reference import gate, ring
 
 X = np.array([10])
@@ -122,19 +121,6 @@ def test_the_gate_looks_at_maxima_alone():
     np.testing.assert_array_equal(gated.contrast > 0, free.maximum)
     assert 0 < gated.maximum.sum() < free.maximum.sum()
     assert not (gated.maximum & ~free.maximum).any()
-
-
-def test_of_three_thresholds_one_that_passes_is_enough():
-    image = texture((60, 70))
-    contrast = SectorContrast(relative=0.9)
-    config = rings(threshold=AdaptiveMean(masks=3), contrast=contrast)
-    maps, free = (reference.maps(image, each) for each in (config, rings(config, contrast=None)))
-    passed = [
-        gate.gate(image, inner, candidate & free.maximum, 5, contrast, 255, 3)[1]
-        for inner, candidate in zip(maps.inner, maps.candidate, strict=True)
-    ]
-    np.testing.assert_array_equal(maps.maximum, np.any(passed, axis=0))
-    assert 0 < np.all(passed, axis=0).sum() < maps.maximum.sum() < free.maximum.sum()
 
 
 def test_twelve_bits_raise_the_least_contrast_and_nothing_else():

@@ -6,7 +6,7 @@ import pytest
 from corner_images import board, noise
 
 from cmp_cl import reference
-from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, EdgeLines, Pyramid
+from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, EdgeLines
 from cmp_cl.reference import scale
 
 
@@ -100,24 +100,6 @@ def test_large_cells_are_found_at_a_smaller_scale(factor):
     y, x = np.nonzero(working.maximum)
     place = np.floor(scale.to_full(np.stack([x, y], axis=1).astype(float), factor) + 0.5)
     np.testing.assert_array_equal(corners.pixel, place)
-
-
-def test_the_pyramid_takes_the_nearest_count_and_of_equals_the_larger_scale():
-    assert scale.best_factor({0.5: 10, 1.0: 14, 2.0: 7}, 11) == 0.5
-    assert scale.best_factor({0.5: 10, 1.0: 12, 2.0: 7}, 11) == 1.0
-    image, _ = board(200, 210, 28)
-    counts = {
-        factor: len(reference.detect(image, DetectorConfig(scale=factor)))
-        for factor in (0.1, 0.75, 1.0)
-    }
-    for count in counts.values():
-        same = [other for other in counts if counts[other] == count]
-        pyramid = DetectorConfig(scale=Pyramid(factors=(0.1, 0.75, 1.0), expected=max(count, 1)))
-        best = reference.detect(image, pyramid)
-        single = reference.detect(image, DetectorConfig(scale=max(same)))
-        np.testing.assert_array_equal(best.xy, single.xy)
-        assert reference.maps(image, pyramid).maximum.shape[0] == round(200 * max(same))
-    assert counts[0.1] < counts[0.75] == counts[1.0]
 
 
 @pytest.mark.parametrize("factor", [0.05, 0.6, 3.0])
