@@ -32,7 +32,8 @@ class Detector(Closing):
     Detectors of one process and device share a context and its compiled kernels.
 
     shape: (H, W) of every frame. dtype: uint8 or uint16.
-    config: the settings; None means DetectorConfig().
+    config: the settings; None means DetectorConfig(), as for every caller: no image is needed to
+        choose them.
     device: a Device, a text for `select_device`, or None for the default device.
     queue: an in-order pyopencl queue to use instead of one of its own; then `device` must be None.
     mask: (H, W) bool, where corners may be centred; pixels outside are still sampled.
@@ -350,8 +351,7 @@ def detect(
     """Find the corners of one image, (H, W) uint8 or uint16, which may be of another array library.
 
     It makes a Detector, runs it and releases it. For many images of one shape make a Detector
-    yourself.
-    config: the settings; None means DetectorConfig(), as for every caller.
+    yourself. config, device: as for a Detector.
 
     Raises the errors of Detector.
     """

@@ -26,7 +26,6 @@ from cmp_cl.errors import ConfigError
 BOUNDS = [
     (RingHarmonic, "noise", 0, 100, 1e-3),
     (RingHarmonic, "relative", 0, 1, 1e-3),
-    (RingHarmonic, "support", 1, 64, 1),
     (AdaptiveMean, "window", 3, 255, 2),
     (AdaptiveMean, "offset", 0, 65535, 1),
     (RapidCriteria, "sector_threshold", 1, 16, 1),
@@ -217,7 +216,7 @@ def test_a_file_of_the_old_format_is_refused_in_one_line_that_says_what_to_write
         (RINGS + "criteria.kind = ['rapid']", "kind is one of ['rapid', 'spectral']"),
         ("[refinement]\nkind = 'edge_lines'\nfit = 'linear'", "unknown key 'fit' for EdgeLines"),
         ("[refinement]\nkind = 'midlines'\nfit = 'cubic'", "one of ['linear', 'quadratic']"),
-        ("[scale]\nfactors = [1.0]", "expected"),
+        ("[scale]\nfactors = [1.0]", "DetectorConfig.scale must be a number"),
         ("nms_radius = nan", "DetectorConfig.nms_radius must be an integer in [1, 15]"),
         ("nms_radius = ", "Invalid value"),
         ("nms_radius = 3\nnms_radius = 4", "Cannot overwrite a value"),

@@ -410,7 +410,7 @@ def test_a_mask_limits_where_candidates_are_centred(detector_for, device):
     mine = mask.copy()
     with Detector(shape=mask.shape, device=device, mask=mine) as other:
         mine[:] = False
-        plan = other._plans.lend(None)
+        plan = other._plans.lend()
         plan.corner_capacity = 64
         other._grow(plan, Overflow(0, 100))
         plan.queue.finish()
@@ -457,14 +457,12 @@ def test_every_stage_has_a_time(device, detector):
     assert detector.times == {}
     with Detector(shape=images.SHAPE, device=device, profile=True) as profiled:
         assert_same_bytes(profiled(BOARD), detector(BOARD))
-        assert set(profiled.times) == {
-            launch.stage for launch in profiled._plans.lend(None).launches
-        }
+        assert set(profiled.times) == {launch.stage for launch in profiled._plans.lend().launches}
         assert all(ms >= 0 for ms in profiled.times.values())
-        launches = len(profiled._plans.lend(None).events)
+        launches = len(profiled._plans.lend().events)
         for _ in range(3):
             profiled(BOARD)
-        assert len(profiled._plans.lend(None).events) == launches  # of the last frame alone
+        assert len(profiled._plans.lend().events) == launches  # of the last frame alone
 
 
 def test_a_closed_detector_raises_an_error(device):
@@ -609,11 +607,11 @@ def test_a_batch_and_a_stream_enlarge_the_lists_too(device):
 def test_nothing_is_allocated_per_frame(detector):
     detector(BOARD)
     memory, plans = detector.memory, len([*detector._plans])
-    buffers = {name: buffer.int_ptr for name, buffer in detector._plans.lend(None).buffers.items()}
+    buffers = {name: buffer.int_ptr for name, buffer in detector._plans.lend().buffers.items()}
     for frame in FRAMES:
         detector(frame)
     assert (detector.memory, len([*detector._plans])) == (memory, plans)
-    after = {name: buffer.int_ptr for name, buffer in detector._plans.lend(None).buffers.items()}
+    after = {name: buffer.int_ptr for name, buffer in detector._plans.lend().buffers.items()}
     assert after == buffers
 
 

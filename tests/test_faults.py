@@ -72,8 +72,8 @@ def test_a_capacity_that_cannot_grow_leaves_a_detector_that_works(device, monkey
     calm[:61, :80] = BOARD[:, :80]
     with Detector(shape=dense.shape, config=config, device=device) as detector:
         few = detector(calm)
-        detector._plans.lend(None).corner_capacity = 64
-        detector._plans.lend(None)._allocate()
+        detector._plans.lend().corner_capacity = 64
+        detector._plans.lend()._allocate()
         with monkeypatch.context() as patch:
             patch.setattr(cl, "Buffer", refuse)
             with pytest.raises(CapacityError):

@@ -46,7 +46,7 @@ def test_a_detector_gives_the_same_corners_with_and_without_shared_memory(
     for shares in (True, False):
         monkeypatch.setattr(plans, "shares_memory", lambda _, shares=shares: shares)
         with Detector(shape=BOARD.shape, device=device) as detector:
-            assert bool(detector._plans.lend(None)._here) is shares
+            assert bool(detector._plans.lend()._here) is shares
             results.append([detector(BOARD), *detector.batch([TEXTURE, BOARD])])
     for here, copied in zip(*results, strict=True):
         assert_same_bytes(here, copied)
@@ -63,7 +63,7 @@ def large(handle, device):
 def test_a_frame_is_not_written_while_kernels_read_the_one_before(large):
     detector, board, moved = large
     expected = detector(board)
-    plan, transfers = detector._plans.lend(None), detector._transfers
+    plan, transfers = detector._plans.lend(), detector._transfers
     for _ in range(5):
         plan.launch(plan.upload(transfers, [board]))
         plan.upload(transfers, [moved])
@@ -73,7 +73,7 @@ def test_a_frame_is_not_written_while_kernels_read_the_one_before(large):
 def test_a_frame_is_kept_while_kernels_read_it_and_no_longer(large):
     detector, board, _ = large
     detector(board)
-    plan, references = detector._plans.lend(None), sys.getrefcount(board)
+    plan, references = detector._plans.lend(), sys.getrefcount(board)
     plan.launch(plan.upload(plan.queue, [board]))
     if plan._in_place:
         assert sys.getrefcount(board) == references + 1
@@ -84,7 +84,7 @@ def test_a_frame_is_kept_while_kernels_read_it_and_no_longer(large):
 def test_a_frame_takes_the_place_of_another_only_when_the_kernels_have_read_that(large):
     detector, board, moved = large
     detector(board)
-    plan = detector._plans.lend(None)
+    plan = detector._plans.lend()
     plan.launch(plan.upload(plan.queue, [board]))
     kernels = plan._last
     plan.upload(plan.queue, [moved])
@@ -96,7 +96,7 @@ def test_memory_is_kept_until_the_kernels_of_a_deleted_detector_are_done(large, 
     for _ in range(5):
         detector = Detector(shape=board.shape, device=device)
         detector(board)  # its lists are long enough now
-        plan = detector._plans.lend(None)
+        plan = detector._plans.lend()
         plan.launch(plan.launches)
         event = plan._last
         del detector, plan

@@ -34,7 +34,7 @@ from cmp_cl.files import whole_file
 from cmp_cl.grid import build_grid
 from cmp_cl.image import GreyImage
 from cmp_cl.marks import drop_marks
-from cmp_cl.measure.patterns import full_scale_for, is_of_few_bits, of_few_bits
+from cmp_cl.measure.patterns import is_of_few_bits, of_few_bits
 from cmp_cl.opencl.device import select_device
 from cmp_cl.viz import corner_overlay, grid_overlay
 
@@ -318,8 +318,7 @@ def _tell(tally: _Tally, progress: Progress, *, told: bool) -> None:
     if tally.is_too_bright():
         progress.say(
             f"cmp-cl: {name}: the brightest pixel is {tally.brightest}, above the full scale of "
-            f"{tally.full_scale} and counted as that; give --full-scale "
-            f"{full_scale_for(tally.brightest)}",
+            f"{tally.full_scale}: such pixels all look alike",
             sys.stderr,
         )
     if tally.is_dark() and not (told and any(tally.counts)):

@@ -65,16 +65,10 @@ def is_of_few_bits(dtype: DTypeLike, brightest: int) -> bool:
 
 def of_few_bits(brightest: int) -> str:
     """Return, as text, what to do about pixels of fewer than 16 bits."""
-    level = full_scale_for(brightest)
-    return (
-        f"the brightest of the 16-bit pixels is {brightest}; give the camera's largest grey level, "
-        f"full_scale={level} if it has {level.bit_length()} bits"
-    )
-
-
-def full_scale_for(brightest: int) -> int:
-    """Return the full scale of 8, 10, 12, 14 or 16 bits that holds a grey level."""
-    return int(next(2**bits - 1 for bits in (8, 10, 12, 14, 16) if brightest < 2**bits))
+    cameras = [bits for bits in (10, 12, 14, 16) if brightest < 2**bits]
+    *levels, last = [f"full_scale={2**bits - 1} for {bits} bits" for bits in cameras[:-1]]
+    asked = f"{', '.join(levels)} or {last}" if levels else last
+    return f"the brightest of the 16-bit pixels is {brightest}; give {asked}"
 
 
 def check_size(grid: Grid) -> None:

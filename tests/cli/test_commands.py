@@ -691,7 +691,6 @@ BOARD = "--board", "7x7", "--square", "4", "--out", "rig.yaml"
 
 
 def test_calibrate_finds_the_cameras_again(run, boards, monkeypatch):
-    monkeypatch.setattr("cmp_cl.measure.patterns._USUAL_CELLS", ())
     for number, views in enumerate(boards):
         cv2.imwrite(f"{number}.png", np.hstack(views))
     cv2.imwrite("4.png", np.full((VIEW[0], 2 * VIEW[1]), 90, np.uint8))

@@ -108,7 +108,8 @@ def test_sigma_holds_for_raw_positions_of_wide_blurred_bent_cells():
     image = cv2.resize(image, (400, 300), interpolation=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (0, 0), 2.5)
     image += np.random.default_rng(1).normal(0, 2, image.shape)
-    corners = detect(image.clip(0, 255).astype(np.uint8), DetectorConfig.for_cell(cell, blur=2.5))
+    config = DetectorConfig.for_cell(cell).replace(scale=max(0.24, 24 / cell))
+    corners = detect(image.clip(0, 255).astype(np.uint8), config)
     grid = build_grid(corners)
     inside = np.abs(grid.xy - (199.5, 149.5)) < np.array([199.5, 149.5]) - grid.edge_radius
     inside = inside.all(axis=2)

@@ -54,7 +54,7 @@ def test_corners_of_images_of_few_pixels_are_the_oracles(detector_for, shape):
 
 
 def with_capacity(detector, capacity):
-    plan = detector._plans.lend(None)
+    plan = detector._plans.lend()
     plan.list_capacity = plan.corner_capacity = capacity
     plan._allocate()
     plan._bind()

@@ -48,7 +48,7 @@ def test_refinement_launches_the_kernels_of_the_form_of_the_device(
         (None, set()),
     ):
         detector = detector_in_form(image, rule.replace(refinement=refinement, scale=scale))
-        launched = {launch.stage for launch in detector._plans.lend(scale).launches}
+        launched = {launch.stage for launch in detector._plans.lend().launches}
         expected = {f"{name}_eight" for name in kernels} if form is Form.CPU else kernels
         all_forms = {"edge_lines", "edge_step", "edge_lines_eight", "edge_step_eight"}
         assert launched & all_forms == expected

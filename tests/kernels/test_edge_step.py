@@ -83,7 +83,7 @@ def test_a_rejected_step_has_no_autocorrelation(detector_in_form):
     image = images.texture((120, 150), seed=9)
     detector = detector_in_form(image, rings(refinement=EdgeStep(), contrast=None))
     count = len(detector(image))
-    numbers = detector._plans.lend(None).read(detector._queue)[0, RESULT_HEAD:]
+    numbers = detector._plans.lend().read(detector._queue)[0, RESULT_HEAD:]
     fields = numbers[: RESULT_FIELDS * -(-count // 8) * 8].reshape(RESULT_FIELDS, -1)
     accepted = fields[METHOD].view(np.uint8)[:count] == Method.EDGE_STEP
     assert 0 < accepted.sum() < count
