@@ -72,14 +72,13 @@ __kernel void direct_corners(__global const float *restrict corners, const uint 
   contrast[i] = LARGER(sum, least_contrast);
 }
 
-/* Sort the corners into bins: `binned` lists them bin after bin, bin k from starts[k] on. One
+/* Sort the corners that have a position into bins: `binned` lists them bin after bin, bin k from starts[k] on. One
  * work-group. */
-#define IS_DIRECTED(i) (lines[i].x != 0 || lines[i].y != 0)
+#define IS_PLACED(i) (at[i].x == at[i].x && at[i].y == at[i].y)
 
 __kernel void fill_bins(__global const float *restrict corners, const uint capacity,
-                        __global const float4 *restrict lines, const uint rows, const uint columns,
-                        __global int *restrict layout, __global int *restrict starts,
-                        __global int *restrict binned) {
+                        const uint rows, const uint columns, __global int *restrict layout,
+                        __global int *restrict starts, __global int *restrict binned) {
   const uint me = get_local_id(0), all = get_local_size(0), count = COUNT(corners);
   __global const float2 *at = POSITIONS(corners);
   uint shift = 2;
@@ -93,11 +92,11 @@ __kernel void fill_bins(__global const float *restrict corners, const uint capac
   for (uint k = me; k <= across * down; k += all) starts[k] = 0;
   barrier(CLK_GLOBAL_MEM_FENCE);
   for (uint i = me; i < count; i += all)
-    if (IS_DIRECTED(i)) atomic_inc(starts + BIN_OF(at[i]));
+    if (IS_PLACED(i)) atomic_inc(starts + BIN_OF(at[i]));
   barrier(CLK_GLOBAL_MEM_FENCE);
   if (me == 0) /* the ends of the bins; filling them backwards makes these their starts */
     for (uint k = 0, sum = 0; k <= across * down; ++k) starts[k] = sum += starts[k];
   barrier(CLK_GLOBAL_MEM_FENCE);
   for (uint i = me; i < count; i += all)
-    if (IS_DIRECTED(i)) binned[atomic_dec(starts + BIN_OF(at[i])) - 1] = i;
+    if (IS_PLACED(i)) binned[atomic_dec(starts + BIN_OF(at[i])) - 1] = i;
 }

@@ -2,54 +2,42 @@
 
 /* Faces (13.2): four steps along a link and to the right come back to where they began. */
 
-/* face[h]: the least half-edge of the closed face that h belongs to, NONE without one. One
- * work-item per half-edge. */
+/* face[h]: the least half-edge of the closed face that h belongs to, NONE without one. steps[h]:
+ * twice the mean steps of the face along h, and to its right. One work-item per half-edge. */
 __kernel void close_faces(__global const float *restrict corners, const uint capacity,
-                          __global const int *restrict twin, __global int *restrict face) {
+                          __global const int *restrict twin, __global int *restrict face,
+                          __global float4 *restrict steps) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
-  int at = h, least = h;
+  int way[5] = {h}, least = h;
+  face[h] = NONE;
   for (int k = 0; k < 4; ++k) {
-    const int end = twin[at];
-    if (end == NONE) {
-      face[h] = NONE;
-      return;
-    }
-    at = ALONG_FACE(end);
-    least = SMALLER(least, at);
+    const int end = twin[way[k]];
+    if (end == NONE) return;
+    way[k + 1] = ALONG_FACE(end);
+    least = SMALLER(least, way[k + 1]);
   }
-  face[h] = at == h ? least : NONE;
+  if (way[4] != h) return;
+  __global const float2 *at = POSITIONS(corners);
+  const float2 p0 = at[h >> 2], p1 = at[way[1] >> 2], p2 = at[way[2] >> 2], p3 = at[way[3] >> 2];
+  face[h] = least;
+  steps[h] = (float4)((p1 - p0) + (p2 - p3), (p3 - p0) + (p2 - p1));
 }
 
-/* Twice the mean steps of a face along half-edge h and to its right. */
-typedef struct {
-  float2 along, aside;
-} Steps;
-Steps steps_of(__global const int *twin, __global const float2 *at, const int h) {
-  const int h1 = ALONG_FACE(twin[h]), h2 = ALONG_FACE(twin[h1]), h3 = ALONG_FACE(twin[h2]);
-  const float2 p0 = at[h >> 2], p1 = at[h1 >> 2], p2 = at[h2 >> 2], p3 = at[h3 >> 2];
-  Steps found = {(p1 - p0) + (p2 - p3), (p3 - p0) + (p2 - p1)};
-  return found;
-}
-float size_of(const float2 u, const float2 v) {
-  return (u.x * u.x + u.y * u.y) + (v.x * v.x + v.y * v.y);
+/* apart[h]: how far the faces on both sides of a link differ, and their size, px^2; an infinite
+ * difference where there are no two faces. One work-item per half-edge. */
+float size_of(const float4 steps) {
+  return (steps.x * steps.x + steps.y * steps.y) + (steps.z * steps.z + steps.w * steps.w);
 }
 
-/* alike[h]: how many of the tolerances the faces on both sides of a link meet; 0 where there are no
- * two faces. One work-item per half-edge. */
 __kernel void compare_faces(__global const float *restrict corners, const uint capacity,
                             __global const int *restrict twin, __global const int *restrict face,
-                            __constant float *tolerances, const int count,
-                            __global uchar *restrict alike) {
+                            __global const float4 *restrict steps, __global float2 *restrict apart) {
   const int h = get_global_id(0);
   if (h >= 4 * (int)COUNT(corners)) return;
-  int met = 0;
-  if (face[h] != NONE && face[twin[h]] != NONE) {
-    const Steps a = steps_of(twin, POSITIONS(corners), h);
-    const Steps b = steps_of(twin, POSITIONS(corners), twin[h]);
-    const float gap = size_of(a.along + b.along, a.aside + b.aside);
-    const float size = SMALLER(size_of(a.along, a.aside), size_of(b.along, b.aside));
-    while (met < count && gap < tolerances[met] * size) ++met;
-  }
-  alike[h] = met;
+  const int other = twin[h];
+  apart[h] = (float2)(INFINITY, 0.0f);
+  if (face[h] == NONE || face[other] == NONE) return;
+  const float one = size_of(steps[h]), two = size_of(steps[other]);
+  apart[h] = (float2)(size_of(steps[h] + steps[other]), SMALLER(one, two));
 }

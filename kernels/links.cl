@@ -32,6 +32,8 @@ Boundary boundary_along(const float4 lines, const float dx, const float dy) {
 }
 
 #define COSTS_PER_PX 64.0f
+#define UNSURE (-2)
+
 /* The bins that hold enough corners, in rings around the bin of a corner. */
 typedef struct {
   int top, bottom, left, right; /* the last ones not included */
@@ -49,89 +51,143 @@ Window window_of(__global const int *layout, __global const int *starts, const i
   }
 }
 
-/* A corner outside of the window costs more than this. */
-int cost_outside(__global const int *layout, const Window window, const float2 at) {
+/* Any corner outside of the window is farther than this, px. */
+float px_outside(__global const int *layout, const Window window, const float2 at) {
   const int shift = layout[BIN_SHIFT];
   float near = 1e6f;
   if (window.left) near = SMALLER(near, at.x - (float)(window.left << shift));
   if (window.top) near = SMALLER(near, at.y - (float)(window.top << shift));
   if (window.right < layout[BINS_ACROSS]) near = SMALLER(near, (float)(window.right << shift) - at.x);
   if (window.bottom < layout[BINS_DOWN]) near = SMALLER(near, (float)(window.bottom << shift) - at.y);
-  return floor_of(near * (COSTS_PER_PX - 0.1f));
+  return near;
 }
 
-#define IS_LESS(cost, end, k) \
-  ((cost) < cost_of[k] || ((cost) == cost_of[k] && (end) < end_of[k]))
-/* choice[4 i + s]: the half-edge 4 j + t at the other end of the link that corner i wants along its
- * boundary s. A narrow window is enough if it holds a good end for each boundary that is cheaper
- * than all others can be. One work-item per corner. */
+/* A chord along a boundary to corner j: what it costs, then the half-edge at its other end, in one
+ * number. There is none if it bends too much or joins boundaries of one colour. */
+#define NO_CHORD ULONG_MAX
+#define COST_OF(chord) (float)((chord) >> 32)
+#define END_OF(chord) (int)(uint)(chord)
+ulong chord_to(const int j, const Boundary near, const float4 other, const float dx, const float dy,
+               const float squared, const float least_cosine, const float turn_price) {
+  const float length = squared * inverse_root(squared), least = least_cosine * length;
+  const Boundary far = boundary_along(other, -dx, -dy);
+  const float price = length + turn_price * ((length + length) - (near.length + far.length));
+  const ulong chord = (ulong)floor_of(price * COSTS_PER_PX) << 32 | (uint)(4 * j + far.side);
+  const bool good = (near.length > least) & (far.length > least) & ((near.side ^ far.side) & 1);
+  return good ? chord : NO_CHORD;
+}
+
+#define NEIGHBOURS_IN(window)                                                       \
+  for (int k = window.top; k < window.bottom; ++k)                                  \
+    for (int n = starts[k * across + window.left]; n < starts[k * across + window.right]; ++n)
+#define BINS                                                                        \
+  __global const int *restrict layout, __global const int *restrict starts,         \
+      __global const int *restrict binned
+
+/* first[4 i + s]: the half-edge 4 j + t at the other end of the cheapest chord along boundary s of
+ * corner i; UNSURE if a corner outside of a narrow window may be cheaper. One work-item per
+ * corner. */
 #define NARROW 12
-__kernel void choose_links(__global const float *restrict corners, const uint capacity,
-                           __global const float4 *restrict lines,
-                           __global const int *restrict contrast,
-                           __global const int *restrict layout, __global const int *restrict starts,
-                           __global const int *restrict binned, LEVELS_OF_IMAGE,
-                           const int neighbours, const int rings, const float least_cosine,
-                           const float turn_price, const float depth, const float depth_px,
-                           const float least_side, __global int *restrict choice) {
+__kernel void choose_near(__global const float *restrict corners, const uint capacity,
+                          __global const float4 *restrict lines, BINS, const uint rows,
+                          const uint columns, const int rings, const float least_cosine,
+                          const float turn_price, __global int *restrict first) {
   const int i = get_global_id(0);
   if (i >= (int)COUNT(corners)) return;
   __global const float2 *at = POSITIONS(corners);
   const float4 own = lines[i];
   const float2 here = at[i];
-  int chosen[4] = {NONE, NONE, NONE, NONE};
   const int shift = layout[BIN_SHIFT], across = layout[BINS_ACROSS];
-  const int row = BIN_ROW(here), column = BIN_COLUMN(here);
-  bool sure = own.x == 0 && own.y == 0;
-  for (int wide = 0; wide < 2 && !sure; ++wide) {
-    const Window window = window_of(layout, starts, row, column, wide ? neighbours : NARROW, rings);
-    int cost_of[8], end_of[8];
-    float farthest[4];
-    for (int k = 0; k < 8; ++k) cost_of[k] = end_of[k] = INT_MAX;
-    for (int k = 0; k < 4; ++k) farthest[k] = FLT_MAX;
-    for (int k = window.top; k < window.bottom; ++k)
-      for (int n = starts[k * across + window.left]; n < starts[k * across + window.right]; ++n) {
-        const int j = binned[n];
-        const float dx = at[j].x - here.x, dy = at[j].y - here.y, squared = dx * dx + dy * dy;
-        const Boundary near = boundary_along(own, dx, dy);
-        const int s = near.side;
-        if (squared < 1.0f || squared > farthest[s] || j == i) continue;
-        const float length = squared * inverse_root(squared), least = least_cosine * length;
-        if (!(near.length > least)) continue;
-        const Boundary far = boundary_along(lines[j], -dx, -dy);
-        if (!(far.length > least) || !((s + far.side) & 1)) continue;
-        const float price = length + turn_price * ((length + length) - (near.length + far.length));
-        const int cost = floor_of(price * COSTS_PER_PX), end = 4 * j + far.side;
-        if (IS_LESS(cost, end, s)) {
-          cost_of[s + 4] = cost_of[s];
-          end_of[s + 4] = end_of[s];
-          cost_of[s] = cost;
-          end_of[s] = end;
-        } else if (IS_LESS(cost, end, s + 4)) {
-          cost_of[s + 4] = cost;
-          end_of[s + 4] = end;
-        } else
-          continue;
-        const int worst = cost_of[wide ? s + 4 : s];
-        const float most = (float)worst * (1.01f / COSTS_PER_PX) + 0.1f;
-        if (worst != INT_MAX) farthest[s] = most * most;
-      }
-    sure = true;
-    const int outside = cost_outside(layout, window, here);
-    for (int s = 0; s < 4; ++s) {
-      chosen[s] = NONE;
-      for (int k = s; k < 8 && chosen[s] == NONE && end_of[k] != INT_MAX; k += 4) {
-        const int end = end_of[k], j = end >> 2, low = SMALLER(i, j), high = LARGER(i, j);
-        const int step = difference(LEVELS, at[low], at[high], depth, depth_px);
-        const float side = (float)((low == i ? s : end) & 1 ? -step : step);
-        if (side > 0 && side * side > least_side * ((float)contrast[low] * (float)contrast[high]))
-          chosen[s] = end;
-        if (!wide) break;
-      }
-      sure = sure && chosen[s] != NONE && cost_of[s] < outside;
-    }
+  const Window window =
+      window_of(layout, starts, BIN_ROW(here), BIN_COLUMN(here), NARROW, rings);
+  const float outside = px_outside(layout, window, here), limit = outside * outside;
+  ulong best[4] = {NO_CHORD, NO_CHORD, NO_CHORD, NO_CHORD};
+  NEIGHBOURS_IN(window) {
+    const int j = binned[n];
+    const float dx = at[j].x - here.x, dy = at[j].y - here.y, squared = dx * dx + dy * dy;
+    if (squared < 1.0f || squared > limit || j == i) continue;
+    const Boundary near = boundary_along(own, dx, dy);
+    const ulong chord = chord_to(j, near, lines[j], dx, dy, squared, least_cosine, turn_price);
+    best[near.side] = SMALLER(chord, best[near.side]);
   }
-  for (int s = 0; s < 4; ++s) choice[4 * i + s] = chosen[s];
+  for (int s = 0; s < 4; ++s) {
+    const bool sure = COST_OF(best[s]) < outside * (COSTS_PER_PX - 0.1f);
+    first[4 * i + s] = sure ? END_OF(best[s]) : UNSURE;
+  }
+}
+
+/* Whether both sides of the chord between two half-edges have the colours that their boundaries
+ * claim. */
+bool has_side(LEVELS_OF_IMAGE, __global const float2 *at, __global const int *contrast, const int h,
+              const int end, const float depth, const float depth_px, const float least_side) {
+  const int low = SMALLER(h, end), p = low >> 2, q = LARGER(h, end) >> 2;
+  const int step = difference(LEVELS, at[p], at[q], depth, depth_px);
+  const float side = (float)(low & 1 ? -step : step);
+  return side > 0 && side * side > least_side * ((float)contrast[p] * (float)contrast[q]);
+}
+
+/* choice[h]: the half-edge that h wants to be linked with; UNSURE unless both are the first of each
+ * other. One work-item per half-edge. */
+__kernel void choose_mutual(__global const float *restrict corners, const uint capacity,
+                            __global const int *restrict contrast, LEVELS_OF_IMAGE,
+                            const float depth, const float depth_px, const float least_side,
+                            __global const int *restrict first, __global int *restrict choice) {
+  const int h = get_global_id(0);
+  if (h >= 4 * (int)COUNT(corners)) return;
+  const int end = first[h];
+  if (end == UNSURE || first[end] != h) {
+    choice[h] = UNSURE;
+  } else if (h < end) { /* the work-item of the other end leaves it to this one */
+    const bool seen =
+        has_side(LEVELS, POSITIONS(corners), contrast, h, end, depth, depth_px, least_side);
+    choice[h] = seen ? end : UNSURE;
+    choice[end] = seen ? h : UNSURE;
+  }
+}
+
+/* The choices that are not sure: of the two cheapest chords along a boundary, in a window that
+ * holds enough corners, the first that has a side. One work-item per corner. */
+__kernel void choose_far(__global const float *restrict corners, const uint capacity,
+                         __global const float4 *restrict lines, __global const int *restrict contrast,
+                         BINS, LEVELS_OF_IMAGE, const int neighbours, const int rings,
+                         const float least_cosine, const float turn_price, const float depth,
+                         const float depth_px, const float least_side,
+                         __global int *restrict choice) {
+  const int i = get_global_id(0);
+  if (i >= (int)COUNT(corners)) return;
+  bool open[4], any = false;
+  for (int s = 0; s < 4; ++s) any |= open[s] = choice[4 * i + s] == UNSURE;
+  if (!any) return;
+  __global const float2 *at = POSITIONS(corners);
+  const float4 own = lines[i];
+  const float2 here = at[i];
+  const int shift = layout[BIN_SHIFT], across = layout[BINS_ACROSS];
+  const Window window =
+      window_of(layout, starts, BIN_ROW(here), BIN_COLUMN(here), neighbours, rings);
+  ulong best[4], second[4];
+  for (int s = 0; s < 4; ++s) best[s] = second[s] = NO_CHORD;
+  NEIGHBOURS_IN(window) {
+    const int j = binned[n];
+    const float dx = at[j].x - here.x, dy = at[j].y - here.y, squared = dx * dx + dy * dy;
+    if (squared < 1.0f || j == i) continue;
+    const Boundary near = boundary_along(own, dx, dy);
+    if (!open[near.side]) continue;
+    const ulong chord = chord_to(j, near, lines[j], dx, dy, squared, least_cosine, turn_price);
+    const ulong worse = LARGER(chord, best[near.side]);
+    best[near.side] = SMALLER(chord, best[near.side]);
+    second[near.side] = SMALLER(worse, second[near.side]);
+  }
+  for (int s = 0; s < 4; ++s) {
+    if (!open[s]) continue;
+    int chosen = NONE;
+    for (int k = 0; k < 2 && chosen == NONE; ++k) {
+      const ulong chord = k ? second[s] : best[s];
+      if (chord != NO_CHORD &&
+          has_side(LEVELS, at, contrast, 4 * i + s, END_OF(chord), depth, depth_px, least_side))
+        chosen = END_OF(chord);
+    }
+    choice[4 * i + s] = chosen;
+  }
 }
 
 /* Keep the links that both ends want. One work-item per half-edge. */

@@ -24,18 +24,19 @@ void unite(__global volatile int *part, int a, int b) {
   }
 }
 
-#define AGREES(h) (alike[h] > LARGER(cut[face[h]], alike[h] ? cut[face[twin[h]]] : 0))
 #define FOR_ALL(k, count) for (int k = get_local_id(0); k < (count); k += get_local_size(0))
 #define ALL_TOGETHER barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE)
 
-/* part[h]: the least half-edge of the part, NONE outside of faces. size[root]: its faces, 0 of a
- * part with two numbers for a corner. One work-group. */
+/* beyond[h]: the half-edge on the other side of a link if both faces agree, else NONE. part[h]: the
+ * least half-edge of the part, NONE outside of faces. size[root]: its faces, 0 of a part with two
+ * numbers for a corner. One work-group. */
 __kernel void number_parts(__global const float *restrict corners, const uint capacity,
                            __global const int *restrict twin, __global const int *restrict face,
-                           __global const uchar *restrict alike, const int most_cuts,
-                           __global uchar *restrict cut, __global int *restrict part,
-                           __global int *restrict waiting, __global int4 *restrict state,
-                           __global int *restrict size) {
+                           __global const float2 *restrict apart,
+                           __constant float *tolerances, const int most_cuts,
+                           __global uchar *restrict cut, __global int *restrict beyond,
+                           __global int *restrict part, __global int *restrict waiting,
+                           __global int4 *restrict state, __global int *restrict size) {
   const int count = (int)COUNT(corners), ends = 4 * count;
   __local int listed, contradictions;
   FOR_ALL(h, ends) cut[h] = 0;
@@ -46,55 +47,61 @@ __kernel void number_parts(__global const float *restrict corners, const uint ca
     }
     if (get_local_id(0) == 0) listed = contradictions = 0;
     ALL_TOGETHER;
-    FOR_ALL(h, ends)
-      if (twin[h] > h && AGREES(h)) unite(part, face[h], face[twin[h]]);
+    FOR_ALL(h, ends) {
+      beyond[h] = NONE;
+      if (apart[h].x == INFINITY) continue;
+      const int other = twin[h], f = face[h], g = face[other];
+      const float tolerance = tolerances[LARGER(cut[f], cut[g])];
+      if (!(apart[h].x < tolerance * apart[h].y)) continue;
+      beyond[h] = other;
+      if (other > h) unite(part, f, g);
+    }
     ALL_TOGETHER;
     FOR_ALL(h, ends) {
       if (face[h] != h) continue;
       const int root = root_of(part, h);
       part[h] = root;
       atomic_inc(size + root);
-      state[h] = (int4)(0, 0, 0, WAITING);
+      state[h] = (int4)(0, 0, 0, root == h ? 0 : WAITING);
       if (root == h) waiting[atomic_inc(&listed)] = h;
     }
     ALL_TOGETHER;
-    /* The numbers spread from the roots, face by face. */
+    /* The numbers spread from the roots, face by face. A face waits with the half-edge across which
+     * it was reached. */
     for (int first = 0, end = listed; first < end; first = end, end = listed) {
       ALL_TOGETHER;
       for (int k = first + get_local_id(0); k < end; k += get_local_size(0)) {
-        const int f = waiting[k];
-        int4 here = state[f];
-        here.w = 0;
-        int h = f;
+        const int begin = waiting[k], f = face[begin], root = part[f];
+        int4 here = state[begin];
+        int h = begin;
         do {
+          part[h] = root;
           state[h] = here;
-          const int other = twin[h], next = AGREES(h) ? face[other] : f;
-          if (next != f && atomic_cmpxchg((__global volatile int *)(state + next) + 3, WAITING, 0) == WAITING) {
-            int4 there = STEP(here, 2);
-            for (int e = other; e != next; e = ALONG_FACE(twin[e])) there = STEP(there, 1);
-            state[next] = there;
-            waiting[atomic_inc(&listed)] = next;
+          const int other = beyond[h];
+          if (other != NONE) {
+            __global volatile int *reached = (__global volatile int *)(state + face[other]) + 3;
+            if (*reached == WAITING && atomic_xchg(reached, 0) == WAITING) {
+              state[other] = STEP(here, 2);
+              waiting[atomic_inc(&listed)] = other;
+            }
           }
           here = STEP(here, 1);
-          h = ALONG_FACE(other);
-        } while (h != f);
+          h = ALONG_FACE(twin[h]);
+        } while (h != begin);
       }
       ALL_TOGETHER;
     }
-    FOR_ALL(h, ends)
-      if (face[h] != NONE && face[h] != h) part[h] = part[face[h]];
-    ALL_TOGETHER;
     FOR_ALL(i, count)
-      for (int s = 1; s < 4; ++s)
-        for (int t = 0; t < s; ++t) {
-          const int a = 4 * i + s, b = 4 * i + t;
-          if (part[a] == NONE || part[a] != part[b]) continue;
-          if (state[a].x != state[b].x || state[a].y != state[b].y ||
-              ((state[a].z - s) & 3) != ((state[b].z - t) & 3)) {
-            size[part[a]] = 0;
-            contradictions = 1;
-          }
+      for (int a = 4 * i + 1; a < 4 * i + 4; ++a) {
+        int b = a - 1;
+        while (b > 4 * i && part[b] != part[a]) --b;
+        if (part[a] == NONE || part[a] != part[b]) continue;
+        if (state[a].x != state[b].x || state[a].y != state[b].y ||
+            ((state[a].z - a) & 3) != ((state[b].z - b) & 3)) {
+          size[part[a]] = 0;
+          contradictions = 1;
         }
+      }
     ALL_TOGETHER;
     const bool done = !contradictions || round == most_cuts;
     ALL_TOGETHER;

@@ -26,6 +26,7 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
         "layout": 64,
         "starts": 4 * bins,
         "binned": 4 * corners,
+        "first": 16 * corners,
         "choice": 16 * corners,
         "twin": 16 * corners,
     }
@@ -37,8 +38,16 @@ def launches(plan: "LatticePlan") -> list[Launch]:
     rows, columns = plan.size["rows"], plan.size["columns"]
     corners, bins = plan.corners, {name: b[name] for name in ("layout", "starts", "binned")}
     directed = {"lines": b["lines"], "contrast": b["contrast"]}
-    # E in the definition: five differences of both sides against twice the contrast of both ends
-    least_side = np.float32(0.25 * 25 * k.least_side**2)
+    price = {
+        "least_cosine": np.float32(k.least_cosine),
+        "turn_price": np.float32(k.turn_price),
+    }
+    side = {
+        "depth": np.float32(k.side_depth_cells),
+        "depth_px": np.float32(k.side_depth_px),
+        # The square of five differences, against that of twice the contrast.
+        "least_side": np.float32(0.25 * 25 * k.least_side**2),
+    }
     return [
         plan.stage(
             "smooth_levels",
@@ -60,22 +69,37 @@ def launches(plan: "LatticePlan") -> list[Launch]:
             least_contrast=np.int32(LEAST_CONTRAST),
             **directed,
         ),
-        plan.one_group(
-            "fill_bins", **corners, lines=b["lines"], rows=rows, columns=columns, **bins
+        plan.one_group("fill_bins", **corners, rows=rows, columns=columns, **bins),
+        plan.of_corners(
+            "choose_near",
+            **corners,
+            lines=b["lines"],
+            **bins,
+            rows=rows,
+            columns=columns,
+            rings=np.int32(k.link_rings),
+            **price,
+            first=b["first"],
+        ),
+        plan.of_half_edges(
+            "choose_mutual",
+            **corners,
+            contrast=b["contrast"],
+            **plan.levels,
+            **side,
+            first=b["first"],
+            choice=b["choice"],
         ),
         plan.of_corners(
-            "choose_links",
+            "choose_far",
             **corners,
             **directed,
             **bins,
             **plan.levels,
             neighbours=np.int32(k.link_neighbours),
             rings=np.int32(k.link_rings),
-            least_cosine=np.float32(k.least_cosine),
-            turn_price=np.float32(k.turn_price),
-            depth=np.float32(k.side_depth_cells),
-            depth_px=np.float32(k.side_depth_px),
-            least_side=least_side,
+            **price,
+            **side,
             choice=b["choice"],
         ),
         plan.of_half_edges("keep_mutual", **corners, choice=b["choice"], twin=b["twin"]),
@@ -85,4 +109,5 @@ def launches(plan: "LatticePlan") -> list[Launch]:
 def circle() -> NDArray[np.float32]:
     """Return the cosines of the directions, in steps of 2^-14."""
     cosine = np.cos(np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS))
-    return (np.rint(16384 * cosine) / 16384).astype(np.float32)
+    rounded: NDArray[np.float32] = (np.rint(16384 * cosine) / 16384).astype(np.float32)
+    return rounded

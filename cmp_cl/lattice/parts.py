@@ -13,11 +13,12 @@ if TYPE_CHECKING:
 def sizes(plan: "LatticePlan") -> dict[str, int]:
     """Return the bytes of the buffers."""
     half_edges = 4 * plan.capacity
-    names = ("face", "part", "waiting", "faces_of_part")
+    names = ("face", "beyond", "part", "waiting", "faces_of_part")
     return {
         **dict.fromkeys(names, 4 * half_edges),
-        "alike": half_edges,
+        "apart": 8 * half_edges,
         "cut": half_edges,
+        "steps": 16 * half_edges,
         "state": 16 * half_edges,
     }
 
@@ -27,22 +28,18 @@ def launches(plan: "LatticePlan") -> list[Launch]:
     k, b, corners = plan.constants, plan.buffers, plan.corners
     links = {**corners, "twin": b["twin"]}
     faces = {**links, "face": b["face"]}
-    tolerances = k.face_tolerances()
+    compared = {**faces, "steps": b["steps"], "apart": b["apart"]}
     return [
-        plan.of_half_edges("close_faces", **faces),
-        plan.of_half_edges(
-            "compare_faces",
-            **faces,
-            tolerances=plan.constant(tolerances),
-            count=np.int32(len(tolerances)),
-            alike=b["alike"],
-        ),
+        plan.of_half_edges("close_faces", **faces, steps=b["steps"]),
+        plan.of_half_edges("compare_faces", **compared),
         plan.one_group(
             "number_parts",
             **faces,
-            alike=b["alike"],
+            apart=b["apart"],
+            tolerances=plan.constant(k.face_tolerances()),
             most_cuts=np.int32(k.cuts),
             cut=b["cut"],
+            beyond=b["beyond"],
             part=b["part"],
             waiting=b["waiting"],
             state=b["state"],
