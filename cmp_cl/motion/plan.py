@@ -23,10 +23,10 @@ from cmp_cl.motion.tables import (
     axis_tables,
 )
 from cmp_cl.opencl.device import Device, DeviceKind
+from cmp_cl.opencl.launches import Launch
 from cmp_cl.opencl.program import Programs
 from cmp_cl.space import Points3D, PointStatus, StereoRig
 from cmp_cl.space.rig import MIN_PARALLAX
-from cmp_cl.stages.layout import Launch
 
 LARGEST_ERROR = 3.0  # px, of the reprojection, as in `StereoRig.triangulate`
 ROUNDS = 3  # rounds of the search for outliers
