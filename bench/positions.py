@@ -28,7 +28,7 @@ from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
 
 from cmp_cl import Detector, DetectorConfig, Grid, GridError, NodeStatus
-from cmp_cl.field import PlaneScale, displacement, plane_displacement, plane_strain
+from cmp_cl.field import PlaneScale, displacement
 from cmp_cl.grid import filter_grid, filter_positions
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.space import Points3D, PointStatus
@@ -131,7 +131,7 @@ def measured(scene: Scene, detector: Detector, rivals: dict[str, Detect]) -> Nod
         return None
     filtered, raw = filter_positions(now, rest=rest)
     good = np.isin(now.status, MEASURED) & np.isin(rest.status, MEASURED) & ~wrong
-    change = plane_displacement(rest, now)
+    change = displacement(rest, now)
     moved = truth - rest_truth
     values = {
         "position": (filtered.xy - truth, filtered.sigma),
@@ -385,16 +385,13 @@ def pressed(now: np.ndarray, seed: int) -> dict[tuple[str, str], tuple[np.ndarra
     wear = draw.normal(0, WEAR, flat.shape)
     moments = [xyz + wear + draw.normal(0, OWN, flat.shape) for xyz in (flat, now)]
     space = displacement(*(points(moment) for moment in moments)).with_strain()
-    plane = plane_displacement(
-        *(grid(moment) for moment in moments), PlaneScale.of_pixel(PIXEL, "mm")
-    )
+    scale = PlaneScale.of_pixel(PIXEL, "mm")
+    plane = displacement(*(grid(moment) for moment in moments), scale=scale).with_strain()
     found = {}
-    for name, field in (("raw", space.raw), ("filtered", space)):
-        strain, sigma = field.strain[..., 0], field.strain_sigma[..., 0]
-        found["space", name] = (field.displacement, strain, sigma)
-    for name, field in (("raw", plane.raw), ("filtered", plane)):
-        strain = plane_strain(field)
-        found["plane", name] = (field.displacement, strain.tensor[..., 0], strain.sigma[..., 0])
+    for view, field in (("space", space), ("plane", plane)):
+        for name, each in (("raw", field.raw.with_strain()), ("filtered", field)):
+            strain, sigma = each.strain[..., 0], each.strain_sigma[..., 0]
+            found[view, name] = (each.displacement, strain, sigma)
     return found
 
 

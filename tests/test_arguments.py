@@ -34,12 +34,7 @@ from cmp_cl.field import (
     displacement,
     green_lagrange,
     mesh,
-    motion_of,
-    plane_displacement,
-    plane_strain,
     surface_normals,
-    with_measured_noise,
-    without_motion,
 )
 from cmp_cl.grid import align, filter_grid, filter_positions, refine_markers
 from cmp_cl.marks import drop_marks
@@ -79,7 +74,6 @@ GRID = grid_of(np.moveaxis(10.0 * np.mgrid[:5, :6], 0, -1))
 IMAGE = np.zeros((60, 70), np.uint8)
 SIZE = IMAGE.shape[::-1]
 BOARD = Path(media.__file__).parent / "data" / "board.png"
-PLANE = plane_displacement(GRID, GRID)
 BOARD_5X6 = Checkerboard(shape=(5, 6), cell=2.0)
 CAMERAS = cameras_of(toed_in_rig(), SIZE)
 FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
@@ -90,12 +84,10 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
     [
         (lambda: filter_positions(None), "now", "Grid"),
         (lambda: filter_positions(GRID, rest=3), "rest", "Grid"),
-        (lambda: plane_displacement(None, GRID), "rest", "Grid"),
-        (lambda: plane_displacement(GRID, None), "now", "Grid"),
-        (lambda: plane_displacement(GRID, GRID, 0.1), "scale", "PlaneScale"),
-        (lambda: displacement(GRID, GRID), "rest", "Points3D"),
-        (lambda: plane_strain(GRID), "field", "PlaneField"),
-        (lambda: motion_of(GRID), "field", "PlaneField"),
+        (lambda: displacement(None, GRID), "rest", "Points3D"),
+        (lambda: displacement(GRID, None), "now", "Grid"),
+        (lambda: displacement(GRID, GRID, scale=0.1), "scale", "PlaneScale"),
+        (lambda: displacement(points(gel(4, 4)), GRID), "now", "Points3D"),
         (lambda: contact_of(GRID, deeper_than=1.0), "field", "DisplacementField"),
         (lambda: drop_marks(GRID, IMAGE), "corners", "Corners"),
         (lambda: TwoViews(IMAGE, None, None), "rig", "StereoRig"),
@@ -120,8 +112,6 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: BinocularSplit((0, 0, 9, 9), (9, 0, 9, 9), "no"), "mirror_left", "bool"),
         (lambda: OneView(IMAGE, config="a", full_scale=255), "config", "DetectorConfig"),
         (lambda: contact_of(FIELD, deeper_than=None), "deeper_than", "Real"),
-        (lambda: without_motion(PLANE, None), "motion", "Motion"),
-        (lambda: with_measured_noise(None), "field", "PlaneField"),
         (lambda: arrow_figure(IMAGE, GRID, None), "now", "Grid"),
         (lambda: surface_figure(None), "field", "DisplacementField"),
         (lambda: render(None), "scene", "Scene"),

@@ -75,7 +75,7 @@ def test_a_view_is_measured_against_the_view_at_rest(rest_and_now):
     np.testing.assert_array_equal(still.grids[0].xy, against_rest.rest_grid.xy)
     assert moved.largest > 1
     assert (empty.nodes, empty.largest) == (0, 0)
-    assert np.isnan(empty.arrays["xy"]).all()
+    assert np.isnan(empty.field.displacement).all()
     with pytest.raises(cmp_cl.DeviceError, match="closed"):
         against_rest(rest)
 
@@ -86,7 +86,7 @@ def test_both_the_filtered_and_the_raw_values_are_there_and_named(rest_and_now):
     views = [(frame, frame[:, : frame.shape[1] // 2]) for frame in (rest, now)]
     for k, kind, name, extra in (
         (0, measure.TwoViews, "displacement", (rig, split)),
-        (1, measure.OneView, "xy", ()),
+        (1, measure.OneView, "displacement", ()),
     ):
         with (
             kind(views[0][k], *extra, shape=(12, 12)) as filtering,
@@ -215,7 +215,7 @@ def shifts_of(frames: list[float | None], *, track: bool) -> tuple[list[float], 
         for cells in frames:
             seen = np.full((180, 200), 90, np.uint8) if cells is None else moved_by(cells)
             measured = view(seen)
-            moved = measured.arrays["xy"] - view.constants["rest"]
+            moved = measured.field.displacement
             known = ~np.isnan(moved[..., 0])
             shifts.append(float(moved[known][:, 0].mean() / 12) if known.any() else np.nan)
             ambiguous.append(measured.ambiguous)

@@ -166,12 +166,11 @@ def _resolution(rows: Sequence[Row]) -> str:
 
 def strain(result: Row) -> str:
     """Report known strains in pictures, and whether their stated errors hold."""
-    head = ("strain", "measured by", "RMSE", "median sigma", "within 1.96 sigma, %", "numbers")
-    names = {"command": "`cmp-cl run --strain`", "library": "`plane_strain`"}
+    head = ("strain", "from", "RMSE", "median sigma", "within 1.96 sigma, %", "numbers")
     rows = [
         (
             row["strain"],
-            names[row["by"]],
+            row["by"],
             f"{row['rms']:.2g}",
             f"{row['sigma']:.2g}",
             round(100 * row["coverage"], 1),
@@ -184,8 +183,8 @@ def strain(result: Row) -> str:
             "## Known strains in pictures",
             conditions(result),
             "Noisy images are rendered of a board that is rotated and strained. `cmp-cl run "
-            "--strain` measures the strain from raw positions, the library after the "
-            "lattice filter. If sigma is right, 95 % of the errors are within 1.96 sigma.\n",
+            "--strain --cell` measures the strain, with the lattice filter and, by `--raw`, "
+            "without. If sigma is right, 95 % of the errors are within 1.96 sigma.\n",
             table(head, rows),
         ]
     )

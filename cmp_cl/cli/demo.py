@@ -18,7 +18,7 @@ from cmp_cl.errors import ConfigError
 from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid, filter_positions
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import MeasuredInSpace, TwoViews, cell_of
+from cmp_cl.measure import Measured, TwoViews, cell_of
 from cmp_cl.opencl.device import select_device
 from cmp_cl.space import BinocularSplit, StereoRig
 from cmp_cl.synthetic import (
@@ -49,7 +49,7 @@ SCENE = Scene(
     rotation=0.02,
     seed=7,
 )
-FIELDS = "field.npz", "field.csv", "field.ply", "field.vtp"
+FIELDS = "field.npz", "field.csv", "field.vtp"
 
 
 def add_parser(commands: Any) -> None:
@@ -146,7 +146,7 @@ def wrongly_numbered(grid: Grid, view: Rendered) -> int:
 
 
 def _table(
-    measured: MeasuredInSpace, at_rest: tuple[Grid, Grid], rest: _Truth, now: _Truth
+    measured: Measured, at_rest: tuple[Grid, Grid], rest: _Truth, now: _Truth
 ) -> list[tuple[str, str, str]]:
     """Return the rows of a table of errors against the exact truth: name, value, unit."""
     table = []
@@ -167,6 +167,7 @@ def _table(
             (f"{side} view: nodes with a wrong number", str(wrongly_numbered(grid, view)), ""),
         ]
     points, field = measured.points, measured.field
+    assert points is not None, "two views give points"
     error = (points.xyz - now.xyz)[points.valid] * 1e3
     moved = (field.displacement - (now.xyz - rest.xyz))[field.valid] * 1e3
     length = np.linalg.norm(now.xyz - rest.xyz, axis=2)
@@ -216,7 +217,7 @@ def _around(grid: Grid, view: GreyImage) -> tuple[int, int, int, int]:
 
 def _pictures(
     folder: Path,
-    measured: MeasuredInSpace,
+    measured: Measured,
     left_at_rest: Grid,
     table: Sequence[tuple[str, str, str]],
 ) -> list[str]:

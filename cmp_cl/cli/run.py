@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl.cameras import CameraSettings, Source
 from cmp_cl.cli import derived
@@ -37,7 +36,7 @@ from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
 from cmp_cl.errors import ConfigError, GridError
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import Measured, MeasuredInSpace, OneView, TwoViews
+from cmp_cl.measure import Measured, OneView, TwoViews
 from cmp_cl.media import Frame
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, SeriesWriter
@@ -167,16 +166,15 @@ def add_parser(commands: Any) -> None:
     add_device(parser)
     parser.epilog = (
         "For F frames of R x C nodes, the series holds index (F,), time_ms (F,) (NaN where the "
-        "source has no clock), ambiguous (F,) (whether the numbering may be wrong), sigma and "
-        "status (F, R, C) and unit; with --stereo rest (R, C, 3), displacement (F, R, C, 3), "
-        "source (F, R, C), and the positions left and right (F, R, C, 2), px; without it rest (R, "
-        "C, 2) and xy (F, R, C, 2), px. filtered says whether the lattice filter is on; then "
-        "raw_rest, raw_displacement or raw_xy, and raw_sigma are its input. left and right are "
-        "never filtered. --strain adds strain (R, C, 3: Exx, Eyy, Exy, in space along rows, along "
-        "columns, and shear), with one view also principal (R, C, 2), direction, rad, "
-        "translation, rotation, rad, and zoom, each with _sigma. --contact adds depth, "
-        "depth_sigma, normal, contact, contact_area and contact_depth. --cell adds rest_px, "
-        "homography and displacement (F, R, C, 2)."
+        "source has no clock), ambiguous (F,) (whether the numbering may be wrong), unit, rest "
+        "(R, C, K), displacement (F, R, C, K), sigma, status and source (F, R, C), with K = 2, and "
+        "with --stereo 3. The detected positions are xy (F, R, C, 2), px, or left and right, and "
+        "at rest xy_rest, or left_rest and right_rest. filtered says whether the lattice filter is "
+        "on; then raw_rest, raw_displacement and raw_sigma are its input. --strain adds strain (F, "
+        "R, C, 3: E11, E22, E12, in the plane along x and y, in space along the rows and across "
+        "them), principal (F, R, C, 2) and direction (F, R, C), rad, each with _sigma. --contact "
+        "adds depth, depth_sigma, normal, contact, contact_area and contact_depth. --cell adds "
+        "homography (3, 3)."
     )
     parser.set_defaults(run=run)
 
@@ -269,11 +267,9 @@ class _Settings:
 
     def description(self, unit: str) -> Description:
         """Return the description that is stored in the series; unit: of the lengths."""
-        lengths: tuple[str, ...] = ("rest", "displacement", "sigma")
-        pixels: tuple[str, ...] = ("xy", "rest_px", "raw_rest", "raw_xy", "raw_sigma")
-        if self.rig is not None:
-            lengths += ("raw_rest", "raw_displacement", "raw_sigma")
-            pixels = ("left", "right", "left_rest", "right_rest")
+        lengths = [raw + name for raw in ("", "raw_") for name in ("rest", "displacement", "sigma")]
+        views = ("xy",) if self.rig is None else ("left", "right")
+        pixels = [view + when for view in views for when in ("", "_rest")]
         units = {
             **dict.fromkeys(lengths, unit),
             **dict.fromkeys(pixels, "px"),
@@ -310,6 +306,8 @@ class _Settings:
             if self.rig is None:
                 hint = "; --region picks one of several patterns; frames of two views need --stereo"
                 (region,) = regions_in(asked.region, whole(rest))
+                if asked.cell is not None:
+                    search |= {"cell": asked.cell, "unit": asked.unit or "mm"}
                 return OneView(rest, region=region, **search)
             split = split_of(asked.split or "halves", asked.mirror, rest.shape)
             one, two = views_of(split)
@@ -353,11 +351,11 @@ def run(arguments: argparse.Namespace) -> int:
         measure = settings.measurement(rest)
         stack.enter_context(measure)
         _tell_doubts(arguments.rest_frame, measure)
-        results = derived.results_of(measure, arguments)
         stack.enter_context(display)
-        description = settings.description(results.unit)
+        description = settings.description(measure.unit)
+        constants = measure.constants | derived.constants(arguments)
         series = stack.enter_context(
-            SeriesWriter(arguments.out, description=description, **results.constants)
+            SeriesWriter(arguments.out, description=description, **constants)
         )
         _tell_earlier(series.earlier)
         stack.callback(ignore)  # no signal stops the closing of the series
@@ -376,7 +374,7 @@ def run(arguments: argparse.Namespace) -> int:
                     )
                 continue
             start = time.perf_counter()
-            measured = results(image)
+            measured, arrays = derived.derived(measure(image), arguments)
             spent = (time.perf_counter() - start) * 1e3
             if frame.index == arguments.rest_frame:  # the numbers are those of this frame
                 measured = dataclasses.replace(measured, ambiguous=False)
@@ -385,7 +383,7 @@ def run(arguments: argparse.Namespace) -> int:
                     index=frame.index,
                     time_ms=frame.time_ms,
                     ambiguous=measured.ambiguous,
-                    **measured.arrays,
+                    **arrays,
                 )
             except BrokenPipeError:  # the reader has gone
                 raise
@@ -393,13 +391,13 @@ def run(arguments: argparse.Namespace) -> int:
                 full = error
                 break
             tally.add(frame.index, measured, spent)
-            display.frame(frame, measured, measure.constants["rest"])
+            display.frame(frame, measured)
         if stop.name and not tally.frames:  # an older series stays
             raise KeyboardInterrupt
     report = sys.stderr if arguments.out == "-" else sys.stdout
     if full is None or tally.frames:
         ended = f"stopped by {stop.name}; " if stop.name else ""
-        line = tally.line(measure.nodes, results.unit, str(settings.device))
+        line = tally.line(measure.nodes, measure.unit, str(settings.device))
         alone = source.alone() if isinstance(source, Pairs) else ""
         print(f"{ended}wrote {shown(arguments.out)}: {line}{alone}", file=report)
     for written in (arguments.overlay, arguments.rerun):
@@ -470,12 +468,12 @@ class _Display(contextlib.AbstractContextManager["_Display"]):
             except OSError as error:
                 self.error = error
 
-    def frame(self, frame: Frame, measured: Measured, rest: NDArray[Any]) -> None:
-        """Add a frame; rest: the positions at rest, (R, C, 2) px or (R, C, 3)."""
+    def frame(self, frame: Frame, measured: Measured) -> None:
+        """Add a frame."""
         if self.error is not None:
             return
         image, grid = measured.views[0], measured.grids[0]
-        field = measured.field if isinstance(measured, MeasuredInSpace) else None
+        field = measured.field
         try:
             if self._log is not None:
                 self._log.frame(
@@ -483,13 +481,14 @@ class _Display(contextlib.AbstractContextManager["_Display"]):
                     time_ms=frame.time_ms,
                     image=image,
                     grid=grid,
-                    field=field,
+                    field=None if measured.points is None else field,
                 )
             if self._overlay is not None:
-                moved = grid.xy - rest if field is None else field.displacement
                 time_s = "" if np.isnan(frame.time_ms) else f"  {frame.time_ms / 1e3:.3f} s"
                 text = f"frame {frame.index}{time_s}  {measured.nodes} nodes"
-                self._overlay.frame(image, grid, np.linalg.norm(moved, axis=2), text=text)
+                self._overlay.frame(
+                    image, grid, np.linalg.norm(field.displacement, axis=2), text=text
+                )
         except OSError as error:
             self.error = error
 

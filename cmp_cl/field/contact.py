@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, as_numbers, check_kind
 from cmp_cl.field.field import DisplacementField
-from cmp_cl.field.strain import slope_weights
+from cmp_cl.field.strain import slopes_of
 
 Array = NDArray[np.float64]
 
@@ -84,20 +84,13 @@ def surface_normals(positions: Array) -> Array:
     if positions.ndim != 3 or positions.shape[2] != 3:
         raise FieldError(f"positions must be (R, C, 3), not {positions.shape}")
     valid: NDArray[np.bool_] = np.all(np.isfinite(positions), axis=2)
-    filled = np.where(valid[..., None], positions, 0)
-    reach = _NORMAL_RADIUS
-    padded = np.pad(filled, ((reach, reach), (reach, reach), (0, 0)))
-    side = 2 * reach + 1
-    around = np.lib.stride_tricks.sliding_window_view(padded, (side, side), axis=(0, 1))
-    along, down = (
-        np.einsum("rcij,rckij->rck", weights, around) for weights in slope_weights(valid, reach)
-    )
+    along, down = np.moveaxis(slopes_of(positions, valid, _NORMAL_RADIUS), 2, 0)
     normal = np.cross(along, down)
     length = np.linalg.norm(normal, axis=2)
     flat = length <= 1e-9 * np.linalg.norm(along, axis=2) * np.linalg.norm(down, axis=2)
     with np.errstate(invalid="ignore", divide="ignore"):
         unit: Array = normal / np.where(flat, np.nan, length)[..., None]
-    away = (unit * filled).sum(axis=2) > 0
+    away = (unit * positions).sum(axis=2) > 0
     return np.where(away[..., None], -unit, unit)
 
 

@@ -1,4 +1,4 @@
-"""Writes the arrays of a field as .npz, .csv, .ply or .vtp."""
+"""Writes the arrays of a field as .npz, .csv or .vtp."""
 
 from os import PathLike
 from typing import Any
@@ -23,8 +23,13 @@ _COLUMNS = {
     "source": ("source",),
     "strain": ("e11", "e22", "e12"),
     "strain_sigma": ("e11_sigma", "e22_sigma", "e12_sigma"),
+    "principal": ("e1", "e2"),
+    "principal_sigma": ("e1_sigma", "e2_sigma"),
+    "direction": ("direction",),
+    "direction_sigma": ("direction_sigma",),
     "position_sigma": ("position_sigma",),
 }
+_LENGTHS = "position", "displacement", "sigma", "position_sigma"
 
 
 def save(path: str | PathLike[str], arrays: Arrays, unit: str) -> None:
@@ -35,12 +40,12 @@ def save(path: str | PathLike[str], arrays: Arrays, unit: str) -> None:
 
     .npz: the arrays under their names, for numpy.load.
     .csv: a row per node, the unit in the header, nan where missing.
-    .ply: the valid nodes and the quadrilaterals between them, little-endian.
-    .vtp: the same for VTK and ParaView; "Warp By Vector" shows the surface as it is now.
+    .vtp: the valid nodes and the quadrilaterals between them, for ParaView; "Warp By Vector"
+        shows the surface as it is now. A plane lies at z = 0.
 
     Raises ConfigError on another suffix, OSError if the file cannot be written.
     """
-    writers = {".npz": _save_npz, ".csv": _save_csv, ".ply": _save_ply, ".vtp": _save_vtp}
+    writers = {".npz": _save_npz, ".csv": _save_csv, ".vtp": _save_vtp}
     suffix = suffix_of(path, ConfigError)
     if suffix not in writers:
         raise ConfigError(f"{str(path)!r}: the suffix must be one of {', '.join(writers)}")
@@ -52,10 +57,10 @@ def _save_npz(path: str | PathLike[str], arrays: dict[str, Any], unit: str) -> N
         np.savez(file, **arrays, unit=np.array(unit), filtered=np.array("raw_position" in arrays))
 
 
-def _columns(name: str) -> list[str]:
-    """Return the columns of an array."""
+def _columns(name: str, count: int) -> list[str]:
+    """Return the names of the `count` columns of an array."""
     begin = "raw_" if name.startswith("raw_") else ""
-    return [begin + column for column in _COLUMNS.get(name.removeprefix("raw_"), (name,))]
+    return [begin + column for column in _COLUMNS[name.removeprefix("raw_")][:count]]
 
 
 def _save_csv(path: str | PathLike[str], arrays: Arrays, unit: str) -> None:
@@ -64,10 +69,11 @@ def _save_csv(path: str | PathLike[str], arrays: Arrays, unit: str) -> None:
     columns: list[list[Any]] = [index.ravel().tolist() for index in np.indices(shape)]
     for name in sorted(arrays, key=[*_COLUMNS, *arrays].index):
         values = arrays[name].reshape(len(columns[0]), -1).T.tolist()
+        named = _columns(name, len(values))
         if name in _NAMES:
             values = [[_NAMES[name](number).name for number in values[0]]]
-        plain = name in _NAMES or "strain" in name
-        header += [column if plain else f"{column}_{unit}" for column in _columns(name)]
+        is_length = name.removeprefix("raw_") in _LENGTHS
+        header += [f"{column}_{unit}" if is_length else column for column in named]
         columns += values
     write_csv(path, header, zip(*columns, strict=True))
 
@@ -82,37 +88,15 @@ def mesh_of(arrays: Arrays) -> tuple[Arrays, NDArray[np.int32]]:
     return columns, quadrilaterals(valid)
 
 
-def _save_ply(path: str | PathLike[str], arrays: Arrays, unit: str) -> None:
-    columns, quads = mesh_of(arrays)
-    properties = [
-        (name, values.dtype.kind == "i")
-        for key, values in columns.items()
-        for name in _columns(key)
-    ]
-    vertices = np.empty(
-        len(columns["row"]), [(name, "<i4" if whole else "<f8") for name, whole in properties]
-    )
-    for key, values in columns.items():
-        for name, column in zip(_columns(key), np.atleast_2d(values.T), strict=True):
-            vertices[name] = column
-    faces = np.empty(len(quads), [("count", "u1"), ("nodes", "<i4", 4)])
-    faces["count"], faces["nodes"] = 4, quads
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment lengths in {unit}",
-        f"element vertex {len(vertices)}",
-        *(f"property {'int' if whole else 'double'} {name}" for name, whole in properties),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
-    text = "\n".join(header) + "\n"
-    write_bytes(path, text.encode() + vertices.tobytes() + faces.tobytes())
-
-
 def _save_vtp(path: str | PathLike[str], arrays: Arrays, unit: str) -> None:
     columns, quads = mesh_of(arrays)
-    position = columns.pop("position")
+    in_space = {name: _in_space(name, values) for name, values in columns.items()}
+    position = in_space.pop("position")
     comment = f"<!-- lengths in {unit} -->\n"
-    write_bytes(path, polydata(position, quads, columns, comment=comment).encode())
+    write_bytes(path, polydata(position, quads, in_space, comment=comment).encode())
+
+
+def _in_space(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Return the values; vectors (N, 2) of a plane get a third coordinate, 0."""
+    vectors = name.removeprefix("raw_") in ("position", "displacement")
+    return np.pad(values, ((0, 0), (0, 1))) if vectors and values.shape[1] == 2 else values

@@ -14,18 +14,17 @@ mirrors:
             if frame.image is not None:
                 measure(frame.image).field.save(f"press-{frame.index:04}.vtp")
 
-`OneView` does the same in the image, with one camera. `find_boards` returns the pairs of grids from
-which `cmp_cl.calibrate` makes the rig.
+`OneView` does the same with one camera, in the image or in the plane of a flat pattern.
+`find_boards` returns the pairs of grids from which `cmp_cl.calibrate` makes the rig.
 """
 
 from cmp_cl.measure.boards import MAX_SIGMA, find_board, find_boards, square_sides, trusted
-from cmp_cl.measure.frames import Measured, MeasuredInSpace, Measurement, OneView, TwoViews
+from cmp_cl.measure.frames import Measured, Measurement, OneView, TwoViews
 from cmp_cl.measure.patterns import Region, align_views, cell_of, find_pattern
 
 __all__ = [
     "MAX_SIGMA",
     "Measured",
-    "MeasuredInSpace",
     "Measurement",
     "OneView",
     "Region",

@@ -13,8 +13,8 @@ from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, check_kind
-from cmp_cl.field import DisplacementField, displacement
-from cmp_cl.grid import Grid, build_grid, filter_positions
+from cmp_cl.field import DisplacementField, PlaneScale, displacement
+from cmp_cl.grid import Grid, build_grid
 from cmp_cl.grid.grid import NO_SIDES, empty_grid
 from cmp_cl.image import GreyImage, check_image
 from cmp_cl.measure.patterns import (
@@ -42,46 +42,60 @@ _BETTER = 0.25  # share of the reprojection error that is left if the views were
 class Measured:
     """A frame, measured against the frame at rest.
 
-    arrays: the arrays for `SeriesWriter.append`, by name: xy (R, C, 2) float32, px, sigma (R, C)
-        float32, px, and status (R, C) uint8 of `NodeStatus`; with the lattice filter, raw_xy and
-        raw_sigma are those before it.
-    nodes: number of nodes that are measured both at rest and now.
-    largest: the largest displacement, px or the rig's unit, 0 without nodes.
+    field: the displacement of the nodes, in the image, in the plane of a flat pattern, or in space.
     ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
+    points: the positions of the nodes now, in space; None from one view.
     views, corners, grids: of the one view, or of the left and of the right one.
     """
 
-    arrays: dict[str, NDArray[Any]]
-    nodes: int
-    largest: float
+    field: DisplacementField
     ambiguous: bool
     views: tuple[GreyImage, ...]
     corners: tuple[Corners, ...]
     grids: tuple[Grid, ...]
+    points: Points3D | None = None
 
+    @property
+    def nodes(self) -> int:
+        """Return the number of nodes that are measured both at rest and now."""
+        return int(np.count_nonzero(self.field.valid))
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class MeasuredInSpace(Measured):
-    """A frame of two views, measured in space against the frame at rest.
+    @property
+    def largest(self) -> float:
+        """Return the largest displacement in the unit of the field, 0 without nodes."""
+        moved = self.field.displacement[self.field.valid]
+        return float(np.linalg.norm(moved, axis=1).max(initial=0))
 
-    nodes, largest, ambiguous, views, corners, grids: as in `Measured`.
-    points: the positions of the nodes now. field: their displacement.
-    arrays: displacement, sigma, status and source of the field; with the lattice filter,
-        raw_displacement and raw_sigma before it; and the detected positions left and right,
-        (R, C, 2) float32, px.
-    """
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays for `SeriesWriter.append`, by name.
 
-    points: Points3D
-    field: DisplacementField
+        displacement, sigma, status and source of the field; raw_displacement and raw_sigma before
+        the lattice filter, if it is on; its strain, if it has one, see
+        `DisplacementField.strains`; and the detected positions, (R, C, 2) float32, px: xy of one
+        view, left and right of two.
+        """
+        field = self.field
+        arrays: dict[str, NDArray[Any]] = {
+            "displacement": field.displacement,
+            "sigma": field.sigma,
+            "status": field.status,
+            "source": field.source,
+            **field.strains(),
+        }
+        if field.raw is not None:
+            arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
+        names = ("xy",) if len(self.grids) == 1 else ("left", "right")
+        return arrays | {name: grid.xy for name, grid in zip(names, self.grids, strict=True)}
 
 
 class Measurement(Closing):
     """Measures frames against the frame at rest. Use it in a with statement.
 
     constants: arrays that a series holds once: rest (R, C, 2) or (R, C, 3), unit, filtered (bool,
-    whether the lattice filter is on), raw_rest (rest before that filter, if it is on), and with two
-    views the detected positions left_rest and right_rest (R, C, 2), px.
-    unit: unit of the displacements, "px" or the rig's.
+    whether the lattice filter is on), raw_rest (rest before that filter, if it is on), and the
+    detected positions at rest, (R, C, 2), px: xy_rest, or left_rest and right_rest.
+    unit: unit of the displacements.
     nodes: number of nodes of the pattern.
     """
 
@@ -115,11 +129,14 @@ class Measurement(Closing):
 
 
 class OneView(Measurement):
-    """Measures the positions of the nodes in the image, px.
+    """Measures the displacement of the nodes in the image, px, or in the plane of a flat pattern.
 
     rest: the frame at rest, (H, W) uint8 or uint16.
     shape: (rows, columns) of the pattern's corners; None takes the shape that is seen at rest.
     region: (x0, y0, x1, y1), px, holds the pattern in every frame; None is the whole frame.
+    cell: side of the cells of a flat pattern, in `unit`, to measure in its plane, see
+        `cmp_cl.field.PlaneScale.of_cells`; None measures in px.
+    unit: name of the unit of length; only with a cell.
     config: configuration of the detector; None finds the pattern at rest with `DetectorConfig()`,
         as every caller does, and then takes `DetectorConfig.for_cell` for its cells.
     track: continue the numbers of the previous frame if the frame at rest leaves them ambiguous.
@@ -129,9 +146,12 @@ class OneView(Measurement):
         printing errors decide.
     full_scale: the camera's largest grey level; None is that of the configuration or of the type.
     device: a Device, a text for `select_device`, or None for the default device.
-    raw: leave out the lattice filter, see `cmp_cl.grid.filter_positions`.
+    raw: leave out the lattice filter, see `cmp_cl.displacement`.
 
-    Raises GridError if the frame at rest shows no such pattern, and the errors of `Detector`.
+    With a cell, constants has the homography too, (3, 3), from px to the plane.
+
+    Raises GridError if the frame at rest shows no such pattern, FieldError if its nodes do not fix
+    the plane, and the errors of `Detector`.
     """
 
     def __init__(
@@ -140,6 +160,8 @@ class OneView(Measurement):
         *,
         shape: tuple[int, int] | None = None,
         region: Region | None = None,
+        cell: float | None = None,
+        unit: str = "mm",
         config: DetectorConfig | None = None,
         full_scale: int | None = None,
         device: Device | str | None = None,
@@ -149,16 +171,20 @@ class OneView(Measurement):
         super().__init__()
         self._raw = raw
         search = _Search(select_device(device), shape, config, full_scale, track)
-        self._pattern = _Pattern(rest, search, region)
-        self._detectors.enter_context(self._pattern.detector)
-        self.unit = "px"
-        self.nodes = self._pattern.rest.status.size
-        rest_grid = self._pattern.rest
-        self._rest = filter_positions(rest_grid)[1 if raw else 0]
-        self.constants = {"rest": self._rest.xy, "unit": np.array(self.unit)}
-        self.constants["filtered"] = np.array(not raw)
-        if not raw:
-            self.constants["raw_rest"] = rest_grid.xy
+        with contextlib.ExitStack() as stack:
+            self._pattern = _Pattern(rest, search, region)
+            stack.enter_context(self._pattern.detector)
+            at_rest = self._pattern.rest
+            self._scale = (
+                PlaneScale.pixels() if cell is None else PlaneScale.of_cells(at_rest, cell, unit)
+            )
+            self._detectors = stack.pop_all()
+        self.unit = self._scale.unit
+        self.nodes = at_rest.status.size
+        still = displacement(at_rest, at_rest, scale=self._scale, raw=raw)
+        self.constants = _constants(still) | {"xy_rest": at_rest.xy}
+        if cell is not None:
+            self.constants["homography"] = self._scale.matrix
 
     def _patterns(self) -> "tuple[_Pattern, ...]":
         return (self._pattern,)
@@ -171,21 +197,9 @@ class OneView(Measurement):
     def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, see `Measurement.__call__`."""
         corners, grid = self._pattern.find(frame)
-        filtered, as_it_is = filter_positions(grid, rest=self._pattern.rest)
-        best = as_it_is if self._raw else filtered
-        moved = np.linalg.norm(best.xy - self._rest.xy, axis=2)
-        moved = moved[~np.isnan(moved)]
-        arrays: dict[str, NDArray[Any]] = {
-            "xy": best.xy,
-            "sigma": best.sigma,
-            "status": grid.status,
-        }
-        if not self._raw:
-            arrays |= {"raw_xy": as_it_is.xy, "raw_sigma": as_it_is.sigma}
+        field = displacement(self._pattern.rest, grid, scale=self._scale, raw=self._raw)
         return Measured(
-            arrays=arrays,
-            nodes=len(moved),
-            largest=float(moved.max(initial=0)),
+            field=field,
             ambiguous=grid.ambiguous,
             views=(frame,),
             corners=(corners,),
@@ -245,16 +259,9 @@ class TwoViews(Measurement):
             self._detectors = stack.pop_all()
         self.unit = rig.unit
         self.nodes = self.rest.status.size
-        at_rest = displacement(self.rest, self.rest, raw=raw)
-        self.constants = {
-            "rest": at_rest.position,
-            "filtered": np.array(not raw),
-            "left_rest": self._left.rest.xy,
-            "right_rest": self._right.rest.xy,
-            "unit": np.array(rig.unit),
-        }
-        if not raw:
-            self.constants["raw_rest"] = self.rest.xyz
+        still = displacement(self.rest, self.rest, raw=raw)
+        positions = {"left_rest": self._left.rest.xy, "right_rest": self._right.rest.xy}
+        self.constants = _constants(still) | positions
 
     def _patterns(self) -> "tuple[_Pattern, ...]":
         return self._left, self._right
@@ -326,35 +333,32 @@ class TwoViews(Measurement):
                 "the views as they were in the calibration"
             )
 
-    def __call__(self, frame: GreyImage) -> MeasuredInSpace:
+    def __call__(self, frame: GreyImage) -> Measured:
         """Measure one frame, see `Measurement.__call__`."""
         views = self._split(frame)
         left_corners, left = self._left.find(views[0])
         right_corners, right = self._right.find(views[1])
         points = self._rig.triangulate(left, right)
-        field = displacement(self.rest, points, raw=self._raw)
-        arrays: dict[str, NDArray[Any]] = {
-            "displacement": field.displacement,
-            "sigma": field.sigma,
-            "status": field.status,
-            "source": field.source,
-            "left": left.xy,
-            "right": right.xy,
-        }
-        if field.raw is not None:
-            arrays |= {"raw_displacement": field.raw.displacement, "raw_sigma": field.raw.sigma}
-        moved = np.linalg.norm(field.displacement[field.valid], axis=1)
-        return MeasuredInSpace(
-            arrays=arrays,
-            nodes=len(moved),
-            largest=float(moved.max(initial=0)),
+        return Measured(
+            field=displacement(self.rest, points, raw=self._raw),
             ambiguous=left.ambiguous or right.ambiguous,
             views=views,
             corners=(left_corners, right_corners),
             grids=(left, right),
             points=points,
-            field=field,
         )
+
+
+def _constants(still: DisplacementField) -> dict[str, NDArray[Any]]:
+    """Return the arrays that a series holds once, from the field of the frame at rest."""
+    constants: dict[str, NDArray[Any]] = {
+        "rest": still.position,
+        "unit": np.array(still.unit),
+        "filtered": np.array(still.raw is not None),
+    }
+    if still.raw is not None:
+        constants["raw_rest"] = still.raw.position
+    return constants
 
 
 def _fit(points: Points3D) -> int:

@@ -12,7 +12,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.field import DisplacementField
-from cmp_cl.field.strain import slope_weights
+from cmp_cl.field.strain import leverage
 from cmp_cl.grid.filter import filter_at_rest
 from cmp_cl.grid.grid import MEASURED
 from cmp_cl.motion.memory import Memory
@@ -69,7 +69,7 @@ class FieldPlan:
         self._position = self._at_rest.values - bend
         self._position_covariance = np.where(
             np.isfinite(self._at_rest.sigma)[..., None, None],
-            self._at_rest.covariance(),
+            self._at_rest.covariance_of(self._at_rest.sigma),
             rest.covariance,
         )
         self._constants = Memory.of(queue, **self._constant_arrays(rig))
@@ -123,10 +123,10 @@ class FieldPlan:
         before = np.where(before > 0, before, np.nan)
         wear = np.maximum(np.square(self._at_rest.noise) - before, 0)
         middle = np.nanmean(self._position, axis=(0, 1))
-        by_column, by_row = (
-            np.square(self._at_rest.deviation_of(weights))
-            for weights in slope_weights(np.isfinite(self._position[..., 0]), STRAIN_REACH)
-        )
+        valid = np.isfinite(self._position[..., 0])
+        whole = self._at_rest.slope_variance(STRAIN_REACH, smoothed=True)
+        gain = leverage(valid, STRAIN_REACH) / leverage(np.ones_like(valid), STRAIN_REACH)
+        by_column, by_row = np.moveaxis(whole * gain, 2, 0)
         bend = np.zeros_like(rest.xyz) if rest.bend_shift is None else rest.bend_shift
         tables = {
             f"{name}_{axis}": getattr(each, name)
@@ -353,7 +353,7 @@ class FieldPlan:
             displacement=_nodes(results["raw_displacement"]),
             covariance=_matrices(results["raw_covariance"]),
             position_covariance=np.where(
-                there[..., None], self._at_rest.noise_covariance(), np.nan
+                there[..., None], self._at_rest.covariance_of(self._at_rest.noise), np.nan
             ),
             **both,
         )

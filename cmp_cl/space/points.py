@@ -63,11 +63,16 @@ class Points3D:
 
 
 def largest_deviation(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the root of the largest eigenvalue of covariances (..., 3, 3), (...); NaN stays NaN.
+    """Return the root of the largest eigenvalue of covariances (..., D, D), D = 2 or 3; NaN stays.
 
-    With C = m I + s B, trace B = 0 and |B|^2 = 6, it is m + 2 s cos(acos(det B / 2) / 3).
+    For D = 3, with C = m I + s B, trace B = 0 and |B|^2 = 6, it is
+    m + 2 s cos(acos(det B / 2) / 3).
     """
-    mean = np.trace(covariance, axis1=-2, axis2=-1) / 3
+    size = covariance.shape[-1]
+    mean = np.trace(covariance, axis1=-2, axis2=-1) / size
+    if size == 2:
+        half = (covariance[..., 0, 0] - covariance[..., 1, 1]) / 2
+        return np.asarray(np.sqrt(mean + np.hypot(half, covariance[..., 0, 1])), np.float64)
     rest = covariance - mean[..., None, None] * np.eye(3)
     spread = np.sqrt(np.square(rest).sum(axis=(-2, -1)) / 6)
     scaled = rest / np.where(spread == 0, 1, spread)[..., None, None]

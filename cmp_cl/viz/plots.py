@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from cmp_cl.errors import FieldError
 from cmp_cl.extras import extra
 from cmp_cl.field import green_lagrange
-from cmp_cl.field.plane import PlaneField, plane_strain
 from cmp_cl.viz.figures import corners_of_cells, plane_of
 
 if TYPE_CHECKING:
@@ -134,17 +133,6 @@ class Recorded:
         return shift @ self.plane()[1][2], self.unit
 
     def _strain(self, shift: Array) -> Array:
-        if self.rest.shape[2] == 2:
-            unknown = np.full(shift.shape[:2], np.nan)
-            field = PlaneField(
-                position=np.where(np.isnan(shift), np.nan, self.rest),
-                displacement=shift,
-                sigma=unknown,
-                sigma_position=unknown,
-                status=np.zeros(shift.shape[:2], np.uint8),
-                unit=self.unit,
-            )
-            return plane_strain(field).principal().strain[..., 0]
         both = np.where(np.isnan(shift), np.nan, self.rest)
         first, second, shear = np.moveaxis(green_lagrange(both, both + shift), -1, 0)
         larger: Array = (first + second) / 2 + np.hypot((first - second) / 2, shear)

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
 import cmp_cl
-from cmp_cl.measure import MeasuredInSpace, OneView, TwoViews
+from cmp_cl.measure import OneView, TwoViews
 from cmp_cl.series.mcap import point_cloud
 
 
@@ -51,11 +51,9 @@ class Deformation(Node):
             self.get_logger().error(str(error))
             return
         rest = self._measure.constants["rest"]
-        if isinstance(measured, MeasuredInSpace):
-            shift, sigma = measured.field.displacement, measured.field.sigma
-        else:
-            shift, sigma = measured.grids[0].xy - rest, measured.grids[0].sigma
-        self._publisher.publish(cloud(message.header, point_cloud(rest, shift, sigma, 0, "")))
+        field = measured.field
+        nodes = point_cloud(rest, field.displacement, field.sigma, 0, "")
+        self._publisher.publish(cloud(message.header, nodes))
 
     def _at_rest(self, frame: np.ndarray) -> OneView | TwoViews:
         search: dict = {}

@@ -9,7 +9,7 @@ import pytest
 from stereo_data import gel, grid_of, project, toed_in_rig
 
 from cmp_cl import Detector, DetectorConfig, EdgeLines, EdgeStep
-from cmp_cl.field import PlaneScale, displacement, plane_displacement
+from cmp_cl.field import PlaneScale, displacement
 from cmp_cl.grid import build_grid, filter_positions
 from cmp_cl.grid.filter import bend_shift, bend_shift_of, image_sigma, with_bends
 from cmp_cl.reference import detect, lattice_filter
@@ -182,7 +182,7 @@ def test_the_difference_of_the_shifts_is_subtracted_from_displacements(pressed):
         for grid in (rest, now)
     ]
     scale = PlaneScale.of_pixel(0.1, "mm")
-    shifted, better = plane_displacement(*blind, scale), plane_displacement(rest, now, scale)
+    shifted, better = (displacement(*pair, scale=scale) for pair in (blind, (rest, now)))
     shift = 0.1 * (bend_shift_of(now) - bend_shift_of(rest))
     np.testing.assert_allclose(better.displacement, shifted.displacement - shift, atol=1e-6)
     np.testing.assert_array_equal(better.raw.displacement, shifted.raw.displacement)

@@ -37,19 +37,12 @@ class Filtered:
     refused: Bools
     _mixtures: "tuple[Mixture, ...]"
 
-    def covariance(self) -> Array:
-        """Return the covariance of the coordinates of each filtered node, (R, C, K, K) float64.
+    def covariance_of(self, sigma: Array) -> Array:
+        """Return the covariance of the coordinates of each node, (R, C, K, K) float64.
 
-        The correlation of the coordinates comes from the residuals around the node; the mean of the
-        diagonal is sigma squared. It is NaN where sigma is.
+        sigma: `sigma` or `noise`. The mean of the diagonal is its square. The correlation of the
+        coordinates comes from the residuals around the node. It is NaN where sigma is.
         """
-        return self._covariance(self.sigma)
-
-    def noise_covariance(self) -> Array:
-        """Return the covariance of each node before the filter, (R, C, K, K) float64."""
-        return self._covariance(self.noise)
-
-    def _covariance(self, sigma: Array) -> Array:
         count = self.values.shape[2]
         whole = np.full((*sigma.shape, count, count), np.nan)
         for mixture in self._mixtures:
@@ -58,26 +51,22 @@ class Filtered:
             whole[box] = np.where(part[..., None, None], covariance, whole[box])
         return whole
 
-    def deviation_of(self, stencil: ArrayLike) -> Array:
-        """Return the standard deviation of a linear combination around each node, (R, C) float64.
+    def slope_variance(self, radius: int, *, smoothed: bool) -> Array:
+        """Return the variances by coordinate of the slopes per step along a row and along a column,
+        (R, C, 2) float64, fitted to all of the (2 radius + 1)^2 values around each node.
 
-        stencil: (R, C, S, S), S odd, the weights of the filtered neighbours, the node itself in
-        the middle; the weights of nodes that are NaN or beyond the lattice must be 0. Neighbours
-        share much of their noise, so that a slope between them is more certain than their own sigma
-        suggests. It is NaN where sigma is. Raises GridError if the stencil has another shape.
+        smoothed: whether the values are the filtered ones, or those before the filter.
+
+        Neighbours share much of their noise, so that a slope between them is more certain than
+        their own sigma suggests. The noise and the weights of the filters are taken as constant
+        within the window; the weights are averaged over it. It is NaN where sigma is.
         """
-        weights = np.asarray(stencil, np.float64)
-        if weights.ndim != 4 or weights.shape[:2] != self.sigma.shape or weights.shape[2] % 2 == 0:
-            raise GridError(
-                f"the stencil must be (R, C, S, S), S odd, for {self.sigma.shape} nodes, not "
-                f"{weights.shape}"
-            )
-        deviation = np.full(self.sigma.shape, np.nan)
+        whole = np.full((*self.sigma.shape, 2), np.nan)
         for mixture in self._mixtures:
-            box, part = mixture.box, mixture.part
-            found = mixture.deviation_of(weights[box], self.sigma[box])
-            deviation[box] = np.where(part, found, deviation[box])
-        return np.where(np.isnan(self.sigma), np.nan, deviation)
+            box, part = mixture.box, mixture.part & np.isfinite(self.sigma[mixture.box])
+            found = mixture.slope_variance(radius, self.sigma[box], smoothed=smoothed)
+            whole[box] = np.where(part[..., None], found, whole[box])
+        return whole
 
 
 def filter_grid(

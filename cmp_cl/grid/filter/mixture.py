@@ -6,18 +6,24 @@ import math
 import threading
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from cmp_cl.grid.filter.holes import filled
-from cmp_cl.grid.filter.noise import LEAST_VARIANCE, noise_along, noise_of, outliers
+from cmp_cl.grid.filter.noise import (
+    LEAST_VARIANCE,
+    PASSED,
+    noise_along,
+    noise_of,
+    outliers,
+    shared_with_neighbours,
+)
 from cmp_cl.grid.filter.polynomials import (
-    AXIS_FILTERS,
     LEAST_SUPPORT,
     RISK_REACH,
     axis_of,
-    moved_bands,
+    grams_of,
     pairs_of,
+    window_mean,
 )
 
 Array = NDArray[np.float64]
@@ -71,33 +77,37 @@ class Mixture:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(mean > 0, sums / mean, alike)
 
-    def deviation_of(self, stencil: Array, sigma: Array) -> Array:
-        """Return (R, C) float64, see `Filtered.deviation_of`.
+    def slope_variance(self, radius: int, sigma: Array, *, smoothed: bool) -> Array:
+        """Return (R, C, 2) float64, see `Filtered.slope_variance`; sigma: (R, C), of the values.
 
-        stencil: (R, C, S, S). sigma: (R, C). A combination of neighbours is another filter: the sum
-            of the pairs, each moved to its neighbour. For each row it is two products of matrices
-            per node.
+        A slope over the window is a quadratic form of the weights W (A, B) of the pairs of filters:
+        its variance is s2 tr(G W H W'), with G and H the products of the slopes, or of the means,
+        of the filters along the columns and along the rows. They count what neighbours share of
+        their errors. That part passes the pilot, so that s2 is too small.
         """
-        rows, columns = self.votes.shape
-        reach, side = stencil.shape[2] // 2, 2 * max(half for half, _ in AXIS_FILTERS)
-        down, along = (moved_bands(n, side, reach, bends=self.bends) for n in (rows, columns))
-        noise = np.sqrt(self.raw_variance)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            # The part that the noise does not explain.
-            excess = sigma / (noise * np.sqrt(self.gain))
-        excess = np.where(np.isfinite(excess), excess, 1)
-        noise = np.pad(np.where(np.isfinite(noise), noise, 0), side + reach)
-        noise_around = sliding_window_view(noise, (2 * (side + reach) + 1,) * 2)
-        weights = np.pad(self.weights * excess, ((0, 0), (0, 0), (reach, reach), (reach, reach)))
-        weights_around = sliding_window_view(weights, stencil.shape[2:], axis=(2, 3))
-        result = np.empty((rows, columns))
-        for row in range(rows):
-            pairs = np.einsum("abcij,cij->ciajb", weights_around[:, :, row], stencil[row])
-            pairs = pairs.reshape(columns, down.shape[1], along.shape[1]).astype(np.float32)
-            kernel = down[row].T @ (pairs @ along)
-            kernel *= noise_around[row]
-            result[row] = np.sqrt(np.square(kernel).sum(axis=(1, 2)))
-        return result
+        shared = shared_with_neighbours(self.data, self.votes, self.raw_variance)
+        down, along = (
+            grams_of(n, radius, part, bends=self.bends)
+            for n, part in zip(self.votes.shape, shared, strict=True)
+        )
+        s2 = self.raw_variance / (1 - PASSED * sum(shared))
+        ways = (down.mean, along.slope), (down.slope, along.mean)
+        found: list[Array]
+        if smoothed:
+            weights = self._weights_around(radius, sigma / np.sqrt(s2 * self.gain))
+            found = [(g[:, None] @ weights @ h * weights).sum(axis=(2, 3)) for g, h in ways]
+        else:  # the first filter changes nothing
+            found = [np.outer(g[:, 0, 0], h[:, 0, 0]) for g, h in ways]
+        return np.stack(found, axis=2) * s2[..., None]
+
+    def _weights_around(self, radius: int, excess: Array) -> Array:
+        """Return the weights averaged over the window around each node, (R, C, A, B).
+
+        excess: (R, C), sigma over what the noise explains of it; NaN where unknown.
+        """
+        mean = window_mean(self.weights * excess, np.isfinite(excess), radius)
+        around: Array = mean.transpose(2, 3, 0, 1)
+        return around
 
 
 def mixed(

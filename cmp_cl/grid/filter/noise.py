@@ -15,6 +15,10 @@ LEAST_VARIANCE = 1e-30  # of the noise
 _FLOOR = 1e-10  # of the variance of the noise, relative to the mean square of the values
 # Variance of white noise, over the mean of the least of its five estimates below.
 _LEAST_OF_FIVE = 1.29
+_MOST_SHARED = 0.25  # of the noise of a node, by coordinate: half of that across an edge
+# The pilot's residual of white noise has 0.678 of its variance. If the noise of neighbours
+# correlates by a and b, it has 0.678 - 0.421 (a + b).
+PASSED = 0.421 / 0.678
 _SEVEN = np.array([5, -30, 75, 131, 75, -30, 5]) / 231  # weights of the pilot away from the border
 
 
@@ -114,6 +118,29 @@ def _expected_size(residual: Single, size: Single) -> float:
     freedom = float(np.trace(common)) ** 2 / square if square > 0 else float(count)
     share: float = math.sqrt(2 / freedom)
     return share * math.gamma(freedom / 2 + 0.5) / math.gamma(freedom / 2)
+
+
+def shared_with_neighbours(data: Single, votes: Bools, noise: Single) -> tuple[float, float]:
+    """Return the correlation of the noise of a node with that of the next node in its column, and
+    in its row, by coordinate; 0 without 4 x 4 votes.
+
+    Neighbours share the edge between them, and so a part of their errors across it. Let r be the
+    second differences along rows of the second differences along columns, after J. Immerkaer, CVIU
+    64, 1996. For noise of variance v with correlations a and b, r has the variance (36 - 48 a - 48
+    b) v, and the covariance (42 a + 32 b - 24) v with the r of the next row, and (32 a + 42 b - 24)
+    v with that of the next column. A bend of the surface within four nodes counts as noise that
+    is shared. data: (K, R, C). votes: (R, C).
+    """
+    known = np.where(votes, data, np.nan).astype(np.float64)
+    rough = np.diff(np.diff(known, 2, axis=1), 2, axis=2) / np.sqrt(noise[1:-1, 1:-1])
+    lagged = rough * rough, rough[:, 1:] * rough[:, :-1], rough[:, :, 1:] * rough[:, :, :-1]
+    if any(np.isnan(each).all() for each in lagged):
+        return 0.0, 0.0
+    of_white = np.array([[36, -48, -48], [-24, 42, 32], [-24, 32, 42]])
+    v, a, b = np.linalg.solve(of_white, [np.nanmean(each) for each in lagged])
+    if not v > 0:
+        return 0.0, 0.0
+    return float(np.clip(a / v, 0, _MOST_SHARED)), float(np.clip(b / v, 0, _MOST_SHARED))
 
 
 def outliers(residual: Single, noise: Single, votes: Bools) -> Bools:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
+Bools = NDArray[np.bool_]
 
 AXIS_FILTERS = ((0, 0), (2, 1), (2, 3), (4, 3), (7, 3))  # half width in nodes, degree
 BENDING_FILTERS = ((0, 0), (2, 1), (2, 3), (3, 3), (4, 3), (7, 3))  # for sharply bent values
@@ -123,20 +124,61 @@ def pairs_of(rows: int, columns: int, *, bends: bool = False) -> Pairs:
     )
 
 
-def moved_bands(n: int, side: int, reach: int, *, bends: bool) -> Single:
-    """Return the filters of all nodes within `reach` of each node, in a band around it, (n, S A,
-        T).
+@dataclasses.dataclass(frozen=True, eq=False)
+class Grams:
+    """The products of the filters of an axis, summed over the window around each node, (n, A, A).
 
-    There are S = 2 reach + 1 neighbours with A filters each, and T = 2 (side + reach) + 1 nodes.
-    Filters of neighbours beyond the ends are 0.
+    mean: of the means over the window of what each filter gives; slope: of its slopes. For errors
+    of variance 1 that are independent, or of which neighbours share a part.
     """
-    filters = axis_of(n, bends=bends).filters
-    size = 2 * reach + 1
-    bands = np.zeros((n, size, len(filters), 2 * (side + reach) + 1), np.float32)
+
+    mean: Array
+    slope: Array
+
+
+@functools.lru_cache(maxsize=64)
+def _of_windows(n: int, radius: int, *, bends: bool) -> tuple[Array, Array]:
+    """Return the mean and the slope over the window around each node of what each filter gives, as
+    weights of the n nodes, (n, A, n) each. Windows are cut at the ends."""
+    filters = axis_of(n, bends=bends).filters.astype(np.float64)
+    mean, slope = np.zeros((2, n, n))
     for node in range(n):
-        for beside in range(max(node - reach, 0), min(node + reach + 1, n)):
-            first, last = max(beside - side, 0), min(beside + side + 1, n)
-            start = first - node + side + reach
-            part = filters[:, beside, first:last]
-            bands[node, beside - node + reach, :, start : start + last - first] = part
-    return bands.reshape(n, size * len(filters), -1)
+        window = np.arange(max(node - radius, 0), min(node + radius + 1, n))
+        offset = window - window.mean()
+        mean[node, window] = 1 / len(window)
+        slope[node, window] = offset / max(np.square(offset).sum(), 1)
+    of_mean, of_slope = (np.einsum("iw,awj->iaj", each, filters) for each in (mean, slope))
+    return of_mean, of_slope
+
+
+def grams_of(n: int, radius: int, shared: float, *, bends: bool) -> Grams:
+    """Return the products of the filters along n nodes for windows of that radius.
+
+    shared: the correlation of the errors of neighbours.
+    """
+    alone = _products(n, radius, 0, bends=bends)
+    beside = _products(n, radius, 1, bends=bends)
+    return Grams(*(one + shared * other for one, other in zip(alone, beside, strict=True)))
+
+
+@functools.lru_cache(maxsize=64)
+def _products(n: int, radius: int, lag: int, *, bends: bool) -> tuple[Array, Array]:
+    """Return the products of the weights of `_of_windows`, with those `lag` nodes apart."""
+    apart = np.abs(np.arange(n)[:, None] - np.arange(n)) == lag
+    mean, slope = (
+        each @ apart @ each.transpose(0, 2, 1) for each in _of_windows(n, radius, bends=bends)
+    )
+    return mean, slope
+
+
+def window_mean(values: Array | Single, valid: Bools, radius: int) -> Array:
+    """Return the means of values (..., R, C) over the valid nodes of the window around each node,
+    NaN without any."""
+    down, along = (
+        (np.abs(np.arange(n)[:, None] - np.arange(n)) <= radius).astype(np.float64)
+        for n in valid.shape
+    )
+    sums = down @ np.where(valid, values, 0) @ along.T
+    count = down @ valid.astype(np.float64) @ along.T
+    mean: Array = sums / np.where(count > 0, count, np.nan)
+    return mean
