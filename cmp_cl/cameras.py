@@ -79,7 +79,6 @@ class Source:
     paths: the files, () of a live source. period_ms: time between frames, NaN if unknown.
     full_scale: largest grey level, None if unknown.
     start_ns: time of the first frame of an .mcap, ns since 1970; None before it is read.
-    max_pixels: the largest size of a frame, see `cmp_cl.media.read_frames`.
     from_start: whether times of a camera or an .mcap count from its first frame; else two of them
         have one clock, and can be paired.
 
@@ -92,11 +91,10 @@ class Source:
         name: str,
         settings: CameraSettings | None = None,
         *,
-        max_pixels: int = media.MAX_PIXELS,
         from_start: bool = False,
     ) -> None:
         self.name = name
-        self._max_pixels, self._from_start = max_pixels, from_start
+        self._from_start = from_start
         self._settings = CameraSettings() if settings is None else settings
         check_kind("settings", self._settings, CameraSettings, ConfigError)
         self.live = is_live(name)
@@ -131,15 +129,15 @@ class Source:
         numbers = itertools.count()
         for path in self.paths:
             if path.suffix.lower() == ".mcap":
-                for stamp, image in mcap_images(path, max_pixels=self._max_pixels):
+                for stamp, image in mcap_images(path):
                     self.start_ns = self.start_ns or stamp
                     zero = self.start_ns if self._from_start else 0
                     yield Frame(next(numbers), image, (stamp - zero) / 1e6)
                 continue
             try:
-                for each in media.read_frames(path, max_pixels=self._max_pixels):
+                for each in media.read_frames(path):
                     time_ms = each.time_ms if len(self.paths) == 1 else math.nan
-                    yield Frame(next(numbers), each.image, time_ms)
+                    yield Frame(next(numbers), each.image, time_ms, each.why)
             except ImageError as error:
                 if len(self.paths) == 1:
                     raise

@@ -1,48 +1,52 @@
 """Images and videos are read here, as grey; images are written whole or not at all.
 
-Videos are read by PyAV if it is installed (the extra `video`), else by OpenCV. PyAV knows the
-time of each frame and its size, keeps the levels of 10 to 16 bits, and refuses damaged frames.
-OpenCV reduces all videos to 8 bits, and scales frames of another size to that of the first.
+Images are read by OpenCV. Videos are read by PyAV (the extra `video`), which knows the time of each
+frame and its size, keeps the levels of 10 to 16 bits, and refuses damaged frames. Both come
+upright: photographs as their EXIF tag says, videos as their display matrix does.
 """
 
 import contextlib
 import dataclasses
 import glob
-import importlib.util
 import math
 import os
 import re
 import stat
-import sys
-import tempfile
+import struct
 from collections.abc import Iterable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import ImageError, check_kind, check_positive
+from cmp_cl.errors import ImageError, check_kind
+from cmp_cl.extras import extra
 from cmp_cl.files import check_path, suffix_of, write_bytes
 from cmp_cl.files import write_csv as write_csv  # a public name of this module
 from cmp_cl.image import GreyImage
-from cmp_cl.image_size import page_sizes
 
 IMAGE_SUFFIXES = frozenset(
     {".bmp", ".gif", ".jp2", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".pnm", ".ppm"}
     | {".tif", ".tiff", ".webp"}
 )
 SUFFIXES_OF_16_BITS = frozenset({".jp2", ".pgm", ".png", ".pnm", ".tif", ".tiff"})
-VIDEO_SUFFIXES = frozenset(
-    {".3gp", ".asf", ".avi", ".flv", ".m4v", ".mjpeg", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg"}
-    | {".mpg", ".mts", ".mxf", ".ogv", ".ts", ".webm", ".wmv", ".y4m"}
+VIDEO_SUFFIXES = frozenset(  # a GIF is read as a video: it may have several frames
+    {".264", ".265", ".3gp", ".asf", ".avi", ".flv", ".gif", ".h264", ".h265", ".hevc", ".m4v"}
+    | {".mjpeg", ".mjpg", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts"}
+    | {".webm", ".wmv", ".y4m"}
 )
-MAX_PIXELS = 1 << 28  # of an image, unless the caller allows more
-_MAX_PIPED = 1 << 28  # bytes of an image that comes through a pipe
-_MAX_SAID = 1 << 12  # bytes of a codec's messages
-
+# Demuxers of FFmpeg that read one file. Lists of other files, such as ffconcat, are not among them.
+_DEMUXERS = (
+    "asf,avi,flv,gif,h264,hevc,m4v,matroska,mjpeg,mov,mpeg,mpegts,mpegvideo,mxf,ogg,yuv4mpegpipe"
+)
+_MOST_PIXELS = 1 << 28  # of a frame of a video
+_MOST_PIPED = 1 << 28  # bytes of an image that comes through a pipe
+_BLOCK = 1 << 26  # px of the pages of a stack that are decoded at once
+_HEAD = 4096  # bytes
+_MOST_PAGES = 1 << 20  # those of libtiff
 _PLANAR = ("gray", "yuv")  # pixel formats of PyAV whose first plane is the grey levels
 
 LONGEST_GAP = 250  # frames
@@ -117,50 +121,113 @@ def is_video(path: str | PathLike[str]) -> bool:
     return suffix_of(path, ImageError) in VIDEO_SUFFIXES
 
 
-def read_image(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> GreyImage:
+def read_image(path: str | PathLike[str]) -> GreyImage:
     """Read an image file as (H, W) uint8 or uint16; colour becomes grey as cv2.imread does it.
 
-    It reads the first of several pages, and rotates the image as its EXIF tag says. Raises
-    ImageError if the file cannot be read, is damaged, has more than `max_pixels` pixels, or is not
-    an image of 8 or 16 bits.
+    It reads the first of several pages, and rotates the image as its EXIF tag says. What is
+    transparent becomes white. Raises ImageError if the file cannot be read, is damaged, has more
+    pixels than OpenCV's limit (2**28, unless the variable OPENCV_IO_MAX_IMAGE_PIXELS is set before
+    cmp_cl is imported), or is not an image of 8 or 16 bits.
     """
-    return next(read_pages(path, max_pixels=max_pixels))
+    return next(read_pages(path))
 
 
-def read_pages(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[GreyImage]:
-    """Read the pages of an image file, such as a TIFF stack, one by one; the arguments are those of
-    `read_image`. Of an animation, such as a GIF, it reads only the first image."""
-    return decoded_pages(_bytes_of(path), path, max_pixels=max_pixels)
+def read_pages(path: str | PathLike[str]) -> Iterator[GreyImage]:
+    """Read the pages of an image file one by one, as `read_image` does.
+
+    Only a TIFF has several. Raises ImageError on an animation, of which OpenCV gives one image.
+    """
+    return decoded_pages(_bytes_of(path), path)
 
 
-def decoded_pages(
-    data: NDArray[np.uint8], path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS
-) -> Iterator[GreyImage]:
+def decoded_pages(data: NDArray[np.uint8], path: str | PathLike[str]) -> Iterator[GreyImage]:
     """Decode the pages of an image from its bytes, as `read_pages`; path names it in messages."""
     if not data.size:
         raise ImageError(f"{str(path)!r} is empty")
+    head = bytes(data[:_HEAD])
+    if b"ANIM" in head[:64] or b"acTL" in head.partition(b"IDAT")[0]:
+        raise ImageError(
+            f"{str(path)!r} is an animation, and OpenCV reads one image of it; save it as a GIF or "
+            "a video"
+        )
+    promised = _promised_pages(data)
+    first, count = 0, 1
+    while pages := _decoded(data, path, first, count):
+        yield from pages
+        first += len(pages)
+        if first >= promised or len(pages) < count:
+            break
+        count = max(1, _BLOCK // pages[0].size)  # OpenCV passes over all earlier pages again
+    if not first:
+        raise ImageError(f"{str(path)!r} is not an image that OpenCV can read, or is damaged")
+    if first < promised:
+        raise ImageError(f"{str(path)!r} is damaged or cut off: it has no page {first}, from 0")
+
+
+def _promised_pages(data: NDArray[np.uint8]) -> int:
+    """Return how many pages the directories of a TIFF lead to, 1 for another image.
+
+    OpenCV does not report a page that is missing. A directory is its number of entries, the
+    entries, and the place of the next one.
+    """
+    head = bytes(data[:4])
+    order = {b"II": "<", b"MM": ">"}.get(head[:2])
+    if order is None or head[2:] not in (b"*\0", b"\0*", b"+\0", b"\0+"):
+        return 1
+    big = b"+" in head
+    place, entries, size = ("Q", "Q", 20) if big else ("I", "H", 12)
+    seen: set[int] = set()
+    with contextlib.suppress(struct.error, OverflowError):  # it ends within a directory
+        (next_one,) = struct.unpack_from(order + place, data.data, 8 if big else 4)
+        while next_one and next_one not in seen and len(seen) < _MOST_PAGES:
+            seen.add(next_one)
+            (count,) = struct.unpack_from(order + entries, data.data, next_one)
+            after = next_one + struct.calcsize(f"={entries}") + size * count
+            (next_one,) = struct.unpack_from(order + place, data.data, after)
+    return len(seen)
+
+
+def _decoded(
+    data: NDArray[np.uint8], path: str | PathLike[str], first: int, count: int
+) -> list[GreyImage]:
+    """Decode at most `count` pages as grey, from the page `first`; [] if that fails."""
+    grey = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     try:
-        sizes = page_sizes(data.data)
-    except ValueError as error:
-        raise ImageError(f"{str(path)!r} is not an image that OpenCV can read: {error}") from error
-    number = 0
-    while sizes is None or number < len(sizes):
-        if sizes is not None:
-            _check_size(path, sizes[number], max_pixels)
-        page, said = _decoded(data, number)
-        if page is None and sizes is None and number:
-            return
-        if page is None or _tells_damage(said):
-            what = "is not an image that OpenCV can read" if page is None else "is damaged"
-            raise ImageError(f"{str(path)!r} {what}{f': {said}' if said else ''}")
+        pages: Any = cv2.imdecodemulti(data, grey, range=(first, first + count))[1]
+    except cv2.error as error:
+        if "MAX_IMAGE" not in str(error):
+            return []
+        raise ImageError(
+            f"{str(path)!r} has more pixels than OpenCV's limit; the variable "
+            "OPENCV_IO_MAX_IMAGE_PIXELS raises it"
+        ) from error
+    for page in pages:
         if page.dtype not in (np.uint8, np.uint16):
             raise ImageError(
                 f"{str(path)!r} holds {page.dtype} pixels, expected 8 or 16 bits without sign; "
                 "scale it and save it as PNG"
             )
-        _check_size(path, (page.shape[1], page.shape[0]), max_pixels)
-        yield page
-        number += 1
+    if _may_be_transparent(bytes(data[:_HEAD])) and any(not page.all() for page in pages):
+        flags = cv2.IMREAD_UNCHANGED
+        full = cv2.imdecodemulti(data, flags, range=(first, first + len(pages)))[1]
+        return [_over_white(page, each) for page, each in zip(pages, full, strict=True)]
+    return list(pages)
+
+
+def _may_be_transparent(head: bytes) -> bool:
+    if head.startswith(b"\x89PNG"):
+        return head[25] in (4, 6) or b"tRNS" in head  # the colour types with alpha
+    return not head.startswith((b"\xff\xd8", b"BM", b"P"))  # JPEG, BMP, PNM
+
+
+def _over_white(grey: GreyImage, full: NDArray[Any]) -> GreyImage:
+    """Return an image over a white ground; full: the same with its alpha, if it has one."""
+    if full.ndim != 3 or full.shape[2] != 4 or full.shape[:2] != grey.shape:
+        return grey
+    white = np.iinfo(grey.dtype).max
+    alpha = full[..., 3] / np.float32(white)
+    over: Any = np.rint(grey * alpha + white * (1 - alpha)).astype(grey.dtype)
+    return cast(GreyImage, over)
 
 
 def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
@@ -173,78 +240,13 @@ def _bytes_of(path: str | PathLike[str]) -> NDArray[np.uint8]:
             return np.empty(0, np.uint8) if empty else np.memmap(path, np.uint8, mode="r")
         if stat.S_ISFIFO(kind):
             with open(path, "rb") as file:
-                data = file.read(_MAX_PIPED + 1)
-            if len(data) <= _MAX_PIPED:
+                data = file.read(_MOST_PIPED + 1)
+            if len(data) <= _MOST_PIPED:
                 return np.frombuffer(data, np.uint8)
-            raise ImageError(f"over {_MAX_PIPED} bytes come from {str(path)!r}; save it as a file")
+            raise ImageError(f"over {_MOST_PIPED} bytes come from {str(path)!r}; save it as a file")
     except OSError as error:
         raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
     raise ImageError(f"{str(path)!r} is not a file")
-
-
-def _decoded(data: NDArray[np.uint8], page: int) -> tuple[NDArray[Any] | None, str]:
-    """Decode a page, None if that fails; return the codec's messages too."""
-    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
-    pages: Sequence[NDArray[Any]] = ()
-    with _codec_messages() as said, contextlib.suppress(cv2.error):
-        pages = cv2.imdecodemulti(data, flags, range=(page, page + 1))[1]
-    return (pages[0] if pages else None), "; ".join(said)
-
-
-def _tells_damage(said: str) -> bool:
-    """Return whether a codec reports damage although it gave an image, as libjpeg does."""
-    return "Corrupt JPEG data" in said or "Premature end of JPEG" in said
-
-
-def _check_size(path: str | PathLike[str], size: tuple[int, int], most: int) -> None:
-    check_positive("max_pixels", most, ImageError)
-    width, height = size
-    if width * height > most:
-        raise ImageError(
-            f"{str(path)!r} has {width} x {height} pixels, more than the limit of {most}; "
-            f"max_pixels={width * height} raises it"
-        )
-
-
-_catching = False
-
-
-@contextlib.contextmanager
-def codec_messages_caught() -> Iterator[None]:
-    """Catch the messages of codecs on stderr, and treat reported damage as an error.
-
-    It is for a command, whose process owns stderr: everything written there while an image is
-    decoded is caught.
-    """
-    global _catching
-    before, _catching = _catching, True
-    try:
-        yield
-    finally:
-        _catching = before
-
-
-@contextlib.contextmanager
-def _codec_messages() -> Iterator[list[str]]:
-    """Catch the lines that codecs write to stderr within the block, if the system allows it."""
-    lines: list[str] = []
-    if not _catching:
-        yield lines
-        return
-    sys.stderr.flush()
-    before = os.dup(2)
-    try:
-        with tempfile.TemporaryFile() as file:
-            os.dup2(file.fileno(), 2)
-            try:
-                yield lines
-            finally:
-                os.dup2(before, 2)
-                file.seek(0)
-                text = file.read(_MAX_SAID).decode("utf-8", "replace")
-                lines += [line.strip() for line in text.splitlines() if line.strip()][:4]
-    finally:
-        os.close(before)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -253,9 +255,8 @@ class Frame:
 
     index: its number there, from 0.
     image: (H, W) uint8 or uint16, or None if it cannot be read.
-    time_ms: the time of a camera's frame or in the video, or from its frame rate if PyAV is not
-        installed; NaN if unknown.
-    why: why a file of a folder gives no image; "" if it is not known.
+    time_ms: the time of a camera's frame or in the video; NaN if unknown.
+    why: why there is no image; "" if it is not known.
     """
 
     index: int
@@ -264,93 +265,85 @@ class Frame:
     why: str = ""
 
 
-def read_frames(path: str | PathLike[str], *, max_pixels: int = MAX_PIXELS) -> Iterator[Frame]:
+def read_frames(path: str | PathLike[str]) -> Iterator[Frame]:
     """Read the frames of a video, or the pages of an image; colour becomes grey.
 
-    With PyAV, frames of more than 8 bits are uint16 with the levels of the file, such as 0 to 4095
-    for 12 bits (colour models other than grey and YUV are stretched to 16 bits). A video ends early
-    if `LONGEST_GAP` frames in a row cannot be read. Raises ImageError if the file cannot be read,
-    is neither an image nor a video, or has more than `max_pixels` pixels in a frame.
+    Frames of more than 8 bits are uint16 with the levels of the file, such as 0 to 4095 for 12 bits
+    (colour models other than grey and YUV are stretched to 16 bits). Frames that the file promises
+    and does not hold, because it is cut off, come without an image; it ends early if `LONGEST_GAP`
+    frames in a row cannot be read. Raises ImageError if the file cannot be read, is neither an
+    image nor a video, or is too large; ConfigError if PyAV is not installed.
     """
     if not is_video(path):
-        for index, page in enumerate(read_pages(path, max_pixels=max_pixels)):
+        for index, page in enumerate(read_pages(path)):
             yield Frame(index, page)
         return
-    frames = _by_pyav(path, max_pixels) if has_pyav() else _by_opencv(path, max_pixels)
-    count = count_frames(path) or 0
     index = gap = 0
-    for image, time_ms in frames:
-        gap = 0 if image is not None else gap + 1
-        yield Frame(index, image, time_ms)
-        index += 1
-        if gap == LONGEST_GAP:
-            return
-    while index < count and gap < LONGEST_GAP:
-        yield Frame(index, None)
-        index, gap = index + 1, gap + 1
-
-
-def has_pyav() -> bool:
-    """Return whether PyAV is installed."""
-    return importlib.util.find_spec("av") is not None
-
-
-_Timed = tuple[GreyImage | None, float]  # a frame, None if it is broken, and its time in ms
-
-
-def _by_opencv(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
-    """Yield the frames up to the last readable one; unreadable ones before it are None."""
-    rate = frame_rate(path)
-    with _opened(path) as capture:
-        width, height = (
-            int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-        )
-        _check_size(path, (width, height), max_pixels)
-        count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        index = 0
-        while True:
-            with _codec_messages() as said:
-                read, picture = capture.read()
-            read = read and not _tells_damage("; ".join(said))
-            if not read and index >= count:
-                return
-            yield (
-                (grey_of(picture) if read else None),
-                math.nan if rate is None else 1e3 * index / rate,
-            )
+    end_ms = math.nan
+    with _container(path) as (container, stream):
+        for image, time_ms in _timed_frames(path, container, stream):
+            gap = 0 if image is not None else gap + 1
+            end_ms = time_ms
+            yield Frame(index, image, time_ms)
             index += 1
+            if gap == LONGEST_GAP:
+                return
+        missing = _missing(container, stream, index, end_ms)
+    for number in range(min(missing, LONGEST_GAP - gap)):
+        yield Frame(index + number, None, why="the file is cut off")
 
 
-def _by_pyav(path: str | PathLike[str], max_pixels: int) -> Iterator[_Timed]:
-    """Yield the frames of all packets; an unreadable packet gives None."""
+def _missing(container: Any, stream: Any, count: int, end_ms: float) -> int:
+    """Return how many frames a file promises beyond those that were read, the last at `end_ms`."""
+    if stream.frames:
+        return max(0, int(stream.frames) - count)
+    rate = float(stream.average_rate or 0)
+    known = container.format.name.startswith("matroska") and container.duration is not None
+    if not known or math.isnan(end_ms):  # other durations are estimates
+        return 0
+    if len(container.streams) > 1:
+        end_ms += 1e3  # sound may go on
+    return max(0, int((container.duration / 1e3 - end_ms) * rate / 1e3 - 0.5))
+
+
+def _timed_frames(
+    path: str | PathLike[str], container: Any, stream: Any
+) -> Iterator[tuple[GreyImage | None, float]]:
+    """Yield the frames of all packets and their times, ms; an unreadable packet gives None."""
     import av
 
-    with _container(path) as (container, stream):
-        context = stream.codec_context
-        _check_size(path, (context.width, context.height), max_pixels)
-        most = 2 * max_pixels + (1 << 16)  # decoders count whole blocks
-        context.options = {"err_detect": "crccheck+explode", "max_pixels": str(most)}
-        stream.thread_type = "SLICE"  # with a thread per frame, damage would be reported late
-        packets = container.demux(stream)
-        while True:
-            try:
-                packet = next(packets, None)
-            except (av.FFmpegError, OSError, ValueError):  # the file ends within a packet
-                return
-            if packet is None:
-                return
-            try:
-                frames = packet.decode()
-            except (av.FFmpegError, OSError, ValueError):
-                yield None, math.nan
-                continue
-            for frame in frames:
-                broken = frame.is_corrupt or frame.width * frame.height > max_pixels
-                yield None if broken else _luma(frame), _time_of(frame)
+    context = stream.codec_context
+    if context.width * context.height > _MOST_PIXELS:
+        raise ImageError(
+            f"{str(path)!r} has {context.width} x {context.height} pixels, more than the limit of "
+            f"{_MOST_PIXELS}"
+        )
+    most = 2 * _MOST_PIXELS  # decoders count whole blocks
+    context.options = {"err_detect": "crccheck+explode", "max_pixels": str(most)}
+    stream.thread_type = "SLICE"  # with a thread per frame, damage would be reported late
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets, None)
+        except (av.FFmpegError, OSError, ValueError):  # the file ends within a packet
+            return
+        if packet is None:
+            return
+        try:
+            frames = packet.decode()
+        except (av.FFmpegError, OSError, ValueError):
+            yield None, math.nan
+            continue
+        for frame in frames:
+            broken = frame.is_corrupt or frame.width * frame.height > _MOST_PIXELS
+            time_ms = math.nan if frame.time is None else float(frame.time) * 1e3
+            yield None if broken else _upright(frame), time_ms
 
 
-def _time_of(frame: Any) -> float:
-    return math.nan if frame.time is None else float(frame.time) * 1e3
+def _upright(frame: Any) -> GreyImage:
+    """Return the grey levels of a frame of PyAV, rotated as its display matrix says."""
+    quarters = round(frame.rotation / 90)
+    return cast(GreyImage, np.ascontiguousarray(np.rot90(_luma(frame), quarters)))
 
 
 def _luma(frame: Any) -> GreyImage:
@@ -373,13 +366,20 @@ def _bits(pixels: Any) -> int:
 @contextlib.contextmanager
 def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
     """Open a video by PyAV, with its video stream."""
-    import av
-
-    _check_readable(path)
     try:
-        container = av.open(os.path.abspath(path))  # so that it is not taken for an address
+        with open(path, "rb"):
+            pass
+    except OSError as error:
+        raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
+    with extra("video", "reading a video"):
+        import av
+    options = {"format_whitelist": _DEMUXERS, "protocol_whitelist": "file"}
+    try:  # an absolute path is not taken for an address
+        container = av.open(os.path.abspath(path), options=options)
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise ImageError(f"{str(path)!r} is not a video that PyAV can read") from error
+        raise ImageError(
+            f"{str(path)!r} is not a video that PyAV can read; a list of other files is none"
+        ) from error
     with container:
         if not container.streams.video:
             raise ImageError(f"{str(path)!r} has no video")
@@ -389,9 +389,9 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
 def full_scale(path: str | PathLike[str]) -> int | None:
     """Return the largest grey level of a video of 9 to 15 bits, such as 4095; None for all others.
 
-    Only PyAV knows it.
+    It raises what `read_frames` does, as do `count_frames` and `frame_rate`.
     """
-    if not (is_video(path) and has_pyav()):
+    if not is_video(path):
         return None
     with _container(path) as (_, stream):
         pixels = stream.codec_context.format
@@ -404,46 +404,17 @@ def count_frames(path: str | PathLike[str]) -> int | None:
     """Return the number of frames that a video states; None for an image, or if it states none."""
     if not is_video(path):
         return None
-    if has_pyav():
-        with _container(path) as (_, stream):
-            return int(stream.frames) or None
-    with _opened(path) as capture:
-        count = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-    return int(count) if 0 < count < 2**31 else None
+    with _container(path) as (_, stream):
+        return int(stream.frames) or None
 
 
 def frame_rate(path: str | PathLike[str]) -> float | None:
     """Return the frames per second of a video; None for an image, or if it states none."""
     if not is_video(path):
         return None
-    if has_pyav():
-        with _container(path) as (_, stream):
-            rate = float(stream.average_rate or 0)
-    else:
-        with _opened(path) as capture:
-            rate = capture.get(cv2.CAP_PROP_FPS)
+    with _container(path) as (_, stream):
+        rate = float(stream.average_rate or 0)
     return rate if 0 < rate < 1e6 else None
-
-
-@contextlib.contextmanager
-def _opened(path: str | PathLike[str]) -> Iterator[cv2.VideoCapture]:
-    _check_readable(path)
-    # An absolute path is never taken for an address or for a pipeline of commands.
-    capture = cv2.VideoCapture(os.path.abspath(path))
-    try:
-        if not capture.isOpened():
-            raise ImageError(f"{str(path)!r} is not a video that OpenCV can read")
-        yield capture
-    finally:
-        capture.release()
-
-
-def _check_readable(path: str | PathLike[str]) -> None:
-    try:
-        with open(path, "rb"):
-            pass
-    except OSError as error:
-        raise ImageError(f"cannot read {str(path)!r}: {error.strerror}") from error
 
 
 def grey_of(frame: NDArray[Any]) -> GreyImage:

@@ -340,7 +340,6 @@ def test_frames_that_are_not_several_are_refused():
     ("call", "name", "error"),
     [
         (PlaneScale.of_pixel, "length", FieldError),
-        (lambda most: media.read_image(BOARD, max_pixels=most), "max_pixels", ImageError),
         (lambda side: PlaneScale.of_cells(GRID, side), "side", FieldError),
         (GRID.to_opencv, "spacing", ConfigError),
         (lambda fps: CameraSettings(fps=0 if fps is None else fps), "fps", ConfigError),

@@ -96,17 +96,6 @@ def add_full_scale(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_max_pixels(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--max-pixels",
-        metavar="N",
-        type=positive,
-        default=media.MAX_PIXELS,
-        help=f"refuse to decode images with more pixels than this; default: {media.MAX_PIXELS}, a "
-        f"square with sides of {math.isqrt(media.MAX_PIXELS)}",
-    )
-
-
 def add_split(parser: argparse.ArgumentParser, *, help_: str) -> None:
     parser.add_argument("--split", metavar="WHERE", help=help_)
     parser.add_argument(

@@ -15,7 +15,6 @@ from cmp_cl.cli import calibrate_cameras
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
-    add_max_pixels,
     add_region,
     add_split,
     check_files,
@@ -112,7 +111,6 @@ def add_parser(commands: Any) -> None:
     )
     calibrate_cameras.add_arguments(parser)
     add_full_scale(parser)
-    add_max_pixels(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -227,7 +225,7 @@ def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:
 
 def _read(paths: tuple[Path, ...], arguments: argparse.Namespace) -> _Pair:
     name = ", ".join(shown(path.name) for path in paths)
-    images = [media.read_image(path, max_pixels=arguments.max_pixels) for path in paths]
+    images = [media.read_image(path) for path in paths]
     if len(images) == 2:
         left, right = images
         regions = regions_in(arguments.region, whole(left), whole(right))

@@ -150,7 +150,7 @@ def _board(
     device: Device,
 ) -> Grid:
     """Return the board in a view, numbered like the first one of this moment."""
-    image = media.read_image(path, max_pixels=arguments.max_pixels)
+    image = media.read_image(path)
     size = (image.shape[1], image.shape[0])
     if sizes.get(name, size) != size:
         raise ImageError(f"it is {size[0]} x {size[1]} px, not {sizes[name][0]} x {sizes[name][1]}")

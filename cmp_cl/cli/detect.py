@@ -18,11 +18,10 @@ from cmp_cl import media
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
-    add_max_pixels,
     check_files,
     grid_shape,
 )
-from cmp_cl.cli.messages import counted, in_shell, one_line, shown, tell_what_opencv_hides
+from cmp_cl.cli.messages import counted, in_shell, one_line, shown
 from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.tables import CORNER_COLUMNS, NODE_COLUMNS, Table, corner_rows, node_rows
 from cmp_cl.closing import Closing
@@ -80,7 +79,6 @@ def add_parser(commands: Any) -> None:
         help="leave out corners inside the cells, for boards with dots, rings or codes there",
     )
     add_full_scale(parser)
-    add_max_pixels(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
@@ -94,7 +92,6 @@ def run(arguments: argparse.Namespace) -> int:
     overlays = _overlay_paths(arguments.overlay, paths)
     out = _csv_path(arguments.out)
     check_files([*paths, arguments.config], [*overlays.values(), out])
-    tell_what_opencv_hides(paths)
     finder = _Finder(config, arguments)
     kind = _CornerOutput if arguments.grid is None else _NodeOutput
     failed = told = lost = False
@@ -126,6 +123,7 @@ class _Tally:
         self.refused: dict[int, str] = {}  # frame to reason
         self.ambiguous: list[int] = []
         self.broken: list[int] = []
+        self.why = ""  # of the last broken frame
         self.overlays: list[Path] = []
         self.brightest = 0
         self.full_scale: int | None = None
@@ -168,7 +166,8 @@ class _Tally:
 
     def broken_line(self) -> str:
         frames = counted(len(self.broken), "frame")
-        return f"skipped {frames} that could not be read: {_some(self.broken)}"
+        why = f" ({self.why})" if self.why else ""
+        return f"skipped {frames} that could not be read{why}: {_some(self.broken)}"
 
 
 def _some(numbers: Collection[int]) -> str:
@@ -258,9 +257,10 @@ class _Finder(Closing):
         scale = media.full_scale(path) if asked.full_scale is None else asked.full_scale
         if config.full_scale is None:
             config = config.replace(full_scale=scale)
-        for frame in media.read_frames(path, max_pixels=asked.max_pixels):
+        for frame in media.read_frames(path):
             if frame.image is None:
                 tally.broken.append(frame.index)
+                tally.why = frame.why
                 continue
             start = time.perf_counter()
             self._fit(frame.image, config)

@@ -20,7 +20,6 @@ from cmp_cl.cli import calibrate, demo, detect, devices, pattern, plot, render, 
 from cmp_cl.cli.messages import by_options, one_line, shortened
 from cmp_cl.cli.stopping import handled, interrupt
 from cmp_cl.errors import CmpClError, KernelBuildError
-from cmp_cl.media import codec_messages_caught
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -35,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _open_streams()
     arguments = argparse.Namespace()
     try:
-        with handled(interrupt), codec_messages_caught(), warnings.catch_warnings():
+        with handled(interrupt), warnings.catch_warnings():
             warnings.showwarning = _warn  # type: ignore[assignment]
             arguments = _parser().parse_args(argv)
             run: Callable[[argparse.Namespace], int] = arguments.run

@@ -3,11 +3,7 @@
 import argparse
 import os
 import re
-import sys
-from collections.abc import Iterable
 from pathlib import Path
-
-from cmp_cl import media
 
 _LONGEST = 1000  # characters of a message; a refused value may have any length
 
@@ -28,9 +24,7 @@ def one_line(error: Exception) -> str:
 
 def in_shell(line: str) -> str:
     """Return a message whose cure is an argument of Python with that of the command line."""
-    return re.sub(
-        r"\b(full_scale|max_pixels)=", lambda name: f"--{name[1].replace('_', '-')} ", line
-    )
+    return re.sub(r"\b(full_scale)=", lambda name: f"--{name[1].replace('_', '-')} ", line)
 
 
 def by_options(line: str, arguments: argparse.Namespace) -> str:
@@ -54,13 +48,3 @@ def shortened(line: str) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun: 1 frame, 2 frames."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-def tell_what_opencv_hides(paths: Iterable[Path]) -> None:
-    """Warn on stderr of the information that is lost if a video is read without PyAV."""
-    if not media.has_pyav() and any(map(media.is_video, paths)):
-        print(
-            "cmp-cl: PyAV is not installed: OpenCV reads videos with 8 bits, and scales frames of "
-            "another size to that of the first without saying so; pip install 'cmp-cl[video]'",
-            file=sys.stderr,
-        )

@@ -17,7 +17,6 @@ from cmp_cl.cli import derived
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
-    add_max_pixels,
     add_region,
     add_split,
     check_files,
@@ -29,7 +28,7 @@ from cmp_cl.cli.arguments import (
     views_of,
     whole,
 )
-from cmp_cl.cli.messages import counted, one_line, shown, tell_what_opencv_hides
+from cmp_cl.cli.messages import counted, one_line, shown
 from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.sources import PAIR_WITHIN, Pairs, at_rest, because
 from cmp_cl.cli.stopping import Stop, handled, ignore
@@ -162,7 +161,6 @@ def add_parser(commands: Any) -> None:
         help="settings of the detector; default: the most complete ones for the cell size at rest",
     )
     add_full_scale(parser)
-    add_max_pixels(parser)
     add_device(parser)
     parser.epilog = (
         "For F frames of R x C nodes, the series holds index (F,), time_ms (F,) (NaN where the "
@@ -262,7 +260,6 @@ class _Settings:
             [*source.paths, arguments.config, arguments.stereo],
             [out, arguments.overlay, arguments.rerun],
         )
-        tell_what_opencv_hides(source.paths)
         return cls(arguments=arguments, source=source, device=device, config=config, rig=rig)
 
     def description(self, unit: str) -> Description:
@@ -333,7 +330,7 @@ def _source(arguments: argparse.Namespace) -> Source | Pairs:
     if arguments.left is not None:
         source = Pairs(arguments, camera)
     else:
-        source = Source(arguments.source, camera, max_pixels=arguments.max_pixels, from_start=True)
+        source = Source(arguments.source, camera, from_start=True)
     if camera != CameraSettings() and not source.live:
         raise ConfigError(f"{shown(source.name)} is not a camera, so it takes no camera settings")
     return source

@@ -25,10 +25,7 @@ class Pairs:
     total: int | None = None
 
     def __init__(self, arguments: argparse.Namespace, camera: CameraSettings) -> None:
-        self._sides = [
-            Source(name, camera, max_pixels=arguments.max_pixels)
-            for name in (arguments.left, arguments.right)
-        ]
+        self._sides = [Source(name, camera) for name in (arguments.left, arguments.right)]
         left, right = self._sides
         if left.live != right.live:
             raise ConfigError("--left and --right must both be files or both be cameras")

@@ -195,13 +195,13 @@ def _about(description: Description) -> dict[str, str]:
 
 
 def mcap_images(
-    path: str | PathLike[str], *, topic: str | None = None, max_pixels: int = media.MAX_PIXELS
+    path: str | PathLike[str], *, topic: str | None = None
 ) -> Iterator[tuple[int, GreyImage | None]]:
     """Yield the images of a recording: stamp in ns since 1970, (H, W) uint8 or uint16.
 
     topic: a topic of sensor_msgs/Image or CompressedImage; None means the only one. Colour becomes
     grey. The stamp is the header's, or the log time if that is 0. The image is None if it cannot be
-    decoded or has more than `max_pixels` pixels.
+    decoded.
 
     Raises ConfigError without the packages, ImageError if the file cannot be read, has no
     such topic, or has several and none is chosen.
@@ -215,7 +215,7 @@ def mcap_images(
             chosen = _image_topic(reader, path, topic)
             for _, _, record, message in reader.iter_decoded_messages(topics=[chosen]):
                 stamp = message.header.stamp
-                image = _grey(message, max_pixels)
+                image = _grey(message)
                 yield stamp.sec * 10**9 + stamp.nanosec or record.log_time, image
     except ImageError:
         raise
@@ -244,12 +244,12 @@ def _image_topic(reader: Any, path: str | PathLike[str], topic: str | None) -> s
     return str(topic)
 
 
-def _grey(message: Any, max_pixels: int) -> GreyImage | None:
+def _grey(message: Any) -> GreyImage | None:
     """Return an Image or CompressedImage as grey, None if it cannot be decoded."""
     data = np.frombuffer(bytes(message.data), np.uint8)
     if not hasattr(message, "encoding"):
         with contextlib.suppress(ImageError):
-            return next(media.decoded_pages(data, "a message", max_pixels=max_pixels))
+            return next(media.decoded_pages(data, "a message"))
         return None
     encoding, rows, columns = message.encoding, message.height, message.width
     if len(data) < message.step * rows or not rows:

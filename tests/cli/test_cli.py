@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pytest
 from cases import some
-from messages import OF_PYTHON, besides_pyav, fails_in_one_line
+from messages import OF_PYTHON, fails_in_one_line
 from videos import write_video
 
 import cmp_cl
@@ -253,7 +253,7 @@ def test_a_folder_is_searched_and_what_fails_in_it_is_named(run):
     Path("in/notes.txt").write_text("nothing to see")
     status, out, err = run("detect", "in", "--out", "all.csv", "--overlay", "seen")
     assert status == 2
-    assert err == "cmp-cl: 'in/broken.png' is not an image that OpenCV can read\n"
+    assert err == "cmp-cl: 'in/broken.png' is not an image that OpenCV can read, or is damaged\n"
     assert len(out.splitlines()) == 4
     assert r"'in/new\nline.png': " in out
     assert {row["image"] for row in rows_of("all.csv")} == {f"in/{name}" for name in names}
@@ -273,7 +273,7 @@ def test_a_video_is_searched_frame_by_frame(run):
     grey = media.read_image(BOARD)
     write_video("press.avi", [np.zeros_like(grey), grey, grey[::-1].copy(), grey])
     status, out, err = run("detect", "press.avi", "--out", "c.csv", "--overlay", "seen")
-    assert (status, besides_pyav(err)) == (0, "")
+    assert (status, err) == (0, "")
     assert "press.avi: 4 frames, 0 to " in out
     assert sorted(os.listdir("seen")) == [f"press-corners-{index:06}.png" for index in range(4)]
     rows = rows_of("c.csv")
@@ -294,7 +294,6 @@ def test_broken_frames_are_reported_and_skipped(run):
     status, out, err = run("detect", "cut.avi")
     assert status == 0
     assert "cut.avi: " in out
-    err = besides_pyav(err)
     assert err.startswith("cmp-cl: cut.avi: skipped ")
     assert err.count("\n") == 1
 
@@ -320,38 +319,6 @@ def test_a_table_is_kept_where_nothing_could_be_read_or_numbered(run, kind):
     if kind != "grid":
         assert run("detect", *inputs[kind], BOARD, "--out", "c.csv")[0] == 2
         assert len(rows_of("c.csv")) == 54
-
-
-def test_a_damaged_jpeg_is_refused_and_codecs_write_nothing_beside_us(capfd, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    data = bytearray(cv2.imencode(".jpg", media.read_image(BOARD))[1].tobytes())
-    middle = len(data) // 2
-    data[middle : middle + 40] = bytes(40)
-    Path("damaged.jpg").write_bytes(data)
-    picture = bytearray(BOARD.read_bytes())
-    picture[len(picture) // 2] ^= 1
-    Path("damaged.png").write_bytes(picture)
-    cli.main(["detect", "damaged.jpg"])
-    assert re.fullmatch(
-        r"cmp-cl: 'damaged.jpg' is damaged: Corrupt JPEG data: .*\n", capfd.readouterr().err
-    )
-    cli.main(["detect", "damaged.png"])
-    assert re.fullmatch(
-        r"cmp-cl: 'damaged.png' is not an image that OpenCV can read: libpng .*\n",
-        capfd.readouterr().err,
-    )
-
-
-def test_an_image_beyond_the_limit_is_refused_before_it_is_unpacked(run):
-    write_flat_png("bomb.png", 32_000, 32_000, whole=False)
-    fails_in_one_line(
-        run("detect", "bomb.png"), "32000 x 32000", str(media.MAX_PIXELS), "--max-pixels"
-    )
-    fails_in_one_line(
-        run("detect", BOARD, "--max-pixels", "1000"), "of 1000; --max-pixels 62856 raises it"
-    )
-    fails_in_one_line(run("detect", BOARD, "--max-pixels", "0"), "--max-pixels", "'0'")
-    assert run("detect", BOARD, "--max-pixels", 216 * 291)[0] == 0
 
 
 @pytest.mark.skipif(os.name == "nt", reason="there are no device files on Windows")

@@ -423,10 +423,6 @@ def test_ctrl_c_while_the_series_is_written_loses_nothing(run, recording, press,
         (["frames", *STEREO, "--rest-frame", "9"], ["no --rest-frame 9", "3 frames"]),
         (["frames", *STEREO, "--rest-frame", "-1"], ["0 or more"]),
         (["frames", *STEREO, "--rest-frame", "x"], ["'x' is not a whole number"]),
-        (
-            ["frames", *STEREO, "--max-pixels", "9"],
-            ["cannot be read", "limit of 9; --max-pixels 1"],
-        ),
         (["frames", *STEREO, "--split", "thirds"], ["halves", "thirds"]),
         (["frames", *STEREO, "--split", "0,0,9999,9:0,0,9,9"], ["extends past the frame"]),
         (["frames", *STEREO, "--grid", "0x3"], ["0x3"]),
@@ -1078,7 +1074,6 @@ def test_a_video_of_12_bits_is_measured_without_options_and_keeps_its_times(run)
 
 
 def test_frames_that_change_size_are_named_and_left_out(run):
-    pytest.importorskip("av", reason="PyAV is not installed")
     picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
     pictures = [picture, picture[:140], picture]
     Path("a.mjpeg").write_bytes(b"".join(cv2.imencode(".jpg", p)[1].tobytes() for p in pictures))
@@ -1087,17 +1082,3 @@ def test_frames_that_change_size_are_named_and_left_out(run):
     assert "1 left out" in out
     assert "frame 1 is 150 x 140 px of uint8, the frame at rest is 150 x 150" in err
     assert read_series("a.npz")["index"].tolist() == [0, 2]
-
-
-def test_without_pyav_a_command_reports_what_it_cannot_see_in_a_video(run, monkeypatch):
-    """OpenCV scales frames of another size to that of the first, and does not report it."""
-    monkeypatch.setattr(media, "has_pyav", lambda: False)
-    picture = moved_board((150, 150), 12, lambda q: 0 * q, board=(24, 24, 120, 120))
-    pictures = [picture, picture[:140], picture]
-    Path("a.mjpeg").write_bytes(b"".join(cv2.imencode(".jpg", p)[1].tobytes() for p in pictures))
-    for command in (["run", "a.mjpeg", "--out", "a.npz"], ["detect", "a.mjpeg"]):
-        _, _, err = run(*command)
-        assert "PyAV is not installed" in err
-        assert "cmp-cl[video]" in err
-    media.write_image("a.png", picture)
-    assert run("detect", "a.png")[2] == ""
