@@ -458,7 +458,7 @@ PATTERN = "pattern", "--grid", "4x4"
         (("render", "--out", "g.jpg", "--bits", "12"), ["uint16", "g.jpg", ".png"]),
         (("render", "--out", "missing/g.png"), ["there is no folder", "missing"]),
         (("render", "--out", "g.png", "--severity", "x"), ["--severity: 'x' is not a number"]),
-        (("plot", "text.npz", "--out", "a.png"), ["text.npz", "it is not an .npz, or is cut off"]),
+        (("plot", "text.npz", "--out", "a.png"), ["text.npz", "is damaged or no series"]),
         (("demo", "--out", "text.png"), ["--out text.png is a file", "a folder"]),
         ((*PATTERN, "--cell", "3", "--out", "a.jpg"), ["suffix"]),
         ((*PATTERN, "--cell", "0", "--out", "a.png"), ["--cell: '0' is not a positive number"]),
