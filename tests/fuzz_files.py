@@ -42,7 +42,7 @@ from cmp_cl import (
 from cmp_cl.series import Description, SeriesWriter, read_series
 from cmp_cl.series.mcap import mcap_images
 from cmp_cl.synthetic import default_rig
-from cmp_cl.viz.plots import Quantity, Recorded, sheet_figure
+from cmp_cl.viz.plots import NEEDED, Quantity, Recorded, map_figure, sheet_figure
 
 LIMIT_S = 20
 MOST_PIXELS = 1 << 20
@@ -205,13 +205,13 @@ def read_store(path: Path) -> None:
 
 def read_one_series(path: Path) -> None:
     """Read the arrays of a series, and draw every plot of them."""
-    recorded = Recorded.of(read_series(path))
+    recorded = Recorded.of(read_series(path, NEEDED))
     recorded.node_of(None)
-    frame = recorded.frame_of(None)
+    summary = recorded.summary()
     for quantity in Quantity:
         with contextlib.suppress(CmpClError):
-            recorded.values(quantity, frame)
-    sheet_figure(recorded)
+            map_figure(summary.moment, quantity)
+    sheet_figure(summary.moment, summary)
 
 
 def read_bag(path: Path) -> None:

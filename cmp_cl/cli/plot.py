@@ -1,17 +1,25 @@
-"""`cmp-cl plot`: pictures of a series that `cmp-cl run` wrote."""
+"""`cmp-cl plot`: pictures and animations of a series that `cmp-cl run` wrote."""
 
 import argparse
-import os
 import re
 from typing import Any
 
-from cmp_cl.cli.arguments import check_suffix
+from cmp_cl.cli.arguments import check_files, check_suffix
 from cmp_cl.cli.messages import counted, shown
-from cmp_cl.errors import ConfigError
-from cmp_cl.files import check_target
+from cmp_cl.cli.progress import Progress
+from cmp_cl.errors import ConfigError, FieldError
 from cmp_cl.series import read_series
 from cmp_cl.viz import save_figure
-from cmp_cl.viz.plots import Quantity, Recorded, curve_figure, map_figure, sheet_figure
+from cmp_cl.viz.plots import (
+    ANIMATIONS,
+    NEEDED,
+    Quantity,
+    Recorded,
+    animate,
+    curve_figure,
+    map_figure,
+    sheet_figure,
+)
 
 
 def add_parser(commands: Any) -> None:
@@ -20,26 +28,36 @@ def add_parser(commands: Any) -> None:
         "plot",
         help="draw what a series shows: displacement, strain, height, sigma, a node's curve",
         description="Draws a series of cmp-cl run: by default one sheet with the maps of the "
-        "frame of the largest displacement and the curve of the node that moves most. With "
-        "one view, lengths are in px or in the unit of --cell, and strain is in the plane; with "
-        "two views, lengths are in the rig's unit, and strain is in the surface. A series that "
-        "still grows can be drawn too.",
+        "frame of the largest displacement, and its curves over time. A name that ends in .gif or "
+        ".mp4 is an animation of one map over all frames. With one view, lengths are in px or in "
+        "the unit of --cell, and strain is in the plane; with two views, lengths are in the rig's "
+        "unit, and strain is in the surface.",
     )
-    parser.add_argument("series", metavar="SERIES", help="the series, .npz or .h5")
-    parser.add_argument("--out", metavar="PNG", required=True, help="the picture to write")
+    parser.add_argument(
+        "series",
+        metavar="SERIES",
+        help="the series, .npz or .h5, or its .part while it is written or after a kill",
+    )
+    parser.add_argument(
+        "--out", metavar="FILE", required=True, help="a picture, .png, or an animation, .gif, .mp4"
+    )
     parser.add_argument(
         "--what",
         choices=[*(quantity.value for quantity in Quantity), "curve"],
-        help="one map, or the curve of a node over time, in place of the sheet",
+        help="one map (strain is two, the principal strains), or the curve of a node over time, in "
+        "place of the sheet; default of an animation: displacement",
     )
     parser.add_argument(
-        "--frame", metavar="N", type=int, help="number of the frame; default: see above"
+        "--frame",
+        metavar="N",
+        type=int,
+        help="number of the frame; default: that of the largest displacement",
     )
     parser.add_argument(
         "--node",
         metavar="ROW,COLUMN",
         type=_node,
-        help="node of the curve, counted from 0,0; default: see above",
+        help="node of --what curve, counted from 0,0; default: the one that moves most",
     )
     parser.set_defaults(run=run)
 
@@ -53,22 +71,38 @@ def _node(text: str) -> tuple[int, int]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
-    check_suffix("--out", arguments.out, ".png")
-    if os.path.realpath(arguments.out) == os.path.realpath(arguments.series):
-        raise ConfigError(f"{shown(arguments.out)} is the series and would be overwritten")
-    check_target(arguments.out)
-    recorded = Recorded.of(read_series(arguments.series))
-    frame, node = recorded.frame_of(arguments.frame), recorded.node_of(arguments.node)
-    index = int(recorded.index[frame])
-    if arguments.what is None:
-        figure = sheet_figure(recorded, index=index, node=node)
-    elif arguments.what == "curve":
-        figure = curve_figure(recorded, node=node)
+    check_suffix("--out", arguments.out, ".png", *ANIMATIONS)
+    check_files([arguments.series], [arguments.out])
+    moving = arguments.out.lower().endswith(ANIMATIONS)
+    curve = arguments.what == "curve"
+    if moving and (curve or arguments.frame is not None):
+        raise ConfigError("an animation shows one map over all frames, no curve and no --frame")
+    if arguments.node is not None and not curve:
+        raise ConfigError("--node needs --what curve")
+    recorded = Recorded.of(read_series(arguments.series, NEEDED))
+    frames = counted(len(recorded.index), "frame")
+    if moving:
+        with Progress(None, "frames") as progress:
+            quantity = Quantity(arguments.what or Quantity.DISPLACEMENT.value)
+            count = animate(arguments.out, recorded, quantity, step=progress.step)
+        print(f"wrote {shown(arguments.out)}: {count} of {frames}")
+        return 0
+    if curve:
+        node = recorded.node_of(arguments.node)
+        figure, what = curve_figure(recorded, node=node), "node {},{}".format(*node)
     else:
-        figure = map_figure(recorded, Quantity(arguments.what), index=index)
+        summary = recorded.summary()
+        moment = summary.moment
+        if arguments.frame is not None:
+            moment = recorded.moment(recorded.frame_of(arguments.frame))
+        if moment is None:
+            raise FieldError("the series has no frame")
+        figure = (
+            sheet_figure(moment, summary)
+            if arguments.what is None
+            else map_figure(moment, Quantity(arguments.what))
+        )
+        what = f"frame {moment.index}"
     save_figure(arguments.out, figure)
-    what = "" if arguments.what == "curve" else f"frame {index}"
-    curve = f"node {node[0]},{node[1]}" if arguments.what in (None, "curve") else ""
-    parts = ", ".join(part for part in (what, curve) if part)
-    print(f"wrote {shown(arguments.out)}: {parts} of {counted(len(recorded.index), 'frame')}")
+    print(f"wrote {shown(arguments.out)}: {what} of {frames}")
     return 0

@@ -41,7 +41,7 @@ from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, SeriesWriter
 from cmp_cl.space import StereoRig
 from cmp_cl.viz import RerunLog
-from cmp_cl.viz.video import OVERLAY_SUFFIXES, OverlayVideo
+from cmp_cl.viz.video import OverlayVideo
 
 _LINES_OF_BROKEN = 8  # broken frames that are reported one by one; the others are only counted
 
@@ -248,7 +248,7 @@ class _Settings:
         check_suffix("--out", out, *SERIES_SUFFIXES)
         if out is None and sys.__stdout__ is None:
             raise ConfigError("--out - needs standard output, which is closed")
-        check_suffix("--overlay", arguments.overlay, *OVERLAY_SUFFIXES)
+        check_suffix("--overlay", arguments.overlay, ".mp4")
         check_suffix("--rerun", arguments.rerun, ".rrd")
         if arguments.show:
             _check_display()

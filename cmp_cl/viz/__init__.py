@@ -1,9 +1,7 @@
 """Overlays, figures, videos and recordings of the results."""
 
 from cmp_cl.viz.figures import (
-    Projection,
     arrow_figure,
-    rest_plane,
     save_figure,
     surface_figure,
 )
@@ -13,12 +11,10 @@ from cmp_cl.viz.recording import RerunLog
 __all__ = [
     "METHOD_COLOURS",
     "STATUS_COLOURS",
-    "Projection",
     "RerunLog",
     "arrow_figure",
     "corner_overlay",
     "grid_overlay",
-    "rest_plane",
     "save_figure",
     "surface_figure",
 ]

@@ -15,7 +15,6 @@ from cmp_cl.grid.grid import Grid
 from cmp_cl.image import GreyImage
 from cmp_cl.viz.overlays import strips
 
-OVERLAY_SUFFIXES = {".mp4": "mp4v", ".avi": "MJPG", ".mkv": "mp4v"}
 _STRIP = 40  # px below the image for the text and the colour bar
 _WIDEST = 1920  # px, the widest video; wider images are reduced by a whole factor
 _NARROWEST = 480  # px, the narrowest video, so that its text fits
@@ -24,31 +23,66 @@ _LINE = (150, 110, 50)  # BGR
 _NO_VALUE = (150, 150, 150)
 
 
+class Mp4(Closing):
+    """Writes an MP4, frame by frame; it appears when the block ends, if there is a frame.
+
+    path: .mp4. fps: frames per second. Raises ConfigError on another suffix, OSError if the folder
+    is missing, not writable or full, or OpenCV cannot write such a video.
+    """
+
+    def __init__(self, path: str | PathLike[str], *, fps: float) -> None:
+        if suffix_of(path, ConfigError) != ".mp4":
+            raise ConfigError(f"{str(path)!r}: a video must end in .mp4")
+        if not 0 < fps < 1e4:
+            raise ConfigError(f"fps must be from 0 to 10000, not {fps!r}")
+        self._target, self._fps = check_target(path), fps
+        self._temporary = self._target
+        self._writer: Any = None
+        self._frames = 0
+
+    def write(self, picture: NDArray[np.uint8]) -> None:
+        """Add a picture (H, W, 3), BGR, of the size of the first one; an odd last row or column is
+        left out. Raises OSError."""
+        high, wide = (side - side % 2 for side in picture.shape[:2])
+        if self._writer is None:
+            self._temporary = temporary_beside(self._target, ".mp4")
+            self._writer = cv2.VideoWriter(
+                str(self._temporary), cv2.VideoWriter.fourcc(*"mp4v"), self._fps, (wide, high)
+            )
+            if not self._writer.isOpened():
+                self._temporary.unlink(missing_ok=True)
+                raise OSError(f"OpenCV cannot write a video to {str(self._target)!r}")
+        self._writer.write(np.ascontiguousarray(picture[:high, :wide]))
+        self._frames += 1
+
+    def close(self) -> None:
+        """Finish the video; closing again does nothing.
+
+        Raises OSError if it is not whole: OpenCV does not report a full disk.
+        """
+        if self._writer is None:
+            return
+        self._writer.release()
+        self._writer = None
+        written = cv2.VideoCapture(str(self._temporary))
+        counted = round(written.get(cv2.CAP_PROP_FRAME_COUNT))
+        written.release()
+        if counted != self._frames:
+            self._temporary.unlink(missing_ok=True)
+            raise OSError(f"{str(self._target)!r}: the video was not written; is the disk full?")
+        os.replace(self._temporary, self._target)
+
+
 class OverlayVideo(Closing):
     """Writes an annotated video, frame by frame; use it in a with statement.
 
-    path: .mp4, .mkv or .avi. fps: frames per second. unit: of the displacement. The colour scale
-    ends at the largest displacement so far, which the bar shows. The file replaces an older one
-    when the block ends.
-
-    Raises ConfigError on another suffix, OSError if the folder is missing, not writable or
-    full, or OpenCV cannot write such a video.
+    path: .mp4. fps: frames per second. unit: of the displacement. The colour scale ends at the
+    largest displacement so far, which the bar shows. The file replaces an older one when the block
+    ends. Raises the errors of `Mp4`.
     """
 
     def __init__(self, path: str | PathLike[str], *, fps: float = 25.0, unit: str = "px") -> None:
-        suffix = suffix_of(path, ConfigError)
-        if suffix not in OVERLAY_SUFFIXES:
-            raise ConfigError(f"{str(path)!r}: a video must end in {', '.join(OVERLAY_SUFFIXES)}")
-        if not 0 < fps < 1e4:
-            raise ConfigError(f"fps must be from 0 to 10000, not {fps!r}")
-        self._target = check_target(path)
-        self._suffix = suffix
-        self._temporary = self._target
-        self._fourcc = cv2.VideoWriter.fourcc(*OVERLAY_SUFFIXES[suffix])
-        self._fps, self._unit = fps, unit
-        self._writer: Any = None
-        self._frames = 0
-        self._size = (0, 0)
+        self._video, self._unit = Mp4(path, fps=fps), unit
         self._shape: tuple[int, ...] = ()
         self._factor = 1.0
         self._top = 0.0
@@ -66,23 +100,22 @@ class OverlayVideo(Closing):
         """
         if moved.shape != grid.shape:
             raise FieldError(f"moved is {moved.shape}, the grid has {grid.shape} nodes")
-        if self._writer is None:
+        if not self._shape:
             self._begin(image.shape)
         elif image.shape != self._shape:
             raise FieldError(f"the image is {image.shape}, the first one was {self._shape}")
         self._top = max(self._top, float(np.nan_to_num(moved).max(initial=0)))
-        canvas = np.zeros((self._size[1], self._size[0], 3), np.uint8)
         factor = self._factor
         grey = _eight_bits(image)
         wide, high = int(image.shape[1] * factor), int(image.shape[0] * factor)
+        canvas = np.zeros((high + _STRIP, wide, 3), np.uint8)
         if factor != 1:
             how = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
             grey = np.asarray(cv2.resize(grey, (wide, high), interpolation=how), np.uint8)
         canvas[:high, :wide] = grey[..., None]
         self._nodes(canvas[:high, :wide], (grid.xy + 0.5) * np.float32(factor) - 0.5, moved)
         self._legend(canvas[high:], text)
-        self._writer.write(canvas)
-        self._frames += 1
+        self._video.write(canvas)
 
     def _begin(self, shape: tuple[int, ...]) -> None:
         self._shape = shape
@@ -91,15 +124,6 @@ class OverlayVideo(Closing):
             self._factor = 1 / -(-width // _WIDEST)
         elif width < _NARROWEST:
             self._factor = float(-(-_NARROWEST // width))
-        wide, high = int(width * self._factor), int(shape[0] * self._factor) + _STRIP
-        self._size = (wide + wide % 2, high + high % 2)
-        self._temporary = temporary_beside(self._target, self._suffix)
-        self._writer = cv2.VideoWriter(
-            str(self._temporary), self._fourcc, self._fps, self._size, isColor=True
-        )
-        if not self._writer.isOpened():
-            self._temporary.unlink(missing_ok=True)
-            raise OSError(f"OpenCV cannot write a video to {str(self._target)!r}")
 
     def _nodes(
         self,
@@ -136,23 +160,7 @@ class OverlayVideo(Closing):
 
     def close(self) -> None:
         """Finish the video; closing again does nothing. Without a frame no file appears."""
-        if self._writer is None:
-            return
-        self._writer.release()
-        self._writer = None
-        if not self._is_whole():
-            self._temporary.unlink(missing_ok=True)
-            raise OSError(f"{str(self._target)!r}: the video was not written; is the disk full?")
-        os.replace(self._temporary, self._target)
-
-    def _is_whole(self) -> bool:
-        """Return whether the file holds all frames: OpenCV does not report a full disk."""
-        written = cv2.VideoCapture(str(self._temporary))
-        try:
-            counted = round(written.get(cv2.CAP_PROP_FRAME_COUNT))
-            return abs(counted - self._frames) <= 1  # Matroska states only the duration
-        finally:
-            written.release()
+        self._video.close()
 
 
 def _eight_bits(image: GreyImage) -> NDArray[np.uint8]:
