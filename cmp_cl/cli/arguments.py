@@ -77,7 +77,7 @@ def distinct_inputs(*groups: Sequence[str]) -> list[list[Path]]:
     return found
 
 
-def add_device(parser: argparse.ArgumentParser) -> None:
+def add_device(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--device",
         metavar="NAME",
@@ -86,7 +86,7 @@ def add_device(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_full_scale(parser: argparse.ArgumentParser) -> None:
+def add_full_scale(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--full-scale",
         metavar="LEVEL",
@@ -96,7 +96,7 @@ def add_full_scale(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_split(parser: argparse.ArgumentParser, *, help_: str) -> None:
+def add_split(parser: argparse._ActionsContainer, *, help_: str) -> None:
     parser.add_argument("--split", metavar="WHERE", help=help_)
     parser.add_argument(
         "--mirror",
@@ -105,7 +105,7 @@ def add_split(parser: argparse.ArgumentParser, *, help_: str) -> None:
     )
 
 
-def add_region(parser: argparse.ArgumentParser, *, help_: str) -> None:
+def add_region(parser: argparse._ActionsContainer, *, help_: str) -> None:
     parser.add_argument("--region", metavar="WHERE", type=boxes, help=help_)
 
 

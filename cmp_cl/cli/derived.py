@@ -13,9 +13,8 @@ from cmp_cl.field import contact_of
 from cmp_cl.measure import Measured
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options --cell, --unit, --strain and --contact to an argparse parser."""
-    group = parser.add_argument_group("results computed from the positions")
+def add_arguments(group: Any) -> None:
+    """Add the options --cell, --unit, --strain and --contact to a group of an argparse parser."""
     group.add_argument(
         "--cell",
         metavar="SIDE",

@@ -3,17 +3,14 @@
 import argparse
 import contextlib
 import dataclasses
-import os
 import re
 import sys
 import time
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-
 from cmp_cl.cameras import CameraSettings, Source
-from cmp_cl.cli import derived
+from cmp_cl.cli import derived, display
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
@@ -40,8 +37,6 @@ from cmp_cl.media import Frame
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.series import SERIES_SUFFIXES, Description, SeriesWriter
 from cmp_cl.space import StereoRig
-from cmp_cl.viz import RerunLog
-from cmp_cl.viz.video import OverlayVideo
 
 _LINES_OF_BROKEN = 8  # broken frames that are reported one by one; the others are only counted
 
@@ -52,128 +47,96 @@ def add_parser(commands: Any) -> None:
         "run",
         help="measure the deformation in every frame of a recording or of a live camera",
         description="Numbers the corners of the pattern in every frame as in the frame at rest, "
-        "and writes the results as a series. With --stereo each frame shows two "
-        "views, and the series holds the displacement of every node in space; without "
-        "it, the positions in the image. Each frame is compared only with the frame "
-        "at rest, unless --track is given. Frames that cannot be read, or that "
-        "a camera misses, are left out and counted; in frames without the pattern all nodes "
-        "are missing. Ctrl-C ends the run and saves what has been measured.",
+        "and writes their displacements as a series: in the image, or with --stereo in space. "
+        "Frames that cannot be read, or that a camera misses, are left out and counted; in frames "
+        "without the pattern all nodes are missing. Ctrl-C ends the run and saves what has been "
+        "measured.",
     )
-    parser.add_argument(
+    group = parser.add_argument_group("input")
+    group.add_argument(
         "source",
         metavar="SOURCE",
         nargs="?",
         help="video, folder of images, image, .mcap, number of a camera, device such as "
         "/dev/video0, or address such as rtsp://camera/stream",
     )
-    parser.add_argument(
-        "--left",
-        metavar="SOURCE",
-        help="with --stereo and --right: the left view, instead of SOURCE; frames are paired by "
-        "their time stamps, or in order if they have none, and those without a partner are "
-        "counted",
+    group.add_argument(
+        "--stereo",
+        metavar="YAML",
+        help="the calibration of two views; SOURCE shows both in each frame",
     )
-    parser.add_argument("--right", metavar="SOURCE", help="the right view")
-    parser.add_argument(
-        "--pair-within",
-        metavar="MS",
-        type=float,
-        help="largest difference between the time stamps of a pair, ms; default: half the "
-        f"interval between frames, or {PAIR_WITHIN:g} if that is unknown",
+    group.add_argument(
+        "--left", metavar="SOURCE", help="with --stereo: the left view, in place of SOURCE"
     )
-    camera = parser.add_argument_group("settings of a camera, a device or an address")
-    camera.add_argument(
-        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of the frames, px"
-    )
-    camera.add_argument(
-        "--camera-fps", metavar="FPS", type=positive_number, help="frames per second"
-    )
-    camera.add_argument(
-        "--exposure", metavar="VALUE", type=float, help="exposure time, in the driver's units"
-    )
-    camera.add_argument(
-        "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
-    )
-    parser.add_argument(
-        "--out",
-        metavar="FILE",
-        required=True,
-        help="the series: .npz (numpy.load), .h5 (HDF5), .csv, .pvd (ParaView), .mcap "
-        "(ROS 2), or - for JSON lines on standard output; while it is written, and after a kill, "
-        "it is FILE.part; see below",
-    )
-    parser.add_argument("--stereo", metavar="YAML", help="the calibration of the two views")
-    parser.add_argument(
-        "--grid",
-        metavar="ROWSxCOLUMNS",
-        type=grid_shape,
-        help="rows and columns of corners of the pattern; default: those seen at rest",
-    )
-    parser.add_argument(
+    group.add_argument("--right", metavar="SOURCE", help="the right view")
+    group.add_argument(
         "--rest-frame",
         metavar="N",
         type=int,
         default=0,
-        help="number of the frame at rest, from 0; with a camera, the frames before it are dropped",
+        help="number of the frame at rest, from 0; a camera's frames before it are dropped",
     )
-    parser.add_argument(
-        "--track",
-        action="store_true",
-        help="where the numbering is ambiguous, because no border of the pattern is in view, "
-        "continue that of the previous frame; the pattern as a whole must move by less than "
-        "half a cell from the frame at rest to the first, and from frame to frame",
-    )
-    add_split(
-        parser,
-        help_="with --stereo, where the two views are in the frame: halves (the default), or "
-        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
+    group = parser.add_argument_group("pattern")
+    group.add_argument(
+        "--grid",
+        metavar="ROWSxCOLUMNS",
+        type=grid_shape,
+        help="rows and columns of its corners; default: those seen at rest",
     )
     add_region(
-        parser,
-        help_="which of several patterns to use: X,Y,WIDTH,HEIGHT, px of the frame, or with "
-        "--stereo X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, in the left and in the right view; corners "
-        "outside are ignored in every frame",
+        group,
+        help_="which of several patterns: X,Y,WIDTH,HEIGHT, px of the frame; with --stereo two "
+        "of them with a colon between, left and right",
     )
-    derived.add_arguments(parser)
-    parser.add_argument(
-        "--raw",
+    group.add_argument(
+        "--track",
         action="store_true",
-        help="do not apply the lattice filter; default: displacements are filtered, and the "
-        "series holds the raw ones too",
+        help="where no border of the pattern is in view, continue the numbers of the previous "
+        "frame; it must move by less than half a cell from frame to frame, and from rest to the "
+        "first one",
     )
-    parser.add_argument(
-        "--overlay",
-        metavar="MP4",
-        help="write one annotated video, .mp4, .mkv or .avi (the left view)",
+    group = parser.add_argument_group("output")
+    group.add_argument(
+        "--out",
+        metavar="FILE",
+        required=True,
+        help="the series: .npz, .h5, .csv, .pvd (ParaView), .mcap (ROS 2), or - for JSON lines on "
+        "standard output; until it is complete, and after a kill, it is FILE.part",
     )
-    viewer = parser.add_mutually_exclusive_group()
-    viewer.add_argument(
-        "--rerun", metavar="RRD", help="record for the Rerun viewer (the left view)"
+    derived.add_arguments(group)
+    display.add_arguments(parser.add_argument_group("pictures"))
+    group = parser.add_argument_group("speed")
+    add_device(group)
+    group = parser.add_argument_group("settings of a camera, a device or an address")
+    group.add_argument(
+        "--camera-size", metavar="WIDTHxHEIGHT", type=_camera_size, help="size of the frames, px"
     )
-    viewer.add_argument(
-        "--show",
-        action="store_true",
-        help="open the Rerun viewer and show each frame in it as it is measured (the left view)",
+    group.add_argument(
+        "--camera-fps", metavar="FPS", type=positive_number, help="frames per second"
     )
-    parser.add_argument(
-        "--config",
-        metavar="TOML",
-        help="settings of the detector; default: the most complete ones for the cell size at rest",
+    group.add_argument(
+        "--exposure", metavar="VALUE", type=float, help="exposure time, in the driver's units"
     )
-    add_full_scale(parser)
-    add_device(parser)
-    parser.epilog = (
-        "For F frames of R x C nodes, the series holds index (F,), time_ms (F,) (NaN where the "
-        "source has no clock), ambiguous (F,) (whether the numbering may be wrong), unit, rest "
-        "(R, C, K), displacement (F, R, C, K), sigma, status and source (F, R, C), with K = 2, and "
-        "with --stereo 3. The detected positions are xy (F, R, C, 2), px, or left and right, and "
-        "at rest xy_rest, or left_rest and right_rest. filtered says whether the lattice filter is "
-        "on; then raw_rest, raw_displacement and raw_sigma are its input. --strain adds strain (F, "
-        "R, C, 3: E11, E22, E12, in the plane along x and y, in space along the rows and across "
-        "them), principal (F, R, C, 2) and direction (F, R, C), rad, each with _sigma. --contact "
-        "adds depth, depth_sigma, normal, contact, contact_area and contact_depth. --cell adds "
-        "homography (3, 3)."
+    group.add_argument(
+        "--pixel-format", metavar="FOUR", help="four letters, such as GREY, MJPG, YUYV"
     )
+    group = parser.add_argument_group("rarely needed")
+    add_split(
+        group,
+        help_="where the two views are in the frame: halves (the default), or "
+        "X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, left and right, px",
+    )
+    group.add_argument(
+        "--pair-within",
+        metavar="MS",
+        type=float,
+        help="largest time between the frames of --left and --right that are paired, ms; default: "
+        f"half the interval between frames, or {PAIR_WITHIN:g} if that is unknown",
+    )
+    group.add_argument("--raw", action="store_true", help="do not apply the lattice filter")
+    group.add_argument("--config", metavar="TOML", help="settings of the detector")
+    add_full_scale(group)
+    parser.epilog = "docs/formats.md lists the arrays of a series."
     parser.set_defaults(run=run)
 
 
@@ -187,8 +150,7 @@ def _camera_size(text: str) -> tuple[int, int]:
 class _Tally:
     """The counts of the measured frames, for the line at the end."""
 
-    def __init__(self, *, track: bool) -> None:
-        self._track = track
+    def __init__(self) -> None:
         self.frames = self.empty = self.broken = self.ambiguous = 0
         self._nodes = 0
         self._fewest: int | None = None
@@ -217,8 +179,7 @@ class _Tally:
         if self.empty:
             parts.append(f"{self.empty} without the pattern")
         if self.ambiguous:
-            hint = "" if self._track else " (--track continues those of the frame before)"
-            parts.append(f"{self.ambiguous} with ambiguous numbers{hint}")
+            parts.append(f"{self.ambiguous} whose numbers may be wrong")
         if self.broken:
             parts.append(f"{self.broken} left out")
         if self.frames:
@@ -248,17 +209,14 @@ class _Settings:
         check_suffix("--out", out, *SERIES_SUFFIXES)
         if out is None and sys.__stdout__ is None:
             raise ConfigError("--out - needs standard output, which is closed")
-        check_suffix("--overlay", arguments.overlay, ".mp4")
-        check_suffix("--rerun", arguments.rerun, ".rrd")
-        if arguments.show:
-            _check_display()
+        display.check(arguments)
         config = None if arguments.config is None else DetectorConfig.load(arguments.config)
         rig = None if arguments.stereo is None else StereoRig.load(arguments.stereo)
         device = select_device(arguments.device)
         source = _source(arguments)
         check_files(
             [*source.paths, arguments.config, arguments.stereo],
-            [out, arguments.overlay, arguments.rerun],
+            [out, *display.outputs(arguments)],
         )
         return cls(arguments=arguments, source=source, device=device, config=config, rig=rig)
 
@@ -341,14 +299,16 @@ def run(arguments: argparse.Namespace) -> int:
     settings = _Settings.of(arguments)
     source = settings.source
     rest, frames = at_rest(source, arguments.rest_frame)
-    tally, stop, display = _Tally(track=arguments.track), Stop(), _Display(settings)
+    tally, stop = _Tally(), Stop()
     full: OSError | None = None
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
         measure = settings.measurement(rest)
         stack.enter_context(measure)
         _tell_doubts(arguments.rest_frame, measure)
-        stack.enter_context(display)
+        pictures = stack.enter_context(
+            display.Display(arguments, measure.constants["rest"], measure.unit, source.period_ms)
+        )
         description = settings.description(measure.unit)
         constants = measure.constants | derived.constants(arguments)
         series = stack.enter_context(
@@ -388,7 +348,7 @@ def run(arguments: argparse.Namespace) -> int:
                 full = error
                 break
             tally.add(frame.index, measured, spent)
-            display.frame(frame, measured)
+            pictures.frame(frame, measured)
         if stop.name and not tally.frames:  # an older series stays
             raise KeyboardInterrupt
     report = sys.stderr if arguments.out == "-" else sys.stdout
@@ -397,14 +357,31 @@ def run(arguments: argparse.Namespace) -> int:
         line = tally.line(measure.nodes, measure.unit, str(settings.device))
         alone = source.alone() if isinstance(source, Pairs) else ""
         print(f"{ended}wrote {shown(arguments.out)}: {line}{alone}", file=report)
-    for written in (arguments.overlay, arguments.rerun):
-        if written is not None and display.error is None:
+    for written in display.outputs(arguments):
+        if written is not None and tally.frames and pictures.error is None:
             print(f"wrote {shown(written)}", file=report)
-    failed = [error for error in (full, display.error) if error is not None]
+    if tally.ambiguous:
+        print(f"cmp-cl: {_about_ambiguous(tally.ambiguous, arguments)}", file=sys.stderr)
+    failed = [error for error in (full, pictures.error) if error is not None]
     if failed:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2
     return 130 if stop.name and not source.live else 0
+
+
+def _about_ambiguous(count: int, arguments: argparse.Namespace) -> str:
+    """Return what it means that the numbering of so many frames is ambiguous, and what to do."""
+    cure = "show a border of the pattern in every frame"
+    if not arguments.track:
+        cure += (
+            ", or give --track if it moves by less than half a cell from frame to frame, which "
+            "continues the numbers of the frame before"
+        )
+    return (
+        f"in {counted(count, 'frame')} no border of the pattern decides which node is which: all "
+        "displacements of such a frame may be wrong by whole cells, so trust none of them (the "
+        f"array `ambiguous` says which frames); {cure}"
+    )
 
 
 def _tell_earlier(parts: list[Path]) -> None:
@@ -426,68 +403,6 @@ def _tell_doubts(number: int, measure: OneView | TwoViews) -> None:
     for view, grid in views.items():
         for doubt in grid.doubts:
             print(f"cmp-cl: frame {number}, the frame at rest: {view}{doubt}", file=sys.stderr)
-
-
-class _Display(contextlib.AbstractContextManager["_Display"]):
-    """Writes the Rerun recording and the annotated video, and feeds the viewer, as requested.
-
-    If one of them cannot be written, the run continues. error: the reason, else None.
-    """
-
-    def __init__(self, settings: _Settings) -> None:
-        self._settings = settings
-        self._log: RerunLog | None = None
-        self._overlay: OverlayVideo | None = None
-        self.error: OSError | None = None
-
-    def __enter__(self) -> Self:
-        asked, rig = self._settings.arguments, self._settings.rig
-        if asked.overlay is not None:
-            period_ms = self._settings.source.period_ms
-            fps = 25.0 if np.isnan(period_ms) else 1e3 / period_ms
-            self._overlay = OverlayVideo(asked.overlay, fps=fps, unit=rig.unit if rig else "px")
-        if asked.rerun is None and not asked.show:
-            return self
-        option = "--show" if asked.show else "--rerun"
-        try:
-            self._log = RerunLog(asked.rerun)
-        except ImportError as error:
-            raise ConfigError(f"{option} needs rerun-sdk: pip install 'cmp-cl[view]'") from error
-        except RuntimeError as error:
-            raise ConfigError(f"{option}: {str(error).strip().splitlines()[0]}") from error
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for writer in (self._log, self._overlay):
-            try:
-                if writer is not None:
-                    writer.close()
-            except OSError as error:
-                self.error = error
-
-    def frame(self, frame: Frame, measured: Measured) -> None:
-        """Add a frame."""
-        if self.error is not None:
-            return
-        image, grid = measured.views[0], measured.grids[0]
-        field = measured.field
-        try:
-            if self._log is not None:
-                self._log.frame(
-                    index=frame.index,
-                    time_ms=frame.time_ms,
-                    image=image,
-                    grid=grid,
-                    field=None if measured.points is None else field,
-                )
-            if self._overlay is not None:
-                time_s = "" if np.isnan(frame.time_ms) else f"  {frame.time_ms / 1e3:.3f} s"
-                text = f"frame {frame.index}{time_s}  {measured.nodes} nodes"
-                self._overlay.frame(
-                    image, grid, np.linalg.norm(field.displacement, axis=2), text=text
-                )
-        except OSError as error:
-            self.error = error
 
 
 def _why_broken(frame: Frame, rest: GreyImage, *, live: bool) -> str:
@@ -515,12 +430,3 @@ def _check_source(arguments: argparse.Namespace) -> None:
         raise ConfigError("--split and --mirror are for frames that show both views")
     if arguments.pair_within is not None and not (two and arguments.pair_within >= 0):
         raise ConfigError("--pair-within needs --left and --right, and at least 0 ms")
-
-
-def _check_display() -> None:
-    """Raise ConfigError if no window can be opened."""
-    displays = "DISPLAY", "WAYLAND_DISPLAY"
-    if sys.platform.startswith("linux") and not any(map(os.environ.get, displays)):
-        raise ConfigError(
-            "--show needs a display, and there is none; --rerun FILE.rrd records to a file instead"
-        )

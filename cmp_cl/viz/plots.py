@@ -316,7 +316,8 @@ def sheet_figure(
     panels: list[Callable[[Any, Any], object]] = []
     if view is not None:
         panels.append(lambda figure, at: _draw_view(figure.add_subplot(at), *view))
-    if moment.in_space:
+    known = np.isfinite(moment.rest + moment.shift).all(axis=2)
+    if moment.in_space and np.count_nonzero(known) > 2:
         panels.append(lambda figure, at: _draw_surface(figure, at, moment))
     left_out = {Quantity.SIGMA} if rows or view else set()
     left_out |= {Quantity.DISPLACEMENT} if view and moment.in_space else set()

@@ -6,6 +6,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl.closing import Closing
 from cmp_cl.field import DisplacementField, mesh
@@ -48,12 +49,16 @@ class RerunLog(Closing):
         image: GreyImage | None = None,
         grid: Grid | None = None,
         field: DisplacementField | None = None,
+        moved: NDArray[np.floating[Any]] | None = None,
+        unit: str = "px",
+        rate: float = math.nan,
     ) -> None:
         """Show a frame: its image, its grid on it, its surface with the displacements.
 
         index: its number. image: (H, W), stored as JPEG if it has 8 bits, as PNG if it has 16.
-        field: the displacement of the nodes, or None.
-        time_ms: NaN leaves it out of the clock's timeline.
+        field: the displacement of the nodes, or None. moved: its length at each node, (R, C) in
+        `unit`, which colours the nodes up to the largest so far; None colours them by their status.
+        rate: frames per second, NaN if unknown. time_ms: NaN leaves it out of the clock's timeline.
 
         Raises OSError if an earlier frame could not be written.
         """
@@ -66,10 +71,17 @@ class RerunLog(Closing):
             stream.set_time("time", duration=time_ms / 1000)
         if image is not None:
             stream.log("view", rerun.EncodedImage(**_encoded(image)))
+        if not math.isnan(rate):
+            stream.log("frames_per_second", rerun.Scalars(rate))
         if grid is not None:
-            colours = [
+            stream.log("nodes", rerun.Scalars(np.count_nonzero(grid.valid)))
+            colours: Any = [
                 STATUS_COLOURS[NodeStatus(status)][::-1] for status in grid.status[grid.valid]
             ]
+            if moved is not None:
+                colours = self._colours(moved[grid.valid])
+                scale = f"displacement from 0 (dark blue) to {self._top:.3g} {unit} (yellow)"
+                stream.log("scale", rerun.TextDocument(scale))
             stream.log("view/nodes", rerun.Points2D(grid.xy[grid.valid], colors=colours, radii=1.5))
             stream.log("view/lines", rerun.LineStrips2D(strips(grid.xy, grid.valid), radii=0.4))
         if field is not None:
@@ -79,12 +91,7 @@ class RerunLog(Closing):
         """Log the surface now and arrows from rest, coloured up to the largest so far."""
         columns, quads = mesh(field)
         rest, shift = columns["position"], columns["displacement"]
-        length = np.linalg.norm(shift, axis=1)
-        self._top = max(self._top, float(length.max(initial=0)), 1e-12)
-        levels = np.rint(255 * length / self._top).astype(np.uint8).reshape(-1, 1)
-        colours = np.empty((0, 3), np.uint8)
-        if len(levels):
-            colours = cv2.applyColorMap(levels, cv2.COLORMAP_PLASMA)[:, 0, ::-1]
+        colours = self._colours(np.linalg.norm(shift, axis=1))
         extent = float(np.ptp(rest, axis=0).max()) if len(rest) else 1.0
         surface = self._rerun.Mesh3D(
             vertex_positions=rest + shift,
@@ -96,6 +103,16 @@ class RerunLog(Closing):
         )
         self._stream.log("gel/surface", surface)
         self._stream.log("gel/displacement", arrows)
+
+    def _colours(self, length: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+        """Return the colours (N, 3), RGB, of lengths (N,); grey where one is NaN."""
+        self._top = max(self._top, float(np.nan_to_num(length).max(initial=0)), 1e-12)
+        levels = np.rint(255 * np.nan_to_num(length) / self._top).astype(np.uint8).reshape(-1, 1)
+        colours = np.empty((0, 3), np.uint8)
+        if len(levels):
+            colours = cv2.applyColorMap(levels, cv2.COLORMAP_PLASMA)[:, 0, ::-1].astype(np.uint8)
+        colours[np.isnan(length)] = 128
+        return colours
 
     def close(self) -> None:
         """Finish the recording; closing again does nothing.

@@ -36,7 +36,6 @@ from cmp_cl import (
     select_device,
 )
 from cmp_cl.cli import demo
-from cmp_cl.cli import run as run_module
 from cmp_cl.cli.arguments import region_in, split_of
 from cmp_cl.measure import find_boards, square_sides, trusted
 from cmp_cl.media import Frame
@@ -321,22 +320,25 @@ def test_the_numbers_of_the_frame_at_rest_are_not_ambiguous(run, tmp_path):
     board = np.kron(np.indices((9, 11)).sum(0) % 2, np.full((20, 20), 180)).astype(np.uint8) + 30
     for number in range(2):  # no border of the pattern is in view
         cv2.imwrite(str(tmp_path / f"{number}.png"), board[10:170, 10:210])
-    assert "1 with ambiguous numbers" in run("run", tmp_path, "--out", "press.npz")[1]
+    _, out, err = run("run", tmp_path, "--out", "press.npz")
+    assert "1 whose numbers may be wrong" in out
+    assert "trust none of them" in err
+    assert "--track" in err
     assert np.load("press.npz")["ambiguous"].tolist() == [False, True]
 
 
 def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
     run, recording, press, monkeypatch
 ):
-    enter = run_module._Display.__enter__
+    enter = SeriesWriter.__enter__
 
-    def stopped(display):
+    def stopped(series):
         signal.raise_signal(signal.SIGINT)
-        return enter(display)
+        return enter(series)
 
-    monkeypatch.setattr(run_module._Display, "__enter__", stopped)
-    older = ["press.npz", "old.mp4"]
-    options = ["--overlay", "old.mp4"]
+    monkeypatch.setattr(SeriesWriter, "__enter__", stopped)
+    older = ["press.npz", "old.mp4", "old.png"]
+    options = ["--plot", "old"]
     if importlib.util.find_spec("rerun") is not None:
         older.append("old.rrd")
         options += ["--rerun", "old.rrd"]
@@ -385,13 +387,13 @@ def test_a_video_that_a_full_disk_cuts_is_not_written_but_the_series_is(
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     Path("old.rrd").write_text("old")
     with contextlib.ExitStack() as disk:
-        enter = run_module._Display.__enter__
+        enter = SeriesWriter.__enter__
 
-        def filling(display):
+        def filling(series):
             disk.enter_context(full_after(60_000))  # once kernels are compiled
-            return enter(display)
+            return enter(series)
 
-        monkeypatch.setattr(run_module._Display, "__enter__", filling)
+        monkeypatch.setattr(SeriesWriter, "__enter__", filling)
         status, out, err = run("run", recording, *STEREO, "--rerun", "old.rrd")
     assert status == 2
     assert (err.count("\n"), "old.rrd: File too large" in err) == (1, True)
@@ -551,7 +553,7 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
         def frame(self, **what):
             shown.append(what)
 
-    monkeypatch.setattr("cmp_cl.cli.run.RerunLog", Viewer)
+    monkeypatch.setattr("cmp_cl.cli.display.RerunLog", Viewer)
     monkeypatch.setenv("DISPLAY", ":0")
     status, _, err = run("run", recording, *STEREO, "--show")
     assert (status, err) == (0, "")
@@ -560,6 +562,8 @@ def test_each_frame_is_shown_as_it_is_measured(run, recording, press, monkeypatc
         np.testing.assert_array_equal(what["image"], shot.left.image)
         assert np.abs(what["grid"].xy - shot.left.truth).max() < 1
     assert np.nanmax(np.abs(shown[-1]["field"].displacement)) > 0.1
+    assert np.nanmax(shown[-1]["moved"]) > 0.1
+    assert shown[-1]["rate"] > 0
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".csv", ".pvd"])
@@ -592,12 +596,35 @@ def test_a_pipe_gets_json_lines_alone_and_the_report_goes_to_stderr(one_view):
     assert "wrote -" in done.stderr
 
 
-def test_one_annotated_video_is_written(run, recording, press):
-    status, out, _ = run("run", recording, *STEREO, "--overlay", "shown.mp4")
-    assert (status, out.splitlines()[-1]) == (0, "wrote shown.mp4")
+def test_a_sheet_and_one_annotated_video_are_written(run, recording, press):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+    status, out, _ = run("run", recording, *STEREO, "--plot", "shown")
+    assert (status, out.splitlines()[-2:]) == (0, ["wrote shown.png", "wrote shown.mp4"])
     capture = cv2.VideoCapture("shown.mp4")
     assert sum(capture.read()[0] for _ in range(len(press) + 3)) == len(press)
-    fails_in_one_line(run("run", recording, *STEREO, "--overlay", "shown.gif"), "shown.gif", ".mp4")
+    sheet = cv2.imread("shown.png")
+    assert run("plot", "press.npz", "--out", "same.png")[0] == 0
+    np.testing.assert_array_equal(cv2.imread("same.png"), sheet)
+    fails_in_one_line(run("run", recording, *STEREO, "--plot", "shown.gif"), "shown.gif", ".mp4")
+
+
+def test_a_part_of_an_earlier_run_is_told_and_kept(run, one_view):
+    Path("flat.csv.part").write_text("of a run that was killed")
+    status, _, err = run("run", one_view, "--grid", "12x12", "--out", "flat.csv")
+    assert (status, err.count("\n")) == (0, 1)
+    assert "flat.csv.part is of a run that was killed" in err
+    assert Path("flat.csv.part").read_text() == "of a run that was killed"
+    assert not Path("flat.csv.part-2").exists()
+
+
+def test_the_help_of_run_fits_two_screens_with_the_rare_options_last(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = run("run", "--help")
+    assert out.count("\n") <= 100
+    groups = ["input:", "pattern:", "output:", "pictures:", "speed:", "rarely needed:"]
+    places = [out.index(f"\n{group}") for group in groups]
+    assert places == sorted(places)
+    assert out.index("--config TOML ") > places[-1]
 
 
 # demo
@@ -1037,7 +1064,7 @@ def test_cells_of_known_side_give_lengths_and_strain_in_the_plane(run):
             (150, 150), 12, lambda q, by=by: (q - 75) @ (by - np.eye(2)).T, board=(24, 24, 120, 120)
         )
         cv2.imwrite(f"frames/{number}.png", picture)
-    flat = ("run", "frames", "--grid", "7x7", "--out", "flat.npz", "--overlay", "flat.mp4")
+    flat = ("run", "frames", "--grid", "7x7", "--out", "flat.npz", "--plot", "flat.mp4")
     assert run(*flat, "--strain", "--cell", "2.5", "--unit", "cm")[0] == 0
     found = read_series("flat.npz")
     assert str(found["unit"]) == "cm"
