@@ -147,14 +147,12 @@ float2 bend_of(__global const float2 *nodes, __global const uchar *status, const
  * moves the image points onto each other's epipolar lines; then the middle of the shortest segment
  * between their rays; then one Gauss-Newton step on the reprojection error, weighted by 1 / sigma^2.
  *
- * nodes: of a view, complete, px of the view; status: of NodeStatus; sigma: px, not positive if
+ * nodes: of both views, complete, px of the view; status: of NodeStatus; sigma: px, not positive if
  * unknown. rest: positions (3 planes), rest_*: their status, source, covariance (6 planes) and
  * motion by bent edges (3 planes). moved: 3 planes, 0 where not valid. points: the sum of the
  * covariances of both moments. own: the variance now per axis. One work-item a node. */
-__kernel void space(__global const float2 *nodes_left, __global const float2 *nodes_right,
-                    __global const uchar *status_left, __global const uchar *status_right,
-                    __global const float *sigma_left, __global const float *sigma_right,
-                    __global const REAL *left, __global const REAL *right,
+__kernel void space(__global const float2 *nodes, __global const uchar *seen_status,
+                    __global const float *sigma, __global const REAL *left, __global const REAL *right,
                     const REAL least_sine, const float largest_error,
                     __global const float *bend_down, __global const float *bend_along,
                     const float radius_left, const float radius_right,
@@ -166,6 +164,9 @@ __kernel void space(__global const float2 *nodes_left, __global const float2 *no
                     __global uchar *measured, __global uchar *votes, __global int *counts) {
   const int i = get_global_id(0);
   if (i >= NODES) return;
+  __global const float2 *nodes_left = nodes, *nodes_right = nodes + NODES;
+  __global const uchar *status_left = seen_status, *status_right = seen_status + NODES;
+  __global const float *sigma_left = sigma, *sigma_right = sigma + NODES;
   const int there = status_left[i] != MISSING && status_right[i] != MISSING;
   const uchar worse = max(status_left[i], status_right[i]);
   source[i] = there && rest_source[i] != MISSING ? max(worse, rest_source[i]) : (uchar)MISSING;
@@ -222,8 +223,8 @@ __kernel void space(__global const float2 *nodes_left, __global const float2 *no
   const int known = sigma_left[i] > 0 && sigma_right[i] > 0;
   REAL weight[4], residual[4];
   for (int j = 0; j < 4; ++j) {
-    const REAL sigma = j < 2 ? sigma_left[i] : sigma_right[i];
-    weight[j] = known ? 1 / (sigma * sigma) : 1;
+    const REAL deviation = j < 2 ? sigma_left[i] : sigma_right[i];
+    weight[j] = known ? 1 / (deviation * deviation) : 1;
     residual[j] = pixel[j] - seen[j];
   }
   const float2 bend_left =

@@ -23,7 +23,7 @@ from cmp_cl.motion.tables import (
     axis_tables,
 )
 from cmp_cl.opencl.device import Device, DeviceKind
-from cmp_cl.opencl.launches import Launch
+from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.opencl.program import Programs
 from cmp_cl.space import Points3D, PointStatus, StereoRig
 from cmp_cl.space.rig import MIN_PARALLAX
@@ -40,9 +40,9 @@ class FieldPlan:
 
     rest: the points at rest. rig: the cameras. edge_radii: of the left and the right grid, px, NaN
     if unknown. strain: whether fields have a strain.
-    nodes: the arrays of the host that `run` reads, for each of "left" and "right": nodes_*,
-        (R, C, 2) float32, complete, where a node without a position has a prediction; status_*,
-        (R, C) uint8 of `NodeStatus`; sigma_*, (R, C) float32, px, not positive if unknown.
+    inputs: what a frame starts from, for V = 2 views, left and right: nodes, (V, R, C, 2) float32,
+        px of the view, complete: a node without a position has a prediction; seen_status,
+        (V, R, C) uint8 of `NodeStatus`; seen_sigma, (V, R, C) float32, px, not positive if unknown.
 
     Where the device has no double precision, points err by some hundredths of a micrometre.
     """
@@ -74,12 +74,11 @@ class FieldPlan:
         )
         self._constants = Memory.of(queue, **self._constant_arrays(rig))
         self._work = Memory(queue, self._work_layout())
-        self._inputs = Memory(queue, self._input_layout())
+        self.inputs = Memory(queue, self._input_layout())
         self._results = Memory(queue, self._result_layout())
-        self.nodes = self._inputs.arrays
         self._parts = {
             name: part
-            for memory in (self._constants, self._work, self._inputs, self._results)
+            for memory in (self._constants, self._work, self.inputs, self._results)
             for name, part in memory.parts.items()
         }
         self.launches = self._listed(edge_radii)
@@ -88,7 +87,7 @@ class FieldPlan:
     def release(self) -> None:
         """Release the device's memory."""
         self._queue.finish()
-        for memory in (self._constants, self._work, self._inputs, self._results):
+        for memory in (self._constants, self._work, self.inputs, self._results):
             memory.release()
 
     # What is compiled and allocated
@@ -156,12 +155,12 @@ class FieldPlan:
         }
 
     def _input_layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
-        layout: dict[str, tuple[tuple[int, ...], Any]] = {}
-        for view in ("left", "right"):
-            layout[f"nodes_{view}"] = (*self.shape, 2), np.float32
-            layout[f"status_{view}"] = self.shape, np.uint8
-            layout[f"sigma_{view}"] = self.shape, np.float32
-        return layout
+        nodes = (len(_VIEWS), *self.shape)
+        return {
+            "nodes": ((*nodes, 2), np.float32),
+            "seen_status": (nodes, np.uint8),
+            "seen_sigma": (nodes, np.float32),
+        }
 
     def _work_layout(self) -> dict[str, tuple[tuple[int, ...], Any]]:
         planes = {
@@ -221,8 +220,7 @@ class FieldPlan:
         listed = [
             self._of_nodes(
                 "space",
-                *(f"{name}_{view}" for name in ("nodes", "status", "sigma") for view in _VIEWS),
-                *_VIEWS,
+                *("nodes", "seen_status", "seen_sigma", *_VIEWS),
                 real(MIN_PARALLAX / focal),
                 np.float32(LARGEST_ERROR),
                 "bend_down",
@@ -302,7 +300,7 @@ class FieldPlan:
     def _of_nodes(self, name: str, *arguments: Any) -> Launch:
         """Bind a kernel with one work-item per node."""
         nodes = self.shape[0] * self.shape[1]
-        return self._bound(name, (-(-nodes // _GROUP) * _GROUP,), (_GROUP,), arguments)
+        return self._bound(name, (multiple(nodes, GROUP),), (GROUP,), arguments)
 
     def _of_rows(self, name: str, others: int, *arguments: Any) -> Launch:
         """Bind a kernel with one work-item per row, times `others`."""
@@ -323,9 +321,8 @@ class FieldPlan:
     # What happens in a frame
 
     def start(self) -> None:
-        """Enqueue the upload of `nodes`, the launches and the download of the results."""
+        """Enqueue the launches and the download of the results. The inputs are on the device."""
         queue = self._queue
-        self._inputs.upload()
         cl.enqueue_fill_buffer(
             queue, self._parts["counts"], np.zeros(1, np.int32), 0, 4 * (1 + ROUNDS)
         )
@@ -372,7 +369,6 @@ class FieldPlan:
         )
 
 
-_GROUP = 64  # work-items in a group of a kernel over nodes
 _VIEWS = ("left", "right")
 
 

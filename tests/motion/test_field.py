@@ -107,10 +107,11 @@ def run(device):
             strain=True,
         )
         made.append(plan)
-        for view, grid, whole in zip(("left", "right"), now, complete or now, strict=True):
-            plan.nodes[f"nodes_{view}"][:] = whole.xy
-            plan.nodes[f"status_{view}"][:] = grid.status
-            plan.nodes[f"sigma_{view}"][:] = image_sigma(grid)
+        for view, (grid, whole) in enumerate(zip(now, complete or now, strict=True)):
+            plan.inputs.arrays["nodes"][view] = whole.xy
+            plan.inputs.arrays["seen_status"][view] = grid.status
+            plan.inputs.arrays["seen_sigma"][view] = image_sigma(grid)
+        plan.inputs.upload()
         plan.start()
         results = plan.read()
         return plan, results, plan.field(results)

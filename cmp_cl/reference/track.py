@@ -1,0 +1,174 @@
+"""The nodes of a frame from those of the frame before, node by node, in float64.
+
+1. A node is expected where it moves on to as it moved last. It takes the corner within .3 of the
+   smaller local step there, if no other is within .5.
+2. The colour of the corner must be that of the node: the sine of the angle between its first
+   boundary and the lattice's step along the row is smaller than that with the step down the column
+   (times their lengths) for one of the two, and larger for the other. An unknown boundary fits.
+3. No other node took the corner.
+4. The distance to what is expected is within .18 step of the mean of those of the four neighbours
+   that meet 1 to 3; a node without such neighbours fails.
+5. A node that fails moves as these neighbours do.
+6. A node over 1 px and .3 cell, or with a torn corner .07 cell, from the prediction of the nodes
+   around is astray.
+7. Free corners within .3 step of where the next line beyond a side would be are counted.
+"""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+_LINE = {(0, -1): 4 / 6, (0, 1): 4 / 6, (0, -2): -1 / 6, (0, 2): -1 / 6}
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Found:
+    """nodes: (R, C, 2). owner: (R, C), the corner, -1 without one. astray: (R, C). crossed: number
+    of corners of another colour. beyond, gone: (4,), free corners and lost nodes of each side, top,
+    bottom, left, right. margin: the least distance of a quantity from its bound, px."""
+
+    nodes: Floats
+    owner: Ints
+    astray: NDArray[np.bool_]
+    crossed: int
+    beyond: Ints
+    gone: Ints
+    margin: float
+
+
+def track(before: Floats, nodes: Floats, corners: Floats, colour: int) -> Found:
+    """Follow the nodes (R, C, 2) of a frame, `before` those of the frame before it, to the corners
+    (N, 4): x, y, angle, sigma, negative for torn ones. colour: 1 if corners of even row + column
+    have their first boundary along the row, else -1."""
+    shape = nodes.shape[0], nodes.shape[1]
+    expected = 2 * nodes - before
+    along, down = _steps(nodes)
+    step = np.minimum(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))
+    owner = np.full(shape, -1, np.int32)
+    residual = np.zeros((*shape, 2))
+    crossed, margins = 0, [np.inf]
+    for node in np.ndindex(*shape):
+        off = corners[:, :2] - expected[node]
+        far = np.linalg.norm(off, axis=1)
+        if not len(far):
+            continue
+        nearest = int(far.argmin())
+        margins += [abs(far[nearest] - 0.3 * step[node]), np.abs(far - 0.5 * step[node]).min()]
+        near = far < 0.5 * step[node]
+        if not far[nearest] < 0.3 * step[node] or np.count_nonzero(near) > 1:
+            continue
+        residual[node] = off[nearest]
+        angle = corners[nearest, 2]
+        edge = np.array([np.cos(angle), np.sin(angle)])
+        sign = colour * (-1) ** sum(node)
+        fit = sign * (abs(_cross(edge, down[node])) - abs(_cross(along[node], edge)))
+        margins += [abs(fit)] if np.isfinite(fit) else []
+        if fit <= 0:
+            crossed += 1
+            continue
+        owner[node] = nearest
+    taken = np.bincount(owner[owner >= 0], minlength=len(corners))
+    sole = np.array([j >= 0 and taken[j] == 1 for j in owner.ravel()]).reshape(shape)
+    kept, moved = np.full(shape, -1, np.int32), expected.copy()
+    for r, c in np.ndindex(*shape):
+        around = [(r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c)]
+        others = [residual[n] for n in around if _inside(n, shape) and sole[n]]
+        mean: Floats = np.mean(others, axis=0) if others else np.zeros(2)
+        away = float(np.linalg.norm(residual[r, c] - mean))
+        if sole[r, c] and others:
+            margins.append(abs(away - 0.18 * step[r, c]))
+        if sole[r, c] and others and away < 0.18 * step[r, c]:
+            kept[r, c] = owner[r, c]
+            moved[r, c] = corners[owner[r, c], :2]
+        else:
+            moved[r, c] += mean
+    along, down = _steps(moved)
+    astray = np.zeros(shape, np.bool_)
+    for node in zip(*np.nonzero(kept >= 0), strict=True):
+        prediction = _predicted(moved, node)
+        if prediction is None:
+            continue
+        cell = (np.linalg.norm(along[node]) + np.linalg.norm(down[node])) / 2
+        torn = not corners[kept[node], 3] > 0
+        apart = float(np.linalg.norm(moved[node] - prediction))
+        most = max(1.0, (0.07 if torn else 0.3) * float(cell))
+        margins.append(abs(apart - most))
+        astray[node] = apart > most
+    free = corners[taken == 0, :2]
+    beyond = np.zeros(4, np.int32)
+    for side, (line, inside) in enumerate(
+        (
+            (moved[0], moved[1]),
+            (moved[-1], moved[-2]),
+            (moved[:, 0], moved[:, 1]),
+            (moved[:, -1], moved[:, -2]),
+        )
+    ):
+        for one, other in zip(line, inside, strict=True):
+            outward = one - other
+            if not len(free):
+                continue
+            gap = float(np.linalg.norm(free - one - outward, axis=1).min())
+            reach = 0.3 * float(np.linalg.norm(outward))
+            margins.append(abs(gap - reach))
+            beyond[side] += gap < reach
+    lost = kept < 0
+    gone = [np.count_nonzero(line) for line in (lost[0], lost[-1], lost[:, 0], lost[:, -1])]
+    return Found(
+        nodes=moved,
+        owner=kept,
+        astray=astray,
+        crossed=crossed,
+        beyond=beyond,
+        gone=np.array(gone, np.int32),
+        margin=float(np.min(margins)),
+    )
+
+
+def _steps(nodes: Floats) -> tuple[Floats, Floats]:
+    """Return the steps along the rows and down the columns, central where there are two."""
+    return np.gradient(nodes, axis=1), np.gradient(nodes, axis=0)
+
+
+def _cross(one: Floats, two: Floats) -> float:
+    return float(one[0] * two[1] - one[1] * two[0])
+
+
+def _inside(node: tuple[int, int], shape: tuple[int, int]) -> bool:
+    return 0 <= node[0] < shape[0] and 0 <= node[1] < shape[1]
+
+
+def _predicted(nodes: Floats, node: tuple[int, int]) -> Floats | None:
+    """Return the prediction of a node from those around; None if its weight is below 8.
+
+    Along a line (4 (L + R) - (LL + RR)) / 6 has the weight 12 and (L + R) / 2 has 4, a
+    parallelogram 1.5, extrapolation from two and from three nodes .7 each.
+    """
+    forms: list[tuple[float, dict[tuple[int, int], float]]] = []
+    for turn in range(2):
+        line = _turned(_LINE, turn)
+        forms += [(12, line), (4, _turned({(0, -1): 0.5, (0, 1): 0.5}, turn))]
+    for turn in range(4):
+        forms += [
+            (1.5, _turned({(0, 1): 1, (1, 0): 1, (1, 1): -1}, turn)),
+            (0.7, _turned({(0, 1): 2, (0, 2): -1}, turn)),
+            (0.7, _turned({(0, 1): 3, (0, 2): -3, (0, 3): 1}, turn)),
+        ]
+    total, mean = 0.0, np.zeros(2)
+    for weight, form in forms:
+        places = {(node[0] + r, node[1] + c): factor for (r, c), factor in form.items()}
+        if all(_inside(place, nodes.shape[:2]) for place in places):
+            total += weight
+            mean += weight * sum(factor * nodes[place] for place, factor in places.items())
+    return mean / total if total >= 8 else None
+
+
+def _turned(form: dict[tuple[int, int], float], turns: int) -> dict[tuple[int, int], float]:
+    """Return a form turned by quarter turns."""
+    for _ in range(turns):
+        form = {(c, -r): factor for (r, c), factor in form.items()}
+    return form

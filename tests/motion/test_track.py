@@ -1,0 +1,198 @@
+"""The kernels that follow nodes from frame to frame, their oracle, and what they must never do."""
+
+import dataclasses
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from cmp_cl import Corners
+from cmp_cl.grid.grid import Grid, NodeStatus, Sides
+from cmp_cl.motion.memory import Memory
+from cmp_cl.motion.track import Tracker, can_track, colour_of, records
+from cmp_cl.opencl.program import programs_of
+from cmp_cl.reference import track as oracle
+
+SIZE = 420, 460
+CELL = 17.0
+FIELDS = ("xy", "pixel", "response", "method", "refusal", "sigma", "edges", "doubtful")
+
+
+def lattice(rows, columns, *, turn=0.05, bend=2.0, at=(40.0, 50.0)):
+    y, x = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    flat = np.stack([x, y], axis=2) * CELL
+    wave = bend * np.stack([np.sin(y / 3), np.cos(x / 4)], axis=2)
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    return flat @ rotation + wave + np.array(at)
+
+
+def grid_of(xy):
+    rows, columns = xy.shape[:2]
+    index = np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=2)
+    return Grid(
+        xy=xy.astype(np.float32),
+        status=np.full((rows, columns), NodeStatus.DETECTED, np.uint8),
+        sigma=np.full((rows, columns), 0.03, np.float32),
+        index=index.reshape(-1, 2).astype(np.int32),
+        border=Sides(True, True, True, True),
+    )
+
+
+def corners_at(xy, *, turn=0.05, torn=()):
+    """Return the corners of a checkerboard whose nodes (R, C, 2) are there."""
+    r, c = np.indices(xy.shape[:2])
+    angle = np.where((r + c) % 2, np.pi / 2, 0.0).ravel() + turn
+    count = angle.size
+    sigma = np.full(count, 0.04, np.float32)
+    sigma[list(torn)] = 0.3
+    return Corners(
+        xy=xy.reshape(-1, 2).astype(np.float32),
+        pixel=np.rint(xy.reshape(-1, 2)).astype(np.int32),
+        response=np.ones(count, np.float32),
+        method=np.full(count, 2, np.uint8),
+        refusal=np.zeros(count, np.uint8),
+        sigma=sigma,
+        edges=np.stack([angle, angle + 1.6, angle + 3.1, angle - 1.5], axis=1).astype(np.float32),
+        doubtful=np.zeros(count, np.bool_),
+        device="",
+    )
+
+
+def some(corners, kept):
+    return dataclasses.replace(corners, **{name: getattr(corners, name)[kept] for name in FIELDS})
+
+
+def joined(one, other):
+    both = {name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in FIELDS}
+    return dataclasses.replace(one, **both)
+
+
+@pytest.fixture
+def tracker_of(device):
+    """Return tracker_of(rests): a tracker of views at rest, and the inputs that it writes."""
+    made = []
+
+    def of(*rests):
+        programs = programs_of(device.handle)
+        queue = cl.CommandQueue(programs.context)
+        nodes = len(rests), *rests[0].shape[:2]
+        layout = {
+            "nodes": ((*nodes, 2), np.float32),
+            "seen_status": (nodes, np.uint8),
+            "seen_sigma": (nodes, np.float32),
+        }
+        inputs = Memory(queue, layout)
+        views = [(grid_of(xy), corners_at(xy)) for xy in rests]
+        tracker = Tracker(
+            queue,
+            programs,
+            device,
+            views=views,
+            sizes=[SIZE] * len(rests),
+            inputs=inputs,
+            capacity=1000,
+        )
+        tracker.reset([grid for grid, _ in views])
+        made.append(tracker)
+
+        def follow(*found):
+            tracker.start(found)
+            queue.finish()
+            return tracker.read()
+
+        return tracker, inputs.arrays, follow
+
+    yield of
+    for tracker in made:
+        tracker.release()
+
+
+def test_nodes_are_those_of_the_oracle(tracker_of):
+    rng = np.random.default_rng(2)
+    rest = lattice(13, 15)
+    tracker, inputs, follow = tracker_of(rest, rest)
+    colour = colour_of(grid_of(rest), corners_at(rest))
+    before = [rest, rest]
+    nodes = [rest, rest]
+    for frame in range(6):
+        found = []
+        for view in range(2):
+            shift = np.array([1.5 + view, 0.7]) * (frame + 1)
+            xy = rest + shift + rng.normal(0, 0.2, rest.shape)
+            xy[4, 4] += 2.6  # torn, astray
+            xy[7, 7] += 4.0  # not alike
+            xy[9, 9] += 30.0
+            corners = corners_at(xy, torn=[4 * 15 + 4, 20])
+            edges = corners.edges.copy()
+            edges[[30, 31], 0] += np.pi / 2  # the other colour
+            edges[40] = np.nan
+            corners = dataclasses.replace(corners, edges=edges)
+            found.append(some(corners, rng.random(len(corners)) > 0.02))
+        numbers = follow(*found)
+        for view in range(2):
+            given = records(found[view]).astype(np.float64)
+            expected = oracle.track(before[view], nodes[view], given, colour)
+            assert expected.margin > 1e-4
+            kept = tracker.owner[view]
+            np.testing.assert_array_equal(kept, expected.owner)
+            np.testing.assert_allclose(inputs["nodes"][view], expected.nodes, rtol=0, atol=1e-3)
+            astray = (kept >= 0) & (inputs["seen_status"][view] == NodeStatus.MISSING)
+            np.testing.assert_array_equal(astray, expected.astray)
+            assert numbers[view].crossed == expected.crossed
+            assert numbers[view].lost == np.count_nonzero(kept < 0)
+            assert numbers[view].beyond == tuple(expected.beyond)
+            assert numbers[view].gone == tuple(expected.gone)
+            before[view], nodes[view] = nodes[view], expected.nodes
+
+
+@pytest.mark.parametrize(
+    "slip", [(r, c) for r in range(4) for c in range(-3, 4) if (r, c) > (0, 0)]
+)
+def test_a_slip_by_whole_cells_is_refused(tracker_of, slip):
+    rest = lattice(20, 20, bend=0.5)
+    _, _, follow = tracker_of(rest)
+    step = slip[0] * (rest[1, 0] - rest[0, 0]) + slip[1] * (rest[0, 1] - rest[0, 0])
+    (found,) = follow(corners_at(rest + step))
+    assert not found.holds((20, 20))
+    _, _, again = tracker_of(rest)
+    (found,) = again(corners_at(rest + 0.25 * step / np.linalg.norm(step) * CELL))
+    assert found.holds((20, 20))
+
+
+def test_random_jumps_are_refused_or_numbered_right(tracker_of):
+    rng = np.random.default_rng(11)
+    rest = lattice(18, 22)
+    tracker, inputs, follow = tracker_of(rest)
+    refused = accepted = 0
+    middle = rest.mean(axis=(0, 1))
+    for trial in range(300):
+        tracker.reset([grid_of(rest)])
+        size = (0.25, 1.5, 3.0)[trial % 3]
+        turn, zoom = rng.normal() * 0.03 * size, 1 + rng.normal() * 0.01 * size
+        rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        xy = (rest - middle) @ rotation * zoom + middle + rng.uniform(-1, 1, 2) * size * CELL
+        truth = np.arange(rest[..., 0].size)
+        kept = rng.random(truth.size) > (0, 0.02, 0.05)[trial % 3]
+        corners = some(corners_at(xy, turn=0.05 - turn), kept)
+        false = lattice(3, 3, at=rng.uniform(0, 300, 2))  # corners of something else
+        apart = np.linalg.norm(false[:, :, None, None] - xy, axis=4).min(axis=(2, 3)).ravel()
+        other = some(corners_at(false, turn=rng.uniform(0, 3)), apart > 0.35 * CELL)
+        corners = joined(corners, other)
+        (found,) = follow(corners)
+        if not found.holds(rest.shape[:2]):
+            refused += 1
+            continue
+        accepted += 1
+        owner = tracker.owner[0].ravel()
+        numbers = np.append(truth[kept], np.full(len(other), -2))
+        here = inputs["seen_status"][0].ravel() == NodeStatus.DETECTED
+        assert (numbers[owner[here]] == truth[here]).all(), trial
+    assert accepted > 40
+    assert refused > 150
+
+
+def test_only_a_pattern_with_all_its_sides_in_view_is_tracked():
+    whole = grid_of(lattice(9, 9))
+    assert can_track(whole)
+    assert not can_track(dataclasses.replace(whole, border=Sides(True, True, True, False)))
+    assert not can_track(dataclasses.replace(whole, border=None))
