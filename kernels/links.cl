@@ -3,21 +3,6 @@
 /* Links between corners (13.1): of the neighbours along a boundary the cheapest whose side shows a
  * contrast, kept where both ends choose each other. */
 
-/* Grey difference of the two sides of the chord from a to b, left minus right, five times. */
-int difference(LEVELS_OF_IMAGE, const float2 a, const float2 b, const float depth,
-               const float depth_px) {
-  const float dx = b.x - a.x, dy = b.y - a.y;
-  const float share = LARGER(depth, depth_px * inverse_root(dx * dx + dy * dy));
-  const float across_x = -(share * dy), across_y = share * dx;
-  int sum = 0;
-  for (int k = 2; k <= 6; ++k) {
-    const float x = a.x + 0.125f * (float)k * dx, y = a.y + 0.125f * (float)k * dy;
-    sum += level_at(LEVELS, x - across_x, y - across_y) -
-           level_at(LEVELS, x + across_x, y + across_y);
-  }
-  return sum;
-}
-
 /* Boundary of a corner with these lines that is nearest to (dx, dy), and the length along it. */
 typedef struct {
   int side;

@@ -24,9 +24,6 @@ void unite(__global volatile int *part, int a, int b) {
   }
 }
 
-#define FOR_ALL(k, count) for (int k = get_local_id(0); k < (count); k += get_local_size(0))
-#define ALL_TOGETHER barrier(CLK_GLOBAL_MEM_FENCE | CLK_LOCAL_MEM_FENCE)
-
 /* beyond[h]: the half-edge on the other side of a link if both faces agree, else NONE. part[h]: the
  * least half-edge of the part, NONE outside of faces. size[root]: its faces, 0 of a part with two
  * numbers for a corner. One work-group. */

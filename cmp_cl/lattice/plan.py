@@ -10,18 +10,29 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
-from cmp_cl.lattice import links, parts
+from cmp_cl.lattice import links, nodes, parts
+from cmp_cl.lattice.arrays import Board
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
 from cmp_cl.opencl.program import Programs
 from cmp_cl.opencl.shared import shared_buffer, shares_memory
 from cmp_cl.stages.layout import LEAST_PAD
-from cmp_cl.stages.refine import EDGES, POSITION, RESULT_FIELDS, RESULT_HEAD
+from cmp_cl.stages.refine import (
+    EDGES,
+    METHOD,
+    POSITION,
+    RESULT_FIELDS,
+    RESULT_HEAD,
+    VARIANCE,
+)
 
-FILES = ("bins", "links", "faces", "parts")
+FILES = ("bins", "links", "faces", "parts", "nodes")
 SHARED = ("image", "corners")  # buffers that the host writes
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
+PLACES = 16384  # of a board with few corners
+PASSES = 4  # that are launched before the host looks whether they are enough
+ROWS = 64  # work-items, of which each takes rows of a board, on a CPU
 LANES = 8  # the fields of the corners have a multiple of so many elements
 
 
@@ -57,7 +68,10 @@ class LatticePlan(Binder):
         self.kernels = programs.kernels(FILES, self._defines)
         self._here: dict[str, NDArray[Any]] = {}
         self.buffers = {name: self._buffer(name, size) for name, size in self.sizes.items()}
-        self.launches = [*links.launches(self), *parts.launches(self)]
+        self.nats = self.constant(nodes.nats(self))
+        self.launches = [*links.launches(self), *parts.launches(self), *nodes.first_board(self)]
+        self.lay = nodes.lay(self)
+        self.a_pass = nodes.a_pass(self)
 
     @property
     def _defines(self) -> dict[str, str | int]:
@@ -68,6 +82,9 @@ class LatticePlan(Binder):
             "WHOLE_LEVELS": int(whole),
             "HEAD": RESULT_HEAD,
             "EDGES_FIELD": EDGES.start,
+            "METHOD_FIELD": METHOD,
+            "VARIANCE_FIELD": VARIANCE,
+            "SIDE_STEP": 4 // (len(self.constants.side_points) - 1),
         }
 
     @property
@@ -78,6 +95,7 @@ class LatticePlan(Binder):
             "corners": 4 * (RESULT_HEAD + RESULT_FIELDS * self.capacity),
             **links.sizes(self),
             **parts.sizes(self),
+            **nodes.sizes(self),
         }
 
     def _buffer(self, name: str, size: int) -> cl.Buffer:
@@ -87,6 +105,11 @@ class LatticePlan(Binder):
             buffer, self._here[name] = shared_buffer(self.queue.context, size)
             return buffer
         return cl.Buffer(self.queue.context, cl.mem_flags.READ_WRITE, size)
+
+    @property
+    def places(self) -> int:
+        """Return the places of the largest board: four for each corner, beside its margins."""
+        return 4 * self.capacity + PLACES
 
     # How kernels are bound
 
@@ -122,6 +145,12 @@ class LatticePlan(Binder):
         """Bind a kernel with one work-item per half-edge."""
         return self.stage(name, (4 * self.capacity,), (GROUP,), **arguments)
 
+    def of_places(self, name: str, **arguments: Any) -> Launch:
+        """Bind a kernel over the places of a board; on a CPU a work-item takes some rows."""
+        if self.device.kind is DeviceKind.CPU:
+            return self.stage(name, (1, ROWS), (1, 1), **arguments)
+        return self.stage(name, (GROUP, 4 * ROWS), (GROUP, 1), **arguments)
+
     def one_group(self, name: str, **arguments: Any) -> Launch:
         """Bind a kernel that is one work-group; on a CPU it is one work-item."""
         items = 1 if self.device.kind is DeviceKind.CPU else ONE_GROUP
@@ -129,28 +158,80 @@ class LatticePlan(Binder):
 
     # What happens in a frame
 
-    def take(self, image: GreyImage, xy: NDArray[np.float32], edges: NDArray[np.float32]) -> None:
-        """Give the plan an image and its corners: (H, W), (N, 2) px, (N, 4) rad."""
+    def take(
+        self,
+        image: GreyImage,
+        xy: NDArray[np.float32],
+        edges: NDArray[np.float32],
+        sigma: NDArray[np.float32],
+        refusal: NDArray[np.uint8],
+    ) -> None:
+        """Give the plan an image and its corners: (H, W), (N, 2) px, (N, 4) rad, (N,) px, (N,)."""
         count, pad = len(xy), self.pad
-        padded = np.empty((self.shape[0] + 2, self.step), self.dtype)
-        padded[1:-1, pad:-pad][:, : self.shape[1]] = image
+        padded = np.zeros((self.shape[0] + 2, self.step), self.dtype)
+        padded[1:-1, pad : pad + self.shape[1]] = image
         padded[1:-1, :pad] = image[:, :1]
         padded[1:-1, pad + self.shape[1] :] = image[:, -1:]
-        numbers = np.zeros(RESULT_HEAD + EDGES.stop * multiple(count, LANES), np.float32)
+        length = multiple(count, LANES)
+        numbers = np.zeros(RESULT_HEAD + RESULT_FIELDS * length, np.float32)
         numbers[:1].view(np.uint32)[0] = count
-        for field, values in ((POSITION, xy), (EDGES, edges)):
-            first = RESULT_HEAD + field.start * multiple(count, LANES)
-            numbers[first : first + values.size] = values.ravel()
-        for name, values in (("image", padded), ("corners", numbers)):
-            if name in self._here:
-                self._here[name].view(values.dtype)[: values.size] = values.ravel()
-            else:
-                cl.enqueue_copy(self.queue, self.buffers[name], values)
+        fields = numbers[RESULT_HEAD:].reshape(RESULT_FIELDS, length)
+        fields[POSITION].reshape(-1)[: xy.size] = xy.ravel()
+        fields[EDGES].reshape(-1)[: edges.size] = edges.ravel()
+        fields[METHOD].view(np.uint8)[length : length + count] = refusal
+        fields[VARIANCE, :count] = sigma * sigma
+        self._write("image", padded)
+        self._write("corners", numbers)
 
-    def launch(self) -> None:
-        """Enqueue the launches of a frame."""
-        for _, kernel, items, group, _ in self.launches:
+    def _write(self, name: str, values: NDArray[Any], first: int = 0) -> None:
+        """Write an array to a buffer, from element `first` on."""
+        if name in self._here:
+            self._here[name].view(values.dtype)[first : first + values.size] = values.ravel()
+        else:
+            copy: Any = cl.enqueue_copy  # whose stub does not know offsets
+            copy(
+                self.queue,
+                self.buffers[name],
+                np.ascontiguousarray(values),
+                dst_offset=first * values.itemsize,
+            )
+
+    def _enqueue(self, launches: list[Launch]) -> None:
+        for _, kernel, items, group, _ in launches:
             cl.enqueue_nd_range_kernel(self.queue, kernel, items, group)
+
+    def find_parts(self) -> None:
+        """Number the parts of the frame, and the corners of the largest."""
+        self._enqueue(self.launches)
+
+    def settle(self, numbers: NDArray[np.int32] | None = None) -> Board:
+        """Return the board of numbered corners once no pass changes its nodes.
+
+        numbers: (N, 4), column, row, quarter turn, and 1 for a corner that has them; None for those
+            of the largest part.
+
+        Raises CapacityError if the numbers reach too far.
+        """
+        if numbers is not None:
+            self._write("numbers", np.ascontiguousarray(numbers, np.int32))
+        self._enqueue(self.lay)
+        while True:
+            self._enqueue(self.a_pass * PASSES)
+            layout = self.read("layout", np.int32)
+            if layout[nodes.STATE] != nodes.RUNS or not (
+                layout[nodes.DROPPED] or layout[nodes.ENTERED]
+            ):
+                break
+        shape = int(layout[nodes.ROWS]), int(layout[nodes.COLUMNS])
+        count = shape[0] * shape[1]
+        x, y = self.read("seen", np.float32).reshape(-1, 2)[:count].T
+        return Board(
+            x=x.reshape(shape),
+            y=y.reshape(shape),
+            owner=self.read("owner", np.int32)[:count].reshape(shape).astype(np.int64),
+            torn=self.read("torn", np.bool_)[:count].reshape(shape),
+            sign=int(layout[nodes.SIGN]),
+        )
 
     def read(self, name: str, dtype: Any) -> NDArray[Any]:
         """Return a buffer, once the launches are done."""

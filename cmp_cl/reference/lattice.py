@@ -9,6 +9,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.lattice.arrays import Parts
 from cmp_cl.lattice.constants import LatticeConstants
 
 Whole = NDArray[np.int64]
@@ -37,28 +38,6 @@ class Directed:
     angle: Whole
     contrast: Whole
     known: Mask
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Parts:
-    """Closed faces and the parts that they form, all (4 N,) by half-edge.
-
-    twin: the half-edge at the other end of its link, -1 without one. face: the least half-edge of
-    its closed face, -1 without one. agree: its face and that of its twin agree. cut: how often the
-    tolerance of its face was lowered. root: the least half-edge of its part, -1 without one.
-    column, row: number of its corner from that of the root. direction: of the half-edge in the
-    lattice, 0 to 3. contradicted: its part has no numbers.
-    """
-
-    twin: Whole
-    face: Whole
-    agree: Mask
-    cut: Whole
-    root: Whole
-    column: Whole
-    row: Whole
-    direction: Whole
-    contradicted: Mask
 
 
 def parts(
@@ -145,7 +124,7 @@ def candidates(shape: tuple[int, int], corners: Directed, constants: LatticeCons
     height, width = shape
     some = np.flatnonzero(corners.known)
     shift = 2
-    while ((width * height) >> (2 * shift)) > max(len(some), 1):
+    while ((width * height) >> (2 * shift)) > max(len(corners.x), 1):
         shift += 1
     column = np.clip(np.floor(corners.x[some]).astype(np.int64), 0, width - 1) >> shift
     row = np.clip(np.floor(corners.y[some]).astype(np.int64), 0, height - 1) >> shift
@@ -232,7 +211,7 @@ def side_sum(
     )
     across, down = -(depth * dy), depth * dx
     total = np.zeros(x.shape, np.int64)
-    for t in (0.25, 0.375, 0.5, 0.625, 0.75):
+    for t in constants.side_points:
         at_x, at_y = x + F(t) * dx, y + F(t) * dy
         total += read(plane, at_x - across, at_y - down)
         total -= read(plane, at_x + across, at_y + down)
@@ -254,7 +233,7 @@ def has_side(
     total = side_sum(plane, start, step, constants) * (1 - 2 * (low & 1))
     seen = total.astype(np.float32)
     contrast = corners.contrast[p].astype(np.float32) * corners.contrast[q].astype(np.float32)
-    least = F(0.25 * 25 * constants.least_side**2)
+    least = F(0.25 * (len(constants.side_points) * constants.least_side) ** 2)
     result: Mask = (total > 0) & (seen * seen > least * contrast)
     return result
 

@@ -1,16 +1,16 @@
-"""From numbered corners to the nodes of a board: one prediction, one score in nats, a second look.
+"""From numbered corners to the nodes of a board: one prediction, one score in nats.
 
 A board is an array of nodes, (R, C), with a margin of missing nodes. All is float32 with + - * in
 a fixed order, and integers, so that the kernels give the same bits.
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_cl.lattice.arrays import LOOKED, NONE, Board
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.reference.lattice import (
     LEAST_CONTRAST,
@@ -25,34 +25,10 @@ from cmp_cl.reference.lattice import (
 )
 
 Plane = NDArray[np.integer]
-SecondLook = Callable[[Real, Real, Real, tuple[Real, Real]], tuple[Real, Real]]
 
-NONE, LOOKED = -1, -2  # owners of a node: missing, or found by a second look
 FOUR = ((0, 1), (1, 0), (0, -1), (-1, 0))  # (row, column) of the neighbours
 OUTSIDE = F(-9.0)  # nats of a node outside the image
 FIRM = F(8.0)  # weight of a prediction between neighbours
-
-
-@dataclasses.dataclass(eq=False, kw_only=True)
-class Board:
-    """Nodes of one board, (R, C): x, y float32 px, NaN where missing; owner: its corner, LOOKED or
-    NONE. sign: +1 if the boundary of node (0, 0) towards greater columns is from white to black,
-    clockwise, else -1."""
-
-    x: Real
-    y: Real
-    owner: Whole
-    sign: int
-
-    @property
-    def there(self) -> Mask:
-        there: Mask = self.owner != NONE
-        return there
-
-    def parity(self) -> Whole:
-        """Return `sign` at every node, (R, C)."""
-        rows, columns = self.x.shape
-        return self.sign * (1 - 2 * (np.add.outer(np.arange(rows), np.arange(columns)) & 1))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -144,6 +120,32 @@ def steps_of(x: Real, y: Real) -> Steps:
     return Steps(ux=ux, uy=uy, vx=vx, vy=vy, cell=cell, known=known)
 
 
+def blended(
+    seen: tuple[Real, Real],
+    torn: Mask,
+    prediction: tuple[Real, Real, Real],
+    cell: Real,
+    k: LatticeConstants,
+) -> tuple[Real, Real]:
+    """Return the positions of nodes: as seen, or if torn, with the prediction of the neighbours.
+
+    cell: px. A torn corner enters the mean of the predictions as one more. Its error is of some
+    pixels, that of a prediction of some share of a cell, so its weight is that of the cell's area.
+    """
+    (x, y), (px, py, weight) = seen, prediction
+    share = weight * inverse(weight + F(k.torn_weight_per_px2) * (cell * cell))
+    far = torn & (weight > 0)
+    return np.where(far, x + share * (px - x), x), np.where(far, y + share * (py - y), y)
+
+
+def positions(
+    board: Board, prediction: tuple[Real, Real, Real], k: LatticeConstants
+) -> tuple[Real, Real]:
+    """Return the positions of the nodes of a board, (R, C) each, px."""
+    cell = steps_of(board.x, board.y).cell
+    return blended((board.x, board.y), board.torn, prediction, cell, k)
+
+
 def side_sums(plane: Plane, x: Real, y: Real, parity: Whole, k: LatticeConstants) -> list[Whole]:
     """Return the evidence of the sides to the right and down, (R, C) each, as sums of five
     differences in sixteenths of a grey level; 0 where a node is missing."""
@@ -186,7 +188,7 @@ def cells_at(
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Evidence:
     """score: nats (R, C); count: sides; misfit: squared distance from the prediction, cells^2, 0
-    where unknown; weight: of the prediction; at_x, at_y: the prediction."""
+    where unknown; weight: of the prediction; at_x, at_y: the prediction; x, y: the node, px."""
 
     score: Real
     count: Whole
@@ -194,6 +196,8 @@ class Evidence:
     weight: Real
     at_x: Real
     at_y: Real
+    x: Real
+    y: Real
     steps: Steps
     side: list[Real]
     quality: Real
@@ -203,52 +207,51 @@ def evidence(
     plane: Plane,
     board: Board,
     k: LatticeConstants,
-    new: tuple[Real, Real] | None = None,
+    new: tuple[Real, Real, Mask] | None = None,
 ) -> Evidence:
     """Return the score of each node of the board, or of new positions in their places.
 
-    new: x, y (R, C), NaN where there is none. Their sides lead to the board's own nodes.
+    new: x, y (R, C) as seen, NaN where there is none, and which are torn. Their sides lead to the
+    board's own nodes.
     """
     there, parity = board.there, board.parity()
-    steps = steps_of(board.x, board.y)
-    at_x, at_y, weight = predicted(board.x, board.y)
-    x, y = (board.x, board.y) if new is None else new
-    filled_x, filled_y = np.nan_to_num(x), np.nan_to_num(y)
-    quality, contrast = cells_at(plane, filled_x, filled_y, steps, parity, k)
+    first = predicted(board.x, board.y)
+    own_x, own_y = positions(board, first, k)
+    steps = steps_of(own_x, own_y)
+    seen_x, seen_y, prediction, x, y = board.x, board.y, first, own_x, own_y
+    filled = np.nan_to_num(own_x), np.nan_to_num(own_y)
+    quality, contrast = cells_at(plane, *filled, steps, parity, k)
     if new is not None:
-        own = np.nan_to_num(board.x), np.nan_to_num(board.y)
-        contrast = cells_at(plane, *own, steps, parity, k)[1]
-    contrast = np.where(there & steps.known, contrast, 0)
-    total, many = np.zeros(x.shape, np.int64), np.zeros(x.shape, np.int64)
-    for i in range(-2, 3):
-        for j in range(-2, 3):
-            total = total + shifted(contrast, i, j, 0)
-            many = many + shifted((there & steps.known).astype(np.int64), i, j, 0)
-    many = np.maximum(many, 1)
-    total = np.maximum(total, LEAST_CONTRAST * many)
-    share = (2 * many).astype(np.float32) * inverse(total.astype(np.float32))
+        seen_x, seen_y, torn = new
+        prediction = predicted(own_x, own_y)
+        x, y = blended((seen_x, seen_y), torn, prediction, steps.cell, k)
+        filled = np.nan_to_num(x), np.nan_to_num(y)
+        quality = cells_at(plane, *filled, steps, parity, k)[0]
+    share = _usual(np.where(there & steps.known, contrast, 0), there & steps.known)
 
     if new is None:
         right, down = side_sums(plane, x, y, parity, k)
         sums = [right, down, shifted(right, 0, -1, 0), shifted(down, -1, 0, 0)]
     else:
-        sums = _sides_to(plane, board, x, y, parity, k)
+        sums = _sides_to(plane, (own_x, own_y), x, y, parity, k)
     sides, count, all_sides = np.zeros(x.shape, np.float32), np.zeros(x.shape, np.int64), []
     for (r, c), each in zip(FOUR, sums, strict=True):
-        seen = ~np.isnan(shifted(board.x, r, c, np.nan)) & ~np.isnan(x)
-        whole = np.clip((each.astype(np.float32) * share) * F(0.2), F(-1), F(1))
+        seen = ~np.isnan(shifted(own_x, r, c, np.nan)) & ~np.isnan(x)
+        whole = np.clip((each.astype(np.float32) * share) * F(1 / len(k.side_points)), F(-1), F(1))
         sides = np.where(seen, sides + whole, sides)
         all_sides.append(np.where(seen, whole, F(np.nan)))
         count = count + seen
     cells = np.clip(quality.astype(np.float32) * share, F(-1), F(1))
-    dx, dy = filled_x - at_x, filled_y - at_y
+    at_x, at_y, weight = prediction
+    dx, dy = np.nan_to_num(seen_x) - at_x, np.nan_to_num(seen_y) - at_y
     with np.errstate(over="ignore", invalid="ignore"):
         misfit = (dx * dx + dy * dy) * inverse(np.maximum(steps.cell * steps.cell, F(1e-6)))
     misfit = np.where(weight > 0, misfit, F(0))
     far = np.minimum(misfit, F(k.misfit_cap_cells**2))
     firm, loose = F(0.5 / k.firm_sd_cells**2), F(0.5 / k.loose_sd_cells**2)
     penalty = far * np.where(weight >= FIRM, firm, loose)
-    score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + F(k.prior_nats)) - penalty
+    prior = np.where(weight >= FIRM, F(k.prior_nats + k.firm_nats), F(k.prior_nats))
+    score = ((F(k.side_nats) * sides + F(k.cells_nats) * cells) + prior) - penalty
     height, width = plane.shape
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     score = np.where(inside, score, OUTSIDE)
@@ -259,20 +262,39 @@ def evidence(
         weight=weight,
         at_x=at_x,
         at_y=at_y,
+        x=x,
+        y=y,
         steps=steps,
         side=all_sides,
         quality=cells,
     )
 
 
+def _usual(contrast: Whole, there: Mask) -> Real:
+    """Return one over the mean contrast of the nodes within 5 x 5, (R, C)."""
+    total, many = np.zeros(contrast.shape, np.int64), np.zeros(contrast.shape, np.int64)
+    for i in range(-2, 3):
+        for j in range(-2, 3):
+            total = total + shifted(contrast, i, j, 0)
+            many = many + shifted(there.astype(np.int64), i, j, 0)
+    many = np.maximum(many, 1)
+    total = np.maximum(total, LEAST_CONTRAST * many)
+    return (2 * many).astype(np.float32) * inverse(total.astype(np.float32))
+
+
 def _sides_to(
-    plane: Plane, board: Board, x: Real, y: Real, parity: Whole, k: LatticeConstants
+    plane: Plane,
+    own: tuple[Real, Real],
+    x: Real,
+    y: Real,
+    parity: Whole,
+    k: LatticeConstants,
 ) -> list[Whole]:
     """Return the sides from new positions to the board's own neighbours; sampled from the upper or
     the left end, as `side_sums`."""
     sums = []
     for r, c in FOUR:
-        ox, oy = shifted(board.x, r, c, np.nan), shifted(board.y, r, c, np.nan)
+        ox, oy = shifted(own[0], r, c, np.nan), shifted(own[1], r, c, np.nan)
         both = np.flatnonzero((~np.isnan(ox) & ~np.isnan(x)).ravel())
         here, there = (x.ravel()[both], y.ravel()[both]), (ox.ravel()[both], oy.ravel()[both])
         sign = (parity if r == 0 else -parity).ravel()[both]
@@ -289,67 +311,55 @@ def _sides_to(
 
 
 def settled(
-    plane: Plane, xy: NDArray[np.float32], board: Board, look: SecondLook, k: LatticeConstants
+    plane: Plane,
+    xy: NDArray[np.float32],
+    torn: Mask,
+    board: Board,
+    k: LatticeConstants,
 ) -> Board:
-    """Return the board after rounds of dropping, attaching and second looks, until none changes it.
+    """Return the board after rounds of dropping nodes and finding others, until none changes it.
 
-    xy: (N, 2), all corners. look: given x and y of predictions (M,), px, the cell there and a step
-    (x, y) along e0 and e2, returns x and y of the corners there, NaN without one.
+    A missing place beside a node takes the free corner near its prediction, else the prediction.
+
+    xy: (N, 2), all corners. torn: (N,), those whose position is a rough one.
     """
-    looked_x = np.full(board.x.shape, F(-1e6))
-    looked_y = looked_x.copy()
+    height, width = plane.shape
     for _ in range(k.rounds):
         board = dropped(plane, board, k)
-        if np.count_nonzero(board.there) < 4:
+        there = board.there
+        if np.count_nonzero(there) < 4:
             break
         now = evidence(plane, board, k)
-        there, known = board.there, now.steps.known & (now.weight > 0)
+        px, py, weight = predicted(now.x, now.y)
         beside = np.zeros(there.shape, np.bool_)
         for step in FOUR:
             beside |= shifted(there, *step, False)
-        height, width = plane.shape
-        px, py = now.at_x, now.at_y
         inside = (px > 0) & (py > 0) & (px < width - 1) & (py < height - 1)
-        torn = there & (now.weight >= FIRM) & (now.misfit > F(k.repair_cells**2))
-        want = ((~there & beside & known) | torn) & inside
+        want = ~there & beside & now.steps.known & (weight > 0) & inside
         row, column = (each.astype(np.int64) for each in np.nonzero(want))
         if not len(row):
             break
         new_x, new_y = (np.full(there.shape, np.nan, np.float32) for _ in range(2))
         new_owner = np.full(there.shape, NONE)
+        new_torn = np.zeros(there.shape, np.bool_)
         cell = now.steps.cell[row, column]
         nearest, square = _nearest(xy, px[row, column], py[row, column])
         used = np.zeros(len(xy), np.bool_)
         used[board.owner[board.owner >= 0]] = True
         reach = F(k.reach_cells) * cell
-        within = square < reach * reach
-        hole = ~torn[row, column]
-        good = hole & within & ~used[nearest]
+        good = (square < reach * reach) & ~used[nearest]
         r, c = row[good], column[good]
         new_x[r, c], new_y[r, c] = xy[nearest[good]].T
-        new_owner[r, c] = nearest[good]
+        new_owner[r, c], new_torn[r, c] = nearest[good], torn[nearest[good]]
         close = F(k.repair_cells) * cell
-        taken = used[nearest] & (square < close * close)
-        ask = ~hole | (~good & ~taken)
+        ask = ~good & ~(used[nearest] & (square < close * close))
         r, c = row[ask], column[ask]
-        fresh = ((np.abs(px - looked_x) > 0.5) | (np.abs(py - looked_y) > 0.5))[r, c]
-        r, c = r[fresh], c[fresh]
-        if len(r):
-            looked_x[r, c], looked_y[r, c] = px[r, c], py[r, c]
-            steps, parity = now.steps, board.parity()[r, c]
-            even = parity > 0
-            line = (
-                np.where(even, steps.ux[r, c], steps.vx[r, c]),
-                np.where(even, steps.uy[r, c], steps.vy[r, c]),
-            )
-            new_x[r, c], new_y[r, c] = look(px[r, c], py[r, c], steps.cell[r, c], line)
-            new_owner[r, c] = np.where(np.isnan(new_x[r, c]), NONE, LOOKED)
-        found = evidence(plane, board, k, (new_x, new_y))
-        least = np.where(torn, now.score + F(k.enter_nats), F(k.enter_nats))
+        new_x[r, c], new_y[r, c], new_owner[r, c], new_torn[r, c] = px[r, c], py[r, c], LOOKED, True
+        found = evidence(plane, board, k, (new_x, new_y, new_torn))
         edge = F(k.edge_px)
         near_edge = (new_x < edge) | (new_y < edge)
         near_edge |= (new_x > width - 1 - edge) | (new_y > height - 1 - edge)
-        take = (new_owner != NONE) & (found.score >= least)
+        take = (new_owner != NONE) & (found.score >= F(k.enter_nats))
         take &= ~((new_owner == LOOKED) & near_edge)
         take &= _first_claims(new_owner, found.score, take)
         if not take.any():
@@ -358,6 +368,7 @@ def settled(
             x=np.where(take, new_x, board.x),
             y=np.where(take, new_y, board.y),
             owner=np.where(take, new_owner, board.owner),
+            torn=np.where(take, new_torn, board.torn),
             sign=board.sign,
         )
     return board
@@ -373,13 +384,14 @@ def dropped(plane: Plane, board: Board, k: LatticeConstants) -> Board:
             for j in range(-1, 2):
                 worst = np.fmin(worst, shifted(score, i, j, np.nan))
         low = score < F(k.stay_nats)
-        bad = there & ((now.count == 0) | (low & ((score <= worst) | (score < 0))))
+        bad = there & ((now.count == 0) | (low & ((score <= worst) | (score < F(k.stay_nats - 1)))))
         if not bad.any():
             break
         board = Board(
             x=np.where(bad, F(np.nan), board.x),
             y=np.where(bad, F(np.nan), board.y),
             owner=np.where(bad, NONE, board.owner),
+            torn=board.torn & ~bad,
             sign=board.sign,
         )
     return board

@@ -1,38 +1,19 @@
 """Links, faces and parts: the kernels equal the oracle to the bit."""
 
 import numpy as np
-import pyopencl as cl
 import pytest
+from lattice_plans import K, gel, plan_for
 
 from cmp_cl import detect
-from cmp_cl.lattice.constants import LatticeConstants
-from cmp_cl.lattice.plan import LatticePlan
-from cmp_cl.opencl.program import programs_of
 from cmp_cl.reference import harmonic, lattice
-from cmp_cl.synthetic import Indenter, random_scene, render
-
-K = LatticeConstants()
-
-
-def plan_for(device, image, count, full_scale=255):
-    programs = programs_of(device.handle)
-    return LatticePlan(
-        queue=cl.CommandQueue(programs.context),
-        programs=programs,
-        device=device,
-        shape=image.shape,
-        dtype=image.dtype,
-        full_scale=full_scale,
-        capacity=count,
-        constants=K,
-    )
+from cmp_cl.synthetic import Indenter
 
 
 def run(device, image, xy, edges, full_scale=255):
     """Return what the kernels say of each half-edge, by the names of the oracle."""
     plan, count = plan_for(device, image, len(xy), full_scale), 4 * len(xy)
-    plan.take(image, xy, edges)
-    plan.launch()
+    plan.take(image, xy, edges, np.zeros(len(xy), np.float32), np.zeros(len(xy), np.uint8))
+    plan.find_parts()
     found = {
         name: plan.read(buffer, np.int32)[:count]
         for name, buffer in (("twin", "twin"), ("face", "face"), ("root", "part"))
@@ -59,14 +40,6 @@ def assert_equal_to_the_oracle(device, image, xy, edges, full_scale=255):
     faces = np.bincount(wanted.root[numbered], minlength=4 * len(xy)) // 4
     np.testing.assert_array_equal(found["faces"], faces)
     return wanted
-
-
-def gel(severity, *, bits=8, seed=5, shape=(240, 320), indenter=None):
-    scene = random_scene(
-        seed, markers=20, severity=severity, shape=shape, indenter=indenter, corrosion=1.5
-    )
-    image = render(scene).image
-    return image if bits == 8 else image.astype(np.uint16) * 16 + 5
 
 
 @pytest.mark.parametrize("severity", [0.5, 1.5, 2.0])

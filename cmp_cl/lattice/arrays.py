@@ -1,0 +1,93 @@
+"""The arrays of the lattice, from parts to boards."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Whole = NDArray[np.int64]
+Real = NDArray[np.float32]
+Float = NDArray[np.float64]
+Numbers = NDArray[np.complex128]  # column + 1j row
+Mask = NDArray[np.bool_]
+
+NONE, LOOKED = -1, -2  # owners of a node: missing, or seen where no corner was found
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Parts:
+    """Closed faces and the parts that they form, all (4 N,) by half-edge.
+
+    twin: the half-edge at the other end of its link, -1 without one. face: the least half-edge of
+    its closed face, -1 without one. agree: its face and that of its twin agree. cut: how often the
+    tolerance of its face was lowered. root: the least half-edge of its part, -1 without one.
+    column, row: number of its corner from that of the root. direction: of the half-edge in the
+    lattice, 0 to 3. contradicted: its part has no numbers.
+    """
+
+    twin: Whole
+    face: Whole
+    agree: Mask
+    cut: Whole
+    root: Whole
+    column: Whole
+    row: Whole
+    direction: Whole
+    contradicted: Mask
+
+
+class Units(NamedTuple):
+    """Nodes of parts, each by itself: a corner in two parts is two units.
+
+    corner: (M,). part: (M,) rank of the part, the largest 0. number, rotation: in the frame of the
+    part. rim: it has fewer than four faces there. at: (M,) complex, px.
+    """
+
+    corner: Whole
+    part: Whole
+    number: Numbers
+    rotation: Whole
+    rim: Mask
+    at: Numbers
+
+
+class Votes(NamedTuple):
+    """Ways between units of two parts along which the colours change after every step.
+
+    first, second: (V,) units. boundary, other: the boundaries at both ends. steps: of the way.
+    weight: of the vote.
+    """
+
+    first: Whole
+    second: Whole
+    boundary: Whole
+    other: Whole
+    steps: Whole
+    weight: Float
+
+
+@dataclasses.dataclass(eq=False, kw_only=True)
+class Board:
+    """Nodes of one board, (R, C).
+
+    x, y: px, where they are seen, NaN where missing. owner: their corner, LOOKED or NONE. torn: the
+    position seen is a rough one. sign: +1 if the boundary of node (0, 0) towards greater columns is
+    from white to black, clockwise, else -1.
+    """
+
+    x: Real
+    y: Real
+    owner: Whole
+    torn: Mask
+    sign: int
+
+    @property
+    def there(self) -> Mask:
+        there: Mask = self.owner != NONE
+        return there
+
+    def parity(self) -> Whole:
+        """Return `sign` at every node, (R, C)."""
+        rows, columns = self.x.shape
+        return self.sign * (1 - 2 * (np.add.outer(np.arange(rows), np.arange(columns)) & 1))

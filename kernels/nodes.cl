@@ -1,0 +1,530 @@
+#include "lattice.clh"
+
+/* Nodes of a board (13.5): an array of places with a margin of missing ones. Its nodes are dropped
+ * and found in rounds, by one score. A round has passes that drop nodes, until none drops any, and
+ * one that looks for nodes in the places beside others.
+ *
+ * seen: the position of a node, NAN where it is missing. owner: its corner, NONE, or PLACE if no
+ * corner is there. torn: the position seen is rough. at: the same position, if torn blended with
+ * the one that the neighbours predict. */
+#define PLACE (-2)
+#define MARGIN 15 /* places beside the first board: one a round, and three that are looked at */
+#define NEAR 3    /* the farthest that a node looks */
+
+/* Constants of the score, in the order of cmp_cl/lattice/nodes.py. */
+typedef struct {
+  float side_depth, side_depth_px, side_share, least_contrast;
+  float depth, deep;
+  float torn_weight, torn_variance;
+  float side_nats, cells_nats, firm_prior, loose_prior, firm_penalty, loose_penalty, misfit_cap;
+  float stay, drop, enter, outside;
+  float reach, beside, edge;
+} Nats;
+#define FIRM 8.0f /* the least weight of a prediction between neighbours */
+
+/* Number the corners of the part with the most faces: column, row, rotation, and 1; 0 in the fourth
+ * place of others. One work-group. */
+__kernel void number_corners(__global const float *restrict corners, const uint capacity,
+                             __global const int *restrict part, __global const int4 *restrict state,
+                             __global const int *restrict size, const int least_part,
+                             __global int4 *restrict numbers, __global int *restrict layout) {
+  const int count = (int)COUNT(corners);
+  __local int most, main, parts;
+  if (get_local_id(0) == 0) {
+    most = parts = 0;
+    main = INT_MAX;
+  }
+  ALL_TOGETHER;
+  FOR_ALL(h, 4 * count)
+    if (part[h] == h && size[h]) {
+      if (size[h] > most) atomic_max(&most, size[h]);
+      if (size[h] >= least_part) atomic_inc(&parts);
+    }
+  ALL_TOGETHER;
+  FOR_ALL(h, 4 * count)
+    if (part[h] == h && size[h] && size[h] == most) atomic_min(&main, h);
+  ALL_TOGETHER;
+  if (get_local_id(0) == 0) {
+    layout[MAIN_PART] = main;
+    layout[PARTS] = parts;
+  }
+  FOR_ALL(i, count) {
+    int4 number = (int4)(0);
+    for (int h = 4 * i; h < 4 * i + 4 && !number.w; ++h)
+      if (part[h] == main && part[h] != NONE)
+        number = (int4)(state[h].x, state[h].y, (state[h].z - h) & 3, 1);
+    numbers[i] = number;
+  }
+}
+
+/* Lay the numbered corners out as a board. One work-group. */
+__kernel void lay_board(__global const float *restrict corners, const uint capacity,
+                        __global const int4 *restrict numbers, const int places,
+                        __constant Nats *nats, __global int *restrict layout,
+                        __global float2 *restrict seen, __global int *restrict owner,
+                        __global uchar *restrict torn, __global uchar *restrict used) {
+  const int count = (int)COUNT(corners);
+  __local int left, right, top, bottom, sum, nodes;
+  if (get_local_id(0) == 0) {
+    left = top = INT_MAX;
+    right = bottom = INT_MIN;
+    sum = nodes = 0;
+  }
+  ALL_TOGETHER;
+  int least_x = INT_MAX, most_x = INT_MIN, least_y = INT_MAX, most_y = INT_MIN;
+  FOR_ALL(i, count) {
+    used[i] = 0;
+    const int4 n = numbers[i];
+    if (!n.w) continue;
+    least_x = SMALLER(least_x, n.x);
+    most_x = LARGER(most_x, n.x);
+    least_y = SMALLER(least_y, n.y);
+    most_y = LARGER(most_y, n.y);
+  }
+  atomic_min(&left, least_x);
+  atomic_max(&right, most_x);
+  atomic_min(&top, least_y);
+  atomic_max(&bottom, most_y);
+  ALL_TOGETHER;
+  const bool some = right >= left;
+  const int width = some ? right - left + 1 + 2 * MARGIN : 0;
+  const int height = some ? bottom - top + 1 + 2 * MARGIN : 0;
+  const bool fits = (long)width * height <= places;
+  const int all = fits ? width * height : 0, origin_x = left - MARGIN, origin_y = top - MARGIN;
+  FOR_ALL(place, all) owner[place] = INT_MAX;
+  ALL_TOGETHER;
+  FOR_ALL(i, all ? count : 0) {
+    const int4 n = numbers[i];
+    if (n.w) atomic_min(owner + (n.y - origin_y) * width + n.x - origin_x, i);
+  }
+  ALL_TOGETHER;
+  FOR_ALL(place, all) {
+    const int i = owner[place];
+    seen[place] = (float2)(NAN, NAN);
+    torn[place] = 0;
+    if (i == INT_MAX) {
+      owner[place] = NONE;
+      continue;
+    }
+    const int4 n = numbers[i];
+    seen[place] = POSITIONS(corners)[i];
+    torn[place] = IS_TORN(i);
+    used[i] = 1;
+    atomic_inc(&nodes);
+    atomic_add(&sum, (n.z ^ (n.x - origin_x + n.y - origin_y)) & 1 ? -1 : 1);
+  }
+  ALL_TOGETHER;
+  if (get_local_id(0)) return;
+  layout[BOARD_ROWS] = height; /* too large a board has no nodes */
+  layout[BOARD_COLUMNS] = width;
+  layout[FIRST_ROW] = origin_y;
+  layout[FIRST_COLUMN] = origin_x;
+  layout[SIGN] = sum < 0 ? -1 : 1;
+  layout[NODES] = nodes;
+  layout[ROUND] = layout[PASSES] = layout[DROPPED] = 0;
+  layout[ENTERED] = layout[STATE] = nodes > 0;
+}
+
+/* The places of a board, but for some at its edge, row by row. */
+#define FOR_PLACES(edge)                                                            \
+  const int width = layout[BOARD_COLUMNS], height = layout[BOARD_ROWS];             \
+  for (int row = (edge) + get_global_id(1); row < height - (edge); row += get_global_size(1)) \
+    for (int column = (edge) + get_global_id(0); column < width - (edge);           \
+         column += get_global_size(0))
+#define PLACE_OF_WORK_ITEM const int place = row * width + column;
+#define PARITY ((row + column) & 1 ? -layout[SIGN] : layout[SIGN])
+#define IS_HERE(position) ((position).x == (position).x)
+
+/* Where the neighbours predict a place: the mean of what some of them predict, and its weight. */
+typedef struct {
+  float2 at;
+  float weight;
+} Prediction;
+#define AT(rows, columns) at[place + (rows) * width + (columns)]
+#define PREDICTS(share, position)                                                   \
+  {                                                                                 \
+    const float2 p = position;                                                      \
+    if (IS_HERE(p)) {                                                               \
+      total += share * p;                                                           \
+      weight += share;                                                              \
+    }                                                                               \
+  }
+#define CUBIC(r, c)                                                                 \
+  PREDICTS(12.0f, BY_4 * AT(-(r), -(c)) + BY_4 * AT(r, c) + BY_1 * AT(-2 * (r), -2 * (c)) + \
+                      BY_1 * AT(2 * (r), 2 * (c)))                                  \
+  PREDICTS(4.0f, 0.5f * AT(-(r), -(c)) + 0.5f * AT(r, c))
+#define CORNER_OF_CELL(r, c) PREDICTS(1.5f, AT(r, 0) + AT(0, c) - AT(r, c))
+#define BEYOND(r, c)                                                                \
+  PREDICTS(0.7f, 2.0f * AT(r, c) - AT(2 * (r), 2 * (c)))                            \
+  PREDICTS(0.7f, 3.0f * AT(r, c) - 3.0f * AT(2 * (r), 2 * (c)) + AT(3 * (r), 3 * (c)))
+#define BY_4 (4.0f / 6.0f)
+#define BY_1 (-1.0f / 6.0f)
+Prediction predicted(__global const float2 *at, const int place, const int width) {
+  float2 total = (float2)(0.0f);
+  float weight = 0;
+  CUBIC(0, 1) CUBIC(1, 0)
+  CORNER_OF_CELL(1, 1) CORNER_OF_CELL(1, -1) CORNER_OF_CELL(-1, 1) CORNER_OF_CELL(-1, -1)
+  BEYOND(0, 1) BEYOND(1, 0) BEYOND(0, -1) BEYOND(-1, 0)
+  const float root = inverse_root(LARGER(weight, 0.5f));
+  Prediction found = {total * (root * root), weight};
+  return found;
+}
+
+/* Steps of the lattice at a place, to the next column and to the next row, and the mean of their
+ * lengths, the cell. Where a place has no step of its own it is the mean
+ * of those within 5 x 5 places. */
+typedef struct {
+  float2 u, v;
+  float cell;
+  bool known;
+} Steps;
+int add_steps(__global const float2 *at, const int place, const int ahead, float2 *total) {
+  const float2 here = at[place];
+  if (!IS_HERE(here)) return 0;
+  const float2 after = at[place + ahead] - here, before = here - at[place - ahead];
+  const bool is_after = IS_HERE(after), is_before = IS_HERE(before);
+  *total += (is_after ? after : (float2)(0.0f)) + (is_before ? before : (float2)(0.0f));
+  return is_after + is_before;
+}
+bool step_of(__global const float2 *at, const int place, const int width, const int ahead,
+             float2 *step) {
+  *step = (float2)(0.0f);
+  int count = add_steps(at, place, ahead, step);
+  if (count == 2) *step *= 0.5f;
+  if (count) return true;
+  for (int r = -2; r <= 2; ++r)
+    for (int c = -2; c <= 2; ++c) count += add_steps(at, place + r * width + c, ahead, step);
+  const float root = inverse_root((float)LARGER(count, 1));
+  *step *= root * root;
+  return count > 0;
+}
+float length_of(const float2 v) {
+  const float squared = LARGER(v.x * v.x + v.y * v.y, 1e-6f);
+  return squared * inverse_root(squared);
+}
+Steps steps_of(__global const float2 *at, const int place, const int width) {
+  Steps found;
+  const bool across = step_of(at, place, width, 1, &found.u);
+  const bool down = step_of(at, place, width, width, &found.v);
+  found.cell = 0.5f * (length_of(found.u) + length_of(found.v));
+  found.known = across && down;
+  return found;
+}
+
+/* A torn corner enters the mean of the predictions as one more. Its error is of some pixels, that
+ * of a prediction of some share of a cell, so its weight is that of the cell's area. */
+float2 blended(const float2 seen, const Prediction prediction, const float cell, const float by_area) {
+  if (!(prediction.weight > 0)) return seen;
+  const float root = inverse_root(prediction.weight + by_area * (cell * cell));
+  const float share = prediction.weight * (root * root);
+  return seen + share * (prediction.at - seen);
+}
+
+/* Begin a pass: one more after one that dropped nodes, or the first of a round after nodes entered.
+ * After the last round the positions are blended once more. One work-item. */
+#define RUNS 1
+#define BLENDS 2
+__kernel void begin_pass(const int rounds, __global int *restrict layout) {
+  if (layout[STATE] == RUNS && layout[DROPPED]) {
+    ++layout[PASSES];
+  } else if (layout[STATE] == RUNS && layout[ENTERED] && layout[ROUND] < rounds) {
+    ++layout[ROUND];
+    layout[PASSES] = 0;
+  } else {
+    layout[STATE] = layout[ENTERED] ? BLENDS : 0;
+  }
+  layout[DROPPED] = layout[ENTERED] = 0;
+}
+
+/* Blend the positions. One work-item per place. */
+__kernel void blend_nodes(__global const float *restrict corners, const uint capacity,
+                          __constant Nats *nats, __global const int *restrict layout,
+                          __global const float2 *restrict seen, __global const uchar *restrict torn,
+                          __global float2 *restrict at, __global float4 *restrict predictions,
+                          __global int *restrict best_score, __global int *restrict best_place) {
+  if (!layout[STATE]) return;
+  const int items = get_global_size(0) * get_global_size(1);
+  const int first = get_global_id(1) * get_global_size(0) + get_global_id(0);
+  for (int i = first; i < (int)COUNT(corners); i += items) {
+    best_score[i] = INT_MIN;
+    best_place[i] = INT_MAX;
+  }
+  FOR_PLACES(0) {
+    PLACE_OF_WORK_ITEM
+    at[place] = seen[place];
+    if (!IS_HERE(seen[place])) continue;
+    const Prediction prediction = predicted(seen, place, width);
+    predictions[place] = (float4)(prediction.at, prediction.weight, 0.0f);
+    if (torn[place])
+      at[place] = blended(seen[place], prediction, steps_of(seen, place, width).cell,
+                          nats->torn_weight);
+  }
+}
+
+/* The four cells at a point, in the diagonals of these steps: the least bright level less the
+ * greatest dark one, and twice their contrast. */
+typedef struct {
+  int quality, contrast;
+} Cells;
+Cells cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int parity,
+               const float depth) {
+  const float2 s = depth * (steps.u + steps.v), t = depth * (steps.v - steps.u);
+  const int a = level_at(LEVELS, at.x + s.x, at.y + s.y), b = level_at(LEVELS, at.x - s.x, at.y - s.y);
+  const int c = level_at(LEVELS, at.x + t.x, at.y + t.y), d = level_at(LEVELS, at.x - t.x, at.y - t.y);
+  const int least = SMALLER(c, d) - LARGER(a, b), other = SMALLER(a, b) - LARGER(c, d);
+  Cells found = {parity > 0 ? least : other, ((c + d) - (a + b)) * parity};
+  return found;
+}
+Cells deep_cells_at(LEVELS_OF_IMAGE, const float2 at, const Steps steps, const int parity,
+                    __constant Nats *nats) {
+  Cells found = cells_at(LEVELS, at, steps, parity, nats->depth);
+  const Cells deep = cells_at(LEVELS, at, steps, parity, nats->deep);
+  found.quality = SMALLER(found.quality, deep.quality);
+  return found;
+}
+
+#define UNKNOWN INT_MIN /* the contrast where there is no node, or no step */
+
+/* Measure steps, sides and cells of the nodes. One work-item per place. */
+__kernel void measure_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
+                            __global const int *restrict layout, __global const float2 *restrict at,
+                            __global float *restrict cell, __global int2 *restrict sides,
+                            __global int2 *restrict cells) {
+  if (layout[STATE] != RUNS) return;
+  FOR_PLACES(1) {
+    PLACE_OF_WORK_ITEM
+    sides[place] = (int2)(0);
+    cells[place] = (int2)(0, UNKNOWN);
+    const float2 here = at[place], right = at[place + 1], below = at[place + width];
+    if (!IS_HERE(here)) continue;
+    const Steps steps = steps_of(at, place, width);
+    const int parity = PARITY;
+    const Cells found = deep_cells_at(LEVELS, here, steps, parity, nats);
+    cell[place] = steps.cell;
+    cells[place] = (int2)(found.quality, steps.known ? found.contrast : UNKNOWN);
+    const float depth = nats->side_depth, px = nats->side_depth_px;
+    if (IS_HERE(right)) sides[place].x = parity * difference(LEVELS, here, right, depth, px);
+    if (IS_HERE(below)) sides[place].y = -parity * difference(LEVELS, here, below, depth, px);
+  }
+}
+
+/* Two over the mean contrast of the nodes within 5 x 5 places. */
+float usual_share(__global const int2 *cells, const int place, const int width,
+                  const float least_contrast) {
+  int sum = 0, count = 0;
+  for (int r = -2; r <= 2; ++r)
+    for (int c = -2; c <= 2; ++c) {
+      const int contrast = cells[place + r * width + c].y;
+      sum += contrast == UNKNOWN ? 0 : contrast;
+      count += contrast != UNKNOWN;
+    }
+  count = LARGER(count, 1);
+  sum = LARGER(sum, (int)least_contrast * count);
+  const float root = inverse_root((float)sum);
+  return (float)(2 * count) * (root * root);
+}
+
+float clipped(const float v) { return v < -1.0f ? -1.0f : v > 1.0f ? 1.0f : v; }
+
+/* The score of a node in nats, without its sides: cells, and distance from the prediction. */
+float score_of(LEVELS_OF_IMAGE, const float sides, const int quality, const float share,
+               const float2 seen, const float2 at, const Prediction prediction, const float cell,
+               __constant Nats *nats) {
+  const float cells = clipped((float)quality * share);
+  const float2 d = seen - prediction.at;
+  const float root = inverse_root(LARGER(cell * cell, 1e-6f));
+  const float misfit = prediction.weight > 0 ? (d.x * d.x + d.y * d.y) * (root * root) : 0.0f;
+  const bool firm = prediction.weight >= FIRM;
+  const float penalty =
+      SMALLER(misfit, nats->misfit_cap) * (firm ? nats->firm_penalty : nats->loose_penalty);
+  const float score = ((nats->side_nats * sides + nats->cells_nats * cells) +
+                       (firm ? nats->firm_prior : nats->loose_prior)) - penalty;
+  const bool inside =
+      at.x >= 0 && at.y >= 0 && at.x <= (float)((int)columns - 1) && at.y <= (float)((int)rows - 1);
+  return inside ? score : nats->outside;
+}
+
+/* The score of each node, and the number of its sides; no node has a score of 99. One work-item per
+ * place. */
+#define NO_SCORE 99.0f
+#define ADD_SIDE(neighbour, sum)                                                    \
+  if (IS_HERE(at[neighbour])) {                                                     \
+    whole += clipped(((float)(sum) * share) * nats->side_share);                    \
+    ++count;                                                                        \
+  }
+__kernel void score_nodes(LEVELS_OF_IMAGE, __constant Nats *nats,
+                          __global int *restrict layout, __global const float2 *restrict seen,
+                          __global const float2 *restrict at,
+                          __global const float4 *restrict predictions,
+                          __global const float *restrict cell, __global const int2 *restrict sides,
+                          __global const int2 *restrict cells, __global float *restrict score,
+                          __global uchar *restrict sides_of) {
+  if (layout[STATE] != RUNS) return;
+  FOR_PLACES(1) {
+    PLACE_OF_WORK_ITEM
+    score[place] = NO_SCORE;
+    if (!IS_HERE(at[place])) continue;
+    const float share = usual_share(cells, place, width, nats->least_contrast);
+    float whole = 0;
+    int count = 0;
+    ADD_SIDE(place + 1, sides[place].x)
+    ADD_SIDE(place + width, sides[place].y)
+    ADD_SIDE(place - 1, sides[place - 1].x)
+    ADD_SIDE(place - width, sides[place - width].y)
+    const float4 p = predictions[place];
+    const Prediction prediction = {p.xy, p.z};
+    score[place] = score_of(LEVELS, whole, cells[place].x, share, seen[place], at[place], prediction,
+                            cell[place], nats);
+    sides_of[place] = count;
+  }
+}
+
+/* Drop nodes that score too little, the worst of each 3 x 3 first. One work-item per place. */
+__kernel void drop_nodes(const int passes, __constant Nats *nats, __global int *restrict layout,
+                         __global const float *restrict score,
+                         __global const uchar *restrict sides_of, __global float2 *restrict seen,
+                         __global int *restrict owner, __global uchar *restrict torn,
+                         __global uchar *restrict used) {
+  if (layout[STATE] != RUNS || layout[PASSES] >= passes) return;
+  FOR_PLACES(NEAR) {
+    PLACE_OF_WORK_ITEM
+    const float own = score[place];
+    if (own == NO_SCORE) continue;
+    bool drop = !sides_of[place] || own < nats->drop;
+    if (!drop && own < nats->stay) {
+      drop = true;
+      for (int r = -1; r <= 1; ++r)
+        for (int c = -1; c <= 1; ++c) drop &= own <= score[place + r * width + c];
+    }
+    if (!drop) continue;
+    if (owner[place] >= 0) used[owner[place]] = 0;
+    owner[place] = NONE;
+    seen[place] = (float2)(NAN, NAN);
+    torn[place] = 0;
+    layout[DROPPED] = 1;
+    atomic_dec(layout + NODES);
+  }
+}
+
+/* The nearest corner within reach, the lower one of equals. */
+int nearest_corner(__global const float *corners, const uint capacity, __global const int *layout,
+                   __global const int *starts, __global const int *binned, const uint rows,
+                   const uint columns, const float2 at, const float reach, float *square) {
+  const int shift = layout[BIN_SHIFT], across = layout[BINS_ACROSS];
+  const float2 low = at - reach, high = at + reach;
+  const int top = BIN_ROW(low), bottom = BIN_ROW(high);
+  const int left = BIN_COLUMN(low), right = BIN_COLUMN(high);
+  int found = NONE;
+  *square = reach * reach;
+  for (int k = top; k <= bottom; ++k)
+    for (int n = starts[k * across + left]; n < starts[k * across + right + 1]; ++n) {
+      const int i = binned[n];
+      const float dx = POSITIONS(corners)[i].x - at.x, dy = POSITIONS(corners)[i].y - at.y;
+      const float own = dx * dx + dy * dy;
+      if (own < *square || (own == *square && i < found)) {
+        *square = own;
+        found = i;
+      }
+    }
+  return found;
+}
+
+/* Look for a node in each place that is missing beside one: the nearest corner, or the place that
+ * the neighbours predict. candidate: its corner, PLACE or NONE; key: its score, in an order of
+ * integers. One work-item per place. */
+int ordered(const float v) { return as_int(v) ^ (as_int(v) >> 31 & 0x7fffffff); }
+#define ADD_NEW_SIDE(neighbour, from, to, sign)                                     \
+  if (IS_HERE(at[neighbour])) {                                                     \
+    const int sum = (sign) * difference(LEVELS, from, to, nats->side_depth, nats->side_depth_px); \
+    whole += clipped(((float)sum * share) * nats->side_share);                      \
+  }
+__kernel void find_nodes(__global const float *restrict corners, const uint capacity,
+                         LEVELS_OF_IMAGE, __constant Nats *nats, __global int *restrict layout,
+                         __global const int *restrict starts, __global const int *restrict binned,
+                         __global const float2 *restrict at, __global const int2 *restrict cells,
+                         __global const uchar *restrict used, __global int *restrict candidate,
+                         __global float2 *restrict found, __global int *restrict key,
+                         __global int *restrict best_score) {
+  if (layout[STATE] != RUNS || layout[DROPPED] || layout[NODES] < 4) return;
+  FOR_PLACES(NEAR) {
+    PLACE_OF_WORK_ITEM
+    candidate[place] = NONE;
+    if (IS_HERE(at[place])) continue;
+    if (!IS_HERE(at[place + 1]) && !IS_HERE(at[place - 1]) && !IS_HERE(at[place + width]) &&
+        !IS_HERE(at[place - width]))
+      continue;
+    const Prediction prediction = predicted(at, place, width);
+    const float2 p = prediction.at;
+    if (!(prediction.weight > 0) || !(p.x > 0 && p.y > 0 && p.x < (float)((int)columns - 1) &&
+                                      p.y < (float)((int)rows - 1)))
+      continue;
+    const Steps steps = steps_of(at, place, width);
+    if (!steps.known) continue;
+    float square;
+    const float near = nats->beside * steps.cell, edge = nats->edge;
+    const int nearest = nearest_corner(corners, capacity, layout, starts, binned, rows, columns, p,
+                                       nats->reach * steps.cell, &square);
+    int own = PLACE;
+    float2 position = p;
+    if (nearest != NONE && !used[nearest]) {
+      own = nearest;
+      position = POSITIONS(corners)[nearest];
+    } else if ((nearest != NONE && square < near * near) || p.x < edge || p.y < edge ||
+               p.x > (float)((int)columns - 1) - edge || p.y > (float)((int)rows - 1) - edge) {
+      continue;
+    }
+    float2 here = position;
+    if (own != PLACE && IS_TORN(own)) here = blended(position, prediction, steps.cell, nats->torn_weight);
+    const int parity = PARITY;
+    const Cells seen = deep_cells_at(LEVELS, here, steps, parity, nats);
+    const float share = usual_share(cells, place, width, nats->least_contrast);
+    float whole = 0;
+    ADD_NEW_SIDE(place + 1, here, at[place + 1], parity)
+    ADD_NEW_SIDE(place + width, here, at[place + width], -parity)
+    ADD_NEW_SIDE(place - 1, at[place - 1], here, -parity)
+    ADD_NEW_SIDE(place - width, at[place - width], here, parity)
+    const float score = score_of(LEVELS, whole, seen.quality, share, position, here, prediction,
+                                 steps.cell, nats);
+    if (score < nats->enter) continue;
+    candidate[place] = own;
+    found[place] = position;
+    key[place] = ordered(score);
+    if (own != PLACE) atomic_max(best_score + own, key[place]);
+  }
+}
+
+/* A corner goes to the place where it scores most, of equals to the first. One work-item per
+ * place. */
+__kernel void claim_corners(__global int *restrict layout, __global const int *restrict candidate,
+                            __global const int *restrict key,
+                            __global const int *restrict best_score,
+                            __global int *restrict best_place) {
+  if (layout[STATE] != RUNS || layout[DROPPED] || layout[NODES] < 4) return;
+  FOR_PLACES(NEAR) {
+    PLACE_OF_WORK_ITEM
+    const int own = candidate[place];
+    if (own >= 0 && key[place] == best_score[own]) atomic_min(best_place + own, place);
+  }
+}
+
+/* The candidates become nodes. One work-item per place. */
+__kernel void enter_nodes(__global const float *restrict corners, const uint capacity,
+                          __constant Nats *nats, __global int *restrict layout,
+                          __global const int *restrict candidate,
+                          __global const float2 *restrict found,
+                          __global const int *restrict best_place, __global float2 *restrict seen,
+                          __global int *restrict owner, __global uchar *restrict torn,
+                          __global uchar *restrict used) {
+  if (layout[STATE] != RUNS || layout[DROPPED] || layout[NODES] < 4) return;
+  FOR_PLACES(NEAR) {
+    PLACE_OF_WORK_ITEM
+    const int own = candidate[place];
+    if (own == NONE || (own >= 0 && best_place[own] != place)) continue;
+    owner[place] = own;
+    seen[place] = found[place];
+    torn[place] = own == PLACE || IS_TORN(own);
+    if (own >= 0) used[own] = 1;
+    layout[ENTERED] = 1;
+    atomic_inc(layout + NODES);
+  }
+}

@@ -1,0 +1,41 @@
+"""Plans of the lattice, and gels for them."""
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from cmp_cl import Device
+from cmp_cl.lattice.constants import LatticeConstants
+from cmp_cl.lattice.plan import LatticePlan
+from cmp_cl.opencl.program import programs_of
+from cmp_cl.synthetic import Indenter, random_scene, render
+
+K = LatticeConstants()
+
+
+def plan_for(
+    device: Device, image: NDArray[np.integer], count: int, full_scale: int = 255
+) -> LatticePlan:
+    """Return a plan for images like this one, with so many corners."""
+    programs = programs_of(device.handle)
+    return LatticePlan(
+        queue=cl.CommandQueue(programs.context),
+        programs=programs,
+        device=device,
+        shape=image.shape,
+        dtype=image.dtype,
+        full_scale=full_scale,
+        capacity=count,
+        constants=K,
+    )
+
+
+def gel(
+    severity: float, *, bits: int = 8, seed: int = 5, indenter: Indenter | None = None
+) -> NDArray[np.integer]:
+    """Return the image of a worn gel of 20 x 20 corners."""
+    scene = random_scene(
+        seed, markers=20, severity=severity, shape=(240, 320), indenter=indenter, corrosion=1.5
+    )
+    image = render(scene).image
+    return image if bits == 8 else image.astype(np.uint16) * 16 + 5
