@@ -23,6 +23,7 @@ import numpy as np
 import pytest
 from cases import some
 from children import ENVIRONMENT, python
+from disks import full_after
 
 from cmp_cl import SeriesWriter
 from cmp_cl.errors import ConfigError, FieldError
@@ -99,6 +100,7 @@ def shown_in(path):
         about = json.loads(path.with_name(f"{path.name}-metadata.json").read_text())
         assert about["constants"]["rest"] == rest().tolist()
         nodes = SHAPE[0] * SHAPE[1]
+        assert path.suffix == ".part" or len(rows) % nodes == 0
         whole = rows[: len(rows) // nodes * nodes]
         return [float(row.split(",")[4]) for row in whole[SHAPE[1] + 1 :: nodes]]
     if kind == "mcap":
@@ -380,6 +382,32 @@ def test_a_full_disk_is_reported_and_keeps_all_frames_up_to_then(tmp_path, suffi
     assert (name in error) or suffix != ".npz"
     assert shown_in(tmp_path / "kept" / name) == list(range(int(told[-1])))
     assert int(used.split()[0]) > kilobytes - 400
+
+
+@pytest.mark.skipif(os.name == "nt", reason="sizes of files have no limits on Windows")
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".pvd"])
+def test_a_frame_that_the_disk_refuses_leaves_no_trace(tmp_path, suffix):
+    path, flat = tmp_path / f"a{suffix}", np.indices((2, 2)).T
+
+    def fill(series):
+        while True:
+            number = len(series)
+            series.append(index=number, time_ms=number, xy=flat + float(number))
+
+    with SeriesWriter(path, rest=flat) as series:
+        with full_after(4000), pytest.raises(OSError, match="File too large"):
+            fill(series)
+        added = len(series)
+        part = tmp_path / f"a{suffix}.part"
+        if suffix == ".pvd":
+            assert len(xml.etree.ElementTree.parse(part).findall(".//DataSet")) == added
+        if suffix == ".csv":
+            assert part.read_text().count("\n") == 1 + 4 * added
+        if suffix == ".npz":
+            assert read_series(part)["xy"][:, 0, 0, 0].tolist() == list(range(added))
+        series.append(index=added, time_ms=added, xy=flat + float(added))
+        assert len(series) == added + 1
+    assert path.exists()
 
 
 # damage and lies

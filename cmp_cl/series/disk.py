@@ -16,6 +16,7 @@ class Appended:
     def __init__(self, path: Path) -> None:
         self._file: Any = open(path, "wb", buffering=0)  # noqa: SIM115, closed by close
         self.end = 0
+        self._ending = b""
 
     def append(self, part: bytes, ending: bytes = b"") -> None:
         """Write a part; raises OSError.
@@ -26,10 +27,12 @@ class Appended:
             self._write(part + ending)
         except BaseException:
             with contextlib.suppress(OSError):
-                self._file.truncate(self.end)
+                self._file.seek(self.end)
+                self._write(self._ending)  # where it was before, so there is room for it
+                self._file.truncate()
                 self._file.seek(self.end)
             raise
-        self.end += len(part)
+        self.end, self._ending = self.end + len(part), ending
         self._file.seek(self.end)
 
     def _write(self, data: bytes) -> None:

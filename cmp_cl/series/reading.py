@@ -100,9 +100,10 @@ def read_series(
     except (FieldError, ConfigError) as error:
         raise type(error)(f"{str(path)!r}: {error}") from error
     except _DAMAGE as error:
-        raise FieldError(
-            f"{str(path)!r} is damaged or no series: {error or type(error).__name__}"
-        ) from error
+        why = str(error) or type(error).__name__
+        if "filter returned failure" in why:  # HDF5 does not say which filter
+            why = "an array does not have its checksum"
+        raise FieldError(f"{str(path)!r} is damaged or no series: {why}") from error
 
 
 def _read(heads: _Heads) -> dict[str, NDArray[Any]]:
