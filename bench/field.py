@@ -49,7 +49,7 @@ from cmp_cl.measure import (
     square_sides,
     trusted,
 )
-from cmp_cl.space.points import sides
+from cmp_cl.points import sides
 from cmp_cl.synthetic import (
     Indenter,
     Mode,

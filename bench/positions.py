@@ -28,9 +28,9 @@ from scenes import TEST_SEED, Frame, rendered
 from tqdm import tqdm
 
 from cmp_cl import Detector, DetectorConfig, Grid, GridError, NodeStatus
-from cmp_cl.field import PlaneScale, displacement
 from cmp_cl.grid import filter_grid, filter_positions
 from cmp_cl.grid.grid import MEASURED
+from cmp_cl.motion import PlaneScale, displacement
 from cmp_cl.space import Points3D, PointStatus
 from cmp_cl.synthetic import Scene, random_scene
 

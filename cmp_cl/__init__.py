@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from cmp_cl.errors import ImageError as ImageError
     from cmp_cl.errors import KernelBuildError as KernelBuildError
     from cmp_cl.field import DisplacementField as DisplacementField
-    from cmp_cl.field import displacement as displacement
     from cmp_cl.grid import Grid as Grid
     from cmp_cl.grid import NodeStatus as NodeStatus
     from cmp_cl.grid import build_grid as build_grid
+    from cmp_cl.motion import displacement as displacement
     from cmp_cl.opencl.device import Device as Device
     from cmp_cl.opencl.device import list_devices as list_devices
     from cmp_cl.opencl.device import select_device as select_device
@@ -61,8 +61,9 @@ _HOMES = {
     "detector": "Detector detect",
     "errors": "CalibrationError CapacityError CmpClError ConfigError DeviceError FieldError "
     "GridError ImageError KernelBuildError",
-    "field": "DisplacementField displacement",
+    "field": "DisplacementField",
     "grid": "Grid NodeStatus build_grid",
+    "motion": "displacement",
     "opencl.device": "Device list_devices select_device",
     "series": "SeriesWriter",
     "space": "BinocularSplit Points3D StereoRig calibrate calibrate_camera",

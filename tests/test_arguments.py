@@ -28,14 +28,7 @@ from cmp_cl import (
     series,
 )
 from cmp_cl.cameras import CameraSettings, Source, is_live
-from cmp_cl.field import (
-    PlaneScale,
-    contact_of,
-    displacement,
-    green_lagrange,
-    mesh,
-    surface_normals,
-)
+from cmp_cl.field import green_lagrange, mesh, surface_normals
 from cmp_cl.grid import align, filter_grid, filter_positions, refine_markers
 from cmp_cl.marks import drop_marks
 from cmp_cl.measure import (
@@ -48,6 +41,7 @@ from cmp_cl.measure import (
     square_sides,
     trusted,
 )
+from cmp_cl.motion import PlaneScale, contact_of, displacement
 from cmp_cl.pattern import Checkerboard, cell_for, fitting_paper
 from cmp_cl.space import undistort
 from cmp_cl.space.cameras import calibrate_cameras

@@ -16,7 +16,7 @@ import matplotlib
 import pytest
 
 import cmp_cl
-from cmp_cl import field, grid, measure, series, space, synthetic, viz
+from cmp_cl import field, grid, measure, motion, series, space, synthetic, viz
 from cmp_cl.cli.main import main
 
 ROOT = Path(__file__).parent.parent
@@ -75,7 +75,7 @@ def test_the_reference_has_every_public_name():
     assert set(cmp_cl.__all__) - shown == set()
 
 
-@pytest.mark.parametrize("module", [field, grid, measure, series, space, synthetic, viz])
+@pytest.mark.parametrize("module", [field, grid, measure, motion, series, space, synthetic, viz])
 def test_the_reference_has_every_public_name_of_a_package(module):
     text = "".join(page.read_text(encoding="utf-8") for page in API)
     shown = {name.rpartition(".")[2] for name in FOUND.findall(text)}

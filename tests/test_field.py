@@ -14,15 +14,9 @@ from cases import some
 from stereo_data import gel, grid_of, points, project, toed_in_rig
 
 from cmp_cl.errors import ConfigError, FieldError
-from cmp_cl.field import (
-    DisplacementField,
-    PlaneScale,
-    contact_of,
-    displacement,
-    green_lagrange,
-    surface_normals,
-)
+from cmp_cl.field import DisplacementField, green_lagrange, surface_normals
 from cmp_cl.grid import NodeStatus
+from cmp_cl.motion import PlaneScale, contact_of, displacement
 from cmp_cl.space import PointStatus
 
 SPACES = pytest.mark.parametrize("space", [False, True], ids=["plane", "space"])

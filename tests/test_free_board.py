@@ -7,7 +7,7 @@ from stereo_data import grid_of, project, toed_in_rig
 
 from cmp_cl import CalibrationError, calibrate, calibrate_camera
 from cmp_cl.measure import find_board, trusted
-from cmp_cl.space.points import sides
+from cmp_cl.points import sides
 
 SQUARE, ROWS, COLUMNS = 3.0, 7, 10
 SIZE = (800, 1200)

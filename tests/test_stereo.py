@@ -20,6 +20,7 @@ from stereo_data import (
 
 from cmp_cl.errors import CalibrationError, ConfigError, FieldError, ImageError
 from cmp_cl.grid import NodeStatus
+from cmp_cl.points import largest_deviation
 from cmp_cl.space import (
     BinocularSplit,
     PointStatus,
@@ -29,7 +30,6 @@ from cmp_cl.space import (
     triangulate_points,
     undistort,
 )
-from cmp_cl.space.points import largest_deviation
 from cmp_cl.space.triangulation import inverse_symmetric
 from cmp_cl.synthetic import default_rig, random_scene, render_stereo
 

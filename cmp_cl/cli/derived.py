@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cmp_cl.cli.arguments import positive_number, unit_name
 from cmp_cl.errors import ConfigError
-from cmp_cl.field import contact_of
 from cmp_cl.measure import Measured
+from cmp_cl.motion import contact_of
 
 
 def add_arguments(group: Any) -> None:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import FieldError, check_kind, check_range
 from cmp_cl.field.strain import leverage, strain_of
 from cmp_cl.field.writers import mesh_of, save
-from cmp_cl.grid.filter import window_mean
-from cmp_cl.space.points import PointStatus, largest_deviation
+from cmp_cl.points import PointStatus, largest_deviation
 
 Array = NDArray[np.float64]
 
@@ -103,7 +102,7 @@ class DisplacementField:
         variances = []
         for number, covariance in enumerate(covariances):
             variance = np.trace(covariance, axis1=2, axis2=3) / covariance.shape[2]
-            alone = window_mean(variance, np.isfinite(variance), radius)[..., None] * gain
+            alone = variance[..., None] * gain
             if self.lattice is not None:
                 smoothed = self.raw is not None
                 found = self.lattice[number].slope_variance(radius, smoothed=smoothed)

@@ -1,4 +1,4 @@
-"""Green-Lagrange strain of a plane or of a surface from its nodes, with its standard deviation."""
+"""Strain of a plane or of a surface from its nodes, with its sigma, and normals of a surface."""
 
 import functools
 import math
@@ -13,6 +13,7 @@ Bools = NDArray[np.bool_]
 
 _LEAST_NODES = 6  # fewest nodes of a window to which a plane is fitted
 _AXES = {2: [(0, 1)], 3: [(0, 1), (0, 2), (1, 2)]}  # pairs of coordinates
+_NORMAL_RADIUS = 2  # nodes: a normal comes from 5 x 5 nodes, as a strain does
 _UNKNOWN = math.pi / math.sqrt(12)  # rad, standard deviation of a completely unknown direction
 _DISTINCT = 3.0  # standard deviations: noise alone exceeds them in 1 % of cases (Rayleigh)
 
@@ -171,6 +172,29 @@ def slopes_of(values: Array, valid: Bools, radius: int) -> Array:
     inverse = _inverse_moments(valid, radius)
     slopes: Array = inverse[:, :, 1:] @ np.stack(sums).transpose(2, 3, 0, 1)
     return slopes
+
+
+def surface_normals(positions: Array) -> Array:
+    """Return the unit normals of a surface (R, C, 3) in the frame of the left camera.
+
+    positions: (R, C, 3), NaN where missing. A normal is that of the plane through the 5 x 5 nodes
+        around a node, and points to the side on which the origin is. It is NaN if fewer than 6 of
+        these nodes are valid, or if all lie on a line.
+
+    Raises FieldError if positions are of another shape.
+    """
+    positions = as_numbers("positions", positions, FieldError)
+    if positions.ndim != 3 or positions.shape[2] != 3:
+        raise FieldError(f"positions must be (R, C, 3), not {positions.shape}")
+    valid: NDArray[np.bool_] = np.all(np.isfinite(positions), axis=2)
+    along, down = np.moveaxis(slopes_of(positions, valid, _NORMAL_RADIUS), 2, 0)
+    normal = np.cross(along, down)
+    length = np.linalg.norm(normal, axis=2)
+    flat = length <= 1e-9 * np.linalg.norm(along, axis=2) * np.linalg.norm(down, axis=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit: Array = normal / np.where(flat, np.nan, length)[..., None]
+    away = (unit * positions).sum(axis=2) > 0
+    return np.where(away[..., None], -unit, unit)
 
 
 def leverage(valid: Bools, radius: int) -> Array:

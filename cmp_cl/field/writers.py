@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cmp_cl.errors import ConfigError
 from cmp_cl.files import suffix_of, whole_file, write_bytes, write_csv
 from cmp_cl.grid.grid import NodeStatus
-from cmp_cl.space.points import PointStatus
+from cmp_cl.points import PointStatus
 from cmp_cl.vtk import polydata, quadrilaterals
 
 Arrays = dict[str, NDArray[Any]]

@@ -18,8 +18,8 @@ from cmp_cl.measure.patterns import (
     find_pattern,
 )
 from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.points import sides
 from cmp_cl.space import Points3D
-from cmp_cl.space.points import sides
 
 MAX_SIGMA = 0.2  # px; less certain corners of a board are not used
 

@@ -13,7 +13,7 @@ from cmp_cl.config import DetectorConfig
 from cmp_cl.corners import Corners
 from cmp_cl.detector import Detector
 from cmp_cl.errors import ConfigError, GridError, check_kind
-from cmp_cl.field import DisplacementField, PlaneScale, displacement
+from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid, build_grid
 from cmp_cl.grid.grid import NO_SIDES, empty_grid
 from cmp_cl.image import GreyImage, check_image
@@ -24,6 +24,7 @@ from cmp_cl.measure.patterns import (
     check_two,
     find_pattern,
 )
+from cmp_cl.motion import PlaneScale, displacement
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.space import BinocularSplit, Points3D, StereoRig
 
@@ -135,7 +136,7 @@ class OneView(Measurement):
     shape: (rows, columns) of the pattern's corners; None takes the shape that is seen at rest.
     region: (x0, y0, x1, y1), px, holds the pattern in every frame; None is the whole frame.
     cell: side of the cells of a flat pattern, in `unit`, to measure in its plane, see
-        `cmp_cl.field.PlaneScale.of_cells`; None measures in px.
+        `cmp_cl.motion.PlaneScale.of_cells`; None measures in px.
     unit: name of the unit of length; only with a cell.
     config: configuration of the detector; None finds the pattern at rest with `DetectorConfig()`,
         as every caller does, and then takes `DetectorConfig.for_cell` for its cells.

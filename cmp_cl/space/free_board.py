@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
 from cmp_cl.grid.grid import Grid
+from cmp_cl.points import sides
 from cmp_cl.space.adjustment import Adjusted, Look, State, adjust
 from cmp_cl.space.lens import Lens
-from cmp_cl.space.points import sides
 
 Array = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ from cmp_cl.errors import CalibrationError, FieldError, check_kind
 from cmp_cl.files import write_text
 from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
+from cmp_cl.points import Points3D, PointStatus
 from cmp_cl.space.lens import (
     ESTIMATED,
     POSE,
@@ -25,7 +26,6 @@ from cmp_cl.space.lens import (
     checked_distortion,
     projected,
 )
-from cmp_cl.space.points import Points3D, PointStatus
 from cmp_cl.space.storage import new_storage, open_storage, read_matrix, yaml_text
 from cmp_cl.space.triangulation import (
     inverse_symmetric,

@@ -9,9 +9,9 @@ import pytest
 from stereo_data import gel, grid_of, project, toed_in_rig
 
 from cmp_cl import Detector, DetectorConfig, EdgeLines, EdgeStep
-from cmp_cl.field import PlaneScale, displacement
 from cmp_cl.grid import build_grid, filter_positions
 from cmp_cl.grid.filter import bend_shift, bend_shift_of, image_sigma, with_bends
+from cmp_cl.motion import PlaneScale, displacement
 from cmp_cl.reference import detect, lattice_filter
 from cmp_cl.synthetic import Indenter, Mode, random_scene, render
 

@@ -7,10 +7,10 @@ import pyopencl as cl
 import pytest
 
 from cmp_cl import StereoRig
-from cmp_cl.field import displacement
 from cmp_cl.field.strain import leverage
 from cmp_cl.grid.filter import image_sigma
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
+from cmp_cl.motion import displacement
 from cmp_cl.motion import plan as plans
 from cmp_cl.motion.plan import FieldPlan
 from cmp_cl.opencl.program import programs_of

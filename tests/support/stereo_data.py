@@ -7,8 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from cmp_cl.field import DisplacementField, displacement
+from cmp_cl.field import DisplacementField
 from cmp_cl.grid import Grid, NodeStatus
+from cmp_cl.motion import displacement
 from cmp_cl.space import Points3D, PointStatus, StereoRig
 
 _ABOVE = Path(__file__).resolve().parents[3:]

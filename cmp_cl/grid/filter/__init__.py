@@ -14,7 +14,6 @@ from cmp_cl.grid.filter.bends import (
     with_bends,
 )
 from cmp_cl.grid.filter.lattice import Filtered, filter_at_rest, filter_grid, noise_of_change
-from cmp_cl.grid.filter.polynomials import window_mean
 from cmp_cl.grid.filter.positions import filter_positions
 
 __all__ = [
@@ -27,6 +26,5 @@ __all__ = [
     "filter_positions",
     "image_sigma",
     "noise_of_change",
-    "window_mean",
     "with_bends",
 ]

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind
 from cmp_cl.field.field import DisplacementField
-from cmp_cl.field.scale import PlaneScale
 from cmp_cl.grid.filter import (
     Filtered,
     bend_shift_of,
@@ -18,7 +17,8 @@ from cmp_cl.grid.filter import (
     noise_of_change,
 )
 from cmp_cl.grid.grid import MEASURED, Grid, NodeStatus
-from cmp_cl.space.points import Points3D, PointStatus
+from cmp_cl.motion.scale import PlaneScale
+from cmp_cl.points import Points3D, PointStatus
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The contact on a surface: its area and depth, and the normals of the surface."""
+"""The contact on a surface: its depth and area."""
 
 import dataclasses
 import math
@@ -7,13 +7,10 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import FieldError, as_numbers, check_kind
-from cmp_cl.field.field import DisplacementField
-from cmp_cl.field.strain import slopes_of
+from cmp_cl.errors import FieldError, check_kind
+from cmp_cl.field import DisplacementField, surface_normals
 
 Array = NDArray[np.float64]
-
-_NORMAL_RADIUS = 2  # nodes: a normal comes from a plane through 5 x 5 nodes, as a strain does
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,29 +66,6 @@ def contact_of(field: DisplacementField, *, deeper_than: float) -> Contact:
         deepest=float(known.max()) if len(known) else math.nan,
         unit=field.unit,
     )
-
-
-def surface_normals(positions: Array) -> Array:
-    """Return the unit normals of a surface (R, C, 3) in the frame of the left camera.
-
-    positions: (R, C, 3), NaN where missing. A normal is that of the plane through the 5 x 5 nodes
-        around a node, and points to the side on which the origin is. It is NaN if fewer than 6 of
-        these nodes are valid, or if all lie on a line.
-
-    Raises FieldError if positions are of another shape.
-    """
-    positions = as_numbers("positions", positions, FieldError)
-    if positions.ndim != 3 or positions.shape[2] != 3:
-        raise FieldError(f"positions must be (R, C, 3), not {positions.shape}")
-    valid: NDArray[np.bool_] = np.all(np.isfinite(positions), axis=2)
-    along, down = np.moveaxis(slopes_of(positions, valid, _NORMAL_RADIUS), 2, 0)
-    normal = np.cross(along, down)
-    length = np.linalg.norm(normal, axis=2)
-    flat = length <= 1e-9 * np.linalg.norm(along, axis=2) * np.linalg.norm(down, axis=2)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unit: Array = normal / np.where(flat, np.nan, length)[..., None]
-    away = (unit * positions).sum(axis=2) > 0
-    return np.where(away[..., None], -unit, unit)
 
 
 def _cell_areas(positions: Array) -> Array:
