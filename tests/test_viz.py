@@ -265,6 +265,23 @@ def test_a_recording_for_rerun_has_compressed_images_and_lines_that_end_at_gaps(
     assert none == []
 
 
+def test_a_recording_for_rerun_has_nodes_by_displacement_their_number_and_the_rate(tmp_path):
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed")
+    path = tmp_path / "press.rrd"
+    moved = np.linspace(0, 2, 20).reshape(4, 5)
+    moved[1, 1] = np.nan
+    with RerunLog(path) as log:
+        log.frame(index=0, time_ms=0, grid=grid_of(lattice()), moved=moved, unit="mm", rate=50.0)
+    assert recorded(path, "Scalars:scalars") == [[20], [50]]
+    ((scale,),) = recorded(path, "TextDocument:text")
+    assert "to 2 mm (yellow)" in scale
+    (colours,) = recorded(path, "Points2D:colors")
+    red = [colour >> 24 for colour in colours]
+    assert colours[6] == 0x808080FF  # unknown
+    assert red[0] < 20
+    assert red[19] > 230
+
+
 def test_importing_the_modules_imports_no_extra():
     code = (
         "import sys, cmp_cl.viz, cmp_cl.space, cmp_cl.field; "
