@@ -30,7 +30,7 @@ from cmp_cl.cli.progress import Progress
 from cmp_cl.cli.sources import PAIR_WITHIN, Pairs, at_rest, because
 from cmp_cl.cli.stopping import Stop, handled, ignore
 from cmp_cl.config import DetectorConfig
-from cmp_cl.errors import ConfigError, GridError
+from cmp_cl.errors import CmpClError, ConfigError, GridError
 from cmp_cl.image import GreyImage
 from cmp_cl.measure import Measured, OneView, TwoViews
 from cmp_cl.media import Frame
@@ -300,7 +300,7 @@ def run(arguments: argparse.Namespace) -> int:
     source = settings.source
     rest, frames = at_rest(source, arguments.rest_frame)
     tally, stop = _Tally(), Stop()
-    full: OSError | None = None
+    ended: Exception | None = None  # what ended the run before its last frame
     with contextlib.ExitStack() as stack:
         stack.enter_context(handled(stop))
         measure = settings.measurement(rest)
@@ -317,52 +317,50 @@ def run(arguments: argparse.Namespace) -> int:
         _tell_earlier(series.earlier)
         stack.callback(ignore)  # no signal stops the closing of the series
         progress = stack.enter_context(Progress(source.total, "frames"))
-        for frame in stack.enter_context(contextlib.closing(frames)):
-            if stop.name:
-                break
-            progress.step()
-            image = frame.image
-            if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
-                tally.broken += 1
-                measure.skip()
-                if tally.broken <= _LINES_OF_BROKEN:
-                    progress.say(
-                        f"cmp-cl: {_why_broken(frame, rest, live=source.live)}", sys.stderr
-                    )
-                continue
-            start = time.perf_counter()
-            measured, arrays = derived.derived(measure(image), arguments)
-            spent = (time.perf_counter() - start) * 1e3
-            if frame.index == arguments.rest_frame:  # the numbers are those of this frame
-                measured = dataclasses.replace(measured, ambiguous=False)
-            try:
+        try:
+            for frame in stack.enter_context(contextlib.closing(frames)):
+                if stop.name:
+                    break
+                progress.step()
+                image = frame.image
+                if image is None or (image.shape, image.dtype) != (rest.shape, rest.dtype):
+                    tally.broken += 1
+                    measure.skip()
+                    if tally.broken <= _LINES_OF_BROKEN:
+                        progress.say(
+                            f"cmp-cl: {_why_broken(frame, rest, live=source.live)}", sys.stderr
+                        )
+                    continue
+                start = time.perf_counter()
+                measured, arrays = derived.derived(measure(image), arguments)
+                spent = (time.perf_counter() - start) * 1e3
+                if frame.index == arguments.rest_frame:  # the numbers are those of this frame
+                    measured = dataclasses.replace(measured, ambiguous=False)
                 series.append(
                     index=frame.index,
                     time_ms=frame.time_ms,
                     ambiguous=measured.ambiguous,
                     **arrays,
                 )
-            except BrokenPipeError:  # the reader has gone
-                raise
-            except OSError as error:
-                full = error
-                break
-            tally.add(frame.index, measured, spent)
-            pictures.frame(frame, measured)
+                tally.add(frame.index, measured, spent)
+                pictures.frame(frame, measured)
+        except (CmpClError, OSError) as error:
+            if isinstance(error, BrokenPipeError) or not tally.frames:
+                raise  # the reader of a pipe has gone, or there is nothing to keep
+            ended = error
         if stop.name and not tally.frames:  # an older series stays
             raise KeyboardInterrupt
     report = sys.stderr if arguments.out == "-" else sys.stdout
-    if full is None or tally.frames:
-        ended = f"stopped by {stop.name}; " if stop.name else ""
-        line = tally.line(measure.nodes, measure.unit, str(settings.device))
-        alone = source.alone() if isinstance(source, Pairs) else ""
-        print(f"{ended}wrote {shown(arguments.out)}: {line}{alone}", file=report)
+    stopped = f"stopped by {stop.name}; " if stop.name else ""
+    line = tally.line(measure.nodes, measure.unit, str(settings.device))
+    alone = source.alone() if isinstance(source, Pairs) else ""
+    print(f"{stopped}wrote {shown(arguments.out)}: {line}{alone}", file=report)
     for written in display.outputs(arguments):
         if written is not None and tally.frames and pictures.error is None:
             print(f"wrote {shown(written)}", file=report)
     if tally.ambiguous:
         print(f"cmp-cl: {_about_ambiguous(tally.ambiguous, arguments)}", file=sys.stderr)
-    failed = [error for error in (full, pictures.error) if error is not None]
+    failed = [error for error in (ended, pictures.error) if error is not None]
     if failed:
         print(f"cmp-cl: {'; '.join(map(one_line, failed))}", file=sys.stderr)
         return 2

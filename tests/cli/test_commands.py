@@ -28,6 +28,7 @@ from cmp_cl import (
     BinocularSplit,
     ConfigError,
     DetectorConfig,
+    DeviceError,
     EdgeLines,
     GridError,
     NodeStatus,
@@ -347,6 +348,28 @@ def test_a_run_stopped_before_its_first_frame_keeps_an_older_series(
     assert run("run", recording, *STEREO, *options) == (130, "", "cmp-cl: interrupted\n")
     assert [Path(name).read_text() for name in older] == ["old"] * len(older)
     assert not [entry for entry in Path().iterdir() if entry.name.startswith(".")]
+
+
+@pytest.mark.parametrize("frames", [0, 2])
+def test_an_error_in_the_middle_of_a_run_keeps_the_frames_before_it(
+    run, recording, monkeypatch, frames
+):
+    Path("press.npz").write_text("old")
+    append = SeriesWriter.append
+
+    def failing(series, **frame):
+        if len(series) == frames:
+            raise DeviceError("the device is lost")
+        append(series, **frame)
+
+    monkeypatch.setattr(SeriesWriter, "append", failing)
+    status, out, err = run("run", recording, *STEREO)
+    assert (status, err) == (2, "cmp-cl: the device is lost\n")
+    if frames:
+        assert out.startswith("wrote press.npz: 2 frames")
+        assert np.load("press.npz")["index"].tolist() == [0, 1]
+    else:
+        assert Path("press.npz").read_text() == "old"
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no SIGHUP here")
