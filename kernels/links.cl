@@ -3,19 +3,6 @@
 /* Links between corners (13.1): of the neighbours along a boundary the cheapest whose side shows a
  * contrast, kept where both ends choose each other. */
 
-/* Boundary of a corner with these lines that is nearest to (dx, dy), and the length along it. */
-typedef struct {
-  int side;
-  float length;
-} Boundary;
-Boundary boundary_along(const float4 lines, const float dx, const float dy) {
-  const float first = lines.x * dx + lines.y * dy, second = lines.z * dx + lines.w * dy;
-  const bool is_first = MAGNITUDE(first) >= MAGNITUDE(second);
-  const float along = is_first ? first : second;
-  Boundary found = {(is_first ? 0 : 1) + (along >= 0 ? 0 : 2), MAGNITUDE(along)};
-  return found;
-}
-
 #define COSTS_PER_PX 64.0f
 #define UNSURE (-2)
 

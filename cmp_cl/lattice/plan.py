@@ -10,8 +10,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.image import GreyImage
-from cmp_cl.lattice import links, nodes, parts
-from cmp_cl.lattice.arrays import Board
+from cmp_cl.lattice import links, nodes, parts, votes
+from cmp_cl.lattice.arrays import Board, Parts, Units, Votes, Whole
 from cmp_cl.lattice.constants import LatticeConstants
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Binder, Launch, multiple
@@ -27,11 +27,11 @@ from cmp_cl.stages.refine import (
     VARIANCE,
 )
 
-FILES = ("bins", "links", "faces", "parts", "nodes")
+FILES = ("bins", "links", "faces", "parts", "votes", "nodes")
 SHARED = ("image", "corners")  # buffers that the host writes
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
 PLACES = 16384  # of a board with few corners
-PASSES = 4  # that are launched before the host looks whether they are enough
+PASSES = 1  # that are launched before the host looks whether they are enough
 ROWS = 64  # work-items, of which each takes rows of a board, on a CPU
 LANES = 8  # the fields of the corners have a multiple of so many elements
 
@@ -70,6 +70,7 @@ class LatticePlan(Binder):
         self.buffers = {name: self._buffer(name, size) for name, size in self.sizes.items()}
         self.nats = self.constant(nodes.nats(self))
         self.launches = [*links.launches(self), *parts.launches(self), *nodes.first_board(self)]
+        self.find_votes = votes.launches(self)
         self.lay = nodes.lay(self)
         self.a_pass = nodes.a_pass(self)
 
@@ -95,6 +96,7 @@ class LatticePlan(Binder):
             "corners": 4 * (RESULT_HEAD + RESULT_FIELDS * self.capacity),
             **links.sizes(self),
             **parts.sizes(self),
+            **votes.sizes(self),
             **nodes.sizes(self),
         }
 
@@ -196,13 +198,51 @@ class LatticePlan(Binder):
                 dst_offset=first * values.itemsize,
             )
 
-    def _enqueue(self, launches: list[Launch]) -> None:
+    def enqueue(self, launches: list[Launch]) -> None:
+        """Enqueue launches, in order."""
         for _, kernel, items, group, _ in launches:
             cl.enqueue_nd_range_kernel(self.queue, kernel, items, group)
 
     def find_parts(self) -> None:
         """Number the parts of the frame, and the corners of the largest."""
-        self._enqueue(self.launches)
+        self.enqueue(self.launches)
+
+    def parts(self) -> Parts:
+        """Return the parts of the frame, by half-edge."""
+        count = 4 * int(self.read("corners", np.uint32, 1)[0])
+
+        def whole(name: str) -> Whole:
+            return self.read(name, np.int32, count).astype(np.int64)
+
+        twin, face, beyond, root = (whole(name) for name in ("twin", "face", "beyond", "part"))
+        state = self.read("state", np.int32, 4 * count).reshape(count, 4).astype(np.int64)
+        column, row, direction, _ = np.where(root[:, None] >= 0, state, 0).T
+        faces = whole("faces_of_part")
+        closed = face >= 0
+        cut = np.where(closed, self.read("cut", np.uint8, count)[np.maximum(face, 0)], 0)
+        return Parts(
+            twin=twin,
+            face=face,
+            agree=beyond >= 0,
+            cut=cut,
+            root=root,
+            column=column,
+            row=row,
+            direction=direction,
+            contradicted=closed & (faces[np.maximum(root, 0)] == 0),
+        )
+
+    def votes(self, units: Units) -> Votes:
+        """Return the ways across tears between the rims of parts."""
+        return votes.votes(self, units)
+
+    def settled(self, board: Board) -> Board:
+        """Return the board after rounds of dropping and finding nodes, without its margins."""
+        row, column = np.nonzero(board.owner >= 0)
+        numbers = np.zeros((self.capacity, 4), np.int32)
+        turn = (row + column + (board.sign < 0)) % 2  # only its parity counts
+        numbers[board.owner[row, column]] = np.stack([column, row, turn, row * 0 + 1], axis=1)
+        return self.settle(numbers)
 
     def settle(self, numbers: NDArray[np.int32] | None = None) -> Board:
         """Return the board of numbered corners once no pass changes its nodes.
@@ -214,9 +254,9 @@ class LatticePlan(Binder):
         """
         if numbers is not None:
             self._write("numbers", np.ascontiguousarray(numbers, np.int32))
-        self._enqueue(self.lay)
+        self.enqueue(self.lay)
         while True:
-            self._enqueue(self.a_pass * PASSES)
+            self.enqueue(self.a_pass * PASSES)
             layout = self.read("layout", np.int32)
             if layout[nodes.STATE] != nodes.RUNS or not (
                 layout[nodes.DROPPED] or layout[nodes.ENTERED]
@@ -224,17 +264,19 @@ class LatticePlan(Binder):
                 break
         shape = int(layout[nodes.ROWS]), int(layout[nodes.COLUMNS])
         count = shape[0] * shape[1]
-        x, y = self.read("seen", np.float32).reshape(-1, 2)[:count].T
+        x, y = self.read("seen", np.float32, 2 * count).reshape(-1, 2).T
         return Board(
             x=x.reshape(shape),
             y=y.reshape(shape),
-            owner=self.read("owner", np.int32)[:count].reshape(shape).astype(np.int64),
-            torn=self.read("torn", np.bool_)[:count].reshape(shape),
+            owner=self.read("owner", np.int32, count).reshape(shape).astype(np.int64),
+            torn=self.read("torn", np.bool_, count).reshape(shape),
             sign=int(layout[nodes.SIGN]),
         )
 
-    def read(self, name: str, dtype: Any) -> NDArray[Any]:
-        """Return a buffer, once the launches are done."""
-        values = np.empty(self.sizes[name] // np.dtype(dtype).itemsize, dtype)
-        cl.enqueue_copy(self.queue, values, self.buffers[name])
+    def read(self, name: str, dtype: Any, count: int | None = None) -> NDArray[Any]:
+        """Return the first elements of a buffer, or all, once the launches are done."""
+        most = self.sizes[name] // np.dtype(dtype).itemsize
+        values = np.empty(most if count is None else count, dtype)
+        if values.size:
+            cl.enqueue_copy(self.queue, values, self.buffers[name])
         return values
