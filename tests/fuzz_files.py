@@ -1,4 +1,4 @@
-"""Reads damaged files of every kind: settings, rigs, images, videos, stores, series, MCAP files.
+"""Reads damaged files of every kind: settings, rigs, images, videos, series, MCAP files.
 
     python tests/fuzz_files.py --cases 5000 --seed 1 [--megabytes 3000] [--seconds 600]
 
@@ -13,7 +13,6 @@ import contextlib
 import importlib
 import importlib.util
 import itertools
-import json
 import re
 import resource
 import signal
@@ -31,12 +30,10 @@ import numpy as np
 
 from cmp_cl import (
     CmpClError,
-    Corners,
     DetectorConfig,
     EdgeStep,
     Midlines,
     StereoRig,
-    cluster,
     media,
 )
 from cmp_cl.series import Description, SeriesWriter, read_series
@@ -120,26 +117,6 @@ def videos(folder: Path) -> Iterator[Path]:
         yield folder / name
 
 
-def stores(folder: Path) -> Iterator[Path]:
-    """Write a store of one part and its metadata."""
-    count = 5
-    lengths = np.array([3, 2])
-    arrays: dict[str, Any] = {
-        field: np.zeros((count, *shape), kind)
-        for field, shape, kind in (
-            *(("xy", (2,), "f4"), ("pixel", (2,), "i4"), ("response", (), "f4")),
-            *(("method", (), "u1"), ("refusal", (), "u1"), ("sigma", (), "f4")),
-            *(("edges", (4,), "f4"), ("doubtful", (), "?")),
-        )
-    }
-    arrays |= {"lengths": lengths, "device": np.array("none"), "edge_radius": np.array(6.45)}
-    digest = np.array(cluster._digest(arrays, 0))
-    np.savez(folder / "part-00000000.npz", digest=digest, **arrays)
-    (folder / "about.json").write_text(json.dumps({"count": 2, "part": 2, "config": "0"}))
-    yield folder / "part-00000000.npz"
-    yield folder / "about.json"
-
-
 def series(folder: Path) -> Iterator[Path]:
     """Write series of one view and of two views, as `cmp-cl run` does."""
     rows, columns = np.indices((4, 5)) * 10.0
@@ -191,18 +168,6 @@ def read_video(path: Path) -> None:
         assert frame.image is None or frame.image.size <= MOST_PIXELS
 
 
-def read_store(path: Path) -> None:
-    """Read a store, of which at most one file is damaged."""
-    store = cluster.open_store(path.parent)
-    if store.count > 100:
-        return
-    whole = not store.missing()
-    with contextlib.suppress(FileNotFoundError):
-        found = list(store)
-        assert all(isinstance(corners, Corners) for corners in found)
-        assert not whole or len(found) == store.count
-
-
 def read_one_series(path: Path) -> None:
     """Read the arrays of a series, and draw every plot of them."""
     recorded = Recorded.of(read_series(path, NEEDED))
@@ -224,7 +189,6 @@ KINDS: dict[str, tuple[Callable[[Path], Iterator[Path]], Callable[[Path], Any]]]
     "rigs": (rigs, StereoRig.load),
     "images": (images, read_image),
     "videos": (videos, read_video),
-    "stores": (stores, read_store),
     "series": (series, read_one_series),
     "bags": (bags, read_bag),
 }

@@ -21,7 +21,6 @@ from cmp_cl import (
     build_grid,
     calibrate,
     calibrate_camera,
-    cluster,
     detect,
     media,
     reference,
@@ -158,7 +157,6 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
         (lambda: score([], [(0, 0)], "a"), "cell must be a positive number, not 'a'"),
         (lambda: media.find_inputs(None), "paths must be several names of files, not None"),
         (lambda: media.write_csv("a.csv", None, []), "columns must be several, not one NoneType"),
-        (lambda: cluster.open_store(None), "path must be the name of a file, not None"),
         (lambda: DetectorConfig().grey_levels(float), "dtype must be uint8 or uint16, not float64"),
     ],
 )

@@ -8,8 +8,6 @@ import fuzz_files
 import numpy as np
 import pytest
 
-from cmp_cl import ConfigError, cluster
-
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="memory has no limit on Windows")
 
 
@@ -37,22 +35,3 @@ def test_changes_are_the_same_each_time_and_change_something():
     again = [fuzz_files.damaged(data, np.random.default_rng(seed)) for seed in range(50)]
     assert made == again
     assert sum(one != data for one in made) > 45
-
-
-@pytest.mark.parametrize(
-    "about",
-    [
-        '{"count": 1e999, "part": 2}',
-        '{"count": 3, "part": 0}',
-        '{"count": -3, "part": 2}',
-        '{"count": 99999999999999999999, "part": 1}',
-        '{"count": true, "part": 2}',
-        "[" * 100_000,
-        "[]",
-    ],
-    ids=lambda text: text[:30],
-)
-def test_a_store_with_wrong_metadata_is_refused(about, tmp_path):
-    (tmp_path / "about.json").write_text(about)
-    with pytest.raises(ConfigError, match="no store of corners"):
-        cluster.open_store(tmp_path)
