@@ -120,7 +120,7 @@ class Display(Closing):
                     time_ms=frame.time_ms,
                     image=image,
                     grid=grid,
-                    field=None if measured.points is None else field,
+                    field=None if measured.rig is None else field,
                     moved=moved,
                     unit=self._unit,
                     rate=self._rate(),

@@ -2,7 +2,9 @@
 
 import contextlib
 import dataclasses
+import functools
 import math
+import threading
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ from cmp_cl.measure.patterns import (
     find_pattern,
 )
 from cmp_cl.motion import PlaneScale, displacement
+from cmp_cl.motion.plan import FieldPlan, fits
 from cmp_cl.opencl.device import Device, select_device
 from cmp_cl.space import BinocularSplit, Points3D, StereoRig
 
@@ -45,8 +48,8 @@ class Measured:
 
     field: the displacement of the nodes, in the image, in the plane of a flat pattern, or in space.
     ambiguous: whether the numbering of a grid is ambiguous, see `Grid.ambiguous`.
-    points: the positions of the nodes now, in space; None from one view.
     views, corners, grids: of the one view, or of the left and of the right one.
+    rig: the cameras of two views; None from one view.
     """
 
     field: DisplacementField
@@ -54,7 +57,13 @@ class Measured:
     views: tuple[GreyImage, ...]
     corners: tuple[Corners, ...]
     grids: tuple[Grid, ...]
-    points: Points3D | None = None
+    rig: StereoRig | None = None
+
+    @functools.cached_property
+    def points(self) -> Points3D | None:
+        """Return the positions of the nodes now, in space, triangulated when they are asked for;
+        None from one view."""
+        return None if self.rig is None else self.rig.triangulate(*self.grids)
 
     @property
     def nodes(self) -> int:
@@ -242,6 +251,7 @@ class TwoViews(Measurement):
         self._raw = raw
         self._rig = rig
         self._split = split
+        self._lock = threading.Lock()  # one frame at a time
         search = _Search(select_device(device), shape, config, full_scale, track)
         check_two("regions", regions)
         with contextlib.ExitStack() as stack:
@@ -258,6 +268,7 @@ class TwoViews(Measurement):
             self._right.rest = align_views(self._left.rest, self._right.rest)
             self.rest = self._placed(self._left.rest, self._right.rest)
             self._detectors = stack.pop_all()
+        self._plan = self._field_plan(search.device)
         self.unit = rig.unit
         self.nodes = self.rest.status.size
         still = displacement(self.rest, self.rest, raw=raw)
@@ -339,15 +350,37 @@ class TwoViews(Measurement):
         views = self._split(frame)
         left_corners, left = self._left.find(views[0])
         right_corners, right = self._right.find(views[1])
-        points = self._rig.triangulate(left, right)
         return Measured(
-            field=displacement(self.rest, points, raw=self._raw),
+            field=self._between(left, right),
             ambiguous=left.ambiguous or right.ambiguous,
             views=views,
             corners=(left_corners, right_corners),
             grids=(left, right),
-            points=points,
+            rig=self._rig,
         )
+
+    def _between(self, left: Grid, right: Grid) -> DisplacementField:
+        """Return the displacement from rest to the moment of two grids."""
+        if self._plan is None:
+            return displacement(self.rest, self._rig.triangulate(left, right), raw=self._raw)
+        with self._lock:
+            self._plan.take((left, right))
+            self._plan.start()
+            field = self._plan.field(self._plan.read())
+        return field.raw if self._raw and field.raw is not None else field
+
+    def _field_plan(self, device: Device) -> FieldPlan | None:
+        """Return the plan of the field; None if its kernels do not have the lens model."""
+        if not fits(self._rig):
+            return None
+        plan = FieldPlan.on(
+            device,
+            rest=self.rest,
+            rig=self._rig,
+            edge_radii=(self._left.rest.edge_radius, self._right.rest.edge_radius),
+        )
+        self._detectors.callback(plan.release)
+        return plan
 
 
 def _constants(still: DisplacementField) -> dict[str, NDArray[Any]]:

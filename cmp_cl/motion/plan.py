@@ -4,8 +4,10 @@ Tables and buffers are made once, and the launches are listed once. A frame then
 its nodes, the launches and one read.
 """
 
+import dataclasses
+import functools
 import math
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pyopencl as cl
@@ -13,9 +15,10 @@ from numpy.typing import NDArray
 
 from cmp_cl.field import DisplacementField
 from cmp_cl.field.strain import leverage
-from cmp_cl.grid.filter import filter_at_rest
-from cmp_cl.grid.grid import MEASURED
+from cmp_cl.grid.filter import Filtered, filter_at_rest, filter_grid
+from cmp_cl.grid.grid import MEASURED, Grid
 from cmp_cl.motion.memory import Memory
+from cmp_cl.motion.nodes import put
 from cmp_cl.motion.tables import (
     NOISE_GAUSSIAN,
     RISK_GAUSSIAN,
@@ -24,12 +27,13 @@ from cmp_cl.motion.tables import (
 )
 from cmp_cl.opencl.device import Device, DeviceKind
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
-from cmp_cl.opencl.program import Programs
+from cmp_cl.opencl.program import Programs, programs_of
 from cmp_cl.space import Points3D, PointStatus, StereoRig
 from cmp_cl.space.rig import MIN_PARALLAX
 
 LARGEST_ERROR = 3.0  # px, of the reprojection, as in `StereoRig.triangulate`
 ROUNDS = 3  # rounds of the search for outliers
+_COEFFICIENTS = 12  # of distortion, in kernels/space.cl
 _ESTIMATES, _MASKS = 5, 4  # of the noise, as in kernels/filter.cl
 _PAIRS_OF_AXES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix
 Array = NDArray[np.float64]
@@ -63,14 +67,18 @@ class FieldPlan:
         self._rest = rest
         self._double = has_double(device)
         self._down, self._along = axis_tables(rows), axis_tables(columns)
-        self.kernels = programs.kernels(["space", "filter", "strain"], self._defines())
+        files = ["space", "filter", *(["strain"] if strain else [])]
+        self.kernels = programs.kernels(files, self._defines())
         self._at_rest = filter_at_rest(rest.xyz, measured=np.isin(rest.source, MEASURED))
         bend = 0.0 if rest.bend_shift is None else rest.bend_shift
         self._position = self._at_rest.values - bend
-        self._position_covariance = np.where(
-            np.isfinite(self._at_rest.sigma)[..., None, None],
-            self._at_rest.covariance_of(self._at_rest.sigma),
-            rest.covariance,
+        self._position_covariance, self._raw_covariance = (
+            np.where(
+                np.isfinite(sigma)[..., None, None],
+                self._at_rest.covariance_of(sigma),
+                rest.covariance,
+            )
+            for sigma in (self._at_rest.sigma, self._at_rest.noise)
         )
         self._constants = Memory.of(queue, **self._constant_arrays(rig))
         self._work = Memory(queue, self._work_layout())
@@ -83,6 +91,12 @@ class FieldPlan:
         }
         self.launches = self._listed(edge_radii)
         self.events: list[tuple[str, cl.Event]] = []
+
+    @classmethod
+    def on(cls, device: Device, **settings: Any) -> Self:
+        """Return a plan on a device, with a queue of its own; settings: as in the constructor."""
+        programs = programs_of(device.handle)
+        return cls(cl.CommandQueue(programs.context), programs, device, **settings)
 
     def release(self) -> None:
         """Release the device's memory."""
@@ -166,7 +180,6 @@ class FieldPlan:
         planes = {
             "moved": 3,
             "points": 6,
-            "own": 1,
             "bent": 3,
             "data": 3,
             "residual": 3,
@@ -202,6 +215,7 @@ class FieldPlan:
             "raw_covariance": 6,
             "sigma": 1,
             "raw_sigma": 1,
+            "own": 1,
             **({"strain": 3, "strain_sigma": 3} if self._strained else {}),
         }
         layout: dict[str, tuple[tuple[int, ...], Any]] = {
@@ -320,6 +334,12 @@ class FieldPlan:
 
     # What happens in a frame
 
+    def take(self, grids: tuple[Grid, Grid]) -> None:
+        """Take the nodes of the left and the right grid, and enqueue their upload."""
+        for view, grid in enumerate(grids):
+            put(self.inputs.arrays, view, grid)
+        self.inputs.upload()
+
     def start(self) -> None:
         """Enqueue the launches and the download of the results. The inputs are on the device."""
         queue = self._queue
@@ -344,14 +364,23 @@ class FieldPlan:
         status, source = results["status"], results["source"]
         valid = status == PointStatus.VALID
         there = valid[..., None]
-        both: dict[str, Any] = {"status": status, "source": source, "unit": self._rest.unit}
+        raw_displacement = _nodes(results["raw_displacement"])
+        change = _Change(
+            values=raw_displacement,
+            measured=valid & np.isin(source, MEASURED),
+            most_noise=np.sqrt(self._constants.arrays["bound_rest"] + results["own"][0]),
+        )
+        both: dict[str, Any] = {
+            "status": status,
+            "source": source,
+            "unit": self._rest.unit,
+            "lattice": (self._at_rest, change),
+        }
         raw = DisplacementField(
             position=np.where(there, self._rest.xyz, np.nan),
-            displacement=_nodes(results["raw_displacement"]),
+            displacement=raw_displacement,
             covariance=_matrices(results["raw_covariance"]),
-            position_covariance=np.where(
-                there[..., None], self._at_rest.covariance_of(self._at_rest.noise), np.nan
-            ),
+            position_covariance=np.where(there[..., None], self._raw_covariance, np.nan),
             **both,
         )
         strain, strain_sigma = (
@@ -369,6 +398,34 @@ class FieldPlan:
         )
 
 
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class _Change:
+    """What a strain asks of the filter of a displacement. The host filters it again when asked.
+
+    values: (R, C, 3), before the filter. measured: (R, C). most_noise: (R, C), as `filter_grid`
+    takes them.
+    """
+
+    values: Array
+    measured: NDArray[np.bool_]
+    most_noise: Array
+
+    @functools.cached_property
+    def _filtered(self) -> Filtered:
+        return filter_grid(
+            self.values, measured=self.measured, bends=True, most_noise=self.most_noise
+        )
+
+    def slope_variance(self, radius: int, *, smoothed: bool) -> Array:
+        """Return the variances of the slopes, (R, C, 2), see `Filtered.slope_variance`."""
+        return self._filtered.slope_variance(radius, smoothed=smoothed)
+
+
+def fits(rig: StereoRig) -> bool:
+    """Return whether kernels/space.cl has the lens model of both cameras: not a tilted sensor's."""
+    return max(len(rig.D1), len(rig.D2)) <= _COEFFICIENTS
+
+
 _VIEWS = ("left", "right")
 
 
@@ -383,8 +440,8 @@ def camera_numbers(matrix: Array, distortion: Array, rotation: Array, move: Arra
     rotation, move: from the frame of the left camera. The coefficients of distortion are at most
     12; those of a tilted sensor have no place.
     """
-    coefficients = np.zeros(12)
-    coefficients[: len(distortion)] = distortion[:12]
+    coefficients = np.zeros(_COEFFICIENTS)
+    coefficients[: len(distortion)] = distortion
     focal, centre = matrix[[0, 1], [0, 1]], matrix[:2, 2]
     return np.concatenate([focal, centre, coefficients, rotation.ravel(), move, -move @ rotation])
 

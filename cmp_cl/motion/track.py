@@ -9,11 +9,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from cmp_cl.corners import Corners, Refusal
-from cmp_cl.grid.filter import image_sigma
-from cmp_cl.grid.filter.holes import filled
 from cmp_cl.grid.grid import NO_SIDES, Grid
 from cmp_cl.grid.predict import PREDICTORS
 from cmp_cl.motion.memory import Memory
+from cmp_cl.motion.nodes import put
 from cmp_cl.opencl.device import Device
 from cmp_cl.opencl.launches import GROUP, Launch, multiple
 from cmp_cl.opencl.program import Programs
@@ -228,22 +227,6 @@ def records(corners: Corners) -> NDArray[np.float32]:
     found[:, 2] = corners.edges[:, 0]
     found[:, 3] = np.where(torn, -corners.sigma, corners.sigma)
     return found
-
-
-def put(arrays: dict[str, NDArray[Any]], view: int, grid: Grid) -> None:
-    """Write the nodes of a grid into the inputs of a plan, with predictions in its holes.
-
-    A grid's sigma without the shift by bent edges is that of its corners.
-    """
-    there = grid.valid
-    xy = grid.xy
-    if not there.all() and there.any():
-        middle = xy[there].mean(axis=0)
-        moved = np.where(there[..., None], xy - middle, 0).transpose(2, 0, 1)
-        xy = filled(moved.astype(np.float32), there).transpose(1, 2, 0) + middle
-    arrays["nodes"][view] = np.nan_to_num(xy)
-    arrays["seen_status"][view] = grid.status
-    arrays["seen_sigma"][view] = image_sigma(grid)
 
 
 def colour_of(rest: Grid, corners: Corners) -> int:
