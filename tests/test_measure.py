@@ -63,6 +63,23 @@ def test_the_ten_lines_of_the_docstring_turn_a_video_into_fields(
     assert np.sqrt(np.mean(off**2)) < 0.1 * np.linalg.norm(truth, axis=2).max()
 
 
+@pytest.mark.parametrize("raw", [False, True])
+def test_two_views_have_the_field_that_displacement_returns(rest_and_now, raw):
+    rest, now = (frame for frame, _ in rest_and_now)
+    split = cmp_cl.BinocularSplit.halves(*rest.shape[::-1])
+    with measure.TwoViews(rest, StereoRig(*RIG), split, shape=(12, 12), raw=raw) as against_rest:
+        measured = against_rest(now)
+        other = cmp_cl.displacement(against_rest.rest, measured.points, raw=raw)
+    found = measured.field
+    assert (found.raw is None) == raw
+    np.testing.assert_array_equal(found.status, other.status)
+    np.testing.assert_allclose(found.displacement, other.displacement, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(found.sigma, other.sigma, rtol=2e-3)
+    strains = found.with_strain(), other.with_strain()
+    np.testing.assert_allclose(*(each.strain for each in strains), rtol=0, atol=1e-5)
+    np.testing.assert_allclose(*(each.strain_sigma for each in strains), rtol=2e-3)
+
+
 def test_a_view_is_measured_against_the_view_at_rest(rest_and_now):
     half = rest_and_now[0][0].shape[1] // 2
     rest, now = (frame[:, :half] for frame, _ in rest_and_now)
