@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from cmp_cl.grid import Grid as Grid
     from cmp_cl.grid import NodeStatus as NodeStatus
     from cmp_cl.grid import build_grid as build_grid
+    from cmp_cl.grid import number as number
     from cmp_cl.motion import displacement as displacement
     from cmp_cl.opencl.device import Device as Device
     from cmp_cl.opencl.device import list_devices as list_devices
@@ -62,7 +63,7 @@ _HOMES = {
     "errors": "CalibrationError CapacityError CmpClError ConfigError DeviceError FieldError "
     "GridError ImageError KernelBuildError",
     "field": "DisplacementField",
-    "grid": "Grid NodeStatus build_grid",
+    "grid": "Grid NodeStatus build_grid number",
     "motion": "displacement",
     "opencl.device": "Device list_devices select_device",
     "series": "SeriesWriter",

@@ -5,6 +5,7 @@ from cmp_cl.grid.build import build_grid, build_grids
 from cmp_cl.grid.filter import Filtered, filter_grid, filter_positions
 from cmp_cl.grid.grid import Grid, NodeStatus, Rival, Sides
 from cmp_cl.grid.markers import refine_markers
+from cmp_cl.grid.number import number
 
 __all__ = [
     "Filtered",
@@ -17,5 +18,6 @@ __all__ = [
     "build_grids",
     "filter_grid",
     "filter_positions",
+    "number",
     "refine_markers",
 ]

@@ -56,11 +56,11 @@ def votes(plan: "LatticePlan", units: Units) -> Votes:
     found = np.zeros((0, FIELDS), np.int32)
     if len(rims):
         found = _found(plan, rims, room)
-    first, second, boundary, other, steps, weight = found.T
+    first, second, _, _, steps, weight = found.T
     order = np.lexsort((second, first, steps))
-    whole = [rim[first], rim[second], boundary.astype(np.int64), other.astype(np.int64)]
-    share = np.ascontiguousarray(weight).view(np.float32).astype(np.float64)
-    return Votes(*(each[order] for each in (*whole, steps.astype(np.int64), share)))
+    first, second, boundary, other, steps = found[order, :5].astype(np.int64).T
+    share = np.ascontiguousarray(weight[order]).view(np.float32).astype(np.float64)
+    return Votes(rim[first], rim[second], boundary, other, steps, share)
 
 
 def _found(plan: "LatticePlan", rims: NDArray[np.int32], room: int) -> NDArray[np.int32]:
