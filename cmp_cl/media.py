@@ -383,7 +383,10 @@ def _container(path: str | PathLike[str]) -> Iterator[tuple[Any, Any]]:
     with container:
         if not container.streams.video:
             raise ImageError(f"{str(path)!r} has no video")
-        yield container, container.streams.video[0]
+        stream = container.streams.video[0]
+        if stream.codec_context is None:
+            raise ImageError(f"{str(path)!r} has a codec that PyAV does not know")
+        yield container, stream
 
 
 def full_scale(path: str | PathLike[str]) -> int | None:

@@ -3,8 +3,8 @@
     python tests/fuzz_files.py --cases 5000 --seed 1 [--megabytes 3000] [--seconds 600]
 
 Each case changes an intact file: its bytes or numbers, or pieces are left out, repeated or inserted
-elsewhere. A child process with limited memory reads the file within 20 s. The outcome must be a
-result or an error of cmp_cl. Case K of a seed is always the same: a failure prints its number, and
+elsewhere. A child process reads the file within 20 s and 1 GB. The outcome must be a result or an
+error of cmp_cl. Case K of a seed is always the same: a failure prints its number, and
 the status is 1.
 """
 
@@ -42,6 +42,8 @@ from cmp_cl.synthetic import default_rig
 from cmp_cl.viz.plots import NEEDED, Quantity, Recorded, map_figure, sheet_figure
 
 LIMIT_S = 20
+LIMIT_KB = 1 << 20  # resident memory of a child
+TOO_LARGE = 3  # exit status of a child that has had more
 MOST_PIXELS = 1 << 20
 FRAMES = 40  # most that are read of a file
 IMAGE_DEFINITION = """\
@@ -262,8 +264,11 @@ def child(seed: int, first: int, last: int, megabytes: int) -> None:
         print(number, end=" ", flush=True)
         signal.alarm(LIMIT_S)  # the signal ends the process
         with tempfile.TemporaryDirectory() as folder:
-            print(one_case(seed, number, Path(folder)), flush=True)
+            outcome = one_case(seed, number, Path(folder))
         signal.alarm(0)
+        if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss > LIMIT_KB:
+            sys.exit(TOO_LARGE)
+        print(outcome, flush=True)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -295,10 +300,11 @@ def main(arguments: list[str] | None = None) -> int:
         number = int(lines[-1].split()[0])
         print(f"FAILED with {done.returncode}; again: --seed {options.seed} --first {number}")
         print("\n".join(done.stderr.splitlines()[-12:]), flush=True)
-        counts["failed"] += 1
+        kinds = {-signal.SIGALRM: "hung", TOO_LARGE: "over 1 GB"}
+        counts[kinds.get(done.returncode, "failed")] += 1
         first = number + 1
     print(f"{sum(counts.values())} cases: {dict(sorted(counts.items()))}")
-    return 1 if counts["failed"] else 0
+    return 1 if counts["failed"] + counts["hung"] + counts["over 1 GB"] else 0
 
 
 if __name__ == "__main__":

@@ -292,6 +292,14 @@ def test_a_raw_stream_of_h264_is_read(tmp_path):
     assert levels == pytest.approx([200, 100, 50], abs=3)
 
 
+def test_an_unknown_codec_is_an_image_error(tmp_path):
+    write_video(tmp_path / "press.avi", brighter(3))
+    data = (tmp_path / "press.avi").read_bytes()
+    (tmp_path / "press.avi").write_bytes(data.replace(b"FFV1", b"zzzz"))
+    with pytest.raises(ImageError, match="codec that PyAV does not know"):
+        next(media.read_frames(tmp_path / "press.avi"))
+
+
 def test_a_list_of_other_files_is_not_followed(tmp_path):
     write_video(tmp_path / "press.avi", brighter(3))
     (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile press.avi\n")
