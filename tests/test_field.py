@@ -182,6 +182,21 @@ def test_the_sigma_of_a_strain_counts_the_errors_that_neighbours_share(raw):
     assert math.sqrt(np.mean(relative)) == pytest.approx(1, abs=0.1)
 
 
+def test_a_strain_beside_a_hole_is_less_certain_and_its_sigma_says_so():
+    row, column = 12.0 * np.mgrid[:30, :30]
+    rest = np.stack([column, row], axis=-1)
+    rest[8:22, 14:20] = np.nan
+    relative, sigmas = [], []
+    for seed in range(20):
+        now = noisy(rest, 900100 + seed)
+        field = displacement(noisy(rest, 900200 + seed), now, raw=True).with_strain()
+        beside = np.s_[10:20, 13, 0]  # along the rows, only three columns are left
+        relative.append(np.mean(np.square(field.strain[beside] / field.strain_sigma[beside])))
+        sigmas.append(np.median(field.strain_sigma[beside] / field.strain_sigma[10:20, 5, 0]))
+    assert np.median(sigmas) > 1.8
+    assert math.sqrt(np.mean(relative)) == pytest.approx(1, abs=0.2)
+
+
 def test_a_direction_that_noise_decides_has_the_sigma_of_an_unknown_one():
     rest = lattice(12, 12)
     found = displacement(noisy(rest, 3), noisy(1.01 * rest, 4)).with_strain()
@@ -319,6 +334,32 @@ def test_depth_area_and_normals_are_those_of_a_bell_pressed_into_a_tilted_gel(ti
     nothing = contact_of(field, deeper_than=0.7)
     assert nothing.area == 0
     assert np.isnan(nothing.deepest)
+
+
+def test_a_frame_for_pytac3d_has_its_keys_in_mm_row_by_row_and_no_forces():
+    rest, now = gel(12, 10, depth=0), gel(12, 10)
+    now[2, 3] = np.nan
+    frames = [
+        displacement(points(rest * size, unit=unit), points(now * size, unit=unit), raw=True)
+        for unit, size in (("mm", 1.0), ("um", 1e3))
+    ]
+    for field in frames:
+        frame = field.as_pytac3d(serial="gel-1", index=7, time_s=0.25)
+        assert sorted(frame) == [
+            *("3D_Displacements", "3D_Normals", "3D_Positions"),
+            *("SN", "index", "recvTimestamp", "sendTimestamp"),
+        ]
+        assert (frame["SN"], frame["index"], frame["recvTimestamp"]) == ("gel-1", 7, 0.25)
+        np.testing.assert_allclose(frame["3D_Positions"], now.reshape(-1, 3))
+        np.testing.assert_allclose(
+            frame["3D_Displacements"], (now - rest).reshape(-1, 3), atol=1e-12
+        )
+        assert np.isnan(frame["3D_Normals"]).any(axis=1).nonzero()[0].tolist() == [2 * 10 + 3]
+        assert (np.delete(frame["3D_Normals"], 23, axis=0)[:, 2] < 0).all()
+    with pytest.raises(FieldError, match="2 coordinates in px"):
+        pressed(space=False).as_pytac3d()
+    with pytest.raises(FieldError, match="in inch"):
+        displacement(points(rest, unit="inch"), points(now, unit="inch")).as_pytac3d()
 
 
 @SPACES

@@ -11,7 +11,7 @@ from corner_images import board
 import cmp_cl
 from cmp_cl import DetectorConfig, EdgeLines, Midlines
 from cmp_cl.errors import ConfigError, ImageError
-from cmp_cl.marks import drop_marks, edge_lengths
+from cmp_cl.marks import drop_marks
 from cmp_cl.synthetic import random_scene, render
 from cmp_cl.synthetic.scoring import match
 
@@ -117,21 +117,6 @@ def test_kept_corners_are_unchanged_in_every_field(detector_for):
         before, after = getattr(corners, field.name), getattr(kept, field.name)
         expected = before[rows] if isinstance(before, np.ndarray) else before
         np.testing.assert_array_equal(after, expected)
-
-
-def test_an_edge_ends_where_its_polarity_changes():
-    image, truth = board(150, 200, 20, angle=0)
-    middle = truth[np.argmin(np.abs(truth - (100, 75)).sum(axis=1))]
-    ahead = np.array([[(1, 0), (0, 1), (-1, 0), (0, -1)]], float)
-    if (
-        image[round(middle[1]) - 5, round(middle[0]) + 5]
-        < image[round(middle[1]) + 5, round(middle[0]) + 5]
-    ):
-        ahead = np.roll(ahead, 1, axis=1)
-    length = edge_lengths(image, middle[None], ahead, np.array([True]))
-    assert ((length > 14) & (length < 21)).all()
-    against = edge_lengths(image, middle[None], np.roll(ahead, 1, axis=1), np.array([True]))
-    assert (against == 0).all()
 
 
 def test_an_image_without_corners_stays_without_corners(detector_for):

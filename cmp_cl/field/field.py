@@ -1,6 +1,7 @@
 """The displacement of the nodes between two moments, and their strain."""
 
 import dataclasses
+import math
 from os import PathLike
 from typing import Any, Protocol
 
@@ -8,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import FieldError, check_kind, check_range
-from cmp_cl.field.strain import leverage, strain_of
+from cmp_cl.field.strain import leverage, strain_of, surface_normals
 from cmp_cl.field.writers import mesh_of, save
 from cmp_cl.points import PointStatus, largest_deviation
 
 Array = NDArray[np.float64]
 
+_MILLIMETRES = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 _STRAIN = ("strain", "strain_sigma", "principal", "principal_sigma", "direction", "direction_sigma")
 _IN_FILES = ("position", "displacement", "sigma", "position_sigma", *_STRAIN)
 
@@ -121,6 +123,38 @@ class DisplacementField:
         Raises ConfigError on another suffix, OSError if the file cannot be written.
         """
         save(path, arrays_of(self), self.unit)
+
+    def as_pytac3d(
+        self, *, serial: str = "", index: int = 0, time_s: float = math.nan
+    ) -> dict[str, Any]:
+        """Return a frame as the dictionary that PyTac3D gives, for code written for it.
+
+        serial: the name of the sensor. index: number of the frame. time_s: its time, s, for both
+        time stamps.
+
+        The keys are SN, index, sendTimestamp and recvTimestamp, and 3D_Positions (now),
+        3D_Displacements and 3D_Normals, (R C, 3) float64, mm and unit vectors, row by row, NaN
+        where missing. The axes are those of the left camera, and normals point to the cameras.
+        There are no forces: a displacement alone does not give them.
+
+        Raises FieldError if the field is not in space, or not in m, cm, mm or um.
+        """
+        if self.position.shape[2] != 3 or self.unit not in _MILLIMETRES:
+            raise FieldError(
+                f"PyTac3D's frames are in space, in mm: this field has {self.position.shape[2]} "
+                f"coordinates in {self.unit}; measure two views with a rig in "
+                f"{', '.join(_MILLIMETRES)}"
+            )
+        now, size = self.position + self.displacement, _MILLIMETRES[self.unit]
+        return {
+            "SN": serial,
+            "index": index,
+            "sendTimestamp": time_s,
+            "recvTimestamp": time_s,
+            "3D_Positions": size * now.reshape(-1, 3),
+            "3D_Displacements": size * self.displacement.reshape(-1, 3),
+            "3D_Normals": surface_normals(now).reshape(-1, 3),
+        }
 
     def strains(self) -> dict[str, Array]:
         """Return the strain, the principal strains, their direction and sigmas by name; empty

@@ -178,8 +178,8 @@ def surface_normals(positions: Array) -> Array:
     """Return the unit normals of a surface (R, C, 3) in the frame of the left camera.
 
     positions: (R, C, 3), NaN where missing. A normal is that of the plane through the 5 x 5 nodes
-        around a node, and points to the side on which the origin is. It is NaN if fewer than 6 of
-        these nodes are valid, or if all lie on a line.
+        around a node, and points to the side on which the origin is. It is NaN if the node is
+        missing, if fewer than 6 of these nodes are valid, or if all lie on a line.
 
     Raises FieldError if positions are of another shape.
     """
@@ -194,7 +194,7 @@ def surface_normals(positions: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         unit: Array = normal / np.where(flat, np.nan, length)[..., None]
     away = (unit * positions).sum(axis=2) > 0
-    return np.where(away[..., None], -unit, unit)
+    return np.where(valid[..., None], np.where(away[..., None], -unit, unit), np.nan)
 
 
 def leverage(valid: Bools, radius: int) -> Array:
