@@ -1,4 +1,8 @@
-"""Every number that the lattice is tuned by."""
+"""Every number that the lattice is tuned by.
+
+They were chosen on rendered gels and boards that no report uses (bench/lattice.py has other seeds).
+What each idea is worth, the same script measures with --ablation.
+"""
 
 import dataclasses
 
@@ -8,7 +12,64 @@ from numpy.typing import NDArray
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LatticeConstants:
-    """The constants of the lattice, with their units."""
+    """The constants of the lattice: unit, and meaning.
+
+    contrast_radius_px: px, distance from a corner at which the levels of its four cells are
+        read; the inner ring of the detector.
+    link_neighbours: corners, bins around a corner are added until they hold so many; 24 are the
+        places within 2.8 cells, and its own bin is not in their middle.
+    link_rings: bins, most rings of bins around a corner, which bounds the work.
+    turn_price: lengths, price of a bend between a way and a boundary, as in section 8 of the
+        specification.
+    least_cosine: least cosine of that bend.
+    side_points: shares of a side, points at which both sides of a way are read; with three of
+        them the votes across tears lost parts.
+    side_depth_cells: shares of a side, how far beside a way the levels are read; with .2 marks
+        in the cells are met.
+    side_depth_px: px, the same, at least: the smoothed image is three pixels wide.
+    least_side: share, of the contrast of both corners that a side must show.
+    agree: shares of a step, greatest difference between faces that share a link.
+    agree_cut: factor, by which that tolerance falls for a part that contradicts itself.
+    cuts: times, that it falls at most; .3 becomes .03.
+    least_part: faces, of a part; smaller ones are loose corners.
+    least_board: nodes, of a board.
+    least_line: share, of its places in view that an outer line must hold.
+    span: steps, of the longest way across a tear.
+    way_cosine: least cosine of the bend of a way of several steps.
+    least_way: share, of the contrast that a way of several steps must show.
+    join_votes: votes, that a placement by the surface alone needs.
+    join_margin: votes, by which the colours must prefer a placement.
+    join_ratio: share, of the votes of the best placement that the second may have.
+    join_against: share, of the votes for a placement that may contradict it.
+    join_inward: cosine, between the normal into a part and a shift that lost cells explain.
+    join_near_steps: steps, nodes of a part that near show which way is inward.
+    join_octants: sectors, around a part; votes of one sector count as their root.
+    join_bend: factor, by which the second placement must bend the surface more.
+    tear_rough: cells^2, noise of positions in the bending energy.
+    tear_deep_cells: cells, nodes so near to a tear show the surface.
+    tear_wide_cells: cells, widest tear.
+    tear_sectors: sectors, around a part, in each of which the tear has a width.
+    tear_most: nodes, of each side of a tear; the cost of a placement grows with its cube.
+    cell_depths: steps, from a node along both axes, at which its four cells are read.
+    torn_weight_per_px2: 1/px^2, weight of a torn corner among the predictions of its
+        neighbours, per area of a cell: 14 at cells of 13 px. Least false nodes and least error
+        of 6 to 30 tried there.
+    torn_sigma_px: px, a corner whose sigma is not below it is torn.
+    misfit_cap_cells: cells, misfits beyond it count alike.
+    repair_cells: cells, a node so near to the place of a missing one is at that place itself.
+    reach_cells: cells, a corner so far from a prediction is another.
+    side_nats: nats, for each whole side (this and the four below: regression).
+    cells_nats: nats, for the whole contrast of the four cells.
+    firm_sd_cells: cells, standard deviation from a prediction between neighbours.
+    loose_sd_cells: cells, the same of an extrapolation.
+    prior_nats: nats, of a node without evidence.
+    firm_nats: nats, more, between neighbours.
+    stay_nats: nats, that a node needs.
+    enter_nats: nats, that a new node needs.
+    rounds: times, that nodes are looked for.
+    drop_passes: times, that nodes are dropped in each round.
+    edge_px: px, nearer to the edge of the image no node is predicted.
+    """
 
     # Links
     contrast_radius_px: float = 3.0

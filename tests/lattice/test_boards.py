@@ -1,0 +1,61 @@
+"""Boards: parts in one frame of numbers, across tears where that is sure."""
+
+import numpy as np
+import pytest
+from lattice_plans import K, plan_for
+
+from cmp_cl import detect
+from cmp_cl.lattice.boards import boards
+from cmp_cl.synthetic import Indenter, random_scene, render
+
+
+def found(device, image):
+    """Return the corners, and the boards of an image, the largest part's first."""
+    corners = detect(image)
+    plan = plan_for(device, image, len(corners))
+    plan.take(image, corners.xy, corners.edges, corners.sigma, corners.refusal)
+    plan.find_parts()
+    torn = ~(corners.sigma < K.torn_sigma_px) | (corners.refusal != 0)
+    return corners, list(boards(plan, image.shape, corners.xy, torn, K))
+
+
+def right(corners, board, truth):
+    """Return how many corners are nodes, and how many of these have the numbers of the truth, up to
+    one turn and one shift."""
+    row, column = np.nonzero(board.owner >= 0)
+    xy = corners.xy[board.owner[row, column]]
+    away = np.linalg.norm(xy[:, None] - truth.reshape(1, -1, 2), axis=2)
+    true_row, true_column = np.divmod(away.argmin(axis=1), truth.shape[1])
+    here, there = column + 1j * row, true_column + 1j * true_row
+    agreed = 0
+    for quarter in range(4):
+        shift = np.rint(here * 1j**quarter - there)
+        agreed = max(agreed, int(np.unique(shift, return_counts=True)[1].max()))
+    return len(row), agreed
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+def test_a_gel_torn_all_around_a_ring_is_one_board_with_right_numbers(device, seed):
+    scene = random_scene(720_000 + seed, markers=40 + seed, indenter=Indenter.TORUS, severity=2.0)
+    shot = render(scene)
+    corners, (board, *_) = found(device, shot.image)
+    nodes, agreed = right(corners, board, shot.truth)
+    assert agreed == nodes
+    assert nodes > 0.9 * shot.truth[..., 0].size
+
+
+def test_every_board_in_view_is_found_and_no_corner_twice(device):
+    one = render(random_scene(5, markers=12, severity=0.3, shape=(200, 200)))
+    two = render(random_scene(6, markers=9, severity=0.3, shape=(200, 200)))
+    corners, seen = found(device, np.hstack([one.image, two.image]))
+    assert [each.there.shape for each in seen[:2]] == [(12, 12), (9, 9)]
+    owners = np.concatenate([each.owner[each.owner >= 0] for each in seen])
+    assert len(np.unique(owners)) == len(owners)
+    for board, truth in ((seen[0], one.truth), (seen[1], two.truth + np.array([200, 0]))):
+        nodes, agreed = right(corners, board, truth)
+        assert nodes == agreed == truth[..., 0].size
+
+
+def test_an_image_without_a_lattice_has_no_board(device):
+    noise = np.random.default_rng(1).integers(0, 255, (120, 160)).astype(np.uint8)
+    assert found(device, noise)[1] == []
