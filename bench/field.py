@@ -50,6 +50,7 @@ from cmp_cl.measure import (
     trusted,
 )
 from cmp_cl.points import sides
+from cmp_cl.space import Calibration
 from cmp_cl.synthetic import (
     Indenter,
     Mode,
@@ -331,22 +332,27 @@ def left_out(views: Sequence[tuple[Grid, Grid]], *, free_board: bool = False) ->
     found, whose sides are 25 mm long on average: `repeated` is the deviation from it, `board` that
     of its own sides.
     """
-    size = (640, 480)
     lengths, off, boards = [], [], []
     for out, pair in enumerate(views):
         others = [view for place, view in enumerate(views) if place != out]
-        found = calibrate(others, spacing=25, image_size=size, free_board=free_board)
+        found = calibrated(others, free_board=free_board)
         half_turn = 2 if pair[0].parity != others[0][0].parity else 0
-        points = found.rig.triangulate(*(grid.turned(half_turn) for grid in pair))
+        points = found.rig().triangulate(*(grid.turned(half_turn) for grid in pair))
         lengths.append(square_sides(points))
         if found.board is not None:
             boards.append(every_side(found.board))
             off.append(every_side(points.xyz) - boards[-1])
-    error = calibrate(views, spacing=25, image_size=size, free_board=free_board).error
+    error = calibrated(views, free_board=free_board).error
     row = {"calibration_error_px": error, **spread(lengths)}
     if free_board:
         row["repeated"], row["board"] = (float(np.nanstd(each)) for each in (off, boards))
     return row
+
+
+def calibrated(views: Sequence[tuple[Grid, Grid]], *, free_board: bool) -> Calibration:
+    left, right = zip(*views, strict=True)
+    sizes = {"left": (640, 480), "right": (640, 480)}
+    return calibrate({"left": left, "right": right}, spacing=25, sizes=sizes, free_board=free_board)
 
 
 def every_side(xyz: np.ndarray) -> np.ndarray:

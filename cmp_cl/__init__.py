@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from cmp_cl.space import Points3D as Points3D
     from cmp_cl.space import StereoRig as StereoRig
     from cmp_cl.space import calibrate as calibrate
-    from cmp_cl.space import calibrate_camera as calibrate_camera
 
     __version__: str
 
@@ -67,7 +66,7 @@ _HOMES = {
     "motion": "displacement",
     "opencl.device": "Device list_devices select_device",
     "series": "SeriesWriter",
-    "space": "BinocularSplit Points3D StereoRig calibrate calibrate_camera",
+    "space": "BinocularSplit Points3D StereoRig calibrate",
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names.split()}
 

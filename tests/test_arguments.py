@@ -20,7 +20,6 @@ from cmp_cl import (
     StereoRig,
     build_grid,
     calibrate,
-    calibrate_camera,
     detect,
     media,
     reference,
@@ -35,23 +34,14 @@ from cmp_cl.measure import (
     TwoViews,
     cell_of,
     find_board,
-    find_boards,
     find_pattern,
     square_sides,
     trusted,
 )
 from cmp_cl.motion import PlaneScale, contact_of, displacement
 from cmp_cl.pattern import Checkerboard, cell_for, fitting_paper
-from cmp_cl.space import undistort
-from cmp_cl.space.cameras import calibrate_cameras
-from cmp_cl.space.exports import (
-    cameras_of,
-    save_cameras,
-    save_corners,
-    save_kalibr,
-    save_opencv,
-    save_ros,
-)
+from cmp_cl.space import Camera, Lens, undistort
+from cmp_cl.space.exports import save_cameras, save_corners
 from cmp_cl.synthetic import (
     Scene,
     binocular_frame,
@@ -68,7 +58,15 @@ IMAGE = np.zeros((60, 70), np.uint8)
 SIZE = IMAGE.shape[::-1]
 BOARD = Path(media.__file__).parent / "data" / "board.png"
 BOARD_5X6 = Checkerboard(shape=(5, 6), cell=2.0)
-CAMERAS = cameras_of(toed_in_rig(), SIZE)
+CAMERA = Camera(
+    lens=Lens.PINHOLE,
+    size=SIZE,
+    matrix=np.eye(3),
+    distortion=np.zeros(5),
+    R=np.eye(3),
+    T=np.zeros(3),
+    unit="mm",
+)
 FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
 
 
@@ -93,13 +91,7 @@ FIELD = displacement(points(gel(4, 4)), points(gel(4, 4)))
         (lambda: PlaneScale(np.eye(3), None), "unit", "str"),
         (lambda: GRID.covers(None), "rest", "Grid"),
         (lambda: align([GRID, 3]), "each of grids", "Grid"),
-        (lambda: calibrate([(GRID, None)], spacing=1, image_size=SIZE), "each of views", "Grid"),
-        (lambda: calibrate_camera(["a"], spacing=1, image_size=SIZE), "each of grids", "Grid"),
-        (
-            lambda: calibrate_camera([], spacing=1, image_size=(9, "a")),
-            "each of image_size",
-            "Integral",
-        ),
+        (lambda: several(["a"]), "views", "Mapping"),
         (lambda: toed_in_rig().triangulate(GRID, GRID, sigma="a"), "sigma", "Real"),
         (lambda: toed_in_rig().triangulate(GRID, GRID, max_error=None), "max_error", "Real"),
         (lambda: BinocularSplit((0, 0, 9, 9), (9, 0, 9, 9), "no"), "mirror_left", "bool"),
@@ -142,8 +134,6 @@ def test_an_argument_of_another_type_is_named(call, name, expected):
     [
         (lambda: find_board(IMAGE, None), "shape must be (rows, columns), each at least 1"),
         (lambda: find_pattern(IMAGE, shape=[[1], [2, 3]]), "shape must be (rows, columns)"),
-        (lambda: find_boards(None, (3, 4)), "views must be those of the left and the right view"),
-        (lambda: find_boards((IMAGE, IMAGE), (3, 4), regions=3), "regions must be those of the"),
         (lambda: trusted(GRID, np.nan), "max_sigma must be above 0 px, not nan"),
         (lambda: refine_markers(GRID, 1, IMAGE, contrast="a"), "contrast must be a number in"),
         (lambda: refine_markers(GRID, -1, IMAGE), "a grid of (5, 6) nodes does not hold -1"),
@@ -168,7 +158,7 @@ def test_a_value_that_makes_no_sense_is_named(call, message):
 def several(views=None, sizes=None, **changed):
     """Calibrate a camera `a` of three views."""
     views, sizes = ({"a": [GRID] * 3} if views is None else views), sizes or {"a": SIZE}
-    return calibrate_cameras(views, spacing=1, sizes=sizes, **changed)
+    return calibrate(views, **{"spacing": 1, "sizes": sizes, **changed})
 
 
 @pytest.mark.parametrize(
@@ -191,21 +181,16 @@ def several(views=None, sizes=None, **changed):
         (lambda: default_rig(5), "shape"),
         (lambda: default_rig((5, "a")), "shape"),
         (lambda: default_rig((5, 0)), "shape"),
-        (lambda: cameras_of(None, SIZE), "rig"),
-        (lambda: cameras_of(toed_in_rig(), 5), "size"),
         (lambda: save_corners("a.vnl", [GRID]), "views"),
         (lambda: save_corners("a.vnl", {"a.png": 3}), r"views\['a.png'\]"),
         (lambda: save_corners("a.yaml", {"a.png": GRID}, spacing="a"), "spacing"),
-        (lambda: save_ros("a.yaml", None, name="a"), "camera"),
-        (lambda: save_ros("a.yaml", CAMERAS["left"], name=3), "name"),
         *(
-            (lambda save=save, cameras=cameras: save("a.yaml", cameras), name)
-            for save in (save_opencv, save_kalibr, save_cameras)
+            (lambda cameras=cameras: save_cameras("a.yaml", cameras), name)
             for cameras, name in [
                 (None, "cameras"),
                 ({}, "cameras"),
                 ({"a": 3}, r"cameras\['a'\]"),
-                ({3: CAMERAS["left"]}, "each name of cameras"),
+                ({3: CAMERA}, "each name of cameras"),
             ]
         ),
         (lambda: render_stereo(None, default_rig()), "scene"),
@@ -282,10 +267,6 @@ def test_wrong_shapes_of_a_pattern_a_split_and_an_image_are_refused():
         TwoViews(IMAGE, toed_in_rig(), BinocularSplit.halves(*SIZE), regions=None)
     with pytest.raises(ImageError, match="got NoneType"):
         BinocularSplit.halves(*SIZE)(None)
-    with pytest.raises(CalibrationError, match="image_size must be"):
-        calibrate_camera([], spacing=1, image_size=(640, 0))
-    with pytest.raises(CalibrationError, match="not 3 grids"):
-        calibrate([(GRID, GRID, GRID)], spacing=1, image_size=SIZE)
     with pytest.raises(ImageError, match=r"cannot write float64 pixels"):
         media.write_image("a.png", np.zeros((4, 4)))
     with pytest.raises(FileNotFoundError, match="several names"):
@@ -335,11 +316,7 @@ def test_frames_that_are_not_several_are_refused():
         (lambda side: PlaneScale.of_cells(GRID, side), "side", FieldError),
         (GRID.to_opencv, "spacing", ConfigError),
         (lambda fps: CameraSettings(fps=0 if fps is None else fps), "fps", ConfigError),
-        (
-            lambda side: calibrate_camera([], spacing=side, image_size=(70, 60)),
-            "spacing",
-            CalibrationError,
-        ),
+        (lambda side: several(spacing=side), "spacing", CalibrationError),
     ],
 )
 def test_a_length_that_is_not_positive_is_refused(call, name, error, length):

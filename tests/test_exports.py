@@ -1,7 +1,6 @@
 """Cameras of several kinds, and corners and cameras as other tools read them."""
 
 import dataclasses
-import math
 import shutil
 import subprocess
 from pathlib import Path
@@ -9,13 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from stereo_data import grid_of, photographs, toed_in_rig, truth_grid
+from stereo_data import grid_of, photographs, truth_grid
 
 from cmp_cl.errors import CalibrationError, ConfigError
-from cmp_cl.space import StereoRig
-from cmp_cl.space.cameras import Camera, Lens, calibrate_cameras
-from cmp_cl.space.exports import cameras_of, save_cameras, save_corners
-from cmp_cl.space.joint import MisfitError
+from cmp_cl.space import Camera, Lens, StereoRig, calibrate
+from cmp_cl.space.exports import save_cameras, save_corners
 
 SIZE = (640, 480)
 MATRIX = np.array([[420.0, 0, 325], [0, 418.0, 236], [0, 0, 1]])
@@ -36,107 +33,6 @@ def camera(lens, rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)):
         T=np.array(translation),
         unit="mm",
     )
-
-
-def views(cameras, count=12):
-    """Return grids of a 7 x 9 board of 20 mm squares in random poses, without nodes outside."""
-    rng = np.random.default_rng(900001)
-    row, column = np.mgrid[:7, :9]
-    board = np.stack([column, row, 0 * row], axis=-1) * 20.0 - [80, 60, 0]
-    seen = {name: [] for name in cameras}
-    for _ in range(count):
-        rotation = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))[0]
-        place = board @ rotation.T + [*rng.uniform(-60, 60, 2), rng.uniform(190, 330)]
-        for name, each in cameras.items():
-            xy = each.project(place) + rng.normal(0, 0.03, (7, 9, 2))
-            outside = (xy < 0).any(axis=-1) | (xy > np.array(SIZE) - 1).any(axis=-1)
-            xy[outside] = np.nan
-            seen[name].append(grid_of(xy, 0.03))
-    return seen
-
-
-@pytest.mark.parametrize("lens", list(Lens))
-def test_a_camera_of_each_lens_is_found_again(lens):
-    truth = {"front": camera(lens)}
-    found = calibrate_cameras(views(truth), spacing=20, sizes={"front": SIZE}, lens=lens)
-    assert found.error == pytest.approx(0.03 * math.sqrt(2), rel=0.1)
-    assert 0.6 < found.coverage["front"] <= 1
-    rms = np.sqrt(np.nanmean(np.square(np.stack(found.residuals["front"])).sum(axis=-1)))
-    assert rms == pytest.approx(found.error)
-    row, column = np.mgrid[-3:4, -3:4]
-    rays = np.stack([column * 0.2, row * 0.15, np.ones((7, 7))], axis=-1)
-    off = found.cameras["front"].project(rays) - truth["front"].project(rays)
-    assert np.abs(off).max() < 1.0
-
-
-def test_three_cameras_are_located_though_two_of_them_miss_views():
-    truth = {
-        "a": camera(Lens.PINHOLE),
-        "b": camera(Lens.PINHOLE, (0.01, 0.15, -0.02), (-50, 2, 5)),
-        "c": camera(Lens.PINHOLE, (-0.1, -0.2, 0.05), (60, -3, 8)),
-    }
-    grids = views(truth, count=14)
-    grids["b"][:4] = [None] * 4
-    grids["c"][10:] = [None] * 4
-    found = calibrate_cameras(grids, spacing=20, sizes=dict.fromkeys(truth, SIZE))
-    for name, expected in truth.items():
-        np.testing.assert_allclose(found.cameras[name].T, expected.T, atol=0.3)
-        np.testing.assert_allclose(found.cameras[name].R, expected.R, atol=2e-3)
-    assert np.isnan(found.view_errors["b"][:4]).all()
-    assert found.error < 0.06
-    two = {name: grids[name] for name in ("a", "b")}
-    rig = calibrate_cameras(two, spacing=20, sizes=dict.fromkeys(two, SIZE)).rig()
-    assert np.linalg.norm(rig.T) == pytest.approx(np.linalg.norm(truth["b"].T), rel=0.01)
-
-
-def test_swapped_views_of_one_of_three_cameras_are_refused_and_named():
-    seen = views(
-        {
-            "a": camera(Lens.PINHOLE),
-            "b": camera(Lens.PINHOLE, (0.01, 0.15, -0.02), (-50, 2, 5)),
-            "c": camera(Lens.PINHOLE, (-0.1, -0.2, 0.05), (60, -3, 8)),
-        }
-    )
-    sizes, right = dict.fromkeys(seen, SIZE), list(seen["b"])
-    seen["b"][2], seen["b"][7] = right[7], right[2]
-    with pytest.raises(MisfitError, match="without view 2 of b and view 7 of b the others") as why:
-        calibrate_cameras(seen, spacing=20, sizes=sizes)
-    assert why.value.odd == {2: ["b"], 7: ["b"]}
-    seen["b"] = [*right[1:], right[0]]  # no view fits: none is named
-    with pytest.raises(MisfitError, match="no pose between the cameras fits") as why:
-        calibrate_cameras(seen, spacing=20, sizes=sizes)
-    assert not why.value.odd
-    seen["b"][:9], seen["b"][9:] = [None] * 9, right[9:]
-    seen["b"][10], seen["b"][11] = right[11], right[10]  # too few are left to tell
-    with pytest.raises(MisfitError) as why:
-        calibrate_cameras(seen, spacing=20, sizes=sizes)
-    assert not why.value.odd
-
-
-@pytest.mark.parametrize("lens", list(Lens))
-def test_views_that_are_as_bad_for_each_camera_alone_are_not_refused(lens):
-    rng = np.random.default_rng(900002)
-    cameras = {"a": camera(lens), "b": camera(lens, translation=(-20.0, 0, 0))}
-    seen = {
-        name: [grid_of(grid.xy + rng.normal(0, 1, grid.xy.shape)) for grid in grids]
-        for name, grids in views(cameras).items()
-    }
-    found = calibrate_cameras(seen, spacing=20, sizes=dict.fromkeys(seen, SIZE), lens=lens)
-    assert 1.2 < found.error < 1.5
-
-
-def test_views_that_do_not_determine_a_camera_are_refused():
-    row, column = np.mgrid[:7, :9]
-    flat = [grid_of(np.stack([column, row], axis=-1) * 30.0 + 20 * n) for n in range(4)]
-    with pytest.raises(CalibrationError, match=r"front: .*(focal|determine)") as refusal:
-        calibrate_cameras({"front": flat}, spacing=20, sizes={"front": SIZE})
-    assert "\n" not in str(refusal.value)
-    with pytest.raises(CalibrationError, match=r"3 views .* are needed, not 2"):
-        calibrate_cameras({"front": flat[:2]}, spacing=20, sizes={"front": SIZE})
-    seen = views({"a": camera(Lens.PINHOLE), "b": camera(Lens.PINHOLE, translation=(-20.0, 0, 0))})
-    apart = {"a": [*seen["a"][:6], *[None] * 6], "b": [*[None] * 6, *seen["b"][6:]]}
-    with pytest.raises(CalibrationError, match="b: no moment"):
-        calibrate_cameras(apart, spacing=20, sizes=dict.fromkeys(apart, SIZE))
 
 
 def test_a_grid_gives_opencv_its_points():
@@ -231,17 +127,22 @@ def test_mrcal_calibrates_the_pairs_of_opencv(tmp_path):
 
 
 def test_opencv_and_the_library_read_a_rig_back(tmp_path):
-    rig = toed_in_rig()
-    save_cameras(tmp_path / "rig.yaml", cameras_of(rig, (800, 1200)))
+    folder = photographs("stereo_opencv")
+    grids = {
+        side: [truth_grid(folder / f"{side}{pair:02}.json") for pair in range(1, 6)]
+        for side in ("left", "right")
+    }
+    found = calibrate(grids, spacing=25, sizes=dict.fromkeys(grids, SIZE))
+    save_cameras(tmp_path / "rig.yaml", found.cameras, covariance=found.covariance)
     again = StereoRig.load(tmp_path / "rig.yaml")
-    for name in ("K1", "D1", "K2", "D2", "R", "T"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(rig, name))
+    for name in ("K1", "D1", "K2", "D2", "R", "T", "covariance"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found.rig(), name))
     storage = cv2.FileStorage(str(tmp_path / "rig.yaml"), cv2.FILE_STORAGE_READ)
     assert storage.getNode("name2").string() == "right"
-    assert storage.getNode("size1").mat().tolist() == [[800, 1200]]
+    assert storage.getNode("size1").mat().tolist() == [[640, 480]]
 
 
-def test_a_file_of_one_camera_or_of_fisheyes_is_reported_as_such(tmp_path):
+def test_a_file_of_one_camera_or_of_fisheyes_is_no_rig(tmp_path):
     save_cameras(tmp_path / "one.yaml", {"a": camera(Lens.PINHOLE)})
     with pytest.raises(CalibrationError, match="a rig has two cameras"):
         StereoRig.load(tmp_path / "one.yaml")

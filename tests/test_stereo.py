@@ -1,7 +1,6 @@
 """Two views: positions in space are right, and nodes without one are flagged."""
 
 import dataclasses
-import itertools
 import math
 
 import cv2
@@ -25,8 +24,6 @@ from cmp_cl.space import (
     BinocularSplit,
     PointStatus,
     StereoRig,
-    calibrate,
-    calibrate_camera,
     triangulate_points,
     undistort,
 )
@@ -367,93 +364,6 @@ def test_an_invalid_rectangle_is_refused(box):
         BinocularSplit(box, (0, 0, 1, 1))
 
 
-def boards(rig, rng, count=12, sigma=0.05, tilt=0.5):
-    """Return views of a flat board of 7 x 9 nodes, 3 mm apart, in the pose of the gel."""
-    row, column = np.indices((7, 9))
-    flat = np.stack([(column - 4) * 3.0, (row - 3) * 3.0, np.zeros((7, 9))], axis=-1)
-    views = []
-    for _ in range(count):
-        rotation = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
-        place = flat @ rotation.T + [*rng.uniform(-3, 3, 2), 50 + rng.uniform(-6, 6)]
-        views.append(tuple(noisy(view, sigma, rng) for view in project(rig, place)))
-    return views
-
-
-def test_calibration_finds_the_rig_again():
-    rig, rng = toed_in_rig(), np.random.default_rng(3)
-    found = calibrate(boards(rig, rng), spacing=3, image_size=(800, 1200), unit="mm")
-    assert found.error == pytest.approx(0.05 * math.sqrt(2), rel=0.1)
-    assert found.view_errors.shape == (12, 2)
-    assert found.left.view_errors.shape == (12,)
-    assert found.rig.K1[0, 0] == pytest.approx(rig.K1[0, 0], rel=0.01)
-    assert np.linalg.norm(found.rig.T) == pytest.approx(np.linalg.norm(rig.T), rel=0.01)
-    for left, right in boards(rig, rng, count=3):
-        points = found.rig.triangulate(left, right)
-        assert sides(points).mean() == pytest.approx(3, abs=0.005)
-        assert points.error.mean() < 0.1
-
-
-def test_the_same_views_give_the_same_bytes():
-    views = boards(toed_in_rig(), np.random.default_rng(3))
-    rigs = [calibrate(views, spacing=3, image_size=(800, 1200)).rig for _ in range(4)]
-    for name in ("K1", "D1", "K2", "D2", "R", "T"):
-        assert len({getattr(rig, name).tobytes() for rig in rigs}) == 1, name
-
-
-def test_calibration_takes_partial_views():
-    rig, rng = toed_in_rig(), np.random.default_rng(4)
-    views = boards(rig, rng)
-    for view, (left, right) in enumerate(views):
-        left.xy[: view % 3] = np.nan
-        right.xy[:, : view % 4] = np.nan
-    found = calibrate(views, spacing=3, image_size=(800, 1200))
-    assert np.linalg.norm(found.rig.T) == pytest.approx(np.linalg.norm(rig.T), rel=0.01)
-
-
-def test_views_that_determine_nothing_are_refused():
-    rig, rng = toed_in_rig(), np.random.default_rng(5)
-    views = boards(rig, rng)
-    size = (800, 1200)
-    with pytest.raises(CalibrationError, match="2 views"):
-        calibrate(views[:2], spacing=3, image_size=size)
-    with pytest.raises(CalibrationError, match="spacing"):
-        calibrate(views, spacing=0, image_size=size)
-    empty = grid_of(np.full((7, 9, 2), np.nan))
-    with pytest.raises(CalibrationError, match="view 1 shows 0 nodes"):
-        calibrate_camera([views[0][0], empty, views[1][0]], spacing=3, image_size=size)
-    with pytest.raises(FieldError, match="view 0"):
-        calibrate([(views[0][0], grid_of(np.ones((9, 7, 2))))], spacing=3, image_size=size)
-
-
-def test_views_that_are_no_pairs_are_refused():
-    views = boards(toed_in_rig(), np.random.default_rng(5), count=6)
-    mixed = [(left, right) for (left, _), (_, right) in itertools.pairwise(views)]
-    with pytest.raises(CalibrationError, match="no pose between the cameras"):
-        calibrate(mixed, spacing=3, image_size=(800, 1200))
-    shifted = [(grid_of(left.xy[:, 2:]), grid_of(right.xy[:, :-2])) for left, right in views]
-    shifted[0] = tuple(grid_of(grid.xy[:, 1:-1]) for grid in views[0])
-    with pytest.raises(CalibrationError, match="check the shape of the board"):
-        calibrate(shifted, spacing=3, image_size=(800, 1200))
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("tilt", [0.0005, 0.01])
-def test_views_all_from_the_front_are_refused(tilt, seed):
-    views = boards(toed_in_rig(), np.random.default_rng(seed), count=4, tilt=tilt)
-    with pytest.raises(CalibrationError, match="uncertain"):
-        calibrate_camera([left for left, _ in views], spacing=3, image_size=(800, 1200))
-
-
-def test_the_sigma_of_the_focal_length_is_that_of_its_error():
-    rig, deviations = toed_in_rig(), []
-    for seed in range(20):
-        views = boards(rig, np.random.default_rng(seed), count=6, tilt=0.3)
-        found = calibrate_camera([left for left, _ in views], spacing=3, image_size=(800, 1200))
-        deviations.append((found.matrix[0, 0] - rig.K1[0, 0]) / found.focal_sigma)
-    # From 20 calibrations, the ratio has a standard error of 16 %.
-    assert 0.6 < np.sqrt(np.mean(np.square(deviations))) < 1.5
-
-
 def test_the_bumblebee_pairs_show_squares_of_30_mm():
     folder = photographs("stereo_bumblebee2")
     rig = bumblebee_rig(folder / "stereo.yaml")
@@ -471,46 +381,12 @@ def test_the_bumblebee_pairs_show_squares_of_30_mm():
     assert lengths.std() < 0.14
 
 
-def test_opencvs_pairs_measure_a_board_in_a_view_that_calibration_did_not_see():
-    folder = photographs("stereo_opencv")
-    views = [
-        tuple(truth_grid(folder / f"{side}{pair:02}.json") for side in ("left", "right"))
-        for pair in range(1, 6)
-    ]
-    for out in (0, 3):
-        others = [view for place, view in enumerate(views) if place != out]
-        found = calibrate(others, spacing=25, image_size=(640, 480))
-        assert found.error < 0.2
-        points = found.rig.triangulate(*views[out])
-        assert points.valid.all()
-        assert sides(points).mean() == pytest.approx(25, abs=0.08)
-        assert sides(points).std() < 0.16
-        assert points.error.mean() < 0.1
-
-
 def test_a_rendered_pair_lies_where_it_was_rendered():
     rig = StereoRig(*default_rig((300, 200)))
     scene = random_scene(5, markers=20, shape=(300, 200))
     left, right, truth = render_stereo(scene, rig)
     points = rig.triangulate(grid_of(left.truth), grid_of(right.truth))
     np.testing.assert_allclose(points.xyz, truth, atol=2e-4)  # mm, of float32 pixels
-
-
-def test_the_calibrations_own_covariance_is_that_of_its_errors():
-    """Points from exact views through rigs that were calibrated on noisy ones."""
-    rig, truth = toed_in_rig(), gel(5, 5)
-    exact = [grid_of(view, 0.05) for view in project(rig, truth)]
-    ratios = []
-    for seed in range(8):
-        views = boards(rig, np.random.default_rng(seed), count=8)
-        found = calibrate(views, spacing=3.0, image_size=(800, 1200)).rig
-        assert np.linalg.eigvalsh(found.covariance)[0] >= 0
-        points = found.triangulate(*exact)
-        values, axes = np.linalg.eigh(points.calibration_covariance)
-        off = np.einsum("rcij,rci->rcj", axes, points.xyz - truth)
-        ratios.append((off / np.sqrt(values))[..., 2])
-        assert (points.sigma > largest_deviation(points.covariance)).all()
-    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
 
 
 def test_the_largest_deviation_is_the_root_of_the_largest_eigenvalue():
@@ -525,24 +401,6 @@ def test_the_largest_deviation_is_the_root_of_the_largest_eigenvalue():
     expected = np.sqrt(np.linalg.eigvalsh(np.nan_to_num(covariance))[:, -1].clip(0))
     expected[31] = np.nan
     np.testing.assert_allclose(largest_deviation(covariance), expected, rtol=1e-7)
-
-
-def test_uncertain_views_weigh_less():
-    """Half of the views are ten times as noisy, and their sigma says so."""
-    rig, off = toed_in_rig(), {True: [], False: []}
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        sure = [left for left, _ in boards(rig, rng, count=4, sigma=0.05)]
-        rough = [left for left, _ in boards(rig, rng, count=4, sigma=0.5)]
-        for said in (True, False):
-            views = [
-                dataclasses.replace(grid, sigma=np.full(grid.shape, sigma, np.float32))
-                for grids, sigma in ((sure, 0.05), (rough, 0.5 if said else 0.05))
-                for grid in grids
-            ]
-            camera = calibrate_camera(views, spacing=3.0, image_size=(800, 1200))
-            off[said].append(camera.matrix[0, 0] - rig.K1[0, 0])
-    assert np.square(off[True]).mean() < 0.3 * np.square(off[False]).mean()
 
 
 def test_inverses_of_normal_matrices_are_those_of_numpy():

@@ -1,23 +1,22 @@
-"""`cmp-cl calibrate`: two cameras from views of a rigid board."""
+"""`cmp-cl calibrate`: one, two or more cameras from views of a board."""
 
 import argparse
 import itertools
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmp_cl import media
-from cmp_cl.cli import calibrate_cameras
 from cmp_cl.cli.arguments import (
     add_device,
     add_full_scale,
     add_region,
     add_split,
     check_files,
+    check_suffix,
     distinct_inputs,
     grid_shape,
     positive_number,
@@ -32,57 +31,88 @@ from cmp_cl.cli.progress import Progress
 from cmp_cl.errors import CalibrationError, ConfigError, GridError, ImageError
 from cmp_cl.grid import Grid
 from cmp_cl.image import GreyImage
-from cmp_cl.measure import MAX_SIGMA, Region, find_boards, square_sides
+from cmp_cl.measure import Region, find_board, square_sides, trusted
 from cmp_cl.opencl.device import select_device
-from cmp_cl.space import StereoCalibration, calibrate
-from cmp_cl.space.exports import cameras_of, check_cameras, save_cameras
-from cmp_cl.space.joint import MisfitError
+from cmp_cl.space import Calibration, Lens, MisfitError, calibrate
+from cmp_cl.space.advice import advice
+from cmp_cl.space.exports import check_cameras, check_corners, save_cameras, save_corners
+from cmp_cl.viz import save_figure
+from cmp_cl.viz.calibration import calibration_figure
 
 
 def add_parser(commands: Any) -> None:
     """Add `calibrate` to the commands of an argparse parser."""
     parser = commands.add_parser(
         "calibrate",
-        help="calibrate one, two or more cameras from views of a rigid board",
-        description="Finds the corners of a flat, rigid checkerboard in at least three views or "
-        "pairs of views, tilted in different directions, calibrates the cameras and the poses "
-        "between them, and prints the reprojection error of every view. Corners that were "
-        "not detected directly, or whose standard deviation is above --max-sigma, are "
-        "left out.",
+        help="calibrate one, two or more cameras from views of a board",
+        description="Finds the corners of a rigid checkerboard in views of it, at least three, "
+        "better ten or more, tilted in different directions and in all parts of the image; "
+        "calibrates the camera or cameras and the poses between them; prints the error of every "
+        "view and what would make the result better, and draws both.",
     )
-    parser.add_argument(
-        "images",
-        nargs="*",
-        metavar="IMAGE",
-        help="frames, or folders of them, that show both views",
-    )
-    parser.add_argument("--left", nargs="+", metavar="IMAGE", default=[], help="left views")
-    parser.add_argument(
+    cameras = parser.add_argument_group("views: of one camera, or of several at the same moments")
+    cameras.add_argument("images", nargs="*", metavar="IMAGE", help="views of one camera")
+    cameras.add_argument("--left", nargs="+", metavar="IMAGE", default=[], help="left views")
+    cameras.add_argument(
         "--right", nargs="+", metavar="IMAGE", default=[], help="right views, in the same order"
     )
-    parser.add_argument(
+    cameras.add_argument(
+        "--stereo", action="store_true", help="each IMAGE shows two views, see --split"
+    )
+    cameras.add_argument(
+        "--camera",
+        nargs="+",
+        action="append",
+        default=[],
+        metavar=("NAME=IMAGE", "IMAGE"),
+        help="the views of one of several cameras; given again for every other camera",
+    )
+    board = parser.add_argument_group("the board")
+    board.add_argument(
         "--board",
         metavar="9x6",
         type=grid_shape,
         required=True,
         help="inner corners of the board, either number first",
     )
-    parser.add_argument(
+    board.add_argument(
         "--square", metavar="LENGTH", type=positive_number, required=True, help="side of a square"
     )
-    parser.add_argument(
+    board.add_argument(
         "--unit",
         metavar="UNIT",
         type=unit_name,
         default="mm",
         help="unit of --square and of the result; default: mm",
     )
+    board.add_argument(
+        "--free-board",
+        action="store_true",
+        help="find the nodes of the board too, for a print that is bent or not exact; at least "
+        "four views of a board whose rows and columns add up to an odd number, such as 9x6",
+    )
     parser.add_argument(
+        "--lens",
+        choices=[lens.value for lens in Lens],
+        default=Lens.PINHOLE.value,
+        help="model of the lenses; default: pinhole; rational and fisheye are for wide ones",
+    )
+    output = parser.add_argument_group("output")
+    output.add_argument(
         "--out",
         metavar="FILE",
-        required=True,
+        default="calibration.yaml",
         help="the calibration to write: .yaml or .yml (OpenCV, for cmp-cl run), .camera_info.yaml "
-        "(ROS), or .camchain.yaml (Kalibr)",
+        "(ROS), or .camchain.yaml (Kalibr); default: calibration.yaml",
+    )
+    output.add_argument(
+        "--picture",
+        metavar="PNG",
+        help="where the boards were, how they were tilted, and the residuals; default: beside the "
+        "calibration, if matplotlib is installed",
+    )
+    output.add_argument(
+        "--corners", metavar="FILE", help="write the corners too, .vnl (mrcal), or .yaml (OpenCV)"
     )
     add_split(
         parser,
@@ -91,191 +121,258 @@ def add_parser(commands: Any) -> None:
     )
     add_region(
         parser,
-        help_="which of several patterns to use: X,Y,WIDTH,HEIGHT:X,Y,WIDTH,HEIGHT, px, in "
-        "the left and in the right view of the frame, or in left and in right images; corners "
-        "outside are left out in all of them",
+        help_="which of several patterns to use: X,Y,WIDTH,HEIGHT, px, and after a colon that in "
+        "the view of the second camera; corners outside are left out in all views",
     )
-    parser.add_argument(
-        "--max-sigma",
-        metavar="PX",
-        type=positive_number,
-        default=MAX_SIGMA,
-        help=f"use only corners with at most this standard deviation; default: {MAX_SIGMA:g} px",
-    )
-    parser.add_argument(
-        "--free-board",
-        action="store_true",
-        help="find the nodes of the board too, for a print that is bent or not exact; at least "
-        "four pairs of views, of a board whose rows and columns add up to an odd number, such as "
-        "9x6",
-    )
-    calibrate_cameras.add_arguments(parser)
     add_full_scale(parser)
     add_device(parser)
     parser.set_defaults(run=run)
 
 
-class _Pair(NamedTuple):
-    """The two views of one moment. name: as messages call it. regions: where the board is."""
+class _Found(NamedTuple):
+    """The boards that were found: by camera, at every moment. left_out: a line for each other."""
 
-    name: str
-    left: GreyImage
-    right: GreyImage
-    regions: tuple[Region | None, ...]
+    grids: dict[str, list[Grid | None]]
+    sizes: dict[str, tuple[int, int]]
+    left_out: list[str]
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit status."""
-    if arguments.camera:
-        _check_free_board(arguments)
-        return calibrate_cameras.run(arguments)
-    _check(arguments)
-    names = _names(arguments)
-    check_files(itertools.chain(*names), [arguments.out])
+    files = _files(arguments)
+    picture = arguments.picture or _beside(arguments.out)
+    _check(arguments, files, picture)
     device = select_device(arguments.device)
-    views: list[tuple[Grid, Grid]] = []
-    used: list[str] = []
-    size: tuple[int, ...] | None = None
-    with Progress(len(names), "views") as progress:
-        for name in names:
-            try:
-                pair = _read(name, arguments)
-                if size is not None and pair.left.shape != size:
-                    raise ImageError(
-                        f"its views have the shape {pair.left.shape}, the others {size}"
-                    )
-                grids = find_boards(
-                    (pair.left, pair.right),
-                    arguments.board,
-                    max_sigma=arguments.max_sigma,
-                    full_scale=arguments.full_scale,
-                    regions=pair.regions,
-                    device=device,
-                )
-                size = pair.left.shape
-            except (GridError, ImageError) as error:
-                progress.say(f"cmp-cl: left out {name[0]}: {one_line(error)}", sys.stderr)
-            else:
-                views.append(grids)
-                used.append(pair.name)
-            progress.step()
-    if size is None:
-        hint = ""
-        if not arguments.left:
-            hint = (
-                "; IMAGE is a frame that shows both views side by side: for the views of one "
-                "camera give --camera NAME=IMAGE..., for those of two --left and --right"
-            )
-        raise CalibrationError(f"no view shows the board ({len(names)} given){hint}")
+    boards = _boards(arguments, files, device)
     try:
         found = calibrate(
-            views,
+            boards.grids,
             spacing=arguments.square,
-            image_size=(size[1], size[0]),
+            sizes=boards.sizes,
+            lens=Lens(arguments.lens),
             unit=arguments.unit,
             free_board=arguments.free_board,
         )
-    except MisfitError as error:
-        raise calibrate_cameras.with_files(error, {"left": used, "right": used}) from error
-    if check_cameras(arguments.out) in (".yaml", ".yml"):
-        found.rig.save(arguments.out)
-    else:
-        save_cameras(arguments.out, cameras_of(found.rig, (size[1], size[0])))
-    _report(found, views, used, arguments)
-    print(f"wrote {shown(arguments.out)}: {counted(len(views), 'view')} on {device}")
+    except CalibrationError as error:
+        raise CalibrationError(_explained(error, files, boards.left_out)) from error
+    for line in boards.left_out:
+        print(f"cmp-cl: left out {line}", file=sys.stderr)
+    written = save_cameras(arguments.out, found.cameras, covariance=found.covariance)
+    if arguments.corners is not None:
+        pictures = itertools.chain.from_iterable(
+            zip(map(str, files[name]), boards.grids[name], strict=True) for name in files
+        )
+        save_corners(arguments.corners, dict(pictures), spacing=arguments.square)
+        written.append(Path(arguments.corners))
+    try:
+        save_figure(picture, calibration_figure(found, _names(files)))
+        written.append(Path(picture))
+    except ConfigError as error:  # matplotlib is not installed
+        if arguments.picture is not None:
+            raise
+        print(f"cmp-cl: no picture: {one_line(error)}", file=sys.stderr)
+    _report(found, files, arguments)
+    print(f"wrote {', '.join(map(shown, written))}; corners found on {device}")
     return 0
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    if bool(arguments.images) == bool(arguments.left or arguments.right):
-        raise ConfigError("give frames that show both views, or --left and --right")
-    if bool(arguments.left) != bool(arguments.right):
+def _files(arguments: argparse.Namespace) -> dict[str, list[Path]]:
+    """Return the files of each camera by its name; raises ConfigError if they are not of one form.
+
+    A file that shows two views is named for both.
+    """
+    forms = [arguments.images, arguments.left or arguments.right, arguments.camera]
+    if sum(map(bool, forms)) != 1:
         raise ConfigError(
-            "--left and --right need each other; --camera NAME=IMAGE... calibrates one camera"
+            "give IMAGE... for one camera, --left IMAGE... --right IMAGE... for two, or --camera "
+            "NAME=IMAGE... for each of several"
         )
-    if len(arguments.left) != len(arguments.right):
-        raise ConfigError(
-            f"{counted(len(arguments.left), 'left view')} and "
-            f"{counted(len(arguments.right), 'right view')} do not form pairs"
-        )
-    if arguments.left and (arguments.split or arguments.mirror):
-        raise ConfigError("--split and --mirror are for frames that show both views")
-    if arguments.corners or arguments.picture or arguments.lens != "pinhole":
-        raise ConfigError("--corners, --picture and --lens need --camera NAME=IMAGE...")
-    _check_free_board(arguments)
-    check_cameras(arguments.out)
+    if arguments.images:
+        (files,) = distinct_inputs(arguments.images)
+        return {"left": files, "right": files} if arguments.stereo else {"camera": files}
+    if arguments.stereo:
+        raise ConfigError("--stereo is for IMAGE..., each of which shows two views")
+    names = {"left": arguments.left, "right": arguments.right}
+    if arguments.camera:
+        names = {}
+        for first, *others in arguments.camera:
+            name, equals, path = first.partition("=")
+            if not (equals and name.isidentifier()):
+                raise ConfigError(
+                    f"--camera must begin with NAME=IMAGE, as in left=l1.png: {first!r}"
+                )
+            if name in names:
+                raise ConfigError(f"--camera {name} is given twice; give all its views at once")
+            names[name] = [path, *others]
+    elif not (arguments.left and arguments.right):
+        raise ConfigError("--left and --right need each other; for one camera give IMAGE... alone")
+    found = dict(zip(names, distinct_inputs(*names.values()), strict=True))
+    if len({len(paths) for paths in found.values()}) > 1:
+        counts = " and ".join(f"{len(paths)} of {name}" for name, paths in found.items())
+        raise ConfigError(f"each camera needs a view of each moment, but there are {counts}")
+    return found
 
 
-def _check_free_board(arguments: argparse.Namespace) -> None:
-    if arguments.free_board and arguments.camera:
-        raise ConfigError("--free-board is for pairs of views, not for --camera")
+def _names(files: Mapping[str, list[Path]]) -> dict[str, list[str]]:
+    """Return how messages and pictures call each view, by camera."""
+    return {name: [shown(path.name) for path in paths] for name, paths in files.items()}
+
+
+def _beside(out: str) -> str:
+    """Return the name of the picture beside a calibration."""
+    return str(Path(out).with_name(f"{Path(out).name.split('.')[0]}.png"))
+
+
+def _check(arguments: argparse.Namespace, files: Mapping[str, list[Path]], picture: str) -> None:
+    if (arguments.split or arguments.mirror) and not arguments.stereo:
+        raise ConfigError("--split and --mirror need --stereo: frames that show two views")
+    if arguments.region is not None and len(arguments.region) != len(files):
+        raise ConfigError(
+            f"--region needs one rectangle per camera, separated by a colon: {len(files)} here, "
+            f"not {len(arguments.region)}"
+        )
     if arguments.free_board and sum(arguments.board) % 2 == 0:
         rows, columns = arguments.board
         raise ConfigError(
             f"--free-board: a board of {rows} x {columns} corners looks the same after half a "
             "turn, so that its nodes cannot be told apart; one such as 9x6 is needed"
         )
+    check_cameras(arguments.out)
+    if arguments.corners is not None:
+        check_corners(arguments.corners)
+    check_suffix("--picture", arguments.picture, ".png")
+    outputs = arguments.out, arguments.corners, picture
+    check_files(itertools.chain(*files.values()), outputs)
 
 
-def _names(arguments: argparse.Namespace) -> list[tuple[Path, ...]]:
-    """Return the file or the two files of each pair of views."""
-    groups = (arguments.left, arguments.right) if arguments.left else (arguments.images,)
-    return list(zip(*distinct_inputs(*groups), strict=True))
+def _boards(arguments: argparse.Namespace, files: Mapping[str, list[Path]], device: Any) -> _Found:
+    """Find the boards in all views; raises CalibrationError if a camera sees none."""
+    found = _Found({name: [] for name in files}, {}, [])
+    moments = list(zip(*files.values(), strict=True))
+    with Progress(len(moments), "views") as progress:
+        for paths in moments:
+            for side, (name, path) in enumerate(zip(files, paths, strict=True)):
+                grid = None
+                try:
+                    image, region = _view(path, side, arguments)
+                    size = (image.shape[1], image.shape[0])
+                    if found.sizes.get(name, size) != size:
+                        raise ImageError(f"it has {size} px, earlier views {found.sizes[name]}")
+                    board = find_board(
+                        image,
+                        arguments.board,
+                        full_scale=arguments.full_scale,
+                        region=region,
+                        device=device,
+                    )
+                    grid, found.sizes[name] = trusted(board), size
+                except (GridError, ImageError) as error:
+                    which = f" ({name})" if arguments.stereo else ""
+                    found.left_out.append(f"{shown(path)}{which}: {one_line(error)}")
+                found.grids[name].append(grid)
+            progress.step()
+    for name in files:
+        if name not in found.sizes:
+            raise CalibrationError(_unseen(name, files, found.left_out, arguments))
+    return found
 
 
-def _read(paths: tuple[Path, ...], arguments: argparse.Namespace) -> _Pair:
-    name = ", ".join(shown(path.name) for path in paths)
-    images = [media.read_image(path) for path in paths]
-    if len(images) == 2:
-        left, right = images
-        regions = regions_in(arguments.region, whole(left), whole(right))
-    else:
-        split = split_of(arguments.split or "halves", arguments.mirror, images[0].shape)
-        left, right = split(images[0])
-        regions = regions_in(arguments.region, *views_of(split))
-    if left.shape != right.shape:
-        raise ImageError(f"the two views are {left.shape} and {right.shape}, not of one size")
-    return _Pair(name, left, right, regions)
+def _view(path: Path, side: int, arguments: argparse.Namespace) -> tuple[GreyImage, Region | None]:
+    """Return the view of a camera and the region to use; side: its number among the cameras."""
+    image = media.read_image(path)
+    place = whole(image)
+    if arguments.stereo:
+        split = split_of(arguments.split or "halves", arguments.mirror, image.shape)
+        image, place = split(image)[side], views_of(split)[side]
+    return image, regions_in(arguments.region and arguments.region[side : side + 1], place)[0]
+
+
+def _unseen(
+    name: str,
+    files: Mapping[str, list[Path]],
+    left_out: Sequence[str],
+    arguments: argparse.Namespace,
+) -> str:
+    """Return why a camera sees no board, and what to type instead."""
+    rows, columns = arguments.board
+    of = f" of {name}" if len(files) > 1 else ""
+    hint = "--board counts the inner corners, one less than the squares along each side"
+    if arguments.stereo:
+        hint += "; without --stereo each IMAGE is one view"
+    elif arguments.images:
+        hint += "; frames that show two views side by side need --stereo"
+    return (
+        f"no view{of} shows a board of {rows} x {columns} corners ({len(files[name])} given); "
+        f"{left_out[0]}; {hint}"
+    )
+
+
+def _explained(
+    error: CalibrationError, files: Mapping[str, list[Path]], left_out: Sequence[str]
+) -> str:
+    """Return the message of an error with the names of the views that it is about."""
+    text = str(error)
+    if isinstance(error, MisfitError) and error.odd:
+        odd = [files[name][moment].name for moment in error.odd for name in files]
+        text += f"; these are {', '.join(map(shown, dict.fromkeys(odd)))}"
+    if left_out:
+        text += f"; {counted(len(left_out), 'view')} left out, the first {left_out[0]}"
+    return text
 
 
 def _report(
-    found: StereoCalibration,
-    views: Sequence[tuple[Grid, Grid]],
-    names: Sequence[str],
-    arguments: argparse.Namespace,
+    found: Calibration, files: Mapping[str, list[Path]], arguments: argparse.Namespace
 ) -> None:
-    print("corners used in the left and right view, and RMS reprojection errors, px:")
-    for (left, right), errors, name in zip(views, found.view_errors, names, strict=True):
+    first = {moment: group[0] for group in found.alike for moment in group[1:]}
+    print("corners used and RMS reprojection error, px:")
+    for name, paths in files.items():
+        for moment, path in enumerate(paths):
+            grid, error = found.grids[name][moment], found.view_errors[name][moment]
+            said = "   -  left out"
+            if grid is not None:
+                said = f"{grid.valid.sum():4}  {error:.3f}   "
+            elif moment in first:
+                said = f"   -  like {shown(paths[first[moment]].name)}"
+            print(f"  {name}  {said}  {shown(path.name)}")
+    for name, camera in found.cameras.items():
+        matrix = camera.matrix
+        pose = ""
+        if camera.T.any():
+            angle = np.degrees(np.arccos(np.clip((np.trace(camera.R) - 1) / 2, -1, 1)))
+            pose = (
+                f"; {np.linalg.norm(camera.T):.3f} {camera.unit} and {angle:.2f} degrees from "
+                f"{next(iter(found.cameras))}"
+            )
         print(
-            f"  {left.valid.sum():4} {right.valid.sum():4}  {errors[0]:.3f} {errors[1]:.3f}  {name}"
+            f"{name}: {camera.lens.value}, focal lengths {matrix[0, 0]:.1f} and {matrix[1, 1]:.1f} "
+            f"px (+- {found.focal_sigma[name]:.2g}), centre ({matrix[0, 2]:.1f}, "
+            f"{matrix[1, 2]:.1f}){pose}"
         )
-    everything = len(views) * arguments.board[0] * arguments.board[1]
-    kept = [sum(int(grid.valid.sum()) for grid in side) for side in zip(*views, strict=True)]
-    print(
-        f"all views: {found.error:.3f} px (left alone {found.left.error:.3f}, right alone "
-        f"{found.right.error:.3f}); left out as not detected or uncertain: {everything - kept[0]} "
-        f"and {everything - kept[1]} of {everything} corners"
-    )
-    rig, unit = found.rig, arguments.unit
-    for name, matrix, camera in (("left", rig.K1, found.left), ("right", rig.K2, found.right)):
-        print(f"{name}: {calibrate_cameras.described(matrix, camera.focal_sigma)}")
-    angle = calibrate_cameras.degrees_of(rig.R)
+    print(f"all views: {found.error:.3f} px")
+    if len(files) == 2 and arguments.lens != Lens.FISHEYE.value:
+        rig = found.rig()
+        pairs = [pair for pair in zip(*found.grids.values(), strict=True) if None not in pair]
+        sides = np.concatenate([square_sides(rig.triangulate(*pair)) for pair in pairs])
+        print(
+            f"the squares measure {sides.mean():.3f} {rig.unit} with a standard deviation of "
+            f"{sides.std():.3f}"
+        )
     if found.board is not None:
-        _report_board(found.board, arguments)
-    sides = np.concatenate([square_sides(rig.triangulate(*pair)) for pair in views])
-    print(
-        f"between the cameras: {np.linalg.norm(rig.T):.3f} {unit}, {angle:.2f} degrees; the "
-        f"squares measure {sides.mean():.3f} {unit} with a standard deviation of {sides.std():.3f}"
-    )
+        _report_board(found, arguments)
+    for line in advice(found, _names(files)):
+        print(f"advice: {line}")
 
 
-def _report_board(board: NDArray[np.float64], arguments: argparse.Namespace) -> None:
+def _report_board(found: Calibration, arguments: argparse.Namespace) -> None:
     """Print by how much the nodes of a free board lie off those of a flat and exact one."""
+    board = found.board
+    assert board is not None
     row, column = np.indices(board.shape[:2])
     off = board - arguments.square * np.stack([column, row, np.zeros(row.shape)], axis=-1)
+    off -= np.nanmean(off, axis=(0, 1))
     inside, height = np.linalg.norm(off[..., :2], axis=2), np.abs(off[..., 2])
     print(
         f"the board: its nodes lie up to {np.nanmax(height):.3f} {arguments.unit} off its plane "
         f"({np.sqrt(np.nanmean(height**2)):.3f} RMS), and up to {np.nanmax(inside):.3f} off their "
-        f"nominal positions in it ({np.sqrt(np.nanmean(inside**2)):.3f} RMS)"
+        f"nominal places in it ({np.sqrt(np.nanmean(inside**2)):.3f} RMS)"
     )

@@ -15,10 +15,10 @@ mirrors:
                 measure(frame.image).field.save(f"press-{frame.index:04}.vtp")
 
 `OneView` does the same with one camera, in the image or in the plane of a flat pattern.
-`find_boards` returns the pairs of grids from which `cmp_cl.calibrate` makes the rig.
+`find_board` returns the grids from which `cmp_cl.calibrate` makes the rig.
 """
 
-from cmp_cl.measure.boards import MAX_SIGMA, find_board, find_boards, square_sides, trusted
+from cmp_cl.measure.boards import MAX_SIGMA, find_board, square_sides, trusted
 from cmp_cl.measure.frames import Measured, Measurement, OneView, TwoViews
 from cmp_cl.measure.patterns import Region, align_views, cell_of, find_pattern
 
@@ -32,7 +32,6 @@ __all__ = [
     "align_views",
     "cell_of",
     "find_board",
-    "find_boards",
     "find_pattern",
     "square_sides",
     "trusted",

@@ -1,4 +1,4 @@
-"""Rigid boards for calibration, in one view and in two."""
+"""Rigid boards for calibration."""
 
 import dataclasses
 from numbers import Real
@@ -12,48 +12,14 @@ from cmp_cl.grid.filter import image_sigma
 from cmp_cl.image import GreyImage
 from cmp_cl.measure.patterns import (
     Region,
-    align_views,
-    check_two,
     detected,
     find_pattern,
 )
-from cmp_cl.opencl.device import Device, select_device
+from cmp_cl.opencl.device import Device
 from cmp_cl.points import sides
 from cmp_cl.space import Points3D
 
 MAX_SIGMA = 0.2  # px; less certain corners of a board are not used
-
-
-def find_boards(
-    views: tuple[GreyImage, GreyImage],
-    shape: tuple[int, int],
-    *,
-    max_sigma: float = MAX_SIGMA,
-    full_scale: int | None = None,
-    regions: tuple[Region | None, ...] = (None, None),
-    device: Device | str | None = None,
-) -> tuple[Grid, Grid]:
-    """Find a rigid board in two views; return grids of trusted corners that are numbered alike.
-
-    The result is one of the pairs that `cmp_cl.calibrate` takes. shape: (rows, columns) of
-    the board's inner corners. max_sigma: the largest standard deviation of a corner that is
-    used, px. regions, full_scale, device: as in `TwoViews`.
-
-    Raises GridError if a view does not show all four sides of the board, because its corners
-    cannot be told apart then.
-    """
-    check_two("views", views)
-    check_two("regions", regions)
-    device = select_device(device)
-    grids = []
-    for view, region, side in zip(views, regions, ("left", "right"), strict=True):
-        try:
-            grid = find_board(view, shape, region=region, full_scale=full_scale, device=device)
-        except GridError as error:
-            raise GridError(f"the {side} view: {error}") from error
-        grids.append(grid)
-    left, right = grids
-    return trusted(left, max_sigma), trusted(align_views(left, right), max_sigma)
 
 
 def find_board(
@@ -64,7 +30,7 @@ def find_board(
     full_scale: int | None = None,
     device: Device | str | None = None,
 ) -> Grid:
-    """Find a rigid board in a view; return its grid.
+    """Find a rigid board in a view; return its grid, which `cmp_cl.calibrate` takes.
 
     view: (H, W) uint8 or uint16. shape: (rows, columns) of the board's inner corners. region,
         full_scale, device: as in `OneView`.

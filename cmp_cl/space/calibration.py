@@ -1,216 +1,420 @@
-"""Calibrates one camera, or a rig of two, on views of a flat board."""
+"""Calibrates one, two or more cameras on views of a board."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError, as_size, check_positive, listed
+from cmp_cl.errors import CalibrationError, as_size, check_kind, check_positive, listed
 from cmp_cl.grid.grid import Grid
-from cmp_cl.space.adjustment import Adjusted, Look, adjust, root_mean_square
-from cmp_cl.space.free_board import adjust_board, numbered_alike
-from cmp_cl.space.joint import adjust_together
-from cmp_cl.space.lens import Lens, distortion_of, matrix_of, rotation_of
-from cmp_cl.space.rig import StereoRig
-from cmp_cl.space.start import (
-    MIN_NODES,
-    MIN_VIEWS,
-    Alone,
-    board_of,
-    calibrate_alone,
-    joined,
-    look_at,
+from cmp_cl.points import sides
+from cmp_cl.space.adjustment import (
+    Look,
+    State,
+    adjust,
+    covariance,
+    residuals,
+    root_mean_square,
+)
+from cmp_cl.space.alone import Alone, calibrate_alone
+from cmp_cl.space.lens import (
+    POSE,
+    Lens,
+    camera_of,
+    distortion_of,
+    matrix_of,
+    projected,
+    rotation_of,
     unknowns,
 )
+from cmp_cl.space.pair import adjust_pair
+from cmp_cl.space.placing import place, pose_of, vector_of
+from cmp_cl.space.rig import StereoRig, spread
 
-_LENS = Lens.PINHOLE
+MIN_VIEWS = 3
+MIN_NODES = 8  # fewest nodes of a board in a view
+_FREE_VIEWS = 4  # fewest moments at which a free board is seen
+# The nodes of two views that are alike lie apart by less than this, px and share of the board.
+_ALIKE_PX, _ALIKE_SHARE = 1.0, 0.01
+_MAX_MISFIT = 1.0  # px: the joint reprojection error may reach this, or
+_MAX_MISFIT_RATIO = 3.0  # times the largest error of a camera alone
 Array = NDArray[np.float64]
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class CameraCalibration:
-    """One camera, calibrated on views of a flat board.
+class MisfitError(CalibrationError):
+    """No pose between the cameras fits the views; odd: the moments that fit the others worst."""
 
-    matrix: (3, 3), px.
-    distortion: (5,), k1 k2 p1 p2 k3, with k3 = 0: a few views do not determine it.
-    focal_sigma: standard deviation of the focal length, px.
-    error: root mean square reprojection error, px.
-    view_errors: (V,), the same for each view.
-    board: (R, C, 3), the nodes of a free board, in the unit of spacing, z towards the back of the
-        board, NaN where no view shows the node; None if the board was taken to be flat.
+    def __init__(self, message: str, odd: Sequence[int]) -> None:
+        super().__init__(message)
+        self.odd = odd
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Camera:
+    """A calibrated camera, and its pose relative to the first one.
+
+    lens: the model. size: (width, height), px. matrix: (3, 3), px. distortion: 5, 8 or 4
+    coefficients. R: (3, 3), T: (3,): X = R X_first + T, T in `unit`.
     """
 
+    lens: Lens
+    size: tuple[int, int]
     matrix: Array
     distortion: Array
-    focal_sigma: float
-    error: float
-    view_errors: Array
-    board: Array | None = None
+    R: Array
+    T: Array
+    unit: str
+
+    def project(self, points: Array) -> Array:
+        """Project points (..., 3) in the frame of the first camera to the image, (..., 2) px."""
+        camera = camera_of(self.matrix, self.distortion, self.R, self.T)
+        flat = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
+        return projected(self.lens, flat, camera)[0].reshape(*points.shape[:-1], 2)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class StereoCalibration:
-    """Two cameras, calibrated on views of a flat board.
+class Calibration:
+    """Cameras, calibrated on views of a board. V is the number of moments.
 
-    rig: the two cameras.
-    error: root mean square reprojection error of both cameras, px.
-    view_errors: (V, 2), the same for each view, left and right.
-    left, right: each camera, calibrated alone on a board that is taken to be flat.
-    board: see `CameraCalibration`.
+    cameras: by name, the first at the origin.
+    error: root mean square reprojection error, with one pose of the board a moment, px.
+    view_errors: by camera, the same for each view, (V,), NaN for views that are not used.
+    grids: by camera, the grid of each view that is used, all with the numbers of the first camera
+        that sees the board; None for the others.
+    residuals: by camera, for each of these (R, C, 2) measured minus projected, px.
+    normals: (V, 3), the direction of the board's back in the frame of the first camera, NaN for
+        moments that are not used.
+    alike: groups of moments that show the same; of each only the first is used.
+    focal_sigma: by camera, the larger standard deviation of the two focal lengths, px.
+    board: (R, C, 3), the nodes of a free board, in `unit`, z towards the back of the board, NaN
+        where no view shows the node; None if the board was taken to be flat.
+    covariance: see `StereoRig`; None but for two pinholes.
     """
 
-    rig: StereoRig
+    cameras: Mapping[str, Camera]
     error: float
-    view_errors: Array
-    left: CameraCalibration
-    right: CameraCalibration
+    view_errors: Mapping[str, Array]
+    grids: Mapping[str, Sequence[Grid | None]]
+    residuals: Mapping[str, Sequence[Array | None]]
+    normals: Array
+    alike: Sequence[Sequence[int]]
+    focal_sigma: Mapping[str, float]
     board: Array | None = None
+    covariance: Array | None = None
 
-
-def calibrate_camera(
-    grids: Sequence[Grid],
-    *,
-    spacing: float,
-    image_size: tuple[int, int],
-    free_board: bool = False,
-) -> CameraCalibration:
-    """Calibrate a camera on at least three views of a flat board.
-
-    A view may show part of the board, and the views may be numbered differently. Each node has
-    the weight 1 / (sigma^2 + t^2). t^2 is the variance that the residuals have beyond the sigmas of
-    the nodes. On an inexact board it is the larger part, and all nodes weigh nearly alike.
-
-    grids: one a view. spacing: side of a square, in any unit. image_size: (width, height), px.
-    free_board: whether the board may be bent or inexact. Its nodes are then found too; its overall
-        size is that of the flat board. This needs at least four views, in which equal indices are
-        the same node. If its rows and columns add up to an odd number, the colours of the cells
-        show how to rotate each view to get this.
-
-    Raises CalibrationError if there are too few views or nodes, if the views do not
-    determine the focal length (the board faces the camera in all of them), or if the views of a
-    free board are numbered differently.
-    """
-    check_positive("spacing", spacing, CalibrationError)
-    grids = listed("grids", grids, Grid, CalibrationError)
-    return _one(
-        grids, spacing, as_size("image_size", image_size, CalibrationError), free_board=free_board
-    )[0]
+    def rig(self) -> StereoRig:
+        """Return the rig of two cameras; raises CalibrationError for fisheyes or another number."""
+        cameras = list(self.cameras.values())
+        if len(cameras) != 2 or Lens.FISHEYE in {camera.lens for camera in cameras}:
+            raise CalibrationError("a rig has two cameras, neither of them a fisheye")
+        one, two = cameras
+        return StereoRig(
+            one.matrix,
+            one.distortion,
+            two.matrix,
+            two.distortion,
+            two.R,
+            two.T,
+            unit=two.unit,
+            covariance=self.covariance,
+        )
 
 
 def calibrate(
-    views: Sequence[tuple[Grid, Grid]],
+    views: Mapping[str, Sequence[Grid | None]],
     *,
     spacing: float,
-    image_size: tuple[int, int],
+    sizes: Mapping[str, tuple[int, int]],
+    lens: Lens = Lens.PINHOLE,
     unit: str = "mm",
     free_board: bool = False,
-) -> StereoCalibration:
-    """Calibrate a rig on at least three views (left, right) of a flat board.
+) -> Calibration:
+    """Calibrate cameras on views of one board.
 
-    The two grids of a view have the same numbering. First each camera is calibrated alone, then
-    the pose between them, and last all parameters together.
-    spacing: side of a square, in `unit`. image_size: (width, height) of each view, px.
-    free_board: see `calibrate_camera`.
+    views: by camera, the grid at every moment, None if the camera does not see the board.
+    spacing: side of a square, in `unit`. sizes: by camera, (width, height) of its images, px.
+    lens: the lens model of all cameras.
+    free_board: whether the board may be bent or inexact. Its nodes are then found too; their mean
+        spacing is the given one. This needs at least four moments and grids of one shape, in
+        which equal indices are the same node. If its rows and columns add up to an odd number, the
+        colours of the cells show how to turn each grid for that.
 
-    Raises CalibrationError as `calibrate_camera` does, and if no pose between the cameras
-    fits all views. Raises FieldError if the grids of a view have different shapes.
+    A view may show part of the board, and may be numbered from any corner of it. Views that show
+    the same, as frames of a board that stands still do, count as one: copies bring nothing new.
+    OpenCV calibrates each camera alone, and two pinhole or rational cameras that see all moments
+    together. All else (fisheyes, more cameras, moments that one misses, free boards) is adjusted by
+    least squares, from each camera alone.
+
+    Raises CalibrationError if a camera has fewer than three different views of at least eight
+    nodes, if they do not determine the focal length (the board faces the camera in all of them), if
+    a camera shares no moment with the others, or if no pose between the cameras fits the views.
     """
-    views = [_pair(pair) for pair in listed("views", views, Sequence, CalibrationError)]
-    for view, (one, other) in enumerate(views):
-        if one.shape != other.shape:
-            raise FieldError(
-                f"view {view}: the grids have different shapes: {one.shape} and {other.shape}"
-            )
-    if free_board:
-        grids = numbered_alike([grid for pair in views for grid in pair])
-        views = list(zip(grids[::2], grids[1::2], strict=True))
+    views, sizes = _checked(views, sizes)
     check_positive("spacing", spacing, CalibrationError)
-    size = as_size("image_size", image_size, CalibrationError)
-    left, left_start = _one([one for one, _ in views], spacing, size)
-    right, right_start = _one([other for _, other in views], spacing, size)
-    board = board_of([grid for pair in views for grid in pair], spacing)
+    check_kind("lens", lens, Lens, CalibrationError)
+    check_kind("unit", unit, str, CalibrationError)
+    grids = {
+        name: {m: grid for m, grid in enumerate(each) if grid is not None and _large(grid)}
+        for name, each in views.items()
+    }
+    alike = _alike(grids)
+    copies = {moment for group in alike for moment in group[1:]}
+    seen = {
+        name: {moment: grid for moment, grid in each.items() if moment not in copies}
+        for name, each in grids.items()
+    }
+    for name, each in seen.items():
+        _check_count(name, len(each), len(grids[name]) - len(each))
+    if free_board:
+        seen = _numbered_alike(seen)
+    board = _board_of(seen)
+    alone = {name: _alone(name, each, board, sizes[name], lens) for name, each in seen.items()}
+    places = place(alone, seen)
+    seen = {
+        name: {moment: grid.turned(places.quarters[name][moment]) for moment, grid in each.items()}
+        for name, each in seen.items()
+    }
+    board = _board_of(seen)
+    moments = {moment: number for number, moment in enumerate(sorted(places.boards))}
     looks = [
-        _look(board, grid, one.valid & other.valid, camera, view)
-        for view, (one, other) in enumerate(views)
-        for camera, grid in enumerate((one, other))
+        _look(grid, board, camera, moments[moment])
+        for camera, each in enumerate(seen.values())
+        for moment, grid in each.items()
     ]
-    free = unknowns(_LENS, 2)
-    found = {"left": left_start, "right": right_start}
-    adjusted, shape = adjust_together(_LENS, looks, found, board, free), None
+    state = State(
+        np.array([np.r_[alone[n].camera[:-POSE], vector_of(places.cameras[n])] for n in seen]),
+        np.array([vector_of(places.boards[moment]) for moment in moments]),
+        board.reshape(-1, 3),
+    )
+    free = unknowns(lens, len(seen))
+    if len(seen) == 1:
+        cov = covariance(lens, looks, state, free)
+    elif len(seen) == 2 and lens is not Lens.FISHEYE and len(looks) == 2 * len(moments):
+        state = adjust_pair(lens, looks, state, next(iter(sizes.values())))
+        cov = covariance(lens, looks, state, free)
+    else:
+        state, cov = adjust(lens, looks, state, free)
+    _check_fit(lens, looks, state, alone, places.odd)
+    side = 1.0
     if free_board:
-        adjusted, shape = adjust_board(_LENS, looks, adjusted.state, free, board.shape[:2], spacing)
-    first, second = adjusted.state.cameras
-    return StereoCalibration(
-        rig=StereoRig(
-            matrix_of(first),
-            distortion_of(first),
-            matrix_of(second),
-            distortion_of(second),
-            rotation_of(second),
-            second[-3:],
-            unit,
-            adjusted.covariance,
-        ),
-        error=root_mean_square(*adjusted.residuals),
-        view_errors=_errors(adjusted).reshape(-1, 2),
-        left=left,
-        right=right,
-        board=shape,
+        state, cov = adjust(lens, looks, state, free, free_board=True)
+        side = _mean_side(state, looks, board.shape)
+    state, cov = _scaled(state, cov, free, spacing / side)
+    offs = [residuals(lens, look, state) for look in looks]
+    by_view = _by_view(views, seen, offs)
+    normals = np.full((max(map(len, views.values())), 3), np.nan)
+    for moment, number in moments.items():
+        normals[moment] = pose_of(state.poses[number])[:3, 2]
+    return Calibration(
+        cameras={
+            name: Camera(
+                lens=lens,
+                size=sizes[name],
+                matrix=matrix_of(camera),
+                distortion=distortion_of(camera),
+                R=rotation_of(camera),
+                T=camera[-3:],
+                unit=unit,
+            )
+            for name, camera in zip(seen, state.cameras, strict=True)
+        },
+        error=root_mean_square(offs),
+        view_errors=by_view[0],
+        grids=by_view[1],
+        residuals=by_view[2],
+        normals=normals,
+        alike=alike,
+        focal_sigma=_focal_sigma(seen, free, cov),
+        board=state.board.reshape(board.shape) if free_board else None,
+        covariance=cov if lens is Lens.PINHOLE and len(seen) == 2 else None,
     )
 
 
-def _one(
-    grids: Sequence[Grid], spacing: float, size: tuple[int, int], *, free_board: bool = False
-) -> tuple[CameraCalibration, Alone]:
-    """Calibrate one camera; return it, and what a calibration of several starts from."""
-    grids = numbered_alike(grids) if free_board else grids
-    board = board_of(grids, spacing)
-    looks = [_look(board, grid, grid.valid, 0, view) for view, grid in enumerate(grids)]
-    if len(looks) < MIN_VIEWS:
-        noun = "view" if len(looks) == 1 else "views"
-        raise CalibrationError(f"{len(looks)} {noun} of the board, at least {MIN_VIEWS} are needed")
-    try:
-        start = calibrate_alone(_LENS, looks, board, size)
-    except cv2.error as failure:
-        raise CalibrationError(f"the views do not determine a camera: {failure}") from failure
-    free, sigma = unknowns(_LENS, 1), start.focal_sigma
-    adjusted, shape = adjust(_LENS, looks, joined({"": start}, board), free), None
-    if free_board:
-        adjusted, shape = adjust_board(_LENS, looks, adjusted.state, free, board.shape[:2], spacing)
-        sigma = float(np.sqrt(np.diag(adjusted.covariance)[:2].max()))
-    camera = adjusted.state.cameras[0]
-    found = CameraCalibration(
-        matrix=matrix_of(camera),
-        distortion=distortion_of(camera),
-        focal_sigma=sigma,
-        error=root_mean_square(*adjusted.residuals),
-        view_errors=_errors(adjusted),
-        board=shape,
-    )
-    return found, Alone(camera, dict(enumerate(adjusted.state.poses)), sigma, found.error)
-
-
-def _errors(adjusted: Adjusted) -> Array:
-    """Return the RMS reprojection error of each look, px."""
-    return np.array([root_mean_square(off) for off in adjusted.residuals])
-
-
-def _pair(views: Sequence[Grid]) -> tuple[Grid, Grid]:
-    """Return the grids of the left and of the right view; raises CalibrationError if not both."""
-    found = listed("views", views, Grid, CalibrationError)
-    if len(found) != 2:
-        raise CalibrationError(f"each of views must be (left, right), not {len(found)} grids")
-    return found[0], found[1]
-
-
-def _look(board: Array, grid: Grid, valid: NDArray[np.bool_], camera: int, view: int) -> Look:
-    """Return what a camera sees of a board; raises CalibrationError if it is too little."""
-    row, column = np.nonzero(valid)
-    if len(row) < MIN_NODES or len(set(row)) < 2 or len(set(column)) < 2:
-        raise CalibrationError(
-            f"view {view} shows {len(row)} nodes, at least {MIN_NODES} in two rows and two "
-            "columns are needed"
+def _checked(
+    views: Mapping[str, Sequence[Grid | None]], sizes: Mapping[str, tuple[int, int]]
+) -> tuple[dict[str, list[Grid | None]], dict[str, tuple[int, int]]]:
+    """Return the arguments of `calibrate`; raises CalibrationError if one is of another kind."""
+    check_kind("views", views, Mapping, CalibrationError)
+    check_kind("sizes", sizes, Mapping, CalibrationError)
+    every = {}
+    for name, values in views.items():
+        check_kind("each name of views", name, str, CalibrationError)
+        every[name] = listed(f"views[{name!r}]", values, object, CalibrationError)
+        listed(
+            f"views[{name!r}]", [g for g in every[name] if g is not None], Grid, CalibrationError
         )
-    return look_at(board, grid, valid, camera, view)
+    if not views or views.keys() != sizes.keys():
+        raise CalibrationError(
+            f"sizes must be of the cameras in views, at least one: {list(views)}, not {list(sizes)}"
+        )
+    return every, {
+        name: as_size(f"sizes[{name!r}]", sizes[name], CalibrationError) for name in views
+    }
+
+
+def _large(grid: Grid) -> bool:
+    """Return whether a grid has enough nodes, in at least two rows and two columns."""
+    rows, columns = np.nonzero(grid.valid)
+    return bool(len(rows) >= MIN_NODES and np.ptp(rows) > 0 and np.ptp(columns) > 0)
+
+
+def _alike(grids: Mapping[str, Mapping[int, Grid]]) -> list[list[int]]:
+    """Return the groups of at least two moments whose views are alike in each camera."""
+    groups: list[list[int]] = []
+    for moment in sorted({moment for each in grids.values() for moment in each}):
+        for group in groups:
+            both = [each for each in grids.values() if moment in each and group[0] in each]
+            if both and all(_same(each[group[0]], each[moment]) for each in both):
+                group.append(moment)
+                break
+        else:
+            groups.append([moment])
+    return [group for group in groups if len(group) > 1]
+
+
+def _same(one: Grid, other: Grid) -> bool:
+    """Return whether two views show the board at one place, from whichever corner they count."""
+    size = np.linalg.norm(np.ptp(one.xy[one.valid], axis=0))
+    limit = max(_ALIKE_PX, _ALIKE_SHARE * float(size))
+    for quarters in range(4):
+        turned = np.rot90(other.xy, quarters)
+        if turned.shape == one.xy.shape:
+            square = np.square(turned.astype(np.float64) - one.xy).sum(axis=2)
+            both = np.isfinite(square)
+            if both.sum() >= MIN_NODES and square[both].mean() < limit**2:
+                return True
+    return False
+
+
+def _check_count(name: str, count: int, copies: int) -> None:
+    """Raise CalibrationError if a camera has too few different views; copies: views left out."""
+    if count >= MIN_VIEWS:
+        return
+    others = f"; {copies} more show the same: move and tilt the board between views"
+    raise CalibrationError(
+        f"{name}: {MIN_VIEWS} different views with at least {MIN_NODES} corners are needed, better "
+        f"10, not {count}{others if copies else ''}"
+    )
+
+
+def _numbered_alike(seen: Mapping[str, Mapping[int, Grid]]) -> dict[str, dict[int, Grid]]:
+    """Return the grids of a free board with equal indices for the same node.
+
+    If a half turn exchanges black and white, the colours show which way up the board is. Raises
+    CalibrationError if the grids have different rows or columns, or there are too few moments.
+    """
+    every = [grid for each in seen.values() for grid in each.values()]
+    moments = len({moment for each in seen.values() for moment in each})
+    if moments < _FREE_VIEWS:
+        raise CalibrationError(
+            f"{moments} views of a free board, at least {_FREE_VIEWS} are needed"
+        )
+    if len({grid.shape for grid in every}) > 1:
+        extents = ", ".join(sorted({grid.extent for grid in every}))
+        raise CalibrationError(f"the views of a free board must be numbered alike, not {extents}")
+    decided = sum(every[0].shape) % 2
+    return {
+        name: {
+            moment: grid.turned(2 if decided and grid.parity != every[0].parity else 0)
+            for moment, grid in each.items()
+        }
+        for name, each in seen.items()
+    }
+
+
+def _board_of(seen: Mapping[str, Mapping[int, Grid]]) -> Array:
+    """Return a flat board (R, C, 3) that holds all nodes of the grids; its squares have side 1.
+
+    OpenCV's calibrations stop too early where the numbers of a length are large.
+    """
+    shapes = [grid.shape for each in seen.values() for grid in each.values()]
+    row, column = np.indices(np.max(shapes, axis=0))
+    return np.stack([column, row, np.zeros(row.shape)], axis=-1).astype(np.float64)
+
+
+def _look(grid: Grid, board: Array, camera: int, moment: int) -> Look:
+    """Return what a camera sees of a board (R, C, 3)."""
+    nodes = np.ravel_multi_index(np.nonzero(grid.valid), board.shape[:2])
+    return Look(camera, moment, nodes, grid.xy[grid.valid].astype(np.float64))
+
+
+def _alone(
+    name: str, seen: Mapping[int, Grid], board: Array, size: tuple[int, int], lens: Lens
+) -> Alone:
+    """Calibrate one camera alone; errors name it."""
+    looks = [_look(grid, board, 0, moment) for moment, grid in seen.items()]
+    try:
+        return calibrate_alone(lens, looks, board.reshape(-1, 3), size)
+    except CalibrationError as error:
+        raise CalibrationError(f"{name}: {error}") from error
+
+
+def _check_fit(
+    lens: Lens, looks: Sequence[Look], state: State, alone: Mapping[str, Alone], odd: Sequence[int]
+) -> None:
+    """Raise MisfitError if cameras fit the views much worse together than each alone."""
+    error = root_mean_square([residuals(lens, look, state) for look in looks])
+    best = max(each.error for each in alone.values())
+    if error > max(_MAX_MISFIT, _MAX_MISFIT_RATIO * best):
+        named = f"; worst fit those of moment {', '.join(map(str, odd))}" if odd else ""
+        raise MisfitError(
+            f"no pose between the cameras fits the views of {', '.join(alone)}: together they miss "
+            f"by {error:.1f} px, each alone by at most {best:.2f} px{named}; check the shape of "
+            "the board, and that all cameras see it at the same moments",
+            odd,
+        )
+
+
+def _mean_side(state: State, looks: Sequence[Look], shape: tuple[int, ...]) -> float:
+    """Return the mean side of the squares of a free board, and make nodes that no view shows NaN.
+
+    The views do not show how large a board is.
+    """
+    shown = np.unique(np.concatenate([look.nodes for look in looks]))
+    state.board[np.setdiff1d(np.arange(len(state.board)), shown)] = np.nan
+    lengths = np.concatenate([each.ravel() for each in sides(state.board.reshape(shape))])
+    return float(np.nanmean(lengths))
+
+
+def _scaled(
+    state: State, cov: Array | None, free: NDArray[np.bool_], scale: float
+) -> tuple[State, Array | None]:
+    """Return the cameras, poses and nodes, and the covariance, with all lengths scaled."""
+    factor = np.ones(free.shape)
+    factor[:, -3:] = scale
+    poses = state.poses * np.r_[1, 1, 1, scale, scale, scale]
+    both = np.outer(factor[free], factor[free])
+    return State(
+        state.cameras * factor, poses, state.board * scale
+    ), None if cov is None else cov * both
+
+
+def _by_view(
+    views: Mapping[str, Sequence[Grid | None]],
+    seen: Mapping[str, Mapping[int, Grid]],
+    offs: Sequence[Array],
+) -> tuple[dict[str, Array], dict[str, list[Grid | None]], dict[str, list[Array | None]]]:
+    """Return, by camera, the errors of its views, their grids, and their residuals.
+
+    offs: the residuals of the views in `seen`, in their order.
+    """
+    following = iter(offs)
+    errors, grids, missed = {}, {}, {}
+    for name, each in seen.items():
+        off = {moment: next(following) for moment in each}
+        every = range(len(views[name]))
+        errors[name] = np.array([root_mean_square([off[m]]) if m in off else np.nan for m in every])
+        grids[name] = [each.get(m) for m in every]
+        missed[name] = [spread(each[m].valid, off[m]) if m in off else None for m in every]
+    return errors, grids, missed
+
+
+def _focal_sigma(
+    names: Iterable[str], free: NDArray[np.bool_], cov: Array | None
+) -> dict[str, float]:
+    """Return the larger standard deviation of the focal lengths of each camera, px."""
+    deviations = np.full(free.shape, np.nan)
+    if cov is not None:
+        deviations[free] = np.sqrt(np.diag(cov))
+    return {name: float(row[:2].max()) for name, row in zip(names, deviations, strict=True)}

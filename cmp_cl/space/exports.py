@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, ConfigError, as_size, check_kind
+from cmp_cl.errors import CalibrationError, ConfigError, check_kind
 from cmp_cl.files import check_path, suffix_of, write_text
 from cmp_cl.grid.grid import Grid
-from cmp_cl.space.cameras import Camera, Lens
-from cmp_cl.space.rig import StereoRig
+from cmp_cl.space.calibration import Camera
+from cmp_cl.space.lens import Lens
 from cmp_cl.space.storage import new_storage, yaml_text
 
 Array = NDArray[np.float64]
@@ -116,38 +116,6 @@ _CORNER_WRITERS: dict[str, Callable[[Views, float], str]] = {
 # cameras
 
 
-def cameras_of(rig: StereoRig, size: tuple[int, int]) -> dict[str, Camera]:
-    """Return the two cameras of a rig, `left` and `right`; size: (width, height) of a view, px.
-
-    Raises CalibrationError if a lens has other than 4, 5 or 8 coefficients.
-    """
-    check_kind("rig", rig, StereoRig, CalibrationError)
-    size = as_size("size", size, CalibrationError)
-    cameras = {}
-    poses = (np.eye(3), np.zeros(3)), (rig.R, rig.T)
-    lenses = ((rig.K1, rig.D1), (rig.K2, rig.D2))
-    for name, (matrix, distortion), (turn, shift) in zip(
-        ("left", "right"), lenses, poses, strict=True
-    ):
-        if len(distortion) not in (4, 5, 8):
-            raise CalibrationError(
-                f"the {name} camera has {len(distortion)} coefficients of distortion; only those "
-                "with 4, 5 or 8 can be written"
-            )
-        cameras[name] = Camera(
-            lens=Lens.RATIONAL if len(distortion) == 8 else Lens.PINHOLE,
-            size=size,
-            matrix=matrix,
-            distortion=np.pad(distortion, (0, 5 - len(distortion)))
-            if len(distortion) == 4
-            else distortion,
-            R=np.asarray(turn, np.float64),
-            T=np.asarray(shift, np.float64),
-            unit=rig.unit,
-        )
-    return cameras
-
-
 def _check_cameras(cameras: Mapping[str, Camera]) -> None:
     """Raise CalibrationError if cameras are not at least one `Camera` by name."""
     check_kind("cameras", cameras, Mapping, CalibrationError)
@@ -158,14 +126,7 @@ def _check_cameras(cameras: Mapping[str, Camera]) -> None:
         raise CalibrationError("cameras must be at least one")
 
 
-def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Write cameras as OpenCV's FileStorage YAML, whole or not at all.
-
-    The keys are numbered from 1: K1 D1 K2 D2 ..., `lens1`, `name1`, `size1`; R2 T2 ... are the
-    poses relative to the first camera. Two pinhole or rational cameras also have R and T, so that
-    `StereoRig.load` reads the file. Raises OSError.
-    """
-    _check_cameras(cameras)
+def _save_opencv(path: Path, cameras: Mapping[str, Camera], covariance: Array | None) -> None:
     storage = new_storage()
     for number, (name, camera) in enumerate(cameras.items(), 1):
         storage.write(f"name{number}", name)
@@ -181,17 +142,13 @@ def save_opencv(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> Non
         last = list(cameras.values())[1]
         storage.write("R", last.R.copy())
         storage.write("T", last.T[:, None].copy())
+    if covariance is not None:
+        storage.write("covariance", covariance.copy())
     storage.write("unit", next(iter(cameras.values())).unit)
     write_text(path, yaml_text(storage))
 
 
-def save_ros(path: str | PathLike[str], camera: Camera, *, name: str) -> None:
-    """Write one camera as ROS camera_info YAML (camera_calibration_parsers), unrectified.
-
-    Raises OSError.
-    """
-    check_kind("camera", camera, Camera, CalibrationError)
-    check_kind("name", name, str, CalibrationError)
+def _save_ros(path: Path, camera: Camera, name: str) -> None:
     model = {
         Lens.PINHOLE: "plumb_bob",
         Lens.RATIONAL: "rational_polynomial",
@@ -231,13 +188,7 @@ def _number(value: float) -> str:
     return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
 
 
-def save_kalibr(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> None:
-    """Write cameras as Kalibr's camchain YAML; T_cn_cnm1 in m, whole or not at all.
-
-    The topic of each is /NAME/image_raw. Raises CalibrationError if a lens has no such
-    model (rational, or k3 other than 0) or the unit is not m, cm, mm or um; OSError.
-    """
-    _check_cameras(cameras)
+def _save_kalibr(path: Path, cameras: Mapping[str, Camera]) -> None:
     text, before = [], np.eye(4)
     for number, (name, camera) in enumerate(cameras.items()):
         pose = np.eye(4)
@@ -278,29 +229,35 @@ def _metres(camera: Camera) -> float:
     return lengths[camera.unit]
 
 
-def save_cameras(path: str | PathLike[str], cameras: Mapping[str, Camera]) -> list[Path]:
+def save_cameras(
+    path: str | PathLike[str], cameras: Mapping[str, Camera], *, covariance: Array | None = None
+) -> list[Path]:
     """Write cameras in the format that the file name determines; return the files.
 
-    NAME.camchain.yaml: Kalibr. NAME.camera_info.yaml: ROS; several cameras get a file each,
-        NAME-CAMERA.camera_info.yaml. Other .yaml and .yml: OpenCV.
+    .yaml, .yml: OpenCV's FileStorage. The keys are numbered from 1: K1 D1 K2 D2 ..., lens1, name1,
+        size1; R2 T2 ... are the poses relative to the first camera. Two pinhole or rational cameras
+        also have R and T, and the `covariance` of `StereoRig`, which reads the file.
+    .camchain.yaml: Kalibr, with T_cn_cnm1 in m; the topic of each is /NAME/image_raw.
+    .camera_info.yaml: ROS (camera_calibration_parsers), unrectified; several cameras get a file
+        each, NAME-CAMERA.camera_info.yaml.
 
-    Raises ConfigError on another name, and the errors of the formats.
+    Raises ConfigError on another name, CalibrationError if Kalibr has no such lens (rational, or k3
+    other than 0) or the unit is not m, cm, mm or um, and OSError.
     """
-    ending = check_cameras(path)
+    ending, target = check_cameras(path), Path(path)
     _check_cameras(cameras)
-    target = Path(path)
     if ending == ".camchain.yaml":
-        save_kalibr(target, cameras)
+        _save_kalibr(target, cameras)
     elif ending == ".camera_info.yaml":
         stem = target.name[: -len(ending)]
         files = [target]
         if len(cameras) > 1:
             files = [target.with_name(f"{stem}-{each}{ending}") for each in cameras]
         for file, (each, camera) in zip(files, cameras.items(), strict=True):
-            save_ros(file, camera, name=each)
+            _save_ros(file, camera, each)
         return files
     else:
-        save_opencv(target, cameras)
+        _save_opencv(target, cameras, covariance)
     return [target]
 
 

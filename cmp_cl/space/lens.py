@@ -59,6 +59,16 @@ def rotation_of(camera: Array) -> Array:
     return np.asarray(cv2.Rodrigues(camera[-POSE:-3])[0], np.float64)
 
 
+def unknowns(lens: Lens, cameras: int) -> NDArray[np.bool_]:
+    """Return which parameters of cameras are unknown, (C, P): not k3 of a pinhole, and not the pose
+    of the first camera."""
+    free = np.ones((cameras, 4 + lens.coefficients + POSE), bool)
+    if lens is Lens.PINHOLE:
+        free[:, ESTIMATED] = False
+    free[0, -POSE:] = False
+    return free
+
+
 def projected(lens: Lens, points: Array, camera: Array) -> tuple[Array, Array]:
     """Project points by a camera.
 

@@ -1,54 +1,90 @@
-"""Pictures of a calibration: the residual of every corner, and of every view."""
+"""The picture of a calibration: where the boards were, how they were tilted, what is left over."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cmp_cl.space.cameras import CamerasCalibration
+from cmp_cl.space.advice import covered, tilts
+from cmp_cl.space.calibration import Calibration
 from cmp_cl.viz.plots import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_MOST_NAMED = 20  # views; more have numbers
 
-def residual_figure(found: CamerasCalibration) -> "Figure":
-    """Draw, by camera, the corners with enlarged residuals, and the RMS of each view.
 
-    found: the calibration. It needs matplotlib, and raises ConfigError without it.
+def calibration_figure(
+    found: Calibration, names: Mapping[str, Sequence[str]] | None = None
+) -> "Figure":
+    """Draw, a row for each camera: the corners in its image, the tilts of the board, the errors.
+
+    names: by camera, the name of each view; None means their numbers. It needs matplotlib,
+    and raises ConfigError without it.
     """
     count = len(found.cameras)
-    figure = new_figure((11.0, 4.2 * count))
-    grid = figure.add_gridspec(count, 3)
-    for row, (name, camera) in enumerate(found.cameras.items()):
-        axes = figure.add_subplot(grid[row, :2])
-        places = [at for at in found.places[name] if at is not None]
-        missed = [off for off in found.residuals[name] if off is not None]
-        at, off = (
-            np.concatenate([part.reshape(-1, 2) for part in both]) for both in (places, missed)
+    figure = new_figure((13.0, 4.0 * count))
+    grid = figure.add_gridspec(count, 3, width_ratios=[1.7, 1.0, 1.2])
+    for row, name in enumerate(found.cameras):
+        _draw_corners(figure, figure.add_subplot(grid[row, 0]), found, name)
+        _draw_tilts(figure.add_subplot(grid[row, 1], projection="polar"), found, name)
+        _draw_errors(
+            figure.add_subplot(grid[row, 2]), found, name, None if names is None else names[name]
         )
-        known = ~np.isnan(off[:, 0])
-        at, off = at[known], off[known]
-        length = np.linalg.norm(off, axis=1)
-        width, height = camera.size
-        scale = 0.04 * width / max(float(np.percentile(length, 95)), 1e-9)
-        arrows = axes.quiver(
-            *at.T, *(off * scale).T, length,
-            angles="xy", scale_units="xy", scale=1, width=2e-3, cmap="plasma",
-            clim=(0, float(length.max()) or 1.0),
-        )  # fmt: skip
-        axes.set(
-            xlim=(-0.5, width - 0.5),
-            ylim=(height - 0.5, -0.5),
-            aspect="equal",
-            xlabel="x / px",
-            ylabel="y / px",
-            title=f"{name}: measured minus projected, {scale:.0f} x; "
-            f"coverage {found.coverage[name]:.0%}",
-        )
-        figure.colorbar(arrows, ax=axes, label="residual / px", shrink=0.85)
-        bars = figure.add_subplot(grid[row, 2])
-        errors = found.view_errors[name]
-        bars.bar(np.arange(len(errors)), np.nan_to_num(errors))
-        bars.set(xlabel="view", ylabel="RMS residual / px", title=f"{name}: by view")
-        bars.grid(axis="y", alpha=0.3)
     return figure
+
+
+def _draw_corners(figure: "Figure", axes: Any, found: Calibration, name: str) -> None:
+    """Draw the corners and their enlarged residuals, and shade the cells without a corner."""
+    width, height = found.cameras[name].size
+    both = zip(found.grids[name], found.residuals[name], strict=True)
+    pairs = [
+        (grid.xy[grid.valid], off[grid.valid]) for grid, off in both if grid and off is not None
+    ]
+    at, off = (np.concatenate(each) for each in zip(*pairs, strict=True))
+    seen = covered(found, name)
+    extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(
+        np.where(seen, np.nan, 1.0), extent=extent, cmap="Reds", vmin=0, vmax=4, aspect="equal"
+    )
+    length = np.linalg.norm(off, axis=1)
+    scale = 0.04 * width / max(float(np.percentile(length, 95)), 1e-9)
+    arrows = axes.quiver(
+        *at.T, *(off * scale).T, length,
+        angles="xy", scale_units="xy", scale=1, width=2.5e-3, cmap="viridis",
+        clim=(0, float(length.max()) or 1.0),
+    )  # fmt: skip
+    axes.set(
+        xlim=extent[:2],
+        ylim=extent[2:],
+        xlabel="x / px",
+        ylabel="y / px",
+        title=f"{name}: boards in {seen.mean():.0%} of the image; residuals x {scale:.0f}",
+    )
+    figure.colorbar(arrows, ax=axes, label="residual / px", shrink=0.85)
+
+
+def _draw_tilts(axes: Any, found: Calibration, name: str) -> None:
+    """Draw the direction and the angle by which each board is tilted from facing the camera."""
+    across, down = tilts(found, name).T
+    axes.plot(np.arctan2(-down, across), np.hypot(across, down), "o", color="tab:blue", alpha=0.8)
+    axes.set_rlim(0, max(45.0, float(np.hypot(across, down).max()) * 1.1))
+    axes.set_rticks([20, 40])
+    axes.set_rlabel_position(90)
+    axes.set_xticks(np.radians([0, 90, 180, 270]), ["right", "up", "left", "down"])
+    axes.set_xlabel("tilt of the boards / degrees")
+
+
+def _draw_errors(axes: Any, found: Calibration, name: str, names: Sequence[str] | None) -> None:
+    """Draw the error of each view; those that are not used have no bar."""
+    errors = found.view_errors[name]
+    number = np.arange(len(errors))
+    axes.bar(number, np.nan_to_num(errors), color="0.45")
+    axes.set(xlabel="view", ylabel="RMS residual / px", title="error of each view")
+    axes.grid(axis="y", alpha=0.3)
+    if names is not None and len(errors) <= _MOST_NAMED:
+        axes.set_xticks(number, [each[-16:] for each in names], rotation=60, ha="right")
+        axes.set_xlabel("")
+    else:
+        axes.locator_params(axis="x", integer=True)

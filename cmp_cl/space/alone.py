@@ -1,0 +1,127 @@
+"""Calibrates one camera by OpenCV."""
+
+import contextlib
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_cl.errors import CalibrationError
+from cmp_cl.space.adjustment import Look, State, covariance
+from cmp_cl.space.lens import Lens, camera_of, unknowns
+
+# Share of the focal length; a larger sigma means that the views do not determine it.
+_MAX_FOCAL_SIGMA = 0.05
+# Focal lengths from which a fisheye is sought, in image widths per radian; None: OpenCV's own.
+_FISHEYE_STARTS = (None, 1.0, 1.25, 1.6, 0.8, 2.0)
+_FOUND = 1.0  # px; a fisheye that misses by less needs no other start
+STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Alone:
+    """A camera, calibrated alone.
+
+    camera: its parameters, at the origin. poses: by moment, the pose of the board (6,).
+    error: root mean square reprojection error, px.
+    """
+
+    camera: Array
+    poses: Mapping[int, Array]
+    error: float
+
+
+def calibrate_alone(
+    lens: Lens, looks: Sequence[Look], board: Array, size: tuple[int, int]
+) -> Alone:
+    """Calibrate one camera.
+
+    looks: of that camera. board: (B, 3). size: (width, height), px. Raises CalibrationError if
+    OpenCV finds no camera, or the views do not determine the focal length.
+    """
+    nodes = [np.ascontiguousarray(board[look.nodes][:, None], np.float32) for look in looks]
+    points = [np.ascontiguousarray(look.xy[:, None], np.float32) for look in looks]
+    try:
+        with one_thread():
+            if lens is Lens.FISHEYE:
+                error, matrix, distortion, turns, shifts = _fisheye(nodes, points, size)
+            else:
+                error, matrix, distortion, turns, shifts = cv2.calibrateCamera(
+                    nodes, points, size, np.eye(3), np.zeros(lens.coefficients),
+                    flags=lens_flags(lens), criteria=STOP,
+                )  # fmt: skip
+    except cv2.error as failure:
+        raise CalibrationError(
+            "the views do not determine the camera: show the board tilted, in different directions"
+        ) from failure
+    coefficients = distortion.ravel()[: lens.coefficients]
+    camera = camera_of(matrix, coefficients, np.eye(3), np.zeros(3))
+    poses = [np.r_[turn.ravel(), shift.ravel()] for turn, shift in zip(turns, shifts, strict=True)]
+    numbered = [
+        dataclasses.replace(look, camera=0, moment=moment) for moment, look in enumerate(looks)
+    ]
+    state = State(camera[None], np.array(poses), board)
+    spread = covariance(lens, numbered, state, unknowns(lens, 1))
+    sigma = math.inf if spread is None else math.sqrt(float(np.diag(spread)[:2].max()))
+    if not sigma < _MAX_FOCAL_SIGMA * camera[0]:
+        raise CalibrationError(
+            f"the views leave the focal length uncertain by {sigma / camera[0]:.0%}: "
+            "show the board tilted, in different directions"
+        )
+    moments = [look.moment for look in looks]
+    return Alone(camera, dict(zip(moments, poses, strict=True)), float(error))
+
+
+def lens_flags(lens: Lens) -> int:
+    """Return OpenCV's flags of a pinhole or a rational lens."""
+    return int(cv2.CALIB_RATIONAL_MODEL if lens is Lens.RATIONAL else cv2.CALIB_FIX_K3)
+
+
+def _fisheye(nodes: Sequence[Any], points: Sequence[Any], size: tuple[int, int]) -> Any:
+    """Run cv2.fisheye.calibrate from several focal lengths; return the best result.
+
+    A start far from the truth ends in an error or in a wrong minimum.
+    """
+    best, failure = None, None
+    for start in _FISHEYE_STARTS:
+        names = ["CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW"]
+        matrix = np.eye(3)
+        if start is not None:
+            names.append("CALIB_USE_INTRINSIC_GUESS")
+            matrix[[0, 1], [0, 1]] = start * max(size) / math.pi
+            matrix[:2, 2] = size[0] / 2 - 0.5, size[1] / 2 - 0.5
+        # OpenCV 5 moved these flags out of cv2.fisheye.
+        flags = sum(getattr(cv2.fisheye, name, getattr(cv2, name, 0)) for name in names)
+        try:
+            found = cv2.fisheye.calibrate(
+                [each.astype(np.float64).reshape(1, -1, 3) for each in nodes],
+                [each.astype(np.float64).reshape(1, -1, 2) for each in points],
+                size, matrix, np.zeros((4, 1)), flags=flags, criteria=STOP,
+            )  # fmt: skip
+        except cv2.error as error:
+            failure = error
+            continue
+        if best is None or found[0] < best[0]:
+            best = found
+        if best[0] < _FOUND:
+            break
+    if best is None:
+        assert failure is not None
+        raise failure
+    return best
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Run OpenCV on one thread: with several, the last bits of its sums differ from run to run."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)

@@ -1,0 +1,387 @@
+"""One, two or more cameras, calibrated on views of a board."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from stereo_data import gel, grid_of, photographs, project, toed_in_rig, truth_grid
+
+from cmp_cl import CalibrationError, calibrate
+from cmp_cl.measure import find_board, square_sides, trusted
+from cmp_cl.points import largest_deviation, sides
+from cmp_cl.space import Camera, Lens, MisfitError
+from cmp_cl.space.advice import advice
+
+SIZE = (640, 480)
+MATRIX = np.array([[420.0, 0, 325], [0, 418.0, 236], [0, 0, 1]])
+DISTORTIONS = {
+    Lens.PINHOLE: np.array([-0.1, 0.03, 0.001, -0.0005, 0]),
+    Lens.RATIONAL: np.array([0.3, 0.05, 0.0005, -0.0005, 0.01, 0.42, 0.08, 0.02]),
+    Lens.FISHEYE: np.array([0.05, -0.01, 0.004, -0.001]),
+}
+
+
+def camera(lens, rotation=(0.0, 0.0, 0.0), translation=(0.0, 0.0, 0.0)):
+    return Camera(
+        lens=lens,
+        size=SIZE,
+        matrix=MATRIX,
+        distortion=DISTORTIONS[lens],
+        R=cv2.Rodrigues(np.array(rotation))[0],
+        T=np.array(translation),
+        unit="mm",
+    )
+
+
+THREE = {
+    "a": camera(Lens.PINHOLE),
+    "b": camera(Lens.PINHOLE, (0.01, 0.15, -0.02), (-50, 2, 5)),
+    "c": camera(Lens.PINHOLE, (-0.1, -0.2, 0.05), (60, -3, 8)),
+}
+
+
+def flat_board(rows=6, columns=9):
+    row, column = np.mgrid[:rows, :columns]
+    return np.stack([column - columns // 2, row - rows // 2, 0 * row], axis=-1) * 20.0
+
+
+def views(cameras, count=12, board=None, noise=0.03, tilt=0.5, seed=900001):
+    """Return grids of a board of 20 mm squares in random poses, without nodes outside."""
+    rng = np.random.default_rng(seed)
+    board = flat_board() if board is None else board
+    seen = {name: [] for name in cameras}
+    for _ in range(count):
+        rotation = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
+        place = board @ rotation.T + [*rng.uniform(-60, 60, 2), rng.uniform(190, 330)]
+        for name, each in cameras.items():
+            xy = each.project(place) + rng.normal(0, noise, (*board.shape[:2], 2))
+            outside = (xy < 0).any(axis=-1) | (xy > np.array(SIZE) - 1).any(axis=-1)
+            xy[outside] = np.nan
+            seen[name].append(grid_of(xy, noise))
+    return seen
+
+
+def calibrated(seen, size=SIZE, **settings):
+    return calibrate(seen, spacing=20, sizes=dict.fromkeys(seen, size), **settings)
+
+
+def rig_views(count=12, noise=0.05, seed=3, tilt=0.5, board=None):
+    """Return views of a board of 3 mm squares in the two cameras of the toed-in rig."""
+    rng = np.random.default_rng(seed)
+    board = flat_board(7, 10) * 3 / 20 if board is None else board
+    seen = {"left": [], "right": []}
+    for _ in range(count):
+        rotation = cv2.Rodrigues(rng.uniform(-tilt, tilt, 3))[0]
+        place = board @ rotation.T + [*rng.uniform(-3, 3, 2), 50 + rng.uniform(-6, 6)]
+        for name, xy in zip(seen, project(toed_in_rig(), place), strict=True):
+            seen[name].append(grid_of(xy + rng.normal(0, noise, xy.shape), noise))
+    return seen
+
+
+def rig_of(seen, spacing=3.0, **settings):
+    sizes = dict.fromkeys(seen, (800, 1200))
+    return calibrate(seen, spacing=spacing, sizes=sizes, **settings)
+
+
+@pytest.mark.parametrize("lens", list(Lens))
+def test_a_camera_of_each_lens_is_found_again(lens):
+    truth = {"front": camera(lens)}
+    found = calibrated(views(truth), lens=lens)
+    assert found.error == pytest.approx(0.03 * math.sqrt(2), rel=0.1)
+    rms = np.sqrt(np.nanmean(np.square(np.stack(found.residuals["front"])).sum(axis=-1)))
+    assert rms == pytest.approx(found.error, rel=0.02)
+    row, column = np.mgrid[-3:4, -3:4]
+    rays = np.stack([column * 0.2, row * 0.15, np.ones((7, 7))], axis=-1)
+    off = found.cameras["front"].project(rays) - truth["front"].project(rays)
+    assert np.abs(off).max() < 1.0
+
+
+def test_a_rig_is_found_again():
+    rig, found = toed_in_rig(), rig_of(rig_views())
+    again = found.rig()
+    assert found.error == pytest.approx(0.05 * math.sqrt(2), rel=0.1)
+    assert again.K1[0, 0] == pytest.approx(rig.K1[0, 0], rel=0.01)
+    assert np.linalg.norm(again.T) == pytest.approx(np.linalg.norm(rig.T), rel=0.01)
+    lengths = np.concatenate(
+        [square_sides(again.triangulate(*pair)) for pair in zip(*found.grids.values(), strict=True)]
+    )
+    assert lengths.mean() == pytest.approx(3, abs=0.005)
+
+
+def test_the_same_views_give_the_same_bytes():
+    seen = rig_views()
+    rigs = [rig_of(seen).rig() for _ in range(4)]
+    for name in ("K1", "D1", "K2", "D2", "R", "T"):
+        assert len({getattr(rig, name).tobytes() for rig in rigs}) == 1, name
+
+
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_the_unit_of_length_does_not_matter(unit, free):
+    seen = rig_views(count=6)
+    one, other = (rig_of(seen, spacing=3 * each, free_board=free) for each in (1, unit))
+    np.testing.assert_allclose(other.rig().K1, one.rig().K1, rtol=1e-6)
+    np.testing.assert_allclose(other.rig().T, one.rig().T * unit, rtol=1e-5)
+    factor = np.ones(22)
+    factor[19:] = unit
+    deviations = [np.sqrt(np.diag(found.covariance)) for found in (other, one)]
+    np.testing.assert_allclose(deviations[0], deviations[1] * factor, rtol=1e-3)
+
+
+@pytest.mark.parametrize("lens", [Lens.PINHOLE, Lens.FISHEYE])
+def test_cameras_are_located_though_some_miss_views(lens):
+    truth = {
+        name: camera(lens, cv2.Rodrigues(each.R)[0].ravel(), each.T) for name, each in THREE.items()
+    }
+    seen = views(truth, count=14)
+    seen["b"][:4] = [None] * 4
+    seen["c"][10:] = [None] * 4
+    for names in (("a", "b", "c"), ("a", "b")):
+        found = calibrated({name: seen[name] for name in names}, lens=lens)
+        for name in names:
+            np.testing.assert_allclose(found.cameras[name].T, truth[name].T, atol=0.3)
+            np.testing.assert_allclose(found.cameras[name].R, truth[name].R, atol=2e-3)
+        assert np.isnan(found.view_errors["b"][:4]).all()
+        assert found.error < 0.06
+
+
+@pytest.mark.parametrize("shape", [(6, 9), (6, 8), (7, 7)])
+@pytest.mark.parametrize("roll", [0, 90, 180, 270])
+def test_a_camera_may_be_rolled_and_each_view_numbered_from_any_corner(roll, shape):
+    """Where the colours do not tell the turns of a board apart, only the true ones fit together."""
+    tilted = cv2.Rodrigues(np.array([0, 0, np.radians(roll)]))[0] @ THREE["b"].R
+    truth = {
+        "a": THREE["a"],
+        "b": camera(Lens.PINHOLE, cv2.Rodrigues(tilted)[0].ravel(), (-50, 2, 5)),
+    }
+    seen = views(truth, board=flat_board(*shape))
+    rng = np.random.default_rng(roll)
+    for grids in seen.values():
+        grids[:] = [grid.turned(int(rng.choice([0, 2]))) for grid in grids]
+    found = calibrated(seen)
+    np.testing.assert_allclose(found.cameras["b"].R, tilted, atol=2e-3)
+    np.testing.assert_allclose(found.cameras["b"].T, (-50, 2, 5), atol=0.3)
+
+
+def test_copies_of_a_view_and_a_board_that_stands_still_count_once():
+    seen = views({"a": THREE["a"]}, noise=0.4, count=10)["a"]
+    still = views({"a": THREE["a"]}, noise=0.4, count=1)["a"][0]
+    rng = np.random.default_rng(1)
+    copies = [grid_of(still.xy + rng.normal(0, 0.4, still.xy.shape)) for _ in range(50)]
+    for alone in ([seen[0]] * 200, copies, [*copies, seen[1]]):
+        with pytest.raises(CalibrationError, match=r"a: 3 different views .* more show the same"):
+            calibrated({"a": alone})
+    once, often = (calibrated({"a": each}) for each in (seen, [*seen, *seen[:3] * 20, seen[0]]))
+    np.testing.assert_array_equal(often.cameras["a"].matrix, once.cameras["a"].matrix)
+    assert often.focal_sigma == once.focal_sigma
+    assert [group[0] for group in often.alike] == [0, 1, 2]
+    assert len(often.alike[0]) == 22
+
+
+def test_every_good_set_of_fisheye_views_is_solved():
+    """An equidistant lens of 336 px; the views are tilted by up to 65 degrees."""
+    board = np.stack([*np.meshgrid(np.arange(6) * 26.0, np.arange(9) * 26.0), np.zeros((9, 6))], 2)
+    off = []
+    for seed in range(12):
+        rng, seen = np.random.default_rng(seed), []
+        while len(seen) < 15:
+            xy = fisheye_view(board, rng)
+            if (xy > 3).all() and (xy < (636, 476)).all() and np.ptp(xy, axis=(0, 1)).min() > 40:
+                seen.append(grid_of(xy + rng.normal(0, 0.05, xy.shape)))
+        found = calibrate({"c": seen}, spacing=26, sizes={"c": SIZE}, lens=Lens.FISHEYE)
+        off.append((found.cameras["c"].matrix[0, 0] - 336) / found.focal_sigma["c"])
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.5
+
+
+def fisheye_view(board, rng):
+    azimuth, angle = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(0, 65))
+    turn = cv2.Rodrigues(np.array([np.cos(azimuth), np.sin(azimuth), 0]) * angle)[0]
+    turn = turn @ cv2.Rodrigues(np.array([0, 0, rng.uniform(-np.pi, np.pi)]))[0]
+    ray = np.append(rng.uniform(-0.8, 0.8, 2), 1.0)
+    place = board @ turn.T + rng.uniform(200, 500) * ray / np.linalg.norm(ray)
+    place -= turn @ board.mean(axis=(0, 1))
+    reach = np.hypot(place[..., 0], place[..., 1])
+    angle = np.arctan2(reach, place[..., 2])
+    return place[..., :2] * (336 * angle / np.maximum(reach, 1e-9))[..., None] + (319.5, 239.5)
+
+
+def test_swapped_views_are_refused_and_named():
+    seen = views(THREE)
+    right = list(seen["b"])
+    seen["b"][2], seen["b"][7] = right[7], right[2]
+    with pytest.raises(MisfitError, match="worst fit those of moment 2, 7") as why:
+        calibrated(seen)
+    assert why.value.odd == [2, 7]
+    seen["b"] = [*right[1:], right[0]]  # no view fits
+    with pytest.raises(MisfitError, match="no pose between the cameras fits"):
+        calibrated(seen)
+
+
+@pytest.mark.parametrize("lens", list(Lens))
+def test_views_that_are_as_bad_for_each_camera_alone_are_not_refused(lens):
+    cameras = {"a": camera(lens), "b": camera(lens, translation=(-20.0, 0, 0))}
+    assert 1.2 < calibrated(views(cameras, noise=1.0, count=25), lens=lens).error < 1.5
+
+
+@pytest.mark.parametrize("tilt", [0.0005, 0.01])
+def test_views_all_from_the_front_are_refused(tilt):
+    for seed in range(4):
+        seen = rig_views(count=6, tilt=tilt, seed=seed)
+        with pytest.raises(CalibrationError, match=r"left: the views .*tilted") as refusal:
+            rig_of({"left": seen["left"]})
+        assert "\n" not in str(refusal.value)
+
+
+def test_views_that_determine_nothing_are_refused():
+    seen = views(THREE)
+    empty = grid_of(np.full((6, 9, 2), np.nan))
+    with pytest.raises(CalibrationError, match=r"a: 3 different views .* better 10, not 2$"):
+        calibrated({"a": [*seen["a"][:2], empty]})
+    apart = {"a": [*seen["a"][:6], *[None] * 6], "b": [*[None] * 6, *seen["b"][6:]]}
+    with pytest.raises(CalibrationError, match="b: no moment"):
+        calibrated(apart)
+    other = [grid_of(grid.xy[:, ::-1]) for grid in views({"b": THREE["b"]})["b"]]
+    with pytest.raises(CalibrationError, match=r"none is mirrored|no pose between"):
+        calibrated({"a": seen["a"], "b": other})
+
+
+def test_the_sigma_of_the_focal_length_is_that_of_its_error():
+    deviations = []
+    for seed in range(20):
+        found = rig_of({"left": rig_views(count=6, seed=seed, tilt=0.3)["left"]})
+        off = found.cameras["left"].matrix[0, 0] - toed_in_rig().K1[0, 0]
+        deviations.append(off / found.focal_sigma["left"])
+    # From 20 calibrations, the ratio has a standard error of 16 %.
+    assert 0.6 < np.sqrt(np.mean(np.square(deviations))) < 1.5
+
+
+def test_the_covariance_of_a_rig_is_that_of_its_errors():
+    """Points from exact views through rigs that were calibrated on noisy ones."""
+    rig, truth = toed_in_rig(), gel(5, 5)
+    exact = [grid_of(view, 0.05) for view in project(rig, truth)]
+    ratios = []
+    for seed in range(8):
+        points = rig_of(rig_views(count=8, seed=seed)).rig().triangulate(*exact)
+        values, axes = np.linalg.eigh(points.calibration_covariance)
+        off = np.einsum("rcij,rci->rcj", axes, points.xyz - truth)
+        ratios.append((off / np.sqrt(values))[..., 2])
+        assert (points.sigma > largest_deviation(points.covariance)).all()
+    assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
+def test_opencvs_pairs_measure_a_board_in_a_view_that_calibration_did_not_see():
+    folder = photographs("stereo_opencv")
+    seen = {
+        side: [truth_grid(folder / f"{side}{pair:02}.json") for pair in range(1, 6)]
+        for side in ("left", "right")
+    }
+    for out in (0, 3):
+        others = {side: [*grids[:out], None, *grids[out + 1 :]] for side, grids in seen.items()}
+        found = calibrate(others, spacing=25, sizes=dict.fromkeys(seen, SIZE))
+        points = found.rig().triangulate(seen["left"][out], seen["right"][out])
+        assert found.error < 0.2
+        assert points.valid.all()
+        assert square_sides(points).mean() == pytest.approx(25, abs=0.08)
+        assert square_sides(points).std() < 0.16
+        assert points.error.mean() < 0.1
+
+
+# boards that are bent or not exact
+
+
+def bent_board(noise=0.0):
+    """Return a board of 3 mm squares on a cylinder, .3 mm high over its 27 mm, with noise, mm."""
+    flat = flat_board(7, 10) * 3 / 20
+    radius, bent = 27.0**2 / 8 / 0.3, flat.copy()
+    bent[..., 0] = radius * np.sin(flat[..., 0] / radius)
+    bent[..., 2] = radius * (1 - np.cos(flat[..., 0] / radius))
+    return bent + np.random.default_rng(1).normal(0, noise, bent.shape)
+
+
+def test_a_bent_board_spoils_a_calibration_unless_it_is_free():
+    rig, seen = toed_in_rig(), rig_views(board=bent_board())
+    for number, (left, right) in enumerate(zip(*seen.values(), strict=True)):
+        left.xy[: number % 3] = np.nan  # partial views
+        right.xy[:, : number % 4] = np.nan
+        left.xy[6, 9] = right.xy[6, 9] = np.nan
+        if number % 2:  # numbered from the other end
+            seen["left"][number], seen["right"][number] = left.turned(2), right.turned(2)
+    stiff, free = (rig_of(seen, free_board=free) for free in (False, True))
+    off = [
+        np.abs([found.rig().K1[0, 0] - 1260, *(found.rig().T - rig.T)]) for found in (stiff, free)
+    ]
+    assert (off[0][[0, 2]] > 5 * off[1][[0, 2]]).all()
+    assert off[1][0] < 3 * np.sqrt(free.covariance[0, 0])
+    assert stiff.error > 0.3
+    assert free.error == pytest.approx(0.05 * np.sqrt(2), rel=0.1)
+    assert stiff.board is None
+    assert np.argwhere(np.isnan(free.board[..., 0])).tolist() == [[6, 9]]
+
+
+def test_a_free_board_is_found_with_the_given_mean_side():
+    truth = bent_board(noise=0.02) * 1.01
+    found = rig_of(rig_views(board=truth), free_board=True)
+    mean, true = (
+        np.concatenate([each.ravel() for each in sides(board)]).mean()
+        for board in (found.board, truth)
+    )
+    assert mean == pytest.approx(3, rel=1e-12)
+    length = np.linalg.norm(toed_in_rig().T) * 3 / true
+    assert np.linalg.norm(found.rig().T) == pytest.approx(length, rel=2e-3)
+    one, other = (each.reshape(-1, 3) - each.mean(axis=(0, 1)) for each in (found.board, truth))
+    u, _, v = np.linalg.svd(one.T @ (other * 3 / true))
+    assert np.sqrt(np.square(one @ u @ v - other * 3 / true).mean()) < 4e-3
+
+
+def test_one_camera_takes_a_free_board_and_loses_nothing_on_a_flat_one():
+    seen = rig_views()["left"]
+    found = rig_of({"left": seen}, free_board=True)
+    assert found.cameras["left"].matrix[0, 0] == pytest.approx(1260, abs=3)
+    assert np.ptp(found.board[..., 2]) < 0.05
+
+
+def test_too_few_or_unlike_views_of_a_free_board_are_refused():
+    seen = rig_views(count=5)["left"]
+    with pytest.raises(CalibrationError, match="3 views of a free board, at least 4 are needed"):
+        rig_of({"left": seen[:3]}, free_board=True)
+    seen[2] = grid_of(seen[2].xy[1:])
+    with pytest.raises(CalibrationError, match="numbered alike"):
+        rig_of({"left": seen}, free_board=True)
+
+
+# advice
+
+
+def test_advice_names_what_the_views_lack():
+    seen = views({"a": THREE["a"]}, count=5, tilt=0.25)["a"]
+    half = [grid.xy.copy() for grid in seen]
+    for xy in half:
+        xy[xy[..., 0] > 300] = np.nan
+    said = advice(calibrated({"a": [*map(grid_of, half), grid_of(half[0])]}))
+    assert any("top right" in line and "bottom right of the image" in line for line in said), said
+    assert "0 and 5 show the same and count as one view; move and tilt the board" in said
+    assert any(line.startswith("5 different views") for line in said)
+
+
+@pytest.mark.parametrize(("axis", "words"), [(0, "to the left and right"), (1, "up and down")])
+def test_advice_names_the_missing_tilt(axis, words):
+    turns = np.zeros((12, 3))
+    turns[:, axis] = np.linspace(-0.6, 0.6, 12)
+    seen = []
+    for number, turn in enumerate(turns):
+        place = flat_board() @ cv2.Rodrigues(turn)[0].T + [
+            *np.array([-40, 40])[[number % 2, number // 2 % 2]],
+            250,
+        ]
+        seen.append(grid_of(THREE["a"].project(place)))
+    assert any(words in line for line in advice(calibrated({"a": seen})))
+
+
+def test_images_of_a_board_calibrate_a_camera():
+    folder = photographs("stereo_opencv")
+    images = [cv2.imread(str(folder / f"left0{n}.jpg"), cv2.IMREAD_GRAYSCALE) for n in range(1, 6)]
+    grids = [trusted(find_board(image, (6, 9))) for image in images]
+    found = calibrate({"left": grids}, spacing=25, sizes={"left": SIZE})
+    assert found.error < 0.14
+    assert found.cameras["left"].matrix[0, 0] == pytest.approx(535, abs=1.5)
