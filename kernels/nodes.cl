@@ -62,7 +62,8 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
                         __global const int4 *restrict numbers, const int places,
                         __constant Nats *nats, __global int *restrict layout,
                         __global float2 *restrict seen, __global int *restrict owner,
-                        __global uchar *restrict torn, __global uchar *restrict used) {
+                        __global uchar *restrict torn, __global uchar *restrict used,
+                        __global uchar *restrict tried) {
   const int count = (int)COUNT(corners);
   __local int left, right, top, bottom, sum, nodes;
   if (get_local_id(0) == 0) {
@@ -101,7 +102,7 @@ __kernel void lay_board(__global const float *restrict corners, const uint capac
   FOR_ALL(place, all) {
     const int i = owner[place];
     seen[place] = (float2)(NAN, NAN);
-    torn[place] = 0;
+    torn[place] = tried[place] = 0;
     if (i == INT_MAX) {
       owner[place] = NONE;
       continue;
@@ -442,14 +443,15 @@ __kernel void find_nodes(__global const float *restrict corners, const uint capa
                          LEVELS_OF_IMAGE, __constant Nats *nats, __global int *restrict layout,
                          __global const int *restrict starts, __global const int *restrict binned,
                          __global const float2 *restrict at, __global const int2 *restrict cells,
-                         __global const uchar *restrict used, __global int *restrict candidate,
+                         __global const uchar *restrict used,
+                         __global const uchar *restrict tried, __global int *restrict candidate,
                          __global float2 *restrict found, __global int *restrict key,
                          __global int *restrict best_score) {
   if (layout[STATE] != RUNS || layout[DROPPED] || layout[NODES] < 4) return;
   FOR_PLACES(NEAR) {
     PLACE_OF_WORK_ITEM
     candidate[place] = NONE;
-    if (IS_HERE(at[place])) continue;
+    if (IS_HERE(at[place]) || tried[place]) continue;
     if (!IS_HERE(at[place + 1]) && !IS_HERE(at[place - 1]) && !IS_HERE(at[place + width]) &&
         !IS_HERE(at[place - width]))
       continue;
@@ -507,14 +509,14 @@ __kernel void claim_corners(__global int *restrict layout, __global const int *r
   }
 }
 
-/* The candidates become nodes. One work-item per place. */
+/* The candidates become nodes, each place once. One work-item per place. */
 __kernel void enter_nodes(__global const float *restrict corners, const uint capacity,
                           __constant Nats *nats, __global int *restrict layout,
                           __global const int *restrict candidate,
                           __global const float2 *restrict found,
                           __global const int *restrict best_place, __global float2 *restrict seen,
                           __global int *restrict owner, __global uchar *restrict torn,
-                          __global uchar *restrict used) {
+                          __global uchar *restrict used, __global uchar *restrict tried) {
   if (layout[STATE] != RUNS || layout[DROPPED] || layout[NODES] < 4) return;
   FOR_PLACES(NEAR) {
     PLACE_OF_WORK_ITEM
@@ -522,6 +524,7 @@ __kernel void enter_nodes(__global const float *restrict corners, const uint cap
     if (own == NONE || (own >= 0 && best_place[own] != place)) continue;
     owner[place] = own;
     seen[place] = found[place];
+    tried[place] = 1;
     torn[place] = own == PLACE || IS_TORN(own);
     if (own >= 0) used[own] = 1;
     layout[ENTERED] = 1;

@@ -28,6 +28,7 @@ def sizes(plan: "LatticePlan") -> dict[str, int]:
         "predictions": 16 * places,
         "torn": places,
         "sides_of": places,
+        "tried": places,
         "numbers": 16 * corners,
         "used": corners,
         "best_score": 4 * corners,
@@ -63,7 +64,7 @@ def lay(plan: "LatticePlan") -> list[Launch]:
             places=np.int32(plan.places),
             nats=plan.nats,
             layout=b["layout"],
-            **{name: b[name] for name in ("seen", "owner", "torn", "used")},
+            **{name: b[name] for name in ("seen", "owner", "torn", "used", "tried")},
         )
     ]
 
@@ -106,7 +107,7 @@ def a_pass(plan: "LatticePlan") -> list[Launch]:
             **corners,
             **image,
             **nats,
-            **some("layout", "starts", "binned", "at", "cells", "used"),
+            **some("layout", "starts", "binned", "at", "cells", "used", "tried"),
             **some("candidate", "found", "key", "best_score"),
         ),
         plan.of_places(
@@ -118,6 +119,7 @@ def a_pass(plan: "LatticePlan") -> list[Launch]:
             **nats,
             **some("layout", "candidate", "found", "best_place"),
             **nodes,
+            **some("tried"),
         ),
     ]
 

@@ -31,7 +31,7 @@ FILES = ("bins", "links", "faces", "parts", "votes", "nodes")
 SHARED = ("image", "corners")  # buffers that the host writes
 ONE_GROUP = 256  # work-items of a kernel that is one work-group
 PLACES = 16384  # of a board with few corners
-PASSES = 1  # that are launched before the host looks whether they are enough
+MOST_PASSES = 8  # that are launched at a time; one that is not needed does nothing
 ROWS = 64  # work-items, of which each takes rows of a board, on a CPU
 LANES = 8  # the fields of the corners have a multiple of so many elements
 
@@ -255,8 +255,10 @@ class LatticePlan(Binder):
         if numbers is not None:
             self._write("numbers", np.ascontiguousarray(numbers, np.int32))
         self.enqueue(self.lay)
+        passes = 1  # that are launched before the host looks whether they are enough
         while True:
-            self.enqueue(self.a_pass * PASSES)
+            self.enqueue(self.a_pass * passes)
+            passes = min(2 * passes, MOST_PASSES)
             layout = self.read("layout", np.int32)
             if layout[nodes.STATE] != nodes.RUNS or not (
                 layout[nodes.DROPPED] or layout[nodes.ENTERED]

@@ -319,11 +319,13 @@ def settled(
 ) -> Board:
     """Return the board after rounds of dropping nodes and finding others, until none changes it.
 
-    A missing place beside a node takes the free corner near its prediction, else the prediction.
+    A missing place beside a node takes the free corner near its prediction, else the prediction. It
+    does so once: a place whose node is dropped after that stays empty.
 
     xy: (N, 2), all corners. torn: (N,), those whose position is a rough one.
     """
     height, width = plane.shape
+    tried = np.zeros(board.x.shape, np.bool_)
     for _ in range(k.rounds):
         board = dropped(plane, board, k)
         there = board.there
@@ -335,7 +337,7 @@ def settled(
         for step in FOUR:
             beside |= shifted(there, *step, False)
         inside = (px > 0) & (py > 0) & (px < width - 1) & (py < height - 1)
-        want = ~there & beside & now.steps.known & (weight > 0) & inside
+        want = ~there & ~tried & beside & now.steps.known & (weight > 0) & inside
         row, column = (each.astype(np.int64) for each in np.nonzero(want))
         if not len(row):
             break
@@ -364,6 +366,7 @@ def settled(
         take &= _first_claims(new_owner, found.score, take)
         if not take.any():
             break
+        tried |= take
         board = Board(
             x=np.where(take, new_x, board.x),
             y=np.where(take, new_y, board.y),
