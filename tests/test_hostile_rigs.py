@@ -93,3 +93,10 @@ def test_a_rig_file_without_a_unit_is_read_in_mm_with_a_warning(tmp_path):
     with pytest.warns(UserWarning, match=r"rig\.yaml: no unit, so T is taken to be in mm"):
         assert StereoRig.load(path).unit == "mm"
     assert StereoRig.load(path, unit="um").unit == "um"
+
+
+@pytest.mark.parametrize("text", ["%YAML:1.0\n---\n- 1\n- 2\n", "[1, 2]", "%YAML:1.0\n---\n5\n"])
+def test_a_file_that_is_no_map_of_names_is_refused(tmp_path, text):
+    (tmp_path / "rig.yaml").write_text(text)
+    with pytest.raises(CalibrationError):
+        StereoRig.load(tmp_path / "rig.yaml")

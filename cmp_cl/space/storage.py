@@ -35,7 +35,9 @@ def open_storage(path: str | PathLike[str], keys: Iterable[str] = ()) -> cv2.Fil
         for key in keys:
             if len(re.findall(rf'^{key}\s*:|"{key}"\s*:|<{key}[\s>]', text, re.MULTILINE)) > 1:
                 raise CalibrationError(f"{path}: {key} is given twice; remove one of them")
-        return cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        storage.getNode("K1")  # it raises if the file is no map of names
+        return storage
     except OSError as error:
         why = error.strerror
         raise CalibrationError(f"cannot read the calibration {str(path)!r}: {why}") from error
