@@ -134,6 +134,7 @@ def _with_edges(xy: np.ndarray, image: GreyImage) -> Corners:
     return Corners(
         xy=xy.astype(np.float32),
         pixel=pixel.astype(np.int32),
+        octave=np.zeros(len(xy), np.uint8),
         response=np.ones(len(xy), np.float32),
         method=seen.method,
         refusal=seen.refusal,

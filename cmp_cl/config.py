@@ -116,17 +116,22 @@ class RingHarmonic:
         Half of it is enough if the response is at least 3/4 of the length of the second harmonic;
         the share for squeezed cells is 5/3 as large.
     fine: whether a ring of 3 px searches for cells squeezed under 6 px.
+    octaves: how often the frame is halved at most, 0 to 3, to find corners whose squares ink, light
+        or blur joins or parts; a shorter side of a halved frame has at least 64 px. With 0, cells
+        under 20 px lose nothing.
     """
 
     noise: float = 2.0
     relative: float = 0.1875
     fine: bool = True
+    octaves: int = 0
 
     def __post_init__(self) -> None:
         check_range("RingHarmonic.noise", self.noise, 0, 100)
         check_range("RingHarmonic.relative", self.relative, 0, 1)
         if type(self.fine) is not bool:
             raise ConfigError(f"RingHarmonic.fine must be True or False, not {self.fine!r}")
+        check_range("RingHarmonic.octaves", self.octaves, 0, 3, kind=int)
 
     @property
     def coarse_noise(self) -> int:
@@ -234,7 +239,7 @@ class Midlines:
 
 
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
-_WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px
+_WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px, smaller ones not joined
 _DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
 _MOVED = ("threshold", "criteria", "contrast", "outer_radius")
@@ -272,6 +277,12 @@ class DetectorConfig:
         check_range(f"{part}.nms_radius", self.nms_radius, 1, 15, kind=int)
         if self.scale is not None:
             check_range(f"{part}.scale", self.scale, 0.05, 4)
+            octaves = isinstance(self.detection, RingHarmonic) and self.detection.octaves
+            if octaves and self.scale != 1:
+                raise ConfigError(
+                    f"{part}.scale is for BinaryRings, or for RingHarmonic(octaves=0): octaves see "
+                    f"cells of every size, not {self.scale!r}"
+                )
         if self.full_scale is not None:
             check_range(f"{part}.full_scale", self.full_scale, 1, 65535, kind=int)
         check_range(f"{part}.max_corners", self.max_corners, 1, 2**26, kind=int)
@@ -280,13 +291,12 @@ class DetectorConfig:
     def for_cell(cls, cell: float) -> Self:
         """Leave out what cells of that side, px (4 to 1000), do not need.
 
-        Squeezed cells are searched for only if cells are under 20 px wide. The radius of the
-        refinement is that of the cell. Raises ConfigError if the cell is out of range.
+        Cells under 20 px need no octaves, wider ones no search for squeezed cells. The radius of
+        the refinement is that of the cell. Raises ConfigError if the cell is out of range.
         """
         check_range("DetectorConfig.for_cell(cell)", cell, 4, 1000)
-        return cls(
-            detection=RingHarmonic(fine=bool(cell < _WIDE_CELL)), refinement=EdgeStep(cell=cell)
-        )
+        detection = RingHarmonic(octaves=0) if cell < _WIDE_CELL else RingHarmonic(fine=False)
+        return cls(detection=detection, refinement=EdgeStep(cell=cell))
 
     @classmethod
     def paper(cls, markers: int) -> Self:

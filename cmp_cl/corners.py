@@ -35,7 +35,9 @@ class Corners:
     """The corners of one image, rows in (y, x) order of `pixel`.
 
     xy: (N, 2) float32, x right, y down, px; (0, 0) is the centre of the top-left pixel.
-    pixel: (N, 2) int32, the maximum (x, y) of each corner.
+    pixel: (N, 2) int32, the maximum (x, y) of each corner; of a maximum in a halved frame, the
+        pixel of the frame nearest to it.
+    octave: (N,) uint8, how often the frame was halved in which the corner was found and refined.
     response: (N,) float32, the response there (Eq. 24 or the spectral response).
     method: (N,) uint8 of `Method`.
     refusal: (N,) uint8 of `Refusal`.
@@ -47,12 +49,13 @@ class Corners:
     doubtful: (N,) bool, corners whose surroundings do not fit the corner model (EdgeStep only,
         False otherwise).
     edge_radius: the radius around a corner, px, within which its refinement assumes straight
-        edges; NaN if unknown (only EdgeStep has one).
+        edges; NaN if unknown (only EdgeStep has one). In octave n it is 2^n times that.
     device: the device that ran, for example "pthread-... (Portable Computing Language)".
     """
 
     xy: NDArray[np.float32]
     pixel: NDArray[np.int32]
+    octave: NDArray[np.uint8]
     response: NDArray[np.float32]
     method: NDArray[np.uint8]
     refusal: NDArray[np.uint8]

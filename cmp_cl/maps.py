@@ -53,14 +53,14 @@ class Maps:
 class HarmonicMaps:
     """Every intermediate image of a frame with RingHarmonic, each (H, W).
 
-    With a working scale the maps have the size of the scaled image.
+    With a working scale the maps have the size of the scaled image. Those of octaves are left out.
 
     fine: uint16, the image smoothed once, in 1/16 of an 8-bit grey level.
     coarse: uint16, the image smoothed three times, likewise.
     coarse_response: int32, the response of the 5 px ring on `coarse`.
     fine_response: int32, the response of the 3 px ring on `fine`; None without the search for
         squeezed cells.
-    maximum: bool, the corners that are kept.
+    maximum: bool, the corners that are kept, see `Corners.pixel`.
     """
 
     fine: NDArray[np.uint16]

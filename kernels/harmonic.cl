@@ -1,4 +1,4 @@
-#include "plane.clh"
+#include "octave.clh"
 
 /* The grey-level rule: the second harmonic of eight samples on a ring, minus quantities that are
  * small at a corner. Shifts are arithmetic; every number is whole, so every device has the same
@@ -19,9 +19,11 @@
 #endif
 
 #define LEAST 80 /* least bound: a step of two grey levels may have this response */
-#define KINDS (1 + FINE)
+#define KINDS (1 + FINE + OCTAVES)
+#define KIND_OF_OCTAVE(n) ((n) ? FINE + (n) : 0)
 #define LIST_COLUMNS 6
-#define CLEAN (1 << 30) /* in the column of the sums: the response of the corner is clean */
+#define CLEAN (1 << 30) /* in the column of the sums: see mark_of */
+#define KEPT (1 << 29)  /* in the same column: a corner */
 
 /* The column of a work-item; in the padding it is the border column. */
 #define HELD_COLUMN (size_t)(PAD + clamp((int)get_global_id(0) - PAD, 0, (int)columns - 1))
@@ -170,19 +172,29 @@ void append(__global const short *response, const size_t p, const int x, const i
 #define LIST(kind) (p * KINDS + (kind))
 #define LIST_OF(kind) lists + LIST(kind) * LIST_COLUMNS * capacity
 
-#define IN_AREA(x, y) (area[((y) * step + (x)) / 32] >> (x) % 32 & 1)
+#define IN_AREA(x, y, words) (area[(uint)(y) * (words) + (uint)(x) / 32] >> (x) % 32 & 1)
 
-/* List the maxima of the coarse response that pass the checks. `area` has a bit for every
- * pixel. One work-item per pixel. */
+/* CLEAN, if a maximum may be half as weak as others: it is clean, and the wide ring responds half as
+ * much. In a halved frame: if the wide ring responds a quarter as much, without which there is no
+ * corner. */
+int mark_of(const uint octave, const int r, const Harmonics h, const int wide) {
+  if (octave == 0 && !is_clean(r, h)) return 0;
+  return WIDE && (octave ? 4 : 2) * wide < r ? 0 : CLEAN;
+}
+
+/* List the maxima of the coarse response of an octave that pass the checks. `area` has a bit for
+ * every pixel of the frame, in rows of `frame_words`. One work-item per pixel. */
 __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
                             __global const ushort *restrict coarse_plane,
                             __global const short *restrict response,
                             __global const uint *restrict area, const uint rows,
                             const uint columns, const uint step, const uint capacity,
+                            const uint octave, const uint frame_words,
                             __global uint *restrict counts, __global int *restrict lists) {
   const int x = (int)get_global_id(0), y = (int)get_global_id(1);
   const size_t p = get_global_id(2);
-  if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y)) return;
+  if (x < PAD || x >= PAD + (int)columns) return;
+  if (!IN_AREA(PAD + TO_FRAME(x - PAD, octave), TO_FRAME(y, octave), frame_words)) return;
   if (!is_maximum(response, p, x, y, rows, step)) return;
   const Harmonics outer = harmonics_of(coarse_plane, p, x, y, 5, 4, rows, step);
   const Harmonics inner = harmonics_of(fine_plane, p, x, y, 3, 2, rows, step);
@@ -191,8 +203,14 @@ __kernel void coarse_maxima(__global const ushort *restrict fine_plane,
   /* Check 2: a ring of 4 px responds alike. */
   const int middle = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 4, 3, rows, step));
   if (32 * middle < r || middle > 2 * r) return;
-  append(response, p, x, y, is_clean(r, outer) ? CLEAN : 0, rows, step, capacity,
-         counts + LIST(0), LIST_OF(0));
+#if WIDE
+  const int wide = coarse_response_of(harmonics_of(coarse_plane, p, x, y, 8, 6, rows, step));
+#else
+  const int wide = 0;
+#endif
+  const uint kind = KIND_OF_OCTAVE(octave);
+  append(response, p, x, y, mark_of(octave, r, outer, wide), rows, step, capacity,
+         counts + LIST(kind), LIST_OF(kind));
 }
 
 #if FINE
@@ -205,7 +223,7 @@ __kernel void fine_maxima(__global const ushort *restrict fine_plane,
                           __global uint *restrict counts, __global int *restrict lists) {
   const int x = (int)get_global_id(0), y = (int)get_global_id(1);
   const size_t p = get_global_id(2);
-  if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y)) return;
+  if (x < PAD || x >= PAD + (int)columns || !IN_AREA(x, y, step / 32)) return;
   if (!is_maximum(response, p, x, y, rows, step)) return;
   const Harmonics inner = harmonics_of(fine_plane, p, x, y, 2, 1, rows, step);
   if (!aligned(4, inner, harmonics_of(fine_plane, p, x, y, 3, 2, rows, step))) return;
@@ -244,47 +262,56 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
   return (int)max((ulong)LEAST, min(bound, (ulong)INT_MAX));
 }
 
-/* Compute the bounds from the noise, which comes in `bands` sums. One work-item per frame. */
+/* The decision about octave n of frame p. */
+#define DECISION(p, n) found[(p) * (1 + OCTAVES) + (n)]
+
+/* Compute the bounds of an octave from its noise, which comes in `bands` sums. One work-item per
+ * frame. */
 __kernel void bound_noise(__global const ulong *restrict noise, __global const uint *restrict counts,
                           __global const int *restrict lists, const uint rows,
                           const uint columns, const uint bands, const uint capacity,
-                          const uint full_scale, const uint coarse_noise,
+                          const uint full_scale, const uint coarse_noise, const uint octave,
                           __global Decision *restrict found) {
   const size_t p = get_global_id(0);
+  __global Decision *own = &DECISION(p, octave);
   const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
   ulong amplitude = 0;
   for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
-  found[p].bound[0] = noise_bound(coarse_noise, amplitude, pixels, full_scale);
-  found[p].bound[1] = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
-  found[p].all = found[p].above = 0;
-  found[p].kind = found[p].base = found[p].reference = 0;
+  own->bound[0] = noise_bound(coarse_noise, amplitude, pixels, full_scale);
+  own->bound[1] = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
+  own->all = own->above = 0;
+  own->base = own->reference = 0;
+  own->kind = KIND_OF_OCTAVE((int)octave);
+  if (octave) return;
 #if FINE /* the reference comes from the fine responses if no coarse one is above its bound */
   const uint count = min(counts[LIST(0)], capacity);
   __global const int *value = LIST_OF(0) + 2 * capacity;
-  found[p].kind = 1;
+  own->kind = 1;
   for (uint n = 0; n < count; ++n)
-    if (value[n] > found[p].bound[0]) found[p].kind = 0;
+    if (value[n] > own->bound[0]) own->kind = 0;
 #endif
 }
 
-/* Sum the squares of the responses of a bin of width `span`. One work-item per bin. */
+/* Sum the squares of the responses of a bin of width `span`. One work-item per bin of an octave. */
 __kernel void sum_squares(__global const uint *restrict counts, __global const int *restrict lists,
                           __global const Decision *restrict found, const uint capacity, const uint span,
                           __global ulong *restrict squares) {
-  const size_t bin = get_global_id(0), p = get_global_id(1);
-  const Decision decision = found[p];
+  const size_t bin = get_global_id(0), plane = get_global_id(1), p = plane / (1 + OCTAVES);
+  const int octave = (int)(plane % (1 + OCTAVES));
+  const Decision decision = found[plane];
+  const int bound = decision.bound[octave == 0 && decision.kind == 1];
   const int low = decision.base + (int)(bin * span), high = low + (int)span;
   __global const int *value = LIST_OF(decision.kind) + 2 * capacity;
   const uint count = min(counts[LIST(decision.kind)], capacity);
   ulong sum = 0;
   for (uint n = 0; n < count; ++n)
-    if (value[n] >= low && value[n] < high && value[n] > decision.bound[decision.kind])
+    if (value[n] >= low && value[n] < high && value[n] > bound)
       sum += (ulong)((long)value[n] * value[n]);
-  squares[p * BINS + bin] = sum;
+  squares[plane * BINS + bin] = sum;
 }
 
 /* The reference: of the responses in descending order, the first at which twice the sum of the
- * squares so far reaches the sum of all; 0 if there are none. One work-item per frame. */
+ * squares so far reaches the sum of all; 0 if there are none. One work-item per octave of a frame. */
 __kernel void find_reference(__global const ulong *restrict squares, const uint bins,
                              const uint span, __global Decision *restrict found) {
   const size_t p = get_global_id(0);
@@ -300,26 +327,42 @@ __kernel void find_reference(__global const ulong *restrict squares, const uint 
   found[p] = decision;
 }
 
+#if OCTAVES
+
+/* The reference of a frame: the greatest of its octaves. One of fine responses counts only if there
+ * is no other. One work-item per frame. */
+__kernel void choose_reference(__global Decision *restrict found) {
+  const size_t p = get_global_id(0);
+  const Decision frame = DECISION(p, 0);
+  int reference = FINE && frame.kind == 1 ? 0 : frame.reference;
+  for (int n = 1; n <= OCTAVES; ++n) reference = max(reference, DECISION(p, n).reference);
+  DECISION(p, 0).reference = reference ? reference : frame.reference;
+}
+
+#endif
+
 #define ENTRY(kind)                                                                 \
   const size_t n = get_global_id(0), p = get_global_id(1);                          \
   if (n >= min(counts[LIST(kind)], capacity)) return;                                   \
-  __global const int *entry = LIST_OF(kind) + n;                                    \
-  const int x = PAD + entry[0], y = entry[capacity], r = entry[2 * capacity];               \
-  const size_t word = (p * rows + y) * (step / 32) + x / 32;                        \
-  const Decision decision = found[p];
+  __global int *entry = LIST_OF(kind) + n;                                          \
+  const int x = PAD + entry[0], y = entry[capacity];               \
+  const size_t word = (p * rows + y) * (step / 32) + x / 32;
 
 /* Keep the coarse corners: their response is above the noise bound and not below a share of the
  * reference, or half of that share if it is clean. Each marks the window around it as taken. One
  * work-item per maximum. */
-__kernel void keep_coarse(__global const int *restrict lists, __global const uint *restrict counts,
+__kernel void keep_coarse(__global int *restrict lists, __global const uint *restrict counts,
                           __global const Decision *restrict found, const uint rows,
                           const uint step, const uint capacity, const int coarse_share,
                           __global uint *restrict row_counts, __global uint *restrict maxima,
                           __global uint *restrict taken) {
   ENTRY(0)
+  const Decision decision = DECISION(p, 0);
+  const int r = entry[2 * capacity];
   const int clean = entry[3 * capacity] & CLEAN;
   if (r <= decision.bound[0] || (clean ? 256 : 128) * r < coarse_share * decision.reference)
     return;
+  entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
   const int left = x - NMS_RADIUS;
@@ -334,19 +377,76 @@ __kernel void keep_coarse(__global const int *restrict lists, __global const uin
 #if FINE
 
 /* Keep the fine corners where no coarse corner has taken the pixel. One work-item per maximum. */
-__kernel void keep_fine(__global const int *restrict lists, __global const uint *restrict counts,
+__kernel void keep_fine(__global int *restrict lists, __global const uint *restrict counts,
                         __global const Decision *restrict found,
                         __global const uint *restrict taken, const uint rows, const uint step,
                         const uint capacity, const int fine_share, __global uint *restrict row_counts,
                         __global uint *restrict maxima) {
   ENTRY(1)
+  const Decision decision = DECISION(p, 0);
+  const int r = entry[2 * capacity];
   if (r <= decision.bound[1] || 128 * r < fine_share * decision.reference) return;
   if (taken[word] >> x % 32 & 1) return;
+  entry[3 * capacity] |= KEPT;
   atomic_or(maxima + word, 1u << x % 32);
   atomic_inc(row_counts + p * rows + y);
 }
 
 #endif
+
+#if OCTAVES
+
+/* An entry of the list of an octave, and the pixel of the frame nearest to it. */
+#define ENTRY_OF_OCTAVE                                                             \
+  const size_t n = get_global_id(0), p = get_global_id(1);                          \
+  const uint kind = KIND_OF_OCTAVE(octave);                                         \
+  if (n >= min(counts[LIST(kind)], capacity)) return;                               \
+  __global int *entry = LIST_OF(kind) + n;                                          \
+  const int x = PAD + TO_FRAME(entry[0], octave), y = TO_FRAME(entry[capacity], octave); \
+  const size_t word = (p * rows + y) * (step / 32) + x / 32;
+
+/* Keep the corners of an octave: their response is above the noise bound of the octave and at least
+ * half of the reference, the wide ring responds, and no corner of the frame or of an octave before
+ * is within 5 px of the octave, in x and in y. One work-item per maximum. */
+__kernel void keep_octave(__global int *restrict lists, __global const uint *restrict counts,
+                          __global const Decision *restrict found, const uint octave,
+                          __global const uint *restrict maxima, const uint rows,
+                          const uint step, const uint capacity) {
+  ENTRY_OF_OCTAVE
+  const int r = entry[2 * capacity], reach = 5 << octave;
+  if (!(entry[3 * capacity] & CLEAN) || r <= DECISION(p, octave).bound[0]) return;
+  if (128 * r < 64 * DECISION(p, 0).reference) return;
+  const int left = max(x - reach, PAD), right = min(x + reach - 1, (int)step - 1);
+  for (int j = max(y - reach, 0); j <= min(y + reach - 1, (int)rows - 1); ++j) {
+    __global const uint *row = maxima + (p * rows + j) * (step / 32);
+    for (int k = left / 32; k <= right / 32; ++k) {
+      const uint from = 32 * k < left ? 0xffffffffu << left % 32 : 0xffffffffu;
+      const uint to = 32 * k + 31 > right ? 0xffffffffu >> (31 - right % 32) : 0xffffffffu;
+      if (row[k] & from & to) return;
+    }
+  }
+  entry[3 * capacity] |= KEPT;
+}
+
+/* Mark the kept corners of an octave. One work-item per maximum. */
+__kernel void mark_octave(__global int *restrict lists, __global const uint *restrict counts,
+                          const uint octave, const uint rows, const uint step,
+                          const uint capacity, __global uint *restrict row_counts,
+                          __global uint *restrict maxima) {
+  ENTRY_OF_OCTAVE
+  if (!(entry[3 * capacity] & KEPT)) return;
+  atomic_or(maxima + word, 1u << x % 32);
+  atomic_inc(row_counts + p * rows + y);
+}
+
+#endif
+
+/* The rank of the corner at bit x of a word of the maxima, in (y, x) order. */
+#define RANK(x)                                                                     \
+  uint rank = row_starts[p * rows + y] + popcount(maxima[word] & ((1u << (x) % 32) - 1)); \
+  for (size_t before = word - (x) / 32; before < word; ++before) rank += popcount(maxima[before]); \
+  if (rank >= corner_capacity) return;
+#define CORNER(k) corners[(size_t)(k) * length + p * corner_capacity + rank]
 
 /* Count the corners in the rows before each row, and in the frame: counts[count_offset + p]. One
  * work-item per row. */
@@ -360,23 +460,40 @@ __kernel void start_rows(__global const uint *restrict row_counts, const uint ro
   if (y + 1 == rows) counts[count_offset + p] = start + row_counts[p * rows + y];
 }
 
-/* Put the corners in (y, x) order: each finds its rank among the bits of the maxima. A fine
- * maximum whose pixel a coarse corner has taken has no bit of its own. One work-item per
+/* Put the corners in (y, x) order: each finds its rank among the bits of the maxima. One work-item per
  * maximum. */
-__kernel void put_in_order(__global const int *restrict lists, __global const uint *restrict counts,
-                           __global const Decision *restrict found,
-                           __global const uint *restrict taken,
+__kernel void put_in_order(__global int *restrict lists, __global const uint *restrict counts,
                            __global const uint *restrict maxima,
                            __global const uint *restrict row_starts, const uint rows,
                            const uint step, const uint capacity, const uint kind,
                            const uint corner_capacity, const uint length,
                            __global int *restrict corners) {
   ENTRY(kind)
-  if (!(maxima[word] >> x % 32 & 1) || (kind && taken[word] >> x % 32 & 1)) return;
-  uint rank = row_starts[p * rows + y] + popcount(maxima[word] & ((1u << x % 32) - 1));
-  for (size_t before = word - x / 32; before < word; ++before) rank += popcount(maxima[before]);
-  if (rank >= corner_capacity) return;
+  if (!(entry[3 * capacity] & KEPT)) return;
+  RANK(x)
   for (uint k = 0; k < LIST_COLUMNS; ++k)
-    corners[(size_t)k * length + p * corner_capacity + rank] =
-        k == 3 ? entry[k * capacity] & ~CLEAN : entry[k * capacity];
+    CORNER(k) = k == 3 ? entry[k * capacity] & ~(CLEAN | KEPT) : entry[k * capacity];
+#if OCTAVES
+  CORNER(6) = 0;
+#endif
 }
+
+#if OCTAVES
+
+/* The same for the corners of an octave. One work-item per maximum. */
+__kernel void put_octave_in_order(__global int *restrict lists,
+                                  __global const uint *restrict counts, const uint octave,
+                                  __global const uint *restrict maxima,
+                                  __global const uint *restrict row_starts, const uint rows,
+                                  const uint step, const uint capacity,
+                                  const uint corner_capacity, const uint length,
+                                  __global int *restrict corners) {
+  ENTRY_OF_OCTAVE
+  if (!(entry[3 * capacity] & KEPT)) return;
+  RANK(x)
+  for (uint k = 0; k < LIST_COLUMNS; ++k)
+    CORNER(k) = k == 3 ? entry[k * capacity] & ~(CLEAN | KEPT) : entry[k * capacity];
+  CORNER(6) = (int)octave;
+}
+
+#endif

@@ -120,6 +120,6 @@ __kernel void midlines(__global const PIXEL *restrict image, __global const int 
     method = METHOD_CUSP;
   }
   position += (float2)((float)from_x, (float)from_y);
-  STORE_PAIRS(RESULT_POSITION, position.x, position.y)
+  STORE_PAIRS(RESULT_POSITION, IN_FRAME(position.x), IN_FRAME(position.y))
   STORE_DECISION(method, refused)
 }

@@ -33,6 +33,7 @@ from cmp_cl import (
     DetectorConfig,
     EdgeStep,
     Midlines,
+    RingHarmonic,
     StereoRig,
     media,
 )
@@ -71,7 +72,7 @@ def settings(folder: Path) -> Iterator[Path]:
     for number, config in enumerate(
         (
             DetectorConfig(refinement=EdgeStep(cell=17.5)),
-            DetectorConfig(refinement=Midlines(), scale=0.5),
+            DetectorConfig(detection=RingHarmonic(octaves=0), refinement=Midlines(), scale=0.5),
         )
     ):
         config.save(folder / f"{number}.toml")

@@ -144,7 +144,7 @@ CONFIGS = {
         refinement=Midlines(fit=Fit.QUADRATIC, max_shift=1.5),
         full_scale=4095,
     ),
-    "scale": DetectorConfig.for_cell(90),
+    "scale": DetectorConfig(detection=RingHarmonic(octaves=0), scale=0.3),
     "numpy_number": DetectorConfig.for_cell(np.float64(90)),
     "paper": DetectorConfig.paper(20),
 }

@@ -7,6 +7,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import cv2
 import images
 import numpy as np
 import pyopencl as cl
@@ -242,7 +243,7 @@ QUICK_SETTINGS = [(EdgeLines(), None), (EdgeStep(), 0.63)]
     ],
 )
 def test_a_frame_is_the_same_alone_in_a_stream_and_in_a_batch(detector_for, refinement, scale):
-    config = DetectorConfig(refinement=refinement, scale=scale)
+    config = DetectorConfig(detection=RingHarmonic(octaves=0), refinement=refinement, scale=scale)
     detector = detector_for(BOARD, config)
     alone = [detector(frame) for frame in FRAMES]
     for corners, frame in zip(alone, FRAMES, strict=True):
@@ -295,7 +296,7 @@ def test_a_batch_of_views_equals_the_single_views(detector):
 def test_a_batch_on_the_device_equals_the_single_frames(device, dtype, scale):
     frames = np.stack(FRAMES).astype(dtype)
     context = cl.Context([device.handle])
-    config = DetectorConfig(full_scale=255, scale=scale)
+    config = DetectorConfig(detection=RingHarmonic(octaves=0), full_scale=255, scale=scale)
     with (
         cl.CommandQueue(context) as queue,
         Detector(shape=images.SHAPE, dtype=dtype, config=config, queue=queue) as detector,
@@ -707,6 +708,8 @@ D = rings
 TEXTURE = EIGHT["texture"]
 WORN = images.scene(1.5, seed=3).image
 DEEP = images.sixteen_bits()["12-bit board"]
+INK = np.kron(np.indices((4, 4)).sum(0) % 2, np.ones((40, 40))).astype(np.uint8) * 255
+INK = cv2.GaussianBlur(cv2.erode(INK, np.ones((5, 5))), (0, 0), 0.7)
 WIDE = RapidCriteria(corrosion_threshold=17)
 
 
@@ -726,6 +729,7 @@ CHANGES = {
     "full_scale": (DEEP, D(), D(full_scale=4095)),
     "RingHarmonic.noise": (EIGHT["noise"], harmonic(), harmonic(noise=0)),
     "RingHarmonic.relative": (TEXTURE, harmonic(), harmonic(relative=0.8)),
+    "RingHarmonic.octaves": (INK, harmonic(), harmonic(octaves=1)),
     "RingHarmonic.fine": (TEXTURE, harmonic(), harmonic(fine=False)),
     "AdaptiveMean.window": (TEXTURE, D(), D(threshold=AdaptiveMean(window=9))),
     "AdaptiveMean.offset": (TEXTURE, D(), D(threshold=AdaptiveMean(offset=20))),

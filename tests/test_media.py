@@ -30,6 +30,7 @@ def corners_at(xy):
     return Corners(
         xy=xy,
         pixel=np.rint(xy).astype(np.int32),
+        octave=np.zeros(count, np.uint8),
         response=np.full(count, 4, np.float32),
         method=np.full(count, Method.EDGE_LINES, np.uint8),
         sigma=np.full(count, np.nan, np.float32),

@@ -218,10 +218,16 @@ CONFIGS = {
         for name, detection in DETECTIONS.items()
     },
     **{name: DetectorConfig(refinement=each) for name, each in REFINEMENTS.items()},
-    "scaled lines": DetectorConfig(scale=0.5),
-    "scaled step": DetectorConfig(scale=0.5, refinement=EdgeStep()),
-    "scaled midlines": DetectorConfig(scale=0.5, refinement=Midlines()),
-    "scaled centroids": DetectorConfig(scale=0.5, refinement=None),
+    "scaled lines": DetectorConfig(detection=RingHarmonic(octaves=0), scale=0.5),
+    "scaled step": DetectorConfig(
+        detection=RingHarmonic(octaves=0), scale=0.5, refinement=EdgeStep()
+    ),
+    "scaled midlines": DetectorConfig(
+        detection=RingHarmonic(octaves=0), scale=0.5, refinement=Midlines()
+    ),
+    "scaled centroids": DetectorConfig(
+        detection=RingHarmonic(octaves=0), scale=0.5, refinement=None
+    ),
     "suppression in 15 px": DetectorConfig(nms_radius=15),
 }
 QUICK = ("harmonic", "rings", "midlines", "scaled step")

@@ -46,8 +46,12 @@ CONFIGS = {
         detection=BinaryRings(criteria=SpectralCriteria(correlation=0)), refinement=Midlines()
     ),
     "quadratic midlines": DetectorConfig(refinement=Midlines(fit=Fit.QUADRATIC)),
-    "smaller, step": DetectorConfig(scale=0.7, refinement=EdgeStep(cell=11)),
-    "larger, midlines": DetectorConfig(scale=1.3, refinement=Midlines()),
+    "smaller, step": DetectorConfig(
+        detection=RingHarmonic(octaves=0), scale=0.7, refinement=EdgeStep(cell=11)
+    ),
+    "larger, midlines": DetectorConfig(
+        detection=RingHarmonic(octaves=0), scale=1.3, refinement=Midlines()
+    ),
 }
 SIXTEEN_BITS = {
     "harmonic": DetectorConfig(full_scale=4095),

@@ -30,6 +30,7 @@ def corners_at(xy, method):
     return Corners(
         xy=xy,
         pixel=np.rint(xy).astype(np.int32),
+        octave=np.zeros(count, np.uint8),
         response=np.ones(count, np.float32),
         method=np.broadcast_to(np.uint8(method), (count,)).copy(),
         sigma=np.full(count, np.nan, np.float32),

@@ -39,13 +39,16 @@ Mask = NDArray[np.bool_] | None
 class _Found:
     """The corners of an image at one working scale, in raster order, and the maps that gave them.
 
-    pixel: (N, 2) (x, y). response: (N,). centroid: (N, 2). All are of the working image.
+    pixel: (N, 2) (x, y). response: (N,). centroid, rounded: (N, 2). All are of the working image,
+    or of the image of their octave. halvings: (N,). images: of the octaves.
     """
 
     pixel: NDArray[np.int64]
     response: NDArray[np.int64]
     centroid: NDArray[np.float64]
     rounded: NDArray[np.int64]
+    halvings: NDArray[np.int64]
+    images: list[GreyImage]
     maps: Maps | HarmonicMaps
 
 
@@ -74,6 +77,8 @@ def detect_with_margin(
     check_kind("config", config, DetectorConfig, ConfigError)
     factor = 1.0 if config.scale is None else float(config.scale)
     found = _at_scale(image, config, _checked(mask, image), factor)
+    if any(found.halvings):
+        return _of_octaves(found, config)
     pixel, centroid, rounded = found.pixel, found.centroid, found.rounded
     if factor != 1:
         pixel = scale.nearest(scale.to_full(pixel.astype(np.float64), factor), image.shape)
@@ -83,6 +88,7 @@ def detect_with_margin(
     corners = Corners(
         xy=refined.xy.astype(np.float32),
         pixel=pixel.astype(np.int32),
+        octave=np.zeros(len(pixel), np.uint8),
         response=found.response.astype(np.float32),
         method=refined.method,
         refusal=refined.refusal,
@@ -93,6 +99,38 @@ def detect_with_margin(
         device="NumPy",
     )
     return corners, refined.margin
+
+
+def _of_octaves(found: _Found, config: DetectorConfig) -> tuple[Corners, NDArray[np.float64]]:
+    """Return the corners, each refined in its octave, and the margins."""
+    count = len(found.pixel)
+    values: dict[str, NDArray[Any]] = {}
+    for halvings, image in enumerate(found.images):
+        here = found.halvings == halvings
+        refined = refine.refine(
+            image, found.rounded[here], found.centroid[here], config.refinement, 1.0
+        )
+        size = 2**halvings
+        placed = dataclasses.replace(
+            refined, xy=refined.xy * size + (size - 1) / 2, sigma=refined.sigma * size
+        )
+        for name, part in vars(placed).items():
+            whole = values.setdefault(name, np.zeros((count, *part.shape[1:]), part.dtype))
+            whole[here] = part
+    margin = values.pop("margin")
+    corners = Corners(
+        pixel=harmonic.to_frame(found.pixel, found.halvings[:, None]).astype(np.int32),
+        octave=found.halvings.astype(np.uint8),
+        response=found.response.astype(np.float32),
+        edge_radius=refine.edge_radius(config.refinement, 1.0),
+        device="NumPy",
+        **{name: _single(part) for name, part in values.items()},
+    )
+    return corners, margin
+
+
+def _single(values: NDArray[Any]) -> NDArray[Any]:
+    return values.astype(np.float32) if values.dtype == np.float64 else values
 
 
 def maps(
@@ -125,12 +163,13 @@ def _at_scale(
     if isinstance(config.detection, BinaryRings):
         return _of_rings(image, config.detection, config.nms_radius, full_scale, mask)
     found = harmonic.corners(image, config.detection, config.nms_radius, full_scale, mask)
-    centroid, rounded = harmonic.centroids(found)
     return _Found(
         pixel=np.stack([found.x, found.y], axis=1),
         response=found.response,
-        centroid=centroid,
-        rounded=rounded,
+        centroid=found.centroid,
+        rounded=found.rounded,
+        halvings=found.halvings,
+        images=found.images,
         maps=found.maps,
     )
 
@@ -163,6 +202,8 @@ def _of_rings(
         response=response[y, x],
         centroid=centroid,
         rounded=rounded,
+        halvings=np.zeros(len(x), np.int64),
+        images=[image],
         maps=Maps(**layer, score=score, maximum=maximum),
     )
 

@@ -7,6 +7,7 @@ samples (the odd harmonics), and the difference of the centre from the mean of i
 
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,10 @@ FINE: Ring = (3, 2)
 FINEST: Ring = (2, 1)
 ALIGNMENT, FINE_ALIGNMENT = 8, 4
 SUPPORT = 32
+WIDE: Ring = (8, 6)
+LEAST_SIDE = 64  # px, of a halved frame
+OCTAVE_SHARE = 64  # least response of a corner of a halved frame, 1/128 of the reference
+OCTAVE_APART = 5  # px of the halved frame: nearer to a corner found before it is that corner
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,18 +50,47 @@ class Harmonics:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Corners:
-    """The corners of a frame in raster order, with their responses and bounds.
+class Octave:
+    """A frame that was halved `halvings` times, and its maxima of the 5 px ring that pass the
+    checks.
 
-    x, y: (N,) pixels. fine: (N,) bool, found by the 3 px ring. response: (N,) of the ring that
-    found them. bounds: least responses by noise of the 5 px and of the 3 px ring.
-    reference: W. maps: every intermediate image.
+    image: (H, W). once, thrice: S1 and S3. response: R5, (H, W). bound: its least by noise.
+    x, y: (N,) pixels of the maxima in raster order.
+    """
+
+    halvings: int
+    image: GreyImage
+    once: Whole
+    thrice: Whole
+    response: Whole
+    bound: int
+    x: Whole
+    y: Whole
+
+    def levels(self) -> Whole:
+        """Return the responses of the maxima."""
+        return self.response[self.y, self.x]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Corners:
+    """The corners of a frame in raster order of their pixels, with their responses and bounds.
+
+    x, y: (N,) pixels of the octave in which each was found. halvings: (N,) of that octave.
+    fine: (N,) bool, found by the 3 px ring. response: (N,) of the ring that found them.
+    centroid, rounded: (N, 2), of the positive responses around each, in its octave.
+    images: of the octaves. bounds: least responses by noise of the 5 px and of the 3 px ring.
+    reference: W. maps: every intermediate image of the frame.
     """
 
     x: Whole
     y: Whole
+    halvings: Whole
     fine: NDArray[np.bool_]
     response: Whole
+    centroid: NDArray[np.float64]
+    rounded: Whole
+    images: list[GreyImage]
     bounds: tuple[int, int]
     reference: int
     maps: HarmonicMaps
@@ -73,67 +107,157 @@ def corners(
 
     mask: (H, W), where maxima may be kept. Maxima elsewhere still suppress their neighbours.
     """
-    once, thrice = smoothed(image, full_scale)
-    rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
-    coarse_response = coarse_measure(harmonics(thrice, rows, columns, COARSE))
-    bounds = noise_bounds(image, rule, full_scale)
-
-    y, x = np.nonzero(maxima(coarse_response, bounds[0], nms_radius) & mask)
-    passed = looks_alike(once, thrice, y, x, coarse_response[y, x], rule)
-    y, x = y[passed], x[passed]
-    level = reference(coarse_response[y, x])
-    share = math.floor(128 * rule.relative + 0.5)
-    clean = is_clean(coarse_response[y, x], harmonics(thrice, y, x, COARSE))
-    strong = np.where(clean, 256, 128) * coarse_response[y, x] >= share * level
+    octaves = list(octaves_of(image, rule, nms_radius, full_scale, mask))
+    frame = octaves[0]
+    level = max(reference(each.levels()) for each in octaves)
     kept = np.zeros(image.shape, np.bool_)
-    kept[y[strong], x[strong]] = True
+    strong = of_frame(frame, rule, level)
+    kept[frame.y[strong], frame.x[strong]] = True
+    found = [(frame.x[strong], frame.y[strong], frame, frame.response, False)]
 
+    bounds = noise_bounds(image, rule, full_scale)
     fine_response = None
-    fine_kept = np.zeros(image.shape, np.bool_)
     if rule.fine:
-        fine_response = fine_measure(harmonics(once, rows, columns, FINE))
+        rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+        fine_response = fine_measure(harmonics(frame.once, rows, columns, FINE))
         y, x = np.nonzero(maxima(fine_response, bounds[1], nms_radius) & mask)
-        passed = looks_alike_when_squeezed(once, y, x)
+        passed = looks_alike_when_squeezed(frame.once, y, x)
         y, x = y[passed], x[passed]
-        least = (5 * share + 1) // 3 * (level or reference(fine_response[y, x]))
+        least = rule.fine_share * (level or reference(fine_response[y, x]))
         strong = 128 * fine_response[y, x] >= least
         strong &= nms.largest_within(kept.astype(np.int64), nms_radius)[y, x] == 0
-        fine_kept[y[strong], x[strong]] = True
+        y, x = y[strong], x[strong]
+        kept[y, x] = True
+        found.append((x, y, frame, fine_response, True))
+    for octave in octaves[1:]:
+        strong = of_octave(octave, level) & far_from(kept, octave)
+        x, y = octave.x[strong], octave.y[strong]
+        kept[to_frame(y, octave.halvings), to_frame(x, octave.halvings)] = True
+        found.append((x, y, octave, octave.response, False))
 
-    y, x = np.nonzero(kept | fine_kept)
-    of_fine = fine_kept[y, x]
-    response = coarse_response[y, x]
-    if fine_response is not None:
-        response = np.where(of_fine, fine_response[y, x], response)
+    parts = []
+    for x, y, octave, response, is_fine in found:
+        centroid, rounded = nms.centroids(np.maximum(response, 0), x, y)
+        alike = np.full(len(x), is_fine), np.full(len(x), octave.halvings)
+        parts.append((x, y, *alike, response[y, x], centroid, rounded))
+    x, y, fine, halvings, levels, centroid, rounded = map(np.concatenate, zip(*parts, strict=True))
+    order = np.lexsort((to_frame(x, halvings), to_frame(y, halvings)))
     return Corners(
-        x=x,
-        y=y,
-        fine=of_fine,
-        response=response,
+        x=x[order],
+        y=y[order],
+        halvings=halvings[order],
+        fine=fine[order],
+        response=levels[order],
+        centroid=centroid[order],
+        rounded=rounded[order],
+        images=[each.image for each in octaves],
         bounds=bounds,
         reference=level,
         maps=HarmonicMaps(
-            fine=once.astype(np.uint16),
-            coarse=thrice.astype(np.uint16),
-            coarse_response=coarse_response.astype(np.int32),
+            fine=frame.once.astype(np.uint16),
+            coarse=frame.thrice.astype(np.uint16),
+            coarse_response=frame.response.astype(np.int32),
             fine_response=None if fine_response is None else fine_response.astype(np.int32),
-            maximum=kept | fine_kept,
+            maximum=kept,
         ),
     )
 
 
-def centroids(found: Corners) -> tuple[NDArray[np.float64], Whole]:
-    """Return the centroids of the positive responses at the corners, and rounded: (N, 2) each."""
-    shape = (len(found.x), 2)
-    centroid, rounded = np.zeros(shape), np.zeros(shape, np.int64)
-    for response, here in (
-        (found.maps.coarse_response, ~found.fine),
-        (found.maps.fine_response, found.fine),
-    ):
-        if response is not None:
-            positive = np.maximum(response, 0)
-            centroid[here], rounded[here] = nms.centroids(positive, found.x[here], found.y[here])
-    return centroid, rounded
+# --- octaves -----------------------------------------------------------------------------
+
+
+def octaves_of(
+    image: GreyImage,
+    rule: RingHarmonic,
+    nms_radius: int,
+    full_scale: int,
+    mask: NDArray[np.bool_],
+) -> Iterator[Octave]:
+    """Yield the frame, and then halved frames while the shorter side has LEAST_SIDE px."""
+    for halvings in range(rule.octaves + 1):
+        if halvings:
+            image = halved(image)
+            if min(image.shape) < LEAST_SIDE:
+                return
+        once, thrice = smoothed(image, full_scale)
+        rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
+        response = coarse_measure(harmonics(thrice, rows, columns, COARSE))
+        bound = noise_bounds(image, rule, full_scale)[0]
+        allowed = mask[to_frame(rows, halvings), to_frame(columns, halvings)]
+        y, x = np.nonzero(maxima(response, bound, nms_radius) & allowed)
+        passed = looks_alike(once, thrice, y, x, response[y, x])
+        yield Octave(
+            halvings=halvings,
+            image=image,
+            once=once,
+            thrice=thrice,
+            response=response,
+            bound=bound,
+            x=x[passed],
+            y=y[passed],
+        )
+
+
+def halved(image: GreyImage) -> GreyImage:
+    """Return the image at half size, (sum of 2 x 2 + 2) >> 2; an odd last row or column is left
+    out."""
+    height, width = (length & ~1 for length in image.shape)
+    grey = image[:height, :width].astype(np.int64)
+    total = grey[::2, ::2] + grey[1::2, ::2] + grey[::2, 1::2] + grey[1::2, 1::2]
+    half = (total + 2) >> 2
+    return half.astype(np.uint8) if image.dtype == np.uint8 else half.astype(np.uint16)
+
+
+def to_frame(pixel: Whole, halvings: int | Whole) -> Whole:
+    """Return the pixel of the frame nearest to a pixel of a halved frame, along one axis.
+
+    That pixel lies at (p + .5) 2^n - .5; of two as near, the later one.
+    """
+    return (pixel << halvings) + (1 << np.asarray(halvings) >> 1)
+
+
+def of_frame(frame: Octave, rule: RingHarmonic, level: int) -> NDArray[np.bool_]:
+    """Return (N,): the maxima of the frame that are strong enough against the reference.
+
+    Clean ones may be half as strong; with octaves only if the ring of 8 px responds half as much:
+    noise that looks like a corner on one ring is independent of it on the next.
+    """
+    response = frame.levels()
+    clean = is_clean(response, harmonics(frame.thrice, frame.y, frame.x, COARSE))
+    if rule.octaves:
+        clean &= 2 * wide_response(frame) >= response
+    strong: NDArray[np.bool_] = np.where(clean, 256, 128) * response >= rule.coarse_share * level
+    return strong
+
+
+def of_octave(octave: Octave, level: int) -> NDArray[np.bool_]:
+    """Return (N,): the maxima of a halved frame that are strong enough against the reference, and
+    to which the ring of 8 px responds at least a quarter as much."""
+    response = octave.levels()
+    strong: NDArray[np.bool_] = 128 * response >= OCTAVE_SHARE * level
+    return strong & (4 * wide_response(octave) >= response)
+
+
+def wide_response(octave: Octave) -> Whole:
+    """Return (N,), the response of the ring of 8 px at the maxima."""
+    return coarse_measure(harmonics(octave.thrice, octave.y, octave.x, WIDE))
+
+
+def far_from(kept: NDArray[np.bool_], octave: Octave) -> NDArray[np.bool_]:
+    """Return (N,): the maxima of a halved frame without a corner within OCTAVE_APART of its px in
+    both axes.
+
+    kept: (H, W), the corners of the frame and of the octaves before. A corner of an octave is at
+        its place in that octave, half a px of the frame before its pixel here, which decides alike.
+    """
+    size = 2**octave.halvings
+    corner_y, corner_x = (2 * at + 1 for at in np.nonzero(kept))  # twice the place, and one more
+    x, y = ((2 * at + 1) * size for at in (octave.x, octave.y))
+    near = np.zeros(len(x), np.bool_)
+    for n in range(len(x)):
+        beside = np.maximum(abs(corner_x - x[n]), abs(corner_y - y[n]))
+        near[n] = (beside <= 2 * OCTAVE_APART * size).any()
+    return ~near
 
 
 # --- smoothing ---------------------------------------------------------------------------
@@ -236,7 +360,7 @@ def maxima(response: Whole, bound: int, radius: int) -> NDArray[np.bool_]:
 
 
 def looks_alike(
-    once: Whole, thrice: Whole, y: Whole, x: Whole, response: Whole, rule: RingHarmonic
+    once: Whole, thrice: Whole, y: Whole, x: Whole, response: Whole
 ) -> NDArray[np.bool_]:
     """Return (N,) bool, True for maxima of the 5 px ring that smaller rings confirm, and that no
         stripe causes.

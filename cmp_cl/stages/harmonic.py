@@ -16,13 +16,16 @@ SPAN = 64  # width of a bin, responses
 
 def files(plan: PlanBase) -> list[str]:
     """Return the kernel files."""
-    return ["cpu/harmonic"] if plan.form is Form.CPU else ["border", "noise", "harmonic"]
+    cpu = plan.form is Form.CPU
+    halving = ["cpu/halve" if cpu else "halve"] if plan.octaves else []
+    return [*halving, *(["cpu/harmonic"] if cpu else ["border", "noise", "harmonic"])]
 
 
 def defines(plan: PlanBase) -> dict[str, str | int]:
     """Return the macros that only these kernels need."""
     whole = plan.dtype == np.uint8 and _full_scale(plan) == 255
-    return {"FINE": int(_rule(plan).fine), "WHOLE_LEVELS": int(whole)}
+    rule = _rule(plan)
+    return {"FINE": int(rule.fine), "WIDE": int(rule.octaves > 0), "WHOLE_LEVELS": int(whole)}
 
 
 def sizes(plan: PlanBase) -> dict[str, int]:
@@ -35,12 +38,13 @@ def sizes(plan: PlanBase) -> dict[str, int]:
             **sizes,
             "maxima": _bits(plan),
             "work": 2 * frames * plan.bands * _work_rows(plan) * plan.step,
-            "noise": 8 * frames * plan.bands,
+            "noise": 8 * frames * plan.bands * (1 + plan.octaves),
             "spans": 8 * frames * plan.bands * plan.lists,
-            "taken": 4 * frames * plan.segments,
+            "taken": 4 * frames * plan.segments * (1 + plan.octaves),
             "finished": 4 * frames,
         }
-    return {**sizes, "noise": 8 * frames * noise.bands(plan)}
+    noises = {f"noise_{n}": 8 * frames * noise.bands(plan, n) for n in range(1, plan.octaves + 1)}
+    return {**sizes, "noise": 8 * frames * noise.bands(plan), **noises}
 
 
 def scratch(plan: PlanBase) -> list[dict[str, int]]:
@@ -54,8 +58,8 @@ def scratch(plan: PlanBase) -> list[dict[str, int]]:
         "taken": _bits(plan),
         "row_counts": 4 * rows,
         "row_starts": 4 * rows,
-        "squares": 8 * frames * BINS,
-        "decision": 48 * frames,
+        "squares": 8 * frames * (1 + plan.octaves) * BINS,
+        "decision": 48 * frames * (1 + plan.octaves),
     }
     return [noise.scratch(plan), dict.fromkeys(("fine", "coarse", "response"), plane), decided]
 
@@ -69,15 +73,15 @@ def launches(plan: PlanBase) -> list[Launch]:
     """Return the launches from the image to the list of corners."""
     if plan.form is not Form.CPU:
         return _by_pixels(plan)
-    return [_by_bands(plan, plan.step + plan.pad, plan.step)]
+    return _by_bands(plan, plan.step + plan.pad, plan.step)
 
 
 def launches_in_place(plan: PlanBase) -> list[Launch]:
-    """Return the same for a frame in a buffer of its own, the first argument of the first launch;
-    none if the image must be there before."""
+    """Return the same for a frame in a buffer of its own, the first argument of each launch; none
+    if the image must be there before."""
     if plan.form is not Form.CPU or plan.scale is not None:
         return []
-    return [_by_bands(plan, 0, plan.shape[1])]
+    return _by_bands(plan, 0, plan.shape[1])
 
 
 def _rule(plan: PlanBase) -> RingHarmonic:
@@ -92,27 +96,59 @@ def _full_scale(plan: PlanBase) -> int:
 
 
 def _by_pixels(plan: PlanBase) -> list[Launch]:
-    b, size = plan.arrays, plan.size
-    frame_rows = plan.frames * plan.working[0]
-    smooth_image = plan.dense(
-        "smooth_image",
-        image=plan.image,
-        **size,
-        full_scale=np.uint32(_full_scale(plan)),
-        smooth=b["fine"],
-    )
+    b, frame_rows = plan.arrays, plan.frames * plan.working[0]
     stages = [
-        plan.few("repeat_border", frame_rows, 1, **size, image=plan.image),
+        plan.few("repeat_border", frame_rows, 1, **plan.size, image=plan.image),
         plan.few("clear_lists", plan.frames * plan.lists, 1, counts=b["counts"]),
-        *noise.launches(plan),
-        smooth_image,
+    ]
+    for octave in range(1, plan.octaves + 1):
+        larger = plan.size_of(octave - 1)
+        halving = _dense(
+            plan,
+            octave,
+            "halve",
+            image=plan.image_of(octave - 1),
+            full_rows=larger["rows"],
+            full_step=larger["step"],
+            **plan.size_of(octave),
+            half_image=plan.image_of(octave),
+        )
+        stages += [halving, *_list_maxima(plan, octave)]
+    return [*stages, *_list_maxima(plan, 0), *_decide(plan)]
+
+
+def _dense(plan: PlanBase, octave: int, name: str, /, **arguments: Any) -> Launch:
+    """Bind a kernel with one work-item per element of a row of an octave."""
+    if not octave:
+        return plan.dense(name, **arguments)
+    size = plan.size_of(octave)
+    items = (int(size["step"]), int(size["rows"]), plan.frames)
+    return plan.stage(name, items, (GROUP, 1, 1), **arguments)
+
+
+def _list_maxima(plan: PlanBase, octave: int) -> list[Launch]:
+    """Return the launches from the image of an octave to the lists of its maxima."""
+    b, size = plan.arrays, plan.size_of(octave)
+
+    def dense(name: str, **arguments: Any) -> Launch:
+        return _dense(plan, octave, name, **arguments)
+
+    stages = [
+        *noise.launches(plan, octave),
+        dense(
+            "smooth_image",
+            image=plan.image_of(octave),
+            **size,
+            full_scale=np.uint32(_full_scale(plan)),
+            smooth=b["fine"],
+        ),
     ]
     found = {"counts": b["counts"], "lists": b["lists"]}
     limits = {**size, "capacity": np.uint32(plan.list_capacity)}
-    if _rule(plan).fine:
+    if _rule(plan).fine and not octave:
         stages += [
-            plan.dense("fine_response", plane=b["fine"], **size, response=b["response"]),
-            plan.dense(
+            dense("fine_response", plane=b["fine"], **size, response=b["response"]),
+            dense(
                 "fine_maxima",
                 fine_plane=b["fine"],
                 response=b["response"],
@@ -123,19 +159,20 @@ def _by_pixels(plan: PlanBase) -> list[Launch]:
         ]
     return [
         *stages,
-        plan.dense("smooth", plane=b["fine"], **size, smoother=b["response"]),
-        plan.dense("smooth", plane=b["response"], **size, smoother=b["coarse"]),
-        plan.dense("coarse_response", plane=b["coarse"], **size, response=b["response"]),
-        plan.dense(
+        dense("smooth", plane=b["fine"], **size, smoother=b["response"]),
+        dense("smooth", plane=b["response"], **size, smoother=b["coarse"]),
+        dense("coarse_response", plane=b["coarse"], **size, response=b["response"]),
+        dense(
             "coarse_maxima",
             fine_plane=b["fine"],
             coarse_plane=b["coarse"],
             response=b["response"],
             area=b["area"],
             **limits,
+            octave=np.uint32(octave),
+            frame_words=np.uint32(plan.step // 32),
             **found,
         ),
-        *_decide(plan),
     ]
 
 
@@ -147,6 +184,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
     listed = {"counts": b["counts"], "lists": b["lists"]}
     row_counts, maxima, taken = b["row_counts"], b["maxima"], b["taken"]
     kept = {"row_counts": row_counts, "maxima": maxima}
+    planes = plan.frames * (1 + plan.octaves)
     stages = [
         plan.few(
             "clear_maxima",
@@ -156,27 +194,32 @@ def _decide(plan: PlanBase) -> list[Launch]:
             step=step,
             **kept,
             taken=taken,
-        ),
-        plan.few(
-            "bound_noise",
-            plan.frames,
-            1,
-            noise=b["noise"],
-            **listed,
-            rows=rows,
-            columns=size["columns"],
-            bands=np.uint32(noise.bands(plan)),
-            capacity=capacity,
-            full_scale=np.uint32(_full_scale(plan)),
-            coarse_noise=np.uint32(rule.coarse_noise),
-            found=b["decision"],
-        ),
+        )
     ]
+    for octave in range(1 + plan.octaves):
+        of_octave = plan.size_of(octave)
+        stages.append(
+            plan.few(
+                "bound_noise",
+                plan.frames,
+                1,
+                noise=b[f"noise_{octave}" if octave else "noise"],
+                **listed,
+                rows=of_octave["rows"],
+                columns=of_octave["columns"],
+                bands=np.uint32(noise.bands(plan, octave)),
+                capacity=capacity,
+                full_scale=np.uint32(_full_scale(plan)),
+                coarse_noise=np.uint32(rule.coarse_noise),
+                octave=np.uint32(octave),
+                found=b["decision"],
+            )
+        )
     for bins, span in ((BINS, SPAN), (SPAN, 1)):
         stages += [
             plan.stage(
                 "sum_squares",
-                (bins, plan.frames),
+                (bins, planes),
                 (GROUP, 1),
                 **listed,
                 found=b["decision"],
@@ -186,7 +229,7 @@ def _decide(plan: PlanBase) -> list[Launch]:
             ),
             plan.few(
                 "find_reference",
-                plan.frames,
+                planes,
                 1,
                 squares=b["squares"],
                 bins=np.uint32(bins),
@@ -194,6 +237,8 @@ def _decide(plan: PlanBase) -> list[Launch]:
                 found=b["decision"],
             ),
         ]
+    if plan.octaves:
+        stages.append(plan.few("choose_reference", plan.frames, 1, found=b["decision"]))
 
     def of_maxima(name: str, **arguments: Any) -> Launch:
         items = (plan.list_capacity, plan.frames)
@@ -205,6 +250,13 @@ def _decide(plan: PlanBase) -> list[Launch]:
     if rule.fine:
         share = np.int32(rule.fine_share)
         stages.append(of_maxima("keep_fine", taken=taken, **limits, fine_share=share, **kept))
+    items = (plan.list_capacity, plan.frames)
+    for octave in range(1, plan.octaves + 1):
+        number = {"octave": np.uint32(octave)}
+        stages += [
+            of_maxima("keep_octave", **number, maxima=maxima, **limits),
+            plan.stage("mark_octave", items, (GROUP, 1), **lists, **number, **limits, **kept),
+        ]
     corners = plan.corner_list
     stages.append(
         plan.few(
@@ -218,11 +270,13 @@ def _decide(plan: PlanBase) -> list[Launch]:
             counts=b["counts"],
         )
     )
-    for kind in range(plan.lists):
+    for kind in range(1 + rule.fine):
         stages.append(
-            of_maxima(
+            plan.stage(
                 "put_in_order",
-                taken=taken,
+                items,
+                (GROUP, 1),
+                **lists,
                 maxima=maxima,
                 row_starts=b["row_starts"],
                 **limits,
@@ -232,6 +286,22 @@ def _decide(plan: PlanBase) -> list[Launch]:
                 corners=b["corners"],
             )
         )
+    stages += [
+        plan.stage(
+            "put_octave_in_order",
+            items,
+            (GROUP, 1),
+            **lists,
+            octave=np.uint32(octave),
+            maxima=maxima,
+            row_starts=b["row_starts"],
+            **limits,
+            corner_capacity=corners["capacity"],
+            length=corners["length"],
+            corners=b["corners"],
+        )
+        for octave in range(1, plan.octaves + 1)
+    ]
     return stages
 
 
@@ -242,26 +312,32 @@ def _work_rows(plan: PlanBase) -> int:
     """Return the rows of 16-bit numbers that a band keeps, see kernels/cpu/harmonic.cl."""
     radius = plan.config.nms_radius
     smooth = 16 if radius <= 4 else 32
+    coarse = 32 if _rule(plan).octaves else smooth
     responses = 8 if radius <= 3 else 16 if radius <= 7 else 32
-    return 4 + smooth + 4 + smooth + 2 + 1 + 2 + responses * plan.lists
+    return 4 + smooth + 4 + coarse + 2 + 1 + 2 + responses * (1 + _rule(plan).fine)
 
 
-def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
-    """Bind the launch from a frame, its first element and the elements of a row."""
+def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> list[Launch]:
+    """Bind the launches from a frame, its first element and the elements of a row."""
     b, rule, size = plan.arrays, _rule(plan), plan.size
-    band_rows = -(-plan.working[0] // plan.bands)
     corners = plan.corner_list
-    return plan.stage(
+    given = {
+        "frame": plan.image,
+        "frame_start": np.uint32(frame_start),
+        "frame_step": np.uint32(frame_step),
+        "image": plan.image,
+    }
+    halving = []
+    if plan.octaves:
+        items = (-(-plan.working[0] // 2**plan.octaves), plan.frames)
+        halving = [plan.stage("halve_rows", items, (1, 1), **given, **size)]
+    search = plan.stage(
         "harmonic_band",
         (plan.bands, plan.frames),
         (1, 1),
-        frame=plan.image,
-        frame_start=np.uint32(frame_start),
-        frame_step=np.uint32(frame_step),
-        image=plan.image,
+        **given,
         area=b["area"],
         **size,
-        band_rows=np.uint32(band_rows),
         capacity=np.uint32(plan.list_capacity),
         full_scale=np.uint32(_full_scale(plan)),
         inverse=np.float32(1 / _full_scale(plan)),
@@ -282,3 +358,4 @@ def _by_bands(plan: PlanBase, frame_start: int, frame_step: int) -> Launch:
         corners=b["corners"],
         counts=b["counts"],
     )
+    return [*halving, search]

@@ -15,6 +15,8 @@ from cmp_cl.stages.types import types_of
 LEAST_PAD = 16  # columns on either side of the pixels, for rings, discs and tents
 LANES = 8  # corners of a vector in the form for CPUs
 CORNER_COLUMNS = 6  # x, y, response, and the sum and the moments of the responses around it
+LEAST_OCTAVE = 64  # px, the shorter side of a halved frame
+OCTAVE_ALIGNMENT = 128  # elements, of the start of an octave in the buffer of the frames
 
 
 class PlanBase(Binder):
@@ -22,6 +24,7 @@ class PlanBase(Binder):
 
     shape: (H, W) of a frame; working: the same at the working scale. pad: columns of padding on
     either side; step, full_step: elements of a row at the working and at full scale.
+    octaves: number of halved frames, which lie behind the frames in "image".
     frames: number of frames; lists: number of lists of maxima or candidates per frame, with
     `list_capacity` entries each; corner_capacity: entries of the list of a frame's corners. bands:
     bands of rows that a frame is divided into in the form for CPUs. buffers: the memory; arrays:
@@ -52,12 +55,15 @@ class PlanBase(Binder):
         self.frames = frames
         self.working = shape if self.scale is None else working_shape(shape, self.scale)
         pixels = self.working[0] * self.working[1]
+        self.octaves = 0
         if isinstance(self.rule, BinaryRings):
             self.lists = 1
             self.pad = multiple(max(LEAST_PAD, self.rule.threshold.window // 2), LEAST_PAD)
             self.list_capacity = multiple(pixels // 20 + 1, GROUP)  # the lists grow
         else:
-            self.lists = 2 if self.rule.fine else 1
+            shorter = min(self.working) // LEAST_OCTAVE
+            self.octaves = min(self.rule.octaves, max(shorter, 1).bit_length() - 1)
+            self.lists = 1 + self.rule.fine + self.octaves
             self.pad = LEAST_PAD
             # One maximum in 128 pixels is one in a cell of 11 px; the lists grow.
             self.list_capacity = multiple(pixels // 128 // self.segments + 64, GROUP)
@@ -66,6 +72,29 @@ class PlanBase(Binder):
         # One corner in 96 pixels is one in a cell of 10 px; the list grows too.
         self.corner_capacity = multiple(min(config.max_corners, pixels // 96 + 256), GROUP)
         self.buffers: dict[str, cl.Buffer] = {}
+
+    def size_of(self, octave: int) -> dict[str, Any]:
+        """Return rows, columns and step of an octave, by argument."""
+        rows, columns = (length >> octave for length in self.working)
+        step = multiple(columns + 2 * self.pad, GROUP) if octave else self.step
+        return {"rows": np.uint32(rows), "columns": np.uint32(columns), "step": np.uint32(step)}
+
+    def image_of(self, octave: int) -> cl.Buffer:
+        """Return the image of an octave."""
+        if not octave:
+            return self.image
+        start, end = (self.dtype.itemsize * at for at in self.octave_starts[octave : octave + 2])
+        return self.buffers["image"].get_sub_region(start, end - start)
+
+    @property
+    def octave_starts(self) -> list[int]:
+        """Return the first element of each octave in the buffer of the frames, and the end."""
+        starts = [0]
+        for octave in range(self.octaves + 1):
+            size = {name: int(length) for name, length in self.size_of(octave).items()}
+            elements = (self.frames * size["rows"] + 2) * size["step"]
+            starts.append(starts[-1] + multiple(elements, OCTAVE_ALIGNMENT))
+        return starts
 
     @property
     def bands(self) -> int:

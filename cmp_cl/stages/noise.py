@@ -1,14 +1,14 @@
 """The noise of an image, for the grey-level rule and for the contrast gate."""
 
-from cmp_cl.opencl.launches import Launch
+from cmp_cl.opencl.launches import GROUP, Launch
 from cmp_cl.stages.layout import PlanBase
 
 NOISE_BAND = 8  # rows of a work-item
 
 
-def bands(plan: PlanBase) -> int:
-    """Return the number of bands of a frame, each of which has a sum."""
-    return -(-plan.working[0] // NOISE_BAND)
+def bands(plan: PlanBase, octave: int = 0) -> int:
+    """Return the number of bands of an octave of a frame, each of which has a sum."""
+    return -(-(plan.working[0] >> octave) // NOISE_BAND)
 
 
 def scratch(plan: PlanBase) -> dict[str, int]:
@@ -16,15 +16,16 @@ def scratch(plan: PlanBase) -> dict[str, int]:
     return {"noise_sums": plan.types["NOISE"].itemsize * plan.frames * bands(plan) * plan.step}
 
 
-def launches(plan: PlanBase) -> list[Launch]:
-    """Return the launches from the image to the sums of its bands."""
-    b, size = plan.arrays, plan.size
+def launches(plan: PlanBase, octave: int = 0) -> list[Launch]:
+    """Return the launches from the image of an octave to the sums of its bands."""
+    b, size = plan.arrays, plan.size_of(octave)
+    count = bands(plan, octave)
     return [
         plan.stage(
             "noise",
-            (plan.step, bands(plan), plan.frames),
-            (plan.width, 1, 1),
-            image=plan.image,
+            (int(size["step"]), count, plan.frames),
+            (plan.width if octave == 0 else GROUP, 1, 1),
+            image=plan.image_of(octave),
             rows=size["rows"],
             step=size["step"],
             zero=plan.types["CURVATURE"].type(0),
@@ -32,11 +33,11 @@ def launches(plan: PlanBase) -> list[Launch]:
         ),
         plan.few(
             "noise_of_band",
-            bands(plan),
+            count,
             plan.frames,
             sums=b["noise_sums"],
             columns=size["columns"],
             step=size["step"],
-            noise=b["noise"],
+            noise=b[f"noise_{octave}" if octave else "noise"],
         ),
     ]

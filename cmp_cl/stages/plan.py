@@ -86,6 +86,7 @@ class Plan(PlanBase):
             "PAD": self.pad,
             "GROUP": GROUP,
             "NMS_RADIUS": self.config.nms_radius,
+            "OCTAVES": self.octaves,
             "NOISE_BAND": noise.NOISE_BAND,
             **defines_of(self.types),
             **scale.defines(self),
@@ -107,17 +108,25 @@ class Plan(PlanBase):
         """Return the bytes of every buffer, by name."""
         pixel = self.dtype.itemsize
         parts = [[multiple(size, ALIGNMENT) for size in each.values()] for each in self._layouts]
+        columns = CORNER_COLUMNS + (self.octaves > 0)
         sizes = {
-            "image": (self.frames * self.shape[0] + 2) * self.full_step * pixel,
+            "image": self._frame_elements * pixel,
             **self.detection.sizes(self),
             "scratch": max((sum(sizes) for sizes in parts), default=0),
-            "corners": 4 * CORNER_COLUMNS * self.frames * self.corner_capacity,
+            "corners": 4 * columns * self.frames * self.corner_capacity,
             "result": self.frames * refine.result_size(self),
             "counts": 4 * self.frames * (self.lists + 1),  # entries of the lists, corners
         }
         if self.scale is not None:
             sizes["working"] = (self.frames * self.working[0] + 2) * self.step * pixel
         return {name: size for name, size in sizes.items() if size}
+
+    @property
+    def _frame_elements(self) -> int:
+        """Return the elements of the buffer of the frames and their octaves."""
+        if self.octaves:
+            return self.octave_starts[-1]
+        return (self.frames * self.shape[0] + 2) * self.full_step
 
     @property
     def _layouts(self) -> list[dict[str, int]]:
@@ -163,7 +172,8 @@ class Plan(PlanBase):
 
     def _pixels(self, memory: NDArray[np.uint8]) -> NDArray[Any]:
         """Return the pixels of all frames in the buffer "image", one frame below the other."""
-        lines = memory.view(self.dtype).reshape(-1, self.full_step)
+        lines = memory.view(self.dtype)[: (self.frames * self.shape[0] + 2) * self.full_step]
+        lines = lines.reshape(-1, self.full_step)
         return lines[1:-1, self.pad : self.pad + self.shape[1]]
 
     def _results(self, memory: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -217,7 +227,8 @@ class Plan(PlanBase):
         shared = "image" in self._here and is_pocl(self.device.handle)
         if shared and self.detection is harmonic and self.frames == 1:
             first = harmonic.launches_in_place(self)
-            self._in_place = [*first, *self.launches[1:]] if first else []
+            self._in_place = [*first, *self.launches[len(first) :]] if first else []
+            self._readers = [launch.kernel for launch in first]
         self._likely = self.corner_capacity  # corners of a frame, at most
 
     # What happens in a frame
@@ -232,7 +243,8 @@ class Plan(PlanBase):
             self._wait()  # for an earlier frame that kernels may still read
             around = cl.mem_flags.READ_ONLY | cl.mem_flags.USE_HOST_PTR
             self._frame = cl.Buffer(queue.context, around, hostbuf=frames[0])
-            self._in_place[0].kernel.set_arg(0, self._frame)
+            for kernel in self._readers:
+                kernel.set_arg(0, self._frame)
             return self._in_place
         if "image" in self._here:
             self._write(frames)

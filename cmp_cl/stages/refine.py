@@ -161,10 +161,13 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
         fields = row[RESULT_HEAD:][: RESULT_FIELDS * padded].reshape(RESULT_FIELDS, padded)
         decisions = fields[METHOD].view(np.uint8)  # methods, then why another was rejected
         method = decisions[:count]
+        octave = decisions[2 * padded : 2 * padded + count]
+        if not plan.octaves:
+            octave = np.zeros(count, np.uint8)
         # A plain number: comparing an array with a member of an enumeration is slower.
-        step = Method.EDGE_STEP.value
-        accepted = 0 if math.isnan(radius) else int(np.count_nonzero(method == step))
-        sigma, doubtful = _deviation(fields[:, :count], accepted)
+        accepted = method == Method.EDGE_STEP.value
+        accepted &= not math.isnan(radius)
+        sigma, doubtful = _deviation(fields[:, :count], octave, accepted)
         pixel = fields[PIXEL].view(np.int32).reshape(-1, 2)[:count]
         if plan.scale is not None:
             pixel = full_pixels(pixel, plan.shape, plan.scale)
@@ -172,6 +175,7 @@ def read_corners(rows: NDArray[np.float32], plan: PlanBase) -> list[Corners]:
             Corners(
                 xy=fields[POSITION].reshape(-1, 2)[:count],
                 pixel=pixel,
+                octave=octave,
                 response=fields[RESPONSE, :count],
                 method=method,
                 refusal=decisions[padded : padded + count],
@@ -197,6 +201,7 @@ def no_corners(device: str) -> Corners:
     return Corners(
         xy=np.empty((0, 2), np.float32),
         pixel=np.empty((0, 2), np.int32),
+        octave=np.empty(0, np.uint8),
         response=np.empty(0, np.float32),
         method=np.empty(0, np.uint8),
         refusal=np.empty(0, np.uint8),
@@ -208,18 +213,23 @@ def no_corners(device: str) -> Corners:
 
 
 def _deviation(
-    fields: NDArray[np.float32], accepted: int
+    fields: NDArray[np.float32], octave: NDArray[np.uint8], accepted: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the standard deviation of each position, px, and which corners are doubtful.
 
-    A corner is doubtful whose residual autocorrelation exceeds the frame's median by
-    DOUBTFUL_EXCESS: its surroundings do not look like the corner model. accepted: the number of
-        corners whose EDGE_STEP was accepted; the others have an autocorrelation of -inf.
+    A corner is doubtful whose residual autocorrelation exceeds the median of its octave by
+    DOUBTFUL_EXCESS: its surroundings do not look like the corner model. accepted: (N,), whose
+        EDGE_STEP was accepted; the others have an autocorrelation of -inf.
     """
     variance, correlation = fields[VARIANCE], fields[CORRELATION]
-    if not accepted:
-        return np.sqrt(variance), np.zeros(len(variance), np.bool_)
-    middle = len(correlation) - 1 - accepted // 2  # the lower median
-    excess = np.maximum(correlation - np.partition(correlation, middle)[middle], 0)
-    sigma: NDArray[np.float32] = np.sqrt(variance + VARIANCE_OF_EXCESS * excess * excess)
-    return sigma, excess > DOUBTFUL_EXCESS
+    sigma, doubtful = np.sqrt(variance), np.zeros(len(variance), np.bool_)
+    for n in range(int(octave.max(initial=0)) + 1):
+        here = octave == n if octave.any() else slice(None)
+        count, values = int(np.count_nonzero(accepted[here])), correlation[here]
+        if not count:
+            continue
+        middle = len(values) - 1 - count // 2  # the lower median
+        excess = np.maximum(values - np.partition(values, middle)[middle], 0)
+        sigma[here] = np.sqrt(variance[here] + 4**n * VARIANCE_OF_EXCESS * excess * excess)
+        doubtful[here] = excess > DOUBTFUL_EXCESS
+    return sigma, doubtful

@@ -62,12 +62,12 @@ void list_part(Part *part, const int first, const int reach, const float radius_
   part->count = count;
 }
 
-/* Read the pixels of a part around (x, y). */
-void read_part(const Part *part, __global const PIXEL *image, const size_t p, const uint rows,
+/* Read the pixels of a part around (x, y). The image begins at `start`. */
+void read_part(const Part *part, __global const PIXEL *image, const size_t start, const int last,
                const uint columns, const uint step, const int x, const int y, PIXEL *pixel_of) {
   const int top = y + part->first, count = part->end - part->first;
-  __global const PIXEL *line = image + CLAMPED_ROW(top);
-  for (int k = 0; k < count; line += (uint)(top + k) < rows - 1 ? step : 0, ++k) {
+  __global const PIXEL *line = image + HELD_ROW(top, last, start, step);
+  for (int k = 0; k < count; line += (uint)(top + k) < (uint)last ? step : 0, ++k) {
     const int begin = part->begin_of[k], width = part->begin_of[k + 1] - begin;
     const int left = x + part->left_of[k];
 #if SCALED
@@ -179,8 +179,8 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
 
 #define TAKE_PART(first_row)                                                        \
   if (!whole) list_part(&part, first_row, reach, radius_2);                         \
-  read_part(&part, image, p, rows, columns, step, near_x + middle_x, near_y + middle_y, \
-            values.pixel_of);                                                       \
+  read_part(&part, image, start, last, columns, pitch, near_x + middle_x,           \
+            near_y + middle_y, values.pixel_of);                                    \
   values_of(&part, &model, &values);
 
   FOR_EACH_EIGHT {
@@ -192,7 +192,15 @@ __kernel void edge_step_eight(__global const PIXEL *restrict image,
       const int near_x = (int)OF_LANE(start_x), near_y = (int)OF_LANE(start_y);
       /* The middle pixel, and the corner relative to it. */
       const int middle_x = ROUNDED(OF_LANE(x)), middle_y = ROUNDED(OF_LANE(y));
-      const float centre = (float)image[CLAMPED_ROW(near_y) + near_x];
+#if OCTAVES
+      const size_t start = ((const uint *)&own_start)[lane];
+      const uint pitch = ((const uint *)&own_step)[lane];
+#else
+      const size_t start = own_start;
+      const uint pitch = own_step;
+#endif
+      const int last = ((const int *)&last_row)[lane];
+      const float centre = (float)image[HELD_ROW(near_y, last, start, pitch) + near_x];
       const Model model = {OF_LANE(x) - (float)middle_x,
                            OF_LANE(y) - (float)middle_y,
                            OF_LANE(n1x) * BY_BLUR,

@@ -1,4 +1,4 @@
-#include "plane.clh"
+#include "octave.clh"
 
 /* The grey-level rule for CPUs: one launch takes bands of rows from the image to the maxima of
  * both responses, and the last band to finish decides for the frame, because a launch of its own
@@ -8,7 +8,8 @@
  * once; every step keeps a ring buffer of as many rows as the later steps need, and all of them
  * stay in the cache. Two bands share the rows between them: one goes down from the first row, the
  * other goes up from the last, and they take a few rows at a time until none is left. So both end
- * together, even if one of them starts late or runs on a slower core. Each loop over a row is a
+ * together, even if one of them starts late or runs on a slower core. The small octaves come first,
+ * so that the frame evens out what they leave. Each loop over a row is a
  * function of its own with restrict pointers and one cast per operation: compilers turn it into
  * vectors of 16-bit numbers. */
 
@@ -18,16 +19,19 @@
 
 #define LEAST 80  /* below every bound of a response */
 #define REACH_OF_RING 5
+#define REACH_OF_WIDE (WIDE ? 8 : REACH_OF_RING)
 #define LAG (REACH_OF_RING + 3) /* from an image row to the response that it completes */
-#define BESIDE_MAXIMUM LARGER(NMS_RADIUS, 2) /* rows of suppression, and of the moments */
+#define BESIDE_MAXIMUM LARGER(NMS_RADIUS, WIDE ? 3 : 2) /* rows of suppression, and of the moments */
 #define BEYOND (LAG + BESIDE_MAXIMUM)
 #define ROWS_AT_A_TIME 8 /* that a band takes */
 
 /* Ring buffers: powers of two. A smoothed row serves from the response REACH_OF_RING rows above
- * until check 1 of a maximum REACH_OF_RING rows below. */
+ * until check 1 of a maximum REACH_OF_RING rows below; of S3, until the wide ring. */
 #define SMOOTH_ROWS (NMS_RADIUS <= 4 ? 16 : 32)
+#define COARSE_ROWS (WIDE ? 32 : SMOOTH_ROWS)
 #define RESPONSE_ROWS (NMS_RADIUS <= 3 ? 8 : NMS_RADIUS <= 7 ? 16 : 32)
 #define SMOOTH_AT(y) ((size_t)((y) & (SMOOTH_ROWS - 1)) * step + PAD)
+#define COARSE_AT(y) ((size_t)((y) & (COARSE_ROWS - 1)) * step + PAD)
 #define RESPONSE_AT(y) ((size_t)((y) & (RESPONSE_ROWS - 1)) * step + PAD)
 #define LEVEL_AT(y) ((size_t)((y) & 3) * step + PAD)
 #define HELD(y) SMALLER(LARGER(y, 0), height - 1)
@@ -72,7 +76,7 @@ ROW_LOOP void column_of_levels DOWN_COLUMNS(ushort)
    __global const ushort *restrict right, __global ushort *restrict smooth, const int width) { \
     for (int x = 0; x < width; ++x)                                                 \
       smooth[x] = SCALED_DOWN((ushort)(left[x] + right[x]) + (ushort)(column[x] << 1)); \
-    for (int k = 1; k <= REACH_OF_RING; ++k) {                                      \
+    for (int k = 1; k <= REACH_OF_WIDE; ++k) {                                      \
       smooth[-k] = smooth[0];                                                       \
       smooth[width - 1 + k] = smooth[width - 1];                                    \
     }                                                                               \
@@ -227,13 +231,9 @@ int is_maximum(__global const short *const *row, const int x, const short r) {
 typedef struct {
   __global const ushort *north, *upper, *middle, *lower, *south;
 } Ring;
-Ring ring_of(__global const ushort *rows_of, const int y, const int a, const int d,
-             const int height, const uint step) {
-  const Ring ring = {rows_of + SMOOTH_AT(HELD(y - a)), rows_of + SMOOTH_AT(HELD(y - d)),
-                     rows_of + SMOOTH_AT(y), rows_of + SMOOTH_AT(HELD(y + d)),
-                     rows_of + SMOOTH_AT(HELD(y + a))};
-  return ring;
-}
+#define RING_OF(rows_of, AT, y, a, d)                                               \
+  {rows_of + AT(HELD((y) - (a))), rows_of + AT(HELD((y) - (d))), rows_of + AT(y),   \
+   rows_of + AT(HELD((y) + (d))), rows_of + AT(HELD((y) + (a)))}
 
 typedef struct {
   int2 second; /* A, B */
@@ -256,13 +256,17 @@ Harmonics harmonics_of(const Ring *ring, const int x, const int a, const int d) 
   return found;
 }
 
+int coarse_response_of(const Harmonics h) {
+  return h.length - (h.odd - (h.odd >> 2)) - ((h.centre >> 2) + (h.centre >> 3));
+}
+
 int dot_of(const int2 a, const int2 b) { return a.x * b.x + a.y * b.y; }
 
 /* Append a maximum to a list. The columns are x, y, the response, and the sum and the moments in x
  * and y of the positive responses of the 5 x 5 around it. `mark` is CLEAN or 0. `rows_of` holds the
  * five rows; those outside the image are 0. A response is at most 11 220, so the sum of five fits
  * in 16 bits. */
-#define CLEAN (1 << 30) /* in the column of the sums: the response of the corner is clean */
+#define CLEAN (1 << 30) /* in the column of the sums: see mark_of */
 #define ABOVE_ZERO(v) ((v) & ~((v) >> (short)15))
 #define POSITIVE(k) ABOVE_ZERO(EIGHT_AT(rows_of[k] + x - 2))
 #define SUM5(v) ((int)v.s0 + (int)v.s1 + (int)v.s2 + (int)v.s3 + (int)v.s4)
@@ -289,12 +293,22 @@ int noise_bound(const ulong factor, const ulong amplitude, const ulong pixels,
   return (int)LARGER(LEAST, SMALLER(bound, (ulong)INT_MAX));
 }
 
+/* The lists of a segment: the maxima of the frame, those of the fine response, and those of each
+ * halved frame. */
+#define KINDS (1 + FINE + OCTAVES)
+#define KIND_OF_OCTAVE(n) ((n) ? FINE + (n) : 0)
+
+/* How many bands search octave n of `rows` rows. */
+uint bands_of(const uint n, const uint rows, const uint bands) {
+  return n ? LARGER(SMALLER(bands, (rows >> n) / 32), 1u) : bands;
+}
+
 /* The part of a segment's list that one of its two bands fills: the number of its first entry, and
  * of its entries, which may exceed the capacity. */
-#define SPAN_OF(band, fine) spans[(band) * (1 + FINE) + (fine)]
-#define LIST_OF(band, fine)                                                         \
-  (lists + (size_t)((band) / 2 * (1 + FINE) + (fine)) * LIST_COLUMNS * capacity +   \
-   SPAN_OF(band, fine).x)
+#define SPAN_OF(band, kind) spans[(band) * KINDS + (kind)]
+#define LIST_OF(band, kind)                                                         \
+  (lists + (size_t)((band) / 2 * KINDS + (kind)) * LIST_COLUMNS * capacity +        \
+   SPAN_OF(band, kind).x)
 
 /* The sum of the squares of those responses of a list that are at least `least`. */
 ROW_LOOP ulong squares_from(__global const int *restrict response, const uint count,
@@ -304,21 +318,21 @@ ROW_LOOP ulong squares_from(__global const int *restrict response, const uint co
     sum += response[n] >= least ? (uint)(response[n] * response[n]) : 0;
   return sum;
 }
-ulong squares_of_frame(__global const int *lists, __global const uint2 *spans, const uint fine,
+ulong squares_of_frame(__global const int *lists, __global const uint2 *spans, const uint kind,
                        const uint bands, const uint capacity, const int least) {
   ulong sum = 0;
   for (uint band = 0; band < bands; ++band)
-    sum += squares_from(LIST_OF(band, fine) + 2 * capacity,
-                        SMALLER(SPAN_OF(band, fine).y, capacity), least);
+    sum += squares_from(LIST_OF(band, kind) + 2 * capacity,
+                        SMALLER(SPAN_OF(band, kind).y, capacity), least);
   return sum;
 }
 
 /* The reference W: the largest number at which the responses from it on have at least half of the
  * sum of the squares of all above a bound; 0 if there are none. It is found bit by bit. */
 #define HIGHEST_BIT_OF_RESPONSE (1 << 13)
-int reference_of(__global const int *lists, __global const uint2 *spans, const uint fine,
+int reference_of(__global const int *lists, __global const uint2 *spans, const uint kind,
                  const uint bands, const uint capacity, const int bound) {
-#define SQUARES_FROM(least) squares_of_frame(lists, spans, fine, bands, capacity, least)
+#define SQUARES_FROM(least) squares_of_frame(lists, spans, kind, bands, capacity, least)
   const ulong all = bound < INT_MAX ? SQUARES_FROM(bound + 1) : 0;
   int reference = 0;
   for (int bit = HIGHEST_BIT_OF_RESPONSE; all && bit; bit >>= 1)
@@ -352,6 +366,103 @@ void copy_entries(__global const int *from, const uint capacity, const uint coun
     for (uint n = 0; n < count; ++n) to[(size_t)k * length + n] = from[k * capacity + n];
 }
 
+/* The least response that the noise of octave n allows; noise: of its bands. */
+int bound_of_octave(__global const ulong *noise, const uint n, const uint rows,
+                    const uint columns, const uint bands, const uint full_scale,
+                    const uint factor) {
+  const uint height = rows >> n, width = columns >> n;
+  ulong amplitude = 0;
+  for (uint band = 0; band < bands_of(n, rows, bands); ++band) amplitude += noise[band];
+  const ulong pixels = height > 2 && width > 2 ? (ulong)(height - 2) * (width - 2) : 0;
+  return noise_bound(factor, amplitude, pixels, full_scale);
+}
+
+/* Columns 0, 1 and 6 of a corner: its pixel, and the octave that it is a pixel of. */
+#define CORNER_COLUMN(k, n) corners[(size_t)(k) * length + (n)]
+#define FRAME_X(n) TO_FRAME(CORNER_COLUMN(0, n), CORNER_COLUMN(6, n))
+#define FRAME_Y(n) TO_FRAME(CORNER_COLUMN(1, n), CORNER_COLUMN(6, n))
+
+#if OCTAVES
+
+/* A corner of octave n has no other one within 5 px of the octave, in x and in y. Corners are marked
+ * in a map of pixels of the octave, shifted by half a pixel: a maximum at x is near those at
+ * x - 4 .. x + 5. */
+#define LEAST_SHARE 64 /* of the reference, in 1/128 */
+#define BEFORE 4
+#define BEHIND 5
+#define MARK_AT(x, n) (((x) + (1 << (n) >> 1)) >> (n))
+
+int is_marked(__global const uint *marks, const int x, const int y, const int last,
+              const uint width) {
+  const uint first = (uint)(PAD + x - BEFORE);
+  for (int row = LARGER(y - BEFORE, 0); row <= SMALLER(y + BEHIND, last); ++row) {
+    __global const uint *word = marks + (uint)row * width + first / 32;
+    const ulong both = (ulong)word[1] << 32 | word[0];
+    if (both >> first % 32 & ((1ul << (BEFORE + BEHIND + 1)) - 1)) return 1;
+  }
+  return 0;
+}
+
+/* Add the corners of octave n to those of the frame and of the octaves before. Return how many
+ * there are then. `marks` has room for the bits of the octave. */
+uint add_octave(const uint n, const Octave octave, __global uint2 *spans, __global int *lists,
+                const uint bands, const uint capacity, const int bound, const int reference,
+                const uint total, const uint corner_capacity, const uint length,
+                __global uint *marks, __global int *corners) {
+  const uint kind = KIND_OF_OCTAVE(n), width = octave.step / 32;
+  uint added = 0;
+  for (uint band = 0; band < bands; ++band) {
+    __global int *list = LIST_OF(band, kind);
+    uint kept = 0;
+    for (uint k = 0; k < SMALLER(SPAN_OF(band, kind).y, capacity); ++k) {
+      const int r = list[2 * capacity + k];
+      if (r <= bound || 128 * r < LEAST_SHARE * reference) continue;
+      if (!(list[3 * capacity + k] & CLEAN)) continue;
+      list[3 * capacity + k] &= ~CLEAN;
+      if (kept < k) copy_entries(list + k, capacity, 1, list + kept, capacity);
+      ++kept;
+    }
+    SPAN_OF(band, kind).y = kept;
+    added += kept;
+  }
+  if (!added || total > corner_capacity) return total + added;
+  for (uint k = 0; k < (octave.rows + 2) * width; ++k) marks[k] = 0;
+  for (uint k = 0; k < total; ++k) {
+    const int x = PAD + MARK_AT(FRAME_X(k), n);
+    marks[(uint)MARK_AT(FRAME_Y(k), n) * width + x / 32] |= 1u << x % 32;
+  }
+  added = 0;
+  for (uint band = 0; band < bands; ++band) {
+    __global int *list = LIST_OF(band, kind);
+    uint kept = 0;
+    for (uint k = 0; k < SPAN_OF(band, kind).y; ++k) {
+      if (is_marked(marks, list[k], list[capacity + k], (int)octave.rows + 1, width)) continue;
+      if (kept < k) copy_entries(list + k, capacity, 1, list + kept, capacity);
+      ++kept;
+    }
+    SPAN_OF(band, kind).y = kept;
+    added += kept;
+  }
+  if (total + added > corner_capacity) return total + added;
+  /* Merge from the end: both are in (y, x) order. */
+  int last = (int)total - 1, place = (int)(total + added) - 1;
+  for (int band = (int)bands - 1; band >= 0; --band) {
+    __global const int *list = LIST_OF(band, kind);
+    for (int k = (int)SPAN_OF(band, kind).y - 1; k >= 0; --k, --place) {
+      const int x = TO_FRAME(list[k], n), y = TO_FRAME(list[capacity + k], n);
+      for (; last >= 0 && (FRAME_Y(last) > y || (FRAME_Y(last) == y && FRAME_X(last) > x));
+           --last, --place)
+        for (uint c = 0; c <= LIST_COLUMNS; ++c)
+          CORNER_COLUMN(c, place) = CORNER_COLUMN(c, last);
+      copy_entries(list + k, capacity, 1, corners + place, length);
+      CORNER_COLUMN(6, place) = (int)n;
+    }
+  }
+  return total + added;
+}
+
+#endif
+
 /* Write the maxima that are corners, in (y, x) order. Their response is above the bound from the
  * noise, and not below a share of the reference, or half of that share if it is clean; a fine one
  * counts only if no coarse corner is within NMS_RADIUS. `maxima` gets a bit for each coarse corner.
@@ -362,27 +473,37 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
             const uint coarse_noise, const int coarse_share, const int fine_share,
             const uint corner_capacity, const uint count_offset, const uint length,
             __global uint *maxima, __global int *corners, __global uint *counts) {
-  ulong amplitude = 0;
-  for (uint band = 0; band < bands; ++band) amplitude += noise[p * bands + band];
-  const ulong pixels = rows > 2 && columns > 2 ? (ulong)(rows - 2) * (columns - 2) : 0;
-  const int coarse_bound = noise_bound(coarse_noise, amplitude, pixels, full_scale);
-  const int fine_bound = noise_bound(2 * coarse_noise, amplitude, pixels, full_scale);
-  lists += p * ((bands + 1) / 2) * (1 + FINE) * LIST_COLUMNS * capacity;
-  spans += p * bands * (1 + FINE);
+  noise += p * bands * (1 + OCTAVES);
+  const int coarse_bound =
+      bound_of_octave(noise, 0, rows, columns, bands, full_scale, coarse_noise);
+  lists += p * ((bands + 1) / 2) * KINDS * LIST_COLUMNS * capacity;
+  spans += p * bands * KINDS;
   maxima += p * rows * step / 32;
   corners += p * corner_capacity;
   const uint width = step / 32;
   int reference = reference_of(lists, spans, 0, bands, capacity, coarse_bound);
+#if OCTAVES
+  int bounds[OCTAVES + 1];
+  for (uint n = 1; n <= OCTAVES; ++n) {
+    const uint own = bands_of(n, rows, bands);
+    bounds[n] =
+        bound_of_octave(noise + n * bands, n, rows, columns, bands, full_scale, coarse_noise);
+    const int other = reference_of(lists, spans, KIND_OF_OCTAVE(n), own, capacity, bounds[n]);
+    reference = LARGER(reference, other);
+  }
+#endif
 #if FINE
+  const int fine_bound =
+      bound_of_octave(noise, 0, rows, columns, bands, full_scale, 2 * coarse_noise);
   if (reference == 0)
     reference = reference_of(lists, spans, 1, bands, capacity, fine_bound);
   for (uint i = 0; i < rows * width; ++i) maxima[i] = 0;
 #endif
   uint total = 0, most = 0;
-  for (uint band = 0; band < bands; ++band)
-    for (uint fine = 0; fine <= FINE; ++fine) {
-      const uint before = band % 2 ? SPAN_OF(band - 1, fine).y : 0;
-      most = LARGER(most, before + SPAN_OF(band, fine).y);
+  for (uint kind = 0; kind < KINDS; ++kind)
+    for (uint band = 0; band < bands_of(kind > FINE ? kind - FINE : 0, rows, bands); ++band) {
+      const uint before = band % 2 ? SPAN_OF(band - 1, kind).y : 0;
+      most = LARGER(most, before + SPAN_OF(band, kind).y);
     }
   for (uint band = 0; band < bands; ++band) {
     __global int *list = LIST_OF(band, 0);
@@ -434,10 +555,15 @@ void decide(const size_t p, __global const ulong *noise, __global uint2 *spans,
       c = next;
     }
   }
-  counts[p * (1 + FINE)] = most;
-#if FINE
-  counts[p * (1 + FINE) + 1] = 0;
+#if OCTAVES
+  for (uint k = 0; k < SMALLER(total, corner_capacity); ++k) CORNER_COLUMN(6, k) = 0;
+  for (uint n = 1; n <= OCTAVES; ++n)
+    total = add_octave(n, octave_of(n, rows, columns, step, 1), spans, lists,
+                       bands_of(n, rows, bands), capacity, bounds[n], reference, total,
+                       corner_capacity, length, maxima, corners);
 #endif
+  counts[p * KINDS] = most;
+  for (uint kind = 1; kind < KINDS; ++kind) counts[p * KINDS + kind] = 0;
   counts[count_offset + p] = total;
 }
 
@@ -448,39 +574,41 @@ int take_rows(volatile __global uint *taken, const int next, const int height, c
   return upward ? next % ROWS_AT_A_TIME + 1 : SMALLER(ROWS_AT_A_TIME, height - next);
 }
 
-/* Row y of the frame. */
-#define FRAME_ROW(y) (frame + frame_start + ((size_t)p * rows + (size_t)(y)) * frame_step)
+/* CLEAN, if a maximum may be half as weak as others: little is subtracted from its length, so that it
+ * is weak at most in contrast, and the wide ring responds half as much. In a halved frame: if the
+ * wide ring responds a quarter as much, without which there is no corner. */
+int mark_of(const uint n, const int x, const int r, const Harmonics h, const Ring *wide) {
+  if (n == 0 && 4 * r < 3 * h.length) return 0;
+#if WIDE
+  if ((n ? 4 : 2) * coarse_response_of(harmonics_of(wide, x, 8, 6)) < r) return 0;
+#endif
+  return CLEAN;
+}
 
-/* List the maxima of a band of the image, copy its rows to `image` unless the frame lies there, and
- * fill their padding. One work-item per band; an odd one goes up. Two bands share a segment of the
- * image and its list, which the second one fills from the end; together they may count more than
- * its capacity. `area` has a bit for every pixel. `taken` counts how often the bands of a segment
- * have taken rows. The last band of a frame to finish decides for the frame; `finished` counts
- * them. Both counts are 0 between launches. The fences and the counts order the lists of all bands
- * before the decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. */
-__kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
-                            const uint frame_step, __global PIXEL *image,
-                            __global const uint *restrict area, const uint rows,
-                            const uint columns, const uint step, const uint band_rows,
-                            const uint capacity, const uint full_scale, const float inverse,
-                            __global ushort *restrict work, const uint work_size,
-                            const uint coarse_noise, const int coarse_share,
-                            const int fine_share, const uint corner_capacity,
-                            const uint count_offset, const uint length,
-                            volatile __global uint *taken, volatile __global uint *finished,
-                            __global ulong *noise, __global uint2 *spans, __global int *lists,
-                            __global uint *restrict maxima, __global int *restrict corners,
-                            __global uint *restrict counts) {
-  const uint band = get_global_id(0), bands = get_global_size(0), segments = (bands + 1) / 2;
-  const size_t p = get_global_id(1), own = p * bands + band, segment = p * segments + band / 2;
-  const int height = (int)rows, width = (int)columns;
+/* Row y of the frame. */
+#define FRAME_ROW(y) (frame + (size_t)(y) * frame_step)
+#define IMAGE_ROW(y) (image + (size_t)(y) * step)
+
+/* List the maxima of a band of an octave, copy its rows to `image` unless the frame lies there, and
+ * fill their padding. frame, image: the first pixel. An odd band goes up. Two bands share a segment
+ * of the image and its list, which the second one fills from the end; together they may count more
+ * than its capacity. `taken` counts how often the bands of a segment have taken rows. `area` has a
+ * bit for every pixel of the frame, in rows of `frame_words`. Return the sum of the noise. */
+ulong search_band(const uint n, __global const PIXEL *frame, const uint frame_step,
+                  __global PIXEL *image, __global const uint *restrict area,
+                  const uint frame_words, const Octave octave, const uint band,
+                  const uint bands, const uint capacity, const uint full_scale,
+                  const float inverse, __global ushort *restrict work,
+                  volatile __global uint *taken, __global uint2 *spans, __global int *lists) {
+  const uint step = octave.step, columns = octave.columns;
+  const int height = (int)octave.rows, width = (int)columns;
   const int upward = band % 2, way = upward ? -1 : 1;
-  const int top = (int)(band / 2 * 2 * band_rows);
-  const int end = SMALLER(top + 2 * (int)band_rows, height);
+  const int band_rows = (height + (int)bands - 1) / (int)bands;
+  const int top = (int)band / 2 * 2 * band_rows;
+  const int end = SMALLER(top + 2 * band_rows, height);
   const int first = upward ? end - 1 : top;
-  __global ushort *levels = work + own * work_size;
-  __global ushort *s1 = levels + 4 * step, *s2 = s1 + SMOOTH_ROWS * step;
-  __global ushort *s3 = s2 + 4 * step, *column = s3 + SMOOTH_ROWS * step;
+  __global ushort *levels = work, *s1 = levels + 4 * step, *s2 = s1 + SMOOTH_ROWS * step;
+  __global ushort *s3 = s2 + 4 * step, *column = s3 + COARSE_ROWS * step;
   __global short *nothing = (__global short *)(column + 2 * step) + PAD;
   __global NOISE *noise_of_column = (__global NOISE *)(column + 3 * step) + PAD;
   __global short *first_response = (__global short *)(column + 5 * step);
@@ -491,7 +619,7 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
   take_noise(noise_of_column, width);
 
   /* `done` rows of the band are done; before the first, the steps fill their buffers. */
-  int left = take_rows(taken + segment, first - top, end - top, upward);
+  int left = take_rows(taken, first - top, end - top, upward);
   for (int done = -2 * BEYOND; left; ++done) {
     const int y = first + way * done, y_response = y + way * BESIDE_MAXIMUM;
     const int y_in = y + way * BEYOND, y1 = y_in - way, y2 = y1 - way, y3 = y2 - way;
@@ -518,24 +646,24 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
     if (done > -2 * BEYOND + 4 && y3 >= 0 && y3 < height) {
       column_of_levels(s2 + LEVEL_AT(HELD(y3 - 1)), s2 + LEVEL_AT(y3),
                        s2 + LEVEL_AT(HELD(y3 + 1)), column + PAD, width);
-      smooth_row_by_16(NEIGHBOURS(column + PAD), s3 + SMOOTH_AT(y3), width);
+      smooth_row_by_16(NEIGHBOURS(column + PAD), s3 + COARSE_AT(y3), width);
     }
     if (done >= -2 * BESIDE_MAXIMUM && y_response >= 0 && y_response < height) {
       const int y = y_response;
       __global short *response = first_response + RESPONSE_AT(y);
-      coarse_response_of_row(s3 + SMOOTH_AT(HELD(y - 5)), s3 + SMOOTH_AT(HELD(y - 4)),
-                             s3 + SMOOTH_AT(y), s3 + SMOOTH_AT(HELD(y + 4)),
-                             s3 + SMOOTH_AT(HELD(y + 5)), 5, 4, response, width);
+      coarse_response_of_row(s3 + COARSE_AT(HELD(y - 5)), s3 + COARSE_AT(HELD(y - 4)),
+                             s3 + COARSE_AT(y), s3 + COARSE_AT(HELD(y + 4)),
+                             s3 + COARSE_AT(HELD(y + 5)), 5, 4, response, width);
 #if FINE
-      response += kind;
-      fine_response_of_row(s1 + SMOOTH_AT(HELD(y - 3)), s1 + SMOOTH_AT(HELD(y - 2)),
-                           s1 + SMOOTH_AT(y), s1 + SMOOTH_AT(HELD(y + 2)),
-                           s1 + SMOOTH_AT(HELD(y + 3)), 3, 2, response, width);
+      if (n == 0)
+        fine_response_of_row(s1 + SMOOTH_AT(HELD(y - 3)), s1 + SMOOTH_AT(HELD(y - 2)),
+                             s1 + SMOOTH_AT(y), s1 + SMOOTH_AT(HELD(y + 2)),
+                             s1 + SMOOTH_AT(HELD(y + 3)), 3, 2, response + kind, width);
 #endif
     }
     if (done < 0) continue;
-    if (frame != image) copy_row(FRAME_ROW(y), image + ROW(p, y) + PAD, width);
-    REPEAT_BORDER(PIXEL, image + ROW(p, y) + PAD)
+    if (frame != image) copy_row(FRAME_ROW(y), IMAGE_ROW(y), width);
+    REPEAT_BORDER(PIXEL, IMAGE_ROW(y))
     if (y > 0 && y + 1 < height) {
       __global CURVATURE *curvature = (__global CURVATURE *)column + PAD;
       curvature_of_row(FRAME_ROW(y - 1), FRAME_ROW(y), FRAME_ROW(y + 1), curvature, width);
@@ -544,60 +672,96 @@ __kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
     }
 #pragma unroll
     for (int fine = 0; fine <= FINE; ++fine) {
+      if (n && fine) break;
       __global const short *responses = first_response + fine * kind;
       __global const short *rows_of[2 * BESIDE_MAXIMUM + 1], *const *row = rows_of + BESIDE_MAXIMUM;
       for (int dy = -BESIDE_MAXIMUM; dy <= BESIDE_MAXIMUM; ++dy)
         rows_of[BESIDE_MAXIMUM + dy] =
             y + dy < 0 || y + dy >= height ? nothing : responses + RESPONSE_AT(y + dy);
       const int peaks = peaks_of_row(row[-1], row[0], row[1], column, width);
-      const Ring inner = fine ? ring_of(s1, y, 2, 1, height, step)
-                              : ring_of(s1, y, 3, 2, height, step);
-      const Ring outer = fine ? ring_of(s1, y, 3, 2, height, step)
-                              : ring_of(s3, y, 5, 4, height, step);
-      const Ring between = ring_of(s3, y, 4, 3, height, step);
-      __global int *list = lists + (segment * (1 + FINE) + fine) * LIST_COLUMNS * capacity;
+      if (!peaks) continue;
+      const Ring s1_2 = RING_OF(s1, SMOOTH_AT, y, 2, 1), s1_3 = RING_OF(s1, SMOOTH_AT, y, 3, 2);
+      const Ring s3_4 = RING_OF(s3, COARSE_AT, y, 4, 3), s3_5 = RING_OF(s3, COARSE_AT, y, 5, 4);
+      const Ring s3_8 = RING_OF(s3, COARSE_AT, y, 8, 6);
+      __global const uint *allowed = area + (uint)TO_FRAME(y, n) * frame_words;
+      __global int *list = lists + (n ? FINE + n : fine) * LIST_COLUMNS * (size_t)capacity;
       for (int k = 0; k < peaks; ++k) {
         const int x = column[upward ? peaks - 1 - k : k];
-        const uint at = (uint)y * step + PAD + (uint)x;
-        if (!(area[at / 32] >> at % 32 & 1) || !is_maximum(row, x, row[0][x])) continue;
+        const uint bit = PAD + (uint)TO_FRAME(x, n);
+        if (!(allowed[bit / 32] >> bit % 32 & 1) || !is_maximum(row, x, row[0][x])) continue;
         int mark = 0;
         if (fine) {
-          const int2 v2 = harmonics_of(&inner, x, 2, 1).second;
-          const int2 v3 = harmonics_of(&outer, x, 3, 2).second;
+          const int2 v2 = harmonics_of(&s1_2, x, 2, 1).second;
+          const int2 v3 = harmonics_of(&s1_3, x, 3, 2).second;
           if (4 * dot_of(v2, v3) < dot_of(v3, v3)) continue;
         } else {
-          const Harmonics h5 = harmonics_of(&outer, x, 5, 4);
-          const Harmonics h4 = harmonics_of(&between, x, 4, 3);
-          const int2 v3 = harmonics_of(&inner, x, 3, 2).second;
+          const Harmonics h5 = harmonics_of(&s3_5, x, 5, 4);
+          const int2 v3 = harmonics_of(&s1_3, x, 3, 2).second;
           const int along = dot_of(v3, h5.second), all = dot_of(h5.second, h5.second);
           if (8 * (long)along < all) continue;
-          const int r = row[0][x], r4 = h4.length - (h4.odd - (h4.odd >> 2)) -
-                                      ((h4.centre >> 2) + (h4.centre >> 3));
+          const int r = row[0][x], r4 = coarse_response_of(harmonics_of(&s3_4, x, 4, 3));
           if (32 * r4 < r || r4 > 2 * r) continue;
           if (8 * h5.centre * (long)all > h5.length * (11 * (long)all + 8 * (long)along))
             continue;
-          /* Little is subtracted from the length: the corner is weak at most in contrast. */
-          mark = 4 * r >= 3 * h5.length ? CLEAN : 0;
+          mark = mark_of(n, x, r, h5, &s3_8);
         }
         if (found[fine] < capacity) {
-          const uint n = upward ? capacity - 1 - found[fine] : found[fine];
-          append(list, n, capacity, x, y, mark, row - 2);
+          const uint place = upward ? capacity - 1 - found[fine] : found[fine];
+          append(list, place, capacity, x, y, mark, row - 2);
         }
         ++found[fine];
       }
     }
-    if (--left == 0) left = take_rows(taken + segment, y + way - top, end - top, upward);
+    if (--left == 0) left = take_rows(taken, y + way - top, end - top, upward);
   }
-  noise[own] = noise_of_band + take_noise(noise_of_column, width);
-  for (int fine = 0; fine <= FINE; ++fine) {
+  for (int fine = 0; fine <= (n ? 0 : FINE); ++fine) {
     const uint start = upward ? capacity - SMALLER(found[fine], capacity) : 0;
-    spans[own * (1 + FINE) + fine] = (uint2)(start, found[fine]);
+    spans[n ? FINE + n : fine] = (uint2)(start, found[fine]);
+  }
+  return noise_of_band + take_noise(noise_of_column, width);
+}
+
+/* List the maxima of all octaves, and decide for the frame. The frame has its first pixel at
+ * `frame_start` and rows of `frame_step` elements; the octaves lie behind the frames in `image`. One
+ * work-item per band. The last band of a frame to finish decides; `finished` counts them. It and
+ * `taken` are 0 between launches. The fences and the counts order the lists of all bands before the
+ * decision, on every CPU: OpenCL 1.2 alone does not promise it between groups. */
+__kernel void harmonic_band(__global const PIXEL *frame, const uint frame_start,
+                            const uint frame_step, __global PIXEL *image,
+                            __global const uint *restrict area, const uint rows,
+                            const uint columns, const uint step, const uint capacity,
+                            const uint full_scale, const float inverse,
+                            __global ushort *restrict work, const uint work_size,
+                            const uint coarse_noise, const int coarse_share,
+                            const int fine_share, const uint corner_capacity,
+                            const uint count_offset, const uint length,
+                            volatile __global uint *taken, volatile __global uint *finished,
+                            __global ulong *noise, __global uint2 *spans, __global int *lists,
+                            __global uint *restrict maxima, __global int *restrict corners,
+                            __global uint *restrict counts) {
+  const uint band = get_global_id(0), bands = get_global_size(0), segments = (bands + 1) / 2;
+  const size_t p = get_global_id(1), own = p * bands + band;
+  uint before = 0; /* bands of the smaller octaves: these spread over the work-items */
+  for (int n = OCTAVES; n >= 0; --n) {
+    const Octave octave = octave_of((uint)n, rows, columns, step, get_global_size(1));
+    const uint searching = bands_of((uint)n, rows, bands), b = (band + bands - before % bands) % bands;
+    before += searching;
+    if (b >= searching) continue;
+    __global PIXEL *first = image + octave.start + (p * octave.rows + 1) * octave.step + PAD;
+    __global const PIXEL *from = n ? first : frame + frame_start + p * rows * frame_step;
+    const size_t segment = p * segments + b / 2;
+    noise[(p * (1 + OCTAVES) + n) * bands + b] =
+        search_band((uint)n, from, n ? octave.step : frame_step, first, area, step / 32, octave, b,
+                    searching, capacity, full_scale, inverse, work + own * work_size,
+                    taken + (p * (1 + OCTAVES) + n) * segments + b / 2,
+                    spans + (p * bands + b) * KINDS,
+                    lists + segment * KINDS * LIST_COLUMNS * capacity);
   }
   mem_fence(CLK_GLOBAL_MEM_FENCE);
   if (atomic_inc(finished + p) + 1 < bands) return;
   mem_fence(CLK_GLOBAL_MEM_FENCE);
   finished[p] = 0;
-  for (uint k = 0; k < segments; ++k) taken[p * segments + k] = 0;
+  for (uint k = 0; k < segments * (1 + OCTAVES); ++k) taken[p * segments * (1 + OCTAVES) + k] = 0;
   decide(p, noise, spans, lists, rows, columns, step, bands, capacity, full_scale,
          coarse_noise, coarse_share, fine_share, corner_capacity, count_offset, length, maxima,
          corners, counts);

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from stereo_data import gel, grid_of, project, toed_in_rig
 
-from cmp_cl import Detector, DetectorConfig, EdgeLines, EdgeStep
+from cmp_cl import Detector, DetectorConfig, EdgeLines, EdgeStep, RingHarmonic
 from cmp_cl.grid import build_grid, filter_positions
 from cmp_cl.grid.filter import bend_shift, bend_shift_of, image_sigma, with_bends
 from cmp_cl.motion import PlaneScale, displacement
@@ -108,7 +108,11 @@ def test_sigma_holds_for_raw_positions_of_wide_blurred_bent_cells():
     image = cv2.resize(image, (400, 300), interpolation=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (0, 0), 2.5)
     image += np.random.default_rng(1).normal(0, 2, image.shape)
-    config = DetectorConfig.for_cell(cell).replace(scale=max(0.24, 24 / cell))
+    config = DetectorConfig(
+        detection=RingHarmonic(fine=False, octaves=0),
+        refinement=EdgeStep(cell=cell),
+        scale=max(0.24, 24 / cell),
+    )
     corners = detect(image.clip(0, 255).astype(np.uint8), config)
     grid = build_grid(corners)
     inside = np.abs(grid.xy - (199.5, 149.5)) < np.array([199.5, 149.5]) - grid.edge_radius
@@ -127,7 +131,9 @@ def test_sigma_holds_for_raw_positions_of_wide_blurred_bent_cells():
     [
         DetectorConfig(),
         DetectorConfig.for_cell(40.0),
-        DetectorConfig(refinement=EdgeStep(cell=10.0), scale=0.5),
+        DetectorConfig(
+            detection=RingHarmonic(octaves=0), refinement=EdgeStep(cell=10.0), scale=0.5
+        ),
         DetectorConfig(refinement=EdgeLines()),
     ],
 )

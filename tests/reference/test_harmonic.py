@@ -219,7 +219,7 @@ def test_the_kept_maxima_follow_the_definition(name):
 def test_the_start_is_the_centroid_of_the_positive_responses():
     image = EIGHT["worn scene"]
     found = corners_of(image)
-    centroid, rounded = harmonic.centroids(found)
+    centroid, rounded = found.centroid, found.rounded
     for k, (x, y, fine) in enumerate(zip(found.x, found.y, found.fine, strict=True)):
         response = found.maps.fine_response if fine else found.maps.coarse_response
         one, whole = nms.centroids(np.maximum(response, 0), np.array([x]), np.array([y]))

@@ -6,7 +6,7 @@ import pytest
 from corner_images import board, noise
 
 from cmp_cl import reference
-from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, EdgeLines
+from cmp_cl.config import AdaptiveMean, BinaryRings, DetectorConfig, EdgeLines, RingHarmonic
 from cmp_cl.reference import scale
 
 
@@ -89,7 +89,7 @@ def test_working_pixels_lie_where_the_mapping_says():
 @pytest.mark.parametrize("factor", [0.5, 0.62])
 def test_large_cells_are_found_at_a_smaller_scale(factor):
     image, truth = board(240, 260, 30)
-    config = DetectorConfig(scale=factor, refinement=EdgeLines())
+    config = DetectorConfig(detection=RingHarmonic(octaves=0), scale=factor, refinement=EdgeLines())
     corners = reference.detect(image, config)
     distance = np.linalg.norm(corners.xy[:, None] - truth, axis=2)
     assert (distance.min(axis=0) < 0.2).all()
@@ -105,7 +105,9 @@ def test_large_cells_are_found_at_a_smaller_scale(factor):
 @pytest.mark.parametrize("factor", [0.05, 0.6, 3.0])
 def test_tiny_images_at_a_scale_have_their_corners_within_them(factor):
     for shape in [(1, 1), (2, 5), (9, 1)]:
-        corners = reference.detect(noise(shape), DetectorConfig(scale=factor))
+        corners = reference.detect(
+            noise(shape), DetectorConfig(detection=RingHarmonic(octaves=0), scale=factor)
+        )
         assert np.isfinite(corners.xy).all()
         assert (corners.pixel >= 0).all()
         assert (corners.pixel < shape[::-1]).all()

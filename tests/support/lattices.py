@@ -152,6 +152,7 @@ def _sorted(
     corners = Corners(
         xy=xy.astype(np.float32),
         pixel=np.rint(xy).astype(np.int32),
+        octave=np.zeros(len(z), np.uint8),
         response=np.ones(len(z), np.float32),
         method=np.full(len(z), Method.EDGE_LINES, np.uint8),
         sigma=np.linspace(0.1, 0.2, len(z), dtype=np.float32),

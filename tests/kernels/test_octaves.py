@@ -1,0 +1,84 @@
+"""Octaves: halving, the same rule in halved frames, and refinement there, as the oracle does."""
+
+import cv2
+import images
+import numpy as np
+import pytest
+from comparison import assert_corners_equal, assert_maps_equal, assert_same_bytes
+
+from cmp_cl import DetectorConfig, EdgeLines, Midlines, RingHarmonic
+
+SHAPE = (263, 305)  # odd, also when halved
+OCTAVES = DetectorConfig(detection=RingHarmonic(octaves=3))
+
+
+def ink(cell, share, angle=0.2):
+    """Return a board of sharp cells, whose edges the ink moves by a share of a cell, and its
+    corners."""
+    image, truth = images.board(*SHAPE, cell, angle=angle, blur=0.7, samples=3)
+    grown = np.ones((2 * round(share * cell) + 1,) * 2)
+    return cv2.erode(image, grown), truth
+
+
+def drawn(seed):
+    """Return a board with grown ink, blur and noise, white or correlated, of drawn sizes."""
+    rng = np.random.default_rng(seed)
+    image = ink(rng.uniform(8, 70), rng.uniform(0, 0.1), rng.uniform(0, 1.5))[0].astype(float)
+    noise = cv2.GaussianBlur(rng.normal(0, 1, SHAPE), (0, 0), rng.uniform(0.3, 3))
+    image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.3, 4)) + 12 * noise / noise.std()
+    return image.clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "config",
+    [
+        OCTAVES,
+        OCTAVES.replace(refinement=EdgeLines(), nms_radius=1),
+        OCTAVES.replace(refinement=Midlines()),
+        DetectorConfig(
+            detection=RingHarmonic(octaves=2, fine=False, noise=0.5, relative=0.05),
+            refinement=None,
+            nms_radius=7,
+        ),
+    ],
+)
+def test_corners_of_all_octaves_equal_the_oracle(detector_in_form, seed, config):
+    image = drawn(seed)
+    assert_corners_equal(detector_in_form(image, config), image)
+    deep = image.astype(np.uint16) * 257
+    assert_corners_equal(detector_in_form(deep, config), deep)
+
+
+@pytest.mark.parametrize("cell", [40, 50])
+def test_squares_that_ink_joins_have_their_corners_in_a_halved_frame(detector_in_form, cell):
+    image, truth = ink(cell, 0.08)
+    inside = ((truth > cell / 2) & (truth < np.array(SHAPE[::-1]) - cell / 2)).all(axis=1)
+    found = detector_in_form(image, OCTAVES)(image)
+    apart = np.linalg.norm(truth[inside][:, None] - found.xy, axis=2)
+    assert inside.sum() > 8
+    assert apart.min(axis=1).max() < 0.1 * cell
+    whole = ((found.xy > cell) & (found.xy < np.array(SHAPE[::-1]) - cell)).all(axis=1)
+    assert np.linalg.norm(found.xy[whole][:, None] - truth, axis=2).min(axis=1).max() < 0.1 * cell
+    assert (found.octave > 0).any()
+    order = np.lexsort((found.pixel[:, 0], found.pixel[:, 1]))
+    np.testing.assert_array_equal(order, np.arange(len(found)))
+
+
+def test_an_octave_keeps_to_the_mask_and_a_batch_equals_the_loop(detector_in_form):
+    image, _ = ink(50, 0.08)
+    mask = np.zeros(SHAPE, np.bool_)
+    mask[:, :150] = True
+    corners = assert_corners_equal(detector_in_form(image, OCTAVES, mask), image, mask=mask)
+    assert 0 < len(corners) < len(detector_in_form(image, OCTAVES)(image))
+    assert (corners.pixel[:, 0] < 150).all()
+    detector = detector_in_form(image, OCTAVES)
+    frames = [image, drawn(5), image[::-1].copy()]
+    for one, frame in zip(detector.batch(frames), frames, strict=True):
+        assert_same_bytes(one, detector(frame))
+    assert_maps_equal(detector, image)
+
+
+def test_a_frame_too_small_to_halve_has_one_octave(detector_in_form):
+    image = images.board(100, 120, 15)[0]
+    assert (assert_corners_equal(detector_in_form(image, OCTAVES), image).octave == 0).all()
