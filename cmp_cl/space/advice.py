@@ -22,7 +22,7 @@ _TILT, _EITHER_TILT = 15.0, 7.0  # degrees: the largest tilt, and the typical on
 def advice(found: Calibration, names: Mapping[str, Sequence[str]] | None = None) -> list[str]:
     """Return what would make a calibration better, a sentence each; [] if nothing is missing.
 
-    names: by camera, the name of each view; None means their numbers.
+    found: the calibration. names: by camera, the name of each view; None means their numbers.
 
     It tells which parts of an image show no board, of three by three; whether the boards are hardly
     tilted (the focal length is then uncertain) or about one axis only; which views are alike; and
