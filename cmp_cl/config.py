@@ -239,7 +239,7 @@ class Midlines:
 
 
 _TABLE_2_WINDOWS = {20: 41, 30: 31, 40: 21}
-_WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px, smaller ones not joined
+_WIDE_CELL = 20  # px; wider cells are not squeezed under 6 px
 _DETECTIONS: dict[str, type] = {"ring_harmonic": RingHarmonic, "binary_rings": BinaryRings}
 _CRITERIA: dict[str, type] = {"rapid": RapidCriteria, "spectral": SpectralCriteria}
 _MOVED = ("threshold", "criteria", "contrast", "outer_radius")
@@ -291,12 +291,13 @@ class DetectorConfig:
     def for_cell(cls, cell: float) -> Self:
         """Leave out what cells of that side, px (4 to 1000), do not need.
 
-        Cells under 20 px need no octaves, wider ones no search for squeezed cells. The radius of
-        the refinement is that of the cell. Raises ConfigError if the cell is out of range.
+        Squeezed cells are searched for only if cells are under 20 px wide. The radius of the
+        refinement is that of the cell. Raises ConfigError if the cell is out of range.
         """
         check_range("DetectorConfig.for_cell(cell)", cell, 4, 1000)
-        detection = RingHarmonic(octaves=0) if cell < _WIDE_CELL else RingHarmonic(fine=False)
-        return cls(detection=detection, refinement=EdgeStep(cell=cell))
+        return cls(
+            detection=RingHarmonic(fine=bool(cell < _WIDE_CELL)), refinement=EdgeStep(cell=cell)
+        )
 
     @classmethod
     def paper(cls, markers: int) -> Self:

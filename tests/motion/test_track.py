@@ -48,6 +48,7 @@ def corners_at(xy, *, turn=0.05, torn=()):
     return Corners(
         xy=xy.reshape(-1, 2).astype(np.float32),
         pixel=np.rint(xy.reshape(-1, 2)).astype(np.int32),
+        octave=np.zeros(count, np.uint8),
         response=np.ones(count, np.float32),
         method=np.full(count, 2, np.uint8),
         refusal=np.zeros(count, np.uint8),
