@@ -10,7 +10,7 @@ from pathlib import Path
 
 from accuracy import unpacked
 from environment import RESULTS
-from methods import DEFAULT
+from methods import DEFAULT, GRIDDED, LINES, PAPER
 from sections.detection import (
     accuracy,
     against_time,
@@ -22,12 +22,21 @@ from sections.detection import (
 )
 from sections.field import field, wrong_indices
 from sections.grid import open_patterns, partial_views, surroundings
-from sections.plots import SHOWN
 from sections.positions import positions, strain
 from sections.speed import scaling, speed
 from sections.stability import breaking, implementations, stability, theory
-from sections.tables import Row, described, is_peer, share_of, table
+from sections.tables import Row, described, share_of, table
 
+IN_README = (
+    DEFAULT,
+    LINES,
+    PAPER,
+    GRIDDED,
+    "goodFeaturesToTrack + cornerSubPix",
+    "chess-corners, lean, saddle",
+    "findChessboardCornersSB",
+    "libcbdetect",
+)
 BEGIN, END = "<!-- by bench/report.py -->\n", "<!-- until here -->\n"
 INTRODUCTION = """# What was measured
 
@@ -72,7 +81,7 @@ def figures(timed: Row, errors: Row) -> str:
     whole = {row["method"]: row for row in unpacked(errors)["rows"] if row["group"] == "all"}
     body = []
     for name, row in sorted(small.items(), key=lambda item: item[1]["ms"]):
-        if not (name in SHOWN or is_peer(name)):
+        if name not in IN_README:
             continue
         success = whole.get(name) and share_of(whole[name]["success"], whole[name]["frames"])
         found = [row["ms"], large[name]["ms"] if name in large else None, row["rmse"]]

@@ -40,7 +40,8 @@ VIDEO_SUFFIXES = frozenset(  # a GIF is read as a video: it may have several fra
 )
 # Demuxers of FFmpeg that read one file. Lists of other files, such as ffconcat, are not among them.
 _DEMUXERS = (
-    "asf,avi,flv,gif,h264,hevc,m4v,matroska,mjpeg,mov,mpeg,mpegts,mpegvideo,mxf,ogg,yuv4mpegpipe"
+    "asf,avi,flv,gif,h264,hevc,jpeg_pipe,m4v,matroska,mjpeg,mov,mpeg,mpegts,mpegvideo,mxf,ogg,"
+    "yuv4mpegpipe"
 )
 _MOST_PIXELS = 1 << 28  # of a frame of a video
 _MOST_PIPED = 1 << 28  # bytes of an image that comes through a pipe

@@ -223,5 +223,11 @@ def test_every_kernel_file_has_a_test():
 SHARED_TESTS = {
     "border": "kernels/test_binarize.py",
     "centroids": "kernels/test_centroid.py",
+    "halve": "kernels/test_octaves.py",
     "markers": "grid/test_markers.py",
+    **dict.fromkeys(("bins", "faces", "links", "parts"), "lattice/test_parts.py"),
+    "nodes": "lattice/test_nodes.py",
+    "votes": "lattice/test_votes.py",
+    **dict.fromkeys(("filter", "space", "strain"), "motion/test_field.py"),
+    "track": "motion/test_track.py",
 }

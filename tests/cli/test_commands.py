@@ -126,7 +126,8 @@ def test_a_recording_becomes_its_displacements(run, recording, press):
     assert series["index"].tolist() == [0, 1, 2]
     assert series["displacement"].shape == (3, 12, 12, 3)
     assert str(series["unit"]) == "mm"
-    np.testing.assert_array_equal(series["displacement"][0], 0)
+    # The kernels compute the field, and NumPy the positions at rest: a nanometre apart.
+    np.testing.assert_allclose(series["displacement"][0], 0, rtol=0, atol=1e-6)
     assert max(off_by(series, press, (0, 1, 2))) < CLOSE
     moved = np.linalg.norm(press[2].xyz - press[0].xyz, axis=2).max()
     assert moved > 1
@@ -514,7 +515,7 @@ def test_a_rectangle_in_each_view_selects_one_of_two_patterns(run, recording, pr
         np.testing.assert_allclose(series[view], alone[view] + [VIEW[1], 0], atol=1e-4)
     apart = np.abs(series["displacement"] - alone["displacement"]).max(axis=-1)
     # sigma compares a corner with the median of its whole frame, and weighs the two views
-    assert (apart <= 0.1 * alone["sigma"]).all()
+    assert (apart <= 0.1 * alone["sigma"] + 1e-6).all()  # mm: at rest sigma is 0
     status, _, err = run("run", doubled, "--out", "one.npz", "--region", boxes[0])
     assert (status, err) == (0, "")
     one = np.load("one.npz")["rest"]
