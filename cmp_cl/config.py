@@ -124,7 +124,7 @@ class RingHarmonic:
     noise: float = 2.0
     relative: float = 0.1875
     fine: bool = True
-    octaves: int = 0
+    octaves: int = 3
 
     def __post_init__(self) -> None:
         check_range("RingHarmonic.noise", self.noise, 0, 100)
@@ -291,12 +291,14 @@ class DetectorConfig:
     def for_cell(cls, cell: float) -> Self:
         """Leave out what cells of that side, px (4 to 1000), do not need.
 
-        Squeezed cells are searched for only if cells are under 20 px wide. The radius of the
-        refinement is that of the cell. Raises ConfigError if the cell is out of range.
+        Cells under 20 px need no octaves, and wider ones no search for squeezed cells. The radius
+        of the refinement is that of the cell. Raises ConfigError if the cell is out of range.
         """
         check_range("DetectorConfig.for_cell(cell)", cell, 4, 1000)
+        small = bool(cell < _WIDE_CELL)
+        octaves = 0 if small else RingHarmonic.octaves
         return cls(
-            detection=RingHarmonic(fine=bool(cell < _WIDE_CELL)), refinement=EdgeStep(cell=cell)
+            detection=RingHarmonic(fine=small, octaves=octaves), refinement=EdgeStep(cell=cell)
         )
 
     @classmethod

@@ -51,7 +51,8 @@ NAMES = [f"{part.__name__}.{field}" for part, field, *_ in BOUNDS]
 @pytest.mark.parametrize(("part", "field", "low", "high", "step"), BOUNDS, ids=NAMES)
 def test_bounds_are_allowed_and_a_step_beyond_is_not(part, field, low, high, step):
     for value in (low, high):
-        assert getattr(part(**{field: value}), field) == value
+        others = {"detection": RingHarmonic(octaves=0)} if field == "scale" else {}
+        assert getattr(part(**{field: value}, **others), field) == value
     for value in (low - step, high + step):
         with pytest.raises(ConfigError) as caught:
             part(**{field: value})
@@ -255,7 +256,9 @@ def test_small_cells_get_the_small_ring():
 
 def test_squeezed_cells_are_searched_if_cells_are_small():
     small, wide = (DetectorConfig.for_cell(cell) for cell in (19.9, 20))
-    assert small == DetectorConfig(refinement=EdgeStep(cell=19.9))
+    assert small == DetectorConfig(
+        detection=RingHarmonic(octaves=0), refinement=EdgeStep(cell=19.9)
+    )
     rule = RingHarmonic(fine=False)
     assert wide == DetectorConfig(detection=rule, refinement=EdgeStep(cell=20))
 

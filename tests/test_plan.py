@@ -281,7 +281,9 @@ def test_buffers_need_at_most_eight_bytes_a_pixel_besides_the_image(device_in_fo
     for (name, config), dtype in itertools.product(CONFIGS.items(), (np.uint8, np.uint16)):
         sizes = sizes_of(device_in_form, config, dtype, shape)
         besides = sum(sizes.values()) - sizes["image"]
-        assert besides <= 8 * shape[0] * shape[1], (name, dtype, sizes)
+        octaves = getattr(config.detection, "octaves", 0)  # a third of the pixels more
+        most = 9 if octaves else 8
+        assert besides <= most * shape[0] * shape[1], (name, dtype, sizes)
 
 
 @pytest.mark.parametrize("shape", [(480, 640), (1200, 1600)], ids=str)

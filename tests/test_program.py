@@ -104,7 +104,7 @@ def test_batches_and_maps_of_a_detector_compile_nothing_anew(own_programs, devic
 CONFIGS = {
     "default": DetectorConfig(),
     "wide cells, step, scaled": DetectorConfig(
-        detection=RingHarmonic(fine=False), refinement=EdgeStep(), scale=0.5
+        detection=RingHarmonic(fine=False, octaves=0), refinement=EdgeStep(), scale=0.5
     ),
     "rings": rings(),
     "rings, step, scaled": DetectorConfig(

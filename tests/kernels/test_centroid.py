@@ -12,9 +12,9 @@ from cmp_cl import DetectorConfig, Method, RingHarmonic, reference
 EIGHT = images.eight_bits()
 RULES = {
     "rings": rings(refinement=None),
-    "harmonic": DetectorConfig(refinement=None),
+    "harmonic": DetectorConfig(detection=RingHarmonic(octaves=0), refinement=None),
     "every maximum": DetectorConfig(
-        detection=RingHarmonic(noise=0, relative=0),
+        detection=RingHarmonic(noise=0, relative=0, octaves=0),
         nms_radius=1,
         refinement=None,
     ),

@@ -16,6 +16,7 @@ from cmp_cl import (
     EdgeStep,
     Midlines,
     RapidCriteria,
+    RingHarmonic,
     SpectralCriteria,
 )
 from cmp_cl.stages.form import Form
@@ -36,7 +37,11 @@ def detector_of_form(device, image, mask=None, **settings):
 
 
 @pytest.mark.parametrize("scale", [None, 0.63])
-@pytest.mark.parametrize("rule", [rings(), DetectorConfig()], ids=["rings", "harmonic"])
+@pytest.mark.parametrize(
+    "rule",
+    [rings(), DetectorConfig(detection=RingHarmonic(octaves=0))],
+    ids=["rings", "harmonic"],
+)
 def test_refinement_launches_the_kernels_of_the_form_of_the_device(
     detector_in_form, form, rule, scale
 ):
