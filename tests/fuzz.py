@@ -110,6 +110,7 @@ def random_config(compiled: Rng, rng: Rng) -> DetectorConfig:
             noise=_one(rng, 2.0, 0, 100, float(rng.uniform(0, 4))),
             relative=_one(rng, 0.1875, 0, 1, float(rng.random())),
             fine=bool(fine),
+            octaves=0 if is_scaled else int(rng.integers(0, 4)),
         ),
         False: BinaryRings(
             threshold=AdaptiveMean(window=window, offset=offset),
