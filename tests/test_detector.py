@@ -729,7 +729,7 @@ CHANGES = {
     "full_scale": (DEEP, D(), D(full_scale=4095)),
     "RingHarmonic.noise": (EIGHT["noise"], harmonic(), harmonic(noise=0)),
     "RingHarmonic.relative": (TEXTURE, harmonic(), harmonic(relative=0.8)),
-    "RingHarmonic.octaves": (INK, harmonic(), harmonic(octaves=1)),
+    "RingHarmonic.octaves": (INK, harmonic(), harmonic(octaves=0)),
     "RingHarmonic.fine": (TEXTURE, harmonic(), harmonic(fine=False)),
     "AdaptiveMean.window": (TEXTURE, D(), D(threshold=AdaptiveMean(window=9))),
     "AdaptiveMean.offset": (TEXTURE, D(), D(threshold=AdaptiveMean(offset=20))),
