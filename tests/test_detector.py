@@ -709,7 +709,7 @@ TEXTURE = EIGHT["texture"]
 WORN = images.scene(1.5, seed=3).image
 DEEP = images.sixteen_bits()["12-bit board"]
 INK = np.kron(np.indices((4, 4)).sum(0) % 2, np.ones((40, 40))).astype(np.uint8) * 255
-INK = cv2.GaussianBlur(cv2.erode(INK, np.ones((5, 5))), (0, 0), 0.7)
+INK = cv2.GaussianBlur(cv2.erode(INK, np.ones((7, 7))), (0, 0), 0.7)
 WIDE = RapidCriteria(corrosion_threshold=17)
 
 
