@@ -34,11 +34,12 @@ def save_corners(path: str | PathLike[str], views: Views, *, spacing: float = ma
     views: the grid, by file name of the image; None if the board is not seen. All grids have one
     shape. spacing: side of a square, for the formats that state it.
 
-    .vnl: mrcal's corners.vnl, `# filename x y level`, row by row, with `- -` for a missing corner
-    and for an image without the board. mrcal weights a level of n by 2^-n. The level is log2(sigma
-    / smallest sigma of all), rounded, and 0 if sigma is unknown. .yaml .yml: OpenCV's FileStorage:
-    `rows`, `columns`, `spacing`, and of each view `name`, `object_points` (N, 3) and
-        `image_points` (N, 2).
+    A name in .vnl is mrcal's corners.vnl, `# filename x y level`, row by row, with `- -` for a
+    missing corner and for an image without the board. mrcal weights a level of n by 2^-n. The level
+    is log2(sigma / smallest sigma of all), rounded, and 0 if sigma is unknown.
+
+    A name in .yaml or .yml is OpenCV's FileStorage, with `rows`, `columns`, `spacing`, and of each
+    view `name`, `object_points` (N, 3) and `image_points` (N, 2).
 
     Raises ConfigError on another suffix or without any view, CalibrationError if shapes
     differ or a name has white space that .vnl cannot hold, OSError.
@@ -234,12 +235,14 @@ def save_cameras(
 ) -> list[Path]:
     """Write cameras in the format that the file name determines; return the files.
 
-    .yaml, .yml: OpenCV's FileStorage. The keys are numbered from 1: K1 D1 K2 D2 ..., lens1, name1,
-        size1; R2 T2 ... are the poses relative to the first camera. Two pinhole or rational cameras
-        also have R and T, and the `covariance` of `StereoRig`, which reads the file.
-    .camchain.yaml: Kalibr, with T_cn_cnm1 in m; the topic of each is /NAME/image_raw.
-    .camera_info.yaml: ROS (camera_calibration_parsers), unrectified; several cameras get a file
-        each, NAME-CAMERA.camera_info.yaml.
+    A name in .yaml or .yml is OpenCV's FileStorage. The keys are numbered from 1: K1 D1 K2 D2 ...,
+    lens1, name1, size1; R2 T2 ... are the poses relative to the first camera. Two pinhole or
+    rational cameras also have R and T, and the `covariance` of `StereoRig`, which reads the file.
+
+    A name in .camchain.yaml is Kalibr's, with T_cn_cnm1 in m; the topic of each is /NAME/image_raw.
+
+    A name in .camera_info.yaml is for ROS (camera_calibration_parsers), unrectified; several
+    cameras get a file each, NAME-CAMERA.camera_info.yaml.
 
     Raises ConfigError on another name, CalibrationError if Kalibr has no such lens (rational, or k3
     other than 0) or the unit is not m, cm, mm or um, and OSError.
