@@ -1,13 +1,14 @@
-"""The parts' arguments and results, and the environment of a measurement: device, driver, versions,
-commit, and the load by others."""
+"""What all parts share: their arguments, their tables, and the environment of a measurement."""
 
 import argparse
+import csv
 import datetime
 import json
 import os
 import platform
 import subprocess
 import time
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,30 @@ def parser_of(doc: str, *, quick: str | None = None) -> argparse.ArgumentParser:
         parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--out", type=Path, help="the JSON to write")
     return parser
+
+
+def write_table(name: str, rows: Sequence[Mapping[str, Any]], out: Path | None) -> None:
+    """Write rows as results/NAME.csv, or as NAME.csv in the folder `out`.
+
+    One row a measurement, one column a quantity. The first line is a comment with `environment()`
+    as JSON; pandas reads the rest with comment="#".
+    """
+    path = (out or RESULTS) / f"{name}.csv"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    with path.open("w", newline="") as file:
+        file.write(f"# {json.dumps(environment())}\n")
+        table = csv.DictWriter(file, columns, lineterminator="\n")
+        table.writeheader()
+        table.writerows({key: _short(value) for key, value in row.items()} for row in rows)
+    print(f"wrote {path}")
+
+
+def _short(value: Any) -> Any:
+    """Return floats with five digits, and nothing for NaN."""
+    if not isinstance(value, float):
+        return value
+    return "" if value != value else f"{value:.5g}"
 
 
 def write_result(
