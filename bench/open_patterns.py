@@ -238,7 +238,6 @@ def answers(every: Sequence[Case]) -> list[dict[str, Any]]:
                     "corners": len(corners),
                     "nodes": 0 if alone is None else int(alone.valid.sum()),
                     "alone": verdict(rest, at_rest, alone, case),
-                    "margin": None if alone is None else alone.margin,
                     "followed": followed(detector, rest, case, level, 7000 + number),
                 }
             )

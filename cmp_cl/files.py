@@ -1,4 +1,4 @@
-"""Files written whole or not at all, and settings read within bounds."""
+"""Files written whole or not at all, and settings and arrays read within bounds."""
 
 import contextlib
 import csv
@@ -6,17 +6,25 @@ import errno
 import os
 import secrets
 import tomllib
+import zipfile
 from collections.abc import Callable, Iterable, Iterator
-from io import StringIO
+from io import BytesIO, StringIO
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cmp_cl.errors import CmpClError, FieldError, listed
 
 _MOST_TOML = 1 << 16  # bytes
 _MOST_BRACKETS = 500  # in a TOML file, which limits the nesting of tables and arrays
 _MOST_DOTS = 100  # in a line, which limits the nesting of keys
+_NPY_HEADERS = {
+    (1, 0): np.lib.format.read_array_header_1_0,
+    (2, 0): np.lib.format.read_array_header_2_0,
+}
 _WRITABLE = 0o222  # mode bits that allow writing
 
 
@@ -218,3 +226,39 @@ def read_toml(path: str | PathLike[str]) -> dict[str, Any]:
     if dots > _MOST_DOTS or text.count("[") + text.count("{") > _MOST_BRACKETS:
         raise ValueError("nested too deep, no settings")
     return tomllib.loads(text.replace("\r\n", "\n"))
+
+
+def read_npz(
+    path: str | PathLike[str], names: Iterable[str], error: type[CmpClError]
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of those names from a file that `numpy.savez` wrote.
+
+    Raises OSError if the file cannot be read; the error if it is damaged, packed or of another
+    kind, or lacks an array. No array is larger than the file.
+    """
+    check_path(path, FileNotFoundError)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = {info.filename: info for info in archive.infolist()}
+            lacking = [name for name in names if f"{name}.npy" not in members]
+            if lacking:
+                raise error(f"{str(path)!r} lacks the array {lacking[0]!r}")
+            return {name: _array_of(archive, members[f"{name}.npy"]) for name in names}
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError) as why:
+        if isinstance(why, CmpClError):
+            raise
+        raise error(f"{str(path)!r} is damaged or no .npz of arrays: {why}") from why
+
+
+def _array_of(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Return an array of an archive; raises ValueError if it is none, or is packed."""
+    if member.compress_type != zipfile.ZIP_STORED:
+        raise ValueError(f"{member.filename} is packed")
+    data = archive.read(member)
+    file = BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    if version not in _NPY_HEADERS:
+        raise ValueError(f"{member.filename} has the unknown version {version}")
+    shape, fortran, dtype = _NPY_HEADERS[version](file)
+    values = np.frombuffer(data, dtype, offset=file.tell())
+    return values.reshape(shape, order="F" if fortran else "C").copy()

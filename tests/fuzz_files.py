@@ -1,4 +1,4 @@
-"""Reads damaged files of every kind: settings, rigs, images, videos, series, MCAP files.
+"""Reads damaged files of every kind: settings, rigs, grids, images, videos, series, MCAP files.
 
     python tests/fuzz_files.py --cases 5000 --seed 1 [--megabytes 3000] [--seconds 600]
 
@@ -32,6 +32,7 @@ from cmp_cl import (
     CmpClError,
     DetectorConfig,
     EdgeStep,
+    Grid,
     Midlines,
     RingHarmonic,
     StereoRig,
@@ -91,6 +92,15 @@ def rigs(folder: Path) -> Iterator[Path]:
             storage.write(name, np.asarray(getattr(rig, name)))
         storage.release()
         yield path
+
+
+def grids(folder: Path) -> Iterator[Path]:
+    """Write a grid."""
+    xy = 9 * np.stack(np.indices((6, 8)), axis=2).astype(np.float32)
+    index = np.argwhere(xy[..., 0] >= 0).astype(np.int32)
+    status, sigma = np.ones((6, 8), np.uint8), np.full((6, 8), 0.1, np.float32)
+    Grid(xy=xy, status=status, sigma=sigma, index=index).save(folder / "rest.npz")
+    yield folder / "rest.npz"
 
 
 def checkerboard() -> np.ndarray:
@@ -190,6 +200,7 @@ def read_bag(path: Path) -> None:
 KINDS: dict[str, tuple[Callable[[Path], Iterator[Path]], Callable[[Path], Any]]] = {
     "settings": (settings, DetectorConfig.load),
     "rigs": (rigs, StereoRig.load),
+    "grids": (grids, Grid.load),
     "images": (images, read_image),
     "videos": (videos, read_video),
     "series": (series, read_one_series),

@@ -565,11 +565,9 @@ def _result(corners: Corners, inside: Index, board: Board) -> Grid:
         border=ends.sides,
         reach=ends.border.reach,
         past=ends.border.past,
-        continues=numbered.continues,
         seen_shape=numbered.seen_shape,
-        ambiguous=numbered.ambiguous or ends.reflected,
+        confidence=0.0 if numbered.ambiguous or ends.reflected else math.inf,
         reflected=ends.reflected,
         rival=numbered.rival,
-        margin=numbered.margin,
         edge_radius=corners.edge_radius,
     )

@@ -1,8 +1,9 @@
 """Drops parts of a lattice that nothing links to the rest any more and whose numbers are wrong."""
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from cmp_cl.grid.grid import components
 from cmp_cl.grid.nodes import Mask, Nodes, Points
 
 _AROUND = 4  # rows and columns around a part whose nodes say where it should lie
@@ -41,3 +42,20 @@ def distance_from_place(at: Points, part: Mask, others: Mask) -> float:
     origin, down, along = np.linalg.lstsq(model, at[near], rcond=None)[0]
     off = at[row, column] - (origin + down * row + along * column)
     return float(abs(off.mean()) / max(abs(down), abs(along)))
+
+
+def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Label the nodes connected by steps along rows and columns, the largest part first: (R, C).
+
+    there: (R, C) bool, True at a node. The label of an entry without a node is -1.
+    """
+    if not there.size or there.all():
+        return np.zeros(there.shape, np.int32)
+    count, label = cv2.connectedComponents(there.astype(np.uint8), connectivity=4)
+    size = np.bincount(label.ravel(), minlength=count)
+    size[0] = -1  # no node
+    rank = np.empty(count, np.int32)
+    rank[np.argsort(-size, kind="stable")] = np.arange(count)
+    rank[0] = -1
+    ranks: NDArray[np.int32] = rank[label]
+    return ranks

@@ -4,15 +4,17 @@ import dataclasses
 import enum
 import math
 from numbers import Integral
+from os import PathLike
 from typing import Any, NamedTuple, TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_cl.errors import ConfigError, GridError, check_kind, check_positive
+from cmp_cl.files import read_npz, suffix_of, whole_file
 from cmp_cl.grid.curves import points_between
 from cmp_cl.grid.limits import check_size
+from cmp_cl.grid.saved import SAVED, packed, unpacked
 
 
 class NodeStatus(enum.IntEnum):
@@ -61,6 +63,7 @@ def turned_sides(sides: tuple[T, T, T, T], quarters: int) -> tuple[T, T, T, T]:
 
 
 NO_SIDES = Sides()
+SURE = 5.0  # nats: least confidence of numbers that are not ambiguous
 UNSEEN = (math.nan, math.nan, math.nan, math.nan)
 
 
@@ -89,8 +92,6 @@ class Grid:
         and (1, 1), is black, 1 where it is white.
     origin: number (row, column) of index (0, 0). It is not (0, 0) if nodes lie above or left of the
         first row or column at rest. The number of a node is its index + origin.
-    component: (R, C) int32, 0 for the nodes of the largest connected part, then 1, 2, ...; -1 where
-        missing. It is computed if it is left out.
     border: sides on which the pattern ends in the view; None if that is unknown, because the grid
         was built without the image.
     reach: the reach of its last squares beyond the last nodes, cells, 1 if they are whole: top,
@@ -98,19 +99,15 @@ class Grid:
     past: the difference of the image between the two sides of a border's line past the pattern, as
         a share of the pattern's contrast; NaN where it is not seen. It is large at the edge of an
         object that hides a part of the pattern.
-    continues: sides on which the pattern continues beyond a known shape, so that the shape is
-        wrong.
     seen_shape: the rows and columns that are seen, if they contradict a known shape, else None.
-    ambiguous: whether another numbering explains the frame too. The numbers are then those of
-        the least motion, and may be wrong by `rival`.
+    confidence: by how much the numbers are more probable than the second best, nats (the logarithm
+        of the ratio); inf if no others are possible, 0 if others are as probable. See `ambiguous`.
     rival: the second best numbering, None if there is no other.
     reflected: whether a part of the pattern may be the reflection of another part. The grid is then
         ambiguous.
     others: corners of the largest other lattice in view that may be the pattern that is meant,
         0 where none is: squares behind a board, or a part of a torn pattern without numbers.
         It is not looked for where the shape is known.
-    margin: the motion of the pattern's middle according to the rival, minus that according to these
-        numbers, cells; NaN without a rival, or if too few nodes show it.
     edge_radius: the `edge_radius` of the corners, px. The filters of positions and displacements
         use it to remove the effect of bent edges. NaN if unknown.
     """
@@ -121,22 +118,15 @@ class Grid:
     index: NDArray[np.int32]
     parity: int = 0
     origin: tuple[int, int] = (0, 0)
-    component: NDArray[np.int32] = dataclasses.field(default_factory=lambda: np.zeros((0, 0), "i4"))
     border: Sides | None = None
     reach: tuple[float, float, float, float] = UNSEEN
     past: tuple[float, float, float, float] = UNSEEN
-    continues: Sides = NO_SIDES
     seen_shape: tuple[int, int] | None = None
-    ambiguous: bool = False
+    confidence: float = math.inf
     rival: Rival | None = None
-    margin: float = float("nan")
     reflected: bool = False
     others: int = 0
-    edge_radius: float = float("nan")
-
-    def __post_init__(self) -> None:
-        if self.component.shape != self.xy.shape[:2]:
-            object.__setattr__(self, "component", components(self.valid))
+    edge_radius: float = math.nan
 
     def __repr__(self) -> str:
         number = np.bincount(self.status.ravel(), minlength=len(NodeStatus))
@@ -153,6 +143,14 @@ class Grid:
     def valid(self) -> NDArray[np.bool_]:
         """Return (R, C) bool, True where there is a position."""
         return ~np.isnan(self.xy[..., 0])
+
+    @property
+    def ambiguous(self) -> bool:
+        """Return whether another numbering explains the frame too: `confidence` is under 5 nats.
+
+        The numbers are then those of the least motion, and may be wrong by `rival`.
+        """
+        return not self.confidence >= SURE
 
     @property
     def doubts(self) -> list[str]:
@@ -204,14 +202,12 @@ class Grid:
             xy=np.rot90(self.xy, quarters).copy(),
             status=np.rot90(self.status, quarters).copy(),
             sigma=np.rot90(self.sigma, quarters).copy(),
-            component=np.rot90(self.component, quarters).copy(),
             index=index,
             parity=(self.parity + (0, columns, rows + columns, rows)[quarters]) % 2,
             origin=(0, 0),
             border=self.border and self.border.turned(quarters),
             reach=turned_sides(self.reach, quarters),
             past=turned_sides(self.past, quarters),
-            continues=self.continues.turned(quarters),
             seen_shape=seen,
             rival=None,
         )
@@ -259,11 +255,37 @@ class Grid:
             xy=cut(self.xy, np.nan),
             status=cut(self.status, 0),
             sigma=cut(self.sigma, np.nan),
-            component=cut(self.component, -1),
             index=index,
             parity=(self.parity + top + left) % 2,
             origin=rest.origin,
         )
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the grid to an .npz, whole or not at all; see `load`.
+
+        Its arrays have the names of the attributes; one that is None has no elements. Raises
+        GridError on another suffix, OSError if the file cannot be written.
+        """
+        if suffix_of(path, GridError) != ".npz":
+            raise GridError(f"a grid is saved as .npz, not as {str(path)!r}")
+        with whole_file(path) as file:
+            np.savez(file, **packed(self))
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> "Grid":
+        """Return the grid that `save` wrote.
+
+        Raises OSError if the file cannot be read; GridError if it is damaged or holds no grid: the
+        message says which array is wrong, what was expected and what was found.
+        """
+        arrays = read_npz(path, SAVED, GridError)
+        try:
+            found = unpacked(arrays)
+        except ValueError as error:
+            raise GridError(f"{str(path)!r} holds no grid: {error}") from error
+        for name, kind in (("border", Sides), ("rival", Rival)):
+            found[name] = found[name] and kind(*found[name])
+        return cls(**found)
 
     def to_opencv(self, spacing: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the valid nodes as cv2.calibrateCamera takes a view: object and image points.
@@ -305,7 +327,6 @@ class Grid:
             sigma=sigma,
             index=index,
             origin=(times * self.origin[0], times * self.origin[1]),
-            component=components(there),
             seen_shape=seen and (times * (seen[0] - 1) + 1, times * (seen[1] - 1) + 1),
             rival=rival and Rival(times * rival.rows, times * rival.columns, rival.quarters),
             edge_radius=math.nan,
@@ -325,20 +346,3 @@ def empty_grid(corners: int, shape: tuple[int, ...] | None, like: Grid | None = 
         index=np.full((corners, 2), -1, np.int32),
         origin=(0, 0) if like is None else like.origin,
     )
-
-
-def components(there: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Label the nodes connected by steps along rows and columns, the largest part first: (R, C).
-
-    there: (R, C) bool, True at a node. The label of an entry without a node is -1.
-    """
-    if not there.size or there.all():
-        return np.zeros(there.shape, np.int32)
-    count, label = cv2.connectedComponents(there.astype(np.uint8), connectivity=4)
-    size = np.bincount(label.ravel(), minlength=count)
-    size[0] = -1  # no node
-    rank = np.empty(count, np.int32)
-    rank[np.argsort(-size, kind="stable")] = np.arange(count)
-    rank[0] = -1
-    ranks: NDArray[np.int32] = rank[label]
-    return ranks

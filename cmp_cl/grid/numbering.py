@@ -69,9 +69,7 @@ class Numbered(NamedTuple):
     origin: tuple[int, int] = (0, 0)
     ambiguous: bool = False
     rival: Rival | None = None
-    margin: float = float("nan")
     quarters: int = 0
-    continues: Sides = Sides()
     seen_shape: tuple[int, int] | None = None
 
 
@@ -369,10 +367,7 @@ def _numbered(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Nu
     check_room((shape[0], shape[1]), len(nodes.free) + like.status.size)
     top, left = first[0] - best.top, first[1] - best.left
     rival = None
-    margin = float("nan")
     if second is not None:
-        if np.isfinite(second.motion):
-            margin = second.motion - best.motion
         turn = (second.quarters - best.quarters) % 4
         rows, columns = turned.at.shape
         skipped = (  # steps from the first entry of the turned grid to that of the turned nodes
@@ -388,6 +383,5 @@ def _numbered(nodes: Nodes, border: Border, like: Grid, decided: Decision) -> Nu
         origin=(first[0], first[1]),
         ambiguous=not sure,
         rival=rival,
-        margin=margin,
         quarters=best.quarters,
     )

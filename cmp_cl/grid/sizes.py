@@ -56,15 +56,13 @@ def in_shape(
             starts[axis] = -lack if end and not begin else 0
             unsure |= not ((begin and end) or (begin and cut[last]) or (end and cut[first]))
             unsure |= any(passing if either_way else passing[first : last + 1])
-    seen, continues = _seen_shape(found, bend, shape, (top, left), border)
+    seen = _seen_shape(found, bend, shape, (top, left), border)
     numbered = found.window(starts[0], starts[1], shape)
-    return Numbered(
-        numbered, ambiguous=unsure, quarters=turns[best], continues=continues, seen_shape=seen
-    )
+    return Numbered(numbered, ambiguous=unsure, quarters=turns[best], seen_shape=seen)
 
 
 def followed(numbered: Numbered, border: Border, seen: Seen) -> Numbered:
-    """Return the nodes, and on which sides more of the pattern shows that the shape is too small.
+    """Return the nodes, and the shape that is seen if more of the pattern shows beside them.
 
     There, further cells follow, whose corners are hidden or too few for a line. Or corners follow
     that are no nodes, because things in their cells or beside them disturb the evidence. One line
@@ -78,7 +76,7 @@ def followed(numbered: Numbered, border: Border, seen: Seen) -> Numbered:
         return numbered
     rows, columns = numbered.nodes.at.shape
     size = rows + sides.top + sides.bottom, columns + sides.left + sides.right
-    return numbered._replace(continues=sides, seen_shape=size)
+    return numbered._replace(seen_shape=size)
 
 
 def _further_lines(nodes: Nodes, ends: Sides, seen: Seen) -> Sides:
@@ -161,19 +159,17 @@ def _seen_shape(
     shape: tuple[int, int],
     start: tuple[int, int],
     border: Sides,
-) -> tuple[tuple[int, int] | None, Sides]:
-    """Return the shape that the pattern seems to have, None for the given one, and the sides on
-    which it continues.
+) -> tuple[int, int] | None:
+    """Return the shape that the pattern seems to have, None for the given one.
 
     start: first row and column of the window of that shape.
     """
     straight = _straight(nodes, bend)
-    seen, goes_on = list(shape), []
+    seen = list(shape)
     both = border.top and border.bottom, border.left and border.right
     for axis in (0, 1):
         size, lines = shape[axis], nodes.at.shape[axis]
         if lines <= size:
-            goes_on += [False, False]
             if both[axis]:
                 seen[axis] = lines
             continue
@@ -181,10 +177,8 @@ def _seen_shape(
         begin, end = start[axis], start[axis] + size
         before = _full(count[: begin + 1][::-1], float(np.median(count)))
         after = _full(count[end - 1 :], float(np.median(count)))
-        goes_on += [bool(before.any()), bool(after.any())]
         seen[axis] += int(np.count_nonzero(before) + np.count_nonzero(after))
-    told = None if tuple(seen) == tuple(shape) else (seen[0], seen[1])
-    return told, Sides(*goes_on)
+    return None if tuple(seen) == tuple(shape) else (seen[0], seen[1])
 
 
 def _full(count: Index, usual: float) -> Mask:

@@ -470,4 +470,4 @@ class _Pattern:
         """Note that a frame is missing; numbers are continued over BRIDGED of them at most."""
         self._lost += 1
         if self._lost > BRIDGED:
-            self._previous = dataclasses.replace(self._previous or self.rest, ambiguous=True)
+            self._previous = dataclasses.replace(self._previous or self.rest, confidence=0.0)

@@ -104,7 +104,6 @@ def test_the_rival_of_a_wrong_numbering_is_the_right_one():
     assert wrong.any()
     np.testing.assert_array_equal(wrong, grid.rival[:2])
     assert grid.rival.quarters == 0
-    assert grid.margin > 0
     assert grid.turned(1).ambiguous
     assert grid.turned(1).rival is None  # it was relative to the former numbers
 
@@ -637,17 +636,12 @@ def test_objects_in_front_of_a_pattern_add_no_nodes_at_its_rim():
     assert len(place) > 150
 
 
-@pytest.mark.parametrize(
-    ("asked", "goes_on"),
-    [((5, 9), "rows"), ((6, 8), "columns"), ((4, 7), "both"), ((7, 9), ""), ((6, 10), "")],
-)
-def test_a_wrong_size_is_reported(asked, goes_on):
+@pytest.mark.parametrize("asked", [(5, 9), (6, 8), (4, 7), (7, 9), (6, 10)])
+def test_a_wrong_size_is_reported(asked):
     image, _ = drawn(6, 9)
     corners = seen_in(image)
     grid = build_grid(corners, image, shape=asked)
     assert grid.seen_shape == (6, 9)
-    assert any(grid.continues[:2]) == (goes_on in ("rows", "both"))
-    assert any(grid.continues[2:]) == (goes_on in ("columns", "both"))
     (line,) = grid.doubts
     assert line == f"the board looks like 6 x 9 corners; {asked[0]} x {asked[1]} were asked for"
     with pytest.raises(GridError, match="looks like 6 x 9"):
@@ -669,7 +663,6 @@ def test_a_wrong_size_is_reported_though_most_of_the_last_line_is_hidden(shown):
     corners = seen_in(image)
     grid = build_grid(corners, image, shape=(5, 9))
     assert grid.seen_shape == (6, 9)
-    assert grid.continues == Sides(bottom=True)
     assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
 
 
@@ -681,7 +674,6 @@ def test_a_wrong_size_is_reported_though_no_corner_of_the_last_line_is_seen():
     grid = build_grid(corners, image, shape=(6, 8))
     assert grid.valid.all()
     assert grid.seen_shape == (6, 9)
-    assert grid.continues == Sides(right=True)
     assert build_grid(corners, image, shape=(6, 9)).seen_shape is None
 
 
@@ -698,8 +690,6 @@ def test_corners_of_a_further_line_are_counted_where_no_border_is_seen(quarters)
     nothing = followed(numbered, Border(reach=(1.0, 1.0, 1.0, 1.0)), seen)
     assert nothing.seen_shape is None
     assert followed(numbered, Border(), seen).seen_shape == (rows, columns)
-    top = followed(numbered, Border(reach=(math.nan, 1.0, 1.0, 1.0)), seen)
-    assert top.continues == Sides(top=True)
 
 
 def with_marks_at_the_end(rows: int, columns: int) -> np.ndarray:
@@ -722,8 +712,6 @@ def test_a_wrong_size_is_reported_though_marks_disturb_the_last_line(quarters):
     asked, size = ((6, 8), (6, 9)) if quarters % 2 == 0 else ((8, 6), (9, 6))
     grid = build_grid(corners, image, shape=asked)
     assert grid.seen_shape == size
-    sides = (Sides(right=True), Sides(top=True), Sides(left=True), Sides(bottom=True))
-    assert grid.continues == sides[quarters]
 
 
 @pytest.mark.parametrize("missed", [0, 2])
@@ -819,12 +807,9 @@ def island(aside: complex) -> tuple[Board, np.ndarray]:
 
 
 def test_an_island_gets_the_numbers_that_its_surroundings_give():
-    seen, inside = island(1.5 - 1j)
+    seen, _ = island(1.5 - 1j)
     grid = build_grid(seen.corners)
     np.testing.assert_array_equal(grid.index, seen.index)
-    component = grid.component[tuple(grid.index.T)]
-    np.testing.assert_array_equal(component, inside)
-    assert (grid.component[grid.status == NodeStatus.MISSING] == -1).all()
 
 
 @pytest.mark.parametrize("zoom", [1.35, 0.65 * np.exp(0.4j)])
