@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from cmp_cl.space import BinocularSplit as BinocularSplit
     from cmp_cl.space import Points3D as Points3D
     from cmp_cl.space import StereoRig as StereoRig
+    from cmp_cl.space import Window as Window
     from cmp_cl.space import calibrate as calibrate
 
     __version__: str
@@ -66,7 +67,7 @@ _HOMES = {
     "motion": "displacement",
     "opencl.device": "Device list_devices select_device",
     "series": "SeriesWriter",
-    "space": "BinocularSplit Points3D StereoRig calibrate",
+    "space": "BinocularSplit Points3D StereoRig Window calibrate",
 }
 _HOME = {name: module for module, names in _HOMES.items() for name in names.split()}
 

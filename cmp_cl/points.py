@@ -13,7 +13,7 @@ class PointStatus(enum.IntEnum):
     MISSING = 0  #: a view does not show the node
     VALID = 1  #: the node has a position
     PARALLEL = 2  #: the rays enclose too small an angle: no disparity, or along the baseline
-    BEHIND = 3  #: the point lies behind a camera
+    BEHIND = 3  #: the point lies behind a camera, or in front of the last face of the window
     INCONSISTENT = 4  #: the reprojection error is too large, or the lens cannot be inverted
 
 

@@ -422,8 +422,9 @@ class _Change:
 
 
 def fits(rig: StereoRig) -> bool:
-    """Return whether kernels/space.cl has the lens model of both cameras: not a tilted sensor's."""
-    return max(len(rig.D1), len(rig.D2)) <= _COEFFICIENTS
+    """Return whether kernels/space.cl has the model of both cameras: no window, and not a tilted
+    sensor's lens."""
+    return rig.window is None and max(len(rig.D1), len(rig.D2)) <= _COEFFICIENTS
 
 
 _VIEWS = ("left", "right")

@@ -8,11 +8,17 @@
    E = [t]x R, p -= e (q' E) / n and q -= e (E p) / n in x and y, e = q' E p, n the sum of the
    squares of the four components.
 3. The point is the middle of the shortest segment between the rays.
-4. One Gauss-Newton step of the reprojection error, weighted by 1 / sigma^2. Its normal matrix is
+4. Behind a window of flat layers the rays bend at each face, by Snell's law: with the normal w, a
+   unit direction v, i = w . v and r the ratio of the indices before and after, v becomes
+   r v + (sqrt(1 - r^2 (1 - i^2)) - r i) w. Then no Sampson's step is made, and the point is the
+   middle between these rays. A pixel shows a point at the lateral distance L from the axis w of the
+   camera where the sum of d_k s / sqrt(n_k^2 - s^2) is L, over the depths d_k and the indices n_k
+   of all media; s is the sine of the ray in air.
+5. One Gauss-Newton step of the reprojection error, weighted by 1 / sigma^2. Its normal matrix is
    the inverse of the covariance. Shifts by bent edges move the point like errors of the pixels.
-5. A node is PARALLEL if the rays enclose less than 1 px of the mean focal length, BEHIND if it is
-   behind a camera, INCONSISTENT if the lens has no inverse there or the reprojection error is above
-   3 px.
+6. A node is PARALLEL if the rays in air enclose less than 1 px of the mean focal length, BEHIND if
+   it is behind a camera or in front of the last face of the window, INCONSISTENT if the lens has no
+   inverse there or the reprojection error is above 3 px.
 """
 
 import dataclasses
@@ -41,6 +47,55 @@ class Camera:
     distortion: Floats
     rotation: Floats
     move: Floats
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Window:
+    """normal: (3,), of length 1. distance: of the first face from the left camera. thickness: (M,),
+    of its layers; index: (M + 1,), of these and of the medium of the pattern."""
+
+    normal: Floats
+    distance: float
+    thickness: Floats
+    index: Floats
+
+    def behind(self, centre: Floats, direction: Floats) -> tuple[Floats, Floats]:
+        """Return where a ray from a camera leaves the last face, and its direction there."""
+        w = self.normal
+        v = direction / np.linalg.norm(direction)
+        if not w @ v > 0:
+            return np.full(3, np.nan), np.full(3, np.nan)
+        at = centre + v * (self.distance - w @ centre) / (w @ v)
+        before = 1.0
+        for thickness, after in zip([*self.thickness, 0.0], self.index, strict=True):
+            i, r = w @ v, before / after
+            v = r * v + (np.sqrt(1 - r**2 * (1 - i**2)) - r * i) * w
+            at = at + v * thickness / (w @ v)
+            before = after
+        return at, v
+
+    def depth(self, point: Floats) -> float:
+        """Return the distance of a point behind the last face."""
+        return float(self.normal @ point - self.distance - self.thickness.sum())
+
+    def straight(self, centre: Floats, point: Floats) -> Floats:
+        """Return a point on the ray in air of the pixel that shows a point, by bisection."""
+        if not self.depth(point) >= 0:
+            return np.full(3, np.nan)
+        ahead = float(self.normal @ (point - centre))
+        across = point - centre - ahead * self.normal
+        length = float(np.linalg.norm(across))
+        height = self.distance - self.normal @ centre
+        depths = np.array([height, *self.thickness, self.depth(point)])
+        squares = np.square([1.0, *self.index])
+        low, high = 0.0, 1.0
+        for _ in range(60):
+            s = (low + high) / 2
+            reach = (depths * s / np.sqrt(squares - s * s)).sum()
+            low, high = (s, high) if reach < length else (low, s)
+        tangent = low / np.sqrt(1 - low**2)
+        straight: Floats = centre + ahead * (self.normal + tangent * across / max(length, 1e-300))
+        return straight
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,9 +142,11 @@ def points(
     sigma: tuple[Floats, Floats],
     cameras: tuple[Camera, Camera],
     radii: tuple[float, float],
+    window: Window | None = None,
 ) -> Points:
     """Triangulate. nodes: of each view, (R, C, 2), complete. shown: (R, C), whether the view shows
-    the node. sigma: (R, C), px, not positive if unknown. radii: of the corners' discs, px."""
+    the node. sigma: (R, C), px, not positive if unknown. radii: of the corners' discs, px. window:
+    None is air."""
     there = shown[0] & shown[1]
     shape = there.shape
     left, right = cameras
@@ -110,15 +167,19 @@ def points(
         turned = q @ right.rotation
         sine = np.linalg.norm(np.cross(p, turned))
         sine /= np.linalg.norm(p) * np.linalg.norm(turned)
-        line_p, line_q = q @ essential, essential @ p
-        size = np.square([*line_p[:2], *line_q[:2]]).sum()
-        step = (line_p @ p) / max(size, 1e-300)
-        p[:2], q[:2] = p[:2] - step * line_p[:2], q[:2] - step * line_q[:2]
-        rays = np.column_stack([p, -(q @ right.rotation)])
-        depths = np.linalg.lstsq(rays, centre, rcond=None)[0]
-        point = (rays[:, 0] * depths[0] + centre - rays[:, 1] * depths[1]) / 2
+        if window is None:
+            line_p, line_q = q @ essential, essential @ p
+            size = np.square([*line_p[:2], *line_q[:2]]).sum()
+            step = (line_p @ p) / max(size, 1e-300)
+            p[:2], q[:2] = p[:2] - step * line_p[:2], q[:2] - step * line_q[:2]
+            point = _meeting((np.zeros(3), p), (centre, q @ right.rotation))
+            depth = min(point[2], (right.rotation @ point + right.move)[2])
+        else:
+            rays = window.behind(np.zeros(3), p), window.behind(centre, turned)
+            point = _meeting(*rays) if np.isfinite(rays).all() else np.full(3, np.nan)
+            depth = window.depth(point)
         status[node] = VALID
-        if not min(point[2], (right.rotation @ point + right.move)[2]) > 0:
+        if not depth > 0:
             status[node] = BEHIND
         if not sine >= least_sine:
             status[node] = PARALLEL
@@ -129,9 +190,9 @@ def points(
         known = bool(sigma[0][node] > 0 and sigma[1][node] > 0)
         own = [sigma[0][node], sigma[1][node]] if known else [1.0, 1.0]
         weight = np.diag(np.repeat(1 / np.square(own), 2))
-        jacobian = _slopes(cameras, point)
+        jacobian = _slopes(cameras, window, point)
         inverse = np.linalg.inv(jacobian.T @ weight @ jacobian)
-        residual = pixels - _both(cameras, point)
+        residual = pixels - _both(cameras, window, point)
         better = inverse @ jacobian.T @ weight @ residual
         if not np.square(residual - jacobian @ better).sum() / 2 <= LARGEST_ERROR**2:
             status[node] = INCONSISTENT
@@ -157,20 +218,32 @@ def _supported(shown: Bools) -> Bools:
     return found
 
 
-def _both(cameras: tuple[Camera, Camera], point: Floats) -> Floats:
+def _meeting(one: tuple[Floats, Floats], two: tuple[Floats, Floats]) -> Floats:
+    """Return the middle of the shortest segment between two rays, each a point and a direction."""
+    rays = np.column_stack([one[1], -two[1]])
+    near, far = np.linalg.lstsq(rays, two[0] - one[0], rcond=None)[0]
+    middle: Floats = (one[0] + near * one[1] + two[0] + far * two[1]) / 2
+    return middle
+
+
+def _both(cameras: tuple[Camera, Camera], window: Window | None, point: Floats) -> Floats:
     """Return the pixels of a point in both views, (4,)."""
     pixels = []
     for camera in cameras:
-        x, y, z = camera.rotation @ point + camera.move
+        at = point
+        if window is not None:
+            at = window.straight(-camera.move @ camera.rotation, point)
+        x, y, z = camera.rotation @ at + camera.move
         pixels.append(seen(camera, np.array([x / z, y / z])))
     return np.concatenate(pixels)
 
 
-def _slopes(cameras: tuple[Camera, Camera], point: Floats) -> Floats:
+def _slopes(cameras: tuple[Camera, Camera], window: Window | None, point: Floats) -> Floats:
     """Return the derivatives of the pixels by the point, (4, 3), as differences."""
     step = 1e-5 * float(np.linalg.norm(point))
     columns = [
-        (_both(cameras, point + step * axis) - _both(cameras, point - step * axis)) / (2 * step)
+        (_both(cameras, window, point + step * axis) - _both(cameras, window, point - step * axis))
+        / (2 * step)
         for axis in np.eye(3)
     ]
     return np.stack(columns, axis=1)

@@ -6,6 +6,7 @@ from cmp_cl.space.lens import Lens
 from cmp_cl.space.rig import StereoRig
 from cmp_cl.space.split import BinocularSplit
 from cmp_cl.space.triangulation import triangulate_points, undistort
+from cmp_cl.space.window import Window
 
 __all__ = [
     "BinocularSplit",
@@ -16,6 +17,7 @@ __all__ = [
     "PointStatus",
     "Points3D",
     "StereoRig",
+    "Window",
     "calibrate",
     "triangulate_points",
     "undistort",

@@ -8,14 +8,16 @@ from numbers import Real
 from os import PathLike
 from typing import Any, Self
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_cl.errors import CalibrationError, FieldError, check_kind
+from cmp_cl.errors import CalibrationError, FieldError, as_numbers, check_kind
+from cmp_cl.field import DisplacementField
 from cmp_cl.files import write_text
 from cmp_cl.grid.filter import bend_shift, image_sigma
 from cmp_cl.grid.grid import Grid, NodeStatus
-from cmp_cl.points import Points3D, PointStatus
+from cmp_cl.points import Points3D, PointStatus, largest_deviation
 from cmp_cl.space.lens import (
     ESTIMATED,
     POSE,
@@ -26,13 +28,22 @@ from cmp_cl.space.lens import (
     checked_distortion,
     projected,
 )
-from cmp_cl.space.storage import new_storage, open_storage, read_matrix, yaml_text
+from cmp_cl.space.storage import (
+    new_storage,
+    open_storage,
+    read_matrix,
+    read_window,
+    write_window,
+    yaml_text,
+)
 from cmp_cl.space.triangulation import (
+    between,
     inverse_symmetric,
     rays_through,
     triangulate_points,
     undistort,
 )
+from cmp_cl.space.window import WINDOW, Window
 
 MIN_PARALLAX = 1.0  # px; with less parallax, depth is only noise
 _COVARIANCE = "covariance"
@@ -58,11 +69,14 @@ class StereoRig:
     unit: name of the unit of length.
     covariance: (22, 22), or None if unknown. The parameters are fx fy cx cy k1 k2 p1 p2 of
         the left camera, the same of the right camera, the rotation vector, the translation.
-        `calibrate` estimates it.
+        `calibrate` estimates it. With a window it is (25, 25); the last three are the window's
+        normal along both of its `axes`, rad, and its distance. (22, 22) means that these are exact.
+    window: the layers through which both cameras see the pattern; None is air.
 
     Arrays are kept as read-only float64.
 
-    Raises CalibrationError if a parameter is malformed or the cameras coincide.
+    Raises CalibrationError if a parameter is malformed, the cameras coincide or the window lies
+    behind one of them.
     """
 
     K1: Array
@@ -73,11 +87,9 @@ class StereoRig:
     T: Array
     unit: str = "mm"
     covariance: Array | None = None
+    window: Window | None = None
 
     def __post_init__(self) -> None:
-        if self.covariance is not None:
-            size = 2 * ESTIMATED + POSE
-            self._set("covariance", checked_array("covariance", self.covariance, (size, size)))
         for name, shape in (("K1", (3, 3)), ("K2", (3, 3)), ("R", (3, 3)), ("T", (3,))):
             self._set(name, checked_array(name, getattr(self, name), shape))
         for name in ("D1", "D2"):
@@ -90,6 +102,30 @@ class StereoRig:
             raise CalibrationError("T is zero: two cameras at one point see no depth")
         if not (isinstance(self.unit, str) and self.unit.isidentifier()):
             raise CalibrationError(f"unit must be a word such as mm, not {self.unit!r}")
+        if self.window is not None:
+            check_kind("window", self.window, Window, CalibrationError)
+            height = self.window.height(self._centre)
+            if not height > 0:
+                raise CalibrationError(
+                    f"the window lies {-height:g} {self.unit} behind the right camera; its "
+                    "distance counts from the left camera along its normal"
+                )
+        if self.covariance is not None:
+            self._set("covariance", self._checked_covariance(self.covariance))
+
+    def _checked_covariance(self, covariance: Array) -> Array:
+        """Return the covariance of all parameters, 0 for those of a window that is exact."""
+        size = 2 * ESTIMATED + POSE
+        if self.window is None or np.shape(covariance) == (size, size):
+            checked = checked_array("covariance", covariance, (size, size))
+            return checked if self.window is None else np.pad(checked, (0, WINDOW))
+        return checked_array("covariance", covariance, (size + WINDOW, size + WINDOW))
+
+    @property
+    def _centre(self) -> Array:
+        """Return the centre of the right camera in the frame of the left one, (3,)."""
+        centre: Array = -self.R.T @ self.T
+        return centre
 
     def _set(self, name: str, value: Array) -> None:
         value.flags.writeable = False
@@ -110,6 +146,8 @@ class StereoRig:
         found: dict[str, Array] = {}
         named = unit
         keys = [*itertools.chain.from_iterable(_ALIASES.values()), _COVARIANCE, "unit"]
+        keys += [f"window_{name}" for name in ("normal", "distance", "layers", "index")]
+        window: Window | None = None
         covariance: Array | None = None
         for path in paths:
             storage = open_storage(path, keys)
@@ -128,6 +166,7 @@ class StereoRig:
                 )
             kept = read_matrix(storage, _COVARIANCE, path)
             covariance = covariance if kept is None else kept
+            window = read_window(storage, path) or window
             written = storage.getNode("unit")
             if not (written.empty() or written.isString()):
                 raise CalibrationError(f"{path}: unit must be a word such as mm")
@@ -144,7 +183,7 @@ class StereoRig:
                 f"{files}: no unit, so T is taken to be in mm; add a line unit: mm", stacklevel=2
             )
         try:
-            return cls(**found, unit=named, covariance=covariance)
+            return cls(**found, unit=named, covariance=covariance, window=window)
         except CalibrationError as error:
             raise CalibrationError(f"{files}: {error}") from error
 
@@ -158,6 +197,8 @@ class StereoRig:
             storage.write(name, np.atleast_2d(getattr(self, name)).copy())
         if self.covariance is not None:
             storage.write(_COVARIANCE, self.covariance.copy())
+        if self.window is not None:
+            write_window(storage, self.window)
         storage.write("unit", self.unit)
         write_text(path, yaml_text(storage))
 
@@ -173,7 +214,8 @@ class StereoRig:
         max_error: largest reprojection error, px.
 
         A node without a position is NaN, and `Points3D.status` says why: the rays must enclose
-        at least MIN_PARALLAX px, and the point must lie in front of both cameras.
+        at least MIN_PARALLAX px in air, and the point must lie in front of both cameras and
+        behind the window.
 
         Raises FieldError if an argument is of another type, or if the grids have different rows or
         columns.
@@ -231,11 +273,19 @@ class StereoRig:
         """Triangulate (N, 4) px, left and right, to first order: (N, 3) points and (N,) status."""
         left, left_in_model = undistort(seen[:, :2], self.K1, self.D1)
         right, right_in_model = undistort(seen[:, 2:], self.K2, self.D2)
-        xyz = triangulate_points(self.R, self.T, left, right)
-        depth = np.minimum(xyz[:, 2], (xyz @ self.R.T + self.T)[:, 2])
         one, two = rays_through(left), rays_through(right) @ self.R
         sine = np.linalg.norm(np.cross(one, two), axis=1)
         sine /= np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
+        if self.window is None:
+            xyz = triangulate_points(self.R, self.T, left, right)
+            depth = np.minimum(xyz[:, 2], (xyz @ self.R.T + self.T)[:, 2])
+        else:
+            (from_one, one), (from_two, two) = (
+                self.window.refracted(centre, rays)
+                for centre, rays in ((np.zeros(3), one), (self._centre, two))
+            )
+            xyz = from_one + between(one, two, from_two - from_one)
+            depth = xyz @ self.window.normal - self.window.distance - self.window.thickness
         focal = (self.K1[0, 0] + self.K1[1, 1] + self.K2[0, 0] + self.K2[1, 1]) / 4
 
         status = np.full(len(seen), PointStatus.VALID, np.uint8)
@@ -274,23 +324,77 @@ class StereoRig:
             shared = by_rig @ self.covariance @ by_rig.transpose(0, 2, 1)
         return xyz + step[..., 0], error, own, shared, (by_image @ bent[..., None])[..., 0]
 
+    def project(self, xyz: Array) -> tuple[Array, Array]:
+        """Project points (N, 3) in the frame of the left camera to both views, (N, 2) px each.
+
+        Points in front of the last face of the window are NaN. Raises FieldError for other points.
+        """
+        points = as_numbers("xyz", xyz, FieldError)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise FieldError(f"xyz must be (N, 3), not {points.shape}")
+        seen = self._projected(points)[0]
+        return seen[:, :2], seen[:, 2:]
+
+    def bias_sigma(self, field: DisplacementField) -> Array:
+        """Return the standard deviation of a displacement by the error of the rig, (R, C).
+
+        It is along the most uncertain axis, in `unit`, from `covariance`. All nodes and frames
+        share this error; `DisplacementField.sigma` is their noise. NaN where a node is not valid,
+        or the covariance is unknown.
+
+        Raises FieldError if field is of another type, or not in space.
+        """
+        check_kind("field", field, DisplacementField, FieldError)
+        if field.position.shape[2] != 3:
+            raise FieldError("a rig has an error in space only; this field is in a plane")
+        if self.covariance is None:
+            return np.full(field.valid.shape, np.nan)
+        at_rest = field.position[field.valid]
+        change = self._by_rig(at_rest + field.displacement[field.valid]) - self._by_rig(at_rest)
+        shared = change @ self.covariance @ change.transpose(0, 2, 1)
+        return spread(field.valid, largest_deviation(shared))
+
+    def _by_rig(self, xyz: Array) -> Array:
+        """Return the derivatives of points (N, 3) by the parameters of `covariance`, (N, 3, P), at
+        fixed positions in the image."""
+        _, jacobian, by_rig = self._projected(xyz)
+        turned = jacobian.transpose(0, 2, 1)
+        found: Array = -inverse_symmetric(turned @ jacobian) @ turned @ by_rig
+        return found
+
     def _projected(self, xyz: Array) -> tuple[Array, Array, Array]:
         """Project points into both cameras.
 
         Returns (N, 4) px, its derivatives with respect to the point, (N, 4, 3), and with respect
-        to the 22 parameters of `covariance`, (N, 4, 22).
+        to the P parameters of `covariance`, (N, 4, P).
         """
         one = camera_of(self.K1, self.D1, np.eye(3), np.zeros(3))
         two = camera_of(self.K2, self.D2, self.R, self.T)
-        left, by_left = projected(Lens.PINHOLE, xyz, one)
-        right, by_right = projected(Lens.PINHOLE, xyz, two)
+        straight = [xyz, xyz]
+        if self.window is not None:
+            bent = [self.window.apparent(c, xyz) for c in (np.zeros(3), self._centre)]
+            straight = [each.points for each in bent]
+        left, by_left = projected(Lens.PINHOLE, straight[0], one)
+        right, by_right = projected(Lens.PINHOLE, straight[1], two)
         # By the translation, which is by the rotated point.
-        jacobian = np.concatenate([by_left[..., -3:], by_right[..., -3:] @ self.R], axis=1)
+        by_point = [by_left[..., -3:], by_right[..., -3:] @ self.R]
         by_rig = np.zeros((len(xyz), 4, 2 * ESTIMATED + POSE))
         by_rig[:, :2, :ESTIMATED] = by_left[..., :ESTIMATED]
         by_rig[:, 2:, ESTIMATED : 2 * ESTIMATED] = by_right[..., :ESTIMATED]
         by_rig[:, 2:, 2 * ESTIMATED :] = by_right[..., -POSE:]
-        return np.hstack([left, right]), jacobian, by_rig
+        if self.window is not None:
+            by_rig[:, 2:, 2 * ESTIMATED :] += by_point[1] @ bent[1].by_centre @ self._centre_by_pose
+            by_window = [by @ each.by_window for by, each in zip(by_point, bent, strict=True)]
+            by_point = [by @ each.by_point for by, each in zip(by_point, bent, strict=True)]
+            by_rig = np.concatenate([by_rig, np.concatenate(by_window, axis=1)], axis=2)
+        return np.hstack([left, right]), np.concatenate(by_point, axis=1), by_rig
+
+    @property
+    def _centre_by_pose(self) -> Array:
+        """Return the derivatives of `_centre` by the rotation and the translation, (3, 6)."""
+        turn, _ = cv2.Rodrigues(self.R)
+        by_turn = np.asarray(cv2.Rodrigues(turn)[1], np.float64).reshape(3, 3, 3)
+        return np.hstack([-np.einsum("kij,i->jk", by_turn, self.T), -self.R.T])
 
 
 def spread(where: NDArray[np.bool_], values: NDArray[Any]) -> Array:

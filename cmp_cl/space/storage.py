@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from cmp_cl.errors import CalibrationError
 from cmp_cl.files import check_path
+from cmp_cl.space.window import Window
 
 _MAX_FILE = 1 << 20  # bytes
-_MAX_NUMBERS = 484  # entries of the largest matrix, a covariance of 22 parameters
+_MAX_NUMBERS = 625  # entries of the largest matrix, a covariance of 25 parameters
 _MOST_NESTED = 4000  # OpenCV's parsers recurse, and overflow the stack from some 20 000 levels on
 _OPENING = (b"[", b"{", b"<", b"- ", b"-\t", b"-\n")
 
@@ -80,6 +81,33 @@ def read_matrix(
     except (cv2.error, ValueError) as error:
         raise CalibrationError(f"{path}: {key} is a damaged matrix: {error}") from error
     raise CalibrationError(f"{path}: {key} must be a small matrix (!!opencv-matrix)")
+
+
+def write_window(storage: cv2.FileStorage, window: Window) -> None:
+    """Write a window, lengths in the unit of the rig."""
+    storage.write("window_normal", window.normal[:, None].copy())
+    storage.write("window_distance", window.distance)
+    if window.layers:
+        storage.write("window_layers", np.array(window.layers))
+    storage.write("window_index", window.index)
+
+
+def read_window(storage: cv2.FileStorage, path: str | PathLike[str]) -> Window | None:
+    """Read a window; None if the file has none. Raises CalibrationError if it is not complete."""
+    normal, layers = (read_matrix(storage, f"window_{n}", path) for n in ("normal", "layers"))
+    numbers = [storage.getNode(f"window_{name}") for name in ("distance", "index")]
+    if normal is None and layers is None and all(node.empty() for node in numbers):
+        return None
+    if normal is None or not all(node.isReal() or node.isInt() for node in numbers):
+        raise CalibrationError(
+            f"{path}: a window needs window_normal, a matrix, window_distance and window_index, "
+            "numbers"
+        )
+    distance, index = (node.real() for node in numbers)
+    try:
+        return Window(normal.ravel(), distance, [] if layers is None else layers.tolist(), index)
+    except CalibrationError as error:
+        raise CalibrationError(f"{path}: {error}") from error
 
 
 def check_nesting(data: bytes, path: str | PathLike[str]) -> None:

@@ -68,10 +68,19 @@ def triangulate_points(rotation: Array, translation: Array, left: Array, right: 
     two[:, :2] -= step * line_two[:, :2]
     two = two @ rotation
     centre = -translation @ rotation
-    own, both, other = (
-        np.einsum("ni,ni->n", *pair) for pair in ((one, one), (one, two), (two, two))
+    return between(one, two, centre)
+
+
+def between(one: Array, two: Array, centre: Array) -> Array:
+    """Return the middle of the shortest segment between two rays, (N, 3), NaN where parallel.
+
+    one, two: their directions, (N, 3). The first ray begins at the origin, the second at `centre`,
+    (3,) or (N, 3).
+    """
+    own, both, other, ahead_one, ahead_two = (
+        (first * second).sum(axis=1)
+        for first, second in ((one, one), (one, two), (two, two), (one, centre), (two, centre))
     )
-    ahead_one, ahead_two = one @ centre, two @ centre
     with np.errstate(divide="ignore", invalid="ignore"):
         shared = own * other - np.square(both)
         depth_one = (ahead_one * other - both * ahead_two) / shared

@@ -1,0 +1,235 @@
+"""A window before the cameras: flat layers through which they see the pattern.
+
+The light bends at each face by Snell's law, so a point does not lie on the straight ray of its
+pixel. Source: A. Agrawal, S. Ramalingam, Y. Taguchi and V. Chari, A theory of multi-layer flat
+refractive geometry, CVPR 2012.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmp_cl.errors import CalibrationError, as_numbers, listed
+
+Array = NDArray[np.float64]
+
+WINDOW = 3  # parameters that are estimated: the normal along both of its `axes`, the distance
+_MOST_STEPS = 50
+_EXACT = 1e-13  # of Newton's method, share of the depth
+_TINY = 1e-300
+
+
+class Apparent(NamedTuple):
+    """Where a camera in air would see points.
+
+    points: (N, 3). by_point, by_centre: (N, 3, 3), derivatives by the point and by the camera's
+    centre. by_window: (N, 3, 3), by the normal along both of its `axes`, and by the distance.
+    """
+
+    points: Array
+    by_point: Array
+    by_centre: Array
+    by_window: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Window:
+    """A stack of flat layers before both cameras, and the medium behind it that holds the pattern.
+
+    normal: (3,), from the cameras to the pattern, in the frame of the left camera; it is kept with
+        length 1.
+    distance: from the left camera to the first face along the normal, in the unit of the rig.
+    layers: (thickness, index) of each layer from the first face on, in that unit. Air has index 1.
+    index: of the medium behind the last face, such as the gel.
+
+    Raises CalibrationError if a number is not finite, the normal has no length, the distance is not
+    above 0, a thickness is below 0 or an index below 1.
+    """
+
+    normal: Array
+    distance: float
+    layers: Sequence[tuple[float, float]]
+    index: float
+
+    def __post_init__(self) -> None:
+        normal = _finite("normal", self.normal, (3,))
+        length = float(np.linalg.norm(normal))
+        if not length > 0:
+            raise CalibrationError(
+                "the window's normal has length 0; give its direction, from the camera to the "
+                "pattern, such as (0, 0, 1)"
+            )
+        distance = float(_finite("distance", self.distance, ()))
+        if not distance > 0:
+            raise CalibrationError(
+                "the window lies behind the left camera: its distance must be above 0, not "
+                f"{distance:g}"
+            )
+        given = listed("the window's layers", self.layers, object, CalibrationError)
+        layers = [tuple(_finite("layers", layer, (2,)).tolist()) for layer in given]
+        index = float(_finite("index", self.index, ()))
+        media = {f"layer {k} of the window": layer for k, layer in enumerate(layers, 1)}
+        for name, (thickness, refraction) in {
+            **media, "the medium behind the window": (0.0, index)
+        }.items():  # fmt: skip
+            if thickness < 0:
+                raise CalibrationError(f"{name} has thickness {thickness:g}; it must be at least 0")
+            if refraction < 1:
+                raise CalibrationError(
+                    f"{name} has index {refraction:g}; it must be at least 1, that of air"
+                )
+        normal /= length
+        normal.flags.writeable = False
+        for field, value in (
+            ("normal", normal), ("distance", distance), ("layers", tuple(layers)), ("index", index)
+        ):  # fmt: skip
+            object.__setattr__(self, field, value)
+
+    @property
+    def axes(self) -> Array:
+        """Return two unit vectors across the normal, (2, 3): the first has no y, like the rows of
+        an image, if the normal points ahead."""
+        first = np.cross([0.0, 1.0, 0.0], self.normal)
+        if np.linalg.norm(first) < 1e-3:
+            first = np.cross([0.0, 0.0, 1.0], self.normal)
+        first /= np.linalg.norm(first)
+        return np.stack([first, np.cross(self.normal, first)])
+
+    @property
+    def thickness(self) -> float:
+        """Return the thickness of all layers."""
+        return sum(thickness for thickness, _ in self.layers)
+
+    def height(self, centre: Array) -> float:
+        """Return the distance of the first face from a camera at `centre` (3,)."""
+        return self.distance - float(self.normal @ centre)
+
+    def moved(self, step: Array) -> "Window":
+        """Return the window after a step (3,) of its estimated parameters."""
+        normal = self.normal + step[:2] @ self.axes
+        return Window(normal, self.distance + step[2], self.layers, self.index)
+
+    def refracted(self, centre: Array, directions: Array) -> tuple[Array, Array]:
+        """Follow rays of a camera to the medium behind the window, by Snell's law.
+
+        centre: (3,), of the camera. directions: (N, 3), of any length. Returns points on the last
+        face, (N, 3), and unit directions behind it, (N, 3); NaN where a ray does not meet the
+        window.
+
+        With unit directions v, i = w . v and r the ratio of the indices before and after a face of
+        normal w, v becomes r v + (sqrt(1 - r^2 (1 - i^2)) - r i) w.
+        """
+        ahead = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        cosine = ahead @ self.normal
+        ahead = np.where(cosine[:, None] > 0, ahead, np.nan)
+        at = centre + ahead * (self.height(centre) / cosine)[:, None]
+        before = 1.0
+        for thickness, index in [*self.layers, (0.0, self.index)]:
+            ratio = before / index
+            cosine = ahead @ self.normal
+            after = np.sqrt(1 - ratio**2 * (1 - cosine**2))
+            ahead = ratio * ahead + (after - ratio * cosine)[:, None] * self.normal
+            at = at + ahead * (thickness / after)[:, None]
+            before = index
+        return at, ahead
+
+    def apparent(self, centre: Array, points: Array) -> Apparent:
+        """Return the points of the same depth that a camera in air sees where it sees `points`.
+
+        centre: (3,), of the camera. points: (N, 3). All are NaN for points in front of the last
+        face.
+
+        Over the depths d_k of all media, the lateral distance of a point from the camera is the sum
+        of d_k q / sqrt(n_k^2 + (n_k^2 - 1) q^2), with q the tangent of the ray's angle in air. It
+        is concave in q, so Newton's method from the paraxial q climbs to the solution.
+        """
+        w = self.normal
+        offset = points - centre
+        depth = offset @ w
+        across = offset - depth[:, None] * w
+        lateral = np.maximum(np.linalg.norm(across, axis=1), _TINY)
+        height = self.height(centre)
+        behind = depth - height - self.thickness
+        depth = np.where(behind >= 0, depth, np.nan)
+        depths = [
+            np.full_like(depth, height),
+            *(np.full_like(depth, thickness) for thickness, _ in self.layers),
+            behind,
+        ]
+        squares = [1.0, *(index**2 for _, index in self.layers), self.index**2]
+        q = lateral / sum(d / np.sqrt(n) for d, n in zip(depths, squares, strict=True))
+        for _ in range(_MOST_STEPS):
+            roots = [np.sqrt(n + (n - 1) * q * q) for n in squares]
+            reach = sum(d * q / root for d, root in zip(depths, roots, strict=True))
+            slope = sum(d * n / root**3 for d, n, root in zip(depths, squares, roots, strict=True))
+            off = lateral - reach
+            q = q + off / slope
+            if not (np.abs(off) > _EXACT * depth).any():
+                break
+        inside = q / np.sqrt(self.index**2 + (self.index**2 - 1) * q * q)
+        ahead = across / lateral[:, None]
+        return _apparent(w, centre, depth, lateral, ahead, q, inside, slope, self.axes)
+
+
+def _apparent(
+    w: Array,
+    centre: Array,
+    depth: Array,
+    lateral: Array,
+    ahead: Array,
+    q: Array,
+    inside: Array,
+    slope: Array,
+    axes: Array,
+) -> Apparent:
+    """Return the apparent points and their derivatives.
+
+    w: (3,), the normal. depth, lateral: (N,), the components of the points from the centre along w
+    and along the unit vectors `ahead` (N, 3). q, inside: (N,), the tangents of the ray's angle in
+    air and behind the window. slope: (N,), of the lateral distance by q.
+
+    With depth D, lateral distance L and height H of the window above the centre, the apparent point
+    is at D (w + q ahead), and slope dq = dL - inside dD - (q - inside) dH.
+    """
+    stretch, rate = depth * q / lateral, depth / slope
+
+    def times(values: Array, one: Array, other: Array) -> Array:
+        """Return the matrices of a product, values * one other^T, (N, 3, 3)."""
+        outer: Array = values[:, None, None] * one[..., :, None] * other[..., None, :]
+        return outer
+
+    one = np.ones_like(depth)
+    across = np.eye(3) - times(one, w, w) - times(one, ahead, ahead)
+    by_point = (
+        stretch[:, None, None] * across
+        + times(one, w, w)
+        + times(rate, ahead, ahead)
+        + times(q - inside * rate, ahead, w)
+    )
+    by_height = (-rate * (q - inside))[:, None] * ahead
+    by_normal = (
+        depth[:, None, None] * (np.eye(3) - stretch[:, None, None] * across)
+        + times(lateral * (1 - stretch), w, ahead)
+        + times(lateral * q - rate * (depth + inside * lateral), ahead, ahead)
+        - by_height[:, :, None] * centre
+    )
+    return Apparent(
+        points=centre + depth[:, None] * (w + q[:, None] * ahead),
+        by_point=by_point,
+        by_centre=np.eye(3) - by_point - by_height[:, :, None] * w,
+        by_window=np.concatenate([by_normal @ axes.T, by_height[:, :, None]], axis=2),
+    )
+
+
+def _finite(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Return a parameter of that name as a new array; raises CalibrationError unless it has that
+    shape and is finite."""
+    array = as_numbers(f"the window's {name}", value, CalibrationError)
+    if array.shape != shape:
+        raise CalibrationError(f"the window's {name} must have shape {shape}, not {array.shape}")
+    if not np.isfinite(array).all():
+        raise CalibrationError(f"the window's {name} must be finite, not {array.tolist()}")
+    return array

@@ -1,0 +1,204 @@
+"""Two cameras that look through a window: rays, points in space, and what a rig knows of it."""
+
+import dataclasses
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from stereo_data import gel, grid_of, toed_in_rig
+
+from cmp_cl import CalibrationError, StereoRig, Window
+from cmp_cl.motion import displacement
+from cmp_cl.reference import space as oracle
+from cmp_cl.space import PointStatus, undistort
+
+GEL = Window((0.02, -0.03, 1.0), 20.0, ((5.0, 1.49),), 1.41)
+
+
+def rig_behind(window, **changes):
+    return dataclasses.replace(toed_in_rig(), window=window, **changes)
+
+
+def centres(rig):
+    return np.zeros(3), -rig.R.T @ rig.T
+
+
+def bisected(window):
+    thickness, index = np.array([*window.layers, (0.0, window.index)]).T
+    return oracle.Window(
+        normal=window.normal,
+        distance=window.distance,
+        thickness=thickness[:-1],
+        index=index,
+    )
+
+
+def numeric(function, step=1e-5):
+    """Return the derivatives of a function (N, ...) of (3,) at 0, (N, ..., 3)."""
+    return np.stack(
+        [(function(step * axis) - function(-step * axis)) / (2 * step) for axis in np.eye(3)],
+        axis=-1,
+    )
+
+
+medium = st.floats(1.0, 2.5)
+
+
+@st.composite
+def windows(draw):
+    layers = draw(st.lists(st.tuples(st.floats(0, 30), medium), max_size=4))
+    tilt = [draw(st.floats(-0.3, 0.3)) for _ in range(2)]
+    return Window((*tilt, 1.0), draw(st.floats(1, 40)), layers, draw(medium))
+
+
+@given(windows(), st.floats(0, math.radians(60)), st.floats(-4, 4), st.floats(0, 50))
+def test_a_point_on_the_ray_of_a_pixel_is_seen_at_that_pixel(window, angle, azimuth, depth):
+    """Within 1e-6 px of a camera with a focal length of 1000 px, up to 60 degrees off the normal,
+    and by bisection as by Newton's method."""
+    one, two = window.axes
+    across = math.cos(azimuth) * one + math.sin(azimuth) * two
+    ray = math.cos(angle) * window.normal + math.sin(angle) * across
+    centre = np.array([0.3, -0.2, 0.1])
+    at, ahead = window.refracted(centre, ray[None])
+    point = at[0] + (depth + 1e-9) * ahead[0]
+    for seen in (
+        window.apparent(centre, point[None]).points[0],
+        bisected(window).straight(centre, point),
+    ):
+        off = np.cross(seen - centre, ray) / np.linalg.norm(seen - centre)
+        assert 1000 * np.linalg.norm(off) < 1e-6
+
+
+def test_pixel_ray_point_pixel_ends_where_it_began():
+    rig = rig_behind(GEL)
+    pixels = np.stack(np.meshgrid(np.linspace(0, 799, 9), np.linspace(0, 1199, 9)), -1)
+    pixels = pixels.reshape(-1, 2)
+    for side, (matrix, distortion, turn) in enumerate(
+        ((rig.K1, rig.D1, np.eye(3)), (rig.K2, rig.D2, rig.R))
+    ):
+        ideal, _ = undistort(pixels, matrix, distortion)
+        rays = np.column_stack([ideal, np.ones(len(ideal))]) @ turn
+        at, ahead = GEL.refracted(centres(rig)[side], rays)
+        np.testing.assert_allclose(rig.project(at + 17 * ahead)[side], pixels, rtol=0, atol=1e-6)
+
+
+def test_points_behind_a_window_are_found_and_their_sigma_is_that_of_the_errors():
+    rig, truth = rig_behind(GEL), gel(40, 40)
+    views = [view.reshape(40, 40, 2) for view in rig.project(truth.reshape(-1, 3))]
+    exact = rig.triangulate(*map(grid_of, views))
+    np.testing.assert_allclose(exact.xyz, truth, rtol=0, atol=4e-5)  # float32 pixels
+    assert exact.error.max() < 1e-4
+    rng = np.random.default_rng(1)
+    noisy = [grid_of(xy + rng.normal(0, 0.05, xy.shape), 0.05) for xy in views]
+    points = rig.triangulate(*noisy)
+    miss = (points.xyz - truth).reshape(-1, 3)
+    inverse = np.linalg.inv(points.covariance.reshape(-1, 3, 3))
+    chi2 = np.einsum("ni,nij,nj->n", miss, inverse, miss)
+    assert chi2.mean() == pytest.approx(3, rel=0.08)
+
+
+def test_air_behind_a_window_of_air_is_air():
+    truth = gel()
+    air = rig_behind(Window((0.1, 0.2, 1.0), 10.0, ((5.0, 1.0),), 1.0))
+    for one, two in zip(
+        air.project(truth.reshape(-1, 3)), toed_in_rig().project(truth.reshape(-1, 3)), strict=True
+    ):
+        np.testing.assert_allclose(one, two, rtol=0, atol=1e-9)
+
+
+def test_derivatives_are_differences():
+    points, centre = gel(4, 4).reshape(-1, 3), np.array([14.0, 1.0, 2.0])
+    points[0] = centre + 40 * GEL.normal  # on the axis
+    found = GEL.apparent(centre, points)
+    for slopes, function in (
+        (found.by_point, lambda step: GEL.apparent(centre, points + step)),
+        (found.by_centre, lambda step: GEL.apparent(centre + step, points)),
+        (found.by_window, lambda step: GEL.moved(step).apparent(centre, points)),
+    ):
+        expected = numeric(lambda step, function=function: function(step).points)
+        np.testing.assert_allclose(slopes, expected, rtol=0, atol=1e-7)
+
+
+def test_points_in_front_of_the_last_face_and_rays_that_miss_the_window_are_nan():
+    seen = GEL.apparent(np.zeros(3), np.array([[0, 0, 24.9], [0, 0, 25.1]])).points
+    assert np.isnan(seen).all(axis=1).tolist() == [True, False]
+    at, ahead = GEL.refracted(np.zeros(3), np.array([[0, 1.0, 0.01], [0, 0, -1.0], [0, 0, 1]]))
+    for values in (at, ahead):
+        assert np.isnan(values).all(axis=1).tolist() == [True, True, False]
+    rig = rig_behind(GEL)
+    views = (grid_of(view.reshape(20, 20, 2)) for view in rig.project(gel().reshape(-1, 3)))
+    beyond = dataclasses.replace(rig, window=dataclasses.replace(GEL, distance=80.0))
+    points = beyond.triangulate(*views)
+    assert (points.status == PointStatus.BEHIND).all()
+    assert np.isnan(points.xyz).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"normal": (0, 0, 0)}, "normal has length 0"),
+        ({"normal": (0, 1)}, "normal must have shape"),
+        ({"distance": -3}, "behind the left camera"),
+        ({"distance": math.nan}, "distance must be finite"),
+        ({"layers": ((5, 1.49), (-1, 1.4))}, "layer 2 of the window has thickness -1"),
+        ({"layers": ((5, 0.9),)}, "layer 1 of the window has index 0.9"),
+        ({"layers": (5, 1.49)}, "layers must have shape"),
+        ({"index": 0.5}, "the medium behind the window has index 0.5"),
+    ],
+)
+def test_an_impossible_window_is_refused(changes, words):
+    with pytest.raises(CalibrationError, match=words):
+        dataclasses.replace(GEL, **changes)
+
+
+def test_a_window_behind_the_right_camera_is_refused():
+    with pytest.raises(CalibrationError, match="behind the right camera"):
+        rig_behind(Window((1.0, 0, 0.1), 2.0, (), 1.4))
+
+
+@pytest.mark.parametrize("layers", [(), ((5.0, 1.49),), ((5.0, 1.49), (0.1, 1.33))])
+def test_a_window_survives_the_file_of_its_rig(tmp_path, layers):
+    window = dataclasses.replace(GEL, layers=layers)
+    rig = rig_behind(window, covariance=np.diag(1 / np.arange(1.0, 26)))
+    rig.save(tmp_path / "rig.yaml")
+    again = StereoRig.load(tmp_path / "rig.yaml")
+    np.testing.assert_array_equal(again.covariance, rig.covariance)
+    np.testing.assert_array_equal(again.window.normal, window.normal)
+    for name in ("distance", "layers", "index"):
+        assert getattr(again.window, name) == getattr(window, name)
+    text = (tmp_path / "rig.yaml").read_text()
+    for old, new, words in (
+        ("window_distance", "window_off", "needs window_normal"),
+        ("window_index: 1.4", "window_index: 0.4", "index 0.41"),
+        ("window_index", "window_distance: 2\nwindow_index", "window_distance is given twice"),
+    ):
+        (tmp_path / "bad.yaml").write_text(text.replace(old, new))
+        with pytest.raises(CalibrationError, match=rf"bad\.yaml.*{words}"):
+            StereoRig.load(tmp_path / "bad.yaml")
+
+
+def test_the_bias_of_a_field_is_what_an_error_of_the_rig_does_to_it():
+    """For each parameter alone: a wrong one, in pixels of the right rig."""
+    rest, now = gel(), gel() - np.array([0, 0, 1.0])
+    rig = rig_behind(GEL)
+    views = [
+        [grid_of(view.reshape(20, 20, 2)) for view in rig.project(xyz.reshape(-1, 3))]
+        for xyz in (rest, now)
+    ]
+    right = displacement(*(rig.triangulate(*pair) for pair in views), raw=True)
+    for number, step in ((16, 1e-4), (17, 1e-4), (19, 0.02), (22, 1e-3), (23, 1e-3), (24, 0.05)):
+        error = np.zeros(25)
+        error[number] = step
+        wrong = dataclasses.replace(
+            rig,
+            R=cv2.Rodrigues(cv2.Rodrigues(rig.R)[0].ravel() + error[16:19])[0],
+            T=rig.T + error[19:22],
+            window=GEL.moved(error[22:]),
+        )
+        moved = displacement(*(wrong.triangulate(*pair) for pair in views), raw=True)
+        off = np.linalg.norm(moved.displacement - right.displacement, axis=2)
+        stated = dataclasses.replace(rig, covariance=np.outer(error, error)).bias_sigma(right)
+        np.testing.assert_allclose(stated, off, rtol=0.1, atol=2e-5)
